@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from metapp.appearance.presenter import Presenter
-    from metapp.runs.execution import Execution
+    from metapp.runs.keeping import Outcome, Report
     from metapp.runs.run import Run
 
 # Mean tilt from which a relief and its inverse differ under other lights by 0.02 of display values: the median of 20
@@ -81,53 +81,72 @@ def fit(run: Run, *, json: bool) -> None:
         run: without its checkpoint.
         json: print an object in place of tables.
     """
-    from metapp.runs.execution import execute
+    from metapp.runs.keeping import execute
 
-    execution = execute(run)
-    if execution is None:
+    report = execute(run)
+    if report is None:
         return
-    _show(execution, json=json)
-    counted = [failure for failure in execution.failures if failure.counted]
+    _show(report, json=json)
+    counted = [failure for failure in report.failures if failure.counted]
     unwritten = sum(failure.kept for failure in counted)
     if failed := len(counted) - unwritten:
-        say(f"error: {failed} of {failed + len(execution.records)} inputs were not fitted.")
+        say(f"error: {failed} of {failed + len(report.records)} inputs were not fitted.")
     if unwritten:
         say(f"error: {unwritten} export{'s were' if unwritten > 1 else ' was'} not written; all fits are kept.")
     if counted:
         raise typer.Exit(Exit.FAILED)
 
 
-def _show(execution: Execution, *, json: bool) -> None:
+def _show(report: Report, *, json: bool) -> None:
     """Print the table of a run, or its object, its folder, and failures."""
-    run, records = execution.run, execution.records
+    run, records, outcomes = report.run, report.records, report.outcomes
     if not run.options.quiet:
         if not json:
             if len(records) > 1:
-                rate = execution.tasks_per_second
+                rate = report.tasks_per_second
                 out().print(table_of(run.presenter, run.paradigm.name, records, rate=rate, most=LISTED))
             else:
                 out().print(line_of(run.presenter, records[0]), soft_wrap=True)
                 for remark in _of_guard(run.paradigm.name, records):
                     say(remark)
-        for line in (*execution.remarks, *relief_lines(records, changed="relief" in run.options.own.given())):
+        remarks = [remark for outcome in outcomes for remark in outcome.remarks]
+        for line in (*remarks, *relief_lines(records, changed="relief" in run.options.own.given())):
             say(line)
-        if execution.skipped:
-            line = f"{execution.skipped} of {len(records)} inputs have such a fit already, and are skipped"
+        if skipped := sum(outcome.is_earlier for outcome in outcomes):
+            line = f"{skipped} of {len(records)} inputs have such a fit already, and are skipped"
             asked = run.options.exports or run.presenter.size
             say(f"{line}; metapp export writes other files of these" if asked else line)
-        if execution.replaced:
-            fits = f"{execution.replaced} of {len(records)} fits, and their pictures,"
+        if replaced := sum(outcome.replaces for outcome in outcomes):
+            fits = f"{replaced} of {len(records)} fits, and their pictures,"
             say(f"{fits} replace earlier ones; --resume keeps these")
-        for line in _of_exports(execution):
+        for line in _of_exports(outcomes):
             say(line)
-        say(f"fits: {execution.folder}")
+        say(f"fits: {report.path}")
         if "view" in registry().commands:
-            say(f"to look at: metapp view {shlex.quote(str(execution.folder))}")
-    for failure in execution.failures:
+            say(f"to look at: metapp view {shlex.quote(str(report.path))}")
+    for failure in report.failures:
         what = "failed" if failure.counted else "warning: skipped"
         say(f"{what}: {one_line(failure.reason)}")
     if json:
-        print_json(execution.document())
+        print_json(_document(report))
+
+
+def _document(report: Report) -> Document:
+    """Return the object that --json prints."""
+    from metapp.storage.fits import guarded, summary
+
+    settings, records = report.folder.settings, report.records
+    stated = ("app", "observe", "paradigm", "rule", "steps", "device", "data", "precision")
+    fields = ("name", "error", "photo_error", "mean_tilt_degrees", "seconds", "counts", "note", "warning", "folder")
+    return {
+        **{key: settings[key] for key in (*stated, *report.run.app.conditions()) if key in settings},
+        **summary(records),
+        "guarded": guarded(records),
+        "tasks": [{key: record[key] for key in fields if key in record} for record in records],
+        "tasks_per_second": report.tasks_per_second,
+        "failures": [{"source": failure.source, "reason": failure.reason} for failure in report.failures],
+        "out": str(report.folder.path),
+    }
 
 
 def relief_lines(records: Sequence[Document], *, changed: bool = False) -> list[str]:
@@ -164,11 +183,12 @@ def line_of(presenter: Presenter[Any], record: Document) -> str:
     return f"{escaped(record['name'])}: {', '.join([*made, error, f'{seconds_so_far():.1f} s in all'])}"
 
 
-def _of_exports(execution: Execution) -> Iterator[str]:
+def _of_exports(outcomes: Sequence[Outcome]) -> Iterator[str]:
     """The paths of files in other forms, those of a form together if they are many."""
     by_form: dict[str, list[Path]] = {}
-    for form, file in execution.exported:
-        by_form.setdefault(form, []).append(file)
+    for outcome in outcomes:
+        for form, file in outcome.exported:
+            by_form.setdefault(form, []).append(file)
     for form, files in by_form.items():
         if len(files) > PATHS:
             yield f"{form}: {len(files)} of them, the first {files[0]}"

@@ -21,7 +21,7 @@ from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
 from metapp.storage.checkpoints import digest
-from metapp.storage.fits import FIT, Fits, Record
+from metapp.storage.fits import FIT, Record, RunFolder
 
 LONG = 30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time
 FEW = 3  # tasks of these rows, unless all are asked for
@@ -105,7 +105,7 @@ class Subject:
 
     def found(self, name: str) -> list[Record]:
         """The fits of a row of the results that there are; nothing is measured."""
-        _, records = self.asked.get(name) or ((), _read(self._fits(self.runs[name]), self.tasks_of(name)))
+        _, records = self.asked.get(name) or ((), _read(self._folder(self.runs[name]), self.tasks_of(name)))
         return records
 
     def fitted(self, title: str, run: Run, tasks: list[Task], settings: Record | None = None) -> list[Record]:
@@ -121,47 +121,49 @@ class Subject:
         def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
             return ((fit.record, fit.parameters) for fit in fit_tasks(run, tasks))
 
-        return self.measured(title, self._fits(run, settings), measure, tasks, run.paradigm.steps)
+        return self.measured(title, self._folder(run, settings), measure, tasks, run.paradigm.steps)
 
-    def _fits(self, run: Run, settings: Record | None = None) -> Fits | None:
+    def _folder(self, run: Run, settings: Record | None = None) -> RunFolder | None:
         if run.checkpoint is None:
             return None
         path = run.path(self.label, run.paradigm.name if settings else "")
-        return Fits(path, run.settings(self.label) | (settings or {}), FIT)
+        return RunFolder(path, run.settings(self.label) | (settings or {}), FIT)
 
     def measured(
-        self, title: str, fits: Fits | None, measure: Measure, tasks: list[Task], steps: int = 0
+        self, title: str, folder: RunFolder | None, measure: Measure, tasks: list[Task], steps: int = 0
     ) -> list[Record]:
         """Records of tasks, in their order; missing ones are measured now, each kept as soon as its task is done.
 
         Args:
             title: for the progress, of these records alone.
-            fits: the folder of records; None if they cannot be measured, as a checkpoint is missing.
+            folder: of the records; None if they cannot be measured, as a checkpoint is missing.
             measure: tasks -> the record of each, and parameters that are kept beside it, if any; it may end early.
             tasks: to be measured.
             steps: gradient steps of a task, about, which the progress counts.
         """
         if title in self.asked:
             return self.asked[title][1]
-        records = _read(fits, tasks)
+        records = _read(folder, tasks)
         names = {record["name"] for record in records}
         missing = [task for task in tasks if task.name not in names]
-        if fits and missing and self.measuring:
+        if folder and missing and self.measuring:
             name, each, total = f"{self.app.full_name} {title}", steps + 1, (steps + 1) * len(missing)
             bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
             with bars as bar, threads(single=self.app.single_threaded):
                 bar.at(0, total, name)
                 for i, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
-                    fits.write({**record, "content": content_of(task), "origin": self.run.origin(())}, tensors)
+                    folder.write({**record, "content": content_of(task), "origin": self.run.origin(())}, tensors)
                     bar.at(each * i, total, f"{name} {task.name}")
-            records = _read(fits, tasks)
+            records = _read(folder, tasks)
             if not self.run.options.quiet:
                 say(f"{name}: {_summary_of(records)}")
         self.asked[title] = tasks, records
         return records
 
-    def kept(self, kind: str, settings: Record, entries: Collection[str], rows: Collection[str] = ()) -> Fits | None:
-        """The folder of records that are no fits: <out>/<app>/<kind>, with options that are not at their default.
+    def kept(
+        self, kind: str, settings: Record, entries: Collection[str], rows: Collection[str] = ()
+    ) -> RunFolder | None:
+        """Return the folder of records that are no fits: <out>/<app>/<kind>, with the options that were given.
 
         Args:
             kind: of records.
@@ -173,7 +175,7 @@ class Subject:
         if not all(run.checkpoint for run in runs):
             return None
         fits = {"fits": [digest(run.settings(self.label)) for run in runs]} if runs else {}
-        return Fits(self.run.path(self.label, kind), settings | fits, entries)
+        return RunFolder(self.run.path(self.label, kind), settings | fits, entries)
 
     def draw(self, kind: str, fits: Mapping[str, list[Record]]) -> Path | None:
         """Draw fits of several methods side by side, of the tasks that all have; None if there are none."""
@@ -190,8 +192,8 @@ class Subject:
         return write_compared(self.presenter, columns, path.with_name(f"{path.name}.png"))
 
 
-def _read(fits: Fits | None, tasks: list[Task]) -> list[Record]:
-    finished = fits.records() if fits else {}
+def _read(folder: RunFolder | None, tasks: list[Task]) -> list[Record]:
+    finished = folder.records() if folder else {}
     return [finished[task.name] for task in tasks if task.name in finished]
 
 

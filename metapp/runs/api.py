@@ -161,9 +161,9 @@ def _fitted(options: FitOptions) -> list[Fit]:
                     fit.record |= found | {"origin": run.origin(source.given)}
                 fits.append(fit)
                 places.append(source.place)
-            elif source.named or not isinstance(fit, BadInput):
-                raise fit
-            else:
+            elif isinstance(fit, Exception):
+                if source.named or not isinstance(fit, BadInput):
+                    raise fit
                 say(f"warning: skipped {fit}")
         if not fits:
             raise ValueError(f"none of the {len(sources)} found could be read.")

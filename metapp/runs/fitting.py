@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Generator
@@ -20,12 +20,14 @@ from metapp.learning.learn import DescentState, final_item
 from metapp.learning.pictures import photo_error
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fit import Fit
-from metapp.runs.inputs.sources import Source
-from metapp.runs.reporter import say
+from metapp.runs.inputs.sources import Source, content_of
+from metapp.runs.reporter import Bar, say
 from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.files import named
+from metapp.storage.fits import RunFolder
 
+READ, FITTED = 0.2, 0.5  # shares of an input's time until it is read, and fitted, about
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
 NOTED = 3  # inputs of which it is said that they were cut or scaled
 ROSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
@@ -36,25 +38,40 @@ class BadInput(ValueError):
     """An input that cannot be read, with its place."""
 
 
+class Earlier(NamedTuple):
+    """An earlier fit of a task, which --resume takes for the fit of now.
+
+    Attributes:
+        run: of now.
+        task: as it was read now.
+        record: of the fit.
+    """
+
+    run: Run
+    task: Task
+    record: Document
+
+
 def fit_sources(
-    run: Run, sources: Sequence[Source], skip: Callable[[Source, Task], bool] = lambda source, task: False
-) -> Iterator[tuple[Source, Fit | Exception]]:
-    """Fits of sources, each read when its turn comes, `--batch` of them side by side; their warnings are said.
+    run: Run, sources: Sequence[Source], folder: RunFolder | None = None, bar: Bar | None = None
+) -> Iterator[tuple[Source, Fit | Earlier | Exception]]:
+    """Fit sources, each read when its turn comes, `--batch` of them side by side; their warnings are said.
 
     Args:
         run: with a checkpoint.
         sources: to fit.
-        skip: tells sources that are not to be fitted, once they are read.
+        folder: of the run; None if fits are not kept.
+        bar: is told the name of each task that was read.
 
     Yields:
-        Each source with its fit, or with the error by which it has none.
+        Each source with its fit, or with the error by which it has none; with --resume an earlier fit if there is one.
     """
-    pairs = _readable(run, sources, skip)
     is_warm = False
-    while some := list(itertools.islice(pairs, run.options.batch or 1)):
-        read = [(source, task) for source, task in some if isinstance(task, Task)]
-        yield from ((source, error) for source, error in some if isinstance(error, Exception))
-        for group in of_equal_sizes(read):
+    waiting: list[tuple[Source, Task]] = []
+
+    def fits() -> Iterator[tuple[Source, Fit | Exception]]:
+        nonlocal is_warm
+        for group in of_equal_sizes(waiting):
             if not is_warm:
                 warm_up(run, group[0][1])
                 is_warm = True
@@ -63,15 +80,29 @@ def fit_sources(
                     _say_warnings(fit)
                 yield source, fit
 
+    for source, read in _readable(run, sources, folder, bar or Bar()):
+        if isinstance(read, Task):
+            waiting.append((source, read))
+        else:
+            yield source, read
+        if len(waiting) == (run.options.batch or 1):
+            yield from fits()
+            waiting.clear()
+    yield from fits()
+
 
 def _readable(
-    run: Run, sources: Iterable[Source], skip: Callable[[Source, Task], bool]
-) -> Iterator[tuple[Source, Task | Exception]]:
+    run: Run, sources: Iterable[Source], folder: RunFolder | None, bar: Bar
+) -> Iterator[tuple[Source, Task | Earlier | Exception]]:
     noted = 0
     for source in sources:
         try:
             task = source.task()
-            if not skip(source, task):
+            record = folder.earlier(task.name, source.place) if folder and run.options.resume else None
+            if folder and record and folder.holds(record, content_of(task)):
+                yield source, Earlier(run, task, record)
+            else:
+                bar.name(f"{task.name}: fitting", READ)
                 check_task(run, task)
                 noted += bool(task.note)
                 if task.note and noted <= NOTED:

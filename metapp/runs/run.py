@@ -25,6 +25,7 @@ from metapp.runs.recipes import chosen_protocol, chosen_recipe, usual_recipe
 from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.checkpoints import digest
+from metapp.storage.fits import RunFolder
 
 
 class Checkpoint(NamedTuple):
@@ -153,6 +154,10 @@ class Run:
             **app.conditions(),
             **precision_of(app, self.device, paradigm.steps),
         }
+
+    def folder(self, label: str) -> RunFolder:
+        """Return the folder of fits to data of this label."""
+        return RunFolder(self.path(label), self.settings(label))
 
     def path(self, label: str, kind: str = "") -> Path:
         """runs/<app>/<paradigm>, with the options that are not at their default, as meta-materials-1a2b3c-quick-seed3.

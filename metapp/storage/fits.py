@@ -102,11 +102,6 @@ def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Do
     return kept | {"folder": str(target)}
 
 
-def find_fit(run: Path, name: str, source: str) -> Document | None:
-    """The record of the fit of an input, as `read_fit` gives it; None if there is none."""
-    return _fit_in(_folders(run, name, source), source)
-
-
 def _fit_in(folders: Iterable[Path], source: str) -> Document | None:
     for folder in folders:
         try:
@@ -242,13 +237,20 @@ def read_packed(path: Path, entries: Collection[str] = ()) -> Document:
     return _shown(record) | {"folder": str(path)}
 
 
-class Fits(NamedTuple):
-    """The fits of some settings in a run's folder, which may hold those of others, too.
+class RunFolder(NamedTuple):
+    """The folder of a run's fits, which may hold fits of other settings, too.
 
     Attributes:
-        path: the run's folder.
-        settings: all that figures of the fits depend on.
-        entries: of their records, beside the name.
+        path: of the folder, which need not be there.
+        settings: all that figures of the run's fits depend on.
+        entries: the entries of their records, beside the name.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     ten, twenty = (RunFolder(Path(place), {"steps": steps}) for steps in (10, 20))
+    ...     record = ten.write({"name": "gold", "error": 1.5, "content": "1a2b"})
+    ...     list(ten.records()), list(twenty.records()), ten.holds(record, "1a2b"), twenty.holds(record, "1a2b")
+    (['gold'], [], True, False)
     """
 
     path: Path
@@ -258,17 +260,27 @@ class Fits(NamedTuple):
     def write(
         self, record: Document, theta: Params | None = None, draw: Callable[[Path], None] = lambda folder: None
     ) -> Document:
-        """Keep a finished task, as `write_fit` does, with the settings."""
+        """Keep a finished task with the settings; see :func:`write_fit`."""
         return write_fit(self.path, {**record, "settings": self.settings}, theta, draw)
 
-    def hold(self, record: Document) -> bool:
-        """True if a record is of these settings."""
-        return bool(record.get("settings") == as_text(self.settings))
+    def earlier(self, name: str, source: str) -> Document | None:
+        """Return the record of the fit of an input, of whatever settings; None if there is none.
+
+        Args:
+            name: of the task.
+            source: the input's place.
+        """
+        return _fit_in(_folders(self.path, name, source), source)
+
+    def holds(self, record: Document, content: str | None = None) -> bool:
+        """Return whether a record is of these settings, and, if a digest is given, of an input of this content."""
+        is_same = bool(record.get("settings") == as_text(self.settings))
+        return is_same and (content is None or record.get("content") == content)
 
     def records(self) -> dict[str, Document]:
-        """The records of these settings, by the inputs' names; none of fits whose seconds are a batch's shares."""
+        """Return the records of these settings, by their sources; none of fits whose seconds are a batch's shares."""
         records = read_fits(self.path, ("source", "settings", *self.entries))
-        alone = [record for record in records if record.get("batch", 1) == 1 and self.hold(record)]
+        alone = [record for record in records if record.get("batch", 1) == 1 and self.holds(record)]
         return {record["source"]: record | {"name": record["source"]} for record in alone}
 
 

@@ -393,7 +393,7 @@ def test_a_fit_imports_no_library_of_figures_and_ends_quietly() -> None:
         "import gc, sys",
         "from metapp.cli.console import importing",
         "with importing():",
-        "    import metapp.runs.execution",
+        "    import metapp.runs.keeping",
         "import metapp.apps.illumination, metapp.apps.svbrdf_nonstationary, metapp.apps.texture, OpenImageIO",
         "print(gc.isenabled(), gc.get_freeze_count() > 100_000)",
         "print({'matplotlib', 'scipy', 'torchmetrics', 'mitsuba', 'colour'} & sys.modules.keys())",

@@ -31,7 +31,7 @@ from metapp.cli.fit import VISIBLE_TILT_DEGREES
 from metapp.evaluation.tables.results import closing
 from metapp.networks.field import LocalField
 from metapp.registry import exports_of
-from metapp.runs.execution import execute
+from metapp.runs.keeping import execute
 from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import read_run, tasks_as
 from metapp.runs.reporter import Bar, reporting

@@ -110,12 +110,12 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 def read_records(folder: Path, file: Path) -> None:
     """As a table, which shows all finished tasks."""
-    from metapp.storage.fits import FIT, Fits, summary
+    from metapp.storage.fits import FIT, RunFolder, summary
 
     place = folder / "fits" / "a"  # of a run's folder
     place.mkdir(parents=True, exist_ok=True)
     shutil.copy(file, place)
-    records = Fits(folder / "fits", {"app": "brdf", "steps": 10}, FIT).records()
+    records = RunFolder(folder / "fits", {"app": "brdf", "steps": 10}, FIT).records()
     for record in records.values():
         numbers = [record["seconds"], *([] if record["error"] is None else [record["error"]])]
         assert all(math.isfinite(number) for number in numbers)

@@ -21,8 +21,7 @@ from metapp.storage.fits import (
     FIT,
     PARAMS,
     RECORD,
-    Fits,
-    find_fit,
+    RunFolder,
     marked_name,
     read_fits,
     read_params,
@@ -178,7 +177,7 @@ def names(run: Path) -> list[str]:
 
 
 def test_a_fit_is_a_folder(tmp_path: Path) -> None:
-    fits = Fits(tmp_path / "run", {"steps": 10}, FIT)
+    fits = RunFolder(tmp_path / "run", {"steps": 10}, FIT)
     assert fits.records() == {}
     theta = {"w": torch.ones(2, 3, requires_grad=True).T}
     kept = fits.write(record("red felt/2", note="größe\u2028\nx"), theta, lambda at: (at / "a.png").write_text("a"))
@@ -216,14 +215,14 @@ def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
     assert {each["name"]: each["error"] for each in read_fits(tmp_path)} == {"wall": 3.0, marked: 4.0}
     assert {each.name for each in tmp_path.iterdir()} == {"wall", marked}
     assert read_params(tmp_path / marked)["w"] == 4.0
-    found = find_fit(tmp_path, "wall", "/b/wall.jpg")
+    found = RunFolder(tmp_path, {}).earlier("wall", "/b/wall.jpg")
     assert found is not None
     assert (found["name"], found["ssim"], found["curve"]) == (marked, None, [[1, None]])
-    assert find_fit(tmp_path, "wall", "/c/wall.jpg") is None
+    assert RunFolder(tmp_path, {}).earlier("wall", "/c/wall.jpg") is None
 
 
 def test_fits_of_other_settings_and_batches_do_not_count(tmp_path: Path) -> None:
-    ten, twenty = (Fits(tmp_path, {"steps": steps, "fits": ("a", "b")}) for steps in (10, 20))
+    ten, twenty = (RunFolder(tmp_path, {"steps": steps, "fits": ("a", "b")}) for steps in (10, 20))
     for name in ("gold", "tin"):
         ten.write(record(name, name), THETA)
     assert list(ten.records()) == ["gold", "tin"]

@@ -70,7 +70,7 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     from metapp.runs.inputs.sources import content_of, read_tasks, sources_to_fit
     from metapp.runs.outputs.files import write_pictures
     from metapp.runs.run import Run
-    from metapp.storage.fits import Fits
+    from metapp.storage.fits import RunFolder
 
     planned = Run.of(options)
     app, options = planned.app, planned.options
@@ -86,7 +86,7 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     if baseline.learns and training_folder(planned, baseline, make=True) is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
     path = planned.path(label, f"baseline-{method}")
-    kept = Fits(path, settings_of(planned, baseline, label), ENTRIES)
+    kept = RunFolder(path, settings_of(planned, baseline, label), ENTRIES)
     records = []
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(planned, baseline, tasks, warm=False)

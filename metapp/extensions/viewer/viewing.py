@@ -14,8 +14,8 @@ from data_tools.synthetic.examples import write_example
 from metapp.extensions.viewer.page import Group, write_page
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Task
-from metapp.runs.execution import execute
 from metapp.runs.fit import Fit
+from metapp.runs.keeping import execute
 from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import Recorded, by_settings, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
@@ -165,8 +165,8 @@ def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
     """
     begin = time.perf_counter()
     source = write_example(app, out / INPUTS)[0]
-    run = execute(Run.of(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
-    assert run is not None  # of several ranks only
-    (fit,) = run.records
+    report = execute(Run.of(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
+    assert report is not None  # of several ranks only
+    (fit,) = report.records
     told = {key: fit[key] for key in ("name", "error", "seconds")}
-    return run.folder, {"app": app, **told, "whole_seconds": time.perf_counter() - begin}
+    return report.path, {"app": app, **told, "whole_seconds": time.perf_counter() - begin}

@@ -14,7 +14,7 @@ from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
 from metapp.runs.reporter import Bar
 from metapp.runs.surroundings import find_device
-from metapp.storage.fits import Fits, Record
+from metapp.storage.fits import Record, RunFolder
 from tests.evaluation.cli.subjects import subject_of
 from tests.quick import app_by
 
@@ -35,7 +35,7 @@ def measure(empty: Subject, tmp_path: Path) -> Callable:
                 during(task.name)
                 yield {"name": task.name, "error": 1.0}, None
 
-        fits = Fits(tmp_path / title, {"title": title}, ("error",))
+        fits = RunFolder(tmp_path / title, {"title": title}, ("error",))
         return empty.measured(title, fits, of_tasks, empty.tasks, steps, **more)
 
     return measured
@@ -43,7 +43,7 @@ def measure(empty: Subject, tmp_path: Path) -> Callable:
 
 def test_missing_records_are_measured_once(measure: Callable, empty: Subject, tmp_path: Path) -> None:
     log: list[str] = []
-    Fits(tmp_path / "some", {"title": "some"}).write({"name": "m1", "error": 0.5})
+    RunFolder(tmp_path / "some", {"title": "some"}).write({"name": "m1", "error": 0.5})
     for _ in range(2):
         records = measure("some", log.append)
         assert [(record["name"], record["error"]) for record in records] == [("m0", 1.0), ("m1", 0.5), ("m2", 1.0)]

@@ -25,7 +25,7 @@ from metapp.registry import app_names, protocols_of, registry
 from metapp.runs.options import fit_options
 from metapp.runs.reporter import Reporter
 from metapp.runs.run import Run
-from metapp.storage.fits import Fits, read_params
+from metapp.storage.fits import RunFolder, read_params
 from metapp.storage.shards import write_shard
 from tests.marked import long
 from tests.quick import app_by
@@ -150,7 +150,7 @@ def test_every_application_has_baselines_and_its_table_prints_them(
 def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
-    fits = Fits(subject.run.options.out / "meta", {"of": "meta"})
+    fits = RunFolder(subject.run.options.out / "meta", {"of": "meta"})
     pretend_paradigms(subject)
     records = [fits.write({"name": task.name, "error": 1.0}, theta) for task in subject.tasks]
     subject.asked["meta"] = subject.tasks, records
