@@ -58,17 +58,17 @@ def command(
       metapp export runs/brdf/meta bsdf
       metapp export chm_orange_rgb.bsdf merl
     """
-    from metapp.runs.outputs.recorded import export_run, holds_runs
+    from metapp.runs.outputs.recorded import export_fits, holds_fits
 
     own = {name: value for name, value in (("size", size), ("relief", relief)) if value is not None}
-    if form in registry().file_exports and not holds_runs(source):
+    if form in registry().file_exports and not holds_fits(source):
         if inputs or data or own:
             raise typer.BadParameter(f"{source}: no run, expected no INPUT and no option but --out; leave others out.")
         folder = out or Path(form)
         files = [*registry().file_exports[form].load()(source, form, folder, quiet)]
         tasks = [file.stem for file in files]
     else:
-        folder, tasks, files = export_run(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
+        folder, tasks, files = export_fits(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
     if not quiet:
         say(f"written as {form}: {files[0] if len(files) == 1 else folder}")
     if json:

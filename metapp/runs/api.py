@@ -20,7 +20,7 @@ from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.sources import content_of, in_memory, sources_to_fit, told_apart
 from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.outputs.recorded import read_run, read_saved, tasks_as
+from metapp.runs.outputs.recorded import read_saved, recorded_fits, tasks_as
 from metapp.runs.recipes import chosen_protocol, chosen_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
@@ -128,7 +128,7 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
     """
     path = Path(os.fsdecode(place))
     with threads(single=False):
-        records = [read_saved(path)] if path.is_file() else read_run(path).records
+        records = [read_saved(path)] if path.is_file() else recorded_fits(path).records
         if len(records) != 1:
             raise ValueError(f"{path}: {len(records)} fits, expected the folder of one task; take one inside it.")
         (record,) = records

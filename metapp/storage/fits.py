@@ -43,7 +43,7 @@ TEXTS = ("name", "source", "content")  # entries that are texts, where a record 
 
 
 def write_fit(
-    run: Path, record: Document, theta: Params | None = None, draw: Callable[[Path], None] = lambda folder: None
+    run_folder: Path, record: Document, theta: Params | None = None, draw: Callable[[Path], None] = lambda folder: None
 ) -> Document:
     """Keep a finished task: its parameters, its pictures and its record, in this order, in a folder of its own.
 
@@ -51,7 +51,7 @@ def write_fit(
     input that is there is replaced. Numbers that are not finite, which JSON lacks, become None.
 
     Args:
-        run: the folder of the run, made if missing.
+        run_folder: of a run, made if missing.
         record: with `name`, and `source`, the input's path, unless it has the same name in a data set.
         theta: the parameters, if there are any.
         draw: writes pictures into the folder that it is given.
@@ -63,13 +63,13 @@ def write_fit(
         OSError: the disk is full; a record that was there stays.
 
     >>> import tempfile, torch
-    >>> with tempfile.TemporaryDirectory() as run:
-    ...     kept = write_fit(Path(run), {"name": "gold", "error": 1.5}, {"weight": torch.zeros(2)})
-    ...     [record["error"] for record in read_fits(Path(run))], read_params(kept["folder"])
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     kept = write_fit(Path(place), {"name": "gold", "error": 1.5}, {"weight": torch.zeros(2)})
+    ...     [record["error"] for record in read_fits(Path(place))], read_params(kept["folder"])
     ([1.5], {'weight': tensor([0., 0.])})
     """
     record = {"source": record["name"], **record}
-    plain, marked = folders = _folders(run, record["name"], record["source"])
+    plain, marked = folders = _folders(run_folder, record["name"], record["source"])
     earlier = _fit_in(folders, record["source"])
     folder = Path(earlier["folder"]) if earlier else partial_path(plain)
     try:
@@ -86,7 +86,7 @@ def write_fit(
                     if earlier or not os.path.lexists(target):
                         raise
                     if _fit_in(folders, record["source"]):  # of another program, since a moment ago
-                        return write_fit(run, record, theta, draw)
+                        return write_fit(run_folder, record, theta, draw)
         raise ValueError(f"{marked}: no fit of this input, expected one or a new folder; remove it.")
     finally:
         if not earlier:
@@ -113,10 +113,10 @@ def _fit_in(folders: Iterable[Path], source: str) -> Document | None:
     return None
 
 
-def _folders(run: Path, name: str, source: str) -> tuple[Path, Path]:
+def _folders(run_folder: Path, name: str, source: str) -> tuple[Path, Path]:
     """The folders that a fit may be in: that of the task's name, and that with a digest of its input."""
     plain, digest = file_name(as_text(name)), hashlib.sha256(as_text(source).encode()).hexdigest()[:6]
-    return run / plain, run / file_name(f"{plain}-{digest}")
+    return run_folder / plain, run_folder / file_name(f"{plain}-{digest}")
 
 
 def marked_name(name: str, source: str) -> str:
@@ -156,10 +156,10 @@ def _shown(record: Document) -> Document:
     return {**record, "name": "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])}
 
 
-def read_fits(run: Path, entries: Collection[str] = ()) -> list[Document]:
+def read_fits(run_folder: Path, entries: Collection[str] = ()) -> list[Document]:
     """The records in a run's folder, by name, as `read_fit` gives them; one warning names the first that is none."""
     records, damaged = [], []
-    for folder in sorted(run.iterdir()) if run.is_dir() else ():
+    for folder in sorted(run_folder.iterdir()) if run_folder.is_dir() else ():
         try:
             record = None if folder.name.startswith(PARTIAL) else read_fit(folder, entries)
         except ValueError as error:
@@ -167,7 +167,7 @@ def read_fits(run: Path, entries: Collection[str] = ()) -> list[Document]:
         else:
             records += [record] if record else []
     if damaged:
-        more = f" {len(damaged) - 1} more in {run} alike." if len(damaged) > 1 else ""
+        more = f" {len(damaged) - 1} more in {run_folder} alike." if len(damaged) > 1 else ""
         warnings.warn(f"{damaged[0]}{more}", stacklevel=2)
     return records
 

@@ -24,8 +24,8 @@ class Kind(enum.Enum):
 
     DATA_SET = "a data set"
     FIT = "the folder of a fit"
-    RUN = "the folder of a run"
-    RUNS = "a folder of runs"
+    RUN_FOLDER = "the folder of a run"
+    RUN_FOLDERS = "a folder of runs"
     RECTIFIED = "a folder of rectified photos"
     DIAGNOSTIC = "made by metapp to show its results"
     FILES = "a folder"
@@ -33,8 +33,9 @@ class Kind(enum.Enum):
     NOTHING = "no such file or folder"
 
 
-WRITTEN = (Kind.DATA_SET, Kind.FIT, Kind.RUN, Kind.DIAGNOSTIC)  # kinds that metapp writes and that are no user's files
-HOLDS_FITS = (Kind.FIT, Kind.RUN, Kind.RUNS)
+# kinds that metapp writes and that are no user's files
+WRITTEN = (Kind.DATA_SET, Kind.FIT, Kind.RUN_FOLDER, Kind.DIAGNOSTIC)
+HOLDS_FITS = (Kind.FIT, Kind.RUN_FOLDER, Kind.RUN_FOLDERS)
 
 
 def kind_of(path: str | Path) -> Kind:
@@ -54,15 +55,15 @@ def kind_of(path: str | Path) -> Kind:
         if not os.path.lexists(place):
             return Kind.NOTHING
         above = _kind_without_runs(os.path.dirname(place))
-        return Kind.DIAGNOSTIC if above in (Kind.RUN, Kind.DIAGNOSTIC) else Kind.FILE
+        return Kind.DIAGNOSTIC if above in (Kind.RUN_FOLDER, Kind.DIAGNOSTIC) else Kind.FILE
     kind = _kind_without_runs(place)
-    return Kind.RUNS if kind is Kind.FILES and records_below(Path(path), "*/*/", "*/*/*/") else kind
+    return Kind.RUN_FOLDERS if kind is Kind.FILES and records_below(Path(path), "*/*/", "*/*/*/") else kind
 
 
 def holds_files_of_users(folder: str) -> tuple[bool, bool]:
     """Tell a walk through folders whether a folder's files, and those in folders below it, are a user's."""
     kind = _kind_without_runs(os.path.abspath(folder))
-    return kind not in WRITTEN, kind not in WRITTEN or kind is Kind.RUN
+    return kind not in WRITTEN, kind not in WRITTEN or kind is Kind.RUN_FOLDER
 
 
 def refusal(path: Path, expected: str) -> str:
@@ -115,7 +116,7 @@ def _kind_without_runs(folder: str) -> Kind:
     if os.path.basename(folder) == FOUND and (_is_data_set(above) or _is_rectified(above)):
         return Kind.DIAGNOSTIC
     if _is_run(folder):
-        return Kind.RUN
+        return Kind.RUN_FOLDER
     return Kind.RECTIFIED if _is_rectified(folder) else Kind.FILES
 
 

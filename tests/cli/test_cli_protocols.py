@@ -33,7 +33,7 @@ from metapp.networks.field import LocalField
 from metapp.registry import exports_of
 from metapp.runs.keeping import execute
 from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import read_run, tasks_as
+from metapp.runs.outputs.recorded import recorded_fits, tasks_as
 from metapp.runs.reporter import Bar, reporting
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint
@@ -295,7 +295,7 @@ def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
     common = ("overfit", SVBRDF, shot, "--steps", "1", "--json")
     fits = {stops: metapp(*common, "--stops", stops).document for stops in ("0", "-1")}
     assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
-    runs = [read_run(Path(fit["out"])).records for fit in fits.values()]
+    runs = [recorded_fits(Path(fit["out"])).records for fit in fits.values()]
     (one,), (other,) = (tasks_as(run, Run.of_settings(run[0]["settings"]).app, [], None).values() for run in runs)
     assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
     misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--stops", "1").misuse

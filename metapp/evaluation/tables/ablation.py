@@ -76,7 +76,7 @@ def ablation(subject: Subject) -> Table:
 
 def learned(subject: Subject) -> list[str]:
     """The rows of the results by a learned rule, with the network that General predicts."""
-    return [name for name, fit in subject.runs.items() if fit.paradigm.has_learned_rule and fit.app == subject.app]
+    return [name for name, run in subject.runs.items() if run.paradigm.has_learned_rule and run.app == subject.app]
 
 
 def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]:
@@ -89,20 +89,20 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]
     Returns:
         Nothing if a checkpoint is missing.
     """
-    plans = [subject.runs[row] for row in (name, "general", "quickft")]
-    found = [plan.checkpoint for plan in plans if plan.checkpoint]
-    if len(found) < len(plans):
+    runs = [subject.runs[row] for row in (name, "general", "quickft")]
+    found = [run.checkpoint for run in runs if run.checkpoint]
+    if len(found) < len(runs):
         return []
-    plan, (meta, general, quickft) = plans[0], (checkpoint.phi for checkpoint in found)
-    rule, adam = plan.options.rule, plans[2].paradigm.adam(quickft)
+    run, (meta, general, quickft) = runs[0], (checkpoint.phi for checkpoint in found)
+    rule, adam = run.options.rule, runs[2].paradigm.adam(quickft)
     if same_initialisation(subject, name):
         return [("general", rule, subject.records(name)), (f"meta ({rule})", "adam", subject.records("quickft"))]
 
     def fitted(kind: type[RuleAlone | InitialisationAlone], start: str, by: str, phi: MetaParameters) -> list[Record]:
-        paradigm = kind.of(plan.app, plan.recipe, rule, plan.paradigm.steps)
+        paradigm = kind.of(run.app, run.recipe, rule, run.paradigm.steps)
         checkpoint = Checkpoint(phi, "combined", "+".join(one.digest for one in found))
         settings = {"rule": rule, "adam": asdict(adam) if adam and kind is InitialisationAlone else None}
-        changed = replace(plan, paradigm=paradigm, checkpoint=checkpoint)
+        changed = replace(run, paradigm=paradigm, checkpoint=checkpoint)
         return subject.fitted(f"ablation {start} + {by}", changed, subject.tasks_of(name), settings)
 
     halves = (

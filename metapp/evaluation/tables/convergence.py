@@ -107,12 +107,12 @@ def _trace(subject: Subject, task: Task) -> Record:
     stacked = stack(subject.app, [task], subject.run.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
     for name in CURVES:
-        fit = subject.runs[name]
-        measured = curve_steps(fit.paradigm.steps)
-        descent = fit.paradigm.descend(fit.phi, stacked, rng_of(fit, task))  # the fit of the row
+        run = subject.runs[name]
+        measured = curve_steps(run.paradigm.steps)
+        descent = run.paradigm.descend(run.phi, stacked, rng_of(run, task))  # the fit of the row
         states = {now.step: now.theta for now in descent if now.step in measured}  # [1, ...] each
         curves[name] = [(step, _error_of(subject, states[step], stacked)) for step in sorted(measured)]
-    meta = states[fit.paradigm.steps]  # the last of CURVES
+    meta = states[run.paradigm.steps]  # the last of CURVES
     further = _further(subject, task, stacked, meta, curves["overfit"][-1][1])
     return {"name": task.name, "error": curves["meta"][-1][1], "curves": curves, "further": further}
 

@@ -46,8 +46,8 @@ def storage(subject: Subject) -> Table:
     """The bytes that each paradigm must keep: networks of all exemplars, or a checkpoint that makes any of them."""
     network, figures = size(subject.app.init(Generator().manual_seed(0), 1)), paper()["storage"]
     exemplars, rows = figures["exemplars"], []
-    for name, fit in subject.runs.items():
-        once, apiece = (0, network) if fit.paradigm.takes_long else (stored(fit.checkpoint), 0)
+    for name, run in subject.runs.items():
+        once, apiece = (0, network) if run.paradigm.takes_long else (stored(run.checkpoint), 0)
         entries = {"network_bytes": network, "once_bytes": once, "each_bytes": apiece}
         row = row_of(subject, name, [], entries)
         row["networks"] = None if once is None or apiece else once / network
@@ -86,16 +86,16 @@ def samples(subject: Subject) -> Table:
 
 
 def _sample_row(subject: Subject, name: str) -> Row:
-    fit = subject.runs[name]
-    batch, steps, tasks = fit.recipe.batch, fit.paradigm.steps, subject.tasks
+    run = subject.runs[name]
+    batch, steps, tasks = run.recipe.batch, run.paradigm.steps, subject.tasks
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
     entries |= {"steps": steps, "batch": batch if steps else None}
     row = row_of(subject, name, [], entries)
     visible = subject.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row
-    first, none = fit.paradigm.preparations[:1], MetaParameters()
-    phi = fit.checkpoint.phi if fit.checkpoint else first[0].template(none) if first else none
+    first, none = run.paradigm.preparations[:1], MetaParameters()
+    phi = run.checkpoint.phi if run.checkpoint else first[0].template(none) if first else none
     count = min(steps * batch + (visible.encoder if phi.encoder else 0), visible.samples)
     return row | {
         "tasks": len(tasks),

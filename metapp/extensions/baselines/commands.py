@@ -26,7 +26,7 @@ def command_of(app: str) -> Callable[..., None]:
     names = ", ".join(registry().baselines.of(app))
 
     def command(inputs: list[Path] | None, method: str, json: bool, **values: Any) -> None:
-        run(fit_options(app, "general", inputs or (), device="cpu", **values), method, json=json)
+        fit(fit_options(app, "general", inputs or (), device="cpu", **values), method, json=json)
 
     files = typer.Argument(
         metavar="[INPUT]...",
@@ -62,7 +62,7 @@ def is_size(app: str, option: str) -> bool:
     return option == "size" and issubclass(options_of(app), ExemplarOptions)
 
 
-def run(options: FitOptions, method: str, *, json: bool) -> None:
+def fit(options: FitOptions, method: str, *, json: bool) -> None:
     """Run a method on the inputs of options, and print its table."""
     from metapp.cli.fit import line_of, table_of
     from metapp.extensions.baselines import baselines_of
@@ -72,33 +72,31 @@ def run(options: FitOptions, method: str, *, json: bool) -> None:
     from metapp.runs.run import Run
     from metapp.storage.fits import RunFolder
 
-    planned = Run.of(options)
-    app, options = planned.app, planned.options
+    run = Run.of(options)
+    app, options = run.app, run.options
     methods = {baseline.name: baseline for baseline in baselines_of(app)}
     if method not in methods:
         names = ", ".join(methods) or f"another application: {app.name} has no method"
         raise BadOption(f"--method {method}: not one of {app.name}, expected {names}.{did_you_mean(method, methods)}")
-    if planned.presenter.size and not methods[method].sizes:
+    if run.presenter.size and not methods[method].sizes:
         sized = ", ".join(name for name, other in methods.items() if other.sizes) or "none"
         raise BadOption(f"--size: {method} writes files of one size, expected a method that makes others: {sized}.")
-    baseline, (sources, label) = methods[method], sources_to_fit(planned)
+    baseline, (sources, label) = methods[method], sources_to_fit(run)
     tasks = read_tasks(sources)
-    if baseline.learns and training_folder(planned, baseline, make=True) is None:
+    if baseline.learns and training_folder(run, baseline, make=True) is None:
         raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
-    path = planned.path(label, f"baseline-{method}")
-    kept = RunFolder(path, settings_of(planned, baseline, label), ENTRIES)
+    path = run.path(label, f"baseline-{method}")
+    kept = RunFolder(path, settings_of(run, baseline, label), ENTRIES)
     records = []
     with progress(method, len(tasks), quiet=options.quiet) as bar:
-        fits = fit_baselines(planned, baseline, tasks, warm=False)
+        fits = fit_baselines(run, baseline, tasks, warm=False)
         for task, (record, picture, written) in zip(tasks, fits, strict=True):
-            record |= {"content": content_of(task), "origin": planned.origin(options.paths)}
-            files = planned.presenter.answer_pictures(written(), task)
+            record |= {"content": content_of(task), "origin": run.origin(options.paths)}
+            files = run.presenter.answer_pictures(written(), task)
             records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)
     if not (options.quiet or json):
-        shown = (
-            table_of(planned.presenter, method, records) if len(records) > 1 else line_of(planned.presenter, records[0])
-        )
+        shown = table_of(run.presenter, method, records) if len(records) > 1 else line_of(run.presenter, records[0])
         out().print(shown, soft_wrap=len(records) == 1)
     if not options.quiet:
         say(f"{method} cannot {baseline.cannot}\nfits: {path}")

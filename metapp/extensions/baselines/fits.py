@@ -32,11 +32,11 @@ ENTRIES = ("error", "numbers", "size", "shared")  # of a record
 Judged = tuple[Record, Params | None, Callable[[], object]]
 
 
-def training_folder(plan: Run, baseline: Baseline, *, make: bool = False) -> Path | None:
+def training_folder(run: Run, baseline: Baseline, *, make: bool = False) -> Path | None:
     """Return the data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
 
     Args:
-        plan: of the evaluation.
+        run: of the evaluation.
         baseline: which may learn nothing.
         make: whether the embedded set is made with its training tasks if it is not there; only where its own test
             tasks are fitted.
@@ -46,8 +46,8 @@ def training_folder(plan: Run, baseline: Baseline, *, make: bool = False) -> Pat
     """
     if not baseline.learns:
         return None
-    app, data, quiet = plan.app.name, plan.options.data, plan.options.quiet
-    fits_embedded = not (data or plan.options.paths or plan.options.objects) and app in embedded_apps()
+    app, data, quiet = run.app.name, run.options.data, run.options.quiet
+    fits_embedded = not (data or run.options.paths or run.options.objects) and app in embedded_apps()
     folders = [data] if data else []
     if embedded_has_training(app) or (make and fits_embedded):
         folders.append(embedded_data(app, quiet=quiet))
@@ -60,23 +60,23 @@ def training_of(app: App, folder: Path | None) -> Training:
     return Training(app, read_shard(folder, "train", app.name, app.tensors) if folder else [])
 
 
-def allowed_for(plan: Run) -> Allowed:
+def allowed_for(run: Run) -> Allowed:
     """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
-    recipe = plan.recipe
-    return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(plan.app).values()))
+    recipe = run.recipe
+    return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(run.app).values()))
 
 
-def settings_of(plan: Run, baseline: Baseline, label: str) -> Record:
+def settings_of(run: Run, baseline: Baseline, label: str) -> Record:
     """Everything that figures of a baseline on data of this name depend on."""
-    app, options = plan.app, plan.options
-    own, source = options.own.recorded(), training_folder(plan, baseline)
+    app, options = run.app, run.options
+    own, source = options.own.recorded(), training_folder(run, baseline)
     return {
         "app": app.name,
         **app.protocol_entry(),
         "method": baseline.name,
         "data": label,
         "training": source and data_label(source),
-        "allowed": allowed_for(plan)._asdict(),
+        "allowed": allowed_for(run)._asdict(),
         "recipe": options.recipe,
         **({"options": own} if own else {}),
         "seed": options.seed,
@@ -91,11 +91,11 @@ def own_parameters(app: App) -> Params:
     return {key: value for key, value in theta.items() if not app.task_parameters or key in app.task_parameters}
 
 
-def fit_baselines(plan: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:
+def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:
     """Fit a baseline to tasks, each alone; the time is from the task's samples to the fit.
 
     Args:
-        plan: of the evaluation.
+        run: of the evaluation.
         baseline: to fit.
         tasks: to be fitted.
         warm: fit the first task twice, so that its time is none of a first call, as paradigms' are not.
@@ -106,14 +106,14 @@ def fit_baselines(plan: Run, baseline: Baseline, tasks: Sequence[Task], *, warm:
     Raises:
         ValueError: it cannot be fitted to these tasks.
     """
-    app, allowed = plan.app, allowed_for(plan)
+    app, allowed = run.app, allowed_for(run)
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
         if baseline.learns:
-            baseline.prepare(training_of(app, training_folder(plan, baseline)), allowed)
+            baseline.prepare(training_of(app, training_folder(run, baseline)), allowed)
         for task in tasks[:1] if warm and not baseline.stored else ():
-            baseline.fit(stack(app, [task]), rng_of(plan, task), allowed)
+            baseline.fit(stack(app, [task]), rng_of(run, task), allowed)
         for task in tasks:
-            rng, begin = rng_of(plan, task), time.perf_counter()
+            rng, begin = rng_of(run, task), time.perf_counter()
             stacked = stack(app, [task])
             fitted = baseline.fit(stacked, rng, allowed)
             seconds = time.perf_counter() - begin

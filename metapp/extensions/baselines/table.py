@@ -38,7 +38,7 @@ COLUMNS = columns(
 def baselines(subject: Subject) -> Table:
     """The paradigms, then the baselines that there are training tasks for: their errors, times and bytes."""
     # Meta's rules that have a network of their own are compared, too
-    larger = [name for name, fit in subject.runs.items() if fit.app != subject.app and name not in SHOWN]
+    larger = [name for name, run in subject.runs.items() if run.app != subject.app and name not in SHOWN]
     able = _able(subject)
     records = {baseline.name: baseline_records(subject, baseline) for baseline in able}
     rows = [
@@ -93,12 +93,12 @@ def baseline_records(subject: Subject, baseline: Baseline) -> list[Record]:
 
 
 def _row_of_paradigm(subject: Subject, name: str) -> Row:
-    fit = subject.runs[name]
-    theta = own_parameters(fit.app)
-    entries = {"shared": stored(fit.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
+    run = subject.runs[name]
+    theta = own_parameters(run.app)
+    entries = {"shared": stored(run.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
     entries |= {"numbers": sum(value.numel() for value in theta.values()), "size": size(theta)}
-    entries |= of_paper(fit.app, name)
-    records = subject.found(name) if fit.paradigm.takes_long else subject.records(name)
+    entries |= of_paper(run.app, name)
+    records = subject.found(name) if run.paradigm.takes_long else subject.records(name)
     return row_of(subject, name, records, entries, ("meta",))
 
 

@@ -42,10 +42,10 @@ def command(
     Example: metapp compare RUN OTHER_RUN
     """
     from metapp.extensions.compare.compare import compare, draw
-    from metapp.runs.outputs.recorded import holds_runs
+    from metapp.runs.outputs.recorded import holds_fits
 
     check_new(out_file, overwrite)
-    runs = [first, second, *filter(holds_runs, others or [])]
+    runs = [first, second, *filter(holds_fits, others or [])]
     with progress("compare: reading what was fitted", quiet=quiet):
         compared = compare(runs, task, [path for path in others or [] if path not in runs], data)
     file = out_file or compared.sides[0].folder / "comparison.png"

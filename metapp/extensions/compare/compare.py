@@ -14,7 +14,7 @@ from metapp.appearance.presenter import Presenter
 from metapp.evaluation.statistics import Paired, paired
 from metapp.learning.task import Task
 from metapp.runs.outputs.pictures import Tiles, tiles_of, write_compared
-from metapp.runs.outputs.recorded import read_run, tasks_as
+from metapp.runs.outputs.recorded import recorded_fits, tasks_as
 from metapp.runs.reporter import progress
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads
@@ -113,9 +113,9 @@ def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | N
     Raises:
         ValueError: no runs, of different applications, or without a task in common.
     """
-    runs = [read_run(path, task, by_paradigm=False) for path in paths]
-    settings = [run.records[-1]["settings"] for run in runs]
-    by_name = [{record["name"]: record for record in run.records} for run in runs]
+    found = [recorded_fits(path, task, by_paradigm=False) for path in paths]
+    settings = [each.records[-1]["settings"] for each in found]
+    by_name = [{record["name"]: record for record in each.records} for each in found]
     names = list(by_name[0])
     for path, each, of in zip(paths[1:], settings[1:], by_name[1:], strict=True):
         if each["app"] != settings[0]["app"]:
@@ -126,11 +126,11 @@ def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | N
             counts = f"{before} and {len(of)} tasks, none in common"
             raise ValueError(f"{path}: {counts}, expected some; compare runs of the same data.")
     sides = [
-        Side(label, Run.of_settings(each).presenter, run.folder, [of[name] for name in names])
-        for label, each, run, of in zip(_labels(settings), settings, runs, by_name, strict=True)
+        Side(label, Run.of_settings(each).presenter, place.folder, [of[name] for name in names])
+        for label, each, place, of in zip(_labels(settings), settings, found, by_name, strict=True)
     ]
     app = sides[0].presenter.app
-    tasks_by_name = tasks_as(runs[0].records, app, inputs, data)
+    tasks_by_name = tasks_as(found[0].records, app, inputs, data)
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
     errors = _measured([side.errors() for side in sides], groups, logarithmic=app.logarithmic)

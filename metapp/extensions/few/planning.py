@@ -40,9 +40,9 @@ def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple
     Raises:
         ValueError: no direction is within the limits.
     """
-    planned = with_checkpoint(Run.of(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
-    assert planned.checkpoint is not None  # or it would have been refused
-    encoder = planned.checkpoint.phi.encoder
+    run = with_checkpoint(Run.of(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
+    assert run.checkpoint is not None  # or it would have been refused
+    encoder = run.checkpoint.phi.encoder
     seen = directions_to_full_circle(before.wi, before.wo)
     # before anything is measured, of the first kind: measured materials
     theta = fitted(encoder, seen, before.reflectance) if len(seen) else NETWORK.of_kinds(encoder, torch.zeros(1).long())

@@ -17,7 +17,7 @@ from metapp.learning.task import Task
 from metapp.runs.fit import Fit
 from metapp.runs.keeping import execute
 from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import Recorded, by_settings, read_run, tasks_as
+from metapp.runs.outputs.recorded import Recorded, by_settings, recorded_fits, tasks_as
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import make_folder, threads
@@ -31,7 +31,7 @@ INPUTS = "inputs"  # the folder of those of `metapp try`
 
 
 def view_page(
-    runs: Sequence[Path],
+    folders: Sequence[Path],
     out: Path | None,
     *,
     inputs: Sequence[Path] = (),
@@ -43,7 +43,7 @@ def view_page(
     """Write the page of runs; fits of the same task stand side by side.
 
     Args:
-        runs: folders of runs, or of their tasks.
+        folders: of runs, or of their tasks.
         out: the file; None: `view.html` in the first run's folder.
         inputs: the fitted files, if they are not in the places of records.
         data: the data set that was fitted, for the same.
@@ -54,7 +54,7 @@ def view_page(
     Raises:
         ValueError: no run, no fit of that task, damaged records or parameters, nothing that can be shown.
     """
-    read = [read_run(path, task) for path in runs]
+    read = [recorded_fits(path, task) for path in folders]
     labels, page = _labels(read), out or read[0].folder / PAGE
     names = dict.fromkeys((record["settings"]["app"], record["name"]) for _, records in read for record in records)
     shown = list(names)[:most]
@@ -98,9 +98,9 @@ def view_page(
     return write_page(f"metapp: {', '.join(titles)}", groups, page)
 
 
-def _labels(runs: Sequence[Recorded]) -> dict[Path, str]:
+def _labels(found: Sequence[Recorded]) -> dict[Path, str]:
     """Labels that tell the runs of an application apart: the paradigm, and as many differences as are needed."""
-    settings = {run.folder: run.records[-1]["settings"] for run in runs}
+    settings = {each.folder: each.records[-1]["settings"] for each in found}
     labels = {folder: of["paradigm"] for folder, of in settings.items()}
     for app in {of["app"] for of in settings.values()}:
         folders = [folder for folder, of in settings.items() if of["app"] == app]

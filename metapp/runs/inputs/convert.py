@@ -72,7 +72,7 @@ def convert(
     try:
         found, skipped = _find(reader.find, paths)
     except ValueError:
-        if runs := [path for path in paths if kind_of(path) is Kind.RUNS]:  # nothing of a user beside them
+        if runs := [path for path in paths if kind_of(path) is Kind.RUN_FOLDERS]:  # nothing of a user beside them
             raise ValueError(refusal(runs[0], expected)) from None
         raise
     own = getattr(reader, "entries", entries_by_place)(list(found), {*found.values()} - {None}, split)

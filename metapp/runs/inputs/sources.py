@@ -162,7 +162,7 @@ def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Pa
     check_files_of_user(path, f"an input of {app.name} ({expected})")
     readers = {name: reader for name, form in forms.items() if (reader := form.load()).recognises(path)}
     if not readers:
-        if kind_of(path) is Kind.RUNS:
+        if kind_of(path) is Kind.RUN_FOLDERS:
             raise ValueError(refusal(path, f"an input of {app.name} ({expected})"))
         if line := _first_placeholder(path):
             raise ValueError(line)

@@ -142,17 +142,17 @@ def read_rows(path: Path) -> list[Row]:
         return []
 
 
-def add_to_sheet(tiles: Mapping[str, Tiles], title: str, run: Path) -> Path:
+def add_to_sheet(tiles: Mapping[str, Tiles], title: str, run_folder: Path) -> Path:
     """Write `pictures.png` of a run's folder: fits of now, then those of before that its sheet shows, up to ROWS.
 
     Args:
         tiles: of fits of now, by the names of their folders, one or more.
         title: above them.
-        run: the folder.
+        run_folder: of the run.
     """
-    folders = {entry.name for entry in os.scandir(run) if entry.is_dir() and not entry.name.startswith(PARTIAL)}
-    earlier = [row for row in read_rows(run / SHEET) if row.name in folders - tiles.keys()]
-    return write_sheet([*tiles.values()], title, run / SHEET, len(folders), [*tiles], earlier)
+    folders = {entry.name for entry in os.scandir(run_folder) if entry.is_dir() and not entry.name.startswith(PARTIAL)}
+    earlier = [row for row in read_rows(run_folder / SHEET) if row.name in folders - tiles.keys()]
+    return write_sheet([*tiles.values()], title, run_folder / SHEET, len(folders), [*tiles], earlier)
 
 
 def _font(size: int) -> FreeTypeFont:

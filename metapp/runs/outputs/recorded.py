@@ -41,11 +41,11 @@ class Recorded(NamedTuple):
     records: list[Document]
 
 
-def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded:
+def recorded_fits(place: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded:
     """The records of a run.
 
     Args:
-        run: its folder, that of one of its tasks, or a folder of runs, whose newest run is taken.
+        place: the folder of a run or of one of its tasks, or a folder of runs, whose newest run is taken.
         task: the one to take; "" for all.
         by_paradigm: fits alone, to which a network's parameters belong; else those of methods without one, too.
 
@@ -53,21 +53,21 @@ def read_run(run: Path, task: str = "", *, by_paradigm: bool = True) -> Recorded
         ValueError: there are none, none of that task, or one of other settings than metapp writes.
     """
     entries = ("settings", *(FIT if by_paradigm else ("error",)))
-    one = read_fit(run, entries)
-    folder = run if one else _newest_run(run)
+    one = read_fit(place, entries)
+    folder = place if one else _newest_run_folder(place)
     records = [one] if one else read_fits(folder, entries)
     if by_paradigm:
         records = [record for record in records if record["settings"].keys() >= {"paradigm", "rule"}]
     if not records:
         expected = "a run's folder, such as runs/brdf/meta"
-        if kind_of(run) in (Kind.DATA_SET, Kind.RECTIFIED, Kind.DIAGNOSTIC):
-            raise ValueError(refusal(run, expected))
+        if kind_of(place) in (Kind.DATA_SET, Kind.RECTIFIED, Kind.DIAGNOSTIC):
+            raise ValueError(refusal(place, expected))
         state = "no folders of fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-        raise ValueError(f"{run}: {state}, expected {expected}.")
+        raise ValueError(f"{place}: {state}, expected {expected}.")
     names = [record["name"] for record in records]
     if task and task not in names:
         some = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
-        raise ValueError(f"{run}: no record of task '{task}', expected one of {some}.{did_you_mean(task, names)}")
+        raise ValueError(f"{place}: no record of task '{task}', expected one of {some}.{did_you_mean(task, names)}")
     chosen = [records[names.index(task)]] if task else records
     for record in chosen:
         _check_settings(record)
@@ -108,14 +108,14 @@ def read_saved(file: Path) -> Document:
     return record
 
 
-def holds_runs(path: Path) -> bool:
-    """True if `read_run` may take a folder for one of a task, of a run or of runs."""
+def holds_fits(path: Path) -> bool:
+    """True if `recorded_fits` may take a folder for one of a task, of a run or of runs."""
     return kind_of(path) in HOLDS_FITS
 
 
-def _newest_run(folder: Path) -> Path:
+def _newest_run_folder(folder: Path) -> Path:
     """The run of the latest record in a folder of runs, such as `runs` or `runs/brdf`; else the folder itself."""
-    found = records_below(folder, "*/*/", "*/*/*/") if kind_of(folder) is Kind.RUNS else []
+    found = records_below(folder, "*/*/", "*/*/*/") if kind_of(folder) is Kind.RUN_FOLDERS else []
     newest = max(found, key=lambda file: file.stat().st_mtime_ns).parent.parent if found else folder
     if found:
         say(f"{folder}: the newest run is {newest}")
@@ -172,13 +172,13 @@ def _of_sources(records: list[Document], sources: list[Source]) -> dict[str, Tas
     return {name: task._replace(name=name) for name, task in pairs if task}
 
 
-def export_run(
-    run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, options: Document, quiet: bool
+def export_fits(
+    place: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, options: Document, quiet: bool
 ) -> tuple[Path, list[str], list[Path]]:
     """Write every fit of a run.
 
     Args:
-        run: its folder, or that of one of its tasks.
+        place: the folder of a run, or of one of its tasks.
         form: as of --export.
         inputs: the fitted files, for forms that are made of these, too.
         data: the data set whose test tasks were fitted, for the same.
@@ -193,10 +193,11 @@ def export_run(
         BadOption: fits of the application cannot be written so, or not by these options.
         ValueError: no run, damaged records or parameters, or inputs that a form needs and that are not given.
     """
-    folder, records = read_run(run)
+    folder, records = recorded_fits(place)
     apps = {record["settings"]["app"] for record in records}
     if len(apps) > 1:
-        raise ValueError(f"{run}: fits of {', '.join(sorted(apps))}, expected one application; take one run's folder.")
+        of = ", ".join(sorted(apps))
+        raise ValueError(f"{place}: fits of {of}, expected one application; take one run's folder.")
     (name,) = apps
     check_name(name)
     check_export(form, name)
