@@ -32,19 +32,19 @@ SAMPLE_COLUMNS = columns(
 )
 
 
-def size(params: Params) -> int:
-    """Bytes."""
+def bytes_of(params: Params) -> int:
+    """Return the bytes of parameters in memory."""
     return sum(value.numel() * value.element_size() for value in params.values())
 
 
 def stored(checkpoint: Checkpoint | None) -> int | None:
     """Bytes of a checkpoint, from which any fit is made; None if there is none."""
-    return None if checkpoint is None else sum(size(part) for part in checkpoint.phi)
+    return None if checkpoint is None else sum(bytes_of(part) for part in checkpoint.phi)
 
 
 def storage(subject: Subject) -> Table:
     """The bytes that each paradigm must keep: networks of all exemplars, or a checkpoint that makes any of them."""
-    network, figures = size(subject.app.init(Generator().manual_seed(0), 1)), paper()["storage"]
+    network, figures = bytes_of(subject.app.init(Generator().manual_seed(0), 1)), paper()["storage"]
     exemplars, rows = figures["exemplars"], []
     for name, run in subject.runs.items():
         once, apiece = (0, network) if run.paradigm.takes_long else (stored(run.checkpoint), 0)

@@ -39,11 +39,11 @@ class Allowed(NamedTuple):
 
     Attributes:
         samples: that it may draw, as many as Meta's steps do.
-        size: bytes of a task's network.
+        network_bytes: bytes of a task's network.
     """
 
     samples: int
-    size: int
+    network_bytes: int
 
 
 class BaselineFit(NamedTuple):
@@ -52,14 +52,14 @@ class BaselineFit(NamedTuple):
     Attributes:
         answer: makes the argument of `App.errors_of`; not timed, as that of a network is not.
         numbers: that are kept for the task.
-        size: their bytes.
+        kept_bytes: their bytes.
         picture: to show beside the application's fits, linear RGB [H, W, 3], if it is a picture.
         written: makes the argument of `Presenter.answer_pictures` where files differ from what is judged; not timed.
     """
 
     answer: Callable[[], object]
     numbers: int
-    size: int
+    kept_bytes: int
     picture: Tensor | None = None
     written: Callable[[], object] | None = None
 

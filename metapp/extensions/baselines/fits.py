@@ -25,7 +25,7 @@ from metapp.runs.surroundings import versions
 from metapp.storage.fits import Record
 from metapp.storage.shards import read_manifest, read_shard
 
-ENTRIES = ("error", "numbers", "size", "shared")  # of a record
+ENTRIES = ("error", "numbers", "kept_bytes", "shared")  # of a record
 
 
 # the record, the picture, and what files are made of, as of `Presenter.answer_pictures`, by a function
@@ -128,7 +128,7 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
                 **{key: scale.get(key, 1.0) * value for key, value in errors.items() if math.isfinite(value)},
                 **({} if baseline.stored else {"seconds": seconds, "threads": torch.get_num_threads()}),
                 "numbers": fitted.numbers,
-                "size": fitted.size,
+                "kept_bytes": fitted.kept_bytes,
                 "shared": baseline.shared,
                 "chosen": baseline.chosen,
             }

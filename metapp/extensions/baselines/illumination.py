@@ -34,7 +34,7 @@ class Harmonics(Baseline):
         (row,) = tasks.rows.tolist()
         radiance = tasks.data["map"][row].double().numpy()
         channels, height, width = radiance.shape
-        most = math.isqrt(max(0, allowed.size - SCALE) // (VALUE * channels)) - 1
+        most = math.isqrt(max(0, allowed.network_bytes - SCALE) // (VALUE * channels)) - 1
         coefficients = harmonics(radiance, max(0, min(most, orders(height, width) - 1)))
         scale = float(np.abs(coefficients).max()) or 1.0
         kept = (coefficients / scale).astype(np.float16)

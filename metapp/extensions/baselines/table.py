@@ -10,7 +10,7 @@ from metapp.evaluation.rows import compared_text, few_note, measures_note, notes
 from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
-from metapp.evaluation.tables.storage import size, stored
+from metapp.evaluation.tables.storage import bytes_of, stored
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
 from metapp.extensions.baselines.fits import (
@@ -29,7 +29,7 @@ COLUMNS = columns(
     Column("method", "paradigm"),
     *("error", "seconds", "vs meta"),
     Column("numbers", "numbers", ",.0f"),
-    bytes_column("bytes", "size"),
+    bytes_column("bytes", "kept_bytes"),
     bytes_column("shared bytes", "shared"),
     *("interval", "median", "worst"),
 )
@@ -96,14 +96,16 @@ def _row_of_paradigm(subject: Subject, name: str) -> Row:
     run = subject.runs[name]
     theta = own_parameters(run.app)
     entries = {"shared": stored(run.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
-    entries |= {"numbers": sum(value.numel() for value in theta.values()), "size": size(theta)}
+    entries |= {"numbers": sum(value.numel() for value in theta.values()), "kept_bytes": bytes_of(theta)}
     entries |= of_paper(run.app, name)
     records = subject.found(name) if run.paradigm.takes_long else subject.records(name)
     return row_of(subject, name, records, entries, ("meta",))
 
 
 def _row_of_baseline(subject: Subject, name: str, records: list[Record]) -> Row:
-    kept = {key: statistics.fmean(each[key] for each in records) if records else None for key in ("numbers", "size")}
+    kept = {
+        key: statistics.fmean(each[key] for each in records) if records else None for key in ("numbers", "kept_bytes")
+    }
     entries = kept | {"shared": records[-1]["shared"] if records else None, "baseline": True}
     return row_of(subject, name, records, entries, ("meta",))
 

@@ -15,7 +15,7 @@ from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.ablation import InitialisationAlone, RuleAlone, combined, learned, same_initialisation
 from metapp.evaluation.tables.convergence import CURVES, PARTS, trace_records
 from metapp.evaluation.tables.image import image_notes
-from metapp.evaluation.tables.storage import samples, size, stored
+from metapp.evaluation.tables.storage import bytes_of, samples, stored
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
@@ -79,7 +79,7 @@ def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
 
 def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
     found = {row["paradigm"]: row for row in rows(subject, "storage")}
-    network = size(subject.app.init(torch.Generator(), 1))
+    network = bytes_of(subject.app.init(torch.Generator(), 1))
     assert network == 4 * 675
     assert found["overfit"]["bytes_100"] == found["finetune"]["bytes_100"] == 100 * network
     assert found["overfit"]["factor"] == 1
@@ -95,7 +95,7 @@ def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     alpha = rule_of("meta-sgd").alpha(app, theta, 10, Adam(0.1))
     found = stored(Checkpoint(MetaParameters(theta, alpha), "", ""))
-    assert found == paper()["storage"]["meta_networks"] * size(theta)
+    assert found == paper()["storage"]["meta_networks"] * bytes_of(theta)
 
 
 def test_samples_are_those_that_steps_draw(subject: Subject) -> None:

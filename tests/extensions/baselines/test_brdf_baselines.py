@@ -157,7 +157,7 @@ def test_the_penalty_is_chosen_on_materials_that_components_do_not_know_and_byte
     assert pca.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
     one = training.stacked.select([2])
     fitted = pca.fit(one, Generator().manual_seed(0), allowed)
-    assert (fitted.numbers, fitted.size) == (24, 96)
+    assert (fitted.numbers, fitted.kept_bytes) == (24, 96)
     assert APP.errors_of(fitted.answer(), one)["error"].item() < 0.01
     (named,) = [baseline for baseline in baselines(APP) if baseline.name == "pca_20"]
     named.prepare(training, allowed)

@@ -133,7 +133,7 @@ def test_every_application_has_baselines_and_its_table_prints_them(
         row = rows[baseline.name]
         assert row["tasks"] == TEST, baseline.name
         assert row["error"] is not None
-        assert row["size"] > 0
+        assert row["kept_bytes"] > 0
         assert (row["seconds"] is None) == bool(baseline.stored)
         assert not baseline.learns or row["shared"] > 0
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
@@ -177,7 +177,7 @@ def test_notes_say_who_is_ahead(
     for i, task in enumerate(subject.tasks):
         meta.append({"name": task.name, "error": 1.0 + i, "seconds": 1.0, "folder": str(tmp_path)})
         error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
-        other.append(meta[-1] | {"error": error, "seconds": 0.5, "numbers": 1, "size": 4, "shared": 8})
+        other.append(meta[-1] | {"error": error, "seconds": 0.5, "numbers": 1, "kept_bytes": 4, "shared": 8})
     subject.asked |= {"meta": (subject.tasks, meta), baselines_of(subject.app)[0].name: (subject.tasks, other)}
     subject.measuring = False
     assert any(said in note for note in subject.table("baselines").findings)
@@ -265,7 +265,7 @@ def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Pat
         fitted = baseline.fit(stack(app, tasks[3:4]), rng, Allowed(64, 1))
         with torch.no_grad():
             assert app.errors_of(fitted.answer(), stack(app, tasks[3:4]))["error"].item() < 1e-5
-        assert (fitted.numbers, fitted.size) == (1, 4)
+        assert (fitted.numbers, fitted.kept_bytes) == (1, 4)
 
 
 @pytest.mark.parametrize("name", app_names())

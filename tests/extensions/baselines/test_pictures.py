@@ -117,8 +117,8 @@ def test_more_bytes_come_nearer_until_the_map_itself(numbers: np.random.Generato
     errors = [(each.answer()[0] - wanted).square().mean().item() for each in fitted]  # type: ignore[index]
     assert errors[0] == errors[1] > errors[2] > errors[3] > errors[4]
     assert [each.numbers for each in fitted] == [3, 3, 48, 192, 768]  # of orders 0, 0, 3, 7, 15
-    assert all(each.size == 4 + 2 * each.numbers for each in fitted)
-    assert all(each.size <= size for each, size in zip(fitted[1:], sizes[1:], strict=True))
+    assert all(each.kept_bytes == 4 + 2 * each.numbers for each in fitted)
+    assert all(each.kept_bytes <= size for each, size in zip(fitted[1:], sizes[1:], strict=True))
 
 
 # Maps quilted of a flash photo of materials whose truth is known
@@ -172,7 +172,7 @@ def test_a_flat_even_material_comes_back_with_its_colour_and_gloss(app: SvbrdfSt
     errors = app.errors_of(maps, tasks)
     assert errors["brightness"] < 0.01
     assert errors["relit"] < 0.1
-    assert (fitted.numbers, fitted.size) == (3 * SIZE * SIZE + 5, 3 * SIZE * SIZE + 20)
+    assert (fitted.numbers, fitted.kept_bytes) == (3 * SIZE * SIZE + 5, 3 * SIZE * SIZE + 20)
 
 
 def test_maps_tile_and_go_on_across_their_edges(app: SvbrdfStationary) -> None:
