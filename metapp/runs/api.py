@@ -60,7 +60,7 @@ def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) 
 
     >>> import metapp
     >>> fit = metapp.fit("brdf", lambda wi, wo: np.full((len(wi), 3), 0.3 / np.pi))
-    >>> fit.steps, fit(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.6, 0.8]])).shape
+    >>> fit.settings["steps"], fit(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.6, 0.8]])).shape
     (10, (1, 3))
     """
     fits = fit_all(app, [source], paradigm=paradigm, **options)
@@ -123,7 +123,7 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
     >>> import metapp, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = metapp.fit("brdf", lambda wi, wo: np.full((len(wi), 3), 0.1)).save(f"{folder}/gray.safetensors")
-    ...     metapp.load(file).steps
+    ...     metapp.load(file).settings["steps"]
     10
     """
     path = Path(os.fsdecode(place))

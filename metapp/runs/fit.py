@@ -91,17 +91,6 @@ class Fit:
         warning: str = self.record.get("warning", "")
         return warning
 
-    @property
-    def guarded(self) -> bool:
-        """True if the guard replaced the steps of a learned rule that failed."""
-        return bool(self.record.get("guarded", False))
-
-    @property
-    def steps(self) -> int:
-        """The number of gradient steps."""
-        steps: int = self.settings["steps"]
-        return steps
-
     def __getattr__(self, name: str) -> Callable[..., object]:
         """A method that an extension adds."""
         if name in registry().methods:
@@ -120,7 +109,7 @@ class Fit:
         """The view in notebooks: the picture and one line."""
         error = "no reference" if self.error is None else f"error{self.app.factor} {self.error:.3f}"
         line = f"{self.name}: {self.run.presenter.title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
-        line += f", {self.steps} steps" + (f"; warning: {self.warning}" if self.warning else "")
+        line += f", {self.settings['steps']} steps" + (f"; warning: {self.warning}" if self.warning else "")
         return f'<img src="{png_address(self.picture())}"><div>{escape(line)}</div>'
 
     def __call__(self, wi: object, wo: object) -> Tensor | np.ndarray:

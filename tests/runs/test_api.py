@@ -185,7 +185,7 @@ def test_nothing_is_printed_and_threads_stay(network: Path, capfd: pytest.Captur
     before = torch.get_num_threads()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert api.fit("brdf", network, paradigm="overfit", steps=1, seed=3).steps == 1
+        assert api.fit("brdf", network, paradigm="overfit", steps=1, seed=3).settings["steps"] == 1
     assert capfd.readouterr() == ("", "")
     assert torch.get_num_threads() == before
 
