@@ -9,10 +9,11 @@ import pytest
 
 from tests.extensions.capture.marker_photos import Camera, cv2, tilted  # isort: skip
 
+from data_tools.readers.photos import field_of_view
 from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
 from metapp.extensions.capture.markers.rectified import find_cameras
-from metapp.extensions.capture.markers.registration import register
-from metapp.extensions.capture.markers.sighting import Sighting, common_focal
+from metapp.extensions.capture.markers.registration import register, through
+from metapp.extensions.capture.markers.sighting import Sighting, camera_of, common_focal
 from metapp.extensions.several.photos import read_task
 from tests.pictures import write
 
@@ -56,13 +57,13 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def sightings(photos: Path) -> list[Sighting]:
     """What all of them share with the first."""
     steps: list[str] = []
-    found, lines = register([photos / f"{name}.png" for name in CAMERAS], begin=steps.append)
-    assert lines == []
+    registration = register([photos / f"{name}.png" for name in CAMERAS], begin=steps.append)
+    assert registration.lost() == []
     assert [step for step in steps if "finding features" in step] == [
         f"{name}.png: finding features" for name in CAMERAS
     ]
     assert sum("comparing with" in step for step in steps) >= len(CAMERAS) - 1
-    return found
+    return registration.sightings()
 
 
 @pytest.mark.parametrize("focal", [True, False])
@@ -89,6 +90,43 @@ def test_places_and_the_square_are_found(sightings: list[Sighting], focal: bool)
         assert np.linalg.norm(axes @ place - found) < (0.01 if focal else 0.03) * np.linalg.norm(place)
 
 
+def tilt_of(camera: Camera) -> float:
+    """The angle in degrees between a camera's axis and the material's normal."""
+    forward = np.array([*camera.aim, 0.0]) - camera.place
+    return float(np.degrees(np.arccos(-forward[2] / np.linalg.norm(forward))))
+
+
+@pytest.mark.parametrize("order", ["abc", "bca"])
+@pytest.mark.parametrize("source", ["exif", "fov", "matches"])
+def test_the_straightest_photograph_is_the_reference(photos: Path, tmp_path: Path, order: str, source: str) -> None:
+    paths = [photos / f"{name}.png" for name in order]
+    if source != "exif":  # without a focal length
+        paths = [write(tmp_path / path.name, cv2.imread(str(path))[..., ::-1]) for path in paths]
+    fov_rad = field_of_view(26, VIEW["height"], VIEW["width"]) if source == "fov" else 0.0
+    cameras, focal_mm, skipped = find_cameras(paths, fov_rad)
+    assert skipped == []
+    assert focal_mm == (pytest.approx(26, rel=0.02) if source == "matches" else 0.0)
+    assert [camera.sighting.path.stem for camera in cameras if camera.sighting.reference] == ["a"]
+    assert cameras[0].sighting.reference
+    for camera in cameras:
+        assert camera.tilt_degrees == pytest.approx(tilt_of(CAMERAS[camera.sighting.path.stem]), abs=0.5)
+
+
+def test_of_squares_as_large_the_one_below_the_camera_is_taken() -> None:
+    for across in (-4.0, 0.0, 4.0):  # cm, of the first camera
+        # the photograph from straight above is the nearer one, which alone limits the square's height
+        places = (across + 6.0, 0.0, 40.0), (across, 0.0, 20.0)
+        views = [Camera(place, (across, 0.0), height=240, width=600) for place in places]
+        points = np.stack(np.meshgrid(np.arange(-8.0, 8.1), np.arange(-4.0, 4.1)), -1).reshape(-1, 2)
+        sightings = [
+            Sighting(Path(), 240, 600, 26.0, 1.0, points, points, through(view.to_px(), points), view.to_px(), False)
+            for view in views
+        ]
+        oblique, straight = on_square([camera_of(sighting, 26.0) for sighting in sightings])
+        assert straight.aside_degrees < 0.1
+        np.testing.assert_allclose(oblique.place_cm * 20 / straight.place_cm[2], [6, 0, 40], atol=0.01)
+
+
 def test_a_photograph_that_fits_no_plane_with_the_others_leaves_these_as_they_are(photos: Path) -> None:
     whole = cv2.imread(str(take(Path("whole.png"), CAMERAS["b"], material(1))))
     odd = write(Path("odd.png"), cv2.resize(whole, None, fx=1.4, fy=1.0)[..., ::-1], Exif_FocalLengthIn35mmFilm=26)
@@ -101,14 +139,16 @@ def test_a_photograph_that_fits_no_plane_with_the_others_leaves_these_as_they_ar
 
 def test_photographs_without_markers_become_a_folder_that_a_fit_reads(metapp: Callable, photos: Path) -> None:
     other = take(Path("other.png"), CAMERAS["b"], material(2))
-    paths = [photos / "a.png", other, photos / "b.png"]
+    paths = [photos / "b.png", other, photos / "a.png"]  # the straightest last
     result = metapp("data", "rectify", *paths, "--out", "leaf", "--json")
     assert "no markers: 2 photos registered by their own features" in result.err
     assert f"warning: skipped: {other}: too few features in common with a.png, expected an overlap; {REMEDY}." in (
         result.err
     )
     assert result.done["unit"] == "sides"
-    assert re.search(r"00.png: a.png, 1000 points, the reference, .*\n01.png: b.png, \d+ points, error 0", result.err)
+    reference = r"00.png: a.png, 1000 points, the reference, .* tilted by 1"
+    assert re.search(rf"{reference}\n01.png: b.png, \d+ points, error 0.* tilted by 24\n", result.err)
+    assert [found["reference"] for found in result.document["photos"]] == [True, False]
     assert Path("leaf/found/01.png").exists()
     places = read_task(Path("leaf")).data["places"]
     assert places.shape == (2, 2, 3)

@@ -96,9 +96,9 @@ def rectify(
     """Rectify hand-held flash photographs of a flat material, and find the positions of camera and flash.
 
     Of photos that show a marker sheet, rectifies the sheet's opening. Where none shows a marker, photos are registered
-    by the material's own features: the first from about straight above, the others up to 30 degrees aside, all
-    aimed at one place; the square is the largest that all show, and lengths are in its sides. Where a table round
-    the sample is seen, which lies lower, it is the largest on the sample.
+    by the material's own features: one from about straight above, the others up to 30 degrees aside, all
+    aimed at one place. The straightest is the reference; the square is the largest that all show, and lengths are in
+    its sides. Where a table round the sample is seen, which lies lower, it is the largest on the sample.
     Writes square pictures 00.png, 01.png, ..., that from nearest to straight above first, camera_pos.txt,
     light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR`. Pictures in its folder
     found/ show the markers or points found. Photos that do not fit are skipped, each with a line. Needs OpenCV,
@@ -148,7 +148,9 @@ def rectify(
             "file": f"{number:02}.png",
             "source": str(camera.sighting.path),
             marks: len(camera.sighting.markers),
+            "reference": camera.sighting.reference,
             "error_px": camera.error_px,
+            "aside_degrees": camera.aside_degrees,
             "tilt_degrees": camera.tilt_degrees,
             "camera": camera.place_cm.tolist(),
             "light": light_cm.tolist(),
@@ -157,10 +159,10 @@ def rectify(
     ]
     if not quiet:
         for photo in photos:
-            off = f"error {photo['error_px']:.2f} px" if first.sheet or photo["error_px"] > 1e-6 else "the reference"
+            off = "the reference" if photo["reference"] else f"error {photo['error_px']:.2f} px"
             found = f"{Path(photo['source']).name}, {photo[marks]} {marks}, {off}"
-            away = f"camera {math.hypot(*photo['camera']):.1f} {unit} away, {photo['tilt_degrees']:.0f} degrees aside"
-            say(f"{photo['file']}: {found}, {away}")
+            away = f"camera {math.hypot(*photo['camera']):.1f} {unit} away, {photo['aside_degrees']:.0f} degrees aside"
+            say(f"{photo['file']}: {found}, {away}, tilted by {photo['tilt_degrees']:.0f}")
         if focal_mm:
             say(f"focal length: {focal_mm:.1f} mm as of 35 mm film, found by the {marks}, as EXIF has none")
         side = f"{first.opening_cm:g} cm, {size}" if first.sheet else f"{size}"

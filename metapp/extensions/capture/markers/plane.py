@@ -15,6 +15,7 @@ from metapp.extensions.capture.markers.sighting import Camera, Sighting, camera_
 _TRIED = 25  # matches of a photograph by which the plane is looked for
 _SLOPE = 0.6  # of the plane to the reference, at most
 _ABOVE = 0.003  # weight of these slopes squared: two photographs fit two planes
+NEARLY_LARGEST = 0.99  # share of the largest square's side that a square below the straightest camera has, at least
 
 
 def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> list[Camera]:
@@ -40,7 +41,10 @@ def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> li
 
 
 def on_square(cameras: Sequence[Camera]) -> list[Camera]:
-    """Cameras above the largest square along the plane's axes that all photographs show; lengths are in its sides.
+    """Return cameras above the square along the plane's axes that all photographs show; lengths are in its sides.
+
+    Squares that are as large as the largest one, or nearly, may lie far apart, where photographs share an oblong. The
+    square is the one nearest to below the straightest camera, so that this camera is from nearest to straight above.
 
     Raises:
         ValueError: there is none.
@@ -53,13 +57,18 @@ def on_square(cameras: Sequence[Camera]) -> list[Camera]:
         for row, size in zip(to_px[:2], (sighting.width, sighting.height), strict=True):
             rows += [row, (size - 1) * to_px[2] - row]
     edges, free = np.stack(rows), (None, None)
-    half = np.abs(edges[:, :2]).sum(1)
-    found = linprog([0, 0, -1], np.column_stack([-edges[:, :2], half]), edges[:, 2], bounds=[free, free, (0, None)])
-    x, y, reach = found.x if found.success else (0.0, 0.0, 0.0)
-    if reach <= 0:
+    # unknowns: the middle, half a side, and how far the middle is at most from below the camera along either axis
+    inside = np.column_stack([-edges[:, :2], np.abs(edges[:, :2]).sum(1), np.zeros(len(edges))])
+    largest = linprog([0, 0, -1, 0], inside, edges[:, 2], bounds=[free, free, (0, None), (0, None)])
+    if not largest.success or largest.x[2] <= 0:
         raise ValueError(
             f"{cameras[0].sighting.path}: no part is in all {len(cameras)} photos, expected one; aim at one place."
         )
+    x, y = min(cameras, key=lambda camera: camera.tilt_degrees).place_cm[:2]
+    near = np.array([[1, 0, 0, -1], [-1, 0, 0, -1], [0, 1, 0, -1], [0, -1, 0, -1]])
+    limits, smallest = [*edges[:, 2], x, -x, y, -y], NEARLY_LARGEST * largest.x[2]
+    nearest = linprog([0, 0, 0, 1], np.vstack([inside, near]), limits, bounds=[free, free, (smallest, None), (0, None)])
+    x, y, reach, _ = nearest.x if nearest.success else largest.x
     to_square = np.array([[1, 0, -x], [0, 1, -y], [0, 0, 2 * reach]])
     return _on_plane([camera.sighting for camera in cameras], to_square)
 

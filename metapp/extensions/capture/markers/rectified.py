@@ -19,7 +19,7 @@ from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
-from metapp.extensions.capture.markers.registration import register
+from metapp.extensions.capture.markers.registration import refer_to, register
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import (
     MAX_ERROR,
@@ -34,6 +34,8 @@ from metapp.extensions.capture.photos import opencv, write_found
 from metapp.storage.files import write_atomically
 from metapp.storage.folders import CAMERA_TEXT, FOUND, LIGHT_TEXT
 from metapp.storage.images import write_png
+
+STRAIGHTER_DEGREES = 1.0  # by which a photo's tilt is less than the reference's that it takes the place of
 
 
 def find_cameras(
@@ -64,8 +66,35 @@ def find_cameras(
     """
     sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done)
     if not sightings and len(plain) > 1:
-        sightings, lost = register(list(plain), fov_rad, parts, begin)
-        skipped = [*(line for line in skipped if line not in plain.values()), *lost]
+        registration = register(list(plain), fov_rad, parts, begin)
+        kept = [line for line in skipped if line not in plain.values()]
+        cameras, found_mm, odd = _cameras(registration.sightings(), begin)
+        straightest = min(cameras, key=lambda camera: camera.tilt_degrees)
+        if straightest.tilt_degrees < cameras[0].tilt_degrees - STRAIGHTER_DEGREES:
+            registration = refer_to(registration, straightest.sighting.path, begin)
+            known = [each._replace(focal_mm=each.focal_mm or found_mm) for each in registration.sightings()]
+            cameras, _, odd = _cameras(known, begin)
+        skipped = [*kept, *registration.lost(), *odd]
+    else:
+        cameras, found_mm, odd = _cameras(sightings, begin)
+        skipped += odd
+    if len(cameras) < 2:
+        why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
+        raise ValueError(
+            f"{len(cameras)} of {len(paths)} photo{'s' * (len(paths) != 1)} can be used{why}, expected two or more of "
+            "one material; take more from other places, with the whole sheet in view."
+        )
+    return sorted(cameras, key=lambda camera: camera.aside_degrees), found_mm, skipped
+
+
+def _cameras(sightings: Sequence[Sighting], begin: Callable[[str], object]) -> tuple[list[Camera], float, list[str]]:
+    """Find the cameras of photographs, in their order, and leave out those that do not fit.
+
+    Returns:
+        Cameras; the focal length in mm as of 35 mm film, if photographs without EXIF tell it, else 0; a line for each
+        photograph that is left out.
+    """
+    skipped: list[str] = []
     begin("positions of the cameras")
     while True:  # without the oddest photo the plane and the square are those of the others
         plane = len(sightings) > 1 and not sightings[0].sheet
@@ -74,16 +103,9 @@ def find_cameras(
         cameras = on_square(cameras_of(sightings, found_mm)) if plane else cameras_of(sightings, found_mm)
         odd = max(filter(_fault_of, cameras), key=lambda camera: camera.error_px, default=None)
         if odd is None:
-            break
+            return cameras, found_mm, skipped
         skipped.append(_fault_of(odd))
         sightings = [each for each in sightings if each.path != odd.sighting.path]
-    if len(cameras) < 2:
-        why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
-        raise ValueError(
-            f"{len(cameras)} of {len(paths)} photo{'s' * (len(paths) != 1)} can be used{why}, expected two or more of "
-            "one material; take more from other places, with the whole sheet in view."
-        )
-    return sorted(cameras, key=lambda camera: camera.tilt_degrees), found_mm, skipped
 
 
 def _sheets(

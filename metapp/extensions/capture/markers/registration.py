@@ -38,6 +38,7 @@ _NOISE = 0.008  # of white: less contrast is not raised to that of the rest
 Features = tuple[NDArray[np.float32], NDArray[np.float32]]  # places [N, 2] in px, descriptors [N, 128] of length 1
 WHOLE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # a photograph's corners, in fractions of its sides
 Match = tuple[Floats, Floats, Floats]  # [3, 3] from px of a photograph to the reference's, matches [N, 2] in px of both
+ITSELF: Match = np.eye(3), np.zeros((0, 2)), np.zeros((0, 2))
 
 
 class View(NamedTuple):
@@ -63,24 +64,50 @@ class View(NamedTuple):
         return np.asarray((turns >= 0).all(1) | (turns <= 0).all(1))
 
 
+class Registration(NamedTuple):
+    """Photographs of one material, placed on one of them.
+
+    Attributes:
+        views: all photographs, those that do not fit, too.
+        reference: number of the photograph that the others are placed on.
+        placed: by the numbers of the photographs that fit, the reference first, their homographies and matches.
+    """
+
+    views: Sequence[View]
+    reference: int
+    placed: Mapping[int, Match]
+
+    def sightings(self) -> list[Sighting]:
+        """Return the points that photographs share with the reference, which is the first.
+
+        Their `points_cm` are those of the reference, px from its middle over its diagonal, y up.
+        """
+        shared = np.concatenate([match[2] for match in self.placed.values()])
+        matches = {**self.placed, self.reference: (np.eye(3), shared, shared)}
+        sightings = [_sighted(self.views[i], self.views[self.reference], match) for i, match in matches.items()]
+        return [sightings[0]._replace(reference=True), *sightings[1:]]
+
+    def lost(self) -> list[str]:
+        """Return a line for each photograph that does not fit."""
+        name = self.views[self.reference].sighting.path.name
+        why = f"too few features in common with {name}, expected an overlap; {PRINT}."
+        return [f"{view.sighting.path}: {why}" for i, view in enumerate(self.views) if i not in self.placed]
+
+
 def register(
     paths: Sequence[Path],
     fov_rad: float = 0.0,
     parts: Mapping[Path, Floats] = MappingProxyType({}),
     begin: Callable[[str], object] = str,
-) -> tuple[list[Sighting], list[str]]:
+) -> Registration:
     """Find points that photographs of one material share with a reference, the first that another one fits.
 
     Args:
         paths: the photographs.
-        fov_rad: as of `find_sheet`.
+        fov_rad: of their camera along the shorter side; 0: as EXIF says, if it does.
         parts: of some photographs the only part by which others are registered on them, and judged: corners [4, 2] of
             a convex one, in fractions of width and height from the upper left.
         begin: called with what is done next, in words, before each step that takes a second or more.
-
-    Returns:
-        Sightings, the reference first, whose `points_cm` are those of the reference, px from its middle over its
-        diagonal, y up; a line for each photograph that does not fit.
 
     Raises:
         ValueError: no two fit; as `read_pixels`.
@@ -91,7 +118,7 @@ def register(
         views.append(_view(path, fov_rad)._replace(part=parts.get(path, WHOLE)))
     for first, reference in enumerate(views[:-1]):
         fine = _within(_features(reference.picture, _LEVELS[:1], _GUIDED), reference)
-        placed: dict[int, Match] = {first: (np.eye(3), np.zeros((0, 2)), np.zeros((0, 2)))}
+        placed: dict[int, Match] = {first: ITSELF}
         for other in [*range(first + 1, len(views))] * 2:  # one that fits no earlier photograph may fit a later one
             if other not in placed:
                 begin(f"{views[other].sighting.path.name}: comparing with {reference.sighting.path.name}")
@@ -102,12 +129,33 @@ def register(
                     placed[other] = match
                     break
         if len(placed) > 1:
-            shared = np.concatenate([match[2] for match in placed.values()])
-            placed[first] = (np.eye(3), shared, shared)
-            lost = [view.sighting.path for number, view in enumerate(views) if number not in placed]
-            why = f"too few features in common with {reference.sighting.path.name}, expected an overlap; {PRINT}."
-            return [_sighted(views[i], reference, match) for i, match in placed.items()], [f"{x}: {why}" for x in lost]
+            return Registration(views, first, placed)
     raise ValueError(f"{paths[0]}: none of {len(paths)} photos has features in common with another one; {PRINT}.")
+
+
+def refer_to(registration: Registration, path: Path, begin: Callable[[str], object] = str) -> Registration:
+    """Place photographs on another one of them, near where the homographies known put them.
+
+    Args:
+        registration: of the photographs.
+        path: of the photograph to place them on, one that fits.
+        begin: called with what is done next, in words, before each step that takes a second or more.
+
+    Returns:
+        The registration on that photograph; the one given if fewer photographs fit that photograph.
+    """
+    views = registration.views
+    first = next(number for number in registration.placed if views[number].sighting.path == path)
+    reference, to_first = views[first], np.linalg.inv(registration.placed[first][0])
+    fine = _within(_features(reference.picture, _LEVELS[:1], _GUIDED), reference)
+    placed: dict[int, Match] = {first: ITSELF}
+    for number, (to, *_) in registration.placed.items():
+        if number != first:
+            begin(f"{views[number].sighting.path.name}: comparing with {path.name}, the straightest")
+            match = _best(views[number], reference, fine, [to_first @ to])
+            if match:
+                placed[number] = match
+    return Registration(views, first, placed) if len(placed) == len(registration.placed) else registration
 
 
 def _view(path: Path, fov_rad: float) -> View:

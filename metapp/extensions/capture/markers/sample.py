@@ -91,6 +91,7 @@ def find_sample(
         return *found, 1.0
     result = *found, 0.0
     parts = dict.fromkeys(paths, MIDDLE)
+    paths = sorted(paths, key=lambda path: path not in [x.sighting.path for x in found[0] if x.sighting.reference])
     for _ in range(2):  # by the middle, then by all of the sample, which is more exact
         try:
             cameras, focal_mm, skipped = find_cameras(paths, fov_rad, ruler_cm, str, begin, parts=parts)

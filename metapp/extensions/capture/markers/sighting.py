@@ -34,6 +34,7 @@ class Sighting(NamedTuple):
         points_cm, points_px: corners [N, 2] that lie in one plane, on the sheet (x right, y up) and in the photograph.
         to_px: [3, 3], takes points of the sheet to the photograph.
         sheet: False without one: the opening is a square that all photographs show, and lengths are in its sides.
+        reference: whether the others are registered on this photograph, if there is no sheet.
     """
 
     path: Path
@@ -46,6 +47,7 @@ class Sighting(NamedTuple):
     points_px: Floats
     to_px: Floats
     sheet: bool = True
+    reference: bool = False
 
     def lens(self) -> Floats:
         """From directions, x right, y down, z forward, to the photograph, [3, 3]."""
@@ -96,9 +98,14 @@ class Camera(NamedTuple):
         return result
 
     @property
-    def tilt_degrees(self) -> float:
-        """Angle between the direction to the camera and the sheet's normal."""
+    def aside_degrees(self) -> float:
+        """The angle at the opening's centre between the direction to the camera and the sheet's normal."""
         return math.degrees(math.acos(self.place_cm[2] / float(np.linalg.norm(self.place_cm))))
+
+    @property
+    def tilt_degrees(self) -> float:
+        """The angle between the camera's axis and the sheet's normal: 0 if the photograph is taken straight."""
+        return math.degrees(math.acos(min(-float(self.axes[2, 2]), 1.0)))
 
 
 CamerasOf = Callable[[Sequence[Sighting], float], list[Camera]]
