@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from metapp.storage.files import placeholder_line
-from metapp.storage.folders import holds_files_of_users
+from metapp.storage.folders import FAILED, holds_files_of_users
 
 Found = tuple[list[Path], list[str]]  # the sources of a path, and the line of each skipped file of a folder
 
@@ -81,7 +81,8 @@ def files_of(path: str | Path, endings: str | tuple[str, ...] = "") -> list[Path
 def files_below(folder: Path, endings: str | tuple[str, ...] = "") -> list[Path]:
     """The files of a user in a folder and in those below it, sorted, hidden ones and linked folders left out.
 
-    What metapp wrote is left out, too: data sets, fits, the pictures of runs and those of what was found in photos.
+    What metapp wrote is left out, too: data sets, fits, the pictures of runs, and those of what was found in photos
+    or looked for in vain.
     Names end in one of `endings`, in capitals or not.
     """
     found, folders = [], [str(folder)]
@@ -90,7 +91,7 @@ def files_below(folder: Path, endings: str | tuple[str, ...] = "") -> list[Path]
         takes_files, takes_folders = holds_files_of_users(place)
         with os.scandir(place) as entries:
             for entry in entries:
-                if entry.name.startswith("."):
+                if entry.name.startswith(".") or (entry.name.endswith(FAILED) and entry.is_file()):
                     continue
                 if entry.is_dir(follow_symlinks=False):
                     folders += [entry.path] * takes_folders

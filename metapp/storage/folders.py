@@ -17,6 +17,7 @@ MANIFEST, SHARD = "manifest.json", ".safetensors"  # of data sets: the list of t
 RECORD, PARAMS = "record.json", "params.safetensors"  # of fits
 CAMERA_TEXT, LIGHT_TEXT = "camera_pos.txt", "light_pos.txt"  # of rectified photographs, either of them
 FOUND = "found"  # the folder, in a data set or beside rectified photographs, of pictures that show what was found
+FAILED = ".failed.png"  # what the name of a picture ends with that shows photographs which metapp could not use
 
 
 class Kind(enum.Enum):
@@ -42,7 +43,8 @@ def kind_of(path: str | Path) -> Kind:
     """Return what a path is.
 
     A file is diagnostic if it lies directly in the folder of a run, such as `pictures.png`, or in a folder of
-    pictures that show what was found. A JSON file of another program is neither a manifest nor a record.
+    pictures that show what was found, or if its name ends with FAILED. A JSON file of another program is neither a
+    manifest nor a record.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -54,6 +56,8 @@ def kind_of(path: str | Path) -> Kind:
     if not os.path.isdir(place):
         if not os.path.lexists(place):
             return Kind.NOTHING
+        if place.endswith(FAILED):
+            return Kind.DIAGNOSTIC
         above = _kind_without_runs(os.path.dirname(place))
         return Kind.DIAGNOSTIC if above in (Kind.RUN_FOLDER, Kind.DIAGNOSTIC) else Kind.FILE
     kind = _kind_without_runs(place)

@@ -74,6 +74,9 @@ def test_pictures_that_show_results_are_told_by_their_place(
     assert kind_of(base / "run/pictures.png") is Kind.DIAGNOSTIC
     assert kind_of(base / "run/gold/fit.png") is Kind.FILE  # which may be an input, where it is named
     assert kind_of(base / "none") is Kind.NOTHING
+    written(tmp_path / "photos", {"leaf.failed.png": "", "failed.png": ""})
+    assert kind_of(base / "photos/leaf.failed.png") is Kind.DIAGNOSTIC
+    assert kind_of(base / "photos/failed.png") is Kind.FILE
 
 
 def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
@@ -82,7 +85,7 @@ def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
     left = {
         "garden/manifest.json": SET, "garden/garden.exr": "", "garden/found/0060.png": "",
         "leaf/found/00.png": "", "runs/texture/meta/pictures.png": "", "runs/texture/meta/comparison.png": "",
-        f"runs/texture/meta/bark/{RECORD}": FIT, "runs/texture/meta/bark/fit.png": "",
+        f"runs/texture/meta/bark/{RECORD}": FIT, "leaf.failed.png": "", "runs/texture/meta/bark/fit.png": "",
         "runs/texture/meta/bark/asset/bark_color.png": "",
     }  # fmt: skip
     folder = written(tmp_path / "all", files | left)

@@ -19,7 +19,7 @@ from data_tools.readers.photos import SIZE_TEXT, is_photo, placed_in, read_photo
 from data_tools.readers.svbrdf_task import rightly_exposed
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, Kind, kind_of
 
 LARGEST_CM = 1e5  # a side of a patch
 FARTHEST = 1000.0  # sides that camera and flash are away
@@ -53,7 +53,11 @@ def read_task(folder: Path, size: int = PX, stops: float = 0.0, layer: str = "")
         ValueError: fewer than two photographs; one that is not square, or of another size; as `read_photo` and
             `read_places`.
     """
-    paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".") and is_photo(path)]
+    paths = [
+        path
+        for path in sorted(folder.iterdir())
+        if kind_of(path) is Kind.FILE and not path.name.startswith(".") and is_photo(path)
+    ]
     if len(paths) < 2:
         raise ValueError(
             f"{folder}: {'1 photo' if paths else 'no photos'} beside places of camera or flash, expected two or more; "
