@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,6 +14,9 @@ from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
 from metapp.storage.images import write_png
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 _SHOWN_PX = 1200  # their longer side, at most
 
@@ -47,12 +51,24 @@ def write_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Pa
     Raises:
         OSError: it cannot be written.
     """
+    image = draw_found(pixels, outlines, _SHOWN_PX)
+    write_png(torch.from_numpy(np.array(image, np.float32) / 255), {"encoding": "sRGB"}, path)
+
+
+def draw_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], longer_px: int) -> Image:
+    """Draw a photograph with outlines in colours.
+
+    Args:
+        pixels: the photograph.
+        outlines: closed ones, px [N, 2] from its upper left corner, and their colours in words.
+        longer_px: the drawing's longer side, at most.
+    """
     from PIL import Image, ImageDraw
 
     image = Image.fromarray((display(pixels) * 255).round().astype("uint8"))
     width = image.width
-    image.thumbnail((_SHOWN_PX, _SHOWN_PX))
+    image.thumbnail((longer_px, longer_px))
     for points, colour in outlines:
         ends = [tuple(point) for point in (points * image.width / width).tolist()]
         ImageDraw.Draw(image).line([*ends, ends[0]], fill=colour, width=2)
-    write_png(torch.from_numpy(np.array(image, np.float32) / 255), {"encoding": "sRGB"}, path)
+    return image

@@ -7,14 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from data_tools.readers.listing import files_below
 from metapp.extensions.capture.markers.command import ONE_PLACE_SIDES, line_about_views
 from metapp.extensions.several.photos import read_places
+from metapp.storage.folders import Kind, kind_of
 from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write
 
 CAMERAS = {"a": tilted(20, 30), "b": tilted(1, distance=26), "c": tilted(35, 200, roll=90)}
-LEAF = Path("leaf")
+LEAF, FAILED = Path("leaf"), Path("leaf.failed.png")
 
 
 @pytest.fixture(scope="module")
@@ -108,8 +111,37 @@ def test_fewer_than_two_are_refused(metapp: Callable, taken: Path) -> None:
         ([*paths(taken, "a"), Path("table.png")], "1 of 2 photos can be used (table.png: no marker found"),
         ([Path("none.jpg")], "none.jpg: no such file"),
     ):
-        assert line in metapp("data", "rectify", *inputs, "--out", LEAF).refusal
+        FAILED.unlink(missing_ok=True)
+        refusal = metapp("data", "rectify", *inputs, "--out", LEAF).refusal
+        assert line in refusal
+        assert FAILED.exists() == refusal.endswith("; see leaf.failed.png.") == (inputs != [Path("none.jpg")])
     assert not LEAF.exists()
+
+
+def test_a_failure_leaves_a_picture_that_no_command_takes(metapp: Callable, taken: Path) -> None:
+    photos = Path("photos")
+    photos.mkdir()
+    shutil.copy(taken / "a.jpg", photos)
+    failed = photos / "leaf.failed.png"
+    assert metapp("data", "rectify", photos, "--out", photos / "leaf").refusal.endswith(f"see {failed}.")
+    assert sorted(file.name for file in photos.iterdir()) == ["a.jpg", failed.name]
+    picture = np.asarray(Image.open(failed)).astype(int)
+    for colour in ([0, 255, 0], [255, 0, 255]):  # markers, the opening
+        assert (abs(picture - colour).max(-1) < 9).sum() > 300
+    assert kind_of(failed) is Kind.DIAGNOSTIC
+    assert files_below(photos) == [photos / "a.jpg"]
+    assert "made by metapp to show its results" in metapp("meta", "texture", failed).error
+    assert "made by metapp to show its results" in metapp("data", "rectify", failed, "--out", "other").refusal
+    shutil.copy(taken / "b.jpg", photos)
+    named = [photos / name for name in ("a.jpg", "b.jpg", failed.name)]  # as a shell names them
+    assert len(metapp("data", "rectify", *named, "--out", photos / "leaf", "--json").done["photos"]) == 2
+    assert not failed.exists()  # that of a command that failed earlier
+
+
+def test_skipped_photographs_are_shown_beside_what_was_found(metapp: Callable, taken: Path) -> None:
+    write(Path("table.png"), noise(300, 400))
+    assert metapp("data", "rectify", *paths(taken), Path("table.png"), "--out", LEAF).code == 0
+    assert sorted(file.name for file in (LEAF / "found").iterdir()) == ["00.png", "01.png", "02.png", "skipped.png"]
 
 
 def test_a_folder_with_files_is_left_alone(metapp: Callable, taken: Path) -> None:

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.extensions.capture.marker_photos import Camera, cv2, tilted  # isort: skip
+from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted  # isort: skip
 
 from data_tools.readers.photos import field_of_view
 from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
-from metapp.extensions.capture.markers.rectified import find_cameras
+from metapp.extensions.capture.markers.rectified import find_cameras, show_views
 from metapp.extensions.capture.markers.registration import register, through
 from metapp.extensions.capture.markers.sighting import Sighting, camera_of, common_focal
 from metapp.extensions.several.photos import read_task
@@ -176,3 +176,30 @@ def test_what_shares_nothing_is_refused_in_a_line(tmp_path: Path) -> None:
         line = f"{paths[0]}: none of 2 photos has features in common with another one; {REMEDY}."
         with pytest.raises(ValueError, match=line.partition("(")[0].replace(".", r"\.")):
             find_cameras(paths)
+
+
+def test_matches_in_vain_are_drawn(metapp: Callable) -> None:
+    photos = [take(Path(f"{seed}.png"), CAMERAS["a"], material(seed)) for seed in (3, 4)]
+    refusal = metapp("data", "rectify", *photos, "--out", "leaf").refusal
+    assert "features in common" in refusal
+    assert refusal.endswith("; see leaf.failed.png.")
+    picture = cv2.imread("leaf.failed.png")[..., ::-1].astype(int)
+    for colour in ([255, 165, 0], [255, 0, 0]):  # features, those alike
+        assert (abs(picture - colour).max(-1) < 9).sum() > 100
+
+
+def test_photographs_that_share_no_part_are_drawn_with_their_views() -> None:
+    """The reference shows where the others look: to its left and to its right."""
+    shown: dict[str, np.ndarray] = {}
+    views = [Camera((x, 0.0, 20.0), (x, 0.0), height=240, width=320) for x in (0.0, -14.0, 14.0)]
+    cameras = []
+    for view in views:
+        points = np.stack(np.meshgrid(np.arange(-8.0, 8.1), np.arange(-4.0, 4.1)), -1).reshape(-1, 2)
+        px = through(view.to_px(), points)
+        cameras.append(camera_of(Sighting(Path(), 240, 320, 26.0, 1.0, px, points, px, view.to_px(), False), FOCAL_MM))
+    with pytest.raises(ValueError, match="no part is in all 3 photos"):
+        on_square(cameras)
+    show_views(cameras, lambda _path, _words, outlines, colour: shown.update({colour: outlines}))
+    left, right = shown["cyan"]
+    assert left[:, 0].max() < right[:, 0].min()
+    np.testing.assert_allclose(left[:, 0].mean() - 159.5, 159.5 - right[:, 0].mean(), atol=0.1)

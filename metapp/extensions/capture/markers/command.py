@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +16,9 @@ from metapp.cli.options import Json, Out, Overwrite, Quiet, check_new, takes
 from metapp.networks.options import fov
 from metapp.options import Option
 from metapp.runs.reporter import progress, say
+
+if TYPE_CHECKING:
+    from metapp.extensions.capture.markers.attempt import Attempt
 
 ONE_PLACE_SIDES = 0.1  # sides of the square, within which cameras see the same
 
@@ -101,7 +105,8 @@ def rectify(
     its sides. Where a table round the sample is seen, which lies lower, it is the largest on the sample.
     Writes square pictures 00.png, 01.png, ..., that from nearest to straight above first, camera_pos.txt,
     light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR`. Pictures in its folder
-    found/ show the markers or points found. Photos that do not fit are skipped, each with a line. Needs OpenCV,
+    found/ show the markers or points found. Photos that do not fit are skipped, each with a line, and shown by
+    found/skipped.png; where none is left, DIR.failed.png beside the folder shows what was found in them. Needs OpenCV,
     which metapp's extra `capture` installs.
 
     Examples:
@@ -109,19 +114,26 @@ def rectify(
       metapp data rectify IMG_1.jpg IMG_2.jpg IMG_3.jpg --flash 1.2,0 --ruler 9.7 --out leaf
     """
     from data_tools.readers.photos import find
+    from metapp.extensions.capture.markers.attempt import Attempt
     from metapp.extensions.capture.markers.rectified import write_set
     from metapp.extensions.capture.markers.sample import find_sample
-    from metapp.storage.folders import FOUND, check_files_of_user
+    from metapp.storage.folders import FAILED, FOUND, check_files_of_user
 
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
-    for path in paths:
+    photos_alone = [path for path in paths if not path.name.endswith(FAILED)]  # which a shell's *.png names, too
+    for path in photos_alone or paths:
         check_files_of_user(path, "photographs of a flat material")
-    in_paths = [find(path) for path in paths]
+    in_paths = [find(path) for path in photos_alone]
     names = list({file.resolve(): file for files, _ in in_paths for file in files}.values())
-    with progress("photos", len(names), quiet=quiet) as bar:
-        fov_rad = math.radians(options.fov)
-        cameras, focal_mm, skipped, kept = find_sample(names, fov_rad, options.ruler, bar.advance, bar.name)
+    attempt, failed = Attempt(), _failed_picture(folder)
+    try:
+        with progress("photos", len(names), quiet=quiet) as bar:
+            fov_rad, done, begin = math.radians(options.fov), bar.advance, bar.name
+            cameras, focal_mm, skipped, kept = find_sample(names, fov_rad, options.ruler, done, begin, attempt.show)
+    except ValueError as error:
+        drawn = _draw(attempt, names, str(error), failed, quiet=quiet)
+        raise ValueError(f"{str(error).removesuffix('.')}; see {failed}." if drawn else str(error)) from None
     skipped = [*(line for _, lines in in_paths for line in lines), *skipped]
     for line in skipped:
         say(f"warning: skipped: {line}")
@@ -143,6 +155,10 @@ def rectify(
     size = min(options.size, int(first.opening_cm * first.scales()[0]))  # no finer than the one with most detail
     with progress("pictures", len(cameras), quiet=quiet) as bar:
         write_set(cameras, lights_cm, size, folder, bar.advance)
+    failed.unlink(missing_ok=True)  # of an earlier command
+    left = [name for name in names if name not in [camera.sighting.path for camera in cameras]]
+    if left:
+        _draw(attempt, left, "skipped:", folder / FOUND / "skipped.png", quiet=quiet)
     photos: list[dict[str, Any]] = [
         {
             "file": f"{number:02}.png",
@@ -170,6 +186,21 @@ def rectify(
     if as_json:
         sizes = {"side": first.opening_cm, "unit": unit, "size": size, "focal_mm": focal_mm or None}
         print_json({"out": str(folder), **sizes, "kept": kept, "photos": photos, "skipped": skipped})
+
+
+def _failed_picture(folder: Path) -> Path:
+    """Return the file, beside the folder to write, of the picture that a failure leaves."""
+    from metapp.storage.folders import FAILED
+
+    place = folder if folder.name not in ("", "..") else folder.resolve()
+    return place.with_name(f"{place.name}{FAILED}")
+
+
+def _draw(attempt: Attempt, names: Sequence[Path], reason: str, picture: Path, *, quiet: bool) -> bool:
+    """Draw what was found in photographs, and return whether the picture was written: what went wrong matters more."""
+    with progress(picture.name, quiet=quiet), contextlib.suppress(OSError, ValueError):
+        return attempt.write(names, reason, picture)
+    return False
 
 
 def line_about_views(places: Sequence[Sequence[float]]) -> str:

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
+from metapp.extensions.capture.markers.attempt import Show, show_nothing
 from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
-from metapp.extensions.capture.markers.registration import refer_to, register
+from metapp.extensions.capture.markers.registration import WHOLE, refer_to, register, through
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import (
     MAX_ERROR,
@@ -36,6 +37,7 @@ from metapp.storage.folders import CAMERA_TEXT, FOUND, LIGHT_TEXT
 from metapp.storage.images import write_png
 
 STRAIGHTER_DEGREES = 1.0  # by which a photo's tilt is less than the reference's that it takes the place of
+FARTHEST_SHOWN = 10  # width and height of a photo, how far outside it a view of another one is still drawn
 
 
 def find_cameras(
@@ -44,6 +46,7 @@ def find_cameras(
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
     begin: Callable[[str], object] = str,
+    show: Show = show_nothing,
     parts: Mapping[Path, Floats] = MappingProxyType({}),
 ) -> tuple[list[Camera], float, list[str]]:
     """Find sheet and camera in photographs; without any marker, the material's own features.
@@ -54,6 +57,7 @@ def find_cameras(
         ruler_cm: measured length of the printed ruler.
         done: called with the name of each photograph that was searched.
         begin: called with what is done next, in words, once all photographs have been searched.
+        show: called with what is found in photographs, for a picture of what does not serve.
         parts: as :func:`register` takes it.
 
     Returns:
@@ -64,19 +68,19 @@ def find_cameras(
         ValueError: fewer than two can be used; they show sheets of several sizes; no focal length is known, and none
             can be found; OpenCV is not installed.
     """
-    sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done)
+    sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done, show)
     if not sightings and len(plain) > 1:
-        registration = register(list(plain), fov_rad, parts, begin)
+        registration = register(list(plain), fov_rad, parts, begin, show)
         kept = [line for line in skipped if line not in plain.values()]
-        cameras, found_mm, odd = _cameras(registration.sightings(), begin)
+        cameras, found_mm, odd = _cameras(registration.sightings(), begin, show)
         straightest = min(cameras, key=lambda camera: camera.tilt_degrees)
         if straightest.tilt_degrees < cameras[0].tilt_degrees - STRAIGHTER_DEGREES:
             registration = refer_to(registration, straightest.sighting.path, begin)
             known = [each._replace(focal_mm=each.focal_mm or found_mm) for each in registration.sightings()]
-            cameras, _, odd = _cameras(known, begin)
+            cameras, _, odd = _cameras(known, begin, show)
         skipped = [*kept, *registration.lost(), *odd]
     else:
-        cameras, found_mm, odd = _cameras(sightings, begin)
+        cameras, found_mm, odd = _cameras(sightings, begin, show)
         skipped += odd
     if len(cameras) < 2:
         why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
@@ -87,7 +91,9 @@ def find_cameras(
     return sorted(cameras, key=lambda camera: camera.aside_degrees), found_mm, skipped
 
 
-def _cameras(sightings: Sequence[Sighting], begin: Callable[[str], object]) -> tuple[list[Camera], float, list[str]]:
+def _cameras(
+    sightings: Sequence[Sighting], begin: Callable[[str], object], show: Show
+) -> tuple[list[Camera], float, list[str]]:
     """Find the cameras of photographs, in their order, and leave out those that do not fit.
 
     Returns:
@@ -95,12 +101,17 @@ def _cameras(sightings: Sequence[Sighting], begin: Callable[[str], object]) -> t
         photograph that is left out.
     """
     skipped: list[str] = []
+    for sighting in [] if not sightings or sightings[0].sheet else sightings:
+        show(sighting.path, f"{len(sighting.markers)} points shared", sighting.markers, "lime")
     begin("positions of the cameras")
     while True:  # without the oddest photo the plane and the square are those of the others
         plane = len(sightings) > 1 and not sightings[0].sheet
         cameras_of, unknown = cameras_on_plane if plane else cameras_on_sheet, [x for x in sightings if not x.focal_mm]
         found_mm = common_focal(sightings if plane else unknown, cameras_of) if unknown else 0.0
-        cameras = on_square(cameras_of(sightings, found_mm)) if plane else cameras_of(sightings, found_mm)
+        cameras = cameras_of(sightings, found_mm)
+        if plane:
+            show_views(cameras, show)
+            cameras = on_square(cameras)
         odd = max(filter(_fault_of, cameras), key=lambda camera: camera.error_px, default=None)
         if odd is None:
             return cameras, found_mm, skipped
@@ -108,8 +119,19 @@ def _cameras(sightings: Sequence[Sighting], begin: Callable[[str], object]) -> t
         sightings = [each for each in sightings if each.path != odd.sighting.path]
 
 
+def show_views(cameras: Sequence[Camera], show: Show) -> None:
+    """Show in the first photograph, the reference, which part of the plane each of the others sees."""
+    first, outlines = cameras[0].sighting, []
+    for sighting, *_ in cameras[1:]:
+        to_first = first.to_px @ np.linalg.inv(sighting.to_px)
+        outline = through(to_first, WHOLE * [sighting.width - 1, sighting.height - 1])
+        if np.abs(outline).max() < FARTHEST_SHOWN * (first.width + first.height):
+            outlines.append(outline)
+    show(first.path, "views of the other photos", np.reshape(outlines, (-1, 4, 2)), "cyan")
+
+
 def _sheets(
-    paths: Sequence[Path], fov_rad: float, ruler_cm: float, done: Callable[[str], object]
+    paths: Sequence[Path], fov_rad: float, ruler_cm: float, done: Callable[[str], object], show: Show
 ) -> tuple[list[Sighting], dict[Path, str], list[str]]:
     """Sightings of one sheet; the lines of photographs without a marker; those of all that show no whole sheet."""
     opencv()
@@ -117,7 +139,7 @@ def _sheets(
     plain, skipped = {}, []
     for path in paths:
         try:
-            sightings.append(find_sheet(path, fov_rad, ruler_cm))
+            sightings.append(find_sheet(path, fov_rad, ruler_cm, show))
         except (ValueError, OSError) as error:
             skipped.append(str(error))
             if isinstance(error, NoMarkers):

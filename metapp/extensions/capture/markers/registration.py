@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import read_pixels
+from metapp.extensions.capture.markers.attempt import Show, show_nothing
 from metapp.extensions.capture.markers.sheet import Floats
-from metapp.extensions.capture.markers.sighting import Sighting, focal_of
+from metapp.extensions.capture.markers.sighting import Sighting, diamonds, focal_of
 from metapp.extensions.capture.photos import display, opencv
 
 PRINT = "print a frame of markers: metapp data markers sheet.pdf"
@@ -55,6 +56,10 @@ class View(NamedTuple):
     picture: NDArray[np.float32]
     features: Features
     part: Floats = WHOLE
+
+    def in_photo(self, points: Floats) -> Floats:
+        """Return places [N, 2] of the picture in px of the whole photograph."""
+        return np.asarray((points + 0.5) * self.sighting.width / self.picture.shape[1] - 0.5, np.float64)
 
     def holds(self, places: Floats) -> NDArray[np.bool_]:
         """Test whether places [N, 2], in fractions of width and height, are in the part."""
@@ -99,6 +104,7 @@ def register(
     fov_rad: float = 0.0,
     parts: Mapping[Path, Floats] = MappingProxyType({}),
     begin: Callable[[str], object] = str,
+    show: Show = show_nothing,
 ) -> Registration:
     """Find points that photographs of one material share with a reference, the first that another one fits.
 
@@ -108,6 +114,7 @@ def register(
         parts: of some photographs the only part by which others are registered on them, and judged: corners [4, 2] of
             a convex one, in fractions of width and height from the upper left.
         begin: called with what is done next, in words, before each step that takes a second or more.
+        show: called with the features that look alike, of each photograph that does not fit.
 
     Raises:
         ValueError: no two fit; as `read_pixels`.
@@ -129,7 +136,10 @@ def register(
                     placed[other] = match
                     break
         if len(placed) > 1:
+            lost = [view for number, view in enumerate(views) if number not in placed]
+            _show_alike(lost, reference, begin, show)
             return Registration(views, first, placed)
+    _show_alike(views, views[0], begin, show)
     raise ValueError(f"{paths[0]}: none of {len(paths)} photos has features in common with another one; {PRINT}.")
 
 
@@ -225,6 +235,24 @@ def _guesses(view: View, other: View) -> Iterable[Floats]:
         own, there = own[far], there[far]
 
 
+def _show_alike(views: Sequence[View], reference: View, begin: Callable[[str], object], show: Show) -> None:
+    """Show the features of photographs that do not fit a reference: all, those alike, and of these those in a plane."""
+    for view in views if show is not show_nothing else []:
+        path, longer_px = view.sighting.path, max(view.sighting.height, view.sighting.width)
+        begin(f"{path.name}: drawing what was found")
+        places = view.features[0].astype(np.float64)
+        chosen = np.random.default_rng(0).permutation(len(places))[:_KEPT]
+        show(path, f"{len(places)} features", diamonds(view.in_photo(places[chosen]), longer_px), "orange")
+        if view is not reference:
+            own, there = _pairs(view.features, reference.features, _LIKE[0], math.inf)
+            _, kept = _homography(own, there, 3.0)
+            name = reference.sighting.path.name
+            alike = f"{len(own)} of them with a like one in {name}"
+            show(path, alike, diamonds(view.in_photo(own), longer_px), "red")
+            in_plane = f"{kept.sum()} of these agree with one plane"
+            show(path, in_plane, diamonds(view.in_photo(own[kept]), longer_px), "lime")
+
+
 def _best(view: View, reference: View, fine: Features, guesses: Iterable[Floats]) -> Match | None:
     """The guess by which most of two photographs agrees, refined twice by fine features near it."""
     size = reference.picture.shape[::-1]
@@ -263,14 +291,11 @@ def _agreement(view: View, reference: View, to: Floats) -> tuple[float, float]:
 def _sighted(view: View, reference: View, match: Match) -> Sighting:
     """The matches of a photograph, in px of the whole photograph, and on the reference; marks of them are diamonds."""
     chosen = np.random.default_rng(0).permutation(len(match[1]))[:_KEPT]
-    own, there = (
-        (points[chosen] + 0.5) * each.sighting.width / each.picture.shape[1] - 0.5
-        for points, each in zip(match[1:], (view, reference), strict=True)
-    )
+    own, there = view.in_photo(match[1][chosen]), reference.in_photo(match[2][chosen])
     height, width = reference.sighting.height, reference.sighting.width
     points = (there - [(width - 1) / 2, (height - 1) / 2]) * [1, -1] / math.hypot(height, width)
-    diamond = np.array([[-1, 0], [0, -1], [1, 0], [0, 1]]) * max(view.sighting.height, view.sighting.width) / 250
-    return view.sighting._replace(markers=own[:, None] + diamond, points_cm=points, points_px=own)
+    marks = diamonds(own, max(view.sighting.height, view.sighting.width))
+    return view.sighting._replace(markers=marks, points_cm=points, points_px=own)
 
 
 def through(homography: Floats, points: Floats) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import read_pixels
+from metapp.extensions.capture.markers.attempt import Show, show_nothing
 from metapp.extensions.capture.markers.plane import on_part
 from metapp.extensions.capture.markers.rectified import find_cameras
 from metapp.extensions.capture.markers.registration import WHOLE
@@ -66,6 +67,7 @@ def find_sample(
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
     begin: Callable[[str], object] = str,
+    show: Show = show_nothing,
 ) -> tuple[list[Camera], float, list[str], float]:
     """Find the cameras of photographs above the marker sheet's opening, or above the largest square on the sample.
 
@@ -77,6 +79,7 @@ def find_sample(
         ruler_cm: as :func:`find_cameras` takes it.
         done: called with the name of each photograph that was searched.
         begin: called with what is done next, in words.
+        show: as :func:`find_cameras` takes it.
 
     Returns:
         Cameras, focal length and lines of photographs left out, as :func:`find_cameras` returns them; and the share of
@@ -85,7 +88,7 @@ def find_sample(
     Raises:
         ValueError: as :func:`find_cameras`.
     """
-    found = find_cameras(paths, fov_rad, ruler_cm, done, begin)
+    found = find_cameras(paths, fov_rad, ruler_cm, done, begin, show)
     begin("comparing photos on planes of several heights")
     if found[0][0].sighting.sheet or not compare_on_planes(found[0]).shows_table:
         return *found, 1.0

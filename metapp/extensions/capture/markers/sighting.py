@@ -11,6 +11,7 @@ import numpy as np
 
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.lenses import FRAME_MM
+from metapp.extensions.capture.markers.attempt import Show, show_nothing
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats, corners_cm, dictionary, opening_of
 from metapp.extensions.capture.photos import display, opencv
 
@@ -111,13 +112,14 @@ class Camera(NamedTuple):
 CamerasOf = Callable[[Sequence[Sighting], float], list[Camera]]
 
 
-def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> Sighting:
+def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM, show: Show = show_nothing) -> Sighting:
     """Find the sheet in a photograph.
 
     Args:
         path: the photograph.
         fov_rad: of its camera along the shorter side; 0: as EXIF says, if it does.
         ruler_cm: measured length of the printed ruler.
+        show: called with what is found, as far as it gets.
 
     Raises:
         ValueError: as `read_pixels`; no sheet, or fewer than FEWEST markers of it; these do not lie in a plane or on
@@ -130,17 +132,23 @@ def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> 
     settings.relativeCornerRefinmentWinSize = 0.4  # of a cell: none of its cells' edges
     settings.cornerRefinementWinSize = 100
     green = (display(pixels)[..., 1] * 255).round().astype(np.uint8)  # the sharpest channel
-    found, numbers, _ = cv2.aruco.ArucoDetector(dictionary(), settings).detectMarkers(green)
+    found, numbers, others = cv2.aruco.ArucoDetector(dictionary(), settings).detectMarkers(green)
     numbers = np.ravel(numbers).tolist() if found else []
     opening = opening_of(numbers)
     if opening is None:
+        show(path, f"{len(others)} outlines looked at, no marker", np.reshape(others, (-1, 4, 2)), "orange")
         raise NoMarkers(f"{path}: no marker found, expected those of a marker sheet; {_REMEDY}.")
     on_sheet, scale = corners_cm(opening), ruler_cm / RULER_CM
     markers = {number: px[0].astype(float) for number, px in zip(numbers, found, strict=True) if number in on_sheet}
     points_cm = scale * np.concatenate([on_sheet[number] for number in markers])
-    points_px, side = np.concatenate(list(markers.values())), scale * opening
+    every = np.stack(list(markers.values()))
+    show(path, f"{len(every)} marker{'s' * (len(every) != 1)}", every, "lime")
+    points_px, side = every.reshape(-1, 2), scale * opening
     _, mask = cv2.findHomography(points_px, points_cm, cv2.RANSAC, 2 * MAX_ERROR * side)
     kept = np.zeros(len(points_cm), bool) if mask is None else mask[:, 0].astype(bool)
+    if not kept.all():
+        off = f"{(~kept).sum()} of {len(kept)} corners in no plane with the others"
+        show(path, off, diamonds(points_px[~kept], max(height, width)), "red")
     if kept.mean() < 0.75:
         raise ValueError(
             f"{path}: {kept.sum()} of {len(kept)} corners of markers lie in one plane, expected nearly all of a flat "
@@ -151,12 +159,17 @@ def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM) -> 
         found = f"{len(markers)} marker{'s' * (len(markers) != 1)}, on one side of the opening alone or too few"
         raise ValueError(f"{path}: {found}, expected {FEWEST} to 12 all round; {_REMEDY}.")
     to_px, _ = cv2.findHomography(points_cm, points_px)
-    every = np.stack(list(markers.values()))
     sighting = Sighting(path, height, width, focal_of(pixels, fov_rad), side, every, points_cm, points_px, to_px)
     corners = sighting.corners_px()
+    show(path, "the opening", corners[None], "magenta")
     if (corners < -0.5).any() or (corners > np.array([width, height]) - 0.5).any():
         raise ValueError(f"{path}: the opening is not wholly in the picture, expected all of it; {_REMEDY}.")
     return sighting
+
+
+def diamonds(points: Floats, longer_px: int) -> Floats:
+    """Return marks [N, 4, 2] of points [N, 2] in px of a photograph whose longer side is `longer_px`."""
+    return np.asarray(points[:, None] + np.array([[-1, 0], [0, -1], [1, 0], [0, 1]]) * longer_px / 250)
 
 
 def focal_of(pixels: Pixels, fov_rad: float) -> float:
