@@ -144,7 +144,7 @@ def register(
 
 
 def refer_to(registration: Registration, path: Path, begin: Callable[[str], object] = str) -> Registration:
-    """Place photographs on another one of them, near where the homographies known put them.
+    """Place photographs on another one of them, those placed before near where their homographies put them.
 
     Args:
         registration: of the photographs.
@@ -159,13 +159,14 @@ def refer_to(registration: Registration, path: Path, begin: Callable[[str], obje
     reference, to_first = views[first], np.linalg.inv(registration.placed[first][0])
     fine = _within(_features(reference.picture, _LEVELS[:1], _GUIDED), reference)
     placed: dict[int, Match] = {first: ITSELF}
-    for number, (to, *_) in registration.placed.items():
+    for number, view in enumerate(views):
         if number != first:
-            begin(f"{views[number].sighting.path.name}: comparing with {path.name}, the straightest")
-            match = _best(views[number], reference, fine, [to_first @ to])
+            begin(f"{view.sighting.path.name}: comparing with {path.name}, the straightest")
+            known = registration.placed.get(number)
+            match = _best(view, reference, fine, [to_first @ known[0]] if known else _guesses(view, reference))
             if match:
                 placed[number] = match
-    return Registration(views, first, placed) if len(placed) == len(registration.placed) else registration
+    return Registration(views, first, placed) if len(placed) >= len(registration.placed) else registration
 
 
 def _view(path: Path, fov_rad: float) -> View:
