@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from torch import Tensor
 
@@ -32,7 +32,6 @@ class Presenter(Generic[Application]):
     Attributes:
         app: the application, at the recipe of the fits.
         size: height and width of the files that fits write, px; None for the application's own choice.
-        picture_measure: the pictures that `picture_errors` measures, in one line; "" if there are none.
 
     >>> from metapp.apps import app_of, presenter_of, recipe_of
     >>> presenter_of(app_of("brdf", recipe_of("brdf", "quick"))).title
@@ -41,7 +40,6 @@ class Presenter(Generic[Application]):
 
     app: Application
     size: tuple[int, int] | None = None
-    picture_measure: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         """Refuse a size that files cannot have.
@@ -57,6 +55,11 @@ class Presenter(Generic[Application]):
     def title(self) -> str:
         """The application's title in tables, with its protocol if it has several."""
         return f"{self.app.title} ({self.app.protocol})" if self.app.protocol else self.app.title
+
+    @property
+    def picture_measure(self) -> str:
+        """The pictures that `picture_errors` and registered measures judge, in one line; "" if there are none."""
+        return ""
 
     def caption(self, *, measured: bool = True) -> str:
         """Return the line below a table of errors: how they are measured, and under which conditions.
@@ -174,7 +177,7 @@ class Delegating(Presenter[Any]):
         pass
 
     @property
-    def picture_measure(self) -> str:  # type: ignore[override]
+    def picture_measure(self) -> str:
         measure: str = self.app.image_measure
         return measure
 

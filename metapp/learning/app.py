@@ -241,9 +241,9 @@ class App(ABC):
         """The reason that `pictures` cannot be of a size; "" if they can."""
         return "has files of one size; leave it out"
 
-    @abstractmethod
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Linear RGB pictures [H, W, 3 or 4] of a fit and its `reference`, if there is one, by name."""
+        return {}
 
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The same for the picture of a run: "reference" or "photo", maps, and the fit under other lights, by name.
