@@ -9,6 +9,7 @@ APPLICATIONS = {
         "metapp.apps.brdf.app:Brdf",
         help="BRDFs: reflectance of a material over pairs of directions.",
         options="metapp.apps.brdf.options:BrdfOptions",
+        presenter="metapp.apps.brdf.presenter:BrdfPresenter",
         kinds=("phi_h",),
     ),
     "texture": Application(

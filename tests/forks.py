@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["torch", "metapp.runs.keeping", "metapp.cli.commands", "metapp.apps.brdf.app"])
+FORKS.set_forkserver_preload(["torch", "metapp.runs.keeping", "metapp.cli.commands", "metapp.apps.brdf.presenter"])
 OUT, ERR = "out.txt", "err.txt"
 
 

@@ -11,7 +11,7 @@ from metapp.appearance.sphere import reference_scene
 def shrink_spheres(patch: pytest.MonkeyPatch) -> None:
     """Have BRDFs drawn at 16 px instead of 96."""
     small = functools.partial(reference_scene, 16)
-    for module in ("metapp.apps.brdf.app", "data_tools.readers.brdf_task"):
+    for module in ("metapp.apps.brdf.presenter", "data_tools.readers.brdf_task"):
         patch.setattr(f"{module}.reference_scene", small)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -34,6 +34,19 @@ if TYPE_CHECKING:
 # entries of records that are no errors
 NO_ERRORS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}
 NO_ERRORS |= {"source", "content", "origin", "settings", "folder", "batch"}
+
+
+@runtime_checkable
+class HasReflectance(Protocol):
+    """An application whose fits are BRDFs, which :class:`Fit` evaluates for any pairs of directions."""
+
+    def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
+        """Return reflectance in 1/sr without the cosine, linear RGB [..., 3].
+
+        Args:
+            theta: the fit, without a task axis.
+            angles: half and difference angles and phi_h, [..., 4] in rad.
+        """
 
 
 class Fit:
@@ -130,8 +143,10 @@ class Fit:
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
+        app: object = self.app
         with threads(single=self.app.single_threaded), torch.no_grad():
-            values = self.app.reflectance(self.parameters, directions_to_four_angles(light, viewer).float())
+            angles = directions_to_four_angles(light, viewer).float()
+            values = app.reflectance(self.parameters, angles) if isinstance(app, HasReflectance) else None
         if values is None:
             raise ValueError(
                 f"{self.name}: a fit of {self.app.name}, expected one of brdf; take fit.maps or fit.picture()."

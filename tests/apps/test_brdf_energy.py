@@ -10,10 +10,11 @@ from torch import Generator, Tensor
 
 import metapp
 from metapp.appearance.geometry import cosines, rusinkiewicz_to_directions, spread_angles
-from metapp.apps.brdf.app import MIRROR_DEGREES, Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.energy import albedo, conserving, quadrature
 from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import network_of
+from metapp.apps.brdf.presenter import MIRROR_DEGREES, BrdfPresenter
 from metapp.learning.task import Task
 
 
@@ -115,11 +116,11 @@ def test_colours_go_on_beyond_what_was_measured(roughness: float, colour: tuple[
     ("bias", "words"), [(0.5, "reflects 2.04 of the light"), (50.0, "reflects more than 100 times the light")]
 )
 def test_a_fit_that_reflects_too_much_says_so(bias: float, words: str) -> None:
-    app = Brdf(NBRDF)
+    presenter = BrdfPresenter(Brdf(NBRDF))
     shapes = {"w1": (21, 6), "w2": (21, 21), "w3": (3, 21), "b1": (21, 1), "b2": (21, 1), "b3": (3, 1)}
     theta = {key: torch.zeros(shape) for key, shape in shapes.items()} | {"b3": torch.full((3, 1), bias)}
     task = Task("hot", {"angles": torch.rand(8, 3), "reflectance": torch.ones(8, 3)})
-    assert words in str(app.remarks(task, theta)["note"])
+    assert words in str(presenter.remarks(theta, task)["note"])
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -133,11 +134,12 @@ def test_a_highlight_that_no_sample_shows_is_said_so(seed: int) -> None:
     near = far.clone()
     one, share = int(torch.randint(count, (), generator=rng)), float(torch.rand((), generator=rng))
     near[one, 0] = math.radians(MIRROR_DEGREES) * share
-    app, theta = Brdf(NBRDF), {key: value[0] for key, value in NBRDF.init(rng, 1).items()}
+    presenter = BrdfPresenter(Brdf(NBRDF))
+    theta = {key: value[0] for key, value in NBRDF.init(rng, 1).items()}
 
     def note(angles: Tensor) -> str:
         task = Task("paint", {"angles": angles, "reflectance": torch.ones(2 * count, 3)})
-        return str(app.remarks(task, theta).get("note", ""))
+        return str(presenter.remarks(theta, task).get("note", ""))
 
     assert "highlight: no sample within 5 degrees of mirror directions" in note(far)
     assert "highlight" not in note(near)

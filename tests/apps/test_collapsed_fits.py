@@ -1,10 +1,11 @@
-"""Applications say of fits that collapsed, in their doubts, and of inputs of one value, in their remarks."""
+"""Presenters say of fits that collapsed, in warnings, and of inputs of one value, in their remarks."""
 
 import pytest
 import torch
 
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.flash import Maps
+from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.learning.app import stack
 from metapp.learning.task import Task
@@ -13,6 +14,7 @@ from tests.quick import app_by
 
 def test_a_network_of_zeros_is_black_where_the_material_is_not() -> None:
     app = app_by("brdf")
+    presenter = presenter_of(app)
     theta = app.init(torch.Generator().manual_seed(0), 1)
     zeros = {key: torch.zeros_like(value) for key, value in theta.items()}
     gloss = brdf_task(
@@ -22,11 +24,11 @@ def test_a_network_of_zeros_is_black_where_the_material_is_not() -> None:
     chalk = brdf_task("chalk", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3), 64)
     tasks = [gloss, black, chalk]
     one = {key: value[0] for key, value in zeros.items()}
-    said = [app.doubts(zeros, stack(app, [task], "cpu"))[0] for task in tasks]
+    said = [presenter.quality_warnings(zeros, stack(app, [task], "cpu"))[0] for task in tasks]
     assert [[clause.partition(",")[0] for clause in clauses] for clauses in said] == [
         ["the fit is black"], [], ["the fit is black"]
     ]  # fmt: skip
-    notes = [str(app.remarks(task, one).get("note", "")) for task in tasks]
+    notes = [str(presenter.remarks(one, task).get("note", "")) for task in tasks]
     assert ["the input is one reflectance" in note for note in notes] == [False, False, True]
 
 
@@ -39,5 +41,5 @@ def test_black_maps_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     for albedo, said in (0.0, True), (0.01, False), (0.5, False):
         maps = Maps(albedo * plane.expand(1, 3, 8, 8), 0 * plane, plane, plane.expand(1, 3, 8, 8))
         monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda self, theta, photo, maps=maps: maps)
-        (clauses,) = app.doubts(theta, tasks)
+        (clauses,) = presenter_of(app).quality_warnings(theta, tasks)
         assert any(clause.startswith("the fit is black") for clause in clauses) is said

@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
 from metapp.appearance.picture_measures import measure_pictures
+from metapp.appearance.presenter import Presenter
 from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
@@ -18,6 +20,11 @@ from metapp.storage.files import file_name
 from tests.paradigms.small import rng
 
 pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
+
+
+@pytest.fixture
+def presenter(app: App) -> Presenter[Any]:
+    return presenter_of(app)
 
 
 @pytest.fixture
@@ -33,21 +40,21 @@ def test_an_application_has_the_protocol_that_it_is_made_for(app: App) -> None:
             assert app_of(app.name, recipe, protocol).protocol == protocol
 
 
-def test_what_tables_say(app: App, sources: list[Task]) -> None:
+def test_what_tables_say(app: App, presenter: Presenter[Any], sources: list[Task]) -> None:
     """One line each, and how much a fit may see."""
     for line in (app.title, app.measure):
         assert line
         assert line == " ".join(line.split())
-    assert app.image_measure == " ".join(app.image_measure.split())
-    visible = app.visible(sources[0])
+    assert presenter.picture_measure == " ".join(presenter.picture_measure.split())
+    visible = presenter.visible(sources[0])
     if visible:
         assert visible.samples >= 1
         assert visible.size > 0
         assert visible.encoder >= 0
 
 
-def test_pictures_of_a_fit_and_of_its_reference(app: App, fitted: Params, sources: list[Task]) -> None:
-    pictures = app.preview(fitted, sources[0])
+def test_pictures_of_a_fit_and_of_its_reference(presenter: Presenter[Any], fitted: Params, sources: list[Task]) -> None:
+    pictures = presenter.preview(fitted, sources[0])
     assert list(pictures)[:2] == ["reference", "fit"]
     assert pictures["fit"].shape == pictures["reference"].shape
     for name, picture in pictures.items():
@@ -56,25 +63,27 @@ def test_pictures_of_a_fit_and_of_its_reference(app: App, fitted: Params, source
         assert picture.dtype == torch.float32, name
         assert picture.isfinite().all(), name
         assert not picture.requires_grad, name
-    again = app.preview(fitted, sources[0])
+    again = presenter.preview(fitted, sources[0])
     assert all(torch.equal(again[name], picture) for name, picture in pictures.items())
-    other = app.preview(fitted, sources[1])
+    other = presenter.preview(fitted, sources[1])
     assert not torch.equal(other["reference"], pictures["reference"])
 
 
-def test_tiles_of_a_run_are_named_linear_pictures(app: App, fitted: Params, sources: list[Task]) -> None:
-    tiles = app.tiles(fitted, sources[0])
+def test_tiles_of_a_run_are_named_linear_pictures(
+    presenter: Presenter[Any], fitted: Params, sources: list[Task]
+) -> None:
+    tiles = presenter.tiles(fitted, sources[0])
     assert {"reference", "photo", "map"} & tiles.keys()
     for name, tile in tiles.items():
         assert name.startswith("reference") <= (name == "reference" or name.removeprefix("reference ") in tiles)
         assert (tile.ndim, tile.shape[2] in (3, 4), tile.dtype) == (3, True, torch.float32), name
         assert tile.isfinite().all(), name
-    assert app.photographed(fitted, sources[0]) is None
+    assert presenter.photo_comparison(fitted, sources[0]) is None
 
 
-def test_files_are_what_their_kind_says(app: App, fitted: Params, sources: list[Task]) -> None:
+def test_files_are_what_their_kind_says(presenter: Presenter[Any], fitted: Params, sources: list[Task]) -> None:
     """With names for every file system, also those that do not tell upper from lower case."""
-    made = app.pictures(fitted, sources[0])
+    made = presenter.pictures(fitted, sources[0])
     for name, (pixels, kind) in made.items():
         assert kind in KINDS, name
         assert pixels.ndim == 3, name
@@ -86,13 +95,15 @@ def test_files_are_what_their_kind_says(app: App, fitted: Params, sources: list[
         assert name.replace("_", "").isalnum(), name
         assert name.isascii(), name
         assert name == file_name(name) == name.lower(), name
-    again = app.pictures(fitted, sources[0])
+    again = presenter.pictures(fitted, sources[0])
     assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in made.items())
 
 
-def test_measures_of_pictures_are_said_where_there_are_any(app: App, fitted: Params, sources: list[Task]) -> None:
-    measured = measure_pictures(presenter_of(app), {"meta": Fitted(fitted, 0.1)}, sources[0])
-    assert app.image_measure or not measured
+def test_measures_of_pictures_are_said_where_there_are_any(
+    presenter: Presenter[Any], fitted: Params, sources: list[Task]
+) -> None:
+    measured = measure_pictures(presenter, {"meta": Fitted(fitted, 0.1)}, sources[0])
+    assert presenter.picture_measure or not measured
     for name, measures in measured.items():
         assert measures, name
         assert all(math.isfinite(value) for value in measures.values()), name

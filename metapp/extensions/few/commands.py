@@ -55,7 +55,7 @@ def plan(
 
     from data_tools.readers.measured_pairs import LEAST, Pairs
     from metapp.appearance.geometry import directions_to_rusinkiewicz
-    from metapp.apps.brdf.app import describe_unseen_highlight
+    from metapp.apps.brdf.presenter import describe_unseen_highlight
     from metapp.evaluation.style import save
     from metapp.extensions.few.design import Limits
     from metapp.extensions.few.gonio import read_pairs, write_pairs

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.presenter import BrdfPresenter
 from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.ablation import InitialisationAlone, RuleAlone, combined, learned, same_initialisation
@@ -121,8 +121,8 @@ def test_measures_of_pictures(data: Path, done: Path, monkeypatch: pytest.Monkey
         value = 0.94 + 0.01 * int(task.name[1:])  # m0 is below the bound
         return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
 
-    monkeypatch.setattr(Brdf, "image_errors", measured)
-    monkeypatch.setattr(Brdf, "compared", lambda *_: None)
+    monkeypatch.setattr(BrdfPresenter, "picture_errors", measured)
+    monkeypatch.setattr(BrdfPresenter, "comparison", lambda *_: None)
     (kept,) = (runs / "brdf").glob("image-*")
     shutil.rmtree(kept)
     subject = subject_of(data, runs)

@@ -187,7 +187,7 @@ def test_the_screen_shows_metapps_picture(open_page: Callable) -> None:
     assert controls[0] == controls[1] > 0
     page.sized(96, 96)
     page.set(view="picture", paper="white")
-    pictures = APPS["nbrdf"].preview(theta_of("nbrdf"), material())
+    pictures = presenter_of(APPS["nbrdf"]).preview(theta_of("nbrdf"), material())
     shown = {}
     for name in ("fit", "reference"):
         page.set(show=name)

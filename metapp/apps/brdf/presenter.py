@@ -1,0 +1,162 @@
+"""What people look at of fitted BRDFs: spheres, pictures of samples, remarks and warnings."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+
+import torch
+from torch import Tensor
+from typing_extensions import override
+
+from metapp.appearance.colour import to_srgb
+from metapp.appearance.geometry import spread_angles
+from metapp.appearance.presenter import Presenter
+from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
+from metapp.appearance.uniform import collapsed_fit, uniform_input
+from metapp.apps.brdf.app import CONDITION_SAMPLES, Brdf
+from metapp.apps.brdf.augmentation import SAMPLES
+from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
+from metapp.apps.brdf.network import network_of
+from metapp.learning.pictures import Compared, Visible
+from metapp.learning.task import Params, Task, Tasks
+
+DRAWN_SAMPLES = 1024  # samples that are drawn in pictures, at most
+SIDE_PX, DOT_PX = 96, 3  # of a picture of samples and of a sample
+EXCESSIVE_ALBEDO = 1.01  # the share of light that a fit may be said to reflect without a note
+MIRROR_DEGREES = 5  # of the half vector from the normal, up to which a pair of directions shows the highlight
+SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
+
+
+class BrdfPresenter(Presenter[Brdf]):
+    """What people look at of a fitted BRDF, by any network, of any subclass of :class:`metapp.apps.brdf.app.Brdf`."""
+
+    picture_measure = (
+        "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
+    )
+
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return pictures of the sphere, linear RGB on black with coverage [H, W, 4].
+
+        A material that is known by samples alone has pictures of these samples, `samples`, and of the fit's values at
+        the same angles, `predicted`, in place of a reference.
+        """
+        scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
+        evaluate = functools.partial(network_of(theta).evaluate, theta)
+        fit = shade_sphere(scene, evaluate)
+        if "render" in task.data:
+            return {"reference": task.data["render"], "fit": fit}
+        # the last samples are held out
+        angles, reflectance = task.data["angles"][-DRAWN_SAMPLES:], task.data["reflectance"][-DRAWN_SAMPLES:]
+        with_phi_h = angles
+        if "phi_h" in task.data:
+            with_phi_h = torch.cat([angles, task.data["phi_h"][-DRAWN_SAMPLES:, None]], 1)
+        predicted = evaluate(with_phi_h)
+        return {"samples": draw_samples(angles, reflectance), "predicted": draw_samples(angles, predicted), "fit": fit}
+
+    def comparison(self, theta: Params, task: Task) -> Compared | None:
+        """Return the sphere under the environment map; None for data sets made before they had such pictures."""
+        if "environment" not in task.data:
+            return None
+        scene = environment_scene(azimuths="phi_h" in task.data)
+        fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
+        return Compared(_encode_on_white(fit), _encode_on_white(task.data["environment"]), scene.mask)
+
+    def remarks(self, theta: Params, task: Task) -> dict[str, object]:
+        """State what a reader of the error must know: samples held out, a highlight not seen, phi_h left out, energy.
+
+        `albedo`, of isotropic fits: the share of light that is reflected, the greatest of the channels', from each of
+        the angles of `metapp.apps.brdf.energy.INCIDENT_RAD`.
+        """
+        notes, half = [], len(task.data["angles"]) // 2
+        if torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
+            notes.append(f"all {half} samples are fitted, none is held out: the error is of these")
+        if unseen := describe_unseen_highlight(task.data["angles"][:half]):
+            notes.append(unseen)
+        if "phi_h" in task.data and not self.app.network.anisotropic:
+            notes.append("anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic")
+        notes += uniform_input(task.data["reflectance"].T, "reflectance in 1/sr")
+        remarks: dict[str, object] = {}
+        if not self.app.network.anisotropic:
+            theta_on_cpu = {key: value.cpu() for key, value in theta.items()}
+            shares = albedo(functools.partial(self.app.reflectance, theta_on_cpu)).amax(1)
+            remarks["albedo"] = [round(share, 4) for share in shares.tolist()]
+            if (most := float(shares.amax())) > EXCESSIVE_ALBEDO:
+                angle = math.degrees(INCIDENT_RAD[shares.argmax()])
+                times = f"{most:.2f} of" if most < 100 else "more than 100 times"  # the exp of what was never seen
+                notes.append(f"reflects {times} the light from {angle:.0f} degrees; --conserve limits it")
+        return remarks | ({"note": "; ".join(notes)} if notes else {})
+
+    @torch.no_grad()
+    def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Warn of a fit that is black or the same everywhere, where the material is not."""
+        where, target = (tasks.data[key][tasks.rows].transpose(1, 2) for key in ("where", "target"))
+        samples = torch.expm1(target) / where[:, 6:7].clamp_min(1e-4)
+        pairs = zip(self.app.network.reflectance(theta, where).clamp_min(0), samples, strict=True)
+        return [collapsed_fit(fit, material) for fit, material in pairs]
+
+    @override
+    def visible(self, task: Task) -> Visible:
+        angles, reflectance = task.data["angles"], task.data["reflectance"]
+        # the first half of the samples, three angles and a colour each
+        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION_SAMPLES)
+
+    def sample_fit(self, theta: Params, task: Task) -> Task:
+        """Return the task with the fit's own reflectance: at its angles, or all over the hemisphere if it has few.
+
+        Raises:
+            ValueError: the fit is anisotropic.
+        """
+        self.app.require_isotropic(task.name, "the NBRDF network")
+        angles = task.data["angles"]
+        if len(angles) <= SPARSE_SAMPLES:
+            angles = spread_angles(SAMPLES)
+        return task._replace(data=task.data | {"angles": angles, "reflectance": self.app.reflectance(theta, angles)})
+
+
+def describe_unseen_highlight(angles: Tensor) -> str:
+    """Return a line that no sample lies near a mirror direction, or "" if one does.
+
+    Without such a sample the height of the highlight is a guess, which the error on other samples does not show.
+
+    Args:
+        angles: theta_h first, [N, 3 or 4] in rad, of the samples that a fit sees.
+
+    >>> describe_unseen_highlight(torch.tensor([[0.3, 0.1, 0.0]])).partition("; ")[0]
+    'highlight: no sample within 5 degrees of mirror directions, the nearest at 17'
+    >>> describe_unseen_highlight(torch.tensor([[0.01, 0.1, 0.0]]))
+    ''
+    """
+    nearest = math.degrees(float(angles[:, 0].amin()))
+    if nearest <= MIRROR_DEGREES:
+        return ""
+    return (
+        f"highlight: no sample within {MIRROR_DEGREES} degrees of mirror directions, the nearest at {nearest:.0f}; its "
+        "height is that of training materials"
+    )
+
+
+def draw_samples(angles: Tensor, reflectance: Tensor) -> Tensor:
+    """Draw samples in the half-vector plane: theta_h from left to right, by its root, theta_d from the bottom up.
+
+    Args:
+        angles: theta_h, theta_d, phi_d [N, 3] in rad.
+        reflectance: linear RGB [N, 3] in 1/sr.
+
+    Returns:
+        [SIDE_PX, SIDE_PX, 4], pi f as linear RGB on black, and coverage.
+    """
+    picture = reflectance.new_zeros(SIDE_PX, SIDE_PX, 4)
+    shares = angles[:, :2] / (math.pi / 2)
+    last = SIDE_PX - DOT_PX
+    x, y = (last * torch.stack([shares[:, 0].sqrt(), 1 - shares[:, 1]])).round().long().clamp(0, last)
+    colour = torch.cat([math.pi * reflectance, torch.ones_like(reflectance[:, :1])], 1)
+    for row, column in itertools.product(range(DOT_PX), repeat=2):
+        picture[y + row, x + column] = colour
+    return picture
+
+
+def _encode_on_white(linear: Tensor) -> Tensor:
+    """Encode linear RGB on black with coverage, [H, W, 4], as sRGB [1, 3, H, W] on white."""
+    return torch.from_numpy(to_srgb(linear)).to(linear).permute(2, 0, 1)[None]
