@@ -33,6 +33,7 @@ APPLICATIONS = {
         "metapp.apps.illumination.app:Illumination",
         help="HDR environment maps, from themselves or from the photograph of a mirror ball.",
         options="metapp.apps.illumination.options:IlluminationOptions",
+        presenter="metapp.apps.illumination.presenter:IlluminationPresenter",
         protocols={"reference": "map", "photo": "photos"},
     ),
     "transport": Application(

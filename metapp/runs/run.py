@@ -18,7 +18,7 @@ from metapp.learning.recipe import Recipe
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.paradigm import Paradigm
-from metapp.registry import did_you_mean, protocols_of, rule_words
+from metapp.registry import application_of, did_you_mean, protocols_of, rule_words
 from metapp.rules import rule_of
 from metapp.runs.options import FitOptions, check_under_protocol, fit_options, name_parts, own_of_record
 from metapp.runs.recipes import chosen_protocol, chosen_recipe, usual_recipe
@@ -73,7 +73,8 @@ class Run:
         app = app_of(options.app, recipe, options.observe, rule=rule if kind.has_learned_rule else "")
         try:
             files = options.own.given(OUTPUT)
-            app = replace(app, **{each.name: files[each.name] for each in fields(app) if each.name in files})
+            if not application_of(app.name).presenter:  # the application itself makes its files
+                app = replace(app, **{each.name: files[each.name] for each in fields(app) if each.name in files})
             presenter_of(app, files)
         except ValueError as error:
             raise BadOption(str(error)) from None

@@ -6,6 +6,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import develop, photograph, shade
+from metapp.apps import presenter_of
 from metapp.apps.illumination.app import BODY, BODY_GAIN, GLOSSES, Illumination, body_of
 from metapp.apps.illumination.encoder import unwrapped
 from metapp.apps.illumination.mirror import LOST_LIGHT
@@ -219,7 +220,7 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monke
 def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
     app = REFERENCE
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
-    files = app.pictures(theta, task_of(lamps(0)))
+    files = presenter_of(app).pictures(theta, task_of(lamps(0)))
     fitted = app.radiance_of({key: value[None] for key, value in theta.items()})[0]
     fitted = fitted / mean_luminance(fitted[None])[0]  # 1, as all that are fitted; 3 is the file's
     torch.testing.assert_close(files["map"].pixels, 3 * fitted.permute(1, 2, 0))

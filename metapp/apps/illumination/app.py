@@ -9,18 +9,15 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, interpolate, relu, softmax
+from torch.nn.functional import avg_pool2d, relu, softmax
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
-from metapp.appearance.uniform import collapsed_fit, uniform_input
 from metapp.apps.illumination import encoder
-from metapp.apps.illumination.mirror import completed, is_mirror, raised, resampled, seen_loss
+from metapp.apps.illumination.mirror import completed, is_mirror, resampled, seen_loss
 from metapp.apps.illumination.spheres import FACED, MIRRORED, SPHERES, sphere_errors, surfaces
 from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
 from metapp.apps.illumination.variants import of_mean_1, varied
-from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.rendering.second_scene import relighting
@@ -33,7 +30,6 @@ LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, 
 BODY = 10  # numbers of a sphere's material and a camera
 BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the map takes their part
 GLOSSES = (0.25, 0.42, 0.7)
-LARGEST_ROWS = 1024  # of a map
 READ_ROWS = 64  # of a map that every size can be made of, but for finer ones
 LOSS_PX = 32  # side of the photograph in the loss
 
@@ -60,7 +56,6 @@ class Illumination(CodedApp):
         for kind, title in (("rmse", "si-RMSE"), ("angle", "degrees"))
         for name in SPHERES
     }
-    image_measure = "the second scene under the map, tone-mapped"
     tensors: ClassVar = {
         "photos": TensorSpec(("K", 3, 64, 64), "uint8"),
         "map": TensorSpec((3, "H", "W"), low=0.0, optional=True),
@@ -131,19 +126,6 @@ class Illumination(CodedApp):
         """The same as they are judged and shown, of mean luminance 1; `data` as of `prepare`, [T, ...]."""
         maps = self.radiance_of(theta)
         return of_mean_1(completed(maps, data) if "seen" in data else maps)
-
-    @torch.no_grad()
-    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """A fit that is the same everywhere, where the map that it was fitted to is not."""
-        if "map" not in tasks.data:
-            return super().doubts(theta, tasks)
-        pairs = zip(self.radiance_of(theta), tasks.data["map"][tasks.rows], strict=True)
-        return [collapsed_fit(fit, given) for fit, given in pairs]
-
-    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """That the map is the same everywhere."""
-        notes = uniform_input(task.data["map"], "radiance (mean luminance 1)") if "map" in task.data else []
-        return {"note": "; ".join(notes)} if notes else {}
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the photograph, or of the map, [T]: of log radiance, the radiosity of surfaces, and its log."""
@@ -216,103 +198,6 @@ class Illumination(CodedApp):
         maps, target = of_mean_1(answer), tasks.data["map"][tasks.rows]
         error = (relighting.relight(maps) - relighting.relight(target)).abs().mean((1, 2, 3))
         return {"error": error, "map": _texels(maps, target, {}, 0.0), **sphere_errors(maps, target)}
-
-    def size_refusal(self, height: int, width: int) -> str:
-        fits = 2 * height == width and 16 <= height <= LARGEST_ROWS
-        return "" if fits else f"expects a map twice as wide as high, 16x32 to {LARGEST_ROWS}x{2 * LARGEST_ROWS}"
-
-    @torch.no_grad()
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
-        maps, photo = self._both_maps(theta, task)
-        return {name: _overview(each, photo) for name, each in maps.items()}
-
-    @torch.no_grad()
-    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The photograph if fits see it, and the map and the second scene, tone-mapped, of fit and reference."""
-        maps, photo = self._both_maps(theta, task)
-        tiles = {"photo": srgb_to_linear(photo[0].permute(1, 2, 0) / 255)} if self.protocol == "photo" else {}
-        for name, each in maps.items():
-            before = "" if name == "fit" else f"{name} "
-            for title, radiance in (("map", each), ("relit", relighting.relight(each))):
-                tiles[f"{before}{title}"] = srgb_to_linear(tone_map(radiance))[0].permute(1, 2, 0)
-        return tiles
-
-    @torch.no_grad()
-    def photographed(self, theta: Params, task: Task) -> Compared | None:
-        """The ball as the fit makes it; of a mirror the light in it, unwrapped."""
-        if self.protocol != "photo":
-            return None
-        data = {key: value[None] for key, value in self.prepare(task).items()}
-        one = {key: value[None] for key, value in theta.items()}
-        maps = self.radiance_of(one)
-        if is_mirror(data)[0]:
-            fit, seen = (linear_to_srgb(each.clamp(0, 1)) for each in (raised(maps, data), data["seen"]))
-            return Compared(fit, seen, data["certain"][0, 0] > 0.5)
-        side = data["photo"].shape[-1]
-        return Compared(self.ball(one, maps, side), data["photo"] / 255, sphere_normals(side)[1])
-
-    @torch.no_grad()
-    def compared(self, theta: Params, task: Task) -> Compared | None:
-        """The second scene under both maps, tone-mapped."""
-        lit = {name: tone_map(relighting.relight(each)) for name, each in self._both_maps(theta, task)[0].items()}
-        return Compared(lit["fit"], lit["reference"]) if "reference" in lit else None
-
-    def _both_maps(self, theta: Params, task: Task) -> tuple[dict[str, Tensor], Tensor]:
-        """The map `reference`, if it is known, and that of the fit, both [1, 3, H, W], and the photograph."""
-        prepared = {key: value[None] for key, value in self.prepare(task).items()}
-        fit = self.answer({key: value[None] for key, value in theta.items()}, prepared)
-        return ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}, prepared["photo"]
-
-    @torch.no_grad()
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The map, at its file's scale, of mean luminance 1 if there was none, and the second scene under it."""
-        one = {key: value[None] for key, value in theta.items()}
-        return self.answer_pictures(self._answer(one, task), task) | {"map": self.map_picture(one, task)}
-
-    @torch.no_grad()
-    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The map as `pictures` has it."""
-        return {"radiance": self.map_picture({key: value[None] for key, value in theta.items()}, task).pixels}
-
-    @torch.no_grad()
-    def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
-        """The same of a map [1, 3, H, W], of its size."""
-        maps = of_mean_1(answer)
-        return {
-            "map": _radiance(maps, task),
-            "relit": Picture(tone_map(relighting.relight(maps))[0].permute(1, 2, 0), "srgb"),
-        }
-
-    def map_picture(self, theta: Params, task: Task) -> Picture:
-        """The map of `pictures`, of parameters [1, ...] of one task."""
-        app = self.sized(*self.size) if self.size else self
-        return _radiance(app._answer(theta, task), task)
-
-    def _answer(self, theta: Params, task: Task) -> Tensor:
-        return self.answer(theta, {key: value[None] for key, value in self.mirrored(task).items()})
-
-    def visible(self, task: Task) -> Visible:
-        """The map or the photograph, all of it in each step; General's encoder reads the photograph alone."""
-        if self.protocol == "photo":
-            return Visible(1, task.data["photos"][0].nbytes, 1)
-        return Visible(1, task.data["map"].nbytes, 0)
-
-
-def _radiance(maps: Tensor, task: Task) -> Picture:
-    return Picture((maps * task.data.get("scale", torch.ones(())))[0].permute(1, 2, 0), "radiance")
-
-
-def _overview(maps: Tensor, photo: Tensor) -> Tensor:
-    """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
-    lit = tone_map(relighting.relight(maps))[0]
-    height, width = lit.shape[1:]
-    across = width // 3
-    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
-    column = torch.ones(3, height, across)
-    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
-    pictures = torch.cat([whole, torch.cat([lit, column], 2)], 1)
-    return srgb_to_linear(pictures).permute(1, 2, 0)
 
 
 def _texels(maps: Tensor, target: Tensor, learned: Params, light: Tensor | float) -> Tensor:

@@ -15,6 +15,7 @@ from metapp.appearance.latlong import directions, mean_luminance, resample, sphe
 from metapp.appearance.photograph import mirror
 from metapp.apps import presenter_of
 from metapp.apps.illumination.app import LOSS_PX, Illumination
+from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres
 from metapp.extensions.viewer.pages import illumination as pages
 from metapp.extensions.viewer.view import view_of
@@ -76,7 +77,9 @@ def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> No
     app, theta = shown("reference")
     pixels = torch.full((256, 512, 3), 0.01)
     pixels[100, 200, 0] = 1e5
-    monkeypatch.setattr(Illumination, "map_picture", lambda app, theta, task: Picture(pixels, "radiance"))
+    monkeypatch.setattr(
+        IlluminationPresenter, "map_picture", lambda presenter, theta, task: Picture(pixels, "radiance")
+    )
     view = view_of(presenter_of(app), theta, Task("sun", {}))
     kept = view.arrays["map"].float() * view.facts["scale"]
     assert torch.isfinite(kept).all()
@@ -148,7 +151,7 @@ def test_the_flat_map_is_that_of_the_png(opened_on: Callable, fitted: Tensor, sc
     page.sized(2 * ROWS, ROWS)
     page.set(view="flat", show="fit")
     page.settle()
-    pixels = app.pictures(theta, task_of(lamps(2)))["map"].pixels
+    pixels = presenter_of(app).pictures(theta, task_of(lamps(2)))["map"].pixels
     toned = tone_map(pixels / pixels.mean())
     assert_alike(page.screenshot(), toned)
     page.set(exposure=2.0)

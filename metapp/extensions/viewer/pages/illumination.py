@@ -11,10 +11,10 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.geometry import Cosines
 from metapp.appearance.latlong import directions, luminance, resample, solid_angles
 from metapp.appearance.photograph import mirror
-from metapp.appearance.presenter import Presenter
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.mirror import CLIPPED_VALUE, RADIANCE_FLOOR, is_mirror
+from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR
 from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Batch, Params, Task
@@ -25,7 +25,7 @@ NODES = 32  # cosines that the albedos of lobes are known at
 
 
 @torch.no_grad()
-def view(presenter: Presenter[Illumination], theta: Params, task: Task) -> View:
+def view(presenter: IlluminationPresenter, theta: Params, task: Task) -> View:
     """The map as `pictures` has it, to look around in, and spheres lit by it; of a photograph also the ball.
 
     Raises:
@@ -33,7 +33,7 @@ def view(presenter: Presenter[Illumination], theta: Params, task: Task) -> View:
     """
     app = presenter.app
     one = {key: value[None] for key, value in theta.items()}
-    pixels = app.map_picture(one, task).pixels
+    pixels = presenter.map_picture(theta, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
     light = pixels.permute(2, 0, 1) / unit
     maps = {"map": resample(light, *LARGEST_MAP) if light.shape[1] > LARGEST_MAP[0] else light}

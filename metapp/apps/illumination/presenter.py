@@ -1,0 +1,163 @@
+"""What people look at of fitted illumination: maps, a second scene under them, photographed balls, warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate
+from typing_extensions import override
+
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
+from metapp.appearance.latlong import sphere_normals
+from metapp.appearance.presenter import Presenter
+from metapp.appearance.uniform import collapsed_fit, uniform_input
+from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.mirror import is_mirror, raised
+from metapp.apps.illumination.variants import of_mean_1
+from metapp.learning.pictures import Compared, Picture, Visible
+from metapp.learning.task import Params, Task, Tasks
+from metapp.rendering.second_scene import relighting
+
+LARGEST_MAP_ROWS = 1024  # of the file of a map
+
+
+class IlluminationPresenter(Presenter[Illumination]):
+    """What people look at of a fitted environment map; `size` is that of the file `map`."""
+
+    picture_measure = "the second scene under the map, tone-mapped"
+
+    @override
+    def size_refusal(self, height: int, width: int) -> str:
+        fits = 2 * height == width and 16 <= height <= LARGEST_MAP_ROWS
+        return (
+            "" if fits else f"expects a map twice as wide as high, 16x32 to {LARGEST_MAP_ROWS}x{2 * LARGEST_MAP_ROWS}"
+        )
+
+    @torch.no_grad()
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return for fit and reference a picture of map, photograph and second scene, tone-mapped."""
+        maps, photo = self._maps_and_photo(theta, task)
+        return {name: draw_overview(radiance, photo) for name, radiance in maps.items()}
+
+    @torch.no_grad()
+    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return the photograph if fits see it, and the map and the second scene, tone-mapped, of fit and reference."""
+        maps, photo = self._maps_and_photo(theta, task)
+        tiles = {"photo": srgb_to_linear(photo[0].permute(1, 2, 0) / 255)} if self.app.protocol == "photo" else {}
+        for name, radiance in maps.items():
+            prefix = "" if name == "fit" else f"{name} "
+            for title, picture in (("map", radiance), ("relit", relighting.relight(radiance))):
+                tiles[f"{prefix}{title}"] = srgb_to_linear(tone_map(picture))[0].permute(1, 2, 0)
+        return tiles
+
+    @torch.no_grad()
+    def photo_comparison(self, theta: Params, task: Task) -> Compared | None:
+        """Return the ball as the fit makes it beside its photograph; of a mirror the light in it, unwrapped."""
+        if self.app.protocol != "photo":
+            return None
+        data, parameters = add_task_axis(self.app.prepare(task)), add_task_axis(theta)
+        maps = self.app.radiance_of(parameters)
+        if is_mirror(data)[0]:
+            fit, seen = (linear_to_srgb(light.clamp(0, 1)) for light in (raised(maps, data), data["seen"]))
+            return Compared(fit, seen, data["certain"][0, 0] > 0.5)
+        side = data["photo"].shape[-1]
+        return Compared(self.app.ball(parameters, maps, side), data["photo"] / 255, sphere_normals(side)[1])
+
+    @torch.no_grad()
+    def comparison(self, theta: Params, task: Task) -> Compared | None:
+        """Return the second scene under the maps of fit and reference, tone-mapped."""
+        maps, _ = self._maps_and_photo(theta, task)
+        lit = {name: tone_map(relighting.relight(radiance)) for name, radiance in maps.items()}
+        return Compared(lit["fit"], lit["reference"]) if "reference" in lit else None
+
+    def _maps_and_photo(self, theta: Params, task: Task) -> tuple[dict[str, Tensor], Tensor]:
+        """Return the map `reference`, if it is known, and the map `fit`, both [1, 3, H, W], and the photograph."""
+        data = add_task_axis(self.app.prepare(task))
+        reference = {"reference": data["map"]} if "map" in data else {}
+        return reference | {"fit": self.app.answer(add_task_axis(theta), data)}, data["photo"]
+
+    @torch.no_grad()
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """Return the map, at its file's scale, of mean luminance 1 if there was none, and the second scene under it."""
+        answer = answer_of_files(self.app, theta, task)
+        return self.answer_pictures(answer, task) | {"map": self.map_picture(theta, task)}
+
+    @torch.no_grad()
+    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return the map as its file has it, [H, W, 3]."""
+        return {"radiance": self.map_picture(theta, task).pixels}
+
+    @torch.no_grad()
+    def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
+        """Return the map and the second scene under it.
+
+        Args:
+            answer: the map [1, 3, H, W], linear radiance; the file has its size.
+            task: the task that is answered.
+        """
+        maps = of_mean_1(answer)
+        return {
+            "map": radiance_picture(maps, task),
+            "relit": Picture(tone_map(relighting.relight(maps))[0].permute(1, 2, 0), "srgb"),
+        }
+
+    @torch.no_grad()
+    def map_picture(self, theta: Params, task: Task) -> Picture:
+        """Return the file of the map, of `size` if that is given."""
+        app = self.app.sized(*self.size) if self.size else self.app
+        return radiance_picture(answer_of_files(app, theta, task), task)
+
+    def remarks(self, theta: Params, task: Task) -> dict[str, object]:
+        """State that the map is the same everywhere."""
+        notes = uniform_input(task.data["map"], "radiance (mean luminance 1)") if "map" in task.data else []
+        return {"note": "; ".join(notes)} if notes else {}
+
+    @torch.no_grad()
+    def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Warn of a fit that is the same everywhere, where the map that it was fitted to is not."""
+        if "map" not in tasks.data:
+            return super().quality_warnings(theta, tasks)
+        pairs = zip(self.app.radiance_of(theta), tasks.data["map"][tasks.rows], strict=True)
+        return [collapsed_fit(fit, reference) for fit, reference in pairs]
+
+    @override
+    def visible(self, task: Task) -> Visible:
+        # each step sees all of the map or of the photograph; General's encoder reads the photograph alone
+        if self.app.protocol == "photo":
+            return Visible(1, task.data["photos"][0].nbytes, 1)
+        return Visible(1, task.data["map"].nbytes, 0)
+
+
+def add_task_axis(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return tensors with a leading task axis of one entry."""
+    return {key: value[None] for key, value in tensors.items()}
+
+
+def answer_of_files(app: Illumination, theta: Params, task: Task) -> Tensor:
+    """Return the fitted map [1, 3, H, W] that files show, of mean luminance 1; the task may lack the reference.
+
+    Args:
+        app: the application, at the size of the map.
+        theta: the fit, without a task axis.
+        task: the task of the fit; of a mirror ball it holds the light in it.
+    """
+    return app.answer(add_task_axis(theta), add_task_axis(app.mirrored(task)))
+
+
+def radiance_picture(maps: Tensor, task: Task) -> Picture:
+    """Return the file of a map [1, 3, H, W] at the scale of the task's own file."""
+    return Picture((maps * task.data.get("scale", torch.ones(())))[0].permute(1, 2, 0), "radiance")
+
+
+def draw_overview(maps: Tensor, photo: Tensor) -> Tensor:
+    """Draw one linear picture: the map above the second scene, and the photograph in the corner beside that."""
+    lit = tone_map(relighting.relight(maps))[0]
+    height, width = lit.shape[1:]
+    across = width // 3
+    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
+    column = torch.ones(3, height, across)
+    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
+    pictures = torch.cat([whole, torch.cat([lit, column], 2)], 1)
+    return srgb_to_linear(pictures).permute(1, 2, 0)
