@@ -40,6 +40,7 @@ APPLICATIONS = {
         "metapp.apps.transport.app:Transport",
         help="Light transport of a scene: densities that guide its paths.",
         options="metapp.apps.transport.options:TransportOptions",
+        presenter="metapp.apps.transport.presenter:TransportPresenter",
     ),
 }
 FURTHER_RECIPES = {  # of --observe reference

@@ -13,6 +13,7 @@ import torch
 
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport_task import transport_task
+from metapp.apps import presenter_of
 from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -55,8 +56,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None:
     task, app = box, app_by("transport")
-    shown, theta = app, uniform(app)
-    found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
+    presenter, theta = presenter_of(app), uniform(app)
+    found = presenter.picture_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
     with_nee = [images.REGULAR_NEE, *map(images.row_of, images.integrators())]
     assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
@@ -72,7 +73,7 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None
     assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
     assert images.EQUAL_TIME not in found["endless"]
     assert found["endless"][images.FIXED] > 1e6 * found["instant"][images.FIXED] > 0
-    assert shown.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
+    assert presenter.picture_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
 
 
 @pytest.mark.long
@@ -105,7 +106,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task, monkeypatch: p
         return 1e9
 
     monkeypatch.setattr(images.Studio, "sampling", sampling)
-    found = app.image_errors({"instant": Fitted(uniform(app), 0.0)}, box)
+    found = presenter_of(app).picture_errors({"instant": Fitted(uniform(app), 0.0)}, box)
     assert sampled == [(2048, 4)]  # what fits may see, without what is held out
     assert images.EQUAL_TIME not in found["instant"]
     assert found["instant"][images.FIXED] > 1e6

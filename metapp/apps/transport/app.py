@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -13,13 +12,11 @@ from metapp.apps.transport.encoder import init_reader, read
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
-from metapp.learning.pictures import Fitted, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 OUTER_SAMPLES = 2048  # samples of a training scene that preparation judges a fit by
 JITTER = 0.1  # of what augmentation adds to the log of a picture
-NOTE = "paths have next-event estimation from the second surface on, since few or none meet a light without it"
 
 
 @dataclass(frozen=True)
@@ -45,9 +42,6 @@ class Transport(App):
         "scene": TensorSpec(("L",), "uint8", optional=True),
         "next_event": TensorSpec((1,), "uint8", optional=True),
     }
-
-    def remarks(self, task: Task, theta: Params) -> dict[str, str]:
-        return {"note": NOTE} if "next_event" in task.data else {}
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`samples` [N, 4] and `held` [M, 4] of primary sample space, and `image` [3, 32, 32], linear."""
@@ -108,52 +102,3 @@ class Transport(App):
             return {}
         film, directions = answer
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
-
-    @property
-    def image_measure(self) -> str:
-        from metapp.apps.transport.images import integrators
-
-        notes = "".join(f"{plugin.help}; " for plugin in integrators().values())
-        return (
-            f"pictures of {self.picture} px of 1024 paths a pixel; fits guide three of four paths, without "
-            f"next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts the "
-            "samples that a fit sees, the fit, its table and the picture"
-        )
-
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The film, and the directions at sixteen parts of it, of the samples and of the fit.
-
-        On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; if there is no
-        scene, the densities.
-        """
-        from metapp.apps.transport import images, pictures
-
-        reference = guided = None
-        if "scene" in task.data:
-            studio = images.studio_of(task)
-            reference, guided = studio.glance, studio.guided(self.network, theta, pictures.GLANCE_SPP).picture
-        return {
-            "reference": pictures.picture_of_samples(task.data["samples"], reference),
-            "fit": pictures.picture_of_flow(self.network, theta, guided),
-        }
-
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The scene guided by the fit, and without a guide, at SHOWN paths a pixel; nothing if there is no scene."""
-        from metapp.apps.transport import images, pictures
-
-        if "scene" not in task.data:
-            return {}
-        studio, spp = images.studio_of(task), pictures.SHOWN_SPP
-        shots = {"guided": studio.guided(self.network, theta, spp), "regular": studio.regular(spp)}
-        return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
-
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""
-        from metapp.apps.transport.images import image_errors
-
-        return image_errors(self.network, fits, task, self.picture) if "scene" in task.data else {}
-
-    def visible(self, task: Task) -> Visible:
-        """All samples but the held-out ones; General's encoder sees none of them, only the picture."""
-        samples = task.data["samples"]
-        return Visible(len(samples), samples[0].nbytes, 0)

@@ -160,8 +160,8 @@ def row_of(integrator: str) -> str:
     return f"{integrator.removeprefix('metapp_')} + NEE"
 
 
-def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:
-    """Measures of the pictures that fits guide, and of REGULAR, REGULAR_NEE and `integrators`, which have no fit.
+def picture_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:
+    """Measure the pictures that fits guide, and those of REGULAR, REGULAR_NEE and `integrators`, which have no fit.
 
     Args:
         flow: the network.
@@ -199,7 +199,7 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) 
 def _errors(
     studio: Studio, shoot: Callable[[int, int], Shot], *, fixed: float = 0.0, table: float = 0.0, seed: int = 0
 ) -> dict[str, float]:
-    """Measures of the pictures of `image_errors`; `shoot` takes paths a pixel and a seed, `seed` that of equal time."""
+    """Measure a picture for `picture_errors`; `shoot` takes paths a pixel and a seed, `seed` that of equal time."""
     plain, shot = studio.baseline.seconds, shoot(SPP, 0)
     errors = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: fixed / plain}
     spp = int(SPP * (plain - fixed) / max(shot.seconds - table, 1e-9))

@@ -10,6 +10,7 @@ import torch
 
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
+from metapp.apps import presenter_of
 from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -31,8 +32,8 @@ def task_of(seed: int) -> Task:
 def test_the_integrator_has_a_row_in_the_table_of_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 64)
-    shown, task = Transport(FLOW, picture=16), task_of(0)
-    assert list(shown.image_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, "guided_path + NEE"]
+    presenter, task = presenter_of(Transport(FLOW, picture=16)), task_of(0)
+    assert list(presenter.picture_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, "guided_path + NEE"]
 
 
 @needs_mitsuba

@@ -1,0 +1,81 @@
+"""What people look at of fitted densities of light paths: pictures that fits guide, and the densities themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from torch import Tensor
+from typing_extensions import override
+
+from metapp.appearance.presenter import Presenter
+from metapp.apps.transport.app import Transport
+from metapp.learning.pictures import Fitted, Picture, Visible
+from metapp.learning.task import Params, Task
+
+NEXT_EVENT_NOTE = (
+    "paths have next-event estimation from the second surface on, since few or none meet a light without it"
+)
+
+
+class TransportPresenter(Presenter[Transport]):
+    """What people look at of the density of a scene's light paths.
+
+    Modules that trace scenes are imported by the methods that trace, since most fits show none.
+    """
+
+    @property
+    @override
+    def picture_measure(self) -> str:
+        from metapp.apps.transport.images import integrators
+
+        notes = "".join(f"{plugin.help}; " for plugin in integrators().values())
+        return (
+            f"pictures of {self.app.picture} px of 1024 paths a pixel; fits guide three of four paths, without "
+            f"next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts the "
+            "samples that a fit sees, the fit, its table and the picture"
+        )
+
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Draw the film, and the directions at sixteen parts of it, of the samples and of the fit.
+
+        On the film there are the scene's picture and one of GLANCE_SPP paths a pixel that the fit guides; if there is
+        no scene, the densities.
+        """
+        from metapp.apps.transport import images, pictures
+
+        network, reference, guided = self.app.network, None, None
+        if "scene" in task.data:
+            studio = images.studio_of(task)
+            reference, guided = studio.glance, studio.guided(network, theta, pictures.GLANCE_SPP).picture
+        return {
+            "reference": pictures.picture_of_samples(task.data["samples"], reference),
+            "fit": pictures.picture_of_flow(network, theta, guided),
+        }
+
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """Return the scene guided by the fit and without a guide, SHOWN_SPP paths a pixel; {} if there is no scene."""
+        from metapp.apps.transport import images, pictures
+
+        if "scene" not in task.data:
+            return {}
+        studio, spp = images.studio_of(task), pictures.SHOWN_SPP
+        shots = {"guided": studio.guided(self.app.network, theta, spp), "regular": studio.regular(spp)}
+        return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
+
+    def picture_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Measure MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time.
+
+        Pictures without a guide are measured, too: see :func:`metapp.apps.transport.images.picture_errors`.
+        """
+        from metapp.apps.transport.images import picture_errors
+
+        return picture_errors(self.app.network, fits, task, self.app.picture) if "scene" in task.data else {}
+
+    def remarks(self, theta: Params, task: Task) -> dict[str, object]:
+        """State that paths have next-event estimation, where the task's samples have."""
+        return {"note": NEXT_EVENT_NOTE} if "next_event" in task.data else {}
+
+    @override
+    def visible(self, task: Task) -> Visible:
+        samples = task.data["samples"]
+        return Visible(len(samples), samples[0].nbytes, 0)  # General's encoder reads the picture alone
