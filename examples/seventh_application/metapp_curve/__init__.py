@@ -17,7 +17,11 @@ class Curve(Converter):
 
 def register(registry: Registry) -> None:
     """Add the application and all that it has."""
-    registry.applications["curve"] = Application("metapp_curve.app:Curve", help="Curves: a network of one variable.")
+    registry.applications["curve"] = Application(
+        "metapp_curve.app:Curve",
+        help="Curves: a network of one variable.",
+        presenter="metapp_curve.presenter:CurvePresenter",
+    )
     registry.recipes["curve", "", "quick"] = RecipeEntry("metapp_curve.recipes:RECIPES.quick")
     registry.recipes["curve", "", "paper"] = RecipeEntry("metapp_curve.recipes:RECIPES.paper")
     registry.formats["curve"] = Format("metapp_curve.files", app="curve", inputs=".curve files of 32 numbers")

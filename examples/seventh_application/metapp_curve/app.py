@@ -10,7 +10,6 @@ from torch import Generator, Tensor
 from torch.nn.functional import gelu
 
 from metapp.learning.app import App
-from metapp.learning.pictures import Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
 WIDTH, SAMPLES = 12, 32
@@ -71,21 +70,3 @@ class Curve(App):
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """The same of values [T, 1, SAMPLES / 2] at held-out samples."""
         return {"error": (answer - tasks.data["y"][tasks.rows][:, None, 1::2]).abs().mean((1, 2))}
-
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The curve and its fit, dark on white."""
-        one = {key: value[None] for key, value in theta.items()}
-        fitted = self.value(one, torch.linspace(-1, 1, SAMPLES)[None, None])[0, 0]
-        return {"reference": _plot(task.data["y"].float()), "fit": _plot(fitted)}
-
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The plot of the fit."""
-        return {"curve": Picture(self.preview(theta, task)["fit"], "data")}
-
-
-def _plot(y: Tensor) -> Tensor:
-    """Pixels [SAMPLES, SAMPLES, 3] of a curve within [-1, 1], upwards."""
-    pixels = torch.ones(SAMPLES, SAMPLES, 3)
-    rows = ((1 - y.clamp(-1, 1)) / 2 * (SAMPLES - 1)).round().long()
-    pixels[rows, torch.arange(SAMPLES)] = 0.0
-    return pixels
