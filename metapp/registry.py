@@ -16,15 +16,19 @@ import importlib.util
 import os
 import warnings
 from collections import UserDict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+if TYPE_CHECKING:
+    from metapp import contracts
 
 GROUP, CORE = "metapp.extensions", "metapp.contents"
 WITHOUT = "METAPP_WITHOUT"  # environment variable: names of extensions to leave out, separated by commas
 SHIPPED = "metapp"  # the package whose extensions come first, and whose errors are raised
 
 Value = TypeVar("Value")
+Contract = TypeVar("Contract")  # the type of the object that an entry names
 
 
 def load(reference: str) -> Any:
@@ -65,7 +69,7 @@ def reason_of(error: BaseException) -> str:
 
 
 @dataclass(frozen=True)
-class Entry:
+class Entry(Generic[Contract]):
     """The reference to an object, with its help and conditions, which are known before it is imported.
 
     Attributes:
@@ -81,13 +85,18 @@ class Entry:
     help: str = ""
     apps: tuple[str, ...] = ()
 
-    def load(self) -> Any:
-        """The object, imported now; ImportError as of `load`."""
-        return load(self.reference)
+    def load(self) -> Contract:
+        """Import and return the object.
+
+        Raises:
+            ImportError: there is no such module or attribute, or the import fails.
+        """
+        named: Contract = load(self.reference)
+        return named
 
 
 @dataclass(frozen=True, kw_only=True)
-class Application(Entry):
+class Application(Entry[Any]):
     """An application: a subclass of `metapp.learning.app.App`.
 
     Attributes:
@@ -106,7 +115,7 @@ class Application(Entry):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecipeEntry(Entry):
+class RecipeEntry(Entry[Any]):
     """A `metapp.learning.recipe.Recipe`; `help` says in words what inputs of its kind have.
 
     Attributes:
@@ -123,7 +132,7 @@ class RecipeEntry(Entry):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Format(Entry):
+class Format(Entry[Any]):
     """A format of files that tasks come from: a module that finds and reads them.
 
     The module has these names:
@@ -151,7 +160,7 @@ class Format(Entry):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(Entry):
+class Export(Entry[Any]):
     """A form that fits are written in for other programs.
 
     A function `write(app, theta, path)` for the parameters of one fit without a task axis, or, if `of_surface`,
@@ -207,7 +216,10 @@ def _line(*words: str) -> str:
 
 
 class Registry:
-    """Tables of entries, and who filled them; keys are names unless a comment says more.
+    """Tables of entries, and who filled them.
+
+    The keys of a table are names unless a comment says more. The type of a table's entries names their contract: what
+    the object that an entry loads takes and gives. See :mod:`metapp.contracts`.
 
     Attributes:
         owners: packages by table and name.
@@ -218,26 +230,31 @@ class Registry:
     def __init__(self) -> None:
         self.applications = Entries(Application)
         self.recipes = Entries(RecipeEntry, 3)  # by application, protocol ("" where there is but one) and name
-        self.networks = Entries(Entry, 2)  # by application and name: a fit's parameters tell the right one
-        self.parts = Entries(Entry)  # of learned rules: subclasses of Part, in the order in which they act on a step
-        self.rules = Entries(str)  # names of parts, rules and compositions, joined by +
-        self.compositions = Entries(str)  # the same, of which rules alone are composed
+        self.networks: Entries[Entry[Any]] = Entries(Entry, 2)  # by application and name: parameters tell the right one
+        # parts of learned rules, in the order in which they act on a step; rules and short names of compositions are
+        # names joined by +, of which rules alone are offered
+        self.parts: Entries[Entry[Callable[[], contracts.Part]]] = Entries(Entry)
+        self.rules = Entries(str)
+        self.compositions = Entries(str)
         self.formats = Entries(Format)
-        self.objects = Entries(Entry)  # by application: `task(object, name, **arguments of readers, and observe)`
-        self.synthetic = Entries(Entry)  # by application: a module, as `metapp.runs.inputs.embedded` says
-        self.merges = Entries(Entry, 2)  # by application and option: `merge(paths, value, **arguments of readers)`
-        self.outputs = Entries(Entry, 2)  # by application and option: `output(app, task, theta, value) -> Rendered`
+        self.objects: Entries[Entry[contracts.ReadObject]] = Entries(Entry)  # by application
+        self.synthetic: Entries[Entry[contracts.EmbeddedSet]] = Entries(Entry)  # by application
+        self.merges: Entries[Entry[contracts.MergeInputs]] = Entries(Entry, 2)  # by application and option
+        self.outputs: Entries[Entry[contracts.RenderFit]] = Entries(Entry, 2)  # by application and option
         self.exports = Entries(Export, 2)  # by application and name
-        self.file_exports = Entries(Entry)  # `write(path, kind, folder, quiet) -> paths` of files that `help` names
-        self.pages = Entries(Entry)  # of the viewer, by application: `view(presenter, theta, task) -> View`
-        self.plugins = Entries(Entry)  # of Mitsuba: a function that registers it; `help` is of integrators
-        self.measures = Entries(Entry)  # of pictures: a `metapp.appearance.picture_measures.Measure`
-        self.baselines = Entries(Entry, 2)  # by application and method: `baselines(app)`, several have this one
-        self.tables = Entries(Entry)  # of `metapp evaluate`: `results(subject) -> metapp.evaluation.table.Table`
-        self.commands = Entries(Entry)  # a function that typer reads, a group of typer; "data FORMAT": a Converter
-        self.examples = Entries(Entry)  # by application: words after `metapp`, {} the folder of inputs; results
-        self.methods = Entries(Entry)  # of fits in the Python API: functions of a Fit
-        self.hooks = Entries(Entry)  # "steps": as `metapp.learning.adjoint.torch_steps`; "scene": `check(scene)`
+        self.file_exports: Entries[Entry[contracts.ExportFiles]] = Entries(Entry)  # `help` says of which files
+        self.pages: Entries[Entry[contracts.ViewFit]] = Entries(Entry)  # by application
+        # plugins of Mitsuba: functions that register one; of integrators `help` says what they do
+        self.plugins: Entries[Entry[Callable[[], None]]] = Entries(Entry)
+        self.measures: Entries[Entry[Any]] = Entries(Entry)  # a `metapp.appearance.picture_measures.Measure`
+        self.baselines: Entries[Entry[contracts.MakeBaselines]] = Entries(Entry, 2)  # by application and method
+        self.tables: Entries[Entry[contracts.MakeTable]] = Entries(Entry)  # of `metapp evaluate`; `help` is the heading
+        # a function that typer reads, or a group of typer; of "data FORMAT" a subclass of `metapp.options.Converter`
+        self.commands: Entries[Entry[Any]] = Entries(Entry)
+        # by application: pairs of words after `metapp`, in which {} is the folder of inputs, and of what they give
+        self.examples: Entries[Entry[Sequence[tuple[str, str]]]] = Entries(Entry)
+        self.methods: Entries[Entry[contracts.FitMethod]] = Entries(Entry)  # of fits in the Python API
+        self.hooks: Entries[Entry[Any]] = Entries(Entry)  # "steps": `contracts.MakeSteps`, "scene": `CheckScene`
         self.owners: dict[str, str] = {}
         self.extensions: dict[str, str] = {}
         self.problems: dict[str, str] = {}

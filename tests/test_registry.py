@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from metapp import contracts
 from metapp import registry as module
 from metapp.registry import WITHOUT, Export, Registry, load, registry
 
@@ -208,3 +209,44 @@ def test_writers_take_a_surface_or_parameters(form: Export) -> None:
     names = [each.name for each in parameters if each.kind is not each.KEYWORD_ONLY]
     assert names[:2] == (["surface", "path"] if form.of_surface else ["app", "theta"])
     assert len(names) == 3
+
+
+CONTRACTS = {
+    "objects": contracts.ReadObject,
+    "merges": contracts.MergeInputs,
+    "outputs": contracts.RenderFit,
+    "file_exports": contracts.ExportFiles,
+    "pages": contracts.ViewFit,
+    "baselines": contracts.MakeBaselines,
+    "tables": contracts.MakeTable,
+    "methods": contracts.FitMethod,
+}
+
+
+@pytest.mark.parametrize("table", CONTRACTS)
+def test_functions_take_what_their_contracts_pass(table: str) -> None:
+    passed = inspect.signature(CONTRACTS[table].__call__).parameters.values()
+    words = [each.name for each in passed if each.kind is each.POSITIONAL_ONLY][1:]  # after self
+    assert words
+    for entry in getattr(registry(), table).values():
+        inspect.signature(entry.load()).bind(*words)
+
+
+def test_hooks_take_what_their_contracts_pass() -> None:
+    inspect.signature(registry().hooks["steps"].load()).bind("rule", "loss", "theta", 2, compiles=True)
+    inspect.signature(registry().hooks["scene"].load()).bind("scene")
+
+
+@pytest.mark.parametrize("app", registry().synthetic)
+def test_embedded_sets_have_what_their_contract_says(app: str) -> None:
+    module = registry().synthetic[app].load()
+    assert all(hasattr(module, name) for name in contracts.EmbeddedSet.__annotations__)
+    assert list(module.COUNTS) == ["train", "test"]
+    assert list(inspect.signature(module.synthetic_tasks).parameters)[:3] == ["split", "count", "seed"]
+
+
+def test_contracts_import_nothing_of_metapp() -> None:
+    """They name types of all layers, which layers below must not import at run time."""
+    code = "import sys, metapp; before = set(sys.modules); import metapp.contracts; print(*set(sys.modules) - before)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert [name for name in done.stdout.split() if name.startswith(("metapp", "torch"))] == ["metapp.contracts"]

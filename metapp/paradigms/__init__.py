@@ -14,7 +14,7 @@ __all__ = ["PARADIGMS", "ParadigmEntry", "paradigm_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParadigmEntry(Entry):
+class ParadigmEntry(Entry["type[Paradigm]"]):
     """A subclass of `metapp.paradigms.paradigm.Paradigm`; `help` is its command's.
 
     Attributes:
@@ -65,5 +65,4 @@ def paradigm_of(name: str) -> type[Paradigm]:
     if name not in PARADIGMS:
         hint = did_you_mean(name, PARADIGMS)
         raise ValueError(f"paradigm '{name}': expected one of {', '.join(PARADIGMS)}.{hint}")
-    kind: type[Paradigm] = PARADIGMS[name].load()
-    return kind
+    return PARADIGMS[name].load()

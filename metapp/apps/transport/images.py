@@ -150,7 +150,7 @@ def _studio(scene: bytes, size: int, next_event: bool) -> Studio:
     return Studio(scene, size, next_event)
 
 
-def integrators() -> dict[str, Entry]:
+def integrators() -> dict[str, Entry[Callable[[], None]]]:
     """Integrators of extensions by name, by whose pictures those that fits guide are judged."""
     return {name: plugin for name, plugin in registry().plugins.items() if plugin.help}
 

@@ -8,7 +8,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from metapp.registry import registry
 from metapp.runs.reporter import progress, say
@@ -18,6 +18,7 @@ from metapp.storage.files import PARTIAL, partial_path
 from metapp.storage.folders import Kind, kind_of
 
 if TYPE_CHECKING:
+    from metapp.contracts import EmbeddedSet
     from metapp.learning.task import Task
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
@@ -31,12 +32,8 @@ def embedded_apps() -> list[str]:
     return sorted(registry().synthetic)
 
 
-def embedded_module(app: str) -> Any:
-    """The module that draws an application's embedded set.
-
-    It has COUNTS, tasks by split; UNITS, of their tensors; `synthetic_tasks(split, count, seed, **options)`, an
-    iterator; and may have VERSION, raised when its draw changes; BESIDE, a file beside a shard; and FILES, other
-    forms by name: `write(folder, split, count, seed)`, an iterator of names of files, and a file's bytes.
+def embedded_module(app: str) -> EmbeddedSet:
+    """Import and return the module that draws an application's embedded set.
 
     Raises:
         ValueError: there is none; the message lists the applications that have one.
@@ -56,7 +53,7 @@ def split_counts(app: str, count: int | None = None) -> dict[str, int]:
     Raises:
         ValueError: an unknown application; a count below 1.
     """
-    default: dict[str, int] = embedded_module(app).COUNTS
+    default = embedded_module(app).COUNTS
     if count is None:
         return dict(default)
     if count < 1:

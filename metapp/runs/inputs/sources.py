@@ -219,8 +219,7 @@ def _merged(run: Run, option: str) -> Source:
 
     def read() -> Task:
         merge = registry().merges[app.name, option].load()
-        task: Task = merge(places, getattr(run.options.own, option), **_taken(merge, _arguments(run)))
-        return task
+        return merge(places, getattr(run.options.own, option), **_taken(merge, _arguments(run)))
 
     return Source(as_text(str(places[0].resolve())), read, True, run.options.paths)
 

@@ -1,0 +1,320 @@
+"""The contracts of the registry's tables: what the object that an entry names takes and gives.
+
+A class here is a `typing.Protocol`: a function or module of a matching signature fulfils it without naming it. Tables
+of :class:`metapp.registry.Registry` name their contracts, so that mypy checks calls of what they load. Types are those
+of `metapp.learning`, for mypy alone: nothing is imported at run time. A type of a layer above is `Any`, and its
+docstring names it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from metapp.learning.adjoint import Loss, Steps, UpdateRule
+    from metapp.learning.app import App
+    from metapp.learning.pictures import Rendered
+    from metapp.learning.rules import Part as Part
+    from metapp.learning.task import Params, Task
+
+    SceneDict = dict[str, Any]  # a scene of Mitsuba as JSON holds it
+
+
+class ReadObject(Protocol):
+    """A function that makes the task of an object in memory, for an application's fits in the Python API.
+
+    >>> import torch
+    >>> from metapp.learning.task import Task
+    >>> def task_of_object(source, name, size=256, **_):
+    ...     if not isinstance(source, torch.Tensor):
+    ...         raise ValueError(f"{name}: {type(source).__name__}, expected a tensor [3, H, W].")
+    ...     return Task(name, {"image": source[:, :size, :size]})
+    >>> task_of_object(torch.zeros(3, 512, 512), "object", observe="reference").data["image"].shape
+    torch.Size([3, 256, 256])
+    """
+
+    def __call__(self, source: object, name: str, /, **arguments: Any) -> Task:
+        """Return the task of an object.
+
+        Args:
+            source: the object, of any type but a path or text.
+            name: the task's name, which begins error messages.
+            **arguments: `observe`, the value of --observe; `size`, `rows` and `least`, in px, where the application
+                reads pictures to a size; the options about INPUT that the user gave. The function takes all that it
+                does not know as `**_`.
+
+        Raises:
+            ValueError: the application fits no objects of this type, or its values are not usable.
+        """
+        ...
+
+
+class MergeInputs(Protocol):
+    """A function that makes one task of all inputs, called if the option of its key is given, such as --shutter.
+
+    >>> import torch
+    >>> from pathlib import Path
+    >>> from metapp.learning.task import Task
+    >>> def merge(paths, value, rows=64):
+    ...     return Task(paths[0].stem, {"map": torch.ones(3, rows, 2 * rows) * value})
+    >>> merge([Path("a.png"), Path("b.png")], 0.5, rows=2).name
+    'a'
+    """
+
+    def __call__(self, paths: Sequence[Path], value: Any, /, **arguments: Any) -> Task:
+        """Return the one task of all files.
+
+        Args:
+            paths: the files that the application's formats find in the inputs, in their order.
+            value: the option's value, of the type of its field.
+            **arguments: of those that :class:`ReadObject` lists the ones that the function names.
+
+        Raises:
+            ValueError: files that do not belong together, are damaged, or do not go with the option's value.
+        """
+        ...
+
+
+class RenderFit(Protocol):
+    """A function that makes further pictures of a fit, called if the option of its key is given, such as --render.
+
+    >>> import torch
+    >>> from metapp.learning.pictures import Picture, Rendered
+    >>> def mean_colour(app, task, theta, side):
+    ...     picture = theta["map"].mean((1, 2)).expand(side, side, 3)
+    ...     return Rendered({"mean": Picture(picture, "radiance")}, [f"mean: {side} px"])
+    >>> mean_colour(None, None, {"map": torch.ones(3, 8, 16)}, 4).files["mean"].pixels.shape
+    torch.Size([4, 4, 3])
+    """
+
+    def __call__(self, app: App, task: Task, theta: Params, value: Any, /) -> Rendered:
+        """Return pictures by the names of their files, and lines about them that are printed.
+
+        Args:
+            app: the application.
+            task: what was fitted.
+            theta: the fit's parameters, without a task axis.
+            value: the option's value, of the type of its field.
+
+        Raises:
+            ValueError: the task lacks what the pictures are made of.
+        """
+        ...
+
+
+class ExportParameters(Protocol):
+    r"""A function that writes the parameters of a fit as a file for other programs.
+
+    >>> def write_sizes(app, theta, path):
+    ...     lines = [f"{name} {tuple(value.shape)}" for name, value in theta.items()]
+    ...     path.with_suffix(".txt").write_text("\n".join(lines))
+    """
+
+    def __call__(self, app: Any, theta: Params, path: Path, /) -> None:
+        """Write a fit.
+
+        Args:
+            app: the application.
+            theta: the fit's parameters, without a task axis; of the names that `Export.holds` lists, if any.
+            path: the file without suffix; its last part is the task's name. Its folder may not be there yet.
+
+        Raises:
+            ValueError: the form cannot hold this fit.
+            OSError: the file cannot be written.
+        """
+        ...
+
+
+class ExportSurface(Protocol):
+    """A function that writes the flat surface of a fit, its maps, as files for other programs.
+
+    >>> def write_size(surface, path, provenance):
+    ...     height, width = surface.size
+    ...     path.with_suffix(".txt").write_text(f"{provenance['task']}: {height} x {width} texels")
+    """
+
+    def __call__(self, surface: Any, path: Path, provenance: Mapping[str, object], /) -> None:
+        """Write a surface.
+
+        Args:
+            surface: a :class:`metapp.appearance.surface.Surface`, as `Presenter.surface` returns it.
+            path: the file, or the folder of several, without suffix; its last part is the task's name.
+            provenance: the task's name, as `task`, and the settings of its fit, as records have them.
+
+        Raises:
+            ValueError: the form cannot hold this surface.
+            OSError: the files cannot be written.
+        """
+        ...
+
+
+class ExportFiles(Protocol):
+    """A function of `metapp export` that writes files which are no fits in another form.
+
+    >>> def write(path, kind, folder, quiet):
+    ...     target = folder / f"{path.stem}.{kind}"
+    ...     target.write_bytes(path.read_bytes())
+    ...     return [target]
+    """
+
+    def __call__(self, path: Path, kind: str, folder: Path, quiet: bool, /) -> Iterable[Path]:
+        """Write a file, or the files of a folder, and return the paths that were written.
+
+        Args:
+            path: the file or folder.
+            kind: the form, the entry's key.
+            folder: where to write; it may not be there yet.
+            quiet: whether to show no progress.
+
+        Raises:
+            ValueError: none of the files that the form is made of, or a damaged one; a target that is there already.
+        """
+        ...
+
+
+class ViewFit(Protocol):
+    """A function that makes the interactive view of an application's fits for a page of the viewer.
+
+    >>> import torch
+    >>> from metapp.extensions.viewer.view import View
+    >>> def view(presenter, theta, task):
+    ...     return View("pictures", pictures={"fit": theta["image"].permute(1, 2, 0)})
+    >>> view(None, {"image": torch.zeros(3, 4, 5)}, None).pictures["fit"].shape
+    torch.Size([4, 5, 3])
+    """
+
+    def __call__(self, presenter: Any, theta: Params, task: Task, /) -> Any:
+        """Return the view of a fit, a :class:`metapp.extensions.viewer.view.View`.
+
+        Args:
+            presenter: the application's :class:`metapp.appearance.presenter.Presenter`.
+            theta: the fit's parameters, without a task axis.
+            task: what was fitted; without data if that is not at hand.
+
+        Raises:
+            KeyError: the view needs data of the task that it lacks.
+        """
+        ...
+
+
+class MakeBaselines(Protocol):
+    """A function that makes the baselines of an application; several entries may name one function.
+
+    >>> def baselines(app):
+    ...     return ()
+    """
+
+    def __call__(self, app: Any, /) -> tuple[Any, ...]:
+        """Return objects of :class:`metapp.extensions.baselines.baseline.Baseline`, the entry's own among them.
+
+        Args:
+            app: the application under its protocol.
+        """
+        ...
+
+
+class MakeTable(Protocol):
+    """A function that makes a table of `metapp evaluate`.
+
+    >>> from metapp.evaluation.table import Table
+    >>> def counts(subject):
+    ...     return Table(subject.app.full_title, "Tasks", (), [{"tasks": len(subject.tasks)}])
+    """
+
+    def __call__(self, subject: Any, /) -> Any:
+        """Return the :class:`metapp.evaluation.table.Table` of an application; without rows if it has nothing to show.
+
+        Args:
+            subject: a :class:`metapp.evaluation.subject.Subject`: the application under a protocol, its tasks and
+                runs; it fits what the table asks for.
+        """
+        ...
+
+
+class FitMethod(Protocol):
+    """A function that becomes a method of fits in the Python API, by the entry's key.
+
+    >>> def first_word(fit):
+    ...     return fit.name.split("-")[0]
+    """
+
+    def __call__(self, fit: Any, /, *arguments: Any, **keywords: Any) -> object:
+        """Return what the method returns.
+
+        Args:
+            fit: a :class:`metapp.runs.fit.Fit`; further arguments are those of the call.
+        """
+        ...
+
+
+class MakeSteps(Protocol):
+    """A function that makes the steps of a rule down a loss, faster than torch's where it can; the hook "steps".
+
+    >>> from metapp.learning.adjoint import torch_steps
+    >>> def steps(rule, loss, theta, order, *, compiles=False):
+    ...     return torch_steps(rule, loss, theta, order)
+    """
+
+    def __call__(self, rule: UpdateRule, loss: Loss, theta: Params, order: int, /, *, compiles: bool = False) -> Steps:
+        """Return steps that give what :func:`metapp.learning.adjoint.torch_steps` gives, to rounding.
+
+        Args:
+            rule: the rule with its hyperparameters.
+            loss: the loss of the task.
+            theta: parameters [T, ...] of the shapes that steps will see; their values are not read.
+            order: 2 differentiates through the gradient, 1 does not.
+            compiles: whether steps are so many that compiling code for them pays.
+        """
+        ...
+
+
+class CheckScene(Protocol):
+    """A function that checks the scene of a data set before Mitsuba loads it; the hook "scene".
+
+    >>> def check(scene):
+    ...     if "xml" in scene:
+    ...         raise ValueError("a scene in XML, expected a dictionary.")
+    ...     return scene
+    """
+
+    def __call__(self, scene: SceneDict, /) -> SceneDict:
+        """Return the scene, with nothing in it that Mitsuba may not load.
+
+        Args:
+            scene: a dictionary of type "scene", as JSON holds it.
+
+        Raises:
+            ValueError: it holds a plugin or a file that a scene may not hold.
+        """
+        ...
+
+
+class EmbeddedSet(Protocol):
+    """A module that draws an application's embedded data set.
+
+    It may have these names, too:
+
+    - `VERSION`, an integer that is raised when the drawn values change;
+    - `units_of(**options)`, the units of a set that is drawn by these options, in place of `UNITS`;
+    - `BESIDE`, a tensor's name and a suffix: the tensor of each task is written as a file beside its shard;
+    - `FILES`, other forms by name, each a function `write(folder, split, count, seed)`, which yields the names of the
+      files that it writes, and the size of a file in bytes;
+    - a constant for each option, in capitals: its default.
+
+    Attributes:
+        COUNTS: the number of tasks of the default set, by split ("train", "test").
+        UNITS: units or encodings of the tasks' tensors in words, by name.
+        synthetic_tasks: `synthetic_tasks(split, count, seed, **options)` yields so many tasks. A seed gives equal
+            tasks on every machine; further parameters are options of `metapp data synth`.
+
+    >>> from metapp.registry import registry
+    >>> registry().synthetic["brdf"].load().COUNTS
+    {'train': 80, 'test': 20}
+    """
+
+    COUNTS: Mapping[str, int]
+    UNITS: Mapping[str, str]
+    synthetic_tasks: Callable[..., Iterator[Task]]
