@@ -18,7 +18,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
-from metapp.registry import application_of, did_you_mean, load
+from metapp.names import application_of, did_you_mean
+from metapp.registry import load
 
 PANELS = INPUT, FIT, OUTPUT = "Input", "Fit", "Output"  # of --help
 Options = TypeVar("Options")

@@ -10,7 +10,7 @@ from pathlib import Path
 import grimp
 import pytest
 
-from metapp.registry import app_names
+from metapp.names import app_names
 
 ROOT = Path(__file__).parent.parent
 FILES = [path for package in ("metapp", "data_tools") for path in sorted((ROOT / package).rglob("*.py"))]

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import torch
 
 import metapp
+from metapp.names import app_names, protocols_of
 from metapp.paradigms import PARADIGMS
-from metapp.registry import app_names, protocols_of
 from metapp.runs.inputs.embedded import embedded_data
 
 TASKS = 5  # drawn of each application, of which one is fitted

@@ -20,7 +20,7 @@ from data_tools.readers.photos import fault_of
 from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
 from metapp.learning.task import Task
-from metapp.registry import inputs_of
+from metapp.names import inputs_of
 
 HEIGHT, WIDTH = 64, 128
 SIZE, COUNT = 64, 4  # px and number of the photographs of a map

@@ -10,7 +10,8 @@ from dataclasses import fields, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from metapp.registry import application_of, load, protocol_of, protocols_of, recipe_entries
+from metapp.names import application_of, protocol_of, protocols_of, recipe_entries
+from metapp.registry import load
 
 if TYPE_CHECKING:
     from metapp.appearance.presenter import Presenter

@@ -9,9 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from metapp.cli.help import Command, Group
+from metapp.names import app_names, did_you_mean
 from metapp.options import BadOption, Converter
 from metapp.paradigms import PARADIGMS
-from metapp.registry import SHIPPED, app_names, did_you_mean, reason_of, registry
+from metapp.registry import SHIPPED, reason_of, registry
 from metapp.runs.options import check_name
 from metapp.runs.reporter import say
 

@@ -12,8 +12,9 @@ import typer
 
 from metapp.cli.console import escaped, out, print_json
 from metapp.cli.options import Json, Overwrite, app_words, check_new, takes
+from metapp.names import app_names, did_you_mean, protocols_of, recipe_entries
 from metapp.options import Option
-from metapp.registry import app_names, did_you_mean, protocols_of, recipe_entries, registry
+from metapp.registry import registry
 from metapp.runs.options import MOST_SEEDS, check_name, check_protocol, fit_options
 from metapp.runs.reporter import say
 

@@ -9,7 +9,8 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.options import FittedData, Json, Quiet, check_folder, export_words
-from metapp.registry import app_names, exports_of, registry
+from metapp.names import app_names, exports_of
+from metapp.registry import registry
 from metapp.runs.reporter import say
 
 

@@ -14,9 +14,10 @@ import typer
 from metapp.cli.commands import app_group
 from metapp.cli.console import Exit, escaped, importing, one_line, out, print_json, seconds_so_far
 from metapp.cli.options import parameter, parameter_of, signed
+from metapp.names import exports_of, inputs_of, protocols_of, recipe_names
 from metapp.options import INPUT, OUTPUT, declared, options_of
 from metapp.paradigms import PARADIGMS
-from metapp.registry import exports_of, inputs_of, protocols_of, recipe_names, registry
+from metapp.registry import registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import number, say
 from metapp.storage import Document

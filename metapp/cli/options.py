@@ -14,8 +14,9 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
+from metapp.names import app_names, exports_of, protocols_of, recipe_names, rule_words
 from metapp.options import Option, declared, parse
-from metapp.registry import app_names, exports_of, protocols_of, recipe_names, registry, rule_words
+from metapp.registry import registry
 
 LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
 Words = Callable[[str], list[str]]

@@ -12,8 +12,9 @@ import typer
 
 from metapp.cli.data import report
 from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, app_words, check_folder, check_new, takes
+from metapp.names import did_you_mean
 from metapp.options import Converter, Option
-from metapp.registry import did_you_mean, registry
+from metapp.registry import registry
 from metapp.runs.inputs.convert import Converted, converted
 from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.runs.reporter import progress

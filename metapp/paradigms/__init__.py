@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from metapp.registry import Entry, did_you_mean
+from metapp.names import did_you_mean
+from metapp.registry import Entry
 
 if TYPE_CHECKING:
     from metapp.paradigms.paradigm import Paradigm

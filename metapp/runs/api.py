@@ -13,8 +13,8 @@ import numpy as np
 from torch import Tensor
 
 from metapp.learning.task import Task
+from metapp.names import protocols_of
 from metapp.options import BadOption
-from metapp.registry import protocols_of
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from metapp.names import app_names, did_you_mean, exports_of, protocols_of, recipe_entries
 from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Option, declared, options_of, parse
-from metapp.registry import app_names, did_you_mean, exports_of, protocols_of, recipe_entries
 from metapp.storage.files import file_name
 from metapp.storage.folders import Kind, kind_of
 

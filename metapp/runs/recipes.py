@@ -14,8 +14,9 @@ from pathlib import Path
 
 from metapp.apps import recipe_of
 from metapp.learning.task import Task
+from metapp.names import application_of, inputs_of, protocols_of, recipe_entries
 from metapp.options import BadOption
-from metapp.registry import Format, RecipeEntry, application_of, inputs_of, load, protocols_of, recipe_entries
+from metapp.registry import Format, RecipeEntry, load
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
 

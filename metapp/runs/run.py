@@ -15,10 +15,10 @@ from metapp.apps import app_of, is_first_protocol, presenter_of, recipe_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
+from metapp.names import application_of, did_you_mean, protocols_of, rule_words
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.paradigm import Paradigm
-from metapp.registry import application_of, did_you_mean, protocols_of, rule_words
 from metapp.rules import rule_of
 from metapp.runs.options import FitOptions, check_under_protocol, fit_options, name_parts, own_of_record
 from metapp.runs.recipes import chosen_protocol, chosen_recipe, usual_recipe

@@ -8,10 +8,10 @@ import pytest
 
 from metapp.apps import recipes_of
 from metapp.learning.learn import MetaParameters
+from metapp.names import app_names, protocols_of
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.registry import app_names, protocols_of
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.recipes import FULL, QUICK, shipped_path, ships
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.registry import exports_of
+from metapp.names import exports_of
 from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.small_spheres import run_small
 

@@ -29,8 +29,8 @@ from metapp.cli.console import Terminal
 from metapp.cli.evaluate import Evaluation, subjects_of
 from metapp.cli.fit import VISIBLE_TILT_DEGREES
 from metapp.evaluation.tables.results import closing
+from metapp.names import exports_of
 from metapp.networks.field import LocalField
-from metapp.registry import exports_of
 from metapp.runs.keeping import execute
 from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import recorded_fits, tasks_as

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp.registry import GROUP, WITHOUT, app_names, registry
+from metapp.names import app_names
+from metapp.registry import GROUP, WITHOUT, registry
 from tests import forks
 
 NETWORKS = 1

@@ -21,7 +21,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from data_tools.readers.merl import FILE_BYTES
-from metapp.registry import inputs_of
+from metapp.names import inputs_of
 from tests.fuzz import files
 from tests.fuzz.mutations import damaged
 from tests.needs_mitsuba import MISSING

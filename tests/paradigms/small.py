@@ -29,13 +29,14 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, final_item
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.task import Task
+from metapp.names import app_names
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
 from metapp.paradigms import PARADIGMS, paradigm_of
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.training import TrainState
-from metapp.registry import app_names, registry
+from metapp.registry import registry
 from metapp.rules import rule_of
 from tests.marked import long
 from tests.small_spheres import shrink_spheres

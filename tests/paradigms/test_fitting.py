@@ -18,10 +18,10 @@ from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters, check_finite, descend, final_item, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.task import Batch, Tasks
+from metapp.names import app_names, protocols_of
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.registry import app_names, protocols_of
 from tests.marked import long
 from tests.paradigms.small import (
     KINDS,

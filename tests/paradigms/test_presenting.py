@@ -14,8 +14,8 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.pictures import KINDS, Fitted
 from metapp.learning.task import Params, Task, Tasks
+from metapp.names import protocols_of
 from metapp.paradigms.paradigm import Paradigm
-from metapp.registry import protocols_of
 from metapp.storage.files import file_name
 from tests.paradigms.small import rng
 

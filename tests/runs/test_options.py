@@ -15,9 +15,10 @@ from metapp.apps import app_of, recipes_of
 from metapp.cli.commands import app as cli
 from metapp.learning.app import App
 from metapp.learning.task import Task
+from metapp.names import app_names, protocols_of
 from metapp.options import BadOption, declared, options_of
 from metapp.paradigms import PARADIGMS
-from metapp.registry import app_names, protocols_of, registry
+from metapp.registry import registry
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.inputs.sources import sources_to_fit
 from metapp.runs.options import FitOptions, fit_options

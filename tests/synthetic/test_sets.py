@@ -25,7 +25,7 @@ from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, render, unpack
 from metapp.appearance.latlong import luminance, mean_luminance
 from metapp.learning.task import Task
-from metapp.registry import app_names
+from metapp.names import app_names
 from metapp.runs.inputs.embedded import embedded_data
 from metapp.storage.shards import read_manifest
 from tests.needs_mitsuba import needs_mitsuba

@@ -12,9 +12,10 @@ import typer
 from metapp.cli.commands import app_group
 from metapp.cli.console import out, print_json
 from metapp.cli.options import baseline_words, parameter, parameter_of, signed
+from metapp.names import did_you_mean, protocols_of
 from metapp.networks.options import ExemplarOptions
 from metapp.options import FIT, INPUT, OUTPUT, BadOption, declared, options_of
-from metapp.registry import did_you_mean, protocols_of, registry
+from metapp.registry import registry
 from metapp.runs.options import TASKS, FitOptions, fit_options
 from metapp.runs.reporter import progress, say
 

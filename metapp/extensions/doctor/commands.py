@@ -44,7 +44,7 @@ def examine() -> Document:
     """The lines of `doctor`, by subject."""
     import torch
 
-    from metapp.registry import app_names
+    from metapp.names import app_names
     from metapp.runs.inputs.embedded import embedded_exists
     from metapp.runs.recipes import shipped_names
     from metapp.storage.cache import cache_folder

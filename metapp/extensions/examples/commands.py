@@ -10,7 +10,8 @@ import typer
 
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json, app_words, check_folder
-from metapp.registry import did_you_mean, registry
+from metapp.names import did_you_mean
+from metapp.registry import registry
 from metapp.runs.reporter import say
 
 READ_VGG = ("svbrdf_stationary", "texture")  # applications whose fits do

@@ -10,7 +10,7 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, Overwrite, Quiet, Seed, check_new
-from metapp.registry import did_you_mean
+from metapp.names import did_you_mean
 from metapp.runs.reporter import progress, say
 
 

@@ -79,8 +79,8 @@ def try_all(
     """
     begin = time.perf_counter()
     from metapp.extensions.viewer.viewing import try_app, view_page
+    from metapp.names import app_names
     from metapp.options import BadOption
-    from metapp.registry import app_names
     from metapp.runs.options import check_name
 
     runs, fits = list[Path](), []

@@ -14,7 +14,8 @@ import torch
 
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.registry import WITHOUT, inputs_of, registry
+from metapp.names import inputs_of
+from metapp.registry import WITHOUT, registry
 from metapp.runs.inputs.embedded import embedded_data, embedded_tests
 from metapp.runs.reporter import say
 from metapp.runs.run import Run

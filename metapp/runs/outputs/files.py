@@ -12,8 +12,9 @@ from metapp.apps import presenter_of
 from metapp.learning.app import App, stack
 from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
+from metapp.names import exports_of
 from metapp.options import OUTPUT
-from metapp.registry import exports_of, registry
+from metapp.registry import registry
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.inputs.sources import content_of
 from metapp.runs.options import fit_options

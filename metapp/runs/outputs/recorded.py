@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.registry import did_you_mean
+from metapp.names import did_you_mean
 from metapp.runs.inputs.embedded import embedded_folders
 from metapp.runs.inputs.sources import FILES, Source, content_of, data_label, sources_to_fit, tasks_of_data
 from metapp.runs.options import check_export, check_name, data_set_of, fit_options

@@ -20,8 +20,9 @@ from metapp.extensions.baselines.table import baseline_records, baselines
 from metapp.extensions.examples.commands import lines_of
 from metapp.learning.app import stack
 from metapp.learning.task import Task
+from metapp.names import app_names, protocols_of
 from metapp.registry import WITHOUT as LEAVING_OUT
-from metapp.registry import app_names, protocols_of, registry
+from metapp.registry import registry
 from metapp.runs.options import fit_options
 from metapp.runs.reporter import Reporter
 from metapp.runs.run import Run

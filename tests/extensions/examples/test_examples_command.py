@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from metapp.extensions.examples.commands import FOLDER, READ_VGG, lines_of
-from metapp.registry import app_names
+from metapp.names import app_names
 from tests.needs_mitsuba import skip_without_mitsuba
 
 

@@ -20,8 +20,8 @@ from metapp.apps import recipes_of
 from metapp.extensions.several import checkpoints, photos
 from metapp.learning.app import stack
 from metapp.learning.task import Task
+from metapp.names import inputs_of
 from metapp.options import BadOption
-from metapp.registry import inputs_of
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import fit_options
 from metapp.runs.recipes import chosen_recipe, shipped_path
