@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +32,7 @@ from data_tools.readers.arrays import check_range, checked, is_pil, pixels_of, p
 from data_tools.readers.colours import LINEAR
 from data_tools.readers.image_files import SUFFIXES, Pixels, read_pixels, shape_of
 from data_tools.readers.listing import Found, files_below
+from data_tools.readers.map_names import CHANNELS, COLOURS, NORMALS, PLAIN, map_name
 from data_tools.readers.normal_maps import complete_normals
 from data_tools.readers.photos import SIZE, central_square, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS as UNITS
@@ -43,47 +43,6 @@ from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
 from metapp.storage.shards import Entry
 
-_ROLES = {
-    "diffuse": ("diffuse", "diff", "d"),
-    "base colour": (
-        "albedo", "alb", "basecolor", "basecolour", "color", "colour", "col", "bc", "c", "albedotransparency",
-    ),
-    "normal": ("normal", "normals", "norm", "nrm", "nor", "nml", "nrm16", "n"),
-    "roughness": ("roughness", "rough", "rgh", "r"),
-    "gloss": ("gloss", "glossiness", "smoothness", "g"),
-    "specular": ("specular", "spec", "f0", "refl", "reflection", "s"),
-    "metallic": ("metallic", "metalness", "metal", "met", "mtl", "m"),
-    "": (  # of no use here, but no base colour either
-        "ambientocclusion", "ao", "occlusion", "height", "disp", "displacement", "disp16", "bump", "bump16", "opacity",
-        "alpha", "alphamasked", "mask", "emissive", "emission", "glow", "reflect", "cavity", "curvature", "preview",
-        "thumb", "thumbnail", "render", "translucency", "transmission", "sheen", "fuzz", "anisotropy", "thickness", "h",
-        "e", "o",
-    ),
-    "occlusion, roughness, metallic": (
-        "arm", "orm", "occlusionroughnessmetallic", "aoroughnessmetallic", "metallicroughness", "roughnessmetallic",
-    ),
-    "roughness, metallic": ("rma",),
-    "metallic, roughness": ("mra",),
-    "metallic, gloss": ("metallicsmoothness", "metallicgloss", "maskmap"),
-}  # fmt: skip
-_CHANNELS = {  # the roles of red, green, blue and alpha of such files
-    "occlusion, roughness, metallic": ("", "roughness", "metallic"),
-    "roughness, metallic": ("roughness", "metallic"),
-    "metallic, roughness": ("metallic", "roughness"),
-    "metallic, gloss": ("metallic", "", "", "gloss"),
-}
-_ROLE = {word: role for role, words in _ROLES.items() for word in words}
-_ROLE = {f"{word}map": role for word, role in _ROLE.items() if len(word) > 1} | _ROLE
-for _word in [word for word, role in _ROLE.items() if role == "normal" and len(word) > 1]:
-    _ROLE |= {f"{_word}{end}": "normal (OpenGL)" for end in ("gl", "ogl", "opengl")}
-    _ROLE |= {f"{_word}{end}": "normal (DirectX)" for end in ("dx", "directx")}
-PLAIN = "plain"  # a colour by its place beside the others
-_COLOURS = ("base colour", "diffuse", PLAIN)
-_NORMALS = ("normal (OpenGL)", "normal", "normal (DirectX)")
-_WORD = re.compile(r"\d+[kK](?![a-z])|[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
-_RESOLUTION = re.compile(r"\d{1,2}k|128|256|512|1024|2048|4096|8192|x\d{3,4}|jpe?g|png|tiff?|exr", re.IGNORECASE)
-_MARK = re.compile(r"VAR\d+|1\d{3}", re.IGNORECASE)  # of variants, and of tiles (UDIM)
-_WORKFLOWS = ("METALNESS", "SPECULAR")  # behind roles in capitals, COL_2K_METALNESS: marks, too
 _IS_CLEAR = 0.2  # correlation of the two mixed slopes, 1 for an exact height field and -1 for an upturned one
 _SAME_SHAPE = 0.02  # log of a ratio of width to height
 _UNIT = 0.1  # by which the length of normals, which may be averages, differs from 1 in the mean at most
@@ -114,7 +73,7 @@ class Material(NamedTuple):
     @property
     def source(self) -> Path:
         """The file that stands for all: the colour, which variants do not share."""
-        return min(next((self.files[role] for role in _COLOURS if role in self.files), self.maps))
+        return min(next((self.files[role] for role in COLOURS if role in self.files), self.maps))
 
     @property
     def maps(self) -> list[Path]:
@@ -165,7 +124,7 @@ def _material(file: Path) -> Material:
 def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
     """The materials right in a folder, by name, and image files whose role is unknown."""
     images = sorted(file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
-    parts = {file: _parts(file.stem) for file in images if not file.name.startswith(".")}
+    parts = {file: map_name(file.stem) for file in images if not file.name.startswith(".")}
     names = {name.lower() for name, _, role in parts.values() if role}
     groups: dict[str, dict[Path, tuple[str, str, str]]] = {}
     plain = []
@@ -181,7 +140,7 @@ def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
     others = []
     for file in plain:
         maps = groups.get(file.stem.lower())
-        if maps and not any(role in _COLOURS[:2] for _, _, role in maps.values()):
+        if maps and not any(role in COLOURS[:2] for _, _, role in maps.values()):
             maps[file] = file.stem, "", PLAIN
         else:
             others.append(file)
@@ -223,36 +182,11 @@ def _variants(
 
 def _unpacked(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
     """The files by role, those of packed channels for each of their roles that has no file of its own."""
-    for packed, channels in _CHANNELS.items():
+    for packed, channels in CHANNELS.items():
         for file in files.pop(packed, ()):
             for role in filter(None, channels):
                 files.setdefault(role, (file,))
     return files
-
-
-def lies_aside(file: Path) -> bool:
-    """True for a file of a material that is of no use alone, by its name, such as heights and packed channels."""
-    return _parts(file.stem)[2] in ("", *_CHANNELS)
-
-
-def _parts(stem: str) -> tuple[str, str, str | None]:
-    """A stem as the material's name, the mark of a variant or tile, and a role: "" for no use here, None for none."""
-    words = [*_WORD.finditer(stem)]
-    marks = []
-    while len(words) > 1 and (_RESOLUTION.fullmatch(word := words[-1].group()) or _MARK.fullmatch(word)):
-        marks += [word] * (not _RESOLUTION.fullmatch(word))
-        words.pop()
-    if words and words[-1].group() in _WORKFLOWS:
-        name, mark, role = _parts(before := stem[: words[-1].start()].rstrip("_-. "))
-        if role is not None and name and before.removeprefix(name).isupper():
-            return name, "_".join(filter(None, (mark, words[-1].group()))), role
-    for count in (4, 3, 2, 1):  # NormalMapOpenGL, NormalOpenGL, nor_gl, normal
-        tail = "".join(word.group() for word in words[-count:]).lower()
-        if len(words) >= count and tail in _ROLE:
-            start = words[-count].start()
-            if len(tail) > 1 or stem[max(start - 1, 0)] in "_-. ":  # a letter alone may be the end of a name
-                return stem[:start].rstrip("_-. "), "_".join(reversed(marks)), _ROLE[tail]
-    return stem, "", None
 
 
 def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int = 0, layer: str = "") -> Task:
@@ -283,7 +217,7 @@ def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, leas
         name: of the material.
         size, least: as of `read_task`.
     """
-    words = {key: _parts(str(key))[2] for key in maps}
+    words = {key: map_name(str(key)).role for key in maps}
     unknown = [key for key, role in words.items() if role is None]
     if unknown or len(set(filter(None, words.values()))) < 2:
         found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, maps)) or 'none'}"
@@ -324,7 +258,7 @@ def read_material(material: Material, size: int = SIZE, normals: str = "auto", l
     size = side_of(side, size, least)
 
     def pixels_of_map(file: Path, role: str) -> Pixels:
-        return read_pixels(file, layer, lacks_blue=role in _NORMALS)
+        return read_pixels(file, layer, lacks_blue=role in NORMALS)
 
     return _task(material, pixels_of_map, size, normals)
 
@@ -334,7 +268,7 @@ def _task(material: Material, pixels_of_map: Callable[[Path, str], Pixels], size
     shapes: dict[str, tuple[int, int]] = {}
     maps = {role: _read(file, pixels_of_map(file, role), size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
-    colour = next(maps[role] for role in _COLOURS if role in maps)
+    colour = next(maps[role] for role in COLOURS if role in maps)
     if "metallic" in maps:
         diffuse, specular = from_metallic(colour, _gray(maps["metallic"]))
     else:
@@ -345,7 +279,7 @@ def _task(material: Material, pixels_of_map: Callable[[Path, str], Pixels], size
         roughness = (DIELECTRIC / 4 / _gray(maps["gloss"]).clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
     else:
         roughness = 1 - _gray(maps["gloss"])
-    role = next(role for role in _NORMALS if role in maps)
+    role = next(role for role in NORMALS if role in maps)
     normal = unit_normals(maps[role], chosen[role])
     if normals == "auto" and role == "normal":
         is_down = mixed_slopes(normal) < -_IS_CLEAR
@@ -378,7 +312,7 @@ def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, 
     groups: dict[str, str] = {}
     for source in sources:
         material = _material(source)
-        files = next((material.files[role] for role in _NORMALS if role in material.files), (material.source,))
+        files = next((material.files[role] for role in NORMALS if role in material.files), (material.source,))
         digest = hashlib.sha256(read_bytes(files[0])).hexdigest()
         group = groups.setdefault(digest, material.title)
         found[source] = Entry(task_name(material.title), group=group)
@@ -388,7 +322,7 @@ def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, 
 def _choose(material: Material) -> dict[str, Path]:
     """One file for each role that counts."""
     roles = dict(material.files)
-    if {*_COLOURS[:2], "specular"} <= roles.keys():  # the specular workflow, not the metallic one beside it
+    if {*COLOURS[:2], "specular"} <= roles.keys():  # the specular workflow, not the metallic one beside it
         roles = {role: files for role, files in roles.items() if role not in ("base colour", "metallic")}
     if diffuse := roles.pop("diffuse", ()):
         roles["base colour"] = (*roles.get("base colour", ()), *diffuse)
@@ -397,7 +331,7 @@ def _choose(material: Material) -> dict[str, Path]:
     remedy = f"; of {unknown} the role is unknown: rename it" if unknown else "; add it"
     needed = {
         "base colour": ("base colour", PLAIN),
-        "normal": _NORMALS,
+        "normal": NORMALS,
         "roughness or gloss": ("roughness", "gloss"),
         "": ("metallic", "specular"),
     }
@@ -419,15 +353,15 @@ def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tu
     """The central square of a map, [3, size, size] in [0, 1]; its whole size in px goes to `shapes`."""
     height, width = pixels.values.shape[:2]
     shapes[role] = height, width
-    is_colour = role in (*_COLOURS, "specular")
+    is_colour = role in (*COLOURS, "specular")
     values = pixels.values[..., :3]  # alpha holds opacity or something else again
-    channels = _CHANNELS.get(_parts(file.stem if file.suffix.lower() in SUFFIXES else file.name)[2] or "", ())
+    channels = CHANNELS.get(map_name(file.stem if file.suffix.lower() in SUFFIXES else file.name).role or "", ())
     if role in channels:
         channel, count = channels.index(role), pixels.values.shape[-1]
         if channel >= count:
             raise ValueError(f"{file}: {count} channels, expected {role} in alpha; export it with that.")
         values = pixels.values[..., [channel] * 3]
-    if role in _NORMALS:
+    if role in NORMALS:
         values, slopes = pixels.values, pixels.values[..., :2]
         if values.dtype.kind == "f" and (slopes.min() < -0.1 or slopes.mean() < 0.25):  # -1..1
             values = values / 2 + 0.5

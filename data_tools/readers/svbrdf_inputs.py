@@ -9,6 +9,7 @@ from data_tools.readers import material_maps, photos, strips
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import NAMED, check_exists, read_pixels
 from data_tools.readers.listing import Found, files_below
+from data_tools.readers.map_names import lies_aside
 from data_tools.readers.photos import SIZE, flash_view, photo_of, placed_in, task_of_square
 from data_tools.readers.svbrdf_task import rightly_exposed
 from metapp.learning.task import Task
@@ -34,7 +35,7 @@ def find(path: Path) -> Found:
     unknown: dict[Path, str] = {}
     for folder in {file.parent for file in files}:
         for material in filter(_is_material, material_maps.materials_in(folder)[0]):
-            stands_for.update(dict.fromkeys(filter(material_maps.lies_aside, folder.iterdir())))
+            stands_for.update(dict.fromkeys(filter(lies_aside, folder.iterdir())))
             stands_for.update(dict.fromkeys(material.maps, material.source))
             unknown |= dict.fromkeys(material.unknown, material.title)
     skipped += [

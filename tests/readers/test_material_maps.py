@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import material_maps, svbrdf_inputs
+from data_tools.readers.map_names import map_name
 from data_tools.readers.material_maps import entries, find, mixed_slopes, read_task
 from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.colour import linear_to_srgb
@@ -166,7 +167,7 @@ NAMES: dict[str, tuple[str, str, str | None]] = {  # name, mark, role
 
 
 def test_the_role_is_in_the_name() -> None:
-    assert {stem: material_maps._parts(stem) for stem in NAMES} == NAMES
+    assert {stem: map_name(stem) for stem in NAMES} == NAMES
 
 
 PACKED = {  # a colour whose channels are 0.2, 0.6 and 1 (and alpha 0.7): roughness and metallic

@@ -15,7 +15,8 @@ import torch
 
 from data_tools.readers import material_maps
 from data_tools.readers.listing import Found
-from data_tools.readers.material_maps import PLAIN, material_of, read_material
+from data_tools.readers.map_names import PLAIN
+from data_tools.readers.material_maps import material_of, read_material
 from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.apps import class_of
