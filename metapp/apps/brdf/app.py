@@ -92,7 +92,7 @@ class Brdf(App):
 
         A learned `smoothing` s [T] replaces |d| by sqrt(d^2 + s^2) - s, whose curvature at sign changes autodiff sees;
         learned `weights` [T, 8] are log weights of samples at knots over theta_h. The extension `native` has this loss
-        in C and knows it by name: change it in a subclass, or in both places.
+        in C, too: change it in a subclass, which C leaves to torch, or in both places.
         """
         where = batch["where"]
         # without the clamp at 0 a network that is too dark still has a gradient; the clamp only ever helps
