@@ -3,7 +3,6 @@
 from metapp.paradigms import PARADIGMS
 from metapp.registry import Application, Entry, Export, Format, RecipeEntry, Registry
 
-EITHER = ("reference", "photo")  # values of --observe
 APPLICATIONS = {
     "brdf": Application(
         "metapp.apps.brdf.app:Brdf",
@@ -44,7 +43,7 @@ APPLICATIONS = {
     ),
 }
 FURTHER_RECIPES = {  # of --observe reference
-    **dict.fromkeys(("texture", "svbrdf_stationary", "svbrdf_nonstationary"), ("paper-64", "paper-128")),
+    **dict.fromkeys(("texture", "svbrdf_stationary", "svbrdf_nonstationary"), ("paper-64",)),
     **dict.fromkeys(("brdf", "illumination", "transport"), ("paper-long",)),
 }
 SYNTHETIC = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from metapp.learning.app import App
@@ -89,11 +88,6 @@ def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: flo
         rule="meta-axes",
         app=replace(app, network=network, height=256, width=256, taps=taps, octaves=3, shares=(0.2, 0.6), prior=prior),
     )
-
-
-def smaller(paper: Recipe, app: Callable[[int], App]) -> dict[str, Recipe]:
-    """The paper's recipe at sides in texels that take hours on CPUs, by name; `app` makes the application of a side."""
-    return {f"paper-{side}": replace(paper, app=app(side)) for side in (64, 128)}
 
 
 def by_protocol(quick: Recipe, photo: Recipe, *, full: App, paper: App) -> dict[str, dict[str, Recipe]]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
-from metapp.networks.recipes import by_protocol, smaller
+from metapp.networks.recipes import by_protocol
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -55,8 +55,9 @@ RECIPES = by_protocol(
     # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
     paper=SvbrdfNonstationary(field_of(256, 64), encoder_width=64),
 )
-RECIPES["reference"] |= smaller(
-    RECIPES["reference"]["paper"], lambda side: SvbrdfNonstationary(field_of(side, 64), encoder_width=64)
+# at a side, in texels, whose outer steps take seconds on CPUs
+RECIPES["reference"]["paper-64"] = replace(
+    RECIPES["reference"]["paper"], app=SvbrdfNonstationary(field_of(64, 64), encoder_width=64)
 )
 # Photographs at the size that people use, by an encoder with levels for it. 20 outer steps through the steps of fits
 # raised validation errors, so that the rule is a searched Adam.
