@@ -206,7 +206,7 @@ def several(registry: Registry) -> None:
 def shaders(registry: Registry) -> None:
     """Fitted BRDFs as source code of shaders."""
     weights = ("w1", "b1", "w2", "b2", "w3", "b3")  # 675 numbers; other networks are distilled into these
-    for name in ("cpp", "glsl", "hlsl", "materialx", "osl", "slang", "wgsl"):
+    for name in ("cpp", "glsl", "hlsl", "materialx", "osl", "wgsl"):
         registry.exports["brdf", name] = Export(f"{_HERE}.shaders.files:write_{name}", holds=weights)
 
 

@@ -13,7 +13,7 @@ from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
-FORMS = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
+FORMS = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
 FILES = {
     "nbrdf": ["{}/fc1.npy"],
     "merl": ["{}.binary"],
@@ -23,7 +23,7 @@ FILES = {
     "materialx": ["{0}/{0}.mtlx", "{0}/{0}.glsl", "{0}/{0}.osl"],
     "cpp": ["{0}.h"],
     "onnx": ["{0}.onnx"],
-    **{form: [f"{{0}}.{form}"] for form in ("glsl", "hlsl", "osl", "slang", "wgsl")},
+    **{form: [f"{{0}}.{form}"] for form in ("glsl", "hlsl", "osl", "wgsl")},
 }
 
 

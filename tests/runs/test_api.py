@@ -150,7 +150,7 @@ def test_a_fit_is_saved_exported_and_pickled(general: api.Fit, tmp_path: Path) -
         for name in (f"gold.{form}", "gold.1"):  # the suffix may be given; what follows another dot is none
             general.export(form, tmp_path / form / name)
         assert {path.name for path in (tmp_path / form).iterdir()} == {f"gold.{form}", f"gold.1.{form}"}
-    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
+    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
     with pytest.raises(ValueError, match=f"--export 'blend': brdf expects one of {forms}"):
         general.export("blend", tmp_path / "x")
 

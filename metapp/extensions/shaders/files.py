@@ -51,7 +51,6 @@ write_cpp = functools.partial(write, "cpp")
 write_glsl = functools.partial(write, "glsl")
 write_hlsl = functools.partial(write, "hlsl")
 write_osl = functools.partial(write, "osl")
-write_slang = functools.partial(write, "slang")
 write_wgsl = functools.partial(write, "wgsl")
 
 

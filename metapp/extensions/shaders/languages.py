@@ -74,7 +74,6 @@ LANGUAGES = {
     "glsl": Language("glsl", {"float": "float", "float3": "vec3"}),
     "hlsl": Language("hlsl", _HLSL),
     "osl": Language("osl", {"float": "float", "float3": "vector"}, tail=_OSL, indexed=True),
-    "slang": Language("slang", _HLSL, function="public {type} {name}({arguments}) {{"),
     "wgsl": Language(
         "wgsl",
         {"float": "f32", "float3": "vec3f"},

@@ -133,7 +133,7 @@ def test_without_the_extension_surfaces_have_no_exports_and_brdfs_keep_theirs(
 ) -> None:
     monkeypatch.setenv(WITHOUT, "assets")
     assert "texture has none; leave it out" in metapp("meta", "texture", "--export", "png16").misuse
-    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, slang, wgsl"
+    forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "png16").misuse
 
 

@@ -40,6 +40,6 @@ def test_without_it_its_command_is_refused_and_others_stay(metapp: Callable, mon
     Path("a.bsdf").write_bytes(b"tensor_file")
     monkeypatch.setenv(WITHOUT, "rgl")
     assert "No such command 'bsdf'" in metapp("data", "bsdf", "a.bsdf").misuse
-    forms = "cpp, glsl, hlsl, materialx, merl, nbrdf, onnx, osl, slang, wgsl"
+    forms = "cpp, glsl, hlsl, materialx, merl, nbrdf, onnx, osl, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "bsdf").misuse
     assert "a.bsdf" in metapp("meta", "brdf", "a.bsdf").refusal

@@ -1,4 +1,4 @@
-"""Runs shader code of a BRDF: C++ by the system's compiler, WGSL by wgpu, Slang and HLSL by slangpy, where they are.
+"""Runs shader code of a BRDF: C++ by the system's compiler, WGSL by wgpu, HLSL by slangpy, where they are.
 
 No compiler of OSL is at hand: OSL_AS_CPP has C++ read it, which says what it computes, not that OSL takes it.
 """
@@ -116,7 +116,7 @@ def by_wgpu(code: str, name: str, first: Array, second: Array, folder: Path) -> 
 
 
 def by_slang(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
-    """By slangpy on the CPU; HLSL is read by the same compiler."""
+    """By slangpy on the CPU: the Slang compiler reads HLSL."""
     slangpy = pytest.importorskip("slangpy")
     device = slangpy.Device(type=slangpy.DeviceType.cpu, enable_hot_reload=False)
     module = device.load_module_from_source("code", code + SLANG_LOOP.replace("NAME", name))
@@ -132,4 +132,4 @@ def by_slang(code: str, name: str, first: Array, second: Array, folder: Path) ->
     return buffers[2].to_numpy().view(np.float32).reshape(-1, 7)
 
 
-RUNS = {"cpp": by_cpp, "osl": by_osl, "wgsl": by_wgpu, "slang": by_slang, "hlsl": by_slang}
+RUNS = {"cpp": by_cpp, "osl": by_osl, "wgsl": by_wgpu, "hlsl": by_slang}

@@ -34,7 +34,7 @@ def theta() -> Params:
 @pytest.fixture(scope="module")
 def written(theta: Params, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("code")
-    for language in ("cpp", "glsl", "hlsl", "materialx", "osl", "slang", "wgsl"):
+    for language in ("cpp", "glsl", "hlsl", "materialx", "osl", "wgsl"):
         getattr(files, f"write_{language}")(APP, theta, folder / NAME)
     return folder
 
