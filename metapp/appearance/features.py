@@ -97,31 +97,34 @@ def weights_path() -> Path:
     return cache_folder() / "vgg16.safetensors"
 
 
-def describe_features() -> str:
-    """The features that `load_features` would return now, in words.
+def describe_features(imagenet_digests: tuple[str, ...] = IMAGENET_DIGESTS) -> str:
+    """Name the features that `load_features` would return now, in words.
+
+    Args:
+        imagenet_digests: the first 8 hex digits of files of the weights that ImageNet gave.
 
     Raises:
         ValueError: damaged weights.
     """
     path = weights_path()
     if path.is_file():
-        return f"VGG-16 features ({_origin(path, path.stat().st_mtime_ns)})"
+        return f"VGG-16 features ({_origin(path, path.stat().st_mtime_ns, imagenet_digests)})"
     return "random filters, as the weights of VGG-16 are missing (metapp data vgg fetches them)"
 
 
-@lru_cache(maxsize=4)
-def _origin(path: Path, changed: int) -> str:  # `changed`, its time, is a key of the lru_cache
+@lru_cache(maxsize=4)  # `changed`, the file's time, is a key
+def _origin(path: Path, changed: int, imagenet_digests: tuple[str, ...]) -> str:
     """The origin of a file's weights by the digest of their source or their own: ImageNet, or unknown."""
     try:
         with opened_tensors(path) as weights:
             digest = (weights.metadata() or {}).get("sha256", "")
     except SafetensorError:
         raise _damaged(path) from None
-    if digest[:8] not in IMAGENET_DIGESTS:
+    if digest[:8] not in imagenet_digests:
         with open_regular(path) as file:
             file.seek(8 + int.from_bytes(file.read(8), "little"))  # past the header, which names the source
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return "ImageNet" if digest[:8] in IMAGENET_DIGESTS else f"unknown weights {digest[:8]}"
+    return "ImageNet" if digest[:8] in imagenet_digests else f"unknown weights {digest[:8]}"
 
 
 def _damaged(path: str | Path) -> ValueError:

@@ -125,9 +125,16 @@ def _linear(count: int, cells: int, *, periodic: bool) -> Tensor:
     return weights
 
 
-def field_by_rows(field: LocalField, theta: Params, places: Tensor) -> Iterator[Tensor]:
-    """The rows of a field's output at places [T, inputs, height, width], [T, outputs, h, width] at a time."""
-    rows, narrow = max(1, STRIP_TEXELS // field.width), field._replace(width=field.columns)
+def field_by_rows(field: LocalField, theta: Params, places: Tensor, texels: int = STRIP_TEXELS) -> Iterator[Tensor]:
+    """Yield the rows of a field's output, [T, outputs, h, width] at a time, from the top.
+
+    Args:
+        field: the field.
+        theta: its parameters.
+        places: inputs [T, inputs, height, width].
+        texels: how many are evaluated at a time, about.
+    """
+    rows, narrow = max(1, texels // field.width), field._replace(width=field.columns)
     for first in range(0, field.height, rows):
         end = first + rows
         if field.periodic:

@@ -12,9 +12,8 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.order import lattice_of, order_kept
 from metapp.learning.task import Params
-from metapp.networks import field as fields
 from metapp.networks import layers
-from metapp.networks.field import LocalField, regridded
+from metapp.networks.field import LocalField, field_by_rows, regridded
 from metapp.networks.generators import Pyramid, UNet
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_tile, quilted_layout, requilted
@@ -196,13 +195,12 @@ def test_a_code_without_variation_is_the_same_everywhere(rng: Generator) -> None
     torch.testing.assert_close(made, made[..., :1, :1].expand_as(made))
 
 
-def test_a_large_field_is_made_by_rows(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_field_is_made_by_rows(rng: Generator) -> None:
     """The same to rounding, also where the last rows are fewer, and each row where it belongs."""
     field = FIELD._replace(height=21, width=16)
     theta, seen = double(field.init(rng, 2)), places(2, field).double()
     whole = field(theta, seen)
-    monkeypatch.setattr(fields, "STRIP_TEXELS", 5 * 16)
-    rows = list(fields.field_by_rows(field, theta, seen))
+    rows = list(field_by_rows(field, theta, seen, texels=5 * 16))
     assert [part.shape[-2] for part in rows] == [5, 5, 5, 5, 1]
     torch.testing.assert_close(torch.cat(rows, -2), whole)
 

@@ -12,6 +12,7 @@ from metapp.rendering.scenes import rules
 from metapp.rendering.scenes.rules import (
     MOST_CHARACTERS,
     MOST_NESTED,
+    MOST_VALUES,
     TEXT_BYTES,
     CheckedDict,
     Files,
@@ -22,9 +23,9 @@ from metapp.rendering.scenes.rules import (
 from tests.needs_mitsuba import needs_mitsuba
 
 
-def checked(**parts: Any) -> dict[str, Any]:
+def checked(most_values: int = MOST_VALUES, **parts: Any) -> dict[str, Any]:
     """A scene of these, after its check."""
-    return CheckedDict(Files()).object({"type": "scene", **parts})
+    return CheckedDict(Files(), most_values).object({"type": "scene", **parts})
 
 
 def nested(depth: int) -> dict[str, Any]:
@@ -75,12 +76,11 @@ def test_what_is_beyond_a_limit_is_refused(message: str) -> None:
 
 
 @needs_mitsuba
-def test_the_number_of_values_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "MOST_VALUES", 10)
-    assert len(checked(**{f"v{i}": i for i in range(9)})) == 10  # and its type
+def test_the_number_of_values_is_limited() -> None:
+    assert len(checked(10, **{f"v{i}": i for i in range(9)})) == 10  # and its type
     for parts in ({f"v{i}": i for i in range(10)}, {f"s{i}": {"type": "sphere", "radius": 1.0} for i in range(4)}):
         with pytest.raises(ValueError, match="more than 10 values"):
-            checked(**parts)
+            checked(10, **parts)
 
 
 def test_a_scene_is_what_its_text_says() -> None:

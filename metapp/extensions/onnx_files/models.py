@@ -34,6 +34,7 @@ def model_of(
     about: Mapping[str, str],
     *,
     half: bool = False,
+    largest: int = LARGEST,
 ) -> bytes:
     """A module as a model, the content of its file.
 
@@ -44,6 +45,7 @@ def model_of(
         sizes: of each input the axes of any size, as of torch.export.
         about: kept as metadata.
         half: store large weights in half precision, the largest in 8 bits.
+        largest: numbers of a weight from which on it is one of the largest.
 
     Raises:
         ValueError: packages are missing.
@@ -68,7 +70,7 @@ def model_of(
     for node in model.graph.node:
         del node.metadata_props[:]  # where in the source it comes from
     if half:
-        _halve(model.graph)
+        _halve(model.graph, largest)
     del model.metadata_props[:]
     for key, text in about.items():
         entry = model.metadata_props.add()
@@ -77,7 +79,7 @@ def model_of(
     return content
 
 
-def _halve(graph: Any) -> None:
+def _halve(graph: Any, largest: int) -> None:
     """Store large weights in 16 bits, the largest in 8 with a scale for each output, of which runtimes make 32."""
     import numpy as np
     from onnx import TensorProto, helper, numpy_helper
@@ -88,7 +90,7 @@ def _halve(graph: Any) -> None:
         if weight.data_type != TensorProto.FLOAT or numbers < LARGE:
             continue
         name, values = weight.name, numpy_helper.to_array(weight)
-        if numbers < LARGEST:
+        if numbers < largest:
             weight.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}.half"))
             nodes.append(helper.make_node("Cast", [f"{name}.half"], [name], to=TensorProto.FLOAT))
             continue

@@ -6,7 +6,7 @@ Texels see each other only through the flashes, as points do through the cameras
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -74,13 +74,14 @@ class Newton(Part):
         return {key: append_axes(torch.exp(alpha["length"]), change) * change for key, change in updates.items()}
 
 
-def changes(theta: Params, batch: Batch, settings: Params) -> Params:
+def changes(theta: Params, batch: Batch, settings: Params, *, longest_of_texel: Sequence[float] = LONGEST) -> Params:
     """Gauss-Newton's change of `maps` [T, 9, H, W] and `flash` [T, 4, N], to subtract, by reweighted least squares.
 
     Args:
         theta: maps, flashes, and the prior.
         batch: `photos` and `places`.
         settings: those of the loss, with a task axis.
+        longest_of_texel: the greatest change of each of the nine numbers of a texel.
     """
     maps, flash, prior, photos = theta["maps"], theta["flash"], theta["prior"], batch["photos"]
     texels = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
@@ -89,7 +90,7 @@ def changes(theta: Params, batch: Batch, settings: Params) -> Params:
     rows, weight, short = _rows(maps, flash - of_flash, photos, batch["places"], texels, settings)
     matrix, moment = _normal_equations(rows, weight, short, maps, prior, settings)
     change = _solved(matrix, moment[..., None])[..., 0].unflatten(1, maps.shape[-2:]).permute(0, 3, 1, 2)
-    longest = maps.new_tensor(LONGEST)[:, None, None]
+    longest = maps.new_tensor(longest_of_texel)[:, None, None]
     return {"maps": longest * torch.tanh(change / longest), "flash": of_flash}
 
 

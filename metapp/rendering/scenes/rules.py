@@ -211,10 +211,11 @@ class CheckedDict:
 
     Args:
         files: that it may name.
+        most_values: of the whole scene.
     """
 
-    def __init__(self, files: Files) -> None:
-        self.files, self.parts = files, 0
+    def __init__(self, files: Files, most_values: int = MOST_VALUES) -> None:
+        self.files, self.parts, self.most_values = files, 0, most_values
 
     def object(self, scene: SceneDict, depth: int = 0) -> SceneDict:
         """The same with file names absolute.
@@ -264,8 +265,8 @@ class CheckedDict:
 
     def _value(self, key: str, value: Json, depth: int, kind: str) -> Json:
         self.parts += 1
-        if self.parts > MOST_VALUES:
-            raise ValueError(f"more than {MOST_VALUES:,} values, expected fewer; put meshes in files.")
+        if self.parts > self.most_values:
+            raise ValueError(f"more than {self.most_values:,} values, expected fewer; put meshes in files.")
         if isinstance(value, dict):
             return self.object(value, depth + 1)
         if isinstance(value, str):

@@ -53,17 +53,15 @@ def test_reflectance_is_that_of_the_fit(name: str, tmp_path: Path, capfd: pytest
 
 
 @pytest.mark.parametrize(("largest", "bits", "apart"), [(1 << 21, 16, 5e-4), (1 << 10, 8, 5e-3)])
-def test_large_weights_take_16_or_8_bits(
-    largest: int, bits: int, apart: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_weights_take_16_or_8_bits(largest: int, bits: int, apart: float, tmp_path: Path) -> None:
     """Outputs of other scales, one of them of zeros, are as exact."""
-    monkeypatch.setattr(models, "LARGEST", largest)
     layer = torch.nn.Conv2d(64, 32, 3, bias=False)
     with torch.no_grad():
         layer.weight.mul_(torch.logspace(-3, 3, 32)[:, None, None, None])
         layer.weight[7] = 0
     x = torch.rand(1, 64, 8, 8, generator=Generator().manual_seed(1))
-    (tmp_path / "layer.onnx").write_bytes(models.model_of(layer, {"x": x}, ["y"], {}, {}, half=True))
+    content = models.model_of(layer, {"x": x}, ["y"], {}, {}, half=True, largest=largest)
+    (tmp_path / "layer.onnx").write_bytes(content)
     assert (tmp_path / "layer.onnx").stat().st_size == pytest.approx(layer.weight.numel() * bits / 8, rel=0.1)
     (found,) = session(tmp_path / "layer.onnx").run(["y"], {"x": x.numpy()})
     exact = layer(x).detach()

@@ -47,10 +47,9 @@ def settings(values: dict[str, float] = SETTINGS) -> Params:
     return {key: torch.full(shapes[key], math.log(value), dtype=torch.float64) for key, value in values.items()}
 
 
-def test_changes_are_those_of_dense_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(newton, "LONGEST", sum(RAW) * (1e6,))
+def test_changes_are_those_of_dense_least_squares() -> None:
     theta, batch, _ = problem()
-    found = newton.changes(theta, batch, settings())
+    found = newton.changes(theta, batch, settings(), longest_of_texel=sum(RAW) * (1e6,))
 
     def logs(flat: Tensor) -> Tensor:
         maps, flash = flat[: -FLASH * COUNT].view_as(theta["maps"]), flat[-FLASH * COUNT :].view_as(theta["flash"])

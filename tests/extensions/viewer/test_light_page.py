@@ -86,10 +86,9 @@ def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> No
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)
 
 
-def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pages, "LARGEST_MAP", (16, 32))
+def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor) -> None:
     app, theta = shown("reference")
-    view = view_of(presenter_of(app), theta, task_of(lamps(2)))
+    view = pages.view(presenter_of(app), theta, task_of(lamps(2)), largest=(16, 32))
     small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]
     torch.testing.assert_close(small, resample(fitted / fitted.mean(), 16, 32), rtol=1e-3, atol=1e-6)
     assert view.facts["note"] == (

@@ -133,11 +133,10 @@ def test_heights_of_normals_do_not_drift_over_a_map() -> None:
     assert np.ptp(known.facts["heights"]) == pytest.approx(0.1, abs=1e-6)
 
 
-def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_maps_are_reduced() -> None:
     """To means of texels; heights stay as they are in widths of the texture."""
-    monkeypatch.setattr("metapp.extensions.viewer.pages.flat.LARGEST_TEXELS", 64)
     large = rock(128)
-    view = surface_view(large, [])
+    view = surface_view(large, [], largest=64)
     assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])
     assert large.maps is not None
     maps = maps_in(view)

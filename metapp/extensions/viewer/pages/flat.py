@@ -88,7 +88,12 @@ def texture(presenter: Presenter[Texture], theta: Params, task: Task) -> View:
 
 
 def surface_view(
-    surface: Surface | None, photographed: Sequence[Lit], *, falloff: float = 0.0, reference: Maps | None = None
+    surface: Surface | None,
+    photographed: Sequence[Lit],
+    *,
+    falloff: float = 0.0,
+    reference: Maps | None = None,
+    largest: int = LARGEST_TEXELS,
 ) -> View:
     """A surface with all maps, under its photographs' flashes and in the three pictures of other lights.
 
@@ -97,10 +102,11 @@ def surface_view(
         photographed: its photographs, or none.
         falloff: of flashes in pictures, as of `metapp.appearance.flash.render`.
         reference: the true maps, if they are known.
+        largest: texels a side at most; larger maps are reduced.
     """
     if surface is None or surface.maps is None:
         raise ValueError("a surface of one colour, expected one with maps")
-    small = _reduced(surface)
+    small = _reduced(surface, largest)
     assert small.maps is not None
     heights = small.heights()
     height, low, high = stretched(heights if surface.height is not None or surface.tiles else _level(heights))
@@ -160,9 +166,9 @@ def _within(largest: int, values: Tensor) -> tuple[int, int]:
     return max(1, round(share * height)), max(1, round(share * width))
 
 
-def _reduced(surface: Surface) -> Surface:
-    """The same, at most LARGEST_TEXELS texels a side."""
-    size = _within(LARGEST_TEXELS, surface.base)
+def _reduced(surface: Surface, largest: int) -> Surface:
+    """Return a surface of at most `largest` texels a side, means of the given one's."""
+    size = _within(largest, surface.base)
     if size == surface.size or surface.maps is None:
         return surface
     maps, height = _resized(surface.maps, size), surface.height

@@ -25,8 +25,16 @@ NODES = 32  # cosines that the albedos of lobes are known at
 
 
 @torch.no_grad()
-def view(presenter: IlluminationPresenter, theta: Params, task: Task) -> View:
+def view(
+    presenter: IlluminationPresenter, theta: Params, task: Task, *, largest: tuple[int, int] = LARGEST_MAP
+) -> View:
     """The map as `pictures` has it, to look around in, and spheres lit by it; of a photograph also the ball.
+
+    Args:
+        presenter: the application's.
+        theta: the fit's parameters, without a task axis.
+        task: what was fitted.
+        largest: rows and columns that a larger map is reduced to.
 
     Raises:
         KeyError: a fit of a photograph without it.
@@ -36,7 +44,7 @@ def view(presenter: IlluminationPresenter, theta: Params, task: Task) -> View:
     pixels = presenter.map_picture(theta, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
     light = pixels.permute(2, 0, 1) / unit
-    maps = {"map": resample(light, *LARGEST_MAP) if light.shape[1] > LARGEST_MAP[0] else light}
+    maps = {"map": resample(light, *largest) if light.shape[1] > largest[0] else light}
     if "map" in task.data:
         reference = task.data["map"].float() * task.data.get("scale", torch.ones(())) / unit
         maps["reference"] = resample(reference, *maps["map"].shape[1:])
