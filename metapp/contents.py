@@ -9,7 +9,7 @@ APPLICATIONS = {
         help="BRDFs: reflectance of a material over pairs of directions.",
         options="metapp.apps.brdf.options:BrdfOptions",
         presenter="metapp.apps.brdf.presenter:BrdfPresenter",
-        kinds=("phi_h",),
+        facts="data_tools.readers.brdf_task:facts_of",
     ),
     "texture": Application(
         "metapp.apps.texture.app:Texture",
@@ -25,7 +25,7 @@ APPLICATIONS = {
         "metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary",
         help="Maps of a flat material from one or several flash photographs.",
         options="metapp.networks.options:FlashOptions",
-        kinds=("places", "photo"),
+        facts="data_tools.readers.svbrdf_task:facts_of",
         protocols={"reference": "maps", "photo": "photo"},
     ),
     "illumination": Application(
@@ -114,12 +114,11 @@ def register(registry: Registry) -> None:
         "data_tools.readers.svbrdf_inputs",
         app="svbrdf_nonstationary",
         inputs="flash photos, strips, a material's maps",
-        kinds=(("photo", ""),),
     )
     registry.recipes["brdf", "", "anisotropic"] = RecipeEntry(
         "metapp.apps.brdf.recipes:RECIPES.anisotropic",
         help="reflectance that depends on phi_h",
-        kind="phi_h",
+        suits={"anisotropic": True},
         paradigms=("meta", "overfit"),
     )
     registry.networks["brdf", "nbrdf"] = Entry("metapp.apps.brdf.nbrdf:NBRDF")

@@ -92,28 +92,31 @@ class Application(Entry[Any]):
             choice.
         options: "module:attribute" of its own, a dataclass that extends `metapp.options.AppOptions`.
         presenter: "module:attribute" of its `metapp.appearance.presenter.Presenter`; "" for one that shows nothing.
-        kinds: tensors that only some of its tasks hold; the first that a task holds is its kind, and a recipe may be
-            for one kind.
+        facts: "module:function" of what tensors of a task tell, `facts_of(tensors)` with None for those whose names
+            alone are known, as of data sets; recipes are chosen by it. "" for nothing.
     """
 
     protocols: Mapping[str, str] = field(default_factory=dict)
     options: str = "metapp.options:AppOptions"
     presenter: str = ""
-    kinds: tuple[str, ...] = ()
+    facts: str = ""
+
+
+Wanted = bool | int | tuple[float, float]  # the value of a fact, or its least and greatest one
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecipeEntry(Entry[Any]):
-    """A `metapp.learning.recipe.Recipe`; `help` says in words what inputs of its kind have.
+    """A `metapp.learning.recipe.Recipe`; `help` says in words what inputs have that it suits.
 
     Attributes:
-        kind: the kind of inputs that take it if none is named; "" if it must be named.
+        suits: facts of the inputs that take it if none is named, each with its value or range; {} if it must be named.
         paradigms: those that take it so; () for all.
         lacks: a function `lacks() -> str`, a line that names a file it needs and does not find; "" for none.
         checkpoints: the package whose folder <name> holds its checkpoints; "" for those that ship.
     """
 
-    kind: str = ""
+    suits: Mapping[str, Wanted] = field(default_factory=dict)
     paradigms: tuple[str, ...] = ()
     lacks: str = ""
     checkpoints: str = ""
@@ -125,25 +128,24 @@ class Format(Entry[Any]):
 
     The module has these names:
 
-    - `find(path)`: the sources, and a message for each skipped file of a folder; ValueError for a bad path;
-    - `read_task(source, ...)`: the task; ValueError if the source is damaged. Fits pass the parameters that it names;
-    - `recognises(path)`, of inputs of fits: True for a file of the format and for a folder with such files;
-    - `protocol_of(source)`, optional: the value of --observe for a fit of this source; without it the default one;
+    - `recognises(path)`, of inputs of fits: True for a file of the format and for a folder with such files, by suffixes
+      and first bytes;
+    - `find(path)`: a `data_tools.readers.source.Source` for each task, with all that is to be known before it is read,
+      and a message for each skipped file of a folder; ValueError for a bad path;
+    - `read_task(path, ...)`: the task; ValueError if the source is damaged. Fits pass the parameters that it names,
+      among them `content`, what `find` has parsed already;
     - `UNITS`, if the command "data NAME" (a `metapp.options.Converter`) converts files: units of tensors by name;
-    - `entries(sources, folders, split)`, optional: names, groups and splits as `metapp.storage.shards.Entry`, of all
-      sources that are not left out.
+    - `entries(paths, folders, split)`, optional: names, groups and splits as `metapp.storage.shards.Entry`, of all
+      paths of sources that are not left out.
 
     Attributes:
         app: the application whose tasks its files hold.
         inputs: the files in words, for help and errors; "" if fits do not take them as INPUT.
-        kinds: the kinds of its files, each with the name of the module's function `tells(path) -> bool`, of which the
-            first that is True counts; "" for all files. `<tells>_task(task)` does the same for objects in memory.
         data_sets: whether its command "data NAME" takes data sets, too.
     """
 
     app: str
     inputs: str = ""
-    kinds: tuple[tuple[str, str], ...] = ()
     data_sets: bool = False
 
 
@@ -256,13 +258,14 @@ class Registry:
         """Take over all that another one holds, or nothing.
 
         Raises:
-            ValueError: a name that is there already; two recipes for inputs of one kind. It names both packages.
+            ValueError: a name that is there already; two recipes that suit the same facts. It names both packages.
         """
         new: dict[str, str] = {}
         for table, key, entry in other.entries():
             names = [other.name(table, key)]
-            if isinstance(entry, RecipeEntry) and entry.kind:
-                names.append(f"recipes of {key[0]} for inputs of kind {_line(entry.kind, key[1])}")
+            if isinstance(entry, RecipeEntry) and entry.suits:
+                facts = ", ".join(f"{fact} {wanted}" for fact, wanted in sorted(entry.suits.items()))
+                names.append(f"recipes of {_line(*key[:2])} for inputs of {facts}")
             for name in names:
                 if owner := self.owners.get(name, new.get(name)):
                     raise ValueError(f"{name}: of {package}, but there is one of {owner} already")
@@ -289,7 +292,7 @@ class Registry:
             ImportError, TypeError: there is such a one.
         """
         for _, _, entry in self.entries():
-            for name in ("reference", "options", "presenter", "lacks"):
+            for name in ("reference", "options", "presenter", "lacks", "facts"):
                 reference = getattr(entry, name, "")
                 if reference and importlib.util.find_spec(reference.partition(":")[0]) is None:
                     raise ImportError(f"{reference}: no such module")

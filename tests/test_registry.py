@@ -37,8 +37,8 @@ BROKEN = {
     'registry.parts["adam"] = Entry("math:gcd")': "ValueError: rules adam: of stranger, but there is one of metapp",
     'registry.commands["data merl"] = Entry("math:gcd")': "ValueError: commands data merl: of stranger, but there",
     'registry.commands["meta"] = Entry("math:gcd")': "ValueError: commands meta: of stranger, but there",
-    'registry.recipes["brdf", "", "mine"] = RecipeEntry("math:gcd", kind="few")': (
-        "ValueError: recipes of brdf for inputs of kind few: of stranger, but there is one of metapp already"
+    'registry.recipes["brdf", "", "mine"] = RecipeEntry("math:gcd", suits={"samples": (1, 200)})': (
+        "ValueError: recipes of brdf for inputs of samples (1, 200): of stranger, but there is one of metapp already"
     ),
     'registry.exports["brdf", "mine"] = "math:gcd"': "TypeError: brdf mine: a str, expected Export",
     'registry.exports.update({("brdf", "mine"): Entry("math:gcd")})': "TypeError: brdf mine: a Entry, expected Export",
@@ -179,7 +179,7 @@ def test_of_others_what_cannot_be_loaded_is_left_out_with_a_warning(installed: C
 
 def test_all_that_ships_can_be_loaded() -> None:
     for _, _, entry in registry().entries():
-        for name in ("reference", "options", "lacks"):
+        for name in ("reference", "options", "lacks", "facts"):
             if reference := getattr(entry, name, ""):
                 assert load(reference) is not None
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import functools
 import math
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from data_tools.readers.source import ANISOTROPIC, SAMPLES, Facts
 from metapp.appearance.geometry import above_horizon, cosines
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.learning.task import Task
@@ -100,6 +101,15 @@ def columns_of(angles: Tensor) -> dict[str, Tensor]:
     if angles.shape[-1] == 3:
         return {"angles": angles}
     return {"angles": angles[:, :3].contiguous(), "phi_h": angles[:, 3].contiguous()}
+
+
+def facts_of(tensors: Mapping[str, Tensor | None]) -> Facts:
+    """Return what tensors of a task tell; values are None where names alone are known, as of data sets."""
+    facts: dict[str, bool | int] = {ANISOTROPIC: "phi_h" in tensors}
+    if (angles := tensors.get("angles")) is not None:
+        first, second = angles.chunk(2)
+        facts[SAMPLES] = len(first) if torch.equal(first, second) else len(angles)  # none held out, or half of them
+    return facts
 
 
 def is_anisotropic(evaluate: Evaluate) -> bool:

@@ -15,12 +15,14 @@ from data_tools.draws import Rng, stream
 from data_tools.readers.arrays import pixels_of, planes_of
 from data_tools.readers.colours import LINEAR, Floats, Space, is_linear, linear_rgb
 from data_tools.readers.image_files import NAMED, check_exists, check_size, opened, opens, read_pixels, shape_of
-from data_tools.readers.listing import Found, files_of, find_files
+from data_tools.readers.listing import files_of, find_files
 from data_tools.readers.photos import fault_of
+from data_tools.readers.source import Sources, sources_of_files
 from metapp.appearance.latlong import mean_luminance, resample
 from metapp.appearance.photograph import photograph
 from metapp.learning.task import Task
 from metapp.names import inputs_of
+from metapp.storage.folders import looks_once
 
 HEIGHT, WIDTH = 64, 128
 SIZE, COUNT = 64, 4  # px and number of the photographs of a map
@@ -115,6 +117,7 @@ def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
     return Task(name, {"map": light, "scale": scale, "photos": (photos * 255).round().to(torch.uint8)})
 
 
+@looks_once
 def is_map(path: Path) -> bool:
     """True if a file is an HDR image, which holds floating-point values."""
     if path.suffix.lower() in _SUFFIXES:
@@ -130,7 +133,7 @@ def recognises(path: Path) -> bool:
     return any(map(is_map, files_of(path, NAMED)))
 
 
-def find(path: Path) -> Found:
+def find(path: Path) -> Sources:
     """Find HDR maps, as `find_files`; the error of a named file comes when it is read."""
 
     def fault(file: Path) -> str | None:
@@ -138,7 +141,8 @@ def find(path: Path) -> Found:
             return line
         return "" if is_map(file) else f"{file}: not an HDR map, {_EXPECTED}."
 
-    return find_files(path, check_exists, fault, f"no map in this folder, {_EXPECTED}; name the folder of the maps.")
+    nothing = f"no map in this folder, {_EXPECTED}; name the folder of the maps."
+    return sources_of_files(find_files(path, check_exists, fault, nothing), protocol="reference")
 
 
 def read_map(path: str | Path, height: int = HEIGHT, layer: str = "") -> Tensor:

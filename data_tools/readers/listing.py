@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Callable, Collection
 from pathlib import Path
 
 from metapp.storage.files import placeholder_line
-from metapp.storage.folders import FAILED, holds_files_of_users
+from metapp.storage.folders import FAILED, entries_of, holds_files_of_users, looks_once
 
-Found = tuple[list[Path], list[str]]  # the sources of a path, and the line of each skipped file of a folder
+Found = tuple[list[Path], list[str]]  # the files of a path, and the line of each skipped file of a folder
 
 
 def find_files(
@@ -63,15 +62,6 @@ def has_suffix(path: str | Path, suffix: str) -> bool:
     return any(file.suffix.lower() == suffix for file in files_of(path, suffix))
 
 
-def any_passes(path: Path, suffix: str, test: Callable[[Path], bool]) -> bool:
-    """True if a file, or one in a folder at any depth, passes a test; one that cannot be read does not."""
-    for file in files_of(path, suffix):
-        with contextlib.suppress(ValueError, OSError):
-            if test(file):
-                return True
-    return False
-
-
 def files_of(path: str | Path, endings: str | tuple[str, ...] = "") -> list[Path]:
     """A file itself; the `files_below` a folder; [] if there is nothing."""
     path = Path(path)
@@ -85,16 +75,21 @@ def files_below(folder: Path, endings: str | tuple[str, ...] = "") -> list[Path]
     or looked for in vain.
     Names end in one of `endings`, in capitals or not.
     """
-    found, folders = [], [str(folder)]
+    return [Path(file) for file in _all_below(str(folder)) if file.lower().endswith(endings)]
+
+
+@looks_once
+def _all_below(folder: str) -> list[str]:
+    """Return the paths of all files that `files_below` chooses from, sorted."""
+    found, folders = [], [folder]
     while folders:  # of any depth, which recursion has not
         place = folders.pop()
         takes_files, takes_folders = holds_files_of_users(place)
-        with os.scandir(place) as entries:
-            for entry in entries:
-                if entry.name.startswith(".") or (entry.name.endswith(FAILED) and entry.is_file()):
-                    continue
-                if entry.is_dir(follow_symlinks=False):
-                    folders += [entry.path] * takes_folders
-                elif takes_files and entry.name.lower().endswith(endings) and entry.is_file():
-                    found.append(entry.path)
-    return [Path(file) for file in sorted(found, key=lambda file: file.split(os.sep))]
+        for entry in entries_of(place):
+            if entry.name.startswith(".") or (entry.name.endswith(FAILED) and entry.is_file()):
+                continue
+            if entry.is_dir(follow_symlinks=False):
+                folders += [entry.path] * takes_folders
+            elif takes_files and entry.is_file():
+                found.append(entry.path)
+    return sorted(found, key=lambda file: file.split(os.sep))

@@ -31,16 +31,18 @@ from data_tools.readers import photos
 from data_tools.readers.arrays import check_range, checked, is_pil, pixels_of, planes_of
 from data_tools.readers.colours import LINEAR
 from data_tools.readers.image_files import SUFFIXES, Pixels, read_pixels, shape_of
-from data_tools.readers.listing import Found, files_below
+from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import CHANNELS, COLOURS, NORMALS, PLAIN, map_name
 from data_tools.readers.normal_maps import complete_normals
 from data_tools.readers.photos import SIZE, central_square, resample, side_of
+from data_tools.readers.source import Source, Sources
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
+from metapp.storage.folders import entries_of, looks_once
 from metapp.storage.shards import Entry
 
 _IS_CLEAR = 0.2  # correlation of the two mixed slopes, 1 for an exact height field and -1 for an upturned one
@@ -91,22 +93,26 @@ def recognises(path: Path) -> bool:
     return any(materials_in(folder)[0] for folder in {file.parent for file in files_below(path, SUFFIXES)})
 
 
-def find(path: Path) -> Found:
-    """One file of each material in a folder at any depth, or of the one of a named map; and files that are no map.
+def find(path: Path) -> Sources:
+    """Find one file of each material in a folder at any depth, or of the one of a named map; and files that are no map.
 
     Raises:
         ValueError: a path that does not exist, a folder without a map.
     """
-    files, skipped = photos.find(path)
+    files, skipped = photos.find_images(path)
     if not path.is_dir():
-        return [_material(path).source], []
+        return [_source_of(_material(path))], []
     in_folders = [materials_in(folder) for folder in sorted({file.parent for file in files})]
-    materials = [material.source for some, _ in in_folders for material in some]
+    materials = [_source_of(material) for some, _ in in_folders for material in some]
     if not materials:
         names = ", ".join(file.name for file in files[:3])
         raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED}; rename them.")
     others = [file for _, files in in_folders for file in files]
     return materials, skipped + [f"{file}: no map under a usual name, {_EXPECTED}; rename it." for file in others]
+
+
+def _source_of(material: Material) -> Source:
+    return Source(material.title, material.source, content=material)
 
 
 def material_of(file: Path) -> Material | None:
@@ -121,9 +127,11 @@ def _material(file: Path) -> Material:
     raise ValueError(f"{file}: no map under a usual name, {_EXPECTED}; rename it, or name a folder.")
 
 
+@looks_once
 def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
     """The materials right in a folder, by name, and image files whose role is unknown."""
-    images = sorted(file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
+    files = (Path(entry.path) for entry in entries_of(str(folder)) if entry.is_file())
+    images = sorted(file for file in files if file.suffix.lower() in SUFFIXES)
     parts = {file: map_name(file.stem) for file in images if not file.name.startswith(".")}
     names = {name.lower() for name, _, role in parts.values() if role}
     groups: dict[str, dict[Path, tuple[str, str, str]]] = {}
@@ -189,8 +197,15 @@ def _unpacked(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]
     return files
 
 
-def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int = 0, layer: str = "") -> Task:
-    """The material that a map belongs to as a task, photographed by the renderer.
+def read_task(
+    source: Path,
+    size: int = SIZE,
+    normals: str = "auto",
+    least: int = 0,
+    layer: str = "",
+    content: Material | None = None,
+) -> Task:
+    """Turn the material that a map belongs to into a task, photographed by the renderer.
 
     Args:
         source: one of its maps.
@@ -199,12 +214,13 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int 
             could have it, up if that is not clear.
         least: as of `photo_of`, if all maps are smaller.
         layer: as of `read_pixels`, of each map.
+        content: the material, as `find` found it.
 
     Raises:
         ValueError: as `read_pixels`; a map that is missing or there twice, maps of different shapes, NaN, black,
             normals that are none.
     """
-    return read_material(_material(source), size, normals, least, layer)
+    return read_material(content or _material(source), size, normals, least, layer)
 
 
 def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, least: int = 0) -> Task:

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.listing import Found, files_of, find_files
+from data_tools.readers.listing import files_of, find_files
+from data_tools.readers.source import Sources, sources_of_files
 from metapp.appearance.geometry import above_horizon
 from metapp.learning.task import Params, Task
 from metapp.storage.files import open_regular, placeholder_line, suffixed, write_atomically
@@ -46,10 +47,10 @@ _MIN_VALID = 0.01  # three quarters of the bins are above the horizon
 _ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
 
 
-def find(path: Path) -> Found:
+def find(path: Path) -> Sources:
     """Find MERL files by size and header, as `find_files`; values are not looked at."""
     nothing = f"no MERL file, expected *.binary files of {_ABOUT}; name their folder."
-    return find_files(path, _check_file, _problem, nothing, (SUFFIX,))
+    return sources_of_files(find_files(path, _check_file, _problem, nothing, (SUFFIX,)))
 
 
 def recognises(path: str | Path) -> bool:

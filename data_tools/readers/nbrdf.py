@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.listing import Found, files_below
+from data_tools.readers.listing import files_below
+from data_tools.readers.source import Source, Sources
 from metapp.appearance.geometry import half_difference
 from metapp.learning.task import Params, Task
 from metapp.storage.files import check_readable, open_regular, write_atomically
@@ -40,21 +41,21 @@ _KERAS = (".h5", ".hdf5")
 INSTALL = 'pip install "metapp[nbrdf]"'
 
 
-def find(path: Path) -> Found:
+def find(path: Path) -> Sources:
     """Find networks by the names of their files, in a folder at any depth (hidden ones left out).
 
     Returns:
-        The places of networks, sorted: a file, a network's folder, or folder/name if its files have a name in front.
+        Networks by their places, sorted: a file, a network's folder, or folder/name if its files have a name in front.
         And a line for each network of a folder that lacks files, and for those that h5py is missing for.
 
     Raises:
         ValueError: a path that is neither folder nor network, a folder without a whole network.
     """
     if _is_keras(path):
-        return [path], []
+        return [_source_of(path)], []
     if not path.is_dir():
         _files_of(path)
-        return [path], []
+        return [_source_of(path)], []
     groups = _networks(files_below(path, ".npy"))
     whole = sorted(network for network, files in groups.items() if len(files) == len(SHAPES))
     broken = [_missing(network, groups[network]) for network in sorted(groups.keys() - set(whole))]
@@ -64,7 +65,11 @@ def find(path: Path) -> Found:
         broken.insert(0, f"{path}: {len(keras)} networks in HDF5 ({keras[0].name}, ...), which need h5py; {INSTALL}.")
     if not whole:
         raise ValueError(broken[0] if broken else f"{path}: no NBRDF network, {_EXPECTED}; name their folder.")
-    return whole, broken
+    return [_source_of(network) for network in whole], broken
+
+
+def _source_of(path: Path) -> Source:
+    return Source(path.stem if _is_keras(path) else path.resolve().name, path)
 
 
 def recognises(path: str | Path) -> bool:

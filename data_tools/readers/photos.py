@@ -28,6 +28,7 @@ from data_tools.readers.image_files import (
 )
 from data_tools.readers.lenses import FRAME_MM
 from data_tools.readers.listing import Found, files_below, find_files
+from data_tools.readers.source import Sources, sources_of_files
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import FOV_RAD
 from metapp.appearance.surface import DESCRIPTION
@@ -46,7 +47,12 @@ SIZE_TEXT = "image_size.txt"
 BESIDE = ("metadata.json", DESCRIPTION, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
 
 
-def find(path: Path) -> Found:
+def find(path: Path) -> Sources:
+    """Find image files, as `find_images`, each of which is a source."""
+    return sources_of_files(find_images(path))
+
+
+def find_images(path: Path) -> Found:
     """Find image files, as `find_files`; the error of a named file comes when it is read."""
     nothing = f"no image in this folder, {EXPECTED}; name the folder of the photographs."
     return find_files(path, check_exists, fault_of, nothing, NAMED)

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from data_tools.readers import material_maps, photos, strips
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import NAMED, check_exists, read_pixels
-from data_tools.readers.listing import Found, files_below
+from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import lies_aside
 from data_tools.readers.photos import SIZE, flash_view, photo_of, placed_in, task_of_square
+from data_tools.readers.source import DAMAGED, PHOTOS, Source, Sources
 from data_tools.readers.svbrdf_task import rightly_exposed
 from metapp.learning.task import Task
+
+
+class Role(NamedTuple):
+    """What a file is: a map of a material, a strip, or else a photograph."""
+
+    material: material_maps.Material | None = None
+    strip: bool = False
 
 
 def recognises(path: Path) -> bool:
@@ -23,19 +32,25 @@ def recognises(path: Path) -> bool:
     return any(_is_elsewhere(file, placed) for file in files_below(path, NAMED))
 
 
-def find(path: Path) -> Found:
-    """All strips and photographs, and one file of each material that is kept as maps, as `find_files`.
+def find(path: Path) -> Sources:
+    """Find all strips and photographs, and one file of each material that is kept as maps, as `find_files`.
 
     Folders with the places of several photographs, as of `placed_in`, are left out.
     """
-    files, skipped = photos.find(path)
+    files, skipped = photos.find_images(path)
     placed = placed_in(path) if path.is_dir() else []
     files = [file for file in files if _is_elsewhere(file, placed)]
     stands_for: dict[Path, Path | None] = {}
     unknown: dict[Path, str] = {}
-    for folder in {file.parent for file in files}:
-        for material in filter(_is_material, material_maps.materials_in(folder)[0]):
-            stands_for.update(dict.fromkeys(filter(lies_aside, folder.iterdir())))
+    materials: dict[Path, material_maps.Material] = {}
+    by_folder: dict[Path, list[Path]] = {}
+    for file in files:
+        by_folder.setdefault(file.parent, []).append(file)
+    for folder, beside in by_folder.items():
+        here = [*filter(_is_material, material_maps.materials_in(folder)[0])]
+        stands_for.update(dict.fromkeys(filter(lies_aside, beside if here else ())))
+        for material in here:
+            materials[material.source] = material
             stands_for.update(dict.fromkeys(material.maps, material.source))
             unknown |= dict.fromkeys(material.unknown, material.title)
     skipped += [
@@ -43,17 +58,39 @@ def find(path: Path) -> Found:
         for file, title in unknown.items()
     ]
     stands_for |= dict.fromkeys(unknown)
-    return list(dict.fromkeys(source for file in files if (source := stands_for.get(file, file)))), skipped
+    found = dict.fromkeys(source for file in files if (source := stands_for.get(file, file)))
+    return [_source_of(file, materials.get(file)) for file in found], skipped
 
 
-def protocol_of(source: Path) -> str:
-    """The protocol of a fit of a source: "reference" if it holds maps, "photo" if it is a photograph alone."""
-    material = material_maps.material_of(source)
-    return "reference" if (material and _is_material(material)) or strips.is_strip(source) else "photo"
+def _source_of(file: Path, material: material_maps.Material | None) -> Source:
+    """Return a file as a source; of maps and strips a photograph is rendered or cut out, too."""
+    try:
+        role = Role(material) if material else role_of(file)
+    except (ValueError, OSError):  # reading it says what is wrong
+        return Source(file.stem, file, protocol="photo", facts={DAMAGED: True})
+    name = role.material.title if role.material else file.stem
+    return Source(name, file, protocol="photo" if role == Role() else "reference", facts={PHOTOS: 1}, content=role)
 
 
-def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0, layer: str = "") -> Task:
-    """A strip, the material that a map belongs to, or else a photograph as a task named by the file.
+def role_of(path: Path) -> Role:
+    """Find out what a file is, by the names of the files beside it and by its shape.
+
+    Raises:
+        ValueError: no image.
+    """
+    material = material_maps.material_of(path)
+    return Role(material) if material and _is_material(material) else Role(strip=strips.is_strip(path))
+
+
+def read_task(
+    path: Path,
+    size: int = SIZE,
+    fov_rad: float = 0.0,
+    stops: float = 0.0,
+    layer: str = "",
+    content: Role | None = None,
+) -> Task:
+    """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
 
     Args:
         path: the file.
@@ -61,15 +98,16 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, stops: float =
         fov_rad: of a photograph's camera, as of `flash_view`.
         stops: by which a photograph is too bright.
         layer: as of `read_pixels`.
+        content: what the file is, as `find` found it.
 
     Returns:
         As `svbrdf_task`; of a photograph `photo` alone, uint8 [3, S, S].
     """
     check_exists(path)
-    material, least = material_maps.material_of(path), min(size, SIZE)
-    if material and _is_material(material):
-        return material_maps.read_task(path, size, least=least, layer=layer)
-    if strips.is_strip(path):
+    role, least = content or role_of(path), min(size, SIZE)
+    if role.material:
+        return material_maps.read_task(path, size, least=least, layer=layer, content=role.material)
+    if role.strip:
         return strips.read_task(path, size, least=least, layer=layer)
     whole = read_pixels(path, layer)
     return _exposed(task_of_square("photo", flash_view(whole, fov_rad, str(path)), whole, path, size, least), stops)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from data_tools.readers.source import PHOTOS, Facts
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import camera, positions, render, unpack
 from metapp.learning.task import Task
@@ -22,6 +24,12 @@ UNITS = {
 CLIPPED = 0.95  # of white: brighter px say no more than "at least so bright"
 _MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
 _LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
+
+
+def facts_of(tensors: Mapping[str, Tensor | None]) -> Facts:
+    """Return what tensors of a task tell; values are None where names alone are known, as of data sets."""
+    others = tensors.get("others")
+    return {PHOTOS: 1 + len(others) if others is not None else 2 if "places" in tensors else 1}
 
 
 def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) -> Task:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from metapp.registry import Entry, Export, Format, RecipeEntry, Registry
 
 _MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
@@ -73,13 +75,12 @@ def few(registry: Registry) -> None:
         f"{here}.gonio",
         app="brdf",
         inputs="goniometer .csv files",
-        kinds=(("phi_h", "is_anisotropic"), ("few", "has_few")),
     )
     registry.networks["brdf", "few"] = Entry(f"{here}.network:NETWORK")
     registry.recipes["brdf", "", "few"] = RecipeEntry(
         f"{here}.app:FEW",
         help="200 samples or fewer",
-        kind="few",
+        suits={"samples": (1, 200)},  # up to which it has lower errors than the usual one
         paradigms=("meta",),
         checkpoints=f"{here}.checkpoints",
     )
@@ -152,7 +153,7 @@ def pretrained(registry: Registry) -> None:
     registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = RecipeEntry(
         f"{here}.app:PRETRAINED",
         help="one flash photo",
-        kind="photo",
+        suits={"photos": 1},
         paradigms=("general", "quickft", "meta"),
         lacks=f"{here}.encoder:lacks",
         checkpoints=f"{here}.checkpoints",
@@ -164,9 +165,7 @@ def pretrained(registry: Registry) -> None:
 def rgl(registry: Registry) -> None:
     """BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
     here = f"{_HERE}.rgl"
-    registry.formats["bsdf"] = Format(
-        f"{here}.rgl", app="brdf", inputs="RGL .bsdf files", kinds=(("phi_h", "is_anisotropic"),)
-    )
+    registry.formats["bsdf"] = Format(f"{here}.rgl", app="brdf", inputs="RGL .bsdf files")
     registry.commands["data bsdf"] = Entry(f"{here}.options:Bsdf")
     registry.exports["brdf", "bsdf"] = Export(f"{here}.rgl:export")
     registry.exports["brdf", "bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
@@ -194,10 +193,12 @@ def several(registry: Registry) -> None:
         f"{here}.photos",
         app="svbrdf_nonstationary",
         inputs="folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
-        kinds=(("places", ""),),
     )
     registry.recipes["svbrdf_nonstationary", "photo", "several"] = RecipeEntry(
-        f"{here}.recipe:SEVERAL", help="several photos", kind="places", checkpoints=f"{here}.checkpoints"
+        f"{here}.recipe:SEVERAL",
+        help="several photos",
+        suits={"photos": (2, math.inf)},
+        checkpoints=f"{here}.checkpoints",
     )
     registry.parts["newton"] = Entry(f"{here}.newton:Newton")
     registry.rules["gauss-newton"] = "newton+loss"

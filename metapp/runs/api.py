@@ -13,15 +13,15 @@ import numpy as np
 from torch import Tensor
 
 from metapp.learning.task import Task
-from metapp.names import protocols_of
 from metapp.options import BadOption
 from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.choose import choose
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
+from metapp.runs.inputs.finding import source_of_tensors
 from metapp.runs.inputs.sources import content_of, in_memory, sources_to_fit, told_apart
 from metapp.runs.options import FitOptions, fit_options
 from metapp.runs.outputs.recorded import read_saved, recorded_fits, tasks_as
-from metapp.runs.recipes import chosen_protocol, chosen_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.runs.surroundings import threads
@@ -145,9 +145,8 @@ def _fitted(options: FitOptions) -> list[Fit]:
         sources, label = sources_to_fit(run)
         if options.objects:
             tasks = [source.task() for source in sources]
-            if protocols_of(options.app) and not options.observe:
-                options = replace(options, observe=chosen_protocol(options, tasks))
-            chosen = Run.of(replace(options, recipe=options.recipe or chosen_recipe(options, tasks)))
+            told = [source_of_tensors(options.app, task.name, task.data) for task in tasks]
+            chosen = Run.of(replace(options, observe=choose(options, told).protocol), told)
             if chosen.app.read_size != run.app.read_size:
                 sources, label = sources_to_fit(chosen)
             run = chosen

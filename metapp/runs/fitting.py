@@ -20,7 +20,7 @@ from metapp.learning.learn import DescentState, final_item
 from metapp.learning.pictures import photo_error
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fit import Fit
-from metapp.runs.inputs.sources import Source, content_of
+from metapp.runs.inputs.sources import Input, content_of
 from metapp.runs.reporter import Bar, say
 from metapp.runs.run import Run
 from metapp.storage import Document
@@ -53,8 +53,8 @@ class Earlier(NamedTuple):
 
 
 def fit_sources(
-    run: Run, sources: Sequence[Source], folder: RunFolder | None = None, bar: Bar | None = None
-) -> Iterator[tuple[Source, Fit | Earlier | Exception]]:
+    run: Run, sources: Sequence[Input], folder: RunFolder | None = None, bar: Bar | None = None
+) -> Iterator[tuple[Input, Fit | Earlier | Exception]]:
     """Fit sources, each read when its turn comes, `--batch` of them side by side; their warnings are said.
 
     Args:
@@ -67,9 +67,9 @@ def fit_sources(
         Each source with its fit, or with the error by which it has none; with --resume an earlier fit if there is one.
     """
     is_warm = False
-    waiting: list[tuple[Source, Task]] = []
+    waiting: list[tuple[Input, Task]] = []
 
-    def fits() -> Iterator[tuple[Source, Fit | Exception]]:
+    def fits() -> Iterator[tuple[Input, Fit | Exception]]:
         nonlocal is_warm
         for group in of_equal_sizes(waiting):
             if not is_warm:
@@ -92,8 +92,8 @@ def fit_sources(
 
 
 def _readable(
-    run: Run, sources: Iterable[Source], folder: RunFolder | None, bar: Bar
-) -> Iterator[tuple[Source, Task | Earlier | Exception]]:
+    run: Run, sources: Iterable[Input], folder: RunFolder | None, bar: Bar
+) -> Iterator[tuple[Input, Task | Earlier | Exception]]:
     noted = 0
     for source in sources:
         try:
@@ -114,7 +114,7 @@ def _readable(
             yield source, BadInput(str(named(error, Path(source.place))))
 
 
-def _fit_group(run: Run, pairs: Sequence[tuple[Source, Task]]) -> Iterator[tuple[Source, Fit | Exception]]:
+def _fit_group(run: Run, pairs: Sequence[tuple[Input, Task]]) -> Iterator[tuple[Input, Fit | Exception]]:
     """Fits side by side; if that fails, one by one."""
     failure: Exception | None = None
     try:
@@ -138,9 +138,9 @@ def _say_warnings(fit: Fit) -> None:
         say(f"warning: {fit.name}: {clause}{remedy}")
 
 
-def of_equal_sizes(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Source, Task]]]:
+def of_equal_sizes(pairs: Iterable[tuple[Input, Task]]) -> list[list[tuple[Input, Task]]]:
     """Groups of tasks whose tensors are of equal sizes, which can be fitted side by side."""
-    groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Source, Task]]] = {}
+    groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Input, Task]]] = {}
     for source, task in pairs:
         sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
         groups.setdefault(sizes, []).append((source, task))

@@ -15,7 +15,7 @@ from metapp.paradigms import ranks
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import FITTED, BadInput, Earlier, fit_sources
-from metapp.runs.inputs.sources import Source, content_of, sources_to_fit
+from metapp.runs.inputs.sources import Input, content_of, sources_to_fit
 from metapp.runs.outputs.files import export_fit, export_path, opened_file, rendered, write_pictures
 from metapp.runs.outputs.pictures import ROWS, Tiles, add_to_sheet, tiles_of_fit
 from metapp.runs.reporter import Bar, Reporter, progress, reporting, say
@@ -141,7 +141,7 @@ def execute(run: Run) -> Report | None:
         return report
 
 
-def keep_fits(run: Run, folder: RunFolder, sources: Sequence[Source]) -> Iterator[Outcome]:
+def keep_fits(run: Run, folder: RunFolder, sources: Sequence[Input]) -> Iterator[Outcome]:
     """Fit sources and keep each fit, with progress.
 
     Args:
@@ -169,14 +169,14 @@ def keep_fits(run: Run, folder: RunFolder, sources: Sequence[Source]) -> Iterato
             yield outcome
 
 
-def _failed(source: Source, error: Exception, bar: Bar) -> Outcome:
+def _failed(source: Input, error: Exception, bar: Bar) -> Outcome:
     """Return the outcome of a source that was not fitted, by its error."""
     bar.advance(f"failed: {Path(source.place).name}")
     counted = source.named or not isinstance(error, BadInput)
     return Outcome(source.place, failures=[Failure(source.place, str(named(error, Path(source.place))), counted)])
 
 
-def _kept(folder: RunFolder, source: Source, fit: Fit | Earlier, bar: Bar, *, is_shown: bool) -> Outcome:
+def _kept(folder: RunFolder, source: Input, fit: Fit | Earlier, bar: Bar, *, is_shown: bool) -> Outcome:
     """Write the parameters, the pictures and the record of a fit, in this order, then its exports.
 
     Args:

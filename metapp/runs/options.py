@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from metapp.names import app_names, did_you_mean, exports_of, protocols_of, recipe_entries
 from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Option, declared, options_of, parse
 from metapp.storage.files import file_name
-from metapp.storage.folders import Kind, kind_of
+from metapp.storage.folders import is_data_set
 
 MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
 TASKS = "default: tests of --data"
@@ -122,7 +122,7 @@ def data_set_of(paths: Sequence[Path], data: Path | None) -> tuple[Sequence[Path
     Raises:
         BadOption: a data set beside other inputs, or beside another data set by --data.
     """
-    found = next((path for path in paths if kind_of(path) is Kind.DATA_SET), None)
+    found = next(filter(is_data_set, paths), None)
     if found is None:
         return paths, data
     if len(paths) > 1:

@@ -10,18 +10,22 @@ from typing import Any, NamedTuple
 
 import torch
 
+from data_tools.readers.source import Source
 from metapp.appearance.presenter import Presenter
 from metapp.apps import app_of, is_first_protocol, presenter_of, recipe_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
-from metapp.names import application_of, did_you_mean, protocols_of, rule_words
+from metapp.names import application_of, did_you_mean, rule_words
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.paradigm import Paradigm
 from metapp.rules import rule_of
+from metapp.runs.choose import choose
+from metapp.runs.inputs.finding import find_sources
 from metapp.runs.options import FitOptions, check_under_protocol, fit_options, name_parts, own_of_record
-from metapp.runs.recipes import chosen_protocol, chosen_recipe, usual_recipe
+from metapp.runs.recipes import usual_recipe
+from metapp.runs.reporter import say
 from metapp.runs.surroundings import find_device, precision_of, versions
 from metapp.storage import Document
 from metapp.storage.checkpoints import digest
@@ -45,26 +49,35 @@ class Run:
         paradigm: of the application under its protocol, with the network of the recipe and of the rule.
         device: of all tensors.
         checkpoint: initialisation and rule of the fits; None until `checkpoints.with_checkpoint` has read it.
+        sources: what its inputs were found to be.
     """
 
     options: FitOptions
     paradigm: Paradigm
     device: torch.device
     checkpoint: Checkpoint | None = None
+    sources: Sequence[Source] = ()
 
     @classmethod
-    def of(cls, options: FitOptions) -> Run:
-        """Look up the names in options; no task is read and nothing is written.
+    def of(cls, options: FitOptions, sources: Sequence[Source] | None = None) -> Run:
+        """Look up the names in options, and choose by the sources what they leave open; nothing is written.
+
+        Args:
+            options: of the run.
+            sources: of its inputs, as `find_sources` finds them; None: they are found now.
 
         Raises:
             BadOption: a rule that the application cannot have, or options that the recipe does not have.
-            ValueError: no such device, paradigm or data set.
+            ValueError: no such device, paradigm or data set; an input that no format reads.
         """
         kind = paradigm_of(options.paradigm)
-        if protocols_of(options.app) and not (options.observe or options.objects):
-            options = replace(options, observe=chosen_protocol(options))
+        found = tuple(find_sources(options) if sources is None else sources)
+        choice = choose(options, found)
+        for line in filter(None, [choice.missing] if options.quiet else choice.reasons):
+            say(line)
+        name = choice.recipe
+        options = replace(options, observe="" if options.objects and not options.observe else choice.protocol)
         check_under_protocol(options)
-        name = options.recipe or chosen_recipe(options)
         usual = recipe_of(options.app, name, options.observe)
         recipe = _adapted(options, name, usual)
         if recipe == usual:  # by options that say what it does anyway
@@ -81,7 +94,7 @@ class Run:
         paradigm = kind.of(app, recipe, rule, options.steps)
         steps = None if paradigm == kind.of(app, recipe, rule) else paradigm.steps
         options = replace(options, recipe=name, rule=rule, steps=steps)
-        return cls(options, paradigm, find_device(options.device, app))
+        return cls(options, paradigm, find_device(options.device, app), sources=found)
 
     @classmethod
     def of_settings(cls, settings: Document, options: Mapping[str, object] | None = None, **more: Any) -> Run:

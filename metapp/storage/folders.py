@@ -6,12 +6,20 @@ A folder means one thing: a data set (it holds a manifest), a fit (a record), a 
 
 from __future__ import annotations
 
+import contextlib
 import enum
+import functools
 import json
 import os
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
 
 from metapp.storage.files import PARTIAL, read_bytes
+
+P = ParamSpec("P")
+Result = TypeVar("Result")
 
 MANIFEST, SHARD = "manifest.json", ".safetensors"  # of data sets: the list of tasks, and the suffix of a task's file
 RECORD, PARAMS = "record.json", "params.safetensors"  # of fits
@@ -37,6 +45,51 @@ class Kind(enum.Enum):
 # kinds that metapp writes and that are no user's files
 WRITTEN = (Kind.DATA_SET, Kind.FIT, Kind.RUN_FOLDER, Kind.DIAGNOSTIC)
 HOLDS_FITS = (Kind.FIT, Kind.RUN_FOLDER, Kind.RUN_FOLDERS)
+
+_LOOKS: ContextVar[dict[tuple[Any, ...], Any] | None] = ContextVar("looks", default=None)
+
+
+@contextlib.contextmanager
+def listed_once() -> Iterator[None]:
+    """Look at each folder and file once while this is in force: what comes or goes meanwhile is not seen.
+
+    Several readers look for their files in one folder, which may hold 50,000.
+    """
+    if _LOOKS.get() is not None:
+        yield
+        return
+    token = _LOOKS.set({})
+    try:
+        yield
+    finally:
+        _LOOKS.reset(token)
+
+
+def looks_once(function: Callable[P, Result]) -> Callable[P, Result]:
+    """Make a function look at folders or files once within `listed_once`, and each time outside of it.
+
+    Its arguments are hashable, and nobody changes its result.
+    """
+
+    @functools.wraps(function)
+    def look(*args: P.args, **more: P.kwargs) -> Result:
+        known = _LOOKS.get()
+        if known is None:
+            return function(*args, **more)
+        key = (function, args, *sorted(more.items()))
+        if key not in known:
+            known[key] = function(*args, **more)
+        found: Result = known[key]
+        return found
+
+    return look
+
+
+@looks_once
+def entries_of(folder: str) -> list[os.DirEntry[str]]:
+    """List a folder, in the order of the file system."""
+    with os.scandir(folder) as entries:
+        return list(entries)
 
 
 def kind_of(path: str | Path) -> Kind:
@@ -98,7 +151,9 @@ def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -
     Raises:
         ValueError: a data set, a fit, a run, or pictures that show results.
     """
-    kind = kind_of(path)
+    place = os.path.abspath(path)
+    # whether a folder holds runs, which no kind of WRITTEN is, takes a longer look
+    kind = _kind_without_runs(place) if os.path.isdir(place) else kind_of(path)
     if kind in WRITTEN and not (data_sets and kind is Kind.DATA_SET):
         raise ValueError(refusal(path, expected))
 
@@ -110,6 +165,12 @@ def records_below(folder: Path, *places: str) -> list[Path]:
     return [file for file in found if not file.parent.name.startswith(PARTIAL) and _is_fit(str(file.parent))]
 
 
+def is_data_set(path: Path) -> bool:
+    """Test whether a path is a data set, by its manifest alone."""
+    return _is_data_set(os.path.abspath(path))
+
+
+@looks_once
 def _kind_without_runs(folder: str) -> Kind:
     """Return the kind of a folder by its absolute path, FILES of a folder of runs, which takes a longer look."""
     if _is_data_set(folder):
@@ -147,11 +208,10 @@ def _is_fit(folder: str) -> bool:
 
 def _is_run(folder: str) -> bool:
     try:
-        with os.scandir(folder) as entries:
-            return any(
-                entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".") and _is_fit(entry.path)
-                for entry in entries
-            )
+        return any(
+            entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".") and _is_fit(entry.path)
+            for entry in entries_of(folder)
+        )
     except OSError:  # that cannot be read, which whoever reads it says
         return False
 

@@ -9,7 +9,7 @@ import pytest
 
 from metapp.apps.brdf.app import Brdf
 from metapp.runs import fitting
-from metapp.runs.inputs.sources import Source
+from metapp.runs.inputs.sources import Input
 from metapp.storage.fits import marked_name, read_fits
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -146,8 +146,8 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     fit: Callable, materials: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each has its folder again when it is fitted again."""
-    task = Source.task
-    monkeypatch.setattr(Source, "task", lambda self: task(self)._replace(name="one"))
+    task = Input.task
+    monkeypatch.setattr(Input, "task", lambda self: task(self)._replace(name="one"))
     names = ["one", *(marked_name("one", str((materials / name).resolve())) for name in NAMES[1:])]
     first = errors(fit("--batch", "8").document)
     assert list(first) == names

@@ -50,7 +50,8 @@ def read_input(app: str, folder: Path, file: Path, **options: str) -> None:
         read = reader.read_task
         few = {"samples": 64, "size": 32, **options}
         for source in reader.find(place)[0] if reader.recognises(place) else ():
-            finite(read(source, **{key: few[key] for key in few & inspect.signature(read).parameters.keys()}))
+            given = few | {"content": source.content}
+            finite(read(source.path, **{key: given[key] for key in given & inspect.signature(read).parameters.keys()}))
 
 
 def read_scene(folder: Path, file: Path) -> None:
@@ -59,7 +60,7 @@ def read_scene(folder: Path, file: Path) -> None:
     from metapp.rendering.scenes.loading import load_scene
     from metapp.rendering.variant import load_mitsuba
 
-    path = next(path for path in find(folder)[0] if path.name.startswith("box"))
+    path = next(source.path for source in find(folder)[0] if source.name == "box")
     scene = read_scene(path)
     try:
         try_scene(scene, load_mitsuba().variant())

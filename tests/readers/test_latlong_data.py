@@ -15,6 +15,7 @@ from data_tools.readers.latlong import find, read_map, read_task
 from metapp.appearance.latlong import mean_luminance, resample, solid_angles
 from metapp.storage.images import write_exr
 from tests.pictures import check_refused, planes, truncated, write
+from tests.sources import paths_of
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
 REC709_D65 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
@@ -169,10 +170,10 @@ def test_what_is_recognised_and_found(tmp_path: Path) -> None:
         assert latlong.recognises(tmp_path / name)
     for name in ("notes.txt", "b.png"):
         assert not latlong.recognises(tmp_path / name)
-    found, skipped = find(tmp_path)
+    found, skipped = paths_of(find, tmp_path)
     assert [file.name for file in found] == ["b.exr", "a.HDR"]
     assert [line.partition(": ")[0] for line in skipped] == [str(tmp_path / name) for name in ("b.png", "notes.txt")]
-    assert find(tmp_path / "b.png") == ([tmp_path / "b.png"], [])  # reading it says what is wrong
+    assert paths_of(find, tmp_path / "b.png") == ([tmp_path / "b.png"], [])  # reading it says what is wrong
     (tmp_path / "b.exr").unlink()
     (tmp_path / "sub" / "a.HDR").unlink()
     with pytest.raises(ValueError, match="no map in this folder, expected an HDR map"):

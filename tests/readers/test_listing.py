@@ -5,6 +5,7 @@ import pytest
 
 from data_tools.readers.listing import files_below, find_by_suffix, has_suffix
 from data_tools.readers.photos import find
+from tests.sources import paths_of
 
 
 def test_files_of_a_folder_by_their_endings(tmp_path: Path) -> None:
@@ -37,6 +38,6 @@ def test_foreign_files_are_not_opened(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("data_tools.readers.photos.opens", lambda file: pytest.fail(f"opened {file}"))
     for name in ("a.jpg", "b.txt", "c.dat"):
         (tmp_path / name).touch()
-    files, skipped = find(tmp_path)
+    files, skipped = paths_of(find, tmp_path)
     assert [file.name for file in files] == ["a.jpg"]
     assert len(skipped) == 2

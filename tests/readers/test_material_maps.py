@@ -15,6 +15,7 @@ from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import normal_from_height
 from tests.pictures import check_refused, write_planes
+from tests.sources import paths_of
 
 UP = torch.tensor([0.5, 0.5, 1.0])
 
@@ -36,7 +37,7 @@ def folder(path: Path, **maps: Any) -> Path:
 
 def maps_of(path: Path, **options: Any) -> Tensor:
     """The maps of the one material of a folder, float32 [10, S, S]."""
-    (source,), _ = material_maps.find(path)
+    (source,), _ = paths_of(material_maps.find, path)
     return read_task(source, 64, **options).data["maps"].float()
 
 
@@ -103,7 +104,7 @@ def test_normals_of_floating_point_may_be_the_vectors(tmp_path: Path, normal: An
 
 
 def test_a_task_is_photographed_by_the_renderer(tmp_path: Path) -> None:
-    (source,), _ = material_maps.find(folder(tmp_path))
+    (source,), _ = paths_of(material_maps.find, folder(tmp_path))
     task = read_task(source, 48)
     assert task.name == "rock"
     assert list(task.data) == list(material_maps.UNITS)
@@ -199,7 +200,7 @@ def test_variants_and_tiles_share_what_has_no_mark(tmp_path: Path) -> None:
     for role, value in (("NRM", UP), ("GLOSS", 0.5)):
         write(tmp_path / f"Bricks_{role}_1K.png", value)
     folder(tmp_path / "one", diffuse=None, albedo_1001=0.5)
-    tasks = {task.name: task.data["maps"][[3, 6], 5, 7] for task in map(read_task, find(tmp_path)[0])}
+    tasks = {task.name: task.data["maps"][[3, 6], 5, 7] for task in map(read_task, paths_of(find, tmp_path)[0])}
     assert list(tasks) == ["Bricks_VAR1", "Bricks_VAR2", "hero_1001", "hero_1002", "rock"]
     assert tasks["Bricks_VAR1"][0] < tasks["Bricks_VAR2"][0]
     assert [tasks[f"hero_100{index}"][1].item() for index in (1, 2)] == pytest.approx([0.25, 0.5], abs=2e-3)
@@ -210,10 +211,10 @@ def test_files_of_unknown_roles_are_named_and_no_materials_or_photos(tmp_path: P
     unknown = ["rock.png", "rock_wibble.png", "rock_wibbleRoughness.png"]
     for name in (*unknown, "rocky.png", "rock_ao.png"):
         write(tmp_path / name, 0.5)
-    sources, skipped = find(tmp_path)
+    sources, skipped = paths_of(find, tmp_path)
     assert [source.name for source in sources] == ["rock_diffuse.png"]
     assert [Path(line.partition(":")[0]).name for line in skipped] == [*unknown, "rocky.png"]
-    sources, skipped = svbrdf_inputs.find(tmp_path)
+    sources, skipped = paths_of(svbrdf_inputs.find, tmp_path)
     assert [source.name for source in sources] == ["rock_diffuse.png", "rocky.png"]  # which is a photo
     assert [Path(line.partition(":")[0]).name for line in skipped] == unknown
     (tmp_path / "rock_roughness.png").unlink()
@@ -229,7 +230,7 @@ def test_a_folder_may_hold_several_materials(tmp_path: Path) -> None:
     for role in ("color", "normal", "gloss"):
         write(tmp_path / "deep" / "sand" / f"{role}.png", UP)
     write(tmp_path / "preview of all.png", UP)
-    sources, skipped = find(tmp_path)
+    sources, skipped = paths_of(find, tmp_path)
     assert [source.name for source in sources] == ["rock_diffuse.png", "WoodBaseColor.png", "color.png"]
     (line,) = skipped
     assert "preview of all.png: no map under a usual name, expected names such as" in line
@@ -237,7 +238,7 @@ def test_a_folder_may_hold_several_materials(tmp_path: Path) -> None:
     assert not material_maps.recognises(tmp_path / "preview of all.png")
     assert [read_task(source, 32).name for source in sources] == ["rock", "Wood", "sand"]
     # any map names its material
-    assert find(tmp_path / "box" / "WoodNormal.png") == ([sources[1]], [])
+    assert paths_of(find, tmp_path / "box" / "WoodNormal.png") == ([sources[1]], [])
 
 
 def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
@@ -247,7 +248,7 @@ def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
             write(path / "color.png", 0.5)
             write(path / "rough.png", 0.1 * index)
             write(path / "normal.png", torch.tensor([0.5 + 0.02 * index, 0.5, 1.0]))
-    groups = {entry.name: entry.group for entry in entries(find(tmp_path)[0], [tmp_path], "auto").values()}
+    groups = {entry.name: entry.group for entry in entries(paths_of(find, tmp_path)[0], [tmp_path], "auto").values()}
     assert groups == {f"m{index}{variant}": f"m{index}a" for index in range(10) for variant in "ab"}
 
 

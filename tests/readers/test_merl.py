@@ -20,6 +20,7 @@ from data_tools.readers.merl import (
     write_merl,
 )
 from metapp.appearance.geometry import above_horizon
+from tests.sources import paths_of
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +150,7 @@ def test_find(merl_file: Path, tmp_path: Path) -> None:
     (tmp_path / "brdfs" / "b.binary").symlink_to(merl_file)
     (tmp_path / "readme.txt").write_text("about")
     (tmp_path / ".hidden").write_text("")
-    files, skipped = find(tmp_path)
+    files, skipped = paths_of(find, tmp_path)
     assert files == [tmp_path / "brdfs" / "b.binary"]
     assert len(skipped) == 1
     assert "readme.txt: 5 bytes" in skipped[0]

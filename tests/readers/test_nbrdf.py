@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from data_tools.readers.nbrdf import SHAPES, find, nbrdf_evaluate, read_nbrdf, read_task, recognises, write_nbrdf
+from tests.sources import paths_of
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
@@ -75,13 +76,13 @@ def test_evaluate_worked_value_and_gradients() -> None:
 def test_names_in_front(tmp_path: Path) -> None:
     make_network(tmp_path, "red_felt_", seed=3)
     np.testing.assert_array_equal(read_nbrdf(tmp_path)["fc3"], make_weights(3)["fc3"])
-    assert find(tmp_path) == ([tmp_path / "red_felt"], [])
+    assert paths_of(find, tmp_path) == ([tmp_path / "red_felt"], [])
     make_network(tmp_path, "gold_", seed=4)
     with pytest.raises(ValueError, match=r"2 networks \(gold, red_felt\), expected one; name it: .*gold"):
         read_nbrdf(tmp_path)
-    assert find(tmp_path)[0] == [tmp_path / "gold", tmp_path / "red_felt"]
+    assert paths_of(find, tmp_path)[0] == [tmp_path / "gold", tmp_path / "red_felt"]
     np.testing.assert_array_equal(read_nbrdf(tmp_path / "gold")["b1"], make_weights(4)["b1"])
-    assert find(tmp_path / "gold")[0] == [tmp_path / "gold"]
+    assert paths_of(find, tmp_path / "gold")[0] == [tmp_path / "gold"]
     make_network(tmp_path, "", seed=5)
     np.testing.assert_array_equal(read_nbrdf(tmp_path)["b1"], make_weights(5)["b1"])
 
@@ -93,7 +94,7 @@ def test_find(tmp_path: Path) -> None:
     (tmp_path / "set" / "broken" / "b2.npy").unlink()
     make_network(tmp_path / "set" / ".hidden")
     (tmp_path / "set" / "notes.txt").write_text("")
-    found, skipped = find(tmp_path)
+    found, skipped = paths_of(find, tmp_path)
     assert found == [tmp_path / "set" / "gold", tmp_path / "set" / "tin"]
     assert len(skipped) == 1
     assert "broken: no file for b2, expected fc1.npy" in skipped[0]
@@ -132,12 +133,12 @@ def test_keras_models(tmp_path: Path) -> None:
     keras(tmp_path / "set" / "below" / "TIN.H5", 4)
     make_network(tmp_path / "set" / "zinc")
     (path.parent / "gold.json").write_text("{}")
-    found, skipped = find(tmp_path)
+    found, skipped = paths_of(find, tmp_path)
     assert [place.name for place in found] == ["TIN.H5", "gold.h5", "zinc"]
     assert skipped == []
     assert recognises(path)
     assert recognises(path.parent)
-    assert find(path) == ([path], [])
+    assert paths_of(find, path) == ([path], [])
     assert read_task(path, 64).name == "gold"
 
 
@@ -160,7 +161,7 @@ def test_what_is_no_keras_model_is_one_line(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(ValueError, match=r"1 networks in HDF5 \(a\.h5, \.\.\.\), which need h5py; pip install"):
         find(tmp_path)
     make_network(tmp_path / "tin")
-    found, (line,) = find(tmp_path)
+    found, (line,) = paths_of(find, tmp_path)
     assert found == [tmp_path / "tin"]
     assert "which need h5py" in line
 

@@ -13,6 +13,7 @@ from data_tools.readers.material_maps import find, read_task
 from data_tools.readers.normal_maps import complete_normals
 from data_tools.readers.photos import read_photo
 from tests.pictures import noise, write
+from tests.sources import paths_of
 
 SIDE = 64
 
@@ -107,7 +108,7 @@ def test_files_of_red_and_green_are_normals_but_no_photos(stored: np.ndarray, tm
         write(folder / "rock_diffuse.png", noise(SIDE, SIDE))
         write(folder / "rock_roughness.png", noise(SIDE, SIDE))
         write(folder / f"rock_normal.{end}", values)
-        (source,), _ = find(folder)
+        (source,), _ = paths_of(find, folder)
         return read_task(source, SIDE).data["maps"][:3].float()
 
     two = stored[..., :2] if suffix == "tif" else (stored[..., :2] / np.float32(127.5) - 1).astype(np.float32)

@@ -27,6 +27,7 @@ from data_tools.readers.svbrdf_task import encoded, rightly_exposed
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.storage.shards import Entry, split_auto
 from tests.pictures import STORED, check_refused, noise, planes, text, truncated, write, write_exr
+from tests.sources import paths_of
 
 # 32 x 32 px, quality 60, as Photoshop stores inks: red over blue on the left, green on the right
 CMYK = base64.b64decode(
@@ -266,7 +267,7 @@ def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
     text(tmp_path / "bad")
     write(tmp_path / "good.png", noise(64, 64))
     lines = "import sys\nfrom pathlib import Path\nfrom data_tools.readers.photos import find, read_photo\n"
-    lines += "for file in find(Path(sys.argv[1]))[0]:\n    try:\n        kept = read_photo(file)\n"
+    lines += "for file in find_images(Path(sys.argv[1]))[0]:\n    try:\n        kept = read_photo(file)\n"
     lines += "    except ValueError as error:\n        last = error\n"
     done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
@@ -282,10 +283,10 @@ def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
     write(tmp_path / "deep" / "picture.png", noise(32, 32)).rename(tmp_path / "deep" / "picture")
     text(tmp_path / "notes.txt")
     text(tmp_path / "metadata.json")
-    files, skipped = find(tmp_path)
+    files, skipped = paths_of(find, tmp_path)
     assert [str(file.relative_to(tmp_path)) for file in files] == ["a.png", "b.JPG", "deep/er/c.tiff", "deep/picture"]
     assert [line.split(":")[0].rpartition("/")[2] for line in skipped] == ["notes.txt"]
-    assert find(tmp_path / "notes.txt") == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
+    assert paths_of(find, tmp_path / "notes.txt") == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
     for name, holds in {"": True, "deep/picture": True, "notes.txt": False, "nothing": False}.items():
         assert recognises(tmp_path / name) == holds, name
 
@@ -300,7 +301,7 @@ def test_raw_and_heif_files_are_recognised_to_be_explained(tmp_path: Path) -> No
         find(tmp_path)
     jpg = write(tmp_path / "a.jpg", noise(48, 48))  # a camera may write both
     renamed = write(tmp_path / "e.jpg", noise(48, 48)).rename(tmp_path / "e.heic")  # and a suffix be wrong
-    files, skipped = find(tmp_path)
+    files, skipped = paths_of(find, tmp_path)
     assert files == [jpg, renamed]
     raw, heif = "raw values of a camera", "a picture in HEIF or AVIF"
     whys = {"a.dng": raw, "b.CR2": raw, "c.heic": heif, "d.HEIF": heif}
@@ -330,7 +331,7 @@ def touch(folder: Path, *names: str) -> None:
 
 def splits_of(folder: Path) -> dict[str, str]:
     """The split of each photograph of a folder, by the name of its task."""
-    found = flash.entries(flash.find(folder)[0], [folder], "auto").values()
+    found = flash.entries(paths_of(flash.find, folder)[0], [folder], "auto").values()
     by_group = split_auto(sorted(entry.group for entry in found))
     return {entry.name: entry.split or by_group[entry.group] for entry in found}
 
@@ -377,7 +378,7 @@ def test_every_fifth_material_is_for_tests_whole(tmp_path: Path, layout: str) ->
 def test_stated_splits_hold_where_both_occur(tmp_path: Path) -> None:
     touch(tmp_path, "test_a_1.jpg", "test_a_2.jpg", "train_b_1.jpg", "test/c/1.jpg", "train/d.jpg", "metadata.json")
     assert splits_of(tmp_path) == {"a_1": "test", "a_2": "test", "b_1": "train", "c_1": "test", "d": "train"}
-    assert flash.find(tmp_path)[1] == []
+    assert paths_of(flash.find, tmp_path)[1] == []
     touch(tmp_path, "e.jpg")  # one that says nothing: the rule decides on all
     assert {name for name, side in splits_of(tmp_path).items() if side == "test"} == {"e"}
 

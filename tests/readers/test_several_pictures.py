@@ -13,6 +13,7 @@ from data_tools.readers import material_maps, photos
 from data_tools.readers.camera_raws import is_raw
 from data_tools.readers.image_files import NAMED, SUFFIXES, read_pixels, shape_of
 from tests.pictures import noise, write
+from tests.sources import paths_of
 
 PICTURE, PREVIEW = noise(60, 80, seed=1), noise(40, 48, seed=2)
 
@@ -119,7 +120,7 @@ def test_what_is_read_by_name_is_found_in_folders(tmp_path: Path, written: str, 
         path = write(tmp_path / role / f"{role}.{written}", noise(64, 64))
         files.append(path.rename(tmp_path / f"{role}.{suffix}"))
         path.parent.rmdir()
-    assert photos.find(tmp_path) == (sorted(files), [])
+    assert paths_of(photos.find, tmp_path) == (sorted(files), [])
     assert photos.read_task(files[0]).data["image"].shape == (3, 256, 256)
     (material,), _ = material_maps.materials_in(tmp_path)
     assert material.name == "rock"

@@ -16,6 +16,7 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from tests.pictures import check_refused
 from tests.pictures import write_planes as write
+from tests.sources import paths_of
 
 
 def material(size: int = 64) -> Tensor:
@@ -248,7 +249,7 @@ def test_fits_read_strips_maps_and_photographs(tmp_path: Path) -> None:
     write(tmp_path / "rock" / "rock_norm.png", maps[:3] / 2 + 0.5)
     write(tmp_path / "rock" / "rock_gloss.png", maps[6:7])
     assert svbrdf_inputs.recognises(tmp_path)
-    sources, skipped = svbrdf_inputs.find(tmp_path)
+    sources, skipped = paths_of(svbrdf_inputs.find, tmp_path)
     assert skipped == []
     tasks = {source.name: svbrdf_inputs.read_task(source, 64) for source in sources}
     mapped = {name: ["maps", "photo"] for name in ("off by one.png", "rock.png", "strip.png")}

@@ -1,5 +1,6 @@
 """What inputs and options choose, application by application: recipe, protocol, and the lines that say why."""
 
+import os
 import re
 import shutil
 from collections.abc import Callable, Sequence
@@ -16,6 +17,10 @@ from metapp.extensions.few import gonio
 from metapp.extensions.rgl.tensor_file import write_tensor_file
 from metapp.learning.task import Task
 from metapp.options import BadOption
+from metapp.registry import registry
+from metapp.runs.choose import choose
+from metapp.runs.inputs.finding import source_of_tensors
+from metapp.runs.inputs.sources import sources_to_fit
 from metapp.runs.options import fit_options
 from metapp.runs.reporter import Reporter, reporting
 from metapp.runs.run import Run
@@ -116,6 +121,7 @@ PHOTO, ONE_PHOTO = sees("photo"), of_inputs(MATERIALS, "pretrained", "one flash 
 ONE = "1 of 2 inputs hold a photo alone"
 ONE_OF_TWO = sees("photo", why=ONE)
 SEVERAL = of_inputs(MATERIALS, "several", "several photos")
+WORDS = {"few": FEW, "anisotropic": PHI_H, "pretrained": "one flash photo"}
 OTHER_COMMANDS = "and recipes for these differ; fit them by two commands, or all by --recipe "
 
 CASES = [
@@ -137,8 +143,9 @@ CASES = [
     Case("brdf", "paint.csv", {"paradigm": "overfit"}),
     Case("brdf", "paint.csv", {"recipe": "paper"}, recipe="paper"),
     Case("brdf", "fews", recipe="few", reasons=(of_inputs("brdf", "few", FEW),)),
-    Case("brdf", "some"),
-    Case("brdf", "turned", recipe="anisotropic", reasons=(of_inputs("brdf", "anisotropic", PHI_H),)),
+    Case("brdf", "some", mistake=f"brdf: some/paint.csv has {FEW}, some/plain.csv has not, {OTHER_COMMANDS}few "),
+    Case("brdf", "turned", mistake=f"brdf: turned/brushed.csv has {PHI_H}, turned/plain.csv has not, "),
+    Case("brdf", "turned", {"recipe": "anisotropic"}, "anisotropic"),
     Case("brdf", "paint.csv plain.csv", mistake=f"brdf: paint.csv has {FEW}, plain.csv has not, {OTHER_COMMANDS}few "),
     Case("brdf", "gold.binary paint.csv", mistake=f"brdf: paint.csv has {FEW}, gold.binary has not, {OTHER_COMMANDS}"),
     Case("brdf", "plain.csv brushed.csv", mistake=f"brdf: brushed.csv has {PHI_H}, plain.csv has not, "),
@@ -165,6 +172,7 @@ CASES = [
     Case(MATERIALS, "wall.png", {"paradigm": "overfit"}, "full", "photo", (PHOTO,)),
     Case(MATERIALS, "wall.png", {"quiet": True}, "pretrained", "photo"),
     Case(MATERIALS, "wall.png", {"lacking": True}, "full", "photo", (PHOTO, f"{MATERIALS}: {LACKING}")),
+    Case(MATERIALS, "wall.png", {"lacking": True, "quiet": True}, "full", "photo", (f"{MATERIALS}: {LACKING}",)),
     Case(MATERIALS, "wall.png", {"recipe": "full"}, "full", "photo", (PHOTO,)),
     Case(MATERIALS, "wall.png", {"observe": "photo"}, "pretrained", "photo", (ONE_PHOTO,)),
     Case(MATERIALS, "wall.png", {"observe": "photo", "recipe": "quick"}, "quick", "photo"),
@@ -236,9 +244,33 @@ def test_inputs_and_options_choose(case: Case, inputs: Path, monkeypatch: pytest
         assert chosen(case.app, paths, **options) == (case.recipe, case.protocol, case.reasons)
 
 
-def tasks_of(app: str, *objects: Any) -> list[Task]:
-    from metapp.registry import registry
+@pytest.mark.parametrize(
+    ("app", "folder"),
+    [("brdf", "fews"), ("texture", "photos"), ("svbrdf_stationary", "photos"), (BALLS, "photos"), (MATERIALS, "mixed"),
+     (MATERIALS, "leaf")],
+)  # fmt: skip
+def test_a_folder_is_listed_once(app: str, folder: str, inputs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed: list[str] = []
+    for name in ("scandir", "listdir"):
+        real = getattr(os, name)
 
+        def count(path: Any = ".", real: Any = real) -> Any:
+            listed.append(os.path.abspath(path))
+            return real(path)
+
+        monkeypatch.setattr(os, name, count)
+    run = Run.of(fit_options(app, "general", [inputs / folder], quiet=True))
+    assert sources_to_fit(run)[0]
+    assert listed.count(str(inputs / folder)) == 1
+
+
+def test_files_that_come_later_are_found_by_the_next_command(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        picture(tmp_path / f"{seed}.png", seed)
+        assert len(Run.of(fit_options("texture", "general", [tmp_path])).sources) == seed
+
+
+def tasks_of(app: str, *objects: Any) -> list[Task]:
     entry = registry().objects[app].load()
     return [entry(source, f"object{number}") for number, source in enumerate(objects)]
 
@@ -254,7 +286,6 @@ OBJECTS: dict[str, tuple[str, Callable[[], list[Any]], str, str]] = {  # applica
     "many pairs": ("brdf", lambda: [pairs(500)], "full", ""),
     "few pairs": ("brdf", lambda: [pairs(200)], "few", ""),
     "all few": ("brdf", lambda: [pairs(20), pairs(30)], "few", ""),
-    "some few": ("brdf", lambda: [pairs(20), pairs(500)], "full", ""),
     "pairs that turn": ("brdf", lambda: [pairs(2000, anisotropic=True)], "anisotropic", ""),
     "a picture": ("texture", lambda: [PIXELS], "full", ""),
     "a flash photo": (MATERIALS, lambda: [PIXELS], "pretrained", "photo"),
@@ -267,15 +298,19 @@ OBJECTS: dict[str, tuple[str, Callable[[], list[Any]], str, str]] = {  # applica
 @pytest.mark.usefixtures("small_spheres")
 @pytest.mark.parametrize("name", OBJECTS)
 def test_objects_in_memory_choose(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dataclasses import replace
-
-    from metapp.registry import protocols_of
-    from metapp.runs.recipes import chosen_protocol, chosen_recipe
-
     monkeypatch.setattr("metapp.extensions.pretrained.encoder.lacks", lambda: "")
     app, objects, recipe, protocol = OBJECTS[name]
     made = objects()
-    options, tasks = fit_options(app, "meta", made, quiet=True), tasks_of(app, *made)
-    if protocols_of(app):
-        options = replace(options, observe=chosen_protocol(options, tasks))
-    assert (chosen_recipe(options, tasks), options.observe) == (recipe, protocol)
+    sources = [source_of_tensors(app, task.name, task.data) for task in tasks_of(app, *made)]
+    choice = choose(fit_options(app, "meta", made), sources)
+    assert (choice.recipe, choice.protocol) == (recipe, protocol)
+    reasons = [of_inputs(app, recipe, WORDS[recipe])] if recipe in WORDS else []
+    assert list(choice.reasons)[1 if protocol else 0 :] == reasons
+
+
+def test_objects_that_no_recipe_suits_together_are_refused() -> None:
+    sources = [source_of_tensors("brdf", task.name, task.data) for task in tasks_of("brdf", pairs(20), pairs(500))]
+    line = f"brdf: object0 has {FEW}, object1 has not, {OTHER_COMMANDS}few or --recipe full."
+    with pytest.raises(BadOption, match=re.escape(line)):
+        choose(fit_options("brdf", "meta", [0, 1]), sources)
+    assert choose(fit_options("brdf", "meta", [0, 1], recipe="full"), sources).recipe == "full"

@@ -173,13 +173,13 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
     """An extension's format of a suffix that is taken neither wins nor loses in silence."""
     (tmp_path / "paint.csv").write_text("")
     gonio = registry().formats["gonio"]
-    monkeypatch.setattr("metapp.runs.inputs.sources.inputs_of", lambda app: {"acme": gonio, "gonio": gonio})
+    monkeypatch.setattr("metapp.runs.inputs.finding.inputs_of", lambda app: {"acme": gonio, "gonio": gonio})
     for path in (tmp_path / "paint.csv", tmp_path):
-        run = Run.of(fit_options("brdf", "general", inputs=[path], recipe="full"))
+        options = fit_options("brdf", "general", inputs=[path], recipe="full")
         with pytest.raises(
             ValueError, match=r"paint\.csv: the formats acme and gonio both read it, expected one; leave"
         ):
-            sources_to_fit(run)
+            Run.of(options)
 
 
 # What was learned at the quick size fits at the full one

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data_tools.readers.source import Source, Sources
+
 if TYPE_CHECKING:
     from metapp.learning.task import Params, Task
     from metapp_curve.app import Curve
@@ -17,9 +19,10 @@ def recognises(path: Path) -> bool:
     return any(path.glob("*.curve")) if path.is_dir() else path.suffix == ".curve"
 
 
-def find(path: Path) -> tuple[list[Path], list[str]]:
+def find(path: Path) -> Sources:
     """Find curves, those of a folder sorted."""
-    return sorted(path.glob("*.curve")) if path.is_dir() else [path], []
+    files = sorted(path.glob("*.curve")) if path.is_dir() else [path]
+    return [Source(file.stem, file) for file in files], []
 
 
 def read_task(path: Path) -> Task:

@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.listing import any_passes, find_by_suffix, has_suffix
+from data_tools.readers.listing import find_by_suffix, has_suffix
 from data_tools.readers.measured_pairs import LARGEST, Pairs, depends_on_azimuth, task_of_pairs
+from data_tools.readers.source import ANISOTROPIC, DAMAGED, SAMPLES, Source, Sources
 from metapp.appearance.colorimetry import spectra_to_rgb
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
@@ -42,7 +43,7 @@ UNITS = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environme
 RADIANS = {"deg": math.pi / 180, "rad": 1.0}
 RGB = ("r", "g", "b")
 VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
-MOST_FEW = 200  # measurements, up to which the recipe few has lower errors than the usual one
+KEPT_BYTES = 1 << 26  # of parsed tables; those of a larger folder are parsed again when their turn comes
 LONGEST = 1 << 28  # bytes of a file
 NOISE = 1e-3  # 1/sr; what is no further below 0 is noise
 
@@ -52,45 +53,37 @@ _UNITS = {"deg": "_deg", "degree": "_deg", "degrees": "_deg", "°": "_deg", "rad
           "radians": "_rad", "nm": "nm"}  # fmt: skip
 _WAVELENGTH = re.compile(r"(\d{3,4}(?:\.\d+)?)\s*nm")
 
-find = functools.partial(find_by_suffix, suffix=SUFFIX, what="a .csv file of a goniometer")
 recognises = functools.partial(has_suffix, suffix=SUFFIX)
 
 
-def has_few(path: Path) -> bool:
-    """Test whether a file, or each in a folder, has MOST_FEW rows at most."""
-    return all(_few_lines(file) for file in find(path)[0])
+def find(path: Path) -> Sources:
+    """Find tables and parse them, as each will be fitted; of a damaged one reading it says what is wrong."""
+    files, skipped = find_by_suffix(path, SUFFIX, "a .csv file of a goniometer")
+    sources, kept = [], 0
+    for file in files:
+        try:
+            pairs = read_pairs(file)
+        except (ValueError, OSError):
+            sources.append(Source(file.stem, file, facts={DAMAGED: True}))
+            continue
+        azimuths = depends_on_azimuth(directions_to_four_angles(pairs.wi, pairs.wo), pairs.reflectance)
+        facts = {ANISOTROPIC: azimuths, SAMPLES: len(pairs.wi)}
+        kept += sum(values.nbytes for values in pairs)
+        sources.append(Source(file.stem, file, facts=facts, content=pairs if kept <= KEPT_BYTES else None))
+    return sources, skipped
 
 
-def has_few_task(task: Task) -> bool:
-    """Test whether a task is of MOST_FEW measurements at most, of which none is held out."""
-    first, second = task.data["angles"].chunk(2)
-    return len(first) <= MOST_FEW and torch.equal(first, second)
-
-
-def _few_lines(file: Path) -> bool:
-    with contextlib.suppress(ValueError), open_text(file) as text:  # of a bad table reading it tells
-        rows = sum(1 for _ in itertools.islice(_lines(file, text), MOST_FEW + 2)) - 1  # without the line of names
-        return rows <= MOST_FEW
-    return True
-
-
-def read_task(path: Path) -> Task:
+def read_task(path: Path, content: Pairs | None = None) -> Task:
     """Turn measurements into a BRDF task, named by the file's stem, as `task_of_pairs` says.
+
+    Args:
+        path: the file.
+        content: its measurements, as `find` has parsed them.
 
     Raises:
         ValueError: as `read_pairs`; too few measurements.
     """
-    return task_of_pairs(path.stem, read_pairs(path), path)
-
-
-def is_anisotropic(path: Path) -> bool:
-    """Test whether a table, or one of a folder, is of an anisotropic material; of bad ones nothing is said."""
-
-    def turns(file: Path) -> bool:
-        pairs = read_pairs(file)
-        return depends_on_azimuth(directions_to_four_angles(pairs.wi, pairs.wo), pairs.reflectance)
-
-    return any_passes(path, SUFFIX, turns)
+    return task_of_pairs(path.stem, content or read_pairs(path), path)
 
 
 def read_pairs(path: Path) -> Pairs:
@@ -100,12 +93,6 @@ def read_pairs(path: Path) -> Pairs:
         ValueError: no such table: missing columns, rows that are no numbers, negative or huge values, angles beyond
             their range.
     """
-    state = path.stat()
-    return _parsed(path, state.st_size, state.st_mtime_ns)
-
-
-@functools.lru_cache(maxsize=2)  # what chooses a recipe has read the file that is then fitted
-def _parsed(path: Path, size: int, changed_ns: int) -> Pairs:
     columns, lines = _rows(path)
     angles = np.stack([_angle(path, columns, lines, name) for name in ANGLES], 1)
     names, matrix = _colours(path, list(columns))

@@ -14,9 +14,9 @@ from pathlib import Path
 import torch
 
 from data_tools.readers import material_maps
-from data_tools.readers.listing import Found
 from data_tools.readers.map_names import PLAIN
 from data_tools.readers.material_maps import material_of, read_material
+from data_tools.readers.source import Sources, sources_of_files
 from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.apps import class_of
@@ -34,10 +34,10 @@ ROUGHNESS = 0.6  # where there is none
 OLD = 0.3  # what colours with shading in them count
 
 
-def find(path: Path) -> Found:
-    """One file of each set of maps, or all files of a data set; errors as of maps and `read_shard`."""
+def find(path: Path) -> Sources:
+    """Find one file of each set of maps, or all files of a data set; errors as of maps and `read_shard`."""
     if kind_of(path) is Kind.DATA_SET:
-        return [path / file for file in _drawn(path)], []
+        return sources_of_files(([path / file for file in _drawn(path)], []))
     return material_maps.find(path)
 
 
@@ -47,20 +47,22 @@ def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dic
     return material_maps.entries([source for source in sources if source not in drawn], folders, split) | drawn
 
 
-def read_task(source: Path, size: int, normals: str, layer: str = "") -> Task:
-    """The material that a map belongs to, with the weights of its maps.
+def read_task(
+    source: Path, size: int, normals: str, layer: str = "", content: material_maps.Material | None = None
+) -> Task:
+    """Read the material that a map belongs to, with the weights of its maps.
 
     Args:
         source: one of its maps, or a drawn material's file in its data set.
         size: side in px.
-        normals, layer: as of `data_tools.readers.material_maps.read_task`.
+        normals, layer, content: as of `data_tools.readers.material_maps.read_task`.
 
     Raises:
         ValueError: as there, but for a missing roughness; a drawn material of another size, or a photo alone.
     """
     if source.suffix == SHARD:
         return _drawn_task(source, size)
-    material = material_of(source)
+    material = content or material_of(source)
     assert material is not None, source  # it was found by its name
     files = material.files
     has = "roughness" in files or "gloss" in files

@@ -42,23 +42,23 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
         problem = "another kind" if path.exists() else "no such file"
         remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
         raise ValueError(f"{path}: {problem}, expected a run, MERL tables, RGL files or NBRDF networks; {remedy}.")
-    sources: dict[Path, Path] = {}  # by the files that they are written to
-    for source in dict.fromkeys(file for files, _ in found for file in files):
+    places: dict[Path, Path] = {}  # by the files that they are written to
+    for source in dict.fromkeys(source.path for sources, _ in found for source in sources):
         name = source.stem if source.is_file() else source.resolve().name  # which may have dots
         target = folder / f"{name.removesuffix('_rgb').removesuffix(rgl.SPECTRAL)}{ENDINGS[kind]}"
-        if target in sources:
+        if target in places:
             raise ValueError(
-                f"{target}: of both {sources[target]} and {source}, expected names that differ; export one at a time."
+                f"{target}: of both {places[target]} and {source}, expected names that differ; export one at a time."
             )
-        sources[target] = source
-    check_new_files(sources)
+        places[target] = source
+    check_new_files(places)
     for line in found[0][1] if len(found) == 1 else ():  # else another reader's files
         say(f"warning: {line}")
-    with progress(kind, len(sources), quiet=quiet) as bar:
-        for target, source in sources.items():
+    with progress(kind, len(places), quiet=quiet) as bar:
+        for target, source in places.items():
             convert(source, kind, target)
             bar.advance(target.name)
-    return list(sources)
+    return list(places)
 
 
 def convert(source: Path, kind: str, target: Path) -> None:

@@ -28,10 +28,11 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.brdf_objects import evaluated_by
-from data_tools.readers.listing import any_passes, find_by_suffix, has_suffix
+from data_tools.readers.listing import find_by_suffix, has_suffix
+from data_tools.readers.source import ANISOTROPIC, DAMAGED, Facts, Source, Sources
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle
 from metapp.extensions.rgl.spectra import in_rgb, in_spectra
-from metapp.extensions.rgl.tensor_file import Fields, read_tensor_file, write_tensor_file
+from metapp.extensions.rgl.tensor_file import Fields, read_shapes, read_tensor_file, write_tensor_file
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import suffixed
@@ -62,7 +63,6 @@ AXES = {
 }
 VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
 UNITS = brdf_task.UNITS
-find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
 recognises = partial(has_suffix, suffix=SUFFIX)
 
 
@@ -153,9 +153,22 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
     return brdf_task.measured_task(path.stem, read_rgl(path), samples, path, azimuths=is_anisotropic(path))
 
 
+def find(path: Path) -> Sources:
+    """Find files, and which are of anisotropic materials; of a damaged one reading it says what is wrong."""
+    files, skipped = find_by_suffix(path, SUFFIX, "an RGL .bsdf file")
+    return [Source(file.stem, file, facts=_facts_of(file)) for file in files], skipped
+
+
+def _facts_of(file: Path) -> Facts:
+    try:
+        return {ANISOTROPIC: is_anisotropic(file)}
+    except (ValueError, OSError):
+        return {DAMAGED: True}
+
+
 def is_anisotropic(path: Path) -> bool:
-    """Test whether a file, or one of a folder, is of an anisotropic material; of damaged ones nothing is said."""
-    return any_passes(path, SUFFIX, lambda file: read_tensor_file(file).get("phi_i", np.zeros(0)).size > 2)
+    """Test whether a file is of an anisotropic material; ValueError or OSError if it cannot be read."""
+    return math.prod(read_shapes(path).get("phi_i", (0,))) > 2
 
 
 def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.storage.files import check_readable, read_bytes, write_bytes
+from metapp.storage.files import check_readable, open_regular, read_bytes, write_bytes
 
 MAGIC = b"tensor_file\0\1\0"  # with the version
 TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
 ALIGNMENT = 8
+HEAD_BYTES = 1 << 16  # at the beginning of a file, where names and shapes are
 
 Fields = Mapping[str, NDArray[np.number]]
 
@@ -35,16 +37,8 @@ def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
         raise ValueError(f"{path}: no tensor file of version 1.0, expected one; not an RGL measurement.")
     fields: dict[str, NDArray[np.number]] = {}
     try:
-        (count,) = struct.unpack_from("<I", content, len(MAGIC))
-        at = len(MAGIC) + 4
-        for _ in range(count):
-            (length,) = struct.unpack_from("<H", content, at)
-            name = content[at + 2 : at + 2 + length].decode()
-            at += 2 + length
-            axes, kind, offset = struct.unpack_from("<HBQ", content, at)
-            shape = struct.unpack_from(f"<{axes}Q", content, at + 11)
-            at += 11 + 8 * axes
-            dtype, size = np.dtype(TYPES[kind]), math.prod(shape)
+        for name, dtype, shape, offset in _heads(content):
+            size = math.prod(shape)
             if not 0 < size * dtype.itemsize <= len(content) - offset:  # numpy refuses not all of these
                 raise ValueError(name)
             fields[name] = np.frombuffer(content, dtype, size, offset).reshape(shape)
@@ -52,6 +46,37 @@ def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
         found = f"{len(content):,} bytes, cut off or damaged"
         raise ValueError(f"{path}: {found}, expected a whole tensor file; download it again.") from None
     return fields
+
+
+def read_shapes(path: str | Path) -> dict[str, tuple[int, ...]]:
+    """Read the shapes of all arrays of a file, from its beginning alone.
+
+    Raises:
+        ValueError: it is none, is of another version, or is damaged.
+    """
+    check_readable(Path(path))
+    with open_regular(path) as file:
+        content = file.read(HEAD_BYTES)
+    try:
+        if content.startswith(MAGIC):
+            return {name: shape for name, _, shape, _ in _heads(content)}
+    except (struct.error, ValueError, KeyError):
+        pass
+    raise ValueError(f"{path}: damaged or of another version, expected a tensor file; download it again.")
+
+
+def _heads(content: bytes) -> Iterator[tuple[str, np.dtype[Any], tuple[int, ...], int]]:
+    """Name, type, shape and offset of each array; struct.error, ValueError or KeyError if they are damaged."""
+    (count,) = struct.unpack_from("<I", content, len(MAGIC))
+    at = len(MAGIC) + 4
+    for _ in range(count):
+        (length,) = struct.unpack_from("<H", content, at)
+        name = content[at + 2 : at + 2 + length].decode()
+        at += 2 + length
+        axes, kind, offset = struct.unpack_from("<HBQ", content, at)
+        shape = struct.unpack_from(f"<{axes}Q", content, at + 11)
+        at += 11 + 8 * axes
+        yield name, np.dtype(TYPES[kind]), shape, offset
 
 
 def write_tensor_file(path: str | Path, fields: Fields) -> None:

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from data_tools.readers.listing import Found, files_below
+from data_tools.readers.listing import files_below
+from data_tools.readers.source import Sources, sources_of_files
 from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from metapp.extensions.scene_files.places import Places, read_text
 from metapp.extensions.scene_files.trial import try_scene
@@ -35,7 +36,7 @@ def recognises(path: Path) -> bool:
     return bool(_below(path)) if path.is_dir() else path.suffix.lower() in SUFFIXES
 
 
-def find(path: Path) -> Found:
+def find(path: Path) -> Sources:
     """Find scene files: in a folder by their suffix, at any depth; a named file as it is.
 
     Returns:
@@ -49,7 +50,7 @@ def find(path: Path) -> Found:
     scenes = _below(path) if path.is_dir() else [path]
     if not scenes:
         raise ValueError(f"{path}: no scene in this folder, expected .xml or .json files of Mitsuba 3.")
-    return scenes, []
+    return sources_of_files((scenes, []))
 
 
 def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Iterable[Path] = ()) -> Task:

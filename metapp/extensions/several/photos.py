@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
-from data_tools.readers.listing import Found
 from data_tools.readers.photos import SIZE as PX
 from data_tools.readers.photos import SIZE_TEXT, is_photo, placed_in, read_photo
+from data_tools.readers.source import PHOTOS, Source, Sources
 from data_tools.readers.svbrdf_task import rightly_exposed
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, Kind, kind_of
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, Kind, entries_of, kind_of
 
 LARGEST_CM = 1e5  # a side of a patch
 FARTHEST = 1000.0  # sides that camera and flash are away
@@ -30,17 +30,25 @@ def recognises(path: Path) -> bool:
     return path.is_dir() and bool(placed_in(path))
 
 
-def find(path: Path) -> Found:
-    """The folder and those below it that say so; no lines, as nothing else is looked at."""
-    return placed_in(path), []
+def find(path: Path) -> Sources:
+    """Find the folder and those below it that say so; no lines, as nothing else is looked at."""
+    return [_source_of(folder) for folder in placed_in(path)], []
 
 
-def protocol_of(folder: Path) -> str:
-    """The protocol of a fit: the folder holds photographs alone."""
-    return "photo"
+def _source_of(folder: Path) -> Source:
+    photos = photos_in(folder)
+    return Source(folder.resolve().name, folder, protocol="photo", facts={PHOTOS: len(photos)}, content=photos)
 
 
-def read_task(folder: Path, size: int = PX, stops: float = 0.0, layer: str = "") -> Task:
+def photos_in(folder: Path) -> list[Path]:
+    """Return the photographs right in a folder in the order of their names."""
+    paths = sorted(Path(entry.path) for entry in entries_of(str(folder)) if not entry.name.startswith("."))
+    return [path for path in paths if kind_of(path) is Kind.FILE and is_photo(path)]
+
+
+def read_task(
+    folder: Path, size: int = PX, stops: float = 0.0, layer: str = "", content: list[Path] | None = None
+) -> Task:
     """Turn a folder into a task of its name: `photo`, the first one, `others` and `places`.
 
     Args:
@@ -48,16 +56,13 @@ def read_task(folder: Path, size: int = PX, stops: float = 0.0, layer: str = "")
         size: side in px; above 256 only of photographs as fine as that.
         stops: by how many stops all of them are too bright.
         layer: as of `read_photo`.
+        content: its photographs, as `find` found them.
 
     Raises:
         ValueError: fewer than two photographs; one that is not square, or of another size; as `read_photo` and
             `read_places`.
     """
-    paths = [
-        path
-        for path in sorted(folder.iterdir())
-        if kind_of(path) is Kind.FILE and not path.name.startswith(".") and is_photo(path)
-    ]
+    paths = photos_in(folder) if content is None else content
     if len(paths) < 2:
         raise ValueError(
             f"{folder}: {'1 photo' if paths else 'no photos'} beside places of camera or flash, expected two or more; "

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from metapp.registry import registry
+from metapp.runs.inputs.finding import reading
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
-from metapp.storage.folders import Kind, check_files_of_user, kind_of, refusal
+from metapp.storage.folders import Kind, check_files_of_user, kind_of, listed_once, refusal
 
 if TYPE_CHECKING:
+    from data_tools.readers.source import Source, Sources
     from metapp.learning.task import Task
     from metapp.storage.shards import Entry
 
@@ -70,13 +72,15 @@ def convert(
     for path in paths:
         check_files_of_user(path, expected, data_sets=form.data_sets)
     try:
-        found, skipped = _find(reader.find, paths)
+        with listed_once():
+            found, skipped = _find(reader.find, paths)
     except ValueError:
         if runs := [path for path in paths if kind_of(path) is Kind.RUN_FOLDERS]:  # nothing of a user beside them
             raise ValueError(refusal(runs[0], expected)) from None
         raise
-    own = getattr(reader, "entries", entries_by_place)(list(found), {*found.values()} - {None}, split)
-    entries: dict[Path, Entry] = {source: own[source] for source in found if source in own}
+    searched = {folder for _, folder in found.values()} - {None}
+    own = getattr(reader, "entries", entries_by_place)(list(found), searched, split)
+    entries: dict[Path, Entry] = {place: own[place] for place in found if place in own}
     _require_distinct(entries)
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
     usable: set[Path | None] = set()
@@ -85,19 +89,19 @@ def convert(
 
     def read() -> Iterator[tuple[Task, str, Path]]:
         with progress(name, len(entries), quiet=quiet) as bar:
-            for source, entry in entries.items():
+            for place, entry in entries.items():
                 bar.name(entry.name)
-                folder = found[source]
+                source, folder = found[place]
                 try:
-                    check_readable(source)
-                    task = reader.read_task(source, **options)
+                    check_readable(place)
+                    task = reading(reader.read_task, {"content": source.content})(place, **options)
                 except (ValueError, OSError) as error:
                     if folder is None:
-                        raise named(error, source) from None
-                    bad.setdefault(folder, []).append(str(named(error, source)))
+                        raise named(error, place) from None
+                    bad.setdefault(folder, []).append(str(named(error, place)))
                 else:
                     part = entry.split or AUTO if split == AUTO else split
-                    yield task._replace(name=entry.name, group=entry.group), part, source
+                    yield task._replace(name=entry.name, group=entry.group), part, place
                     usable.add(folder)
                 bar.advance(entry.name)
         empty = [folder for folder in bad if folder not in usable]
@@ -134,20 +138,24 @@ def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> di
 
 
 def _find(
-    find: Callable[[Path], tuple[list[Path], list[str]]], paths: Iterable[Path]
-) -> tuple[dict[Path, Path | None], list[str]]:
-    """All sources, each once, with the folder it was found in (None: it was named), and lines about skipped files."""
-    sources_by_path: dict[Path, tuple[Path, Path | None]] = {}
+    find: Callable[[Path], Sources], paths: Iterable[Path]
+) -> tuple[dict[Path, tuple[Source, Path | None]], list[str]]:
+    """Find all sources by their paths, each once, with the folder it was found in (None: it was named).
+
+    Returns:
+        These, and lines about skipped files.
+    """
+    sources_by_path: dict[Path, tuple[Source, Path | None]] = {}
     skipped: list[str] = []
     for path in paths:
         check_readable(path)
         sources, lines = find(path)
         skipped += lines
         for source in sources:
-            key = source.resolve()
+            key = source.path.resolve()
             if not path.is_dir() or key not in sources_by_path:
                 sources_by_path[key] = (source, path if path.is_dir() else None)
-    return dict(sources_by_path.values()), skipped
+    return {source.path: (source, folder) for source, folder in sources_by_path.values()}, skipped
 
 
 def _require_distinct(entries: Mapping[Path, Entry]) -> None:

@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import inspect
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
+from data_tools.readers.source import Source
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.names import inputs_of
-from metapp.registry import WITHOUT, registry
+from metapp.registry import registry
 from metapp.runs.inputs.embedded import embedded_data, embedded_tests
+from metapp.runs.inputs.finding import MEMORY, place_of, reading
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
-from metapp.storage.files import as_text, check_readable, file_name, named, placeholder_line, safe_name
+from metapp.storage.files import as_text, check_readable, file_name, named, safe_name
 from metapp.storage.fits import marked_name
-from metapp.storage.folders import Kind, check_files_of_user, kind_of, refusal
+from metapp.storage.folders import listed_once
 
-FILES, MEMORY = "files", "memory"  # as records call data that are no data set
+FILES = "files"  # as records call data of files
 
 
-class Source(NamedTuple):
+class Input(NamedTuple):
     """Something to fit, read when its turn comes.
 
     Attributes:
@@ -79,13 +79,11 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
     return [task._replace(name=safe_name(task.name)) for task in tasks], data_label(folder)
 
 
-def sources_to_fit(run: Run) -> tuple[list[Source], str]:
-    """The sources of a run, its files, objects or test tasks of its data set, and the name of the data in records.
-
-    Of files nothing is read yet.
+def sources_to_fit(run: Run) -> tuple[list[Input], str]:
+    """The inputs of a run, its files, objects or test tasks of its data set, and the name of the data in records.
 
     Raises:
-        ValueError: a path that is missing or no input of the application; no test task.
+        ValueError: a path that is missing; no test task.
     """
     app, options = run.app, run.options
     if options.objects:
@@ -94,32 +92,30 @@ def sources_to_fit(run: Run) -> tuple[list[Source], str]:
         tasks, label = tasks_of_data(app, options.data, options.quiet)
         return sources_of(tasks), label
     merges = [option for option in registry().merges.of(app.name) if option in options.own.given()]
-    return [_merged(run, merges[0])] if merges else _sources_of_files(run), FILES
+    for path in options.paths:
+        if not path.exists():
+            raise ValueError(f"{path}: no such file or folder; give existing input files.")
+    if merges:
+        return [_merged(run, merges[0])], FILES
+    arguments = _arguments(run)
+    with listed_once():
+        return [_input_of(source, arguments) for source in run.sources], FILES
 
 
-def _sources_of_files(run: Run) -> list[Source]:
-    """Files, also those of folders, each once, in the order of inputs; ValueError for one that two formats read."""
-    sources: dict[str, tuple[str, Source]] = {}  # and the format that reads it
-    for path in run.options.paths:
-        for form, places, read in _found(run, path):
-            for place in places:
-                whole, is_named = str(place.resolve()), len(places) == 1 or place == path
-                source = Source(as_text(whole), functools.partial(read, place), is_named, [path])
-                other, _ = sources.setdefault(whole, (form, source))
-                if other != form:
-                    raise ValueError(
-                        f"{place}: the formats {other} and {form} both read it, expected one; leave one extension "
-                        f"out by {WITHOUT}."
-                    )
-    return [source for _, source in sources.values()]
+def _input_of(source: Source, arguments: Mapping[str, object]) -> Input:
+    """Return a source as something to fit, which its format's reader reads with those arguments that it takes."""
+    read_task = registry().formats[source.format].load().read_task
+    read = functools.partial(_read, reading(read_task, {**arguments, "content": source.content}), source.path)
+    given = [source.given] if source.given else []
+    return Input(as_text(str(place_of(source.path))), read, source.named, given)
 
 
-def sources_of(tasks: Sequence[Task]) -> list[Source]:
+def sources_of(tasks: Sequence[Task]) -> list[Input]:
     """Tasks that are read already."""
-    return [Source(task.name, task._replace) for task in tasks]
+    return [Input(task.name, task._replace) for task in tasks]
 
 
-def read_tasks(sources: Sequence[Source]) -> list[Task]:
+def read_tasks(sources: Sequence[Input]) -> list[Task]:
     """The tasks of sources; a damaged file that was found in a folder is left out with a warning.
 
     Raises:
@@ -147,57 +143,10 @@ def told_apart(read: Iterable[tuple[str, Task]]) -> list[Task]:
     ]
 
 
-def _found(run: Run, path: Path) -> Iterator[tuple[str, list[Path], Callable[[Path], Task]]]:
-    """The name of each format that recognises a path, its sources there, and the function that reads one of them.
-
-    Raises:
-        ValueError: there is no such path, or it is no input of the application.
-    """
-    app = run.app
-    if not path.exists():
-        raise ValueError(f"{path}: no such file or folder; give existing input files.")
-    check_readable(path)
-    forms = inputs_of(app.name)
-    inputs = ", ".join(form.inputs for form in forms.values())
-    expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
-    check_files_of_user(path, f"an input of {app.name} ({expected})")
-    readers = {name: reader for name, form in forms.items() if (reader := form.load()).recognises(path)}
-    if not readers:
-        if kind_of(path) is Kind.RUN_FOLDERS:
-            raise ValueError(refusal(path, f"an input of {app.name} ({expected})"))
-        if line := _first_placeholder(path):
-            raise ValueError(line)
-        every = (form for form in registry().formats.values() if form.inputs)
-        others = sorted({form.app for form in every if form.load().recognises(path)})
-        fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
-        more = f"; it is one of {', '.join(others)}" if others else fit
-        raise ValueError(f"{path}: not an input of {app.name}, expected {expected}{more}.")
-    for name, reader in readers.items():
-        places, skipped = reader.find(path)
-        for line in skipped if len(readers) == 1 else ():
-            say(f"warning: {line}")
-        arguments = _taken(reader.read_task, _arguments(run))
-        yield name, places, functools.partial(_read, functools.partial(reader.read_task, **arguments))
-
-
-def _first_placeholder(path: Path) -> str:
-    """Return the line about the first file in a folder that stands for another one, pages by name left out."""
-    from data_tools.readers.listing import files_below  # here: most runs need it not
-
-    files = files_below(path) if path.is_dir() else []
-    lines = (placeholder_line(file) for file in files if file.suffix.lower() not in (".htm", ".html"))
-    return next(filter(None, lines), "")
-
-
 def _read(read_task: Callable[[Path], Task], place: Path) -> Task:
     """Read a file by a reader, which gets no file that stands for another one."""
     check_readable(place)
     return read_task(place)
-
-
-def _taken(read: Callable[..., Task], arguments: Mapping[str, object]) -> dict[str, object]:
-    """The arguments that a function of a format has."""
-    return {key: arguments[key] for key in inspect.signature(read).parameters if key in arguments}
 
 
 def _arguments(run: Run) -> dict[str, object]:
@@ -213,16 +162,16 @@ def _arguments(run: Run) -> dict[str, object]:
     return arguments
 
 
-def _merged(run: Run, option: str) -> Source:
-    """The one source of all inputs, as an option merges them."""
+def _merged(run: Run, option: str) -> Input:
+    """Return the one input that an option merges all sources into."""
     app = run.app
-    places = [place for path in run.options.paths for _, some, _ in _found(run, path) for place in some]
+    places = [source.path for source in run.sources]
 
     def read() -> Task:
-        merge = registry().merges[app.name, option].load()
-        return merge(places, getattr(run.options.own, option), **_taken(merge, _arguments(run)))
+        merge = reading(registry().merges[app.name, option].load(), _arguments(run))
+        return merge(places, getattr(run.options.own, option))
 
-    return Source(as_text(str(places[0].resolve())), read, True, run.options.paths)
+    return Input(as_text(str(places[0].resolve())), read, True, run.options.paths)
 
 
 def content_of(task: Task) -> str:
@@ -245,7 +194,7 @@ def in_memory(sources: Sequence[object]) -> bool:
     return count > 0
 
 
-def sources_of_objects(app: str, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Source]:
+def sources_of_objects(app: str, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Input]:
     """The sources of objects in memory, which are read at once.
 
     Args:
@@ -261,7 +210,7 @@ def sources_of_objects(app: str, objects: Sequence[object], arguments: Mapping[s
         raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app} reads files and folders.")
     task_of_object, names = entry.load(), _names(objects)
     tasks = [task_of_object(source, name, **arguments) for source, name in zip(objects, names, strict=True)]
-    return [Source(str(number), task._replace, True) for number, task in enumerate(tasks)]
+    return [Input(str(number), task._replace, True) for number, task in enumerate(tasks)]
 
 
 def _is_path(source: object) -> bool:

@@ -13,7 +13,7 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.names import did_you_mean
 from metapp.runs.inputs.embedded import embedded_folders
-from metapp.runs.inputs.sources import FILES, Source, content_of, data_label, sources_to_fit, tasks_of_data
+from metapp.runs.inputs.sources import FILES, Input, content_of, data_label, sources_to_fit, tasks_of_data
 from metapp.runs.options import check_export, check_name, data_set_of, fit_options
 from metapp.runs.outputs.files import export_fit, export_path, opened_file
 from metapp.runs.reporter import progress, say
@@ -160,7 +160,7 @@ def _tasks_as(records: list[Document], app: App, inputs: Sequence[Path], data: P
     return {task.name: task for task in tasks} if now == label else {}
 
 
-def _of_sources(records: list[Document], sources: list[Source]) -> dict[str, Task]:
+def _of_sources(records: list[Document], sources: list[Input]) -> dict[str, Task]:
     """Tasks of files that have not changed since, wherever these are now; those of other names are not read."""
     names, read = {Path(record.get("source", "")).name for record in records}, {}
     for source in sources:

@@ -21,6 +21,7 @@ from metapp.extensions.assets import gltf, materialx, pictures
 from metapp.extensions.assets.occlusion import occlusion_from_height
 from metapp.extensions.assets.planes import all_planes, to_metallic
 from metapp.registry import WITHOUT
+from tests.sources import paths_of
 from tests.surfaces import PROVENANCE, grid, linear, rock, stored, texture, waves
 
 STEP = 1 / 65535
@@ -87,8 +88,8 @@ def test_maps_that_are_made_of_others_are_the_same_material(asset: Path) -> None
 def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
     """The maps that were fitted are read, not those that were made of them, unless there are no others."""
     pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
-    (source,) = find(tmp_path / "rock")[0]
-    assert svbrdf_inputs.find(tmp_path / "rock") == ([source], [])  # no preview or height for a photograph
+    (source,) = paths_of(find, tmp_path / "rock")[0]
+    assert paths_of(svbrdf_inputs.find, tmp_path / "rock") == ([source], [])  # no preview or height for a photograph
     found, maps = unpack(read_task(source, 64).data["maps"].float()), rock(64).maps
     for name in Maps._fields:
         assert (getattr(found, name) - getattr(maps, name)).abs().max() < 1e-3, name  # kept as halves

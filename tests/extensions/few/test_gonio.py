@@ -121,26 +121,48 @@ def test_tables_as_spreadsheets_write_them(tmp_path: Path, dialect: str, encodin
     assert len(plain.wi) == 2
     for expected, found in zip(plain, other, strict=True):
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
-    assert gonio.has_few(tmp_path)
+    assert [source.facts["samples"] for source in gonio.find(tmp_path)[0]] == [2, 2]
 
 
 def test_noise_below_zero_is_cut_and_said_once(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("\n".join([HEAD, ROW, ROW.replace("0.2", "-1e-5").replace("30,180", "35,180")]))
     with pytest.warns(UserWarning, match=r"a\.csv: 1 of 6 values below 0, down to -1e-05 /sr, expected 0") as caught:
-        pairs = [gonio.read_pairs(file) for _ in range(2)]
-    assert pairs[1].reflectance[1].tolist() == [0.1, 0, 0.3]
+        (source,) = gonio.find(file)[0]
+    with pytest.raises(ValueError, match="2 of 2, expected 4 or more"):
+        gonio.read_task(file, source.content)
+    assert source.content.reflectance[1].tolist() == [0.1, 0, 0.3]
     assert len(caught) == 1
+
+
+def test_a_table_is_parsed_once(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    file = write()
+    (source,), _ = gonio.find(file)
+    expected = gonio.read_task(file).data
+    monkeypatch.setattr(gonio, "read_pairs", lambda path: pytest.fail(f"{path} is parsed again"))
+    found = gonio.read_task(source.path, source.content).data
+    assert all(torch.equal(found[key], value) for key, value in expected.items())
+
+
+def test_tables_of_a_large_folder_are_not_kept(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gonio, "KEPT_BYTES", 100)
+    (source,), _ = gonio.find(write())
+    assert source.content is None
+    assert source.facts["samples"] > 0
+
+
+def test_a_damaged_table_has_no_facts(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("theta_i_deg,r\n1,x\n")
+    (source,), _ = gonio.find(tmp_path)
+    assert source.facts == {"damaged": True}
 
 
 def test_few_measurements_are_all_seen(write: Callable[..., Path]) -> None:
     file = write()
     lines = file.read_text().splitlines()
-    assert not gonio.has_few(file)
-    assert not gonio.has_few(file.parent)
-    for count, few in ((gonio.MOST_FEW + 1, False), (gonio.MOST_FEW, True), (20, True)):
-        file.write_text("\n".join(lines[: 2 + count]))
-        assert gonio.has_few(file) == few
+    file.write_text("\n".join(lines[:22]))
+    (source,), _ = gonio.find(file)
+    assert source.facts["samples"] == 20
     angles = gonio.read_task(file).data["angles"]
     assert torch.equal(angles[:20], angles[20:])
     assert len(angles.unique(dim=0)) == 20

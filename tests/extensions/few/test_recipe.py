@@ -38,8 +38,8 @@ def test_up_to_a_thousand_samples_in_memory_are_all_fitted() -> None:
 def test_tables_that_depend_on_phi_h_choose_the_anisotropic_recipe(metapp: Callable, tmp_path: Path) -> None:
     file, plain = (table(tmp_path / f"{name}.csv", pairs) for name, pairs in (
         ("brushed", measured(4000)), ("plain", measured(500, anisotropic=False))))  # fmt: skip
-    assert gonio.is_anisotropic(tmp_path)
-    assert not gonio.is_anisotropic(plain)
+    facts = {source.name: source.facts for source in gonio.find(tmp_path)[0]}
+    assert facts == {"brushed": {"anisotropic": True, "samples": 4000}, "plain": {"anisotropic": False, "samples": 500}}
     fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json")
     assert "recipe anisotropic, since every input has reflectance that depends on phi_h" in fitted.err
     isotropic = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--recipe", "full")

@@ -161,7 +161,8 @@ def cells(light: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[n
 def test_exports_of_a_fit_are_anisotropic(mi: Any, tmp_path: Path) -> None:
     theta = anisotropic.fitted()
     export(APP, theta, tmp_path / "brushed")
-    assert rgl.is_anisotropic(tmp_path / "brushed" / "brushed.bsdf")
+    (source,), _ = rgl.find(tmp_path / "brushed")
+    assert source.facts == {"anisotropic": True}
     angles = directions_to_four_angles(directions(3000, 1, 0.2), directions(3000, 2, 0.2)).float()
     found, expected = rgl.read_rgl(tmp_path / "brushed" / "brushed.bsdf")(angles), APP.reflectance(theta, angles)
     assert float((found - expected).abs().mean() / expected.mean()) < 0.05

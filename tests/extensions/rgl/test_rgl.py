@@ -17,6 +17,7 @@ from metapp.extensions.rgl.rgl import write_rgl
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
 from tests.bsdfs import seen_from
 from tests.needs_mitsuba import needs_mitsuba
+from tests.sources import paths_of
 
 
 def glossy(angles: Tensor) -> Tensor:
@@ -69,7 +70,7 @@ def test_what_is_read_is_what_was_written(file: Path, random_angles: Callable[..
     assert float((found - expected).abs().mean() / expected.mean()) < 0.01
     task = rgl.read_task(file, samples=256)
     assert (task.name, task.data["reflectance"].shape) == ("glossy", (256, 3))
-    assert rgl.find(file.parent) == ([file], [])
+    assert paths_of(rgl.find, file.parent) == ([file], [])
     assert rgl.recognises(file.parent)
 
 

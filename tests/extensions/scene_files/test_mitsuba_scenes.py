@@ -20,6 +20,7 @@ from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
 from metapp.rendering.scenes.rules import scene_of
 from tests.needs_mitsuba import needs_mitsuba
+from tests.sources import paths_of
 
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
 CAMERA = """<sensor type="perspective"><float name="fov" value="45"/>
@@ -50,8 +51,8 @@ def test_scene_files_are_recognised(tmp_path: Path) -> None:
     assert not recognises(write(tmp_path / "room.obj", ""))
     other = write(tmp_path / "box.json", "")
     write(tmp_path / "manifest.json", "")  # of a data set
-    assert find(tmp_path) == ([other, scene], [])
-    assert find(scene)[0] == [scene]
+    assert paths_of(find, tmp_path) == ([other, scene], [])
+    assert paths_of(find, scene)[0] == [scene]
     empty = tmp_path / "empty"
     empty.mkdir()
     assert not recognises(empty)

@@ -14,6 +14,7 @@ from torch import Generator
 
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.photos import SIZE_TEXT
+from data_tools.readers.source import Source
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp import registry
 from metapp.apps import recipes_of
@@ -23,8 +24,10 @@ from metapp.learning.task import Task
 from metapp.names import inputs_of
 from metapp.options import BadOption
 from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.choose import choose
+from metapp.runs.inputs.finding import find_sources, source_of_tensors
 from metapp.runs.options import fit_options
-from metapp.runs.recipes import chosen_recipe, shipped_path
+from metapp.runs.recipes import shipped_path
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
@@ -79,7 +82,7 @@ def found(path: Path) -> list[tuple[str, Path]]:
     """What each format of the application finds in a path that it recognises."""
     modules = {name: form.load() for name, form in inputs_of(APP).items()}
     readers = {name: module for name, module in modules.items() if module.recognises(path)}
-    return [(name, place) for name, module in readers.items() for place in module.find(path)[0]]
+    return [(name, source.path) for name, module in readers.items() for source in module.find(path)[0]]
 
 
 def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:
@@ -116,9 +119,19 @@ def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tm
     task = photos.read_task(folder)
     write_shard(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), [(task, "test", "")])
     options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
-    assert chosen_recipe(options) == chosen_recipe(options, [task]) == "several"
-    one = Task("one", {"photo": task.data["photo"]})
-    assert chosen_recipe(options, [one]) == ("full" if lacking else "pretrained")
+
+    def recipe(source: Source) -> str:
+        return choose(options, [source]).recipe
+
+    assert recipe(*find_sources(options)) == recipe(source_of_tensors(APP, "leaf", task.data)) == "several"
+    one = source_of_tensors(APP, "one", {"photo": task.data["photo"]})
+    assert recipe(one) == ("full" if lacking else "pretrained")
+
+
+def test_a_folder_tells_how_many_photos_it_holds(folder: Path) -> None:
+    (source,), _ = photos.find(folder)
+    assert (source.name, source.protocol, source.facts) == ("leaf", "photo", {"photos": 3})
+    assert source_of_tensors(APP, "leaf", photos.read_task(folder).data).facts == {"photos": 3}
 
 
 def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, metapp: Callable) -> None:

@@ -17,7 +17,7 @@ from metapp.extensions.viewer.viewing import try_app
 from metapp.learning.task import Params, Task
 from metapp.registry import WITHOUT, registry
 from metapp.runs import api
-from metapp.runs.inputs.sources import Source
+from metapp.runs.inputs.sources import Input
 from metapp.storage.files import file_name
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -112,8 +112,8 @@ def test_one_task_reads_its_own_input_alone(
     metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, read = fitted("meta"), list[str]()
-    task = Source.task
-    monkeypatch.setattr(Source, "task", lambda self: read.append(Path(self.place).name) or task(self))
+    task = Input.task
+    monkeypatch.setattr(Input, "task", lambda self: read.append(Path(self.place).name) or task(self))
     metapp("view", run, "--no-open", "--out", "p.html", "--task", "m1")
     metapp("view", run, "--no-open", "--out", "q.html", "--most", "1")
     assert read == ["m1", "m0"]

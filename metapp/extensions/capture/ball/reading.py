@@ -7,8 +7,9 @@ from pathlib import Path
 from data_tools.readers import latlong, photos
 from data_tools.readers.colours import fraction
 from data_tools.readers.image_files import NAMED, Pixels, read_pixels
-from data_tools.readers.listing import Found, files_of
+from data_tools.readers.listing import files_of
 from data_tools.readers.photos import is_photo, photo_of
+from data_tools.readers.source import Sources, sources_of_files
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task
 
@@ -18,15 +19,10 @@ def recognises(path: Path) -> bool:
     return any(is_photo(file) and not latlong.is_map(file) for file in files_of(path, NAMED))
 
 
-def find(path: Path) -> Found:
-    """All LDR images; as `data_tools.readers.photos.find`."""
-    files, skipped = photos.find(path)
-    return [file for file in files if not latlong.is_map(file)], skipped
-
-
-def protocol_of(source: Path) -> str:
-    """The protocol of a fit: a photograph holds no map."""
-    return "photo"
+def find(path: Path) -> Sources:
+    """Find all LDR images, as `data_tools.readers.photos.find_images`."""
+    files, skipped = photos.find_images(path)
+    return sources_of_files(([file for file in files if not latlong.is_map(file)], skipped), protocol="photo")
 
 
 def read_task(path: Path, rows: int = latlong.HEIGHT, fov_rad: float = 0.0, layer: str = "") -> Task:

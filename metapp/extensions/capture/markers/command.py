@@ -113,7 +113,7 @@ def rectify(
       metapp data rectify photos/ --out leaf
       metapp data rectify IMG_1.jpg IMG_2.jpg IMG_3.jpg --flash 1.2,0 --ruler 9.7 --out leaf
     """
-    from data_tools.readers.photos import find
+    from data_tools.readers.photos import find_images
     from metapp.extensions.capture.markers.attempt import Attempt
     from metapp.extensions.capture.markers.rectified import write_set
     from metapp.extensions.capture.markers.sample import find_sample
@@ -124,7 +124,7 @@ def rectify(
     photos_alone = [path for path in paths if not path.name.endswith(FAILED)]  # which a shell's *.png names, too
     for path in photos_alone or paths:
         check_files_of_user(path, "photographs of a flat material")
-    in_paths = [find(path) for path in photos_alone]
+    in_paths = [find_images(path) for path in photos_alone]
     names = list({file.resolve(): file for files, _ in in_paths for file in files}.values())
     attempt, failed = Attempt(), _failed_picture(folder)
     try:

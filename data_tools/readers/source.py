@@ -1,0 +1,52 @@
+"""A source: one input that a fit can be made of, as the reader of its format finds it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from data_tools.readers.listing import Found
+
+Facts = Mapping[str, bool | int]
+
+ANISOTROPIC, SAMPLES, PHOTOS = "anisotropic", "samples", "photos"
+DAMAGED = "damaged"  # a source of which reading says what is wrong; it has no part in choosing a recipe
+
+
+@dataclass(frozen=True)
+class Source:
+    """One input that a fit can be made of.
+
+    Attributes:
+        name: the name of the task that it is read as.
+        path: the file or folder.
+        format: the name of its format in the registry.
+        protocol: the value of --observe that suits it; "" for the application's default one.
+        facts: what its reader found out while it looked, by name, such as the number of photos; recipes are chosen by
+            them.
+        content: what the reader has parsed already and takes back as `read_task(path, content=...)`; None for nothing.
+        given: the input, as the user gave it, that it was found in.
+        named: whether the user named it, so that it must be good; False for one among others in a folder.
+
+    >>> Source("gold", Path("gold.binary")).facts
+    {}
+    """
+
+    name: str
+    path: Path
+    format: str = ""
+    protocol: str = ""
+    facts: Facts = field(default_factory=dict)
+    content: object = field(default=None, repr=False, compare=False)
+    given: Path | None = None
+    named: bool = True
+
+
+Sources = tuple[list[Source], list[str]]  # what a path holds, and the line of each skipped file of a folder
+
+
+def sources_of_files(found: Found, protocol: str = "") -> Sources:
+    """Return files as sources of which nothing but a protocol is known, named by the stems of the files."""
+    files, skipped = found
+    return [Source(file.stem, file, protocol=protocol) for file in files], skipped
