@@ -14,12 +14,12 @@ APPLICATIONS = {
     "texture": Application(
         "metapp.apps.texture.app:Texture",
         help="Textures that look like the photograph of an exemplar.",
-        options="metapp.networks.options:ExemplarOptions",
+        options="metapp.apps.exemplar.options:ExemplarOptions",
     ),
     "svbrdf_stationary": Application(
         "metapp.apps.svbrdf_stationary.app:SvbrdfStationary",
         help="Tiling maps of a flat material from one flash photograph.",
-        options="metapp.networks.options:FlashExemplarOptions",
+        options="metapp.apps.svbrdf_stationary.options:FlashExemplarOptions",
     ),
     "svbrdf_nonstationary": Application(
         "metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary",

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from metapp.options import FIT, INPUT, OUTPUT, AppOptions, Option
+from metapp.options import INPUT, OUTPUT, AppOptions, Option
 
 NARROWEST_DEGREES = 0.5  # degrees of a field of view
 
@@ -73,28 +73,6 @@ class CameraOptions(PictureOptions):
 
 
 @dataclass(frozen=True)
-class ExemplarOptions(PictureOptions):
-    """The options of applications that fit a texture to an exemplar."""
-
-    size: Annotated[tuple[int, int] | None, size("textures and maps up to 4096x4096")] = None
-    detail: Annotated[
-        int,
-        Option(
-            "Resolution at which photos are read and fitted: 256 (the default) or 512, which is four times as slow.",
-            "PX",
-            low=256,
-            panel=FIT,
-        ),
-    ] = 0
-
-    def adapt(self, recipe: Any) -> Any:
-        """The recipe for exemplars of `detail` px a side."""
-        from metapp.networks.exemplar import with_detail
-
-        return with_detail(recipe, self.detail) if self.detail else recipe
-
-
-@dataclass(frozen=True)
 class ReliefOptions(AppOptions):
     """The option of applications whose fits are normals."""
 
@@ -112,11 +90,6 @@ class ReliefOptions(AppOptions):
     def recorded(self) -> dict[str, object]:
         """With the factor, by which later exports and pages show the fit, too."""
         return super().recorded() | ({"relief": self.relief} if self.relief != 1 else {})
-
-
-@dataclass(frozen=True)
-class FlashExemplarOptions(ReliefOptions, ExemplarOptions, CameraOptions):
-    """Size, detail and relief of maps that tile, and the camera of the flash photo."""
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.features import FAINTEST_WAVE, detail
 from metapp.appearance.lines import MOST_ADDED, LinesKept
 from metapp.apps import app_of, recipes_of
+from metapp.apps.exemplar.app import LEAST_ORDER, SOFTNESS, ExemplarApp
 from metapp.apps.texture.app import Texture
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import LEAST_ORDER, SOFTNESS, ExemplarApp
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_input, astray, layouts
@@ -115,7 +115,7 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
     """Under a flash alone lines that are added say nothing: they are of its highlight."""
     theta, size = app.init(Generator().manual_seed(0), 3), "x".join(map(str, app.picture_size))
     found = iter([LinesKept(0.4, 1.0), LinesKept(1.0, MOST_ADDED + 0.3), LinesKept(math.nan, math.nan)])
-    monkeypatch.setattr("metapp.networks.exemplar.compare_lines", lambda *_: next(found))
+    monkeypatch.setattr("metapp.apps.exemplar.app.compare_lines", lambda *_: next(found))
     broken, seams, unknown = app.doubts(theta, tasks)
     assert len(broken) == 1
     assert broken[0].startswith("breaks lines of the photo such as joints, cracks or threads (0.40 as strong, ")

@@ -18,6 +18,7 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
+from metapp.apps.exemplar.app import TILED
 from metapp.apps.svbrdf_stationary import app as svbrdf_stationary
 from metapp.apps.svbrdf_stationary.app import (
     FALLOFF,
@@ -34,7 +35,6 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.exemplar import TILED
 from metapp.networks.generators import UNet
 
 SIZE = 32

@@ -9,11 +9,11 @@ from torch.nn.functional import interpolate, pad
 
 from metapp.appearance.picture_measures import measure_pictures
 from metapp.apps import presenter_of
+from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.texture.app import SMALLEST_CROP, Texture
 from metapp.learning.app import stack
 from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import JUDGED_PICTURES
 from metapp.networks.generators import UNet
 
 SIZE, LEVELS = 32, 3

@@ -29,9 +29,9 @@ from metapp.appearance.flash import (
 )
 from metapp.appearance.highlight import F0_BOUND, clipped_highlight, evenly_lit, gloss
 from metapp.appearance.surface import Surface, map_pictures, with_relief
+from metapp.apps.exemplar.app import ExemplarApp
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.exemplar import ExemplarApp
 from metapp.networks.layout import astray
 
 GRID = 3  # windows along a side

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metapp.apps.exemplar.recipes import generator, pixels, pyramid
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.learning.recipe import Adam, as_published
 from metapp.networks.generators import UNet
-from metapp.networks.recipes import generator, pixels, pyramid
 
 PRIOR = 0.5  # in fits of 256 texels, of how far these are from General's, which else take the place of diffuse colour
 QUICK = generator(

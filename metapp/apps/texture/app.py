@@ -10,10 +10,10 @@ from torch import Generator, Tensor
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import describe_precision, distance, gram
 from metapp.appearance.surface import Surface
+from metapp.apps.exemplar.app import SHOWN_SEED, Crop, ExemplarApp
 from metapp.learning.draws import normal, uniform
 from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.exemplar import SHOWN_SEED, Crop, ExemplarApp
 from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metapp.apps.exemplar.recipes import generator, pixels, pyramid
 from metapp.apps.texture.app import Texture
 from metapp.learning.recipe import Adam, as_published
 from metapp.networks.generators import UNet
-from metapp.networks.recipes import generator, pixels, pyramid
 
 QUICK = generator(
     Texture,

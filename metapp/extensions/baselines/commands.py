@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
+from metapp.apps.exemplar.options import ExemplarOptions
 from metapp.cli.commands import app_group
 from metapp.cli.console import out, print_json
 from metapp.cli.options import baseline_words, parameter, parameter_of, signed
 from metapp.names import did_you_mean, protocols_of
-from metapp.networks.options import ExemplarOptions
 from metapp.options import FIT, INPUT, OUTPUT, BadOption, declared, options_of
 from metapp.registry import registry
 from metapp.runs.options import TASKS, FitOptions, fit_options

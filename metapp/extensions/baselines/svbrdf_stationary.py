@@ -8,12 +8,12 @@ from torch import Generator, Tensor
 from metapp.appearance.flash import GAMMA, Maps, normal_from_height
 from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.appearance.order import high_passed
+from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
 from metapp.extensions.baselines.texture import NearestExemplar, picture_of, quilts
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.networks.exemplar import JUDGED_PICTURES
 from metapp.networks.layout import as_tile
 
 # Of relief: the side of a texel's surroundings and, where a texel is twice as bright as these, its height, both in

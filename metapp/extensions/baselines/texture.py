@@ -10,6 +10,7 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import distance
 from metapp.appearance.order import levelled
 from metapp.appearance.quilting import block_of, quilted
+from metapp.apps.exemplar.app import JUDGED_PICTURES, ExemplarApp
 from metapp.extensions.baselines.baseline import (
     INDEX,
     Allowed,
@@ -20,7 +21,6 @@ from metapp.extensions.baselines.baseline import (
 )
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.networks.exemplar import JUDGED_PICTURES, ExemplarApp
 from metapp.networks.layout import as_tile
 
 AT_ONCE = 8  # training tasks whose matrices are compared

@@ -13,6 +13,7 @@ from torch.nn.functional import interpolate
 from metapp.appearance.flash import Maps, camera, relightings
 from metapp.appearance.latlong import directions
 from metapp.appearance.quilting import beyond_cut
+from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines import baselines_of
@@ -23,7 +24,6 @@ from metapp.extensions.baselines.svbrdf_nonstationary import flat_maps
 from metapp.extensions.baselines.svbrdf_stationary import quilted_maps
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import JUDGED_PICTURES
 from tests.quick import app_by
 
 

@@ -15,6 +15,7 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
 from metapp.apps import presenter_of
+from metapp.apps.exemplar.app import TILED
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -24,7 +25,6 @@ from metapp.extensions.viewer.pages.flat import QUILTED
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.pictures import Picture
 from metapp.learning.task import Params, Task
-from metapp.networks.exemplar import TILED
 from metapp.networks.generators import UNet
 from metapp.rendering.scenes.rules import scene_bytes
 from metapp.runs.outputs.files import write_pictures
