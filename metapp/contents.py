@@ -15,11 +15,13 @@ APPLICATIONS = {
         "metapp.apps.texture.app:Texture",
         help="Textures that look like the photograph of an exemplar.",
         options="metapp.apps.exemplar.options:ExemplarOptions",
+        presenter="metapp.apps.texture.presenter:TexturePresenter",
     ),
     "svbrdf_stationary": Application(
         "metapp.apps.svbrdf_stationary.app:SvbrdfStationary",
         help="Tiling maps of a flat material from one flash photograph.",
         options="metapp.apps.svbrdf_stationary.options:FlashExemplarOptions",
+        presenter="metapp.apps.svbrdf_stationary.presenter:SvbrdfStationaryPresenter",
     ),
     "svbrdf_nonstationary": Application(
         "metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary",

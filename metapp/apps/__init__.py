@@ -1,7 +1,7 @@
 """Applications and their recipes, loaded by name; `metapp.registry` says which there are.
 
-Each application that ships is a package here, with modules for its class, its recipes and its options. `exemplar` is
-the base of two of them.
+Each application that ships is a package here, with modules for its class, its recipes, its options and its
+presenter. `exemplar` is the base of two of them.
 """
 
 from __future__ import annotations

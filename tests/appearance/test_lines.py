@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d, grid_sample, interpolate
 from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.lines import MOST_ADDED, SMALLEST_PX, compare_lines
 from metapp.appearance.quilting import quilted
-from metapp.apps.texture.app import LEAST_LINES
+from metapp.apps.texture.presenter import LEAST_LINES
 
 SIDE = 256
 

@@ -12,14 +12,15 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import FAINTEST_WAVE, detail
 from metapp.appearance.lines import MOST_ADDED, LinesKept
-from metapp.apps import app_of, recipes_of
-from metapp.apps.exemplar.app import LEAST_ORDER, SOFTNESS, ExemplarApp
+from metapp.apps import app_of, presenter_of, recipes_of
+from metapp.apps.exemplar.app import SOFTNESS, ExemplarApp
+from metapp.apps.exemplar.presenter import LEAST_ORDER, ExemplarPresenter
 from metapp.apps.texture.app import Texture
-from metapp.learning.app import stack
+from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
-from metapp.learning.task import Task, Tasks
+from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarged
 from metapp.networks.layout import as_input, astray, layouts
@@ -40,6 +41,16 @@ def tiny(name: str) -> Recipe:
 @pytest.fixture(scope="module", params=["texture", "svbrdf_stationary"])
 def app(request: pytest.FixtureRequest) -> ExemplarApp:
     return app_of(request.param, tiny(request.param))  # type: ignore[return-value]
+
+
+def shown(app: App) -> ExemplarPresenter[Any]:
+    presenter = presenter_of(app)
+    assert isinstance(presenter, ExemplarPresenter)
+    return presenter
+
+
+def warnings_of(app: App, theta: Params, tasks: Tasks) -> list[list[str]]:
+    return shown(app).quality_warnings(theta, tasks)
 
 
 TEXTURE, MATERIAL = (pytest.mark.parametrize("app", [each], indirect=True) for each in ("texture", "svbrdf_stationary"))
@@ -77,21 +88,21 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
     noise = Task("noise", {"image": tasks.data["image"][0]})
     both = stack(app, [noise, ordered])
     theta = app.init(Generator().manual_seed(0), 2)
-    unordered, (clause, *_) = app.doubts(theta, both)
+    unordered, (clause, *_) = warnings_of(app, theta, both)
     assert not any("regular structure" in other for other in unordered)
-    size = "x".join(map(str, app.picture_size))
+    size = "x".join(map(str, shown(app).picture_size))
     instead = rf"`metapp baseline {app.name} INPUT --method (\w+) --size {size}` copies it"
     kept = re.fullmatch(rf"keeps (\S+) of the photo's regular structure \({instead}\)", clause)
     assert kept
     assert 0 <= float(kept[1]) < LEAST_ORDER
     assert kept[2] in registry().baselines.of(app.name)
     alone = {key: value[1:] for key, value in theta.items()}
-    assert app.doubts(alone, both.select([1]))[0][0] == clause
+    assert warnings_of(app, alone, both.select([1]))[0][0] == clause
     copies = app.exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
     monkeypatch.setattr(type(app), "look", lambda *_: copies)
-    assert not any("regular structure" in other for clauses in app.doubts(theta, both) for other in clauses)
+    assert not any("regular structure" in other for clauses in warnings_of(app, theta, both) for other in clauses)
     quick = app_of(app.name, recipes_of(app.name)["quick"])
-    assert quick.doubts({}, both) == [[], []]
+    assert warnings_of(quick, {}, both) == [[], []]
 
 
 def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,7 +115,7 @@ def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, mon
         (varied, ""),
     ):
         monkeypatch.setattr(type(app), "look", lambda *_, made=made: made)
-        for clauses in app.doubts(theta, tasks):
+        for clauses in warnings_of(app, theta, tasks):
             assert any(clause.startswith("the fit is") for clause in clauses) == bool(said)
             assert any(clause.startswith(said) for clause in clauses) or not said
 
@@ -113,10 +124,10 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
     app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Under a flash alone lines that are added say nothing: they are of its highlight."""
-    theta, size = app.init(Generator().manual_seed(0), 3), "x".join(map(str, app.picture_size))
+    theta, size = app.init(Generator().manual_seed(0), 3), "x".join(map(str, shown(app).picture_size))
     found = iter([LinesKept(0.4, 1.0), LinesKept(1.0, MOST_ADDED + 0.3), LinesKept(math.nan, math.nan)])
-    monkeypatch.setattr("metapp.apps.exemplar.app.compare_lines", lambda *_: next(found))
-    broken, seams, unknown = app.doubts(theta, tasks)
+    monkeypatch.setattr("metapp.apps.exemplar.presenter.compare_lines", lambda *_: next(found))
+    broken, seams, unknown = warnings_of(app, theta, tasks)
     assert len(broken) == 1
     assert broken[0].startswith("breaks lines of the photo such as joints, cracks or threads (0.40 as strong, ")
     assert f"`metapp baseline {app.name} INPUT --method quilting --size {size}` copies them" in broken[0]
@@ -129,7 +140,7 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
 def test_lines_are_those_of_a_texture_as_large_as_files_are_quilted_for(app: ExemplarApp, tasks: Tasks) -> None:
     theta = app.init(Generator().manual_seed(0), 3)
     made = torch.zeros(3, 3, app.height, app.width)
-    assert app.pictures_for_lines(theta, made).shape == (3, 3, 2 * app.height, 2 * app.width)
+    assert shown(app).pictures_for_lines(theta, made).shape == (3, 3, 2 * app.height, 2 * app.width)
 
 
 def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:

@@ -18,7 +18,8 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
-from metapp.apps.exemplar.app import TILED
+from metapp.apps import presenter_of
+from metapp.apps.exemplar.presenter import TILED
 from metapp.apps.svbrdf_stationary import app as svbrdf_stationary
 from metapp.apps.svbrdf_stationary.app import (
     FALLOFF,
@@ -158,7 +159,7 @@ def test_the_light_is_where_the_highlight_is(
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)
-    app.preview({key: value[0] for key, value in theta.items()}, sources[1])
+    presenter_of(app).preview({key: value[0] for key, value in theta.items()}, sources[1])
     for (light, view), expected in zip(used, (lights[[1, 2, 0], None], lights[:, None], lights[1]), strict=False):
         torch.testing.assert_close(light, expected)
         assert torch.equal(light, view)
@@ -195,7 +196,7 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
 def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
     app = TINY
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
-    made = app.pictures(theta, sources[0])
+    made = presenter_of(app).pictures(theta, sources[0])
     files = {name: picture.pixels for name, picture in made.items()}
     names = ["diffuse", "specular", "roughness", "normal", "height"]
     assert list(files) == [*names, *(f"lit_from_{name}" for name in relightings())]
@@ -229,26 +230,26 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
 def test_slopes_and_heights_are_shown_times_a_factor(sources: list[Task], factor: float) -> None:
     """In files, surfaces and previews, but the fit that is compared with the photo stays; by 1 nothing changes."""
     theta = {key: value[0] for key, value in TINY.init(seeded(), 1).items()}
-    plain, app = TINY, replace(TINY, relief=factor)
-    before, after = plain.surface(theta, sources[0]).linear_maps(), app.surface(theta, sources[0]).linear_maps()
+    plain, steeper = presenter_of(TINY), presenter_of(TINY, {"relief": factor})
+    before, after = (presenter.linear_maps(theta, sources[0]) for presenter in (plain, steeper))
     torch.testing.assert_close(after["height"], factor * before["height"])
     slopes = [maps["normal"][..., :2] / maps["normal"][..., 2:] for maps in (before, after)]
     torch.testing.assert_close(slopes[1], factor * slopes[0])
-    shown = app.pictures(theta, sources[0])["normal"].pixels
+    shown = steeper.pictures(theta, sources[0])["normal"].pixels
     torch.testing.assert_close(shown, after["normal"] * 0.5 + 0.5)
-    fits = [each.preview(theta, sources[0]) for each in (plain, app)]
+    fits = [each.preview(theta, sources[0]) for each in (plain, steeper)]
     same = {name for name, picture in fits[0].items() if torch.equal(picture, fits[1][name])}
     moved = {"normal", "height", *(f"lit_from_{name}" for name in relightings())}
     assert same >= fits[0].keys() - moved
     assert ("normal" in same) == (factor == 1)
-    assert app.remarks(sources[0], theta) == plain.remarks(sources[0], theta) != {"mean_tilt_degrees": 0}
+    assert steeper.remarks(theta, sources[0]) == plain.remarks(theta, sources[0]) != {"mean_tilt_degrees": 0}
 
 
 def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     """To where they mirror each other in a flat material."""
     app = TINY
     theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
-    made = app.pictures(theta, sources[0])
+    made = presenter_of(app).pictures(theta, sources[0])
     files = {name: picture.pixels for name, picture in made.items()}
     assert files["height"].max() == 0
     places = positions(TILED * SIZE, TILED * SIZE).flatten(1)

@@ -15,6 +15,7 @@ from metapp.appearance import features
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import normal_from_height, unpack
+from metapp.apps import presenter_of
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
 from metapp.registry import load
@@ -121,7 +122,7 @@ def test_files_of_another_size(app: str, data: str, metapp: Callable, wall: Path
 def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, wall: Path) -> None:
     run = Path(metapp("overfit", app, wall, "--data", data, "--json").done["out"])
     made, theta = run / "wall", load_file(run / "wall" / "params.safetensors")
-    files = app_by(app).pictures(theta, Task("wall", {}))
+    files = presenter_of(app_by(app)).pictures(theta, Task("wall", {}))
     wanted = {name: torch.movedim(each.pixels, -1, 0) for name, each in files.items()}
     found = unpack(read_task(made / "diffuse.png", 64).data["maps"].float()[None])
     for name, space in (("diffuse", srgb_to_linear), ("specular", srgb_to_linear), ("roughness", torch.clone)):

@@ -5,19 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, detail, load_features, moments, softness
-from metapp.appearance.lines import MOST_ADDED, compare_lines
-from metapp.appearance.order import lattice_of, order_kept
-from metapp.appearance.uniform import collapsed_fit
 from metapp.learning.app import Answer, App
 from metapp.learning.draws import normal, uniform
-from metapp.learning.pictures import Visible
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
@@ -28,12 +24,6 @@ Crop = Callable[[Tensor], Tensor]
 HIDDEN_UNITS = 128
 SOFTNESS = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
 JUDGED_PICTURES = 4
-LEAST_ORDER = 0.5  # share of an exemplar's order; quilting keeps 0.68 to 1.0
-SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
-TILED = 4  # times as high and wide as in training: what is written
-LARGEST_PX = 4096  # px
-
-Made = TypeVar("Made")
 
 
 def with_detail(recipe: Recipe, side: int) -> Recipe:
@@ -86,8 +76,6 @@ class ExemplarApp(App):
     finer: int = 0
     reduced: ClassVar[bool] = False  # whether fits see features in reduced precision
     described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
-    least_lines: ClassVar[float] = 0.0  # share of the strength of an exemplar's lines below which they are broken
-    shows_seams: ClassVar[bool] = True  # whether lines that pictures add are seams, and not the light's
 
     @property
     def read_size(self) -> int:
@@ -259,47 +247,6 @@ class ExemplarApp(App):
         pictures: Tensor = answer
         return pictures
 
-    @torch.no_grad()
-    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Return a clause on what the picture of tables has lost, at most one a task.
-
-        All of it, if the fit is black or the same everywhere; regular structure by its lattice; else lines that are
-        broken, and seams. Only if networks read layouts.
-        """
-        if not self.has_layout:
-            return super().doubts(theta, tasks)
-        described = {key: value[tasks.rows] for key, value in tasks.data.items()}
-        answer = self.generate(theta, self.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED))
-        pictures = self.exemplar(described["image"].float() / 255), self.look(answer, described)[:, 0]
-        collapsed = [collapsed_fit(made, exemplar) for exemplar, made in zip(*pictures, strict=True)]
-        exemplars, made = (self.evenly_lit(each, described) for each in pictures)
-        enlarged = self.pictures_for_lines(theta, made)
-        judged = zip(collapsed, exemplars, made, enlarged, strict=True)
-        return [clauses or self._lost(*compared) for clauses, *compared in judged]
-
-    def _lost(self, exemplar: Tensor, made: Tensor, enlarged: Tensor) -> list[str]:
-        """Return the clause on structure of an exemplar that its picture, or one of another size, has lost; or none."""
-        size = "x".join(map(str, self.picture_size))
-        instead = f"`metapp baseline {self.name} INPUT --method quilting --size {size}` copies"
-        if (share := order_kept(lattice_of(exemplar), made)) < LEAST_ORDER:
-            return [f"keeps {share:.2f} of the photo's regular structure ({instead} it)"]
-        lines = compare_lines(exemplar, enlarged)
-        if lines.kept < self.least_lines:
-            figures = f"{lines.kept:.2f} as strong, expected {self.least_lines:g} or more"
-            return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {instead} them)"]
-        if self.shows_seams and lines.added > MOST_ADDED:
-            return [f"shows seams, lines {lines.added:.1f} times as strong as the photo's ({instead} it, with fewer)"]
-        return []
-
-    def pictures_for_lines(self, theta: Params, made: Tensor) -> Tensor:
-        """Return the pictures [T, 3, h, w] whose lines are compared with the exemplars', here those of tables.
-
-        Args:
-            theta: the fits.
-            made: the pictures of tables, [T, 3, H, W], as if the light were the same everywhere.
-        """
-        return made
-
     def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
 
@@ -349,24 +296,3 @@ class ExemplarApp(App):
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """Further data of these exemplars, once their channels are those [T, 3] of before."""
         return {}
-
-    def visible(self, task: Task) -> Visible:
-        """The exemplar, all of it in each step."""
-        return Visible(1, task.data["image"].nbytes, 1)
-
-    def size_refusal(self, height: int, width: int) -> str:
-        step = 2 ** (self.network.levels - 1)
-        fits = all(2 * step <= side <= LARGEST_PX and side % step == 0 for side in (height, width))
-        return "" if fits else f"expects multiples of {step} from {2 * step} to {LARGEST_PX}"
-
-    @property
-    def picture_size(self) -> tuple[int, int]:
-        """The size of `pictures`: the one asked for, else TILED times the exemplar's."""
-        return self.size or (TILED * self.height, TILED * self.width)
-
-    @torch.no_grad()
-    def shown(self, theta: Params, make: Callable[[Params, Tensor], Made], size: tuple[int, int] | None = None) -> Made:
-        """Call `make` with theta [1, ...] and the noise [1, 1, ...] of pictures, of a size in px or the exemplar's."""
-        one = {key: value[None] for key, value in theta.items()}
-        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN_SEED), self.network.noise
-        return make(one, normal(rng, 1, 1, channels, *(size or (self.height, self.width))))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, pad
 
-from metapp.appearance.colour import srgb_to_linear, stretched
 from metapp.appearance.features import amplitudes, distance, gram, hann, moments
 from metapp.appearance.flash import (
     GAMMA,
@@ -19,18 +17,14 @@ from metapp.appearance.flash import (
     camera,
     expose,
     flash_position,
-    height_from_normal,
-    mean_tilt_degrees,
     normal_from_height,
     positions,
     relightings,
     render,
     statistics,
 )
-from metapp.appearance.highlight import F0_BOUND, clipped_highlight, evenly_lit, gloss
-from metapp.appearance.surface import Surface, map_pictures, with_relief
+from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.apps.exemplar.app import ExemplarApp
-from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.layout import astray
 
@@ -49,31 +43,20 @@ COLOUR = 3.0  # weight in the loss of how much more or less colours vary than in
 EVIDENT, NARROW = (0.6, 0.8), 0.5
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
-# By fits of 39 photographs that were graded by eye: on every other one, all 7 intact materials are above 0.89.
-LEAST_LINES = 0.85
 
 
-@dataclass(frozen=True)
 class SvbrdfStationary(ExemplarApp):
     """One flash photograph of a flat stationary material a task.
 
     The light depends on the place, so statistics are compared window by window: those of a window of the
     picture with those of the same window of the photo. The generator does not know the place, which keeps highlights
     out of the maps.
-
-    Attributes:
-        relief: factor of the slopes of normals and of heights that are written and shown; errors are without it.
     """
-
-    relief: float = field(default=1.0, kw_only=True)
 
     name = "svbrdf_stationary"
     title = "svBRDF stat."
     measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
-    image_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
     described = ("gram", "spectrum")
-    least_lines = LEAST_LINES
-    shows_seams = False  # a highlight of another shape than the photo's leaves rings
     tensors: ClassVar = {
         "image": TensorSpec((3, "S", "S"), "uint8"),
         "relit": TensorSpec((3, 3, "R", "R"), "uint8", optional=True),
@@ -273,19 +256,6 @@ class SvbrdfStationary(ExemplarApp):
             errors["relit"] = self._relit(answer, tasks.data["relit"][tasks.rows])
         return errors
 
-    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Regular structure that was lost, and clipped highlights; only if networks read layouts."""
-        doubts = super().doubts(theta, tasks)
-        if not self.has_layout:
-            return doubts
-        pairs = zip(doubts, tasks.data["image"][tasks.rows], strict=True)
-        return [clauses + clipped_highlight(image.float() / 255, F0_BOUND) for clauses, image in pairs]
-
-    @torch.no_grad()
-    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """`mean_tilt_degrees` of normals as fitted, without `relief`."""
-        return {"mean_tilt_degrees": mean_tilt_degrees(self._material(theta)[0].normal)}
-
     def _relit(self, maps: Maps, references: Tensor) -> Tensor:
         errors = []
         for i, (light, view) in enumerate(relightings(device=references.device).values()):
@@ -298,52 +268,6 @@ class SvbrdfStationary(ExemplarApp):
             made = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
             errors.append(distance(made, [part[:, None] for part in grams[1]]).mean((1, 2)))
         return torch.stack(errors).mean(0)
-
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
-        photo = self.exemplar(task.data["image"][None].float() / 255)
-        light = self.light_of(photo)
-        maps, height = self._material(theta)
-        fit = self.photograph(maps, light[0], light[0])
-        displayed = {"reference": photo[0].permute(1, 2, 0), "fit": fit.permute(1, 2, 0)}
-        pictures = map_pictures(with_relief(maps, self.relief), self.relief * height, falloff=FALLOFF)
-        displayed |= {name: picture.pixels for name, picture in pictures.items()}
-        displayed["height"] = stretched(displayed["height"])[0]
-        return {name: srgb_to_linear(picture).expand(-1, -1, 3) for name, picture in displayed.items()}
-
-    @torch.no_grad()
-    def compared(self, theta: Params, task: Task) -> Compared:
-        """The maps under the photo's light, and under others if the task has references of that."""
-        photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
-        references = torch.cat([self.exemplar(each.float() / 255) for each in photos])
-        light, maps = self.light_of(references[:1])[0], self._material(theta)[0]
-        pairs = [(light, light), *relightings(device=light.device).values()][: len(references)]
-        return Compared(torch.stack([self.photograph(maps, *pair) for pair in pairs]), references)
-
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""
-        return map_pictures(*self._whole(theta, task), falloff=FALLOFF)
-
-    def answer_pictures(self, answer: Maps | Tensor, task: Task) -> dict[str, Picture]:
-        """The same of the first of the maps [1, B, ...], which tile, of their size; or the first photograph."""
-        if not isinstance(answer, Maps):
-            return {"photo": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
-        maps = Maps(*(part[0, 0] for part in answer))
-        return map_pictures(maps, height_from_normal(maps.normal, periodic=True), falloff=FALLOFF)
-
-    def surface(self, theta: Params, task: Task) -> Surface:
-        maps, height = self._whole(theta, task)
-        return Surface(maps.diffuse, True, maps, height)
-
-    def _whole(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
-        """Maps and height as files show them."""
-        maps, height = self.once(theta, task, lambda: self._material(theta, self.picture_size))
-        return with_relief(maps, self.relief), self.relief * height
-
-    def _material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
-        """Maps of one material and their height, without leading axes, of a size or the exemplar's."""
-        maps, heights = self.shown(theta, self.maps, size)
-        return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
 
 
 def _raw_gloss(specular: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:

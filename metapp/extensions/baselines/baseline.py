@@ -54,14 +54,15 @@ class BaselineFit(NamedTuple):
         numbers: that are kept for the task.
         kept_bytes: their bytes.
         picture: to show beside the application's fits, linear RGB [H, W, 3], if it is a picture.
-        written: makes the argument of `Presenter.answer_pictures` where files differ from what is judged; not timed.
+        written: makes the argument of `Presenter.answer_pictures` where files differ from what is judged, of a height
+            and width in px, None for the size that is judged; not timed.
     """
 
     answer: Callable[[], object]
     numbers: int
     kept_bytes: int
     picture: Tensor | None = None
-    written: Callable[[], object] | None = None
+    written: Callable[[tuple[int, int] | None], object] | None = None
 
 
 class Baseline(ABC):

@@ -93,7 +93,7 @@ def fit(options: FitOptions, method: str, *, json: bool) -> None:
         fits = fit_baselines(run, baseline, tasks, warm=False)
         for task, (record, picture, written) in zip(tasks, fits, strict=True):
             record |= {"content": content_of(task), "origin": run.origin(options.paths)}
-            files = run.presenter.answer_pictures(written(), task)
+            files = run.presenter.answer_pictures(written(run.presenter.size), task)
             records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)
     if not (options.quiet or json):

@@ -28,8 +28,8 @@ from metapp.storage.shards import read_manifest, read_shard
 ENTRIES = ("error", "numbers", "kept_bytes", "shared")  # of a record
 
 
-# the record, the picture, and what files are made of, as of `Presenter.answer_pictures`, by a function
-Judged = tuple[Record, Params | None, Callable[[], object]]
+# the record, the picture, and a function of the size of files that makes what `Presenter.answer_pictures` takes
+Judged = tuple[Record, Params | None, Callable[[tuple[int, int] | None], object]]
 
 
 def training_folder(run: Run, baseline: Baseline, *, make: bool = False) -> Path | None:
@@ -136,6 +136,6 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
             yield record, None if fitted.picture is None else {PICTURE: fitted.picture}, written
 
 
-def _as_it_is(answer: object) -> object:
-    """Return what was judged, of methods whose files show it."""
+def _as_it_is(answer: object, size: tuple[int, int] | None) -> object:
+    """Return what was judged, of methods whose files show it and have no other size."""
     return answer

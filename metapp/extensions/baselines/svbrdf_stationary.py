@@ -94,7 +94,7 @@ class QuiltedMaterial(Baseline):
         kept = photos.numel()
         picture = picture_of(app.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0]))
 
-        def written() -> Maps:
-            return quilted_maps(photos, light, rng, app.size, count=1) if app.size else maps
+        def written(asked: tuple[int, int] | None) -> Maps:
+            return quilted_maps(photos, light, rng, asked, count=1) if asked else maps
 
         return BaselineFit(lambda: maps, kept + NUMBERS, kept + 4 * NUMBERS, picture=picture, written=written)

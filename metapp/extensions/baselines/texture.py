@@ -72,8 +72,8 @@ class Quilting(Baseline):
         size = exemplar.shape[1], exemplar.shape[2]
         pictures, kept = quilts(exemplar, size, rng), exemplar.numel()
 
-        def written() -> Tensor:
-            return tile_of(exemplar, app.size or size, rng)[None, None]
+        def written(asked: tuple[int, int] | None) -> Tensor:
+            return tile_of(exemplar, asked or size, rng)[None, None]
 
         return BaselineFit(lambda: pictures, kept, kept, picture=picture_of(pictures[0, 0]), written=written)
 

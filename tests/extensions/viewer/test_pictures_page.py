@@ -15,7 +15,7 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
 from metapp.apps import presenter_of
-from metapp.apps.exemplar.app import TILED
+from metapp.apps.exemplar.presenter import TILED
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -94,7 +94,7 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
         ("fit", "whole"),
         ("image quilting", "seams"),
     ]
-    assert torch.equal(view.pictures["fit"], SHOWN.pictures(theta, task)["texture"].pixels)
+    assert torch.equal(view.pictures["fit"], presenter_of(SHOWN).pictures(theta, task)["texture"].pixels)
     exemplar, quilted = view.pictures["exemplar"], view.pictures["image quilting"]
     assert torch.equal((255 * exemplar).round().to(torch.uint8), task.data["image"].permute(1, 2, 0))
     assert quilted.shape == (QUILTED * SIZE, QUILTED * SIZE, 3)

@@ -81,7 +81,9 @@ def assert_same(maps: Maps, wanted: Maps) -> None:
 def test_a_view_holds_the_maps_that_are_written() -> None:
     """Photographs are there where the task is at hand: the part of the maps that one covers, and its flash."""
     shown, theta, task = stationary()
-    surface, view = shown.surface(theta, task), view_of(presenter_of(shown), theta, task)
+    presenter = presenter_of(shown)
+    surface, view = presenter.surface(theta, task), view_of(presenter, theta, task)
+    assert surface
     assert surface.maps is not None
     assert_same(maps_in(view), surface.maps)
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"].movedim(-1, 0))
@@ -98,7 +100,7 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
 
 def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None:
     shown, theta, task = nonstationary()
-    view, files = view_of(presenter_of(shown), theta, task), shown.pictures(theta, task)
+    view, files = view_of(presenter_of(shown), theta, task), presenter_of(shown).pictures(theta, task)
     truth = rock(64, tiles=False).maps
     assert truth is not None
     assert_same(maps_in(view, "reference"), truth)

@@ -17,8 +17,9 @@ from metapp.appearance.quilting import block_of, quilted
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import linear
-from metapp.apps.svbrdf_stationary.app import FALLOFF, SvbrdfStationary
-from metapp.apps.texture.app import Texture
+from metapp.apps.svbrdf_stationary.app import FALLOFF
+from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
+from metapp.apps.texture.presenter import TexturePresenter
 from metapp.extensions.viewer.view import THUMBNAIL, View, light_map, thumbnail
 from metapp.learning.task import Params, Task
 
@@ -60,18 +61,18 @@ def svbrdf_nonstationary(presenter: Presenter[SvbrdfNonstationary], theta: Param
     return surface_view(presenter.surface(theta, task), photographed, reference=reference)
 
 
-def svbrdf_stationary(presenter: Presenter[SvbrdfStationary], theta: Params, task: Task) -> View:
+def svbrdf_stationary(presenter: SvbrdfStationaryPresenter, theta: Params, task: Task) -> View:
     """The maps as `pictures` has them, and the photograph if it is at hand."""
     app = presenter.app
     photographed = []
     if "image" in task.data:
         photo = app.exemplar(task.data["image"][None].float() / 255)
-        light, part = app.light_of(photo)[0], app.width / app.picture_size[1]
+        light, part = app.light_of(photo)[0], app.width / presenter.picture_size[1]
         photographed = [Lit(light, light, photo=photo[0] ** GAMMA, part=part)]
     return surface_view(presenter.surface(theta, task), photographed, falloff=FALLOFF)
 
 
-def texture(presenter: Presenter[Texture], theta: Params, task: Task) -> View:
+def texture(presenter: TexturePresenter, theta: Params, task: Task) -> View:
     """The texture as `pictures` has it, the exemplar if it is at hand, and one quilted of that, at one scale."""
     app = presenter.app
     fit = presenter.pictures(theta, task)["texture"].pixels

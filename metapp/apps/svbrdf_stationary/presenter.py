@@ -1,0 +1,104 @@
+"""Pictures of stationary svBRDFs: maps that tile, photographs of them, and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from typing_extensions import override
+
+from metapp.appearance.colour import srgb_to_linear, stretched
+from metapp.appearance.flash import Maps, height_from_normal, mean_tilt_degrees, relightings
+from metapp.appearance.highlight import F0_BOUND, clipped_highlight
+from metapp.appearance.surface import Surface, map_pictures, with_relief
+from metapp.apps.exemplar.presenter import ExemplarPresenter
+from metapp.apps.svbrdf_stationary.app import FALLOFF, SvbrdfStationary
+from metapp.learning.pictures import Compared, Picture
+from metapp.learning.task import Params, Task, Tasks
+
+# By fits of 39 photographs that were graded by eye: on every other one, all 7 intact materials are above 0.89.
+LEAST_LINES = 0.85
+
+
+@dataclass(frozen=True)
+class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
+    """Maps that tile, beside their flash photograph and under other lights.
+
+    Attributes:
+        relief: the factor of the slopes of normals and of heights that are written and shown; errors are without it.
+    """
+
+    relief: float = 1.0
+    picture_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
+    least_lines = LEAST_LINES
+    shows_seams = False  # a highlight of another shape than the photo's leaves rings
+
+    @override
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return the photo and the fit under the photo's light, then maps and relightings as they are displayed."""
+        app = self.app
+        photo = app.exemplar(task.data["image"][None].float() / 255)
+        light = app.light_of(photo)
+        maps, height = self._material(theta)
+        fit = app.photograph(maps, light[0], light[0])
+        displayed = {"reference": photo[0].permute(1, 2, 0), "fit": fit.permute(1, 2, 0)}
+        pictures = map_pictures(with_relief(maps, self.relief), self.relief * height, falloff=FALLOFF)
+        displayed |= {name: picture.pixels for name, picture in pictures.items()}
+        displayed["height"] = stretched(displayed["height"])[0]
+        return {name: srgb_to_linear(picture).expand(-1, -1, 3) for name, picture in displayed.items()}
+
+    @override
+    @torch.no_grad()
+    def comparison(self, theta: Params, task: Task) -> Compared:
+        """Return the maps under the photo's light, and under others if the task has references of that."""
+        app = self.app
+        photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
+        references = torch.cat([app.exemplar(images.float() / 255) for images in photos])
+        light, maps = app.light_of(references[:1])[0], self._material(theta)[0]
+        pairs = [(light, light), *relightings(device=light.device).values()][: len(references)]
+        return Compared(torch.stack([app.photograph(maps, *pair) for pair in pairs]), references)
+
+    @override
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """Return maps that tile, and photographs of them under other lights."""
+        return map_pictures(*self._shown_maps(theta, task), falloff=FALLOFF)
+
+    @override
+    def answer_pictures(self, answer: Maps | Tensor, task: Task) -> dict[str, Picture]:
+        """Return the pictures of the first of the maps [1, B, ...], which tile, or the first photograph."""
+        if not isinstance(answer, Maps):
+            return {"photo": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
+        maps = Maps(*(part[0, 0] for part in answer))
+        return map_pictures(maps, height_from_normal(maps.normal, periodic=True), falloff=FALLOFF)
+
+    @override
+    def surface(self, theta: Params, task: Task) -> Surface:
+        maps, height = self._shown_maps(theta, task)
+        return Surface(maps.diffuse, True, maps, height)
+
+    @override
+    @torch.no_grad()
+    def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
+        """Return `mean_tilt_degrees` of normals as fitted, without `relief`."""
+        return {"mean_tilt_degrees": mean_tilt_degrees(self._material(theta)[0].normal)}
+
+    @override
+    def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Return clauses on structure that was lost, and on clipped highlights; only if networks read layouts."""
+        warnings = super().quality_warnings(theta, tasks)
+        if not self.app.has_layout:
+            return warnings
+        pairs = zip(warnings, tasks.data["image"][tasks.rows], strict=True)
+        return [clauses + clipped_highlight(image.float() / 255, F0_BOUND) for clauses, image in pairs]
+
+    def _shown_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
+        """Return maps and height as files show them."""
+        maps, height = self.cache_last(theta, task, lambda: self._material(theta, self.picture_size))
+        return with_relief(maps, self.relief), self.relief * height
+
+    def _material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
+        """Return the maps of one material and their height, without leading axes, of a size or the exemplar's."""
+        maps, heights = self.make_shown(theta, self.app.maps, size)
+        return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
