@@ -28,6 +28,7 @@ APPLICATIONS = {
         help="Maps of a flat material from one or several flash photographs.",
         options="metapp.networks.options:FlashOptions",
         facts="data_tools.readers.svbrdf_task:facts_of",
+        presenter="metapp.apps.svbrdf_nonstationary.presenter:SvbrdfNonstationaryPresenter",
         protocols={"reference": "maps", "photo": "photo"},
     ),
     "illumination": Application(

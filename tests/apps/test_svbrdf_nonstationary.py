@@ -11,6 +11,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, no
 from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack, positions, unpack
+from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary import app as svbrdf_nonstationary
 from metapp.apps.svbrdf_nonstationary.app import HIDDEN, STEEP, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
@@ -254,7 +255,7 @@ def test_maps_are_filled_where_photos_clip_losses_are_not(
     assert PHOTO.final_maps(exact, clipped) is wrong
     assert replace(people, protocol="reference").final_maps(exact, clipped) is wrong
     stacked = replace(tasks, data=tasks.data | {"photo": clipped})
-    (clause,), *others = people.doubts(exact, stacked)
+    (clause,), *others = presenter_of(people).quality_warnings(exact, stacked)
     assert clause == (
         "14 % of the photo is clipped, 14 % of the maps is filled from its surroundings (a darker exposure shows more)"
     )

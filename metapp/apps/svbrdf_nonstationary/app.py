@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
+from torch.nn.functional import adaptive_avg_pool2d, relu
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import (
     Maps,
-    camera,
-    expose,
-    mean_tilt_degrees,
     positions,
     render,
     statistics,
     tilt,
     unpack,
 )
-from metapp.appearance.highlight import FILL_PX, clipped_highlight, fill_clipped, find_clipped
-from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
-from metapp.appearance.uniform import black_fit
+from metapp.appearance.highlight import FILL_PX, fill_clipped
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_VALUE,
@@ -43,7 +38,6 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pooled,
 )
 from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
-from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.field import LocalField, field_by_rows
@@ -57,8 +51,7 @@ RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged u
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
 FINER, FINEST_SHOT_PX = 2, 256  # augmented materials are photographed so many times as fine as their maps, up to px
-FINEST_PX, LARGEST_PX = 2048, 4096  # a side of a user's photograph, and of the maps that can be asked for
-SHOWN_PX = 256  # a side of the maps that are shown
+FINEST_PX = 2048  # a side of a user's photograph
 
 
 def field_of(side: int, hidden: int) -> LocalField:
@@ -91,13 +84,13 @@ class SvbrdfNonstationary(CodedApp):
         encoder_width: channels of the encoder's level of 64 texels.
         encoder_size: side of the photograph that the encoder reads, 0 for the network's.
         encoder_finer: channels of the encoder's levels above that.
-        relief: factor of the slopes of normals that are written and shown; errors are without it.
+        sees_others: whether fits see `others`, too, and place the flash of each photograph.
     """
 
     encoder_width: int = 16
     encoder_size: int = 0
     encoder_finer: tuple[int, ...] = ()
-    relief: float = field(default=1.0, kw_only=True)
+    sees_others: ClassVar[bool] = False
 
     name = "svbrdf_nonstationary"
     title = "svBRDF non-stat."
@@ -108,7 +101,6 @@ class SvbrdfNonstationary(CodedApp):
         "roughness": "roughness",
         "specular": "specular at gamma 2.2",
     }
-    image_measure = "renderings under 12 other lights, at gamma 2.2"
     tensors: ClassVar = {
         "photo": TensorSpec((3, "S", "S"), "uint8"),
         "maps": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),
@@ -255,22 +247,6 @@ class SvbrdfNonstationary(CodedApp):
         return tasks.variants({"photo": photo} | self.described(pooled(fine, size)))
 
     @torch.no_grad()
-    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Maps that are black where the photo is not; where maps are filled, a highlight that clips."""
-        photos = tasks.data["photo"][tasks.rows]
-        maps = self.maps_of(theta, photos)
-        doubts = [
-            black_fit(colours, photo) for colours, photo in zip(maps.diffuse + maps.specular, photos, strict=True)
-        ]
-        if not self.fills:
-            return doubts
-        shown = linear_to_srgb(photos)
-        shares = find_clipped(shown).float().mean((1, 2, 3)).tolist()
-        effects = [f"{100 * share:.2g} % of the maps is filled from its surroundings" for share in shares]
-        clipped = (clipped_highlight(*pair) for pair in zip(shown, effects, strict=True))
-        return [black + highlight for black, highlight in zip(doubts, clipped, strict=True)]
-
-    @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """`error` under lights that no fit has seen, and how far the maps are off.
 
@@ -279,15 +255,6 @@ class SvbrdfNonstationary(CodedApp):
         the photo clips, 0 if it does not.
         """
         return self.errors_of(self.final_maps(theta, tasks.data["photo"][tasks.rows]), tasks)
-
-    @torch.no_grad()
-    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """`mean_tilt_degrees` of normals as fitted, without `relief`, where fits see photographs alone."""
-        if self.protocol != "photo":
-            return {}
-        photo = _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
-        fit = self.maps_of({key: value[None] for key, value in theta.items()}, photo)
-        return {"mean_tilt_degrees": mean_tilt_degrees(fit.normal)}
 
     def errors_of(self, answer: Maps, tasks: Tasks) -> dict[str, Tensor]:
         """Of maps [T, C, H, W] of the field's size."""
@@ -311,82 +278,6 @@ class SvbrdfNonstationary(CodedApp):
         """Logs of the radiance of maps [T, ...] under JUDGED lights, [T, V, 3, H, W]."""
         return self._logs(maps, _pairs(JUDGED).to(maps.diffuse)[None])
 
-    def size_refusal(self, height: int, width: int) -> str:
-        fits = height == width and 32 <= height <= LARGEST_PX
-        return "" if fits else f"expects square maps of 32 to {LARGEST_PX} px, as photos are cut to a square"
-
-    @torch.no_grad()
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Four maps above their look under the flash and three other lights, beside those of the fit."""
-        photo = _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
-        fit = Maps(*(part[0] for part in self.final_maps({key: value[None] for key, value in theta.items()}, photo)))
-        target = {}
-        if "maps" in task.data:
-            target = {"reference": _sheet(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))}
-        return target | {"fit": _sheet(with_relief(fit, self.relief))}
-
-    @torch.no_grad()
-    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The photograph, the fit under its flash, maps, and the fit under three other lights."""
-        seen, photo = self.photographed(theta, task), _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
-        fit = Maps(*(part[0] for part in self.final_maps({key: value[None] for key, value in theta.items()}, photo)))
-        eye = camera()
-        shown = photograph(fit, eye, eye) if seen is None else seen.pictures[0]
-        tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(shown).permute(1, 2, 0)}
-        tiles |= _linear_pictures(with_relief(fit, self.relief))
-        if "maps" in task.data:
-            target = _linear_pictures(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))
-            tiles |= {f"reference {name}": picture for name, picture in target.items()}
-        return tiles
-
-    @torch.no_grad()
-    def photographed(self, theta: Params, task: Task) -> Compared | None:
-        """The maps under each photograph's flash, as the fit places it."""
-        if self.protocol != "photo":
-            return None
-        flashes = self.flashes(theta, task)
-        photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
-        photos = adaptive_avg_pool2d(linear(photos), min(SHOWN_PX, photos.shape[-1]))
-        maps = self.final_maps({key: value[None] for key, value in theta.items()}, photos[:1])
-        pictures = [photographed(maps, Flash(*(part[None] for part in flash)))[0] for flash in flashes]
-        return Compared(linear_to_srgb(torch.stack(pictures).clamp(0, 1)), linear_to_srgb(photos))
-
-    @torch.no_grad()
-    def compared(self, theta: Params, task: Task) -> Compared | None:
-        """The renderings that errors are of, as displays of gamma 2.2 show them."""
-        if "maps" not in task.data:
-            return None
-        data = {key: value[None] for key, value in self.prepare(task).items()}
-        fitted = self.final_maps({key: value[None] for key, value in theta.items()}, data["photo"])
-        both = (self.judged(maps)[0] for maps in (fitted, unpack(data["maps"])))
-        return Compared(*(expose(logs.exp() - RADIANCE_FLOOR) for logs in both))
-
-    @torch.no_grad()
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The maps, of the size asked for, else of the photograph's, and pictures under three other lights."""
-        return map_pictures(with_relief(self._whole(theta, task), self.relief))
-
-    def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:
-        """The same of maps [1, C, H, W], of their size."""
-        return map_pictures(Maps(*(part[0] for part in answer)))
-
-    @torch.no_grad()
-    def surface(self, theta: Params, task: Task) -> Surface:
-        maps = with_relief(self._whole(theta, task), self.relief)
-        return Surface(maps.diffuse, False, maps)
-
-    def _whole(self, theta: Params, task: Task) -> Maps:
-        """The maps [C, H, W] of the size of files, as fitted."""
-        one = {key: value[None] for key, value in theta.items()}
-        side = self.size[0] if self.size else min(FINEST_PX, task.data["photo"].shape[-1])
-
-        def make() -> Maps:
-            photo = _photo_of(task, side)
-            return self.fill(self.fine_maps(one, photo), photo)
-
-        whole = self.once(theta, task, make)
-        return Maps(*(part[0] for part in whole))
-
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
         """The maps [T, C, H, W] that fields make of linear photographs [T, 3, H, W], at these photographs' size.
 
@@ -400,33 +291,6 @@ class SvbrdfNonstationary(CodedApp):
         """The flash of each photograph that a fit saw, without task axis, as the fit places it."""
         flash = flash_of(self.network.gain * theta["flash"][None])
         return [Flash(flash.place[0], flash.gain[0], flash.eye)]
-
-    def visible(self, task: Task) -> Visible:
-        """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""
-        if self.protocol == "photo":
-            return Visible(1, task.data["photo"].nbytes, 1)
-        return Visible(1, task.data["maps"].nbytes, 0)
-
-
-def _photo_of(task: Task, side: int) -> Tensor:
-    """The photograph, linear [1, 3, side, side]: means over areas; a smaller one is interpolated."""
-    photo = linear(task.data["photo"])[None]
-    finer = side > photo.shape[-1]
-    return interpolate(photo, size=(side, side), mode="bilinear") if finer else adaptive_avg_pool2d(photo, side)
-
-
-def _linear_pictures(maps: Maps) -> dict[str, Tensor]:
-    """The pictures of maps [C, H, W], as of `map_pictures`, linear [H, W, 3]."""
-    return {name: srgb_to_linear(each.pixels).expand(-1, -1, 3) for name, each in map_pictures(maps).items()}
-
-
-def _sheet(maps: Maps) -> Tensor:
-    """One linear picture [2 H, 4 W, 3]: four maps [C, H, W]; below, the photograph's light and three others."""
-    pictures, eye = map_pictures(maps), camera(device=maps.diffuse.device)
-    flash = photograph(maps, eye, eye).permute(1, 2, 0)
-    above = [pictures.pop(name).pixels.expand(-1, -1, 3) for name in ("normal", "diffuse", "roughness", "specular")]
-    below = [flash, *(picture.pixels for picture in pictures.values())]
-    return srgb_to_linear(torch.cat([torch.cat(row, 1) for row in (above, below)]))
 
 
 def photo_loss(seen: Tensor, photos: Tensor, learned: Params) -> Tensor:

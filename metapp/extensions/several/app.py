@@ -13,11 +13,11 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
+from typing_extensions import override
 
 from data_tools.synthetic.svbrdf_nonstationary import held_places
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, camera_distance, positions, render, unpack
-from metapp.appearance.highlight import F0_BOUND, clipped_highlight
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import (
     ACROSS,
@@ -36,7 +36,6 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 from metapp.apps.svbrdf_nonstationary.variants import draws_of, varied
 from metapp.extensions.several import encoder as reader
 from metapp.extensions.several.height import levelled
-from metapp.learning.pictures import Picture, Visible
 from metapp.learning.rules import append_axes
 from metapp.learning.task import Batch, Params, Task, Tasks
 
@@ -71,6 +70,7 @@ class SeveralPhotos(SvbrdfNonstationary):
     """
 
     network: Texels = field(default=Texels(256, 256))  # type: ignore[assignment]
+    sees_others = True
 
     @property
     def read_size(self) -> int:
@@ -119,8 +119,8 @@ class SeveralPhotos(SvbrdfNonstationary):
         detail = logs - interpolate(coarse, size, mode="bicubic")
         return maps._replace(diffuse=(maps.diffuse * detail.exp()).clamp(0, 1))
 
+    @override
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
-        """The same."""
         return self.maps_of(theta, photo)
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
@@ -193,40 +193,16 @@ class SeveralPhotos(SvbrdfNonstationary):
             {"photo": small[:, 0], "photos": small, "places": places} | self.described(pooled(fine, size))
         )
 
-    def remarks(self, task: Task, theta: Params) -> dict[str, object]:
-        """The same, and the number of photographs."""
-        return super().remarks(task, theta) | {"counts": {"photos": 1 + len(task.data.get("others", ()))}}
-
-    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """A highlight that clips in all photographs."""
-        if self.protocol != "photo":
-            return super().doubts(theta, tasks)
-        darkest = linear_to_srgb(tasks.data["photos"][tasks.rows].amin(1))
-        return [clipped_highlight(photo, F0_BOUND, "all photos") for photo in darkest]
-
+    @override
     def fill(self, maps: Maps, photo: Tensor) -> Maps:
         """Return the maps as they are: what clips in one photograph is seen in another."""
         return maps
 
-    @torch.no_grad()
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The same, and the maps in each photograph, `photo_1` and so on, from where the fit believes it was taken."""
-        pictures, maps = super().pictures(theta, task), Maps(*(part[None] for part in self._whole(theta, task)))
-        for number, flash in enumerate(self.flashes(theta, task), 1):
-            radiance = radiance_of(maps, Flash(*(part[None, None] for part in flash)))[0, 0]
-            pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
-        return pictures
-
+    @override
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
-        """The flash of each photograph, without task axis, as the fit places it."""
         places = task.data.get("places", camera().expand(1, 2, 3))[None].float()
         flash = flashes_of(theta["flash"][None], places)
         return [Flash(*(part[0, number] for part in flash)) for number in range(places.shape[1])]
-
-    def visible(self, task: Task) -> Visible:
-        """All photographs, all of them in each step, and by General."""
-        count = 1 + len(task.data.get("others", ()))
-        return Visible(count, task.data["photo"].nbytes, count)
 
 
 def flashes_of(flash: Tensor, places: Tensor) -> Flash:

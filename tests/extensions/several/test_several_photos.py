@@ -10,6 +10,7 @@ from torch import Generator, Tensor
 from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from data_tools.synthetic.svbrdf_nonstationary import held_places, synthetic_tasks
 from metapp.appearance.flash import Maps, camera_distance, pack, positions, towards, unpack
+from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, linear
 from metapp.extensions.several import encoder as reader
 from metapp.extensions.several.app import SeveralPhotos, Texels, _encoded, drawn_photos, flashes_of, radiance_of
@@ -213,11 +214,12 @@ def test_highlights_are_doubted_that_clip_in_all_photographs(app: SeveralPhotos,
     photos[0, 0] = 1
     stacked = replace(tasks, data=tasks.data | {"photos": photos, "photo": photos[:, 0]})
     theta = general(app, stacked)
-    assert app.doubts(theta, stacked) == [[], []]
+    presenter = presenter_of(app)
+    assert presenter.quality_warnings(theta, stacked) == [[], []]
     maps = app.maps_of(theta, photos[:, 0])
     assert all(map(torch.equal, app.final_maps(theta, photos[:, 0]), maps))
     photos[1, :, :, 4:8, 4:8] = 1
-    none, (clause,) = app.doubts(theta, stacked)
+    none, (clause,) = presenter.quality_warnings(theta, stacked)
     assert none == []
     assert clause == "6.2 % of all photos is clipped, so F0 is a lower bound (a darker exposure shows more)"
 

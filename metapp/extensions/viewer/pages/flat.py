@@ -12,11 +12,10 @@ from torch.nn.functional import adaptive_avg_pool2d, normalize
 
 from metapp.appearance.colour import stretched
 from metapp.appearance.flash import GAMMA, Maps, expose, pack, positions, relightings, render, unpack
-from metapp.appearance.presenter import Presenter
 from metapp.appearance.quilting import block_of, quilted
 from metapp.appearance.surface import Surface
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import linear
+from metapp.apps.svbrdf_nonstationary.presenter import SvbrdfNonstationaryPresenter
 from metapp.apps.svbrdf_stationary.app import FALLOFF
 from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
 from metapp.apps.texture.presenter import TexturePresenter
@@ -47,7 +46,7 @@ class Lit(NamedTuple):
 
 
 @torch.no_grad()
-def svbrdf_nonstationary(presenter: Presenter[SvbrdfNonstationary], theta: Params, task: Task) -> View:
+def svbrdf_nonstationary(presenter: SvbrdfNonstationaryPresenter, theta: Params, task: Task) -> View:
     """The maps as `pictures` has them, the photographs, and the true maps if the task has them."""
     app = presenter.app
     flashes = app.flashes(theta, task)

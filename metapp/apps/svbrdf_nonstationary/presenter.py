@@ -1,0 +1,219 @@
+"""Pictures of non-stationary svBRDFs: maps, their look under flashes and other lights, and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, interpolate
+from typing_extensions import override
+
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.flash import Maps, camera, expose, mean_tilt_degrees, unpack
+from metapp.appearance.highlight import F0_BOUND, clipped_highlight, find_clipped
+from metapp.appearance.presenter import Presenter
+from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
+from metapp.appearance.uniform import black_fit
+from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.maps import Flash, linear, photographed, pooled
+from metapp.learning.pictures import Compared, Picture, Visible
+from metapp.learning.task import Params, Task, Tasks
+
+LARGEST_PX = 4096  # a side of the maps that can be asked for
+SHOWN_PX = 256  # a side of the maps that are shown
+
+
+@dataclass(frozen=True)
+class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
+    """Maps of a flat material, their photographs as the fit sees them, and pictures under other lights.
+
+    Applications that extend :class:`SvbrdfNonstationary` are shown by it, too: it asks them for maps and flashes.
+
+    Attributes:
+        relief: the factor of the slopes of normals that are written and shown; errors are without it.
+    """
+
+    relief: float = 1.0
+    picture_measure = "renderings under 12 other lights, at gamma 2.2"
+
+    @override
+    def size_refusal(self, height: int, width: int) -> str:
+        fits = height == width and 32 <= height <= LARGEST_PX
+        return "" if fits else f"expects square maps of 32 to {LARGEST_PX} px, as photos are cut to a square"
+
+    @override
+    @torch.no_grad()
+    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return four maps above their look under the flash and three other lights, beside the true maps' pictures."""
+        maps, photo = self._small_maps(theta, task)
+        target = {}
+        if "maps" in task.data:
+            target = {"reference": _sheet(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))}
+        return target | {"fit": _sheet(with_relief(maps, self.relief))}
+
+    @override
+    @torch.no_grad()
+    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """Return the photograph, the fit under its flash, maps, and the fit under three other lights."""
+        seen, (maps, photo) = self.photo_comparison(theta, task), self._small_maps(theta, task)
+        eye = camera()
+        shown = photograph(maps, eye, eye) if seen is None else seen.pictures[0]
+        tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(shown).permute(1, 2, 0)}
+        tiles |= _linear_pictures(with_relief(maps, self.relief))
+        if "maps" in task.data:
+            target = _linear_pictures(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))
+            tiles |= {f"reference {name}": picture for name, picture in target.items()}
+        return tiles
+
+    @override
+    @torch.no_grad()
+    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """Return the maps, of the size asked for, else of the photograph's, and pictures under three other lights.
+
+        Of several photographs also `photo_1` and so on: the maps in each, from where the fit places its camera.
+        """
+        maps = self._shown_maps(theta, task)
+        pictures = map_pictures(with_relief(maps, self.relief))
+        if self.app.sees_others:
+            for number, flash in enumerate(self.app.flashes(theta, task), 1):
+                radiance = _photograph_by(flash, Maps(*(part[None] for part in maps)))
+                pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
+        return pictures
+
+    @override
+    def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:
+        """Return the pictures of maps [1, C, H, W], of their size."""
+        return map_pictures(Maps(*(part[0] for part in answer)))
+
+    @override
+    @torch.no_grad()
+    def surface(self, theta: Params, task: Task) -> Surface:
+        maps = with_relief(self._shown_maps(theta, task), self.relief)
+        return Surface(maps.diffuse, False, maps)
+
+    @override
+    @torch.no_grad()
+    def comparison(self, theta: Params, task: Task) -> Compared | None:
+        """Return the renderings that errors are of, as displays of gamma 2.2 show them."""
+        if "maps" not in task.data:
+            return None
+        data = {key: value[None] for key, value in self.app.prepare(task).items()}
+        fitted = self.app.final_maps(_batched(theta), data["photo"])
+        both = (self.app.judged(maps)[0] for maps in (fitted, unpack(data["maps"])))
+        return Compared(*(expose(logs.exp() - RADIANCE_FLOOR) for logs in both))
+
+    @override
+    @torch.no_grad()
+    def photo_comparison(self, theta: Params, task: Task) -> Compared | None:
+        """Return the maps under each photograph's flash, as the fit places it."""
+        if self.app.protocol != "photo":
+            return None
+        flashes = self.app.flashes(theta, task)
+        photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
+        photos = adaptive_avg_pool2d(linear(photos), min(SHOWN_PX, photos.shape[-1]))
+        maps = self.app.final_maps(_batched(theta), photos[:1])
+        pictures = torch.stack([_photograph_by(flash, maps) for flash in flashes])
+        return Compared(linear_to_srgb(pictures.clamp(0, 1)), linear_to_srgb(photos))
+
+    @override
+    @torch.no_grad()
+    def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
+        """Return `mean_tilt_degrees` of normals as fitted, without `relief`, where fits see photographs alone.
+
+        And the number of photographs, if fits see several.
+        """
+        counts = {"counts": {"photos": self._photo_count(task)}} if self.app.sees_others else {}
+        if self.app.protocol != "photo":
+            return counts
+        fit = self.app.maps_of(_batched(theta), _small_photo(task))
+        return {"mean_tilt_degrees": mean_tilt_degrees(fit.normal)} | counts
+
+    @override
+    @torch.no_grad()
+    def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Return clauses on maps that are black where the photo is not and, where maps are filled, on clipping.
+
+        Of several photographs: on what clips in all of them, alone.
+        """
+        app = self.app
+        if app.sees_others and app.protocol == "photo":
+            darkest = linear_to_srgb(tasks.data["photos"][tasks.rows].amin(1))
+            return [clipped_highlight(photo, F0_BOUND, "all photos") for photo in darkest]
+        photos = tasks.data["photo"][tasks.rows]
+        maps = app.maps_of(theta, photos)
+        warnings = [
+            black_fit(colours, photo) for colours, photo in zip(maps.diffuse + maps.specular, photos, strict=True)
+        ]
+        if not app.fills:
+            return warnings
+        shown = linear_to_srgb(photos)
+        shares = find_clipped(shown).float().mean((1, 2, 3)).tolist()
+        effects = [f"{100 * share:.2g} % of the maps is filled from its surroundings" for share in shares]
+        clipped = (clipped_highlight(*pair) for pair in zip(shown, effects, strict=True))
+        return [black + highlight for black, highlight in zip(warnings, clipped, strict=True)]
+
+    @override
+    def visible(self, task: Task) -> Visible:
+        """Return the maps or all photographs, all of them in each step; General's encoder reads photographs alone."""
+        if self.app.protocol == "photo":
+            count = self._photo_count(task)
+            return Visible(count, task.data["photo"].nbytes, count)
+        return Visible(1, task.data["maps"].nbytes, 0)
+
+    def _photo_count(self, task: Task) -> int:
+        """Return the number of photographs that a fit sees."""
+        return 1 + len(task.data.get("others", ())) if self.app.sees_others else 1
+
+    def _small_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
+        """Return maps [C, h, w] of at most SHOWN_PX a side, as fitted, and the linear photograph [1, 3, h, w]."""
+        photo = _small_photo(task)
+        return Maps(*(part[0] for part in self.app.final_maps(_batched(theta), photo))), photo
+
+    def _shown_maps(self, theta: Params, task: Task) -> Maps:
+        """Return the maps [C, H, W] of the size of files, as fitted."""
+        side = self.size[0] if self.size else min(FINEST_PX, task.data["photo"].shape[-1])
+
+        def make() -> Maps:
+            photo = _photo_of(task, side)
+            return self.app.fill(self.app.fine_maps(_batched(theta), photo), photo)
+
+        maps = self.cache_last(theta, task, make)
+        return Maps(*(part[0] for part in maps))
+
+
+def _batched(theta: Params) -> Params:
+    """Return the parameters of one fit with a task axis of one entry."""
+    return {key: value[None] for key, value in theta.items()}
+
+
+def _photo_of(task: Task, side: int) -> Tensor:
+    """Return the photograph, linear [1, 3, side, side]: means over areas; a smaller one is interpolated."""
+    photo = linear(task.data["photo"])[None]
+    finer = side > photo.shape[-1]
+    return interpolate(photo, size=(side, side), mode="bilinear") if finer else adaptive_avg_pool2d(photo, side)
+
+
+def _small_photo(task: Task) -> Tensor:
+    """Return the photograph, linear [1, 3, h, w], of at most SHOWN_PX a side."""
+    return _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
+
+
+def _photograph_by(flash: Flash, maps: Maps) -> Tensor:
+    """Return the radiance [3, H, W] of maps [1, C, H, W] under a flash without task axis."""
+    return photographed(maps, Flash(*(part[None] for part in flash)))[0]
+
+
+def _linear_pictures(maps: Maps) -> dict[str, Tensor]:
+    """Return the pictures that `map_pictures` makes of maps [C, H, W], linear [H, W, 3]."""
+    return {name: srgb_to_linear(picture.pixels).expand(-1, -1, 3) for name, picture in map_pictures(maps).items()}
+
+
+def _sheet(maps: Maps) -> Tensor:
+    """Return a linear picture [2 H, 4 W, 3] of maps [C, H, W]: four maps; below, the flash and three other lights."""
+    pictures, eye = map_pictures(maps), camera(device=maps.diffuse.device)
+    flash = photograph(maps, eye, eye).permute(1, 2, 0)
+    above = [pictures.pop(name).pixels.expand(-1, -1, 3) for name in ("normal", "diffuse", "roughness", "specular")]
+    below = [flash, *(picture.pixels for picture in pictures.values())]
+    return srgb_to_linear(torch.cat([torch.cat(row, 1) for row in (above, below)]))
