@@ -24,13 +24,12 @@ from metapp.apps.svbrdf_stationary import app as svbrdf_stationary
 from metapp.apps.svbrdf_stationary.app import (
     FALLOFF,
     GLOSS,
-    GRID,
     OF_ROUGHNESS,
     TRUTH,
     SvbrdfStationary,
-    _grams,
 )
 from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR, QUICK
+from metapp.apps.svbrdf_stationary.windows import GRID, grams_in_windows
 from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
@@ -92,7 +91,7 @@ def test_windows_cover_the_picture_and_fade_towards_their_edges() -> None:
     counts = []
     for window in WINDOWS:
         maps = torch.ones(1, 1, 16, 24, dtype=torch.float64, requires_grad=True)
-        counts.append(torch.autograd.grad(_grams(maps, [window]).sum(), maps)[0][0, 0])
+        counts.append(torch.autograd.grad(grams_in_windows(maps, [window]).sum(), maps)[0][0, 0])
     weights = torch.stack(counts) / 2  # of a square
     assert (weights.amax(0) > 0).all()
     torch.testing.assert_close(weights.sum((1, 2)), torch.ones(9, dtype=torch.float64))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, pad
 
-from metapp.appearance.features import amplitudes, distance, gram, hann, moments
+from metapp.appearance.features import amplitudes, distance, gram, moments
 from metapp.appearance.flash import (
     GAMMA,
     STATISTICS_AT,
@@ -25,10 +24,17 @@ from metapp.appearance.flash import (
 )
 from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.apps.exemplar.app import ExemplarApp
+from metapp.apps.svbrdf_stationary.windows import (
+    GRID,
+    crop_window,
+    fade_weights,
+    grams_in_windows,
+    grams_of_tasks,
+    mask_ring,
+)
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.layout import astray
 
-GRID = 3  # windows along a side
 DRAWN_WINDOWS = 3
 POOLED_PX = 8
 SPECTRUM = 0.3  # the spectra's weight in the loss
@@ -75,13 +81,13 @@ class SvbrdfStationary(ExemplarApp):
         described = {"light": light, "pooled": adaptive_avg_pool2d(exemplars, POOLED_PX)}
         described |= {"chroma": _chroma(exemplars), "shine": _shine(exemplars, light)}
         for i, each in enumerate(maps):
-            described[f"gram{i}"] = _grams(each, range(GRID * GRID))
+            described[f"gram{i}"] = grams_in_windows(each, range(GRID * GRID))
             described[f"spectrum{i}"] = amplitudes(each)
         return described | {"summary": self.summary(maps, octave)}
 
     def summary(self, maps: list[Tensor], octave: int) -> Tensor:
         """Means and root mean squares of features where the light is strong, at medium strength, and weak."""
-        rings = [[_ring(each, low, high) for each in self.parts(maps, octave)] for low, high in RINGS]
+        rings = [[mask_ring(each, low, high) for each in self.parts(maps, octave)] for low, high in RINGS]
         return torch.cat([moments(ring) for ring in rings], 1)
 
     def light_of(self, photos: Tensor) -> Tensor:
@@ -219,7 +225,7 @@ class SvbrdfStationary(ExemplarApp):
         windows = batch["windows"].tolist()
         first = [own[0] for own in windows for _ in range(leading[1])]
         cropped = cropped and octave == 0 and self.octaves > 1
-        crop = (lambda images: torch.stack(list(map(_window, images, first)))) if cropped else None
+        crop = (lambda images: torch.stack(list(map(crop_window, images, first)))) if cropped else None
         found = self.features(flat, octave, crop)
         whole = self.maps_from(1) if cropped else len(found)
         grams, spectra = [], []
@@ -227,9 +233,9 @@ class SvbrdfStationary(ExemplarApp):
             wanted = batch[f"gram{i}"][:, None]
             if i < whole:
                 spectra.append(distance([amplitudes(maps).unflatten(0, leading)], [batch[f"spectrum{i}"][:, None]]))
-                made = _grams_of_tasks(maps.unflatten(0, leading), windows)
+                made = grams_of_tasks(maps.unflatten(0, leading), windows)
             else:
-                made, wanted = gram(maps * _faded(maps)).unflatten(0, leading)[:, :, None], wanted[:, :, :1]
+                made, wanted = gram(maps * fade_weights(maps)).unflatten(0, leading)[:, :, None], wanted[:, :, :1]
             grams.append(distance([made], [wanted]).mean((1, 2)))
         return {
             "gram": torch.stack(grams).mean(0),
@@ -262,7 +268,7 @@ class SvbrdfStationary(ExemplarApp):
             pictures = self.photograph(maps, light, view)
             target = self.exemplar(references[:, i].float() / 255)
             grams = [
-                [_grams(part, range(GRID * GRID)) for part in self.features(images, 0)]
+                [grams_in_windows(part, range(GRID * GRID)) for part in self.features(images, 0)]
                 for images in (pictures.flatten(0, 1), target)
             ]
             made = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
@@ -302,44 +308,3 @@ def _unusual(maps: Maps, expected: Tensor) -> Tensor:
         for part, mean in zip(_raw_gloss(maps.specular, maps.roughness), expected.unbind(1), strict=True)
     )
     return specular + OF_ROUGHNESS * roughness
-
-
-def _ring(maps: Tensor, low: float, high: float) -> Tensor:
-    """Feature maps [B, C, H, W] where the squared distance from the centre is in [low, high), 0 elsewhere.
-
-    Scaled so that their mean over the picture is the mean in the ring.
-    """
-    squared = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device).square().sum(0)
-    inside = ((squared >= low) & (squared < high)).to(maps)
-    return maps * inside / inside.mean().clamp_min(1e-6)
-
-
-def _grams_of_tasks(maps: Tensor, windows: list[list[int]]) -> Tensor:
-    """Gram matrices [T, S, N, C, C] of feature maps [T, S, C, H, W] in the windows of each task."""
-    if all(each == windows[0] for each in windows):  # as where one generator drew them: in one go
-        together: Tensor = _grams(maps.flatten(0, 1), windows[0]).unflatten(0, maps.shape[:2])
-        return together
-    return torch.stack([_grams(own, each) for own, each in zip(maps, windows, strict=True)])
-
-
-def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
-    """Gram matrices [B, N, C, C] of feature maps [B, C, H, W] in some windows.
-
-    Windows are half as high and wide as the picture, fade towards their edges, and lie on a grid, overlapping.
-    """
-    parts = [_window(maps, window) for window in windows]
-    weights = _faded(parts[0])  # the same for all
-    return torch.stack([gram(part * weights) for part in parts], 1)
-
-
-def _window(maps: Tensor, window: int) -> Tensor:
-    height, width = (size // 2 for size in maps.shape[-2:])
-    top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
-    return maps[..., top : top + height, left : left + width]
-
-
-def _faded(part: Tensor) -> Tensor:
-    """Weights [H, W] of the texels of a window [..., H, W], roots of their weight in products."""
-    height, width = part.shape[-2:]
-    weights = hann(height, part)[:, None] * hann(width, part)
-    return (weights / weights.mean()).sqrt()
