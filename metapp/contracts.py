@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from metapp.learning.adjoint import Loss, Steps, UpdateRule
     from metapp.learning.app import App
-    from metapp.learning.pictures import Rendered
     from metapp.learning.rules import Part as Part
     from metapp.learning.task import Params, Task
 
@@ -82,7 +81,7 @@ class RenderFit(Protocol):
     """A function that makes further pictures of a fit, called if the option of its key is given, such as --render.
 
     >>> import torch
-    >>> from metapp.learning.pictures import Picture, Rendered
+    >>> from metapp.appearance.pictures import Picture, Rendered
     >>> def mean_colour(app, task, theta, side):
     ...     picture = theta["map"].mean((1, 2)).expand(side, side, 3)
     ...     return Rendered({"mean": Picture(picture, "radiance")}, [f"mean: {side} px"])
@@ -90,8 +89,8 @@ class RenderFit(Protocol):
     torch.Size([4, 4, 3])
     """
 
-    def __call__(self, app: App, task: Task, theta: Params, value: Any, /) -> Rendered:
-        """Return pictures by the names of their files, and lines about them that are printed.
+    def __call__(self, app: App, task: Task, theta: Params, value: Any, /) -> Any:
+        """Return a `metapp.appearance.pictures.Rendered`: pictures by their files' names, and lines that are printed.
 
         Args:
             app: the application.
@@ -221,7 +220,7 @@ class MakeTable(Protocol):
 
     >>> from metapp.evaluation.table import Table
     >>> def counts(subject):
-    ...     return Table(subject.app.full_title, "Tasks", (), [{"tasks": len(subject.tasks)}])
+    ...     return Table(subject.title, "Tasks", (), [{"tasks": len(subject.tasks)}])
     """
 
     def __call__(self, subject: Any, /) -> Any:

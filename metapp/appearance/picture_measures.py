@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from metapp.appearance.metrics import ssim
+from metapp.appearance.pictures import Compared, Fitted
 from metapp.appearance.presenter import Presenter
-from metapp.learning.pictures import Compared, Fitted
 from metapp.learning.task import Task
 from metapp.registry import registry
 

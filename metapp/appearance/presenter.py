@@ -1,4 +1,3 @@
-# ruff: noqa: D102
 """What people look at of an application's fits: titles, pictures, remarks and warnings.
 
 Learning needs none of it: an application works without its presenter, in a notebook for example. A presenter adds
@@ -13,9 +12,9 @@ from typing import Any, Generic, TypeVar
 
 from torch import Tensor
 
+from metapp.appearance.pictures import Compared, Fitted, Picture, Visible
 from metapp.appearance.surface import Surface
 from metapp.learning.app import App
-from metapp.learning.pictures import Compared, Fitted, Picture, Visible
 from metapp.learning.task import Params, Task, Tasks
 
 Application = TypeVar("Application", bound=App)
@@ -168,54 +167,3 @@ class Presenter(Generic[Application]):
             last = theta, task, make()
             object.__setattr__(self, "_last", last)
         return last[2]
-
-
-class Delegating(Presenter[Any]):
-    """A presenter of an application whose class still has the methods itself."""
-
-    def __post_init__(self) -> None:
-        pass
-
-    @property
-    def picture_measure(self) -> str:
-        measure: str = self.app.image_measure
-        return measure
-
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        return self.app.preview(theta, task)  # type: ignore[no-any-return]
-
-    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        return self.app.tiles(theta, task)  # type: ignore[no-any-return]
-
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        return self.app.pictures(theta, task)  # type: ignore[no-any-return]
-
-    def answer_pictures(self, answer: Any, task: Task) -> dict[str, Picture]:
-        return self.app.answer_pictures(answer, task)  # type: ignore[no-any-return]
-
-    def surface(self, theta: Params, task: Task) -> Surface | None:
-        return self.app.surface(theta, task)  # type: ignore[no-any-return]
-
-    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        return self.app.linear_maps(theta, task)  # type: ignore[no-any-return]
-
-    def comparison(self, theta: Params, task: Task) -> Compared | None:
-        return self.app.compared(theta, task)  # type: ignore[no-any-return]
-
-    def photo_comparison(self, theta: Params, task: Task) -> Compared | None:
-        return self.app.photographed(theta, task)  # type: ignore[no-any-return]
-
-    def picture_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        return self.app.image_errors(fits, task)  # type: ignore[no-any-return]
-
-    def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
-        return self.app.remarks(task, theta)  # type: ignore[no-any-return]
-
-    def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        return self.app.doubts(theta, tasks)  # type: ignore[no-any-return]
-
-    def visible(self, task: Task) -> Visible | None:
-        return self.app.visible(task)  # type: ignore[no-any-return]
-
-    def sample_fit(self, theta: Params, task: Task) -> Task | None:
-        return self.app.evaluated(theta, task)  # type: ignore[no-any-return]

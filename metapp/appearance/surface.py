@@ -16,7 +16,7 @@ from torch.nn.functional import normalize
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, expose, height_from_normal, positions, relightings, render
-from metapp.learning.pictures import Picture
+from metapp.appearance.pictures import Picture
 
 DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
 STRIP_TEXELS = 2**17  # rendered at a time

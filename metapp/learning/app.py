@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.pictures import Compared, Fitted, Picture, Visible
 from metapp.learning.task import RESERVED, Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 
 Answer = Any  # what fits of an application are judged by: its own maps, pictures or densities
-Surface = Any  # metapp.appearance.surface.Surface
-Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
-    All methods but those of pictures are batched over tasks: parameters and batches have a leading task axis T.
-    Every application has the abstract methods; the others have defaults that do nothing, or leave it to the
-    network. A recipe holds an application, with all sizes as its fields; two with the same fields are equal.
+    All methods are batched over tasks: parameters and batches have a leading task axis T. Every application has the
+    abstract methods; the others have defaults that do nothing, or leave it to the network. What people look at is made
+    by its `metapp.appearance.presenter.Presenter`, which learning does not need. A recipe holds an application, with
+    all sizes as its fields; two with the same fields are equal.
 
     Attributes:
         network: the network of one task, which has `init`; None if the application has that itself.
         protocol: the part of a task that a fit may see, a value of --observe; "" if there is but one.
-        size: height and width of `pictures`, px; None for the application's own choice.
         name: as on the command line.
         title: as in tables.
         measure: the error, in one line.
@@ -45,7 +42,6 @@ class App(ABC):
 
     network: Any = None
     protocol: str = field(default="", kw_only=True)
-    size: tuple[int, int] | None = field(default=None, kw_only=True)
     name: ClassVar[str]
     title: ClassVar[str]
     measure: ClassVar[str]
@@ -56,16 +52,6 @@ class App(ABC):
     single_threaded: ClassVar[bool] = False
     compiles: ClassVar[bool] = False
     deterministic: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        """Refuse a size that pictures cannot have.
-
-        Raises:
-            ValueError: it is such a one.
-        """
-        if self.size and (refusal := self.size_refusal(*self.size)):
-            raise ValueError(f"--size {self.size[0]}x{self.size[1]}: {self.name} {refusal}.")
-        object.__setattr__(self, "_last", (None, None, None))  # what `once` made last
 
     @property
     def periodic(self) -> bool:
@@ -83,7 +69,7 @@ class App(ABC):
         return 0
 
     @property
-    def task_parameters(self) -> tuple[str, ...]:
+    def unshared_parameters(self) -> tuple[str, ...]:
         """The parameters that a task does not share with others after General's encoder; () for all."""
         return ()
 
@@ -98,22 +84,9 @@ class App(ABC):
         return f"{self.name} {self.protocol}".rstrip()
 
     @property
-    def full_title(self) -> str:
-        """Its title with its protocol, if any."""
-        return f"{self.title} ({self.protocol})" if self.protocol else self.title
-
-    @property
     def factor(self) -> str:
         """The factor that errors are printed with: " x100"; "" if it is 1."""
         return f" x{self.scale:g}" if self.scale != 1 else ""
-
-    def caption(self, measured: bool = True) -> str:
-        """The caption of a table about its errors, or that there are none to state, as of photos."""
-        protocol = {"fits see": self.protocol} if self.protocol else {}
-        conditions = "".join(f"; {key}: {value}" for key, value in (protocol | self.conditions()).items())
-        return (
-            f"error: {self.measure}{self.factor}" if measured else "without a reference there is no error to state"
-        ) + conditions
 
     def protocol_entry(self) -> dict[str, str]:
         """The protocol as records, rows and headers of checkpoints state it; {} if there is none."""
@@ -136,8 +109,8 @@ class App(ABC):
         theta: Params = self.network.init(rng, count)
         return theta
 
-    def known(self, tasks: Tasks) -> Params:
-        """Parameters computed from the tasks' data, [T, ...]: constants of the steps, or their first values."""
+    def task_parameters(self, tasks: Tasks) -> Params:
+        """Return parameters that tasks determine, [T, ...]: constants of the steps, or their first values."""
         return {}
 
     @abstractmethod
@@ -186,8 +159,8 @@ class App(ABC):
         """Data augmentation: as many other tasks, each changed at random, for training only."""
         return tasks
 
-    def finish(self, theta: Params) -> Params:
-        """Fits [T, ...] as they are kept, after the last step."""
+    def postprocess(self, theta: Params) -> Params:
+        """Return fits [T, ...] as they are kept, after the last step."""
         return theta
 
     @abstractmethod
@@ -205,104 +178,6 @@ class App(ABC):
             tasks: as of `errors`.
         """
         raise NotImplementedError
-
-    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """The faults of the fit of each task that show without a reference, in short clauses; [] if none does."""
-        return [[] for _ in range(len(tasks))]
-
-    def remarks(self, task: Task, theta: Params) -> Mapping[str, object]:
-        """Further entries of the record of a fit (no task axis in theta), with a reference or without.
-
-        `counts`: how many things of a kind a fit sees; `note`: a clause, also printed; others the application names.
-        """
-        return {}
-
-    def evaluated(self, theta: Params, task: Task) -> Task | None:
-        """A task sampled from the fit itself, to distil it into another network; None if there is but one network."""
-        return None
-
-    def reflectance(self, theta: Params, angles: Tensor) -> Tensor | None:
-        """Linear RGB [..., 3] in 1/sr of a fitted BRDF (no task axis in theta); None of other applications.
-
-        Args:
-            theta: the fit.
-            angles: half and difference angles and phi_h, [..., 4] in rad.
-        """
-        return None
-
-    # Pictures of one fit: parameters without a task axis
-
-    @property
-    def image_measure(self) -> str:
-        """The pictures of `image_errors`, in one line; "" if there are none."""
-        return ""
-
-    def size_refusal(self, height: int, width: int) -> str:
-        """The reason that `pictures` cannot be of a size; "" if they can."""
-        return "has files of one size; leave it out"
-
-    def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Linear RGB pictures [H, W, 3 or 4] of a fit and its `reference`, if there is one, by name."""
-        return {}
-
-    def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The same for the picture of a run: "reference" or "photo", maps, and the fit under other lights, by name.
-
-        "reference X" is the reference of a picture X.
-        """
-        return self.preview(theta, task)
-
-    def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The files that a fit makes for its user, by the file's name without its ending."""
-        return {}
-
-    def answer_pictures(self, answer: Answer, task: Task) -> dict[str, Picture]:
-        """The same of an answer to one task, as of `errors_of`, that need not come from the network."""
-        return {}
-
-    def surface(self, theta: Params, task: Task) -> Surface | None:
-        """The flat surface that a fit is of, as `pictures` shows it; None of applications that have none."""
-        return None
-
-    def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Linear maps of a fit, [H, W] or [H, W, 3], by name; {} of one that has none."""
-        surface = self.surface(theta, task)
-        return {} if surface is None else surface.linear_maps()
-
-    def once(self, theta: Params, task: Task, make: Callable[[], Made]) -> Made:
-        """The source of both `pictures` and `surface`, made once if they are asked for the same fit in turn.
-
-        Args:
-            theta: the fit; other mappings and tasks count as others, whatever is in them.
-            task: of the fit.
-            make: makes it, of `size`.
-        """
-        last: tuple[Params, Task, Made] = self._last  # type: ignore[attr-defined]
-        if last[0] is not theta or last[1] is not task:
-            object.__setattr__(self, "_last", (None, None, None))  # may be 0.6 GB, not to lie beside the next fit's
-            last = theta, task, make()
-            object.__setattr__(self, "_last", last)
-        return last[2]
-
-    def compared(self, theta: Params, task: Task) -> Compared | None:
-        """Pictures that extensions measure, if there is a reference."""
-        return None
-
-    def photographed(self, theta: Params, task: Task) -> Compared | None:
-        """The fit's pictures of the photographs that it saw, and these; None if a fit sees something else."""
-        return None
-
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
-
-        There may be further names, of pictures that are made without any fit; `pictures.REFERENCE` is of the
-        references' own error. Of SSIM more is better, of others less. Empty if there are none.
-        """
-        return {}
-
-    def visible(self, task: Task) -> Visible | None:
-        """The amount that a fit may see of a task; None if the application does not say."""
-        return None
 
 
 def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:

@@ -35,7 +35,8 @@ class Overfit(Paradigm):
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Return random parameters, but those that the tasks give themselves."""
-        return draw_per_task(lambda some, own: self.app.init(own, len(some)), tasks, rng) | self.app.known(tasks)
+        drawn = draw_per_task(lambda some, own: self.app.init(own, len(some)), tasks, rng)
+        return drawn | self.app.task_parameters(tasks)
 
 
 class General(Paradigm):
@@ -75,7 +76,7 @@ class Finetune(General):
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Return the encoder's prediction, with the parameters that tasks give themselves."""
-        return self.app.known(tasks) | super().initialisation(phi, tasks, rng)
+        return self.app.task_parameters(tasks) | super().initialisation(phi, tasks, rng)
 
 
 class QuickFT(Finetune):
@@ -199,7 +200,7 @@ def encoding(app: App) -> Encoding:
     """General's prediction, with the parameters that tasks give themselves, as a function of tasks."""
 
     def condition(tasks: Tasks, rng: Generator) -> tuple[Batch, Params]:
-        return app.condition(tasks, rng), app.known(tasks)
+        return app.condition(tasks, rng), app.task_parameters(tasks)
 
     def encode(encoder: Params, condition: tuple[Batch, Params]) -> Params:
         return condition[1] | app.encode(encoder, condition[0])

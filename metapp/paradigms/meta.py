@@ -67,7 +67,7 @@ class Meta(Paradigm):
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Return theta_0, which all tasks share; or the prediction of an encoder that was trained through the steps."""
         start = predict(self.app, phi, tasks, rng) if phi.encoder else expand_tasks(phi.theta, len(tasks), 0)
-        return self.app.known(tasks) | start
+        return self.app.task_parameters(tasks) | start
 
     def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
         """Return the learned rule, for so many steps."""

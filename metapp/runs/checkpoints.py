@@ -69,7 +69,7 @@ def checkpoint_name(app: App, preparation: Preparation) -> str:
     name = preparation.name
     if is_first_protocol(app):
         return name
-    plain = replace(app, protocol="", size=None)
+    plain = replace(app, protocol="")
     shared = preparation.shared_by_protocols and any(plain == recipe.app for recipe in recipes_of(app.name).values())
     return name if shared else f"{name}-{app.protocol}"
 

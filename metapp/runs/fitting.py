@@ -14,10 +14,10 @@ from typing import NamedTuple
 import torch
 from torch import Generator
 
+from metapp.appearance.pictures import photo_error
 from metapp.learning.app import stack
 from metapp.learning.draws import Rng, draw_per_task
 from metapp.learning.learn import DescentState, final_item
-from metapp.learning.pictures import photo_error
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fit import Fit
 from metapp.runs.inputs.sources import Input, content_of
@@ -207,7 +207,7 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
     descent = run.paradigm.descend(run.phi, stacked, rng)
     first = next(descent)
     end = final_item(chain([first], descent))
-    theta = app.finish(end.theta)
+    theta = app.postprocess(end.theta)
     seconds = (_now(run.device) - begin) / len(tasks)
     measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, end)
     fits = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from metapp.apps import app_of, is_first_protocol, presenter_of, recipe_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
-from metapp.names import application_of, did_you_mean, rule_words
+from metapp.names import did_you_mean, rule_words
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.paradigm import Paradigm
@@ -86,8 +86,6 @@ class Run:
         app = app_of(options.app, recipe, options.observe, rule=rule if kind.has_learned_rule else "")
         try:
             files = options.own.given(OUTPUT)
-            if not application_of(app.name).presenter:  # the application itself makes its files
-                app = replace(app, **{each.name: files[each.name] for each in fields(app) if each.name in files})
             presenter_of(app, files)
         except ValueError as error:
             raise BadOption(str(error)) from None

@@ -41,7 +41,7 @@ def check_params(theta: Params, app: App, place: str) -> None:
     Traceback (most recent call last):
     ValueError: gold: parameters w2 without 'w1', expected those of the network of its settings; fit anew.
     """
-    for key, expected in app.finish(app.init(Generator().manual_seed(0), 1)).items():
+    for key, expected in app.postprocess(app.init(Generator().manual_seed(0), 1)).items():
         if key not in theta:
             found = f"{', '.join(sorted(theta))[:80] or 'none'} without {key!r}"
             raise ValueError(f"{place}: parameters {found}, expected those of the network of its settings; fit anew.")

@@ -232,7 +232,7 @@ def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
     theta = {key: value[0] for key, value in network.init(Generator().manual_seed(1), 2).items()}
     assert network_of(theta) is network
     assert {key: tuple(value.shape) for key, value in theta.items()} == shapes_of(network)
-    assert set(network.task_parameters) <= set(theta)
+    assert set(network.unshared_parameters) <= set(theta)
     assert network.linear_parameter in ("", *theta)
     with pytest.raises(ValueError, match=r"^parameters .*, expected those of a BRDF fit"):
         network_of({key: value for key, value in theta.items() if key != "w1"})

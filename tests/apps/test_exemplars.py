@@ -276,7 +276,7 @@ def test_what_is_made_follows_its_layout(app: ExemplarApp, paved: Tasks) -> None
     """The network reads it, and the loss counts how far the coarse picture is from it."""
     rng = Generator().manual_seed(0)
     noise = app.noise(rng, 2, 1)
-    theta = app.init(rng, 2) | app.known(paved)
+    theta = app.init(rng, 2) | app.task_parameters(paved)
     other = theta | {"layout": theta["layout"].flip(0)}
     assert not torch.equal(app.made(theta, noise), app.made(other, noise))
     coarse = layouts(theta["layout"], noise, 2)

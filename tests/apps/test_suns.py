@@ -93,7 +93,7 @@ def test_fits_of_maps_see_suns_that_no_step_moves(rng: Generator) -> None:
     predicted, theta = (each.encode(encoder, each.condition(tasks, rng)) for each in (app, how))
     assert not [key for key in predicted if key.startswith("suns")]  # General sees the photograph alone
     torch.testing.assert_close(joined(theta), tasks.data["suns"])
-    assert theta.keys() - predicted.keys() == app.known(tasks).keys() == parted(tasks.data["suns"]).keys()
+    assert theta.keys() - predicted.keys() == app.task_parameters(tasks).keys() == parted(tasks.data["suns"]).keys()
     leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}
     loss = app.loss(leaves, app.sample(tasks, rng, 1), {}).sum()
     grads = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)

@@ -8,11 +8,11 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate, pad
 
 from metapp.appearance.picture_measures import measure_pictures
+from metapp.appearance.pictures import Fitted
 from metapp.apps import presenter_of
 from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.texture.app import SMALLEST_CROP, Texture
 from metapp.learning.app import stack
-from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task, Tasks
 from metapp.networks.generators import UNet
 

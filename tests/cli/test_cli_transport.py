@@ -13,6 +13,7 @@ import torch
 
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport_task import transport_task
+from metapp.appearance.pictures import Fitted
 from metapp.apps import presenter_of
 from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport
@@ -20,7 +21,6 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.scene_files import reading
-from metapp.learning.pictures import Fitted
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from tests.quick import app_by

@@ -48,7 +48,7 @@ def test_a_paradigm_fits(name: str, app: App, fits: dict[str, Paradigm], tasks: 
     prepared = prepared_for(paradigm)
     theta = paradigm.fit(prepared, few, rng())
     network = {key: tuple(value.shape) for key, value in app.init(rng(), 3).items()}
-    given = {key: tuple(value.shape) for key, value in app.known(few).items()} if paradigm.steps else {}
+    given = {key: tuple(value.shape) for key, value in app.task_parameters(few).items()} if paradigm.steps else {}
     assert {key: tuple(value.shape) for key, value in theta.items()} == network | given
     assert {value.dtype for value in theta.values()} == {torch.float32}
     assert not any(value.requires_grad for value in theta.values())

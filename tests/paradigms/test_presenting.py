@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from metapp.appearance.picture_measures import measure_pictures
+from metapp.appearance.pictures import KINDS, Fitted
 from metapp.appearance.presenter import Presenter
 from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.pictures import KINDS, Fitted
 from metapp.learning.task import Params, Task, Tasks
 from metapp.names import protocols_of
 from metapp.paradigms.paradigm import Paradigm

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from metapp.appearance.pictures import Picture
 from metapp.appearance.presenter import Presenter
-from metapp.learning.pictures import Picture
 from metapp.learning.task import Params, Task
 from metapp_curve.app import SAMPLES, Curve
 

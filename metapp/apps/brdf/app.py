@@ -49,8 +49,8 @@ class Brdf(App):
     single_threaded = compiles = cheap_fits = True
 
     @property
-    def task_parameters(self) -> tuple[str, ...]:
-        return self.network.task_parameters
+    def unshared_parameters(self) -> tuple[str, ...]:
+        return self.network.unshared_parameters
 
     @property
     def linear_parameter(self) -> str:
@@ -138,7 +138,7 @@ class Brdf(App):
         """Mixtures of these materials, with samples as the network learns from them."""
         return tasks.variants(self.network.augment(mixed(tasks, rng), rng))
 
-    def finish(self, theta: Params) -> Params:
+    def postprocess(self, theta: Params) -> Params:
         """Limited to reflecting no more than all, if that is asked for."""
         return self.network.conserved(theta) if self.conserve else theta
 

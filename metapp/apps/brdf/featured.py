@@ -54,7 +54,7 @@ class Featured(BrdfNetwork):
         return anisotropic.INPUTS if self.anisotropic else INPUTS
 
     @property
-    def task_parameters(self) -> tuple[str, ...]:
+    def unshared_parameters(self) -> tuple[str, ...]:
         return ("z", "last", TURN) if self.anisotropic else ("z", "last")
 
     @property
@@ -81,7 +81,7 @@ class Featured(BrdfNetwork):
         """A set encoder to a code and a last layer, and the weights that all materials share."""
         numbers = self.code + 3 * (self.features + 1)
         reader = set_encoder(rng, self.inputs + 3, self.encoder, numbers)
-        return encoder_of(reader, self.init(rng, 1), self.task_parameters)
+        return encoder_of(reader, self.init(rng, 1), self.unshared_parameters)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """A code and a last layer from samples, beside the shared weights."""

@@ -59,7 +59,7 @@ class BrdfNetwork(ABC):
     """
 
     @property
-    def task_parameters(self) -> tuple[str, ...]:
+    def unshared_parameters(self) -> tuple[str, ...]:
         """The parameters that a material does not share with others after General's encoder; () for all."""
         return ()
 

@@ -12,6 +12,7 @@ from typing_extensions import override
 
 from metapp.appearance.colour import to_srgb
 from metapp.appearance.geometry import spread_angles
+from metapp.appearance.pictures import Compared, Visible
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.appearance.uniform import collapsed_fit, uniform_input
@@ -19,7 +20,6 @@ from metapp.apps.brdf.app import CONDITION_SAMPLES, Brdf
 from metapp.apps.brdf.augmentation import SAMPLES
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.network import network_of
-from metapp.learning.pictures import Compared, Visible
 from metapp.learning.task import Params, Task, Tasks
 
 DRAWN_SAMPLES = 1024  # samples that are drawn in pictures, at most

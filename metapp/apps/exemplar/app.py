@@ -188,7 +188,7 @@ class ExemplarApp(App):
         """Pictures [B, 3, H, W] under the light of exemplars as if it were the same everywhere; here as they are."""
         return pictures
 
-    def known(self, tasks: Tasks) -> Params:
+    def task_parameters(self, tasks: Tasks) -> Params:
         """The layouts, if the network reads one."""
         return {"layout": tasks.data["layout"][tasks.rows]} if self.has_layout else {}
 
@@ -267,7 +267,7 @@ class ExemplarApp(App):
         return encoder
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        return {"summary": tasks.data["summary"][tasks.rows]} | self.known(tasks)
+        return {"summary": tasks.data["summary"][tasks.rows]} | self.task_parameters(tasks)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         x = torch.log(condition["summary"] + 0.01) / 2  # features are heavy-tailed

@@ -12,11 +12,11 @@ from typing_extensions import override
 
 from metapp.appearance.lines import MOST_ADDED, compare_lines
 from metapp.appearance.order import lattice_of, order_kept
+from metapp.appearance.pictures import Visible
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit
 from metapp.apps.exemplar.app import ExemplarApp
 from metapp.learning.draws import normal
-from metapp.learning.pictures import Visible
 from metapp.learning.task import Params, Task, Tasks
 
 LEAST_ORDER = 0.5  # share of an exemplar's order; quilting keeps 0.68 to 1.0

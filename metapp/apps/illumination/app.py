@@ -114,7 +114,7 @@ class Illumination(CodedApp):
         maps = field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
         return with_suns(maps, joined(theta)) if "suns.light" in theta else maps
 
-    def known(self, tasks: Tasks) -> Params:
+    def task_parameters(self, tasks: Tasks) -> Params:
         """The suns, if fits see the map."""
         return parted(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
 

@@ -11,12 +11,12 @@ from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.latlong import sphere_normals
+from metapp.appearance.pictures import Compared, Picture, Visible
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit, uniform_input
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.mirror import is_mirror, raised
 from metapp.apps.illumination.variants import of_mean_1
-from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.second_scene import relighting
 

@@ -13,12 +13,12 @@ from typing_extensions import override
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, mean_tilt_degrees, unpack
 from metapp.appearance.highlight import F0_BOUND, clipped_highlight, find_clipped
+from metapp.appearance.pictures import Compared, Picture, Visible
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
 from metapp.appearance.uniform import black_fit
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import Flash, linear, photographed, pooled
-from metapp.learning.pictures import Compared, Picture, Visible
 from metapp.learning.task import Params, Task, Tasks
 
 LARGEST_PX = 4096  # a side of the maps that can be asked for

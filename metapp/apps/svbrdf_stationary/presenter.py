@@ -12,10 +12,10 @@ from typing_extensions import override
 from metapp.appearance.colour import srgb_to_linear, stretched
 from metapp.appearance.flash import Maps, height_from_normal, mean_tilt_degrees, relightings
 from metapp.appearance.highlight import F0_BOUND, clipped_highlight
+from metapp.appearance.pictures import Compared, Picture
 from metapp.appearance.surface import Surface, map_pictures, with_relief
 from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import FALLOFF, SvbrdfStationary
-from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Params, Task, Tasks
 
 # By fits of 39 photographs that were graded by eye: on every other one, all 7 intact materials are above 0.89.

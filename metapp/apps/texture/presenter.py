@@ -8,11 +8,11 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.pictures import Compared, Picture
 from metapp.appearance.surface import Surface
 from metapp.apps.exemplar.presenter import SHOWN_SEED, ExemplarPresenter
 from metapp.apps.texture.app import Texture
 from metapp.learning.draws import normal
-from metapp.learning.pictures import Compared, Picture
 from metapp.learning.task import Params, Task
 
 # By fits of 66 photographs that were graded by eye: on every other one, 9 of 12 broken textures are below, and 1 of 11

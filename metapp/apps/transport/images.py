@@ -12,9 +12,9 @@ from torch import Generator, Tensor
 
 from metapp.appearance.metrics import displayed, dssim, mape, smape
 from metapp.appearance.picture_measures import further_errors
+from metapp.appearance.pictures import REFERENCE, Compared, Fitted
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.learning.pictures import REFERENCE, Compared, Fitted
 from metapp.learning.task import Params, Task
 from metapp.registry import Entry, registry
 from metapp.rendering.paths import path_space

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from torch import Tensor
 from typing_extensions import override
 
+from metapp.appearance.pictures import Fitted, Picture, Visible
 from metapp.appearance.presenter import Presenter
 from metapp.apps.transport.app import Transport
-from metapp.learning.pictures import Fitted, Picture, Visible
 from metapp.learning.task import Params, Task
 
 NEXT_EVENT_NOTE = (

@@ -6,10 +6,10 @@ import statistics
 from collections.abc import Iterator
 
 from metapp.appearance.picture_measures import measure_pictures, picture_measures
+from metapp.appearance.pictures import REFERENCE, Fitted
 from metapp.evaluation.rows import errors_of, few_note, paper, row_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Column, Row, Table, columns
-from metapp.learning.pictures import REFERENCE, Fitted
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry

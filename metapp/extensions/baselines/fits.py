@@ -88,7 +88,7 @@ def settings_of(run: Run, baseline: Baseline, label: str) -> Record:
 def own_parameters(app: App) -> Params:
     """Parameters [1, ...] that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
-    return {key: value for key, value in theta.items() if not app.task_parameters or key in app.task_parameters}
+    return {key: value for key, value in theta.items() if not app.unshared_parameters or key in app.unshared_parameters}
 
 
 def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:

@@ -113,7 +113,7 @@ class Few(BrdfNetwork):
     kinds: int = 3
 
     @property
-    def task_parameters(self) -> tuple[str, ...]:
+    def unshared_parameters(self) -> tuple[str, ...]:
         return OF_KINDS
 
     @property

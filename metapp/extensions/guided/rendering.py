@@ -7,9 +7,9 @@ import time
 import torch
 from torch import Tensor
 
+from metapp.appearance.pictures import Picture, Rendered
 from metapp.extensions.guided.integrator import register_guided_path
 from metapp.learning.app import App
-from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.rendering import pictures
 from metapp.rendering.jit import mi

@@ -19,7 +19,7 @@ from torch.nn.functional import conv2d
 
 from metapp.appearance.features import Features, describe_features, hann, load_features, weights_path
 from metapp.appearance.picture_measures import Measure
-from metapp.learning.pictures import Compared
+from metapp.appearance.pictures import Compared
 from metapp.storage.files import read_bytes
 
 PACKAGE, GET = "torchmetrics", 'pip install "metapp[measures]"'

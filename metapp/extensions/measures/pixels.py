@@ -11,7 +11,7 @@ from torch import Tensor
 
 from metapp.appearance.colorimetry import colour_difference
 from metapp.appearance.picture_measures import Measure
-from metapp.learning.pictures import Compared
+from metapp.appearance.pictures import Compared
 
 MOST_DB = 100.0  # dB, of pictures that are equal to rounding
 

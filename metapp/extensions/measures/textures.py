@@ -8,7 +8,7 @@ from torch import Generator, Tensor
 from metapp.appearance.features import load_features
 from metapp.appearance.order import lattice_of, order_kept
 from metapp.appearance.picture_measures import Measure
-from metapp.learning.pictures import Compared
+from metapp.appearance.pictures import Compared
 
 JUDGING = ("relu2_2", "relu3_3", "relu4_3")  # beside those that fits are compared by
 DIRECTIONS = 64

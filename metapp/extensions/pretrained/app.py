@@ -139,7 +139,7 @@ class FromFeatures(SvbrdfNonstationary):
         theta = with_decoder(own, encoder | beside)
         return _polished(theta, self._made_of(theta, condition["inputs"]))
 
-    def finish(self, theta: Params) -> Params:
+    def postprocess(self, theta: Params) -> Params:
         """Without the deviations, which training alone reads."""
         return {key: value for key, value in theta.items() if key != "deviation"}
 

@@ -93,7 +93,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         small = adaptive_avg_pool2d(linear(photos), (self.network.height, self.network.width))
         return super().prepare(task) | {"photos": levelled(small, places), "places": places}
 
-    def known(self, tasks: Tasks) -> Params:
+    def task_parameters(self, tasks: Tasks) -> Params:
         """The closed form's maps of one roughness, by which all photographs look most alike, and their flashes."""
         batch, network = self.condition(tasks, Generator()), self.network
         size = (min(SEARCH_PX, network.height), min(SEARCH_PX, network.width))
@@ -179,7 +179,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         wide = [part.expand(-1, count, -1, -1) for part, count in zip(deviation.split(1, 1), RAW, strict=True)]
         return {"maps": maps, "flash": exposed(decoded(maps), condition), "prior": torch.cat([maps, *wide], 1)}
 
-    def finish(self, theta: Params) -> Params:
+    def postprocess(self, theta: Params) -> Params:
         """Without the prior."""
         return {key: value for key, value in theta.items() if key != "prior"}
 

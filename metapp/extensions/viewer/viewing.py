@@ -94,7 +94,7 @@ def view_page(
         raise ValueError(lacking[0])
     for line in lacking:
         say(f"warning: left out: {line}")
-    titles = dict.fromkeys(several[0][1].app.full_title for several in by_task.values())
+    titles = dict.fromkeys(several[0][1].presenter.title for several in by_task.values())
     return write_page(f"metapp: {', '.join(titles)}", groups, page)
 
 

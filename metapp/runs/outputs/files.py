@@ -8,9 +8,9 @@ from pathlib import Path
 from torch import Generator
 
 from metapp.appearance.colour import stretched, tone_map
+from metapp.appearance.pictures import Picture, Rendered
 from metapp.apps import presenter_of
 from metapp.learning.app import App, stack
-from metapp.learning.pictures import Picture, Rendered
 from metapp.learning.task import Params, Task
 from metapp.names import exports_of
 from metapp.options import OUTPUT

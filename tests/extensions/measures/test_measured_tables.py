@@ -8,11 +8,11 @@ import pytest
 from torch import Generator
 
 from metapp.appearance.picture_measures import measure_pictures
+from metapp.appearance.pictures import Fitted
 from metapp.apps import presenter_of
 from metapp.evaluation.table import text_of
 from metapp.evaluation.tables import image
 from metapp.learning.app import App
-from metapp.learning.pictures import Fitted
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT
 from tests.extensions.measures.test_measures import needs_weights

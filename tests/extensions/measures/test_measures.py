@@ -11,9 +11,9 @@ import torch
 from torch import Generator
 
 from metapp.appearance.picture_measures import further_errors, picture_measures
+from metapp.appearance.pictures import Compared
 from metapp.extensions.measures import perceptual, pixels
 from metapp.extensions.measures.textures import sliced_wasserstein
-from metapp.learning.pictures import Compared
 from metapp.registry import registry
 
 PERCEPTUAL = (perceptual.lpips, perceptual.dists)

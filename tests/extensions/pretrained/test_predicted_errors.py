@@ -53,4 +53,4 @@ def test_steps_leave_the_predicted_error(app: FromFeatures, tasks: Tasks, rng: G
     grads = dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values()), materialize_grads=True), strict=True))
     assert not grads["deviation"].any()
     assert grads["z"].any()
-    assert theta.keys() - app.finish(theta).keys() == {"deviation"}
+    assert theta.keys() - app.postprocess(theta).keys() == {"deviation"}

@@ -163,7 +163,7 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
         assert ("prior" in last) == (name != "overfit")
         if "prior" in last:
             assert torch.equal(last["prior"], first["prior"])
-        assert set(app.finish(last)) == {"maps", "flash"}
+        assert set(app.postprocess(last)) == {"maps", "flash"}
 
 
 def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPhotos) -> None:
@@ -176,7 +176,7 @@ def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPho
         shown = (photos.clamp_min(0) ** (1 / 2.2) * 255).round().to(torch.uint8)
         task = svbrdf_task("relief", known, photo=shown[0])
         tasks = stack(app, [task._replace(data=task.data | {"others": shown[1:], "places": places})])
-        found = decoded(app.known(tasks)["maps"]).roughness
+        found = decoded(app.task_parameters(tasks)["maps"]).roughness
         assert float((found - roughness).abs().max()) < 0.12
 
 

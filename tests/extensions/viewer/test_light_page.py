@@ -13,13 +13,13 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import mirror
+from metapp.appearance.pictures import Picture
 from metapp.apps import presenter_of
 from metapp.apps.illumination.app import LOSS_PX, Illumination
 from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres
 from metapp.extensions.viewer.pages import illumination as pages
 from metapp.extensions.viewer.view import view_of
-from metapp.learning.pictures import Picture
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
 from tests.browser import LEGEND, Page, assert_alike, false_colours

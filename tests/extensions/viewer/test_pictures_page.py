@@ -14,6 +14,7 @@ from torch.nn.functional import interpolate
 from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
+from metapp.appearance.pictures import Picture
 from metapp.apps import presenter_of
 from metapp.apps.exemplar.presenter import TILED
 from metapp.apps.texture.app import Texture
@@ -23,7 +24,6 @@ from metapp.apps.transport.images import REGULAR
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.flat import QUILTED
 from metapp.extensions.viewer.view import View, view_of
-from metapp.learning.pictures import Picture
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
 from metapp.rendering.scenes.rules import scene_bytes

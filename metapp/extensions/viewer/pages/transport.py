@@ -15,6 +15,7 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import LEAST_SHARE_OF_MEAN, mape
+from metapp.appearance.pictures import REFERENCE
 from metapp.appearance.presenter import Presenter
 from metapp.apps.transport import guide, images
 from metapp.apps.transport.app import Transport
@@ -22,7 +23,6 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, Studio, studio_of
 from metapp.apps.transport.pictures import picture_of_flow, picture_of_samples
 from metapp.extensions.viewer.view import View, pictures_view, thumbnail
-from metapp.learning.pictures import REFERENCE
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from metapp.runs.surroundings import threads
