@@ -122,6 +122,7 @@ def register(registry: Registry) -> None:
         "metapp.apps.brdf.recipes:RECIPES.anisotropic",
         help="reflectance that depends on phi_h",
         suits={"anisotropic": True},
+        mixed="anisotropic",  # which fits isotropic materials, too
         paradigms=("meta", "overfit"),
     )
     registry.networks["brdf", "nbrdf"] = Entry("metapp.apps.brdf.nbrdf:NBRDF")

@@ -111,12 +111,14 @@ class RecipeEntry(Entry[Any]):
 
     Attributes:
         suits: facts of the inputs that take it if none is named, each with its value or range; {} if it must be named.
+        mixed: the recipe for all inputs of folders in which it suits some and not all; "" if these are refused.
         paradigms: those that take it so; () for all.
         lacks: a function `lacks() -> str`, a line that names a file it needs and does not find; "" for none.
         checkpoints: the package whose folder <name> holds its checkpoints; "" for those that ship.
     """
 
     suits: Mapping[str, Wanted] = field(default_factory=dict)
+    mixed: str = ""
     paradigms: tuple[str, ...] = ()
     lacks: str = ""
     checkpoints: str = ""

@@ -81,6 +81,7 @@ def few(registry: Registry) -> None:
         f"{here}.app:FEW",
         help="200 samples or fewer",
         suits={"samples": (1, 200)},  # up to which it has lower errors than the usual one
+        mixed="full",
         paradigms=("meta",),
         checkpoints=f"{here}.checkpoints",
     )

@@ -41,7 +41,7 @@ def choose(options: FitOptions, sources: Sequence[Source]) -> Choice:
         sources: its inputs, or its data set as a single one; () for the embedded set.
 
     Raises:
-        BadOption: a recipe suits some of the inputs, and not all.
+        BadOption: a recipe suits some of the named inputs, and not all.
     """
     protocol, recipe, why_protocol, why_recipe, missing = options.observe, options.recipe, "", "", ""
     if not protocol and (protocols := protocols_of(options.app)):
@@ -73,7 +73,10 @@ def _choose_protocol(options: FitOptions, sources: Sequence[Source], protocols: 
 
 
 def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str) -> tuple[str, str, str]:
-    """Return the recipe that suits all sources, else the usual one, the reason, and a line about a missing file."""
+    """Return the recipe that suits all sources, else the usual one, the reason, and a line about a missing file.
+
+    Inputs that a user names must be alike; a folder, such as that of a data base, may hold inputs of both kinds.
+    """
     app, usual = options.app, usual_recipe(options.app)
     entries = recipe_entries(app, protocol)
     offered = {name: entry for name, entry in entries.items() if _is_offered(options, name, entry, protocol)}
@@ -82,6 +85,9 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
     name = next((name for name in offered if name in suiting), "")
     if not name:
         return usual, "", ""
+    count, mixed = suiting.count(name), entries[name].mixed
+    if count < len(sound) and mixed and not any(source.named for source in sound):
+        return mixed, f"{app}: recipe {mixed}, since {count} of {len(sound)} inputs have {entries[name].help}", ""
     if other := next((source for source, its in zip(sound, suiting, strict=True) if its != name), None):
         raise BadOption(
             f"{app}: {sound[suiting.index(name)].path} has {entries[name].help}, {other.path} has not, and recipes for "

@@ -157,6 +157,8 @@ def _rows(path: Path) -> tuple[dict[str, Array], list[int]]:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{path}: two columns {_shown(twice)}, expected names that differ; rename one.")
+    if not rows:
+        raise ValueError(f"{path}: no rows below the column names, expected a row of numbers a measurement; add them.")
     plain = (line if separator == "," else line.replace(",", ".") for _, line in rows)
     numbers = np.empty((0, 0))
     with contextlib.suppress(ValueError):  # ten times as fast, but of what is wrong it does not say the line
