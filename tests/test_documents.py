@@ -15,6 +15,7 @@ from packaging.specifiers import SpecifierSet
 
 from metapp.cli.commands import app as cli
 from metapp.extensions import contents
+from metapp.names import app_names
 from metapp.registry import registry
 
 ROOT = Path(__file__).parent.parent
@@ -149,9 +150,8 @@ def test_one_page_has_the_entries_of_all_extensions_that_ship() -> None:
 def test_readme_is_one_screen_and_has_a_command_of_every_application() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(readme.splitlines()) <= 120
-    for application in (ROOT / "metapp" / "apps").iterdir():
-        if (application / "__init__.py").is_file():
-            assert f"metapp meta {application.name} " in readme
+    for application in app_names():
+        assert f"metapp meta {application} " in readme
 
 
 def test_what_is_pinned_takes_the_python_of_debian_12() -> None:
