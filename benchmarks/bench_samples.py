@@ -82,7 +82,7 @@ def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Trai
     for task in tasks:
         stacked = stack(planned.app, [task])
         answer = baseline.fit(stacked, rng_of(planned, task), allowed).answer()
-        errors[task.name] = planned.app.scale * float(planned.app.errors_of(answer, stacked)["error"])
+        errors[task.name] = planned.app.error_measure.scale * float(planned.app.errors_of(answer, stacked)["error"])
     return errors
 
 

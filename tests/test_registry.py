@@ -179,7 +179,7 @@ def test_of_others_what_cannot_be_loaded_is_left_out_with_a_warning(installed: C
 
 def test_all_that_ships_can_be_loaded() -> None:
     for _, _, entry in registry().entries():
-        for name in ("reference", "options", "lacks", "facts"):
+        for name in ("reference", "options", "presenter", "lacks", "facts"):
             if reference := getattr(entry, name, ""):
                 assert load(reference) is not None
 

@@ -68,7 +68,11 @@ class Presenter(Generic[Application]):
         """
         app = self.app
         conditions = ({"fits see": app.protocol} if app.protocol else {}) | app.conditions()
-        stated = f"error: {app.measure}{app.factor}" if measured else "without a reference there is no error to state"
+        stated = (
+            f"error: {app.error_measure.text}{app.error_measure.factor}"
+            if measured
+            else "without a reference there is no error to state"
+        )
         return stated + "".join(f"; {name}: {value}" for name, value in conditions.items())
 
     def size_refusal(self, height: int, width: int) -> str:

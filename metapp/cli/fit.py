@@ -175,7 +175,7 @@ def line_of(presenter: Presenter[Any], record: Document) -> str:
     """What a fit made, its error, and the seconds of the whole command."""
     app, pictures = presenter.app, len([*Path(record["folder"]).glob("*.png")])
     if record["error"] is not None:
-        error = f"error{app.factor} {record['error']:.3f} ({app.measure})"
+        error = f"error{app.error_measure.factor} {record['error']:.3f} ({app.error_measure.text})"
     elif "photo_error" in record:
         error = f"photo error {record['photo_error']:.2f} % ({PHOTO_ERROR})"
     else:
@@ -249,7 +249,7 @@ def table_of(
     means = measured or "photo_error" in total
     table.add_column("task", "mean error; other columns: median" if means else "median")
     if measured:
-        table.add_column(f"error{presenter.app.factor}", number(total["error"], ".3f"), justify="right")
+        table.add_column(f"error{presenter.app.error_measure.factor}", number(total["error"], ".3f"), justify="right")
     if "photo_error" in total:
         table.add_column("photo error %", number(total["photo_error"], ".2f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")

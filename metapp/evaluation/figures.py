@@ -30,7 +30,7 @@ def _panel(subject: Subject, height: float, x_label: str) -> tuple[Figure, Axes]
     axis = figure.subplots()
     axis.set_title(subject.title)
     axis.set_xlabel(x_label)
-    axis.set_ylabel(f"error{subject.app.factor}")
+    axis.set_ylabel(f"error{subject.app.error_measure.factor}")
     return figure, axis
 
 

@@ -43,7 +43,7 @@ def row_of(
     """
     app, groups = subject.app, subject.groups
     clauses = [record["warning"].split("; ") for record in records if record.get("warning")]
-    of_measures = {key: [record[key] for record in records if key in record] for key in app.measures}
+    of_measures = {key: [record[key] for record in records if key in record] for key in app.error_measure.further}
     seconds = [record["seconds"] for record in records if "seconds" in record]
     row = {
         "app": app.name,
@@ -64,7 +64,7 @@ def row_of(
     }
     for other in against:
         theirs = errors_of(subject.records(other)) if other != name else {}
-        row[f"vs_{other}"] = paired(errors_of(records), theirs, groups, logarithmic=app.logarithmic)
+        row[f"vs_{other}"] = paired(errors_of(records), theirs, groups, logarithmic=app.error_measure.logarithmic)
     return row
 
 
@@ -134,7 +134,7 @@ def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
     """The means of the further errors that the application states, a line each."""
     means_by_title = {
         title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row[f"mean_{key}"] is not None]
-        for key, title in subject.app.measures.items()
+        for key, title in subject.app.error_measure.further.items()
     }
     return [f"{title}: {', '.join(means)}" for title, means in means_by_title.items() if means]
 

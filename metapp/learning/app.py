@@ -17,6 +17,31 @@ Answer = Any  # what fits of an application are judged by: its own maps, picture
 
 
 @dataclass(frozen=True)
+class ErrorMeasure:
+    """How an application measures the errors of fits.
+
+    Attributes:
+        text: the error, in one line.
+        scale: factor of errors in records and tables; 100 if the paper prints x100.
+        logarithmic: True if the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
+        further: other errors whose means tables state, each in one line, by their names in records.
+
+    >>> ErrorMeasure("mean absolute error", scale=100).factor
+    ' x100'
+    """
+
+    text: str
+    scale: float = 1.0
+    logarithmic: bool = False
+    further: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def factor(self) -> str:
+        """The factor that errors are printed with: " x100"; "" if it is 1."""
+        return f" x{self.scale:g}" if self.scale != 1 else ""
+
+
+@dataclass(frozen=True)
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
@@ -30,11 +55,8 @@ class App(ABC):
         protocol: the part of a task that a fit may see, a value of --observe; "" if there is but one.
         name: as on the command line.
         title: as in tables.
-        measure: the error, in one line.
-        measures: further errors whose means tables state, each in one line, by their names in records.
-        logarithmic: True if the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
+        error_measure: how `errors` measures.
         tensors: of each task, by the tensor's name.
-        scale: factor of errors in records and tables; 100 if the paper prints x100.
         single_threaded: True if threads and GPUs only slow down the fit of one task.
         compiles: True if compiling the inner step pays in training.
         deterministic: True if nothing that a fit sees is drawn at random, so that one fit says what two would.
@@ -44,11 +66,8 @@ class App(ABC):
     protocol: str = field(default="", kw_only=True)
     name: ClassVar[str]
     title: ClassVar[str]
-    measure: ClassVar[str]
-    measures: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    logarithmic: ClassVar[bool] = False
+    error_measure: ClassVar[ErrorMeasure]
     tensors: ClassVar[Mapping[str, TensorSpec]] = MappingProxyType({})
-    scale: ClassVar[float] = 1.0
     single_threaded: ClassVar[bool] = False
     compiles: ClassVar[bool] = False
     deterministic: ClassVar[bool] = False
@@ -82,11 +101,6 @@ class App(ABC):
     def full_name(self) -> str:
         """Its name with its protocol, if any: illumination photo."""
         return f"{self.name} {self.protocol}".rstrip()
-
-    @property
-    def factor(self) -> str:
-        """The factor that errors are printed with: " x100"; "" if it is 1."""
-        return f" x{self.scale:g}" if self.scale != 1 else ""
 
     def protocol_entry(self) -> dict[str, str]:
         """The protocol as records, rows and headers of checkpoints state it; {} if there is none."""

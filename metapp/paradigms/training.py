@@ -134,7 +134,7 @@ def _outer_loop(
             continue  # it was cut off after this validation
         if now.step == steps or now.step % training.validate_every == 0:
             error = validation_error(paradigm, MetaParameters.unflat(now.theta), to_validate)
-            mean = paradigm.app.scale * float(losses.mean()) if len(losses) else None
+            mean = paradigm.app.error_measure.scale * float(losses.mean()) if len(losses) else None
             state = state._replace(losses=losses[:0], curve=(*state.curve, (now.step, mean, error)))
             if error < state.validation:
                 best = {key: value.clone() for key, value in now.theta.items()}
@@ -236,4 +236,4 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
             except FloatingPointError:
                 return float("inf")
             total += float((weights[rows] * app.errors(theta, part)["error"]).sum())
-    return app.scale * total / (seeds * float(weights.sum()))
+    return app.error_measure.scale * total / (seeds * float(weights.sum()))

@@ -120,7 +120,7 @@ class Fit:
 
     def _repr_html_(self) -> str:
         """The view in notebooks: the picture and one line."""
-        error = "no reference" if self.error is None else f"error{self.app.factor} {self.error:.3f}"
+        error = "no reference" if self.error is None else f"error{self.app.error_measure.factor} {self.error:.3f}"
         line = f"{self.name}: {self.run.presenter.title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
         line += f", {self.settings['steps']} steps" + (f"; warning: {self.warning}" if self.warning else "")
         return f'<img src="{png_address(self.picture())}"><div>{escape(line)}</div>'

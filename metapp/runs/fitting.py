@@ -212,7 +212,9 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
     measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, end)
     fits = []
     for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
-        errors = {key: float(value[i]) * (app.scale if key == "error" else 1) for key, value in measures.items()}
+        errors = {
+            key: float(value[i]) * (app.error_measure.scale if key == "error" else 1) for key, value in measures.items()
+        }
         parameters = {key: value[i].detach().cpu() for key, value in theta.items()}
         _require_finite(task, parameters, errors)
         # sums depend on the number of threads, in their last digits: the record says it, but not its settings, since

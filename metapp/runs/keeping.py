@@ -239,7 +239,11 @@ def _draw(report: Report) -> None:
     app, records = report.run.app, report.records
     mean = summary(records)["error"]
     title = f"{report.run.presenter.title}, {report.run.paradigm.name}"
-    title += "" if mean is None or len(records) == 1 else f": mean error{app.factor} {mean:.3f} of {len(records)} fits"
+    title += (
+        ""
+        if mean is None or len(records) == 1
+        else f": mean error{app.error_measure.factor} {mean:.3f} of {len(records)} fits"
+    )
     tiles = {
         Path(outcome.record["folder"]).name: outcome.tiles
         for outcome in report.outcomes

@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu
 
-from metapp.learning.app import App
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
 WIDTH, SAMPLES = 12, 32
@@ -21,7 +21,7 @@ class Curve(App):
 
     name = "curve"
     title = "Curve"
-    measure = "mean absolute difference at held-out samples"
+    error_measure = ErrorMeasure("mean absolute difference at held-out samples")
     tensors = MappingProxyType({"y": TensorSpec((SAMPLES,), low=-1e3, high=1e3)})
     single_threaded = cheap_fits = True
 

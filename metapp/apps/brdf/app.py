@@ -15,7 +15,7 @@ from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.augmentation import mixed
 from metapp.apps.brdf.nbrdf import KNOTS, NBRDF, sample_weights
 from metapp.apps.brdf.network import COUNT, BrdfNetwork, opponent_axes, put_distinct_first, samples_at
-from metapp.learning.app import App
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.draws import uniform
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import norm
@@ -37,7 +37,9 @@ class Brdf(App):
     conserve: bool = False
     name = "brdf"
     title = "BRDF"
-    measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
+    error_measure = ErrorMeasure(
+        "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions", scale=100
+    )
     tensors: ClassVar = {
         "angles": TensorSpec(("N", 3), low=0.0, high=2 * math.pi),
         "phi_h": TensorSpec(("N",), low=0.0, high=2 * math.pi, optional=True),
@@ -45,7 +47,6 @@ class Brdf(App):
         "render": TensorSpec(("H", "W", 4), optional=True),
         "environment": TensorSpec(("h", "w", 4), optional=True),
     }
-    scale = 100.0
     single_threaded = compiles = cheap_fits = True
 
     @property

@@ -18,6 +18,7 @@ from metapp.apps.illumination.mirror import completed, is_mirror, resampled, see
 from metapp.apps.illumination.spheres import FACED, MIRRORED, SPHERES, sphere_errors, surfaces
 from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
 from metapp.apps.illumination.variants import of_mean_1, varied
+from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.rendering.second_scene import relighting
@@ -50,12 +51,15 @@ class Illumination(CodedApp):
 
     name = "illumination"
     title = "Illumination"
-    measure = "mean absolute error of a second scene's picture under the map"
-    measures: ClassVar = {
-        f"{name}_{kind}": f"{name} sphere, {title}"
-        for kind, title in (("rmse", "si-RMSE"), ("angle", "degrees"))
-        for name in SPHERES
-    }
+    error_measure = ErrorMeasure(
+        "mean absolute error of a second scene's picture under the map",
+        scale=100,
+        further={
+            f"{name}_{kind}": f"{name} sphere, {title}"
+            for kind, title in (("rmse", "si-RMSE"), ("angle", "degrees"))
+            for name in SPHERES
+        },
+    )
     tensors: ClassVar = {
         "photos": TensorSpec(("K", 3, 64, 64), "uint8"),
         "map": TensorSpec((3, "H", "W"), low=0.0, optional=True),
@@ -63,7 +67,6 @@ class Illumination(CodedApp):
         "seen": TensorSpec((3, "h", "w"), low=0.0, optional=True),
         "certain": TensorSpec((2, "h", "w"), low=0.0, high=1.0, optional=True),
     }
-    scale = 100.0
 
     @property
     def read_size(self) -> int:

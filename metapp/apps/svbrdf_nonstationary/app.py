@@ -38,6 +38,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pooled,
 )
 from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
+from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.field import LocalField, field_by_rows
@@ -94,13 +95,15 @@ class SvbrdfNonstationary(CodedApp):
 
     name = "svbrdf_nonstationary"
     title = "svBRDF non-stat."
-    measure = "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere"
-    measures: ClassVar = {
-        "normal": "normals, degrees",
-        "diffuse": "diffuse at gamma 2.2",
-        "roughness": "roughness",
-        "specular": "specular at gamma 2.2",
-    }
+    error_measure = ErrorMeasure(
+        "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere",
+        further={
+            "normal": "normals, degrees",
+            "diffuse": "diffuse at gamma 2.2",
+            "roughness": "roughness",
+            "specular": "specular at gamma 2.2",
+        },
+    )
     tensors: ClassVar = {
         "photo": TensorSpec((3, "S", "S"), "uint8"),
         "maps": TensorSpec((10, "M", "M"), low=-1.001, high=1.001, optional=True),

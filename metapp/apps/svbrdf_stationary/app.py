@@ -32,6 +32,7 @@ from metapp.apps.svbrdf_stationary.windows import (
     grams_of_tasks,
     mask_ring,
 )
+from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.layout import astray
 
@@ -61,7 +62,9 @@ class SvbrdfStationary(ExemplarApp):
 
     name = "svbrdf_stationary"
     title = "svBRDF stat."
-    measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
+    error_measure = ErrorMeasure(
+        "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
+    )
     described = ("gram", "spectrum")
     tensors: ClassVar = {
         "image": TensorSpec((3, "S", "S"), "uint8"),

@@ -9,6 +9,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.features import describe_precision, distance, gram
 from metapp.apps.exemplar.app import Crop, ExemplarApp
+from metapp.learning.app import ErrorMeasure
 from metapp.learning.draws import uniform
 from metapp.learning.task import Batch, Params, Tasks, TensorSpec
 from metapp.networks.layout import astray
@@ -21,7 +22,7 @@ class Texture(ExemplarApp):
 
     name = "texture"
     title = "Texture"
-    measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
+    error_measure = ErrorMeasure("relative L1 distance of Gram matrices, mean over taps and generated textures")
     reduced = True
     tensors: ClassVar = {"image": TensorSpec((3, "S", "S"), "uint8")}
 

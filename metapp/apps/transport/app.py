@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from metapp.apps.transport.encoder import init_reader, read
 from metapp.apps.transport.flow import Flow
-from metapp.learning.app import App
+from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
@@ -33,8 +33,9 @@ class Transport(App):
 
     name = "transport"
     title = "Transport"
-    measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
-    logarithmic = True
+    error_measure = ErrorMeasure(
+        "negative log-likelihood of held-out light paths, on the film and in their first direction", logarithmic=True
+    )
     tensors: ClassVar = {
         "samples": TensorSpec(("N", 4), low=0.0, high=1.0),
         "held": TensorSpec(("M", 4), low=0.0, high=1.0, optional=True),

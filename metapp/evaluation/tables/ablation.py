@@ -70,7 +70,7 @@ def ablation(subject: Subject) -> Table:
         ),
         *notes_of(rows),
     ]
-    title = f"mean error{subject.app.factor} of initialisations and rules"
+    title = f"mean error{subject.app.error_measure.factor} of initialisations and rules"
     return Table(subject.title, title, COLUMNS, rows, notes, findings=(subject.presenter.caption(),))
 
 

@@ -55,7 +55,7 @@ def convergence(subject: Subject) -> Table:
         notes.append(f"{last['near']} of {len(records)} tasks come so near (paper: {known['steps']} further steps)")
     notes.append(f"traces of {len(_traced(subject))} of {len(subject.tasks)} tasks, evenly spaced")
     rows = [*(after("meta", part) for part in PARTS), last, after("overfit", 1.0)]
-    title = f"error{subject.app.factor} along Meta's steps"
+    title = f"error{subject.app.error_measure.factor} along Meta's steps"
     return Table(subject.title, title, COLUMNS, rows, notes)
 
 
@@ -120,7 +120,7 @@ def _trace(subject: Subject, task: Task) -> Record:
 def _error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
     """The table's error; None if the task holds no reference."""
     errors = subject.app.errors(theta, stacked)
-    return subject.app.scale * float(errors["error"][0]) if errors else None
+    return subject.app.error_measure.scale * float(errors["error"][0]) if errors else None
 
 
 def _further(

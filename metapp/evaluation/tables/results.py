@@ -35,7 +35,7 @@ def results(subject: Subject) -> Table:
         *(["the paper's figures are of its own data and machine"] if is_first_protocol(subject.app) else []),
         *notes_of(rows),
     ]
-    title = f"mean error{subject.app.factor}, median seconds of inference"
+    title = f"mean error{subject.app.error_measure.factor}, median seconds of inference"
     fits = {name: subject.records(name) for name in PARADIGMS}
     findings = (subject.presenter.caption(), closing(subject.app, rows))
     return Table(subject.title, title, COLUMNS, rows, notes, fits, findings)
@@ -93,6 +93,6 @@ def quickft(subject: Subject) -> Table:
     if None not in (meta["paper_error"], of_quickft["paper_error"]):
         notes.append(f"paper: meta {meta['paper_error']:.3f}, quickft {of_quickft['paper_error']:.3f}")
     notes.append("quickft's Adam is searched on validation tasks")
-    title = f"mean error{subject.app.factor} after as many steps"
+    title = f"mean error{subject.app.error_measure.factor} after as many steps"
     findings = (subject.presenter.caption(), *(line for other in AGAINST for line in verdict(meta, other)))
     return Table(subject.title, title, COLUMNS, rows, notes, findings=findings)

@@ -121,7 +121,7 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
             errors = {key: float(value[0]) for key, value in app.errors_of(answer, stacked).items()}
             if errors and not math.isfinite(errors["error"]):
                 raise ValueError(f"{task.name}: the error is not finite.")
-            scale = {"error": app.scale}
+            scale = {"error": app.error_measure.scale}
             record = {
                 "name": task.name,
                 "error": None,

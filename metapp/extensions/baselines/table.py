@@ -55,7 +55,9 @@ def baselines(subject: Subject) -> Table:
     ]
     pictures = {name: some for name, some in records.items() if some and Path(some[0]["folder"], PARAMS).is_file()}
     meta = subject.records("meta")
-    title = f"mean error{subject.app.factor} and what is kept, of paradigms and of methods without a network"
+    title = (
+        f"mean error{subject.app.error_measure.factor} and what is kept, of paradigms and of methods without a network"
+    )
     fits = {"meta": meta} | pictures if meta and pictures else {}
     findings = (subject.presenter.caption(), *_compared([row for row in rows if row["baseline"]]))
     return Table(subject.title, title, COLUMNS, rows, notes, fits, findings)

@@ -80,7 +80,9 @@ def _table(compared: Comparison) -> Table:
         )
         said.append(f"{title}: {', '.join(of_sides)}")
     table = Table(
-        title=f"{presenter.title}, error{presenter.app.factor}", caption="\n".join(said), caption_justify="left"
+        title=f"{presenter.title}, error{presenter.app.error_measure.factor}",
+        caption="\n".join(said),
+        caption_justify="left",
     )
     table.add_column("task")
     for side in sides:

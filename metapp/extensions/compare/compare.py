@@ -133,8 +133,8 @@ def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | N
     tasks_by_name = tasks_as(found[0].records, app, inputs, data)
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
-    errors = _measured([side.errors() for side in sides], groups, logarithmic=app.logarithmic)
-    of_measures = {title: [side.errors(key) for side in sides] for key, title in app.measures.items()}
+    errors = _measured([side.errors() for side in sides], groups, logarithmic=app.error_measure.logarithmic)
+    of_measures = {title: [side.errors(key) for side in sides] for key, title in app.error_measure.further.items()}
     measures = {title: _measured(some, groups) for title, some in of_measures.items() if all(some)}
     return Comparison(sides, tasks, errors, measures, _notes(settings, by_name, names))
 

@@ -63,7 +63,7 @@ class FewSamples(Brdf):
             where, target = (batch[key][i : i + 1, :, : int(count)] for key in ("where", "target"))
             slope = slope_of(target.expm1() / where[:, 6:].clamp_min(1e-4), where)
             errors.append(expected_errors(Posterior.of(one, where, slope)))
-        expected = {name: self.scale * torch.tensor([one[name] for one in errors]) for name in errors[0]}
+        expected = {name: self.error_measure.scale * torch.tensor([one[name] for one in errors]) for name in errors[0]}
         return super().errors(theta, tasks) | expected
 
 

@@ -130,7 +130,7 @@ def labelled_view(fit: Fit, label: str) -> View:
             f"{fit.name}: its view is made of the fit and its input ({missing}), expected both; "
             "give what was fitted by --input or --data."
         ) from None
-    error = "" if fit.error is None else f"error{fit.app.factor} {number(fit.error, '.3f')}, "
+    error = "" if fit.error is None else f"error{fit.app.error_measure.factor} {number(fit.error, '.3f')}, "
     return view._replace(label=label, caption=f"{error}{number(fit.seconds, '.3g')} s")
 
 

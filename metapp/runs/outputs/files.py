@@ -127,7 +127,7 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
     assert evaluated is not None, f"{app.name} has one network"
     fitted = by.paradigm.fit(by.phi, stack(by.app, [evaluated]), Generator().manual_seed(by.options.seed))
     before, after = (
-        number(app.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
+        number(app.error_measure.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
         for of, params in ((app, {key: value[None] for key, value in theta.items()}), (by.app, fitted))
     )
     say(f"{task.name}: distilled into the network of the format; error {after}, of the fit {before}")

@@ -226,7 +226,9 @@ def tiles_of(task: Task, fits: Sequence[tuple[str, Presenter[Any], Document]]) -
 
 def write_compared(presenter: Presenter[Any], tasks: list[Tiles], file: Path) -> Path:
     """Write fits that are compared as one picture."""
-    return write_sheet(tasks, f"{presenter.title}: mean error{presenter.app.factor} of each fit below it", file)
+    return write_sheet(
+        tasks, f"{presenter.title}: mean error{presenter.app.error_measure.factor} of each fit below it", file
+    )
 
 
 def _label(record: Document, before: str = "") -> str:

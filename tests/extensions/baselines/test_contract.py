@@ -129,7 +129,7 @@ def test_every_application_has_baselines_and_its_table_prints_them(
     offered = baselines_of(subject.app)
     assert bool(offered) == ((name, protocol) not in WITHOUT)
     assert len({baseline.name for baseline in offered}) == len(offered)
-    pretend_paradigms(subject, 0.2 * subject.app.scale)
+    pretend_paradigms(subject, 0.2 * subject.app.error_measure.scale)
     table, rows = subject.table("baselines"), rows_of(subject)
     for baseline in offered:
         assert re.fullmatch(r"[a-z0-9_@]+", baseline.name)
@@ -195,7 +195,7 @@ def test_measures_that_are_not_finite_have_no_figure(
     measures = {"error": torch.tensor([2.0]), "map": torch.tensor([torch.inf])}
     monkeypatch.setattr(type(subject.app), "errors_of", lambda *_: measures)
     records = baseline_records(subject, baselines_of(subject.app)[0])
-    assert {record["error"] for record in records} == {2.0 * subject.app.scale}
+    assert {record["error"] for record in records} == {2.0 * subject.app.error_measure.scale}
     assert not any("map" in record for record in records)
 
 
