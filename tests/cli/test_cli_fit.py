@@ -104,7 +104,7 @@ def test_one_input_prints_a_line_and_the_files_that_were_asked_for(metapp: Calla
     result = metapp("general", "brdf", networks / "m1", "--recipe", "quick", "--export", "merl,mitsuba,bsdf-spectral")
     assert result.code == 0, result.err
     error, seconds = re.fullmatch(
-        rf"m1: error x100 (\d+\.\d{{3}}) \({re.escape(Brdf().measure)}\), (\d+\.\d) s in all\n", result.out
+        rf"m1: error x100 (\d+\.\d{{3}}) \({re.escape(Brdf().error_measure.text)}\), (\d+\.\d) s in all\n", result.out
     ).groups()
     (record,) = read_fits(Path("runs/brdf/general-quick"))
     assert error == f"{record['error']:.3f}"
