@@ -224,6 +224,15 @@ def _fill_gaps(sums: Tensor, weights: Tensor) -> Tensor:
     return torch.lerp(interpolate(coarse, size, mode="bilinear"), means, weights)
 
 
+def format_percent(share: float) -> str:
+    """Write a share in [0, 1] as a percentage of two digits.
+
+    >>> format_percent(0.01234), format_percent(1.0)
+    ('1.2 %', '100 %')
+    """
+    return f"{float(f'{100 * share:.2g}'):g} %"
+
+
 def clipped_highlight(photo: Tensor, effect: str, subject: str = "the photo") -> list[str]:
     """Return a clause on a photo if more than CLIPPED_PX_SHARE of its px clip and are white, else [].
 
@@ -233,5 +242,5 @@ def clipped_highlight(photo: Tensor, effect: str, subject: str = "the photo") ->
         subject: names what is clipped.
     """
     share = float(find_white(photo).float().mean())
-    clause = f"{100 * share:.2g} % of {subject} is clipped, {effect} (a darker exposure shows more)"
+    clause = f"{format_percent(share)} of {subject} is clipped, {effect} (a darker exposure shows more)"
     return [clause] if share > CLIPPED_PX_SHARE else []

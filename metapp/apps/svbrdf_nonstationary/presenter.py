@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, mean_tilt_degrees, unpack
-from metapp.appearance.highlight import F0_BOUND, clipped_highlight, find_clipped
+from metapp.appearance.highlight import F0_BOUND, clipped_highlight, find_clipped, format_percent
 from metapp.appearance.pictures import Compared, Picture, Visible
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
@@ -150,7 +150,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
             return warnings
         shown = linear_to_srgb(photos)
         shares = find_clipped(shown).float().mean((1, 2, 3)).tolist()
-        effects = [f"{100 * share:.2g} % of the maps is filled from its surroundings" for share in shares]
+        effects = [f"{format_percent(share)} of the maps is filled from its surroundings" for share in shares]
         clipped = (clipped_highlight(*pair) for pair in zip(shown, effects, strict=True))
         return [black + highlight for black, highlight in zip(warnings, clipped, strict=True)]
 
