@@ -266,7 +266,7 @@ def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
     text(tmp_path / "bad.jpg")
     text(tmp_path / "bad")
     write(tmp_path / "good.png", noise(64, 64))
-    lines = "import sys\nfrom pathlib import Path\nfrom data_tools.readers.photos import find, read_photo\n"
+    lines = "import sys\nfrom pathlib import Path\nfrom data_tools.readers.photos import find_images, read_photo\n"
     lines += "for file in find_images(Path(sys.argv[1]))[0]:\n    try:\n        kept = read_photo(file)\n"
     lines += "    except ValueError as error:\n        last = error\n"
     done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
