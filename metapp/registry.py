@@ -91,14 +91,14 @@ class Application(Entry[Any]):
         protocols: the values of --observe, the default first, each with the tensor that fits see; {} if there is no
             choice.
         options: "module:attribute" of its own, a dataclass that extends `metapp.options.AppOptions`.
-        presenter: "module:attribute" of its `metapp.appearance.presenter.Presenter`; "" for one that shows nothing.
+        presenter: "module:attribute" of its subclass of `metapp.appearance.presenter.Presenter`, which shows nothing.
         facts: "module:function" of what tensors of a task tell, `facts_of(tensors)` with None for those whose names
             alone are known, as of data sets; recipes are chosen by it. "" for nothing.
     """
 
     protocols: Mapping[str, str] = field(default_factory=dict)
     options: str = "metapp.options:AppOptions"
-    presenter: str = ""
+    presenter: str = "metapp.appearance.presenter:Presenter"
     facts: str = ""
 
 

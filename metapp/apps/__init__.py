@@ -63,10 +63,7 @@ def presenter_of(app: App, values: Mapping[str, object] = MappingProxyType({})) 
     Raises:
         ValueError: files of the application cannot have the size.
     """
-    from metapp.appearance.presenter import Presenter as AnyPresenter  # here: who lists applications needs no pictures
-
-    reference = application_of(app.name).presenter
-    kind: type[Presenter[Any]] = load(reference) if reference else AnyPresenter
+    kind: type[Presenter[Any]] = load(application_of(app.name).presenter)
     known = {field.name for field in fields(kind)}
     return kind(app, **{name: value for name, value in values.items() if name in known})  # type: ignore[arg-type]
 

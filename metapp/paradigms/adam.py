@@ -108,11 +108,6 @@ class GeneralPreparation(Preparation):
     paradigm: General
 
     @property
-    def name(self) -> str:
-        """The name of General."""
-        return self.paradigm.name
-
-    @property
     def general(self) -> Preparation:
         """This preparation itself."""
         return self
@@ -150,11 +145,6 @@ class QuickFTPreparation(Preparation):
     """The search of QuickFT's Adam for the encoder of a trained General."""
 
     paradigm: QuickFT
-
-    @property
-    def name(self) -> str:
-        """The name of QuickFT."""
-        return self.paradigm.name
 
     @property
     def general(self) -> Preparation:

@@ -150,9 +150,9 @@ class Preparation(ABC):
     paradigm: Paradigm
 
     @property
-    @abstractmethod
     def name(self) -> str:
-        """The name of the checkpoint, of which its file's name is made."""
+        """The name of the checkpoint, of which its file's name is made: its paradigm's."""
+        return self.paradigm.name
 
     @property
     @abstractmethod

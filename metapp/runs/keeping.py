@@ -239,11 +239,8 @@ def _draw(report: Report) -> None:
     app, records = report.run.app, report.records
     mean = summary(records)["error"]
     title = f"{report.run.presenter.title}, {report.run.paradigm.name}"
-    title += (
-        ""
-        if mean is None or len(records) == 1
-        else f": mean error{app.error_measure.factor} {mean:.3f} of {len(records)} fits"
-    )
+    if mean is not None and len(records) > 1:
+        title += f": mean error{app.error_measure.factor} {mean:.3f} of {len(records)} fits"
     tiles = {
         Path(outcome.record["folder"]).name: outcome.tiles
         for outcome in report.outcomes
