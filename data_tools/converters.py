@@ -61,6 +61,23 @@ class Nbrdf(Converter):
 
 
 @dataclass(frozen=True)
+class Gonio(Converter):
+    """Convert goniometer measurements, CSV files.
+
+    A line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light), theta_o_deg,
+    phi_o_deg (detector), or _rad for radians, and the BRDF in 1/sr as r, g, b (linear RGB) or as wavelengths (400nm,
+    410nm, ...). Semicolons, tabs, quotes, decimal commas, a row of units and UTF-16, as spreadsheets write, are read as
+    well. A negative theta is at phi + 180 degrees. Lines that begin with # are comments. The measurements themselves
+    are the samples, in random order; a bad file that was named ends the conversion and nothing is written; one found in
+    a folder is skipped with a warning.
+
+    Examples:
+      metapp data gonio paint.csv --out measured
+      metapp data gonio measurements --split test --out measured
+    """
+
+
+@dataclass(frozen=True)
 class Images(Converter):
     """Convert photographs of textures.
 
@@ -145,6 +162,24 @@ class Maps(Converter):
     size: Size = 256
     normals: Normals = "auto"
     layer: Layer = ""
+
+
+@dataclass(frozen=True)
+class Materials(Maps):
+    """Convert real materials for training, with drawn ones beside them.
+
+    As `metapp data maps`, but a set may lack its roughness: one is made up, and losses of made-up maps count
+    nothing. A specular map without a roughness is an old game's, with shading in its colours, which count less. Maps
+    that are smaller than --size are repeated, as such sets tile. Folders of data sets, as of `metapp data synth
+    svbrdf_nonstationary --size 512`, are drawn materials; of these and of real ones the recipe pretrained sees as
+    many, whatever their numbers. Give maps room for crops: 512 px or more.
+
+    Examples:
+      metapp data materials scans drawn --split train --out mixed
+      metapp data materials scans/rock scans/bark games --size 512 --out real
+    """
+
+    size: Size = 512
 
 
 def _folder(path: Path) -> Path:

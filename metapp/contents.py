@@ -1,5 +1,7 @@
 """All that the core has, by name: one page of entries, each imported at first use."""
 
+import math
+
 from metapp.paradigms import PARADIGMS
 from metapp.registry import Application, Entry, Export, Format, RecipeEntry, Registry
 
@@ -45,6 +47,7 @@ APPLICATIONS = {
         presenter="metapp.apps.transport.presenter:TransportPresenter",
     ),
 }
+PHOTOS = "metapp.apps.svbrdf_nonstationary"
 FURTHER_RECIPES = {  # of --observe reference
     **dict.fromkeys(("texture", "svbrdf_stationary", "svbrdf_nonstationary"), ("paper-64",)),
     **dict.fromkeys(("brdf", "illumination", "transport"), ("paper-long",)),
@@ -67,6 +70,7 @@ OBJECTS = {
 FORMATS = {  # module of data_tools.readers, application, inputs
     "merl": ("merl", "brdf", "MERL .binary files"),
     "nbrdf": ("nbrdf", "brdf", "NBRDF networks (.h5, folders of .npy)"),
+    "gonio": ("gonio", "brdf", "goniometer .csv files"),
     "images": ("photos", "texture", "images"),
     "flash": ("flash", "svbrdf_stationary", "flash photos"),
     "maps": ("material_maps", "svbrdf_nonstationary", ""),
@@ -118,6 +122,15 @@ def register(registry: Registry) -> None:
         app="svbrdf_nonstationary",
         inputs="flash photos, strips, a material's maps",
     )
+    registry.formats["placed"] = Format(
+        "data_tools.readers.placed_photos",
+        app="svbrdf_nonstationary",
+        inputs="folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
+    )
+    registry.formats["materials"] = Format(
+        "data_tools.readers.training_materials", app="svbrdf_nonstationary", data_sets=True
+    )
+    registry.commands["data materials"] = Entry("data_tools.converters:Materials")
     registry.recipes["brdf", "", "anisotropic"] = RecipeEntry(
         "metapp.apps.brdf.recipes:RECIPES.anisotropic",
         help="reflectance that depends on phi_h",
@@ -125,15 +138,36 @@ def register(registry: Registry) -> None:
         mixed="anisotropic",  # which fits isotropic materials, too
         paradigms=("meta", "overfit"),
     )
+    registry.recipes["brdf", "", "few"] = RecipeEntry(
+        "metapp.apps.brdf.few.app:FEW",
+        help="200 samples or fewer",
+        suits={"samples": (1, 200)},  # up to which it has lower errors than the usual one
+        mixed="full",
+        paradigms=("meta",),
+    )
+    registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = RecipeEntry(
+        f"{PHOTOS}.pretrained.recipe:PRETRAINED",
+        help="one flash photo",
+        suits={"photos": 1},
+        paradigms=("general", "quickft", "meta"),
+        lacks=f"{PHOTOS}.pretrained.encoder:lacks",
+    )
+    registry.recipes["svbrdf_nonstationary", "photo", "several"] = RecipeEntry(
+        f"{PHOTOS}.several.recipe:SEVERAL",
+        help="several photos",
+        suits={"photos": (2, math.inf)},
+    )
     registry.networks["brdf", "nbrdf"] = Entry("metapp.apps.brdf.nbrdf:NBRDF")
     registry.networks["brdf", "featured"] = Entry("metapp.apps.brdf.featured:FEATURED")
     registry.networks["brdf", "anisotropic"] = Entry("metapp.apps.brdf.featured:ANISOTROPIC")
+    registry.networks["brdf", "few"] = Entry("metapp.apps.brdf.few.network:NETWORK")
     registry.exports["brdf", "merl"] = Export("data_tools.readers.merl:export")
     weights = ("w1", "w2", "w3", "b1", "b2", "b3")
     registry.exports["brdf", "nbrdf"] = Export("data_tools.readers.nbrdf:export", holds=weights)
 
     for name, part in PARTS.items():
         registry.parts[name] = Entry(f"metapp.learning.rules.{part}")
+    registry.parts["newton"] = Entry(f"{PHOTOS}.several.newton:Newton")
     # names for compositions
     registry.compositions["adam"] = "rates+betas"
     registry.compositions["tied"] = "shared+pace"
@@ -152,6 +186,8 @@ def register(registry: Registry) -> None:
     registry.rules["meta-basis"] = "meta-axes+average"
     # ridge regression in the last layer, on learned features
     registry.rules["ridge"] = "solve+loss"
+    # Gauss-Newton steps of the maps of several photographs and of their flashes
+    registry.rules["gauss-newton"] = "newton+loss"
 
     for name, (table, heading) in TABLES.items():
         registry.tables[name] = Entry(f"metapp.evaluation.tables.{table}", heading)
@@ -162,6 +198,7 @@ def register(registry: Registry) -> None:
     )
     for paradigm in PARADIGMS:
         registry.commands[paradigm] = Entry(f"metapp.cli.fit:COMMANDS.{paradigm}")
+    registry.commands["plan"] = Entry("metapp.cli.plan:plan")
     registry.commands["evaluate"] = Entry("metapp.cli.evaluate:command")
     registry.commands["export"] = Entry("metapp.cli.export:command")
     registry.commands["data"] = Entry("metapp.cli.commands:data")

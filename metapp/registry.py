@@ -114,14 +114,12 @@ class RecipeEntry(Entry[Any]):
         mixed: the recipe for all inputs of folders in which it suits some and not all; "" if these are refused.
         paradigms: those that take it so; () for all.
         lacks: a function `lacks() -> str`, a line that names a file it needs and does not find; "" for none.
-        checkpoints: the package whose folder <name> holds its checkpoints; "" for those that ship.
     """
 
     suits: Mapping[str, Wanted] = field(default_factory=dict)
     mixed: str = ""
     paradigms: tuple[str, ...] = ()
     lacks: str = ""
-    checkpoints: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -284,11 +284,12 @@ def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Ten
 
 @pytest.fixture
 def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Gives the recipes "quick" and "full" of all protocols other setups and a few steps; without a compiler."""
+    """Gives the recipes "quick" and "full" of all protocols other networks and a few steps; without a compiler."""
 
-    def shorten(recipes: dict[str, dict[str, Recipe]], quick: Any, full: Any) -> None:
+    def shorten(recipes: dict[str, dict[str, Recipe]], quick: Any, full: Any, **fields: Any) -> None:
         for of_protocol in recipes.values():
-            for name, app in (("quick", quick), ("full", full)):
+            for name, network in (("quick", quick), ("full", full)):
+                app = type(of_protocol[name].app)(network, **fields)
                 monkeypatch.setitem(of_protocol, name, replace(_short(of_protocol[name]), app=app))
         monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
 

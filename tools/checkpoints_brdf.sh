@@ -34,7 +34,7 @@ done
   --checkpoint "$(ls -td "$runs"/brdf/checkpoints/three-*-quick-seed0 | head -1)/ridge.safetensors"
 ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "metapp/checkpoints/brdf/$2"; }
 ship "kinds-*-quick-seed0" ""
-# anisotropic materials have a recipe of their own; the file of `few` stays as it is (metapp/extensions/few/checkpoints)
+# anisotropic materials have a recipe of their own; the file of `few` stays as it is (metapp/checkpoints/brdf/few)
 "$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic" --overwrite
 "$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train
 ship "anisotropic-*-anisotropic-seed0" anisotropic

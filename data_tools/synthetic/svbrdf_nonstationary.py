@@ -9,7 +9,6 @@ flash is not quite beside the lens.
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -35,7 +34,7 @@ from data_tools.synthetic.nonstationary.worn import (
 from data_tools.synthetic.stationary.families import Split, turns
 from data_tools.synthetic.svbrdf_stationary import FLAT
 from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera, camera_distance
-from metapp.learning.draws import normal, uniform
+from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.learning.task import Task
 
 VERSION = 2
@@ -74,11 +73,6 @@ FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
 
 SIZE = 128
 PHOTOS = 1
-ASIDE_HALF_SIDES = 0.6  # at most, of all photographs but the first
-NEAREST_TIMES, FARTHEST_TIMES = 0.8, 2.2  # of the distance at which a camera of 45 degrees sees the patch
-# Standard deviation of each coordinate of a measured place, as a share of its height: 1 degree, as of a camera's pose
-# from a sheet of markers.
-PLACE_ERROR = 0.02
 EVEN = {f"even_{name}": functools.partial(piece, names=(name,)) for name in FLAT}  # in sets of larger maps, too
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
 
@@ -102,7 +96,8 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, p
     Returns:
         Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as `svbrdf_task` makes them:
         `maps` float16 [10, size, size] and `photo` uint8 [3, size, size]; of several photos `others` uint8
-        [photos - 1, 3, size, size] and `places` [photos, 2, 3], too, off by PLACE_ERROR.
+        [photos - 1, 3, size, size] and `places` [photos, 2, 3], too, off as measured ones are
+        (`metapp.apps.svbrdf_nonstationary.places`).
 
     Raises:
         ValueError: for another split, or a negative count or seed.
@@ -125,21 +120,6 @@ def _further(maps: Tensor, first: Tensor, photos: int, rng: Rng) -> dict[str, Te
         for eye, gain in zip(cameras[1:], brighter[1:], strict=True)
     ]
     return {"others": torch.stack(others), "places": torch.stack([cameras, lights], 1) + off[:, None]}
-
-
-def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Places [materials, photos, 3] in half sides of the patch, and by how much measured ones are off, of that shape.
-
-    The first is straight above the patch, at `camera_distance`.
-    """
-    angle = 2 * math.pi * uniform(rng, materials, photos, 1)
-    aside = ASIDE_HALF_SIDES * uniform(rng, materials, photos, 1).sqrt()
-    share = uniform(rng, materials, photos, 1)
-    height = camera_distance() * NEAREST_TIMES * (FARTHEST_TIMES / NEAREST_TIMES) ** share
-    places = torch.cat([aside * angle.cos(), aside * angle.sin(), height], -1)
-    places[:, 0] = places.new_tensor([0.0, 0.0, camera_distance()])
-    off = PLACE_ERROR * places[..., 2:] * normal(rng, materials, photos, 3)
-    return places, off
 
 
 def held(rng: Rng) -> tuple[Tensor, float]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
-from metapp.registry import Entry, Export, Format, RecipeEntry, Registry
+from metapp.registry import Entry, Export, Format, Registry
 
 _MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
 _HERE = "metapp.extensions"
@@ -68,27 +66,6 @@ def examples(registry: Registry) -> None:
         registry.examples[app] = Entry(f"{_HERE}.examples.lines:{app.upper()}")
 
 
-def few(registry: Registry) -> None:
-    """BRDFs of few samples: goniometer tables, the recipe that fits them, and plans of measurements."""
-    here = f"{_HERE}.few"
-    registry.formats["gonio"] = Format(
-        f"{here}.gonio",
-        app="brdf",
-        inputs="goniometer .csv files",
-    )
-    registry.networks["brdf", "few"] = Entry(f"{here}.network:NETWORK")
-    registry.recipes["brdf", "", "few"] = RecipeEntry(
-        f"{here}.app:FEW",
-        help="200 samples or fewer",
-        suits={"samples": (1, 200)},  # up to which it has lower errors than the usual one
-        mixed="full",
-        paradigms=("meta",),
-        checkpoints=f"{here}.checkpoints",
-    )
-    registry.commands["data gonio"] = Entry(f"{here}.options:Gonio")
-    registry.commands["plan"] = Entry(f"{here}.commands:plan")
-
-
 def guided(registry: Registry) -> None:
     """Path guiding while rendering: an integrator of Mitsuba 3, and `--render` of transport."""
     registry.plugins["metapp_guided_path"] = Entry(
@@ -148,21 +125,6 @@ def onnx_files(registry: Registry) -> None:
         )
 
 
-def pretrained(registry: Registry) -> None:
-    """General of flash photos over frozen features of VGG-16, and real materials to train it on."""
-    here = f"{_HERE}.pretrained"
-    registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = RecipeEntry(
-        f"{here}.app:PRETRAINED",
-        help="one flash photo",
-        suits={"photos": 1},
-        paradigms=("general", "quickft", "meta"),
-        lacks=f"{here}.encoder:lacks",
-        checkpoints=f"{here}.checkpoints",
-    )
-    registry.formats["materials"] = Format(f"{here}.materials", app="svbrdf_nonstationary", data_sets=True)
-    registry.commands["data materials"] = Entry(f"{here}.options:Materials")
-
-
 def rgl(registry: Registry) -> None:
     """BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
     here = f"{_HERE}.rgl"
@@ -185,24 +147,6 @@ def scene_files(registry: Registry) -> None:
     )
     registry.objects["transport"] = Entry(f"{here}.reading:task_of_object")
     registry.hooks["scene"] = Entry(f"{here}.reading:stored")
-
-
-def several(registry: Registry) -> None:
-    """Several flash photos of one flat material, with the places of camera and flash."""
-    here = f"{_HERE}.several"
-    registry.formats["placed"] = Format(
-        f"{here}.photos",
-        app="svbrdf_nonstationary",
-        inputs="folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
-    )
-    registry.recipes["svbrdf_nonstationary", "photo", "several"] = RecipeEntry(
-        f"{here}.recipe:SEVERAL",
-        help="several photos",
-        suits={"photos": (2, math.inf)},
-        checkpoints=f"{here}.checkpoints",
-    )
-    registry.parts["newton"] = Entry(f"{here}.newton:Newton")
-    registry.rules["gauss-newton"] = "newton+loss"
 
 
 def shaders(registry: Registry) -> None:

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe, as_published
 
 
-def by_protocol(quick: Recipe, photo: Recipe, *, full: App, paper: App) -> dict[str, dict[str, Recipe]]:
-    """The recipes of an application whose fits see the thing itself, "reference", or one photograph of it, "photo".
+def by_protocol(
+    quick: Recipe, photo: Recipe, *, full: Mapping[str, App], paper: Mapping[str, App]
+) -> dict[str, dict[str, Recipe]]:
+    """Return the recipes of an application whose fits see the thing itself or one photograph of it, by protocol.
 
     Args:
         quick: of fits that see the thing itself.
         photo: of fits of photographs, of the same size.
-        full, paper: the application at the size that people use and at the paper's.
+        full, paper: the application at the size that people use and at the paper's, by "reference" and "photo".
     """
-    published = as_published(quick, paper)
-    of_photos = replace(published, overfit=photo.overfit, finetune=photo.finetune, quickft=photo.quickft)
+    published = as_published(quick, paper["reference"])
+    of_photos = replace(
+        published, app=paper["photo"], overfit=photo.overfit, finetune=photo.finetune, quickft=photo.quickft
+    )
     return {
-        "reference": {"paper": published, "quick": quick, "full": replace(quick, app=full)},
-        "photo": {"paper": of_photos, "quick": photo, "full": replace(photo, app=full)},
+        "reference": {"paper": published, "quick": quick, "full": replace(quick, app=full["reference"])},
+        "photo": {"paper": of_photos, "quick": photo, "full": replace(photo, app=full["photo"])},
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 from metapp.apps import is_first_protocol, recipes_of
@@ -15,12 +15,13 @@ from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import TUNED
 from metapp.paradigms.paradigm import Preparation
 from metapp.runs.inputs.sources import data_folder, data_label
-from metapp.runs.recipes import QUICK, shipped_path, ships
+from metapp.runs.recipes import ships
 from metapp.runs.reporter import say
 from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
 from metapp.storage.checkpoints import digest, load_checkpoint, tensor_digest
 from metapp.storage.folders import Kind, kind_of, refusal
+from metapp.storage.shipped import QUICK, shipped_path
 
 
 def with_checkpoint(run: Run) -> Run:
@@ -69,9 +70,14 @@ def checkpoint_name(app: App, preparation: Preparation) -> str:
     name = preparation.name
     if is_first_protocol(app):
         return name
-    plain = replace(app, protocol="")
-    shared = preparation.shared_by_protocols and any(plain == recipe.app for recipe in recipes_of(app.name).values())
+    others = (recipe.app for recipe in recipes_of(app.name).values())
+    shared = preparation.shared_by_protocols and any(_sizes(app) == _sizes(other) for other in others)
     return name if shared else f"{name}-{app.protocol}"
+
+
+def _sizes(app: App) -> tuple[object, ...]:
+    """Return the kind of an application's network and all its fields but the protocol."""
+    return type(app.network), *(getattr(app, field.name) for field in fields(app) if field.name != "protocol")
 
 
 def has_shipped(run: Run, preparation: Preparation) -> bool:
@@ -156,11 +162,11 @@ def _checkpoint_path(run: Run, needed: Preparation) -> Path:
 
 
 def _ships(run: Run) -> bool:
-    return ships(run.app.name, run.options.recipe, run.options.observe)
+    return ships(run.app.name, run.options.recipe)
 
 
 def _shipped(run: Run, preparation: Preparation) -> Path:
-    return shipped_path(run.app.name, checkpoint_name(run.app, preparation), run.options.recipe, run.options.observe)
+    return shipped_path(run.app.name, checkpoint_name(run.app, preparation), run.options.recipe)
 
 
 def on_own_grid(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:

@@ -10,7 +10,8 @@ from metapp.names import protocols_of, recipe_entries
 from metapp.options import BadOption
 from metapp.registry import RecipeEntry, Wanted, load
 from metapp.runs.options import FitOptions
-from metapp.runs.recipes import FULL, ships, usual_recipe
+from metapp.runs.recipes import ships, usual_recipe
+from metapp.storage.shipped import FULL
 
 
 class Choice(NamedTuple):
@@ -101,7 +102,7 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
 def _is_offered(options: FitOptions, name: str, entry: RecipeEntry, protocol: str) -> bool:
     """Test whether a recipe can be chosen for a paradigm: it suits some facts, and its checkpoints ship."""
     is_for = not entry.paradigms or options.paradigm in entry.paradigms
-    return bool(entry.suits) and is_for and ships(options.app, name, protocol)
+    return bool(entry.suits) and is_for and ships(options.app, name)
 
 
 def _noun(options: FitOptions) -> str:

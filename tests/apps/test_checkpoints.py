@@ -13,8 +13,9 @@ from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.recipes import FULL, QUICK, shipped_path, ships
+from metapp.runs.recipes import ships
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest
+from metapp.storage.shipped import FULL, QUICK, shipped_path
 from tests.quick import app_by
 
 PACKAGE = shipped_path("brdf", "general").parent.parent

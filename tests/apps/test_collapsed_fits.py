@@ -6,7 +6,7 @@ import torch
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.flash import Maps
 from metapp.apps import presenter_of
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from tests.quick import app_by
@@ -40,6 +40,6 @@ def test_black_maps_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     plane = torch.ones(1, 1, 8, 8)
     for albedo, said in (0.0, True), (0.01, False), (0.5, False):
         maps = Maps(albedo * plane.expand(1, 3, 8, 8), 0 * plane, plane, plane.expand(1, 3, 8, 8))
-        monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda self, theta, photo, maps=maps: maps)
+        monkeypatch.setattr(CodedMaps, "maps_of", lambda self, theta, photo, maps=maps: maps)
         (clauses,) = presenter_of(app).quality_warnings(theta, tasks)
         assert any(clause.startswith("the fit is black") for clause in clauses) is said

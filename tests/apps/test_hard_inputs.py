@@ -26,8 +26,8 @@ from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.recipes import shipped_path
 from metapp.storage.checkpoints import load_checkpoint
+from metapp.storage.shipped import shipped_path
 from tests.marked import long
 from tests.quick import app_by
 

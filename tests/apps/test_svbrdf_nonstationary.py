@@ -12,8 +12,16 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack, positions, unpack
 from metapp.apps import presenter_of
-from metapp.apps.svbrdf_nonstationary import app as svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary.app import HIDDEN, STEEP, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import JUDGED_LIGHTS, SvbrdfNonstationary, fixed_pairs
+from metapp.apps.svbrdf_nonstationary.coded_maps import (
+    BLOTS_WEIGHT,
+    RIG_LIGHTS,
+    STEEPNESS_WEIGHT,
+    CodedMaps,
+    FromMaps,
+    FromPhoto,
+    field_of,
+)
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
@@ -35,8 +43,8 @@ from metapp.learning.app import stack
 from metapp.learning.task import Params, Tasks
 
 SIDE = 16
-REFERENCE = SvbrdfNonstationary(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2, protocol="reference")
-PHOTO = replace(REFERENCE, protocol="photo")
+REFERENCE = FromMaps(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2)
+PHOTO = FromPhoto(REFERENCE.network, encoder_width=2)
 
 
 def material(seed: int, size: int = 32) -> Tensor:
@@ -61,7 +69,7 @@ def tasks(app: SvbrdfNonstationary) -> Tasks:
 def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
     """Parameters whose field gives the tasks' maps."""
     truth = unpack(tasks.data["maps"])
-    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: truth)
+    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: truth)
     return REFERENCE.init(Generator().manual_seed(0), 4)
 
 
@@ -131,11 +139,11 @@ def test_oblique_pairs_are_evenly_spread_above_the_patch(rng: Generator) -> None
 
 
 def test_what_fits_see_is_not_what_they_are_judged_by(app: SvbrdfNonstationary) -> None:
-    rig, judged = (svbrdf_nonstationary._pairs(counts) for counts in (svbrdf_nonstationary.RIG, (6, 6)))
+    rig, judged = (fixed_pairs(counts) for counts in (RIG_LIGHTS, JUDGED_LIGHTS))
     assert rig.shape == (5, 2, 3)
     assert judged.shape == (12, 2, 3)
     assert (rig[:, None] - judged).abs().flatten(2).amax(2).min() > 0.05
-    assert torch.equal(judged, svbrdf_nonstationary._pairs((6, 6)))
+    assert torch.equal(judged, fixed_pairs((6, 6)))
 
 
 def test_a_flash_described_by_zeros_is_the_camera_s() -> None:
@@ -225,7 +233,7 @@ def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, m
     angle = math.radians(10)
     tilted = unpack(flat)._replace(normal=torch.tensor([math.sin(angle), 0.0, math.cos(angle)])[:, None, None])
     tilted = tilted._replace(normal=tilted.normal.expand(4, -1, SIDE, SIDE))
-    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: tilted)
+    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: tilted)
     judged = replace(tasks, data=tasks.data | {"maps": flat})
     torch.testing.assert_close(app.errors({}, judged)["normal"], torch.full((4,), 10.0), rtol=1e-3, atol=0)
 
@@ -247,13 +255,13 @@ def test_maps_are_filled_where_photos_clip_losses_are_not(
     clipped[0, :, 4:10, 4:10] = 1
     wrong = unpack(tasks.data["maps"].clone())
     wrong.diffuse[0, :, 4:10, 4:10] = 0
-    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: wrong)
+    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: wrong)
     filled = people.final_maps(exact, clipped)
     assert filled.diffuse[0, :, 4:10, 4:10].min() > 0.1
     for part, before in zip(filled, wrong, strict=True):
         assert torch.equal(part[1:], before[1:])
     assert PHOTO.final_maps(exact, clipped) is wrong
-    assert replace(people, protocol="reference").final_maps(exact, clipped) is wrong
+    assert replace(REFERENCE, encoder_size=SIDE).final_maps(exact, clipped) is wrong
     stacked = replace(tasks, data=tasks.data | {"photo": clipped})
     (clause,), *others = presenter_of(people).quality_warnings(exact, stacked)
     assert clause == (
@@ -305,13 +313,13 @@ def test_outer_losses_count_flat_normals_and_blots(
     batch = app.sample(tasks, rng, 1)
     batch["photo"] = batch["photo"].clamp_max(0.9).clone()
     batch["photo"][..., :4] = 1
-    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: unpack(half))
+    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: unpack(half))
     whole = app.outer_loss(exact, batch, {})
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.app.STEEP", 0.0)
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.coded_maps.STEEPNESS_WEIGHT", 0.0)
     without_steep = app.outer_loss(exact, batch, {})
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.app.HIDDEN", 0.0)
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.coded_maps.BLOTS_WEIGHT", 0.0)
     neither = app.outer_loss(exact, batch, {})
-    assert (whole - without_steep).min() > 0.5 * STEEP  # the log of some three to ten times
+    assert (whole - without_steep).min() > 0.5 * STEEPNESS_WEIGHT  # the log of some three to ten times
     shades = [(maps[:, 3:6] + 1e-3) ** (1 / 2.2) for maps in (half, batch["maps"])]
     apart = (shades[0] - shades[1]).abs()[..., :4].mean((1, 2, 3))
-    torch.testing.assert_close(without_steep - neither, HIDDEN * apart)
+    torch.testing.assert_close(without_steep - neither, BLOTS_WEIGHT * apart)

@@ -21,9 +21,8 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.cli.console import Terminal
 from metapp.cli.evaluate import Evaluation, subjects_of
@@ -107,10 +106,9 @@ def app(request: pytest.FixtureRequest) -> str:
 def small(scene: Path, short_by_protocol: Callable) -> None:
     """Other sizes and a few steps."""
     local = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
-    setups = [Illumination(field) for field in (local, local._replace(height=16, width=32))]
-    short_by_protocol(RECIPES["illumination"], *setups)
+    short_by_protocol(RECIPES["illumination"], local, local._replace(height=16, width=32))
     fields = (field_of(side, hidden=8)._replace(code=3) for side in (16, 24))
-    short_by_protocol(RECIPES[SVBRDF], *(SvbrdfNonstationary(field, encoder_width=2) for field in fields))
+    short_by_protocol(RECIPES[SVBRDF], *fields, encoder_width=2)
 
 
 @pytest.fixture
@@ -316,9 +314,7 @@ STEPS = ("--train", "--train-steps", "2", "--quiet")
 def on_data(metapp: Callable, short_by_protocol: Callable) -> Callable:
     """A command on ten small materials, eight of them for training, with small networks and a few steps."""
     field = field_of(16, hidden=8)._replace(code=3)
-    short_by_protocol(
-        MATERIALS, SvbrdfNonstationary(field, encoder_width=2), SvbrdfNonstationary(field, encoder_width=2)
-    )
+    short_by_protocol(MATERIALS, field, field, encoder_width=2)
     assert metapp("data", "synth", SVBRDF, "--count", "10", "--size", "32", "--out", "set", "--quiet").code == 0
     return lambda command, *more: metapp(command, SVBRDF, *more, "--recipe", "quick", "--data", "set")
 

@@ -230,7 +230,7 @@ def shards() -> list[Files]:
 
 
 def checkpoints() -> list[Files]:
-    from metapp.runs.checkpoints import shipped_path
+    from metapp.storage.shipped import shipped_path
 
     names = ("meta-sgd", "meta-curvature")
     return [{f"{name}.safetensors": shipped_path("brdf", name).read_bytes()} for name in names]

@@ -20,7 +20,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.illumination.app import Illumination
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, field_of
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
@@ -109,9 +109,7 @@ def path_tasks() -> list[Task]:
 SMALL: dict[str, Small] = {
     "brdf": Small(brdf_tasks, Brdf(NBRDF)),
     "illumination": Small(map_tasks, Illumination(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))),
-    "svbrdf_nonstationary": Small(
-        material_tasks, SvbrdfNonstationary(field_of(16, hidden=8)._replace(code=3), encoder_width=2)
-    ),
+    "svbrdf_nonstationary": Small(material_tasks, FromMaps(field_of(16, hidden=8)._replace(code=3), encoder_width=2)),
     "svbrdf_stationary": Small(
         picture_tasks, SvbrdfStationary(UNet(4, levels=2, noise=2, code=4, outputs=6), 16, 16, ("relu1_1",))
     ),

@@ -22,9 +22,10 @@ from metapp.registry import registry
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.inputs.sources import sources_to_fit
 from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.recipes import shipped_path, ships
+from metapp.runs.recipes import ships
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint, save_checkpoint
+from metapp.storage.shipped import shipped_path
 
 
 @pytest.mark.parametrize("name", app_names())

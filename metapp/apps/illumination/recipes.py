@@ -55,12 +55,14 @@ PHOTO = replace(
     meta={"meta-encoder": FROM_PHOTOS},
     rule="meta-encoder",
 )
+PROTOCOLS = ("reference", "photo")
 RECIPES = by_protocol(
     QUICK,
     PHOTO,
     # at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
-    full=Illumination(LocalField(128, 256, rows=32, columns=64)),
-    paper=Illumination(LocalField(64, 128, hidden=64)),  # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
+    full=dict.fromkeys(PROTOCOLS, Illumination(LocalField(128, 256, rows=32, columns=64))),
+    # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
+    paper=dict.fromkeys(PROTOCOLS, Illumination(LocalField(64, 128, hidden=64))),
 )
 # at 1e-3, as of the other applications, losses are not finite after 439 steps
 RECIPES["reference"]["paper-long"] = decayed(RECIPES["reference"]["paper"], 3e-4)

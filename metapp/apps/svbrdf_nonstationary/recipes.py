@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.networks.recipes import by_protocol
 
@@ -33,7 +33,7 @@ QUICK = Recipe(
     general=OuterLoop(steps=24_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
-    app=SvbrdfNonstationary(field_of(64, 32)),
+    app=FromMaps(field_of(64, 32)),
 )
 # a photograph says little that General has not read from it: small steps, and hardly any training through them
 GENTLE = replace(
@@ -41,6 +41,7 @@ GENTLE = replace(
 )
 PHOTO = replace(
     QUICK,
+    app=FromPhoto(field_of(64, 32)),
     finetune=Adam(1e-4, final=0.0),
     quickft=GENTLE.first,
     meta={"meta-encoder": GENTLE},
@@ -50,21 +51,23 @@ FINER = (16, 12)  # channels of the encoder's levels of 128 and 256 texels
 RECIPES = by_protocol(
     QUICK,
     PHOTO,
-    # where fits see the material: the code that is read at 64 texels, and what rules learned there, on a finer grid
-    full=SvbrdfNonstationary(field_of(128, 32), encoder_size=64),
+    full={
+        # the code that is read at 64 texels, and what rules learned there, on a finer grid
+        "reference": FromMaps(field_of(128, 32), encoder_size=64),
+        # photographs at the size that people use, by an encoder with levels for it
+        "photo": FromPhoto(field_of(256, 32), encoder_finer=FINER),
+    },
     # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
-    paper=SvbrdfNonstationary(field_of(256, 64), encoder_width=64),
+    paper={kind.protocol: kind(field_of(256, 64), encoder_width=64) for kind in (FromMaps, FromPhoto)},
 )
 # at a side, in texels, whose outer steps take seconds on CPUs
 RECIPES["reference"]["paper-64"] = replace(
-    RECIPES["reference"]["paper"], app=SvbrdfNonstationary(field_of(64, 64), encoder_width=64)
+    RECIPES["reference"]["paper"], app=FromMaps(field_of(64, 64), encoder_width=64)
 )
-# Photographs at the size that people use, by an encoder with levels for it. 20 outer steps through the steps of fits
-# raised validation errors, so that the rule is a searched Adam.
+# 20 outer steps through the steps of fits raised validation errors, so that the rule is a searched Adam
 SEARCHED = Adam(6e-4, beta1=0.8, beta2=0.8, eps=1e-3)
 RECIPES["photo"]["full"] = replace(
-    PHOTO,
-    app=SvbrdfNonstationary(field_of(256, 32), encoder_finer=FINER),
+    RECIPES["photo"]["full"],
     quickft=SEARCHED,
     general=OuterLoop(steps=12_000, tasks=4, rates={"": 5e-4}, warmup=50, final=0.0, validate_every=1000),
     meta={"meta-encoder": replace(GENTLE, steps=0, tasks=0, rates={"": 0.0}, first=SEARCHED, tuned=True)},

@@ -46,8 +46,8 @@ def examine() -> Document:
 
     from metapp.names import app_names
     from metapp.runs.inputs.embedded import embedded_exists
-    from metapp.runs.recipes import shipped_names
     from metapp.storage.cache import cache_folder
+    from metapp.storage.shipped import shipped_names
 
     shipped = {key: names for app in app_names() for key, names in shipped_names(app).items()}
     return {

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
 from metapp.extensions.onnx_files.models import OPSET, require
 from metapp.extensions.onnx_files.page import SIDES, VERSION, runtime, write_folder
 from metapp.extensions.onnx_files.photographs import FEATURES, SIDE_STEP_PX, photographs_model
-from metapp.networks.field import LocalField
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.options import FitOptions, check_new_files, fit_options
-from metapp.runs.recipes import FULL
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint
 from metapp.storage.files import write_bytes
+from metapp.storage.shipped import FULL
 
 APP, PAGE = "svbrdf_nonstationary", "onnx-page"
 
@@ -44,8 +43,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
             parts = runtime(lambda done, total: bar.at(done // 10**6, total and total // 10**6, "MB from npm"))
     found = with_checkpoint(Run.of(options))
     app, checkpoint = found.app, found.checkpoint
-    assert isinstance(app, SvbrdfNonstationary)
-    if not isinstance(app.network, LocalField):
+    if not isinstance(app, CodedMaps):
         raise ValueError(f"{path}: General of several photos, expected one of one photo; export maps of its fits.")
     assert checkpoint is not None
     about = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}

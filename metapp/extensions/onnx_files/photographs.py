@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
 from metapp.apps.svbrdf_nonstationary.maps import inputs_of
 from metapp.extensions.onnx_files.models import model_of
 from metapp.learning.task import Params
@@ -26,7 +26,7 @@ FEATURES = "VGG-16 of Simonyan and Zisserman 2014, weights of the Visual Geometr
 class Material(torch.nn.Module):
     """The maps that General reads from a photograph."""
 
-    def __init__(self, app: SvbrdfNonstationary, encoder: Params) -> None:
+    def __init__(self, app: CodedMaps, encoder: Params) -> None:
         super().__init__()
         self.app = app
         self.names = {name.replace(".", "-"): name for name in encoder}
@@ -52,7 +52,7 @@ class Material(torch.nn.Module):
                 return False
 
 
-def photographs_model(app: SvbrdfNonstationary, encoder: Params, about: dict[str, str]) -> tuple[bytes, bool]:
+def photographs_model(app: CodedMaps, encoder: Params, about: dict[str, str]) -> tuple[bytes, bool]:
     """The model, the content of its file.
 
     Returns:

@@ -18,12 +18,12 @@ from metapp.registry import registry
 from metapp.runs.checkpoints import with_checkpoint
 from metapp.runs.inputs.sources import content_of
 from metapp.runs.options import fit_options
-from metapp.runs.recipes import QUICK
 from metapp.runs.reporter import number, say
 from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.checkpoints import tensor_digest
 from metapp.storage.images import write_exr, write_png
+from metapp.storage.shipped import QUICK
 
 SCENES = (".usda", ".mtlx", ".xml", ".html")  # suffixes of the one file of a folder that names the others
 WRITERS = 2  # pictures compressed at a time

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from data_tools.readers.listing import files_below
+from data_tools.readers.placed_photos import read_places
 from metapp.extensions.capture.markers.command import ONE_PLACE_SIDES, line_about_views
-from metapp.extensions.several.photos import read_places
 from metapp.storage.folders import Kind, kind_of
 from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write

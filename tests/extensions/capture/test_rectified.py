@@ -11,13 +11,13 @@ import pytest
 
 from tests.extensions.capture.marker_photos import Camera, cv2, patch, photograph, take, tilted  # isort: skip
 
+from data_tools.readers import placed_photos
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import field_of_view
+from data_tools.readers.placed_photos import read_places
 from metapp.extensions.capture.markers.rectified import find_cameras, rectified, write_set
 from metapp.extensions.capture.markers.sighting import Camera as Found
 from metapp.extensions.capture.markers.sighting import camera_of, common_focal, find_sheet
-from metapp.extensions.several import photos as placed_photos
-from metapp.extensions.several.photos import read_places
 from tests.pictures import STORED, noise, write
 
 LOOK = {"vignette": 0.3, "noise": 0.01}

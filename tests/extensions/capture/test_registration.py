@@ -10,11 +10,11 @@ import pytest
 from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted  # isort: skip
 
 from data_tools.readers.photos import field_of_view
+from data_tools.readers.placed_photos import read_task
 from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
 from metapp.extensions.capture.markers.rectified import find_cameras, show_views
 from metapp.extensions.capture.markers.registration import register, through
 from metapp.extensions.capture.markers.sighting import Sighting, camera_of, common_focal
-from metapp.extensions.several.photos import read_task
 from tests.pictures import write
 
 VIEW = {"focal_mm": 26, "height": 320, "width": 360}

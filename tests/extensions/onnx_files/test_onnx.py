@@ -17,7 +17,7 @@ from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import BrdfNetwork
 from metapp.extensions.onnx_files import brdf, models, photographs
 from metapp.learning.task import Params
-from metapp.runs.recipes import shipped_path
+from metapp.storage.shipped import shipped_path
 from tests.marked import long
 
 pytest.importorskip("onnxscript")
@@ -94,7 +94,7 @@ def _maps(photo: Tensor) -> tuple[Tensor, ...]:
 
 
 def test_what_cannot_be_written_is_one_line(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    general = shipped_path("svbrdf_nonstationary", "general-photo", "pretrained", "photo")
+    general = shipped_path("svbrdf_nonstationary", "general-photo", "pretrained")
     assert "expected a run, a checkpoint of General of photos, or svbrdf_n" in metapp("export", "texture", "onnx").error
     assert "General of several photos" in metapp("export", "svbrdf_nonstationary/several", "onnx").error
     assert "--recipe 'none'" in metapp("export", "svbrdf_nonstationary/none", "onnx").misuse

@@ -16,7 +16,7 @@ from metapp.appearance.geometry import above_horizon, directions_to_four_angles,
 from metapp.apps import presenter_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
-from metapp.extensions.few.network import Few
+from metapp.apps.brdf.few.network import Few
 from metapp.extensions.viewer.page import array
 from metapp.extensions.viewer.pages.anisotropic_residual import CELLS as AZIMUTHAL
 from metapp.extensions.viewer.pages.brdf import CELLS

@@ -16,8 +16,8 @@ from metapp.appearance.surface import Surface
 from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import linear
+from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.extensions.several.app import SeveralPhotos, Texels
 from metapp.extensions.viewer.pages.flat import Lit, surface_view
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
@@ -46,7 +46,7 @@ def stationary() -> tuple[SvbrdfStationary, Params, Task]:
 @functools.cache
 def nonstationary() -> tuple[SvbrdfNonstationary, Params, Task]:
     """Random maps of several photographs, which the fit places elsewhere than they say."""
-    app = SeveralPhotos(Texels(SIDE, SIDE), protocol="photo")
+    app = SeveralPhotos(Texels(SIDE, SIDE))
     theta = {
         "maps": 0.2 * torch.randn(9, SIDE, SIDE, generator=seeded()),
         "flash": torch.randn(4, PHOTOS, generator=seeded(1)),

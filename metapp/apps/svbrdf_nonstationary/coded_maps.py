@@ -1,0 +1,238 @@
+"""Fits whose maps a small network makes of the photograph and of a code in each place.
+
+`FromMaps` sees the material itself, `FromPhoto` one photograph of it alone; both are fits of one network, and General's
+encoder reads one photograph for both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d, relu
+from typing_extensions import override
+
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.flash import Maps, tilt, unpack
+from metapp.appearance.highlight import FILL_PX, fill_clipped
+from metapp.apps.svbrdf_nonstationary.app import (
+    FINEST_PX,
+    LEVEL_SINE,
+    RADIANCE_FLOOR,
+    SvbrdfNonstationary,
+    blots,
+    fixed_pairs,
+)
+from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.maps import (
+    CLIPPED_VALUE,
+    INPUTS,
+    RAW,
+    Flash,
+    decoded,
+    differences,
+    flash_of,
+    inputs_of,
+    photographed,
+    pooled,
+)
+from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
+from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.networks.coded import CodedApp, norm
+from metapp.networks.field import LocalField, field_by_rows
+
+MAPS_WEIGHT, PHOTO_WEIGHT = 0.3, 0.3  # of the outer loss, beside 1 for pictures under other lights
+STEEPNESS_WEIGHT = 0.2  # of the outer loss, of how steep normals are, which a photo hardly shows
+BLOTS_WEIGHT = 0.3  # of the outer loss, of diffuse colours where the photo clips
+STEEPNESS_CELLS = 8  # cells a side, in each of which normals are as steep on average as they should be
+RIG_LIGHTS = (2, 3)  # lights that fits of the maps see the material under: anywhere above the patch, mirrored in it
+SMOOTHING = 0.03  # initial learned rounding of |d| in losses
+
+
+def field_of(side: int, hidden: int) -> LocalField:
+    """Return the network of maps of side x side texels, with so many hidden units."""
+    return LocalField(
+        side,
+        side,
+        inputs=INPUTS,
+        outputs=sum(RAW),
+        rows=side,  # a cell for each texel, so that a step moves each by itself
+        columns=side,
+        code=12,
+        hidden=hidden,
+        layers=2,
+        frequency=2.0,
+        periodic=False,
+        gain=60.0,
+    )
+
+
+@dataclass(frozen=True)
+class CodedMaps(SvbrdfNonstationary, CodedApp):
+    """Maps that a field makes of the photograph and of the code at each place.
+
+    Attributes:
+        encoder_width: channels of the encoder's level of 64 texels.
+        encoder_size: side of the photograph that the encoder reads, 0 for the network's.
+        encoder_finer: channels of the encoder's levels above that.
+    """
+
+    encoder_width: int = 16
+    encoder_size: int = 0
+    encoder_finer: tuple[int, ...] = ()
+
+    @property
+    def encoder(self) -> Encoder:
+        """The reader of photographs."""
+        return Encoder(self.encoder_width, self.network.code, self.encoder_finer)
+
+    @property
+    @override
+    def read_size(self) -> int:
+        return FINEST_PX if self.encoder_size or self.encoder_finer else 0
+
+    @override
+    def maps_of(self, theta: Params, photo: Tensor) -> Maps:
+        height, width = photo.shape[-2:]
+        return self.maps_from(self.network._replace(height=height, width=width)(theta, inputs_of(photo)))
+
+    @override
+    def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
+        """Make the maps by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB."""
+        field = self.network._replace(height=photo.shape[-2], width=photo.shape[-1])
+        parts = [self.maps_from(rows) for rows in field_by_rows(field, theta, inputs_of(photo))]
+        return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
+
+    def maps_from(self, raw: Tensor) -> Maps:
+        """Return the maps [T, C, h, w] of outputs of fields [T, sum(RAW), h, w]."""
+        return decoded(raw)
+
+    @override
+    def flashes(self, theta: Params, task: Task) -> list[Flash]:
+        flash = flash_of(self.network.gain * theta["flash"][None])
+        return [Flash(flash.place[0], flash.gain[0], flash.eye)]
+
+    @override
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Return the difference of the maps and of their radiance under any light, whatever fits see, [T].
+
+        How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
+        """
+        maps, target = self.maps_of(theta, batch["photo"]), unpack(batch["maps"])
+        logs, references = (self.log_radiance(each, batch["pairs"]) for each in (maps, target))
+        pictures = (logs - references).abs().mean((1, 2, 3, 4))
+        photo = self.photo_difference(theta, maps, batch, {})
+        steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
+        apart = differences(maps, target)
+        wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
+        loss = pictures + MAPS_WEIGHT * wanted + PHOTO_WEIGHT * photo + STEEPNESS_WEIGHT * steep
+        return loss + BLOTS_WEIGHT * blots(apart[0], batch["photo"])
+
+    def photo_difference(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
+        """Return the mean difference of the logs of the photograph and of the maps under the fitted flash, [T]."""
+        seen = photographed(maps, flash_of(self.network.gain * theta["flash"]), batch.get("place"))
+        return photo_loss(seen, batch["photo"], learned)
+
+    @override
+    def loss_parameters(self, steps: int) -> Params:
+        return {"smoothing": torch.full((steps,), math.log(SMOOTHING))}
+
+    @override
+    def init_reader(self, rng: Generator) -> Params:
+        return self.encoder.init(rng)
+
+    @override
+    def read(self, reader: Params, photos: Tensor) -> Params:
+        photos = adaptive_avg_pool2d(photos, self.encoder_size or photos.shape[-1])
+        parameters = self.encoder(reader, photos)
+        return parameters | {"z": parameters["z"] / self.network.gain, "flash": parameters["flash"] / self.network.gain}
+
+    @override
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """Turn, mirror, mix and recolour the materials, and photograph them anew."""
+        size = (self.network.height, self.network.width)
+        fine = varied(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
+        photo = adaptive_avg_pool2d(photographs(fine, rng), size)
+        return tasks.variants({"photo": photo} | self.described(pooled(fine, size)))
+
+
+@dataclass(frozen=True)
+class FromMaps(CodedMaps):
+    """Fits that see the material's maps, and pictures of it under several lights (--observe reference)."""
+
+    protocol: str = field(default="reference", kw_only=True)
+
+    @override
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        if "maps" not in task.data:
+            raise ValueError(
+                f"{task.name}: a flash photo, expected a material's maps; give these or a strip, or leave --observe "
+                "reference out."
+            )
+        return super().prepare(task)
+
+    @override
+    def described(self, maps: Tensor) -> dict[str, Tensor]:
+        """Return `maps`, the lights that fits see, `rig` [T, V, 2, 3], and the logs of radiance under them, `lit`."""
+        rig = fixed_pairs(RIG_LIGHTS).to(maps).expand(len(maps), -1, -1, -1)
+        return {"maps": maps, "rig": rig, "lit": self.log_radiance(unpack(maps), rig)}
+
+    @override
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Return the difference of maps and of their pictures under the lights that fits see, [T]."""
+        maps = self.maps_of(theta, batch["photo"])
+        pictures = norm(self.log_radiance(maps, batch["rig"]) - batch["lit"], learned)
+        return pictures.mean((1, 2, 3, 4)) + _map_loss(differences(maps, unpack(batch["maps"])), learned)
+
+
+@dataclass(frozen=True)
+class FromPhoto(CodedMaps):
+    """Fits that see one photograph alone, whose flash they look for, too (--observe photo)."""
+
+    protocol: str = field(default="photo", kw_only=True)
+
+    @property
+    @override
+    def fills(self) -> bool:
+        """True for maps of the size that people use."""
+        return bool(self.read_size)
+
+    @override
+    def fill(self, maps: Maps, photo: Tensor) -> Maps:
+        """Fill maps [T, C, h, w] where linear photographs [T, 3, h, w] clip; see :func:`fill_clipped`.
+
+        Losses are of maps as fields make them: fits see there that the photograph is at least so bright.
+        """
+        if not self.fills:
+            return maps
+        small = adaptive_avg_pool2d(photo, min(FILL_PX, *photo.shape[-2:]))
+        return fill_clipped(maps, linear_to_srgb(small))
+
+    @override
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        return self.photo_difference(theta, self.maps_of(theta, batch["photo"]), batch, learned)
+
+
+def photo_loss(seen: Tensor, photos: Tensor, learned: Params) -> Tensor:
+    """Return the mean difference of the logs of radiance and photographs, [T]; of clipped px only darker values count.
+
+    Args:
+        seen: radiance [T, ...].
+        photos: linear photographs, of the same shape.
+        learned: learned parameters of the loss, {} for |d|.
+    """
+    short = (photos + RADIANCE_FLOOR).log() - (seen + RADIANCE_FLOOR).log()
+    short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
+    return norm(short, learned).mean(tuple(range(1, short.ndim)))
+
+
+def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:
+    """Return the sum of the mean differences of maps, [T], colours as the eye spaces them."""
+    return torch.stack([norm(each, learned).mean((1, 2, 3)) for each in apart]).sum(0)
+
+
+def _steepness(maps: Maps) -> Tensor:
+    """Return sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, 8, 8]."""
+    return adaptive_avg_pool2d(tilt(maps.normal), STEEPNESS_CELLS) + 2 * LEVEL_SINE

@@ -1,0 +1,38 @@
+"""Where people hold camera and flash when they take several photographs of a flat material."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.flash import camera_distance
+from metapp.learning.draws import normal, uniform
+
+ASIDE_HALF_SIDES = 0.6  # at most, of all photographs but the first
+NEAREST_TIMES, FARTHEST_TIMES = 0.8, 2.2  # of the distance at which a camera of 45 degrees sees the patch
+# Standard deviation of each coordinate of a measured place, as a share of its height: 1 degree, as of a camera's pose
+# from a sheet of markers.
+PLACE_ERROR = 0.02
+
+
+def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Tensor]:
+    """Draw where hand-held cameras are above a patch, and by how much their measured places are off.
+
+    Args:
+        materials, photos: how many patches, and photographs of each.
+        rng: of all draws.
+
+    Returns:
+        Places and offsets, [materials, photos, 3] each, in half sides of the patch. The first place is straight above
+        the patch, at `camera_distance`.
+    """
+    angle = 2 * math.pi * uniform(rng, materials, photos, 1)
+    aside = ASIDE_HALF_SIDES * uniform(rng, materials, photos, 1).sqrt()
+    share = uniform(rng, materials, photos, 1)
+    height = camera_distance() * NEAREST_TIMES * (FARTHEST_TIMES / NEAREST_TIMES) ** share
+    places = torch.cat([aside * angle.cos(), aside * angle.sin(), height], -1)
+    places[:, 0] = places.new_tensor([0.0, 0.0, camera_distance()])
+    off = PLACE_ERROR * places[..., 2:] * normal(rng, materials, photos, 3)
+    return places, off

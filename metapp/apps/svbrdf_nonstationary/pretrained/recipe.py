@@ -1,0 +1,20 @@
+"""The recipe of non-stationary svBRDFs from one photograph by features of VGG-16, the default where its weights are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
+from metapp.apps.svbrdf_nonstationary.pretrained.app import FromFeatures, MeanField
+from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
+from metapp.learning.recipe import OuterLoop
+
+FULL = RECIPES["photo"]["full"]
+SEARCHED = replace(FULL.quickft, rate=8e-3, final=0.1)
+PRETRAINED = replace(
+    FULL,
+    app=FromFeatures(MeanField(*field_of(256, 32))),
+    quickft=SEARCHED,
+    meta={"meta-encoder": replace(FULL.meta["meta-encoder"], first=SEARCHED)},
+    general=OuterLoop(steps=8_000, tasks=4, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
+)

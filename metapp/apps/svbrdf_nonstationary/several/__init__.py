@@ -1,0 +1,6 @@
+"""Non-stationary svBRDFs from several flash photographs with the places of camera and flash: the recipe `several`.
+
+`encoder` has General, photometric stereo in closed form and a network that corrects it, for photographs in any order;
+`height` moves photographs onto the surface where shading registered them below it; `app` has fits, maps of each texel
+and the flash of each photograph with General's maps as a prior; `newton` the rule `gauss-newton`; `recipe` the recipe.
+"""

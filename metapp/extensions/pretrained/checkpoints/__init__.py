@@ -1,1 +1,0 @@
-"""The checkpoint that ships, and its card."""

@@ -1,1 +1,0 @@
-"""Several flash photos of one flat material, with the places of camera and flash: their format and their recipe."""

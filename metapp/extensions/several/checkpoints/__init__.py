@@ -1,1 +1,0 @@
-"""The checkpoints that ship, and their card."""

@@ -1,0 +1,325 @@
+"""The recipe of one photo: where it is the default, its outer loss, both networks, and what it reads of a photo."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.flash import Maps, positions, unpack
+from metapp.apps import app_of, recipes_of
+from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, inputs_of
+from metapp.apps.svbrdf_nonstationary.pretrained.app import SHALLOW, SHARE, STEEPER, FromFeatures
+from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import variants
+from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
+    DARK,
+    FULL_APP,
+    GUESS,
+    OVERVIEW,
+    PARTS,
+    _balanced,
+    full_encoder,
+    init_decoder,
+    patch_of,
+    read_photos,
+)
+from metapp.learning.learn import descend, final_item, task_loss
+from metapp.learning.rules import fixed_adam, outer_adam
+from metapp.learning.task import Batch, Tasks
+from metapp.networks.field import LocalField
+from metapp.paradigms.adam import General
+from metapp.runs.options import fit_options
+from metapp.runs.run import Run
+from metapp.storage.checkpoints import tensor_digest
+from tests.apps.pretrained.conftest import APP, RECIPE, SIDE
+
+
+def test_only_its_recipe_is_of_the_subclass() -> None:
+    kinds = {name: type(app_of(APP, recipe, "photo")) for name, recipe in recipes_of(APP, "photo").items()}
+    assert {name for name, kind in kinds.items() if kind is FromFeatures} == {"pretrained"}
+    assert kinds["full"] is FromPhoto
+
+
+def test_without_the_weights_it_says_how_to_get_them(metapp: Callable, tmp_path: Path, cache: Path) -> None:
+    photo = ("general", APP, "--observe", "photo", "--train", "--train-steps", "1", "--out", tmp_path / "runs")
+    assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
+    done = metapp(*photo, "--recipe", "pretrained", "--data", tmp_path / "set")
+    assert done.code == 1
+    assert "get them by metapp data vgg, or fit by --recipe full" in " ".join(done.err.split())
+    assert "Traceback" not in done.err
+
+
+@pytest.mark.parametrize("has", [True, False])
+def test_it_is_the_default_of_what_goes_on_from_general_where_weights_are(
+    request: pytest.FixtureRequest, metapp: Callable, tmp_path: Path, has: bool
+) -> None:
+    """Else the smaller network, which is said; other paradigms and protocols have no files for it."""
+    if has:
+        request.getfixturevalue("weights")
+    assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
+
+    def chosen(paradigm: str, **options: object) -> str:
+        return Run.of(
+            fit_options(APP, paradigm, **{"observe": "photo", "data": tmp_path / "set"} | options)
+        ).options.recipe
+
+    defaults = {chosen(paradigm) for paradigm in ("general", "quickft", "meta")}
+    assert defaults == {"pretrained" if has else "full"}
+    assert chosen("general", recipe="full") == chosen("finetune") == "full"
+    assert chosen("general", observe="reference") == "full"
+    done = metapp("general", APP, "--observe", "photo", "--data", tmp_path / "set", "--out", tmp_path / "runs")
+    said = " ".join(done.err.split())
+    assert ("the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them" in said) != has
+    assert done.code == has  # these weights are not those that the checkpoint was trained with
+
+
+# The outer loss, and a few outer steps
+
+
+def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.MonkeyPatch) -> Tensor:
+    """The outer losses of such predicted maps, of which General is equally sure."""
+    count, side = maps.diffuse.shape[0], maps.diffuse.shape[-1]
+    theta = {"deviation": torch.full((count, 4, side // 4, side // 4), -2.0), "flash": torch.zeros(count, FLASH)}
+    monkeypatch.setattr(FromFeatures, "_made_of", lambda app, theta, inputs: maps)
+    return app.outer_loss(theta, batch, {})
+
+
+def test_what_is_made_up_counts_nothing(
+    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = app.sample(app.augment(tasks, rng), rng, 1)
+    batch["known"] = torch.tensor([[1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.5], [0.0] * 4])
+    parts = [part.clone().requires_grad_() for part in unpack(0.9 * batch["maps"] + 0.01)]
+    value = losses(app, Maps(*parts), batch, monkeypatch)
+    value.sum().backward()
+    moved = [part.grad.abs().amax((1, 2, 3)) > 0 for part in parts]  # type: ignore[union-attr]
+    diffuse, specular, roughness, normal = (each.tolist() for each in moved)
+    assert diffuse == normal == [True, True, True, False]
+    assert specular == roughness == [True, False, False, False]
+
+
+def test_relief_that_a_photo_does_not_tell_is_best_left_out(
+    app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where slopes may as well go the other way, flat maps are better than either; where they are known, the truth."""
+    batch = app.sample(app.augment(tasks, rng), rng, 1)
+    truth = unpack(batch["maps"])
+    turned = truth._replace(normal=truth.normal * torch.tensor([-1.0, -1.0, 1.0])[:, None, None])
+    flat = truth._replace(normal=torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand_as(truth.normal))
+    right, wrong, none = (losses(app, maps, batch, monkeypatch).mean() for maps in (truth, turned, flat))
+    assert right < none < (right + wrong) / 2
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("weights")
+def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+    training = replace(RECIPE.general, tasks=4, steps=12, warmup=0)
+    (general,) = General.of(app, replace(RECIPE, general=training)).preparations
+    phi = general.first_phi(None, tasks, rng)
+    loss = general.outer_loss(phi)
+    drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch
+    flat = app.maps_of(app.encode(phi.encoder, app.condition(tasks, rng)), tasks.data["photo"])
+    assert float(flat.normal[:, 2].mean()) > 0.99
+    same = replace(loss, draw=lambda data, own, done: loss.draw(data, Generator().manual_seed(0), done))
+    end = final_item(descend(phi.flat(), outer_adam(training, phi.flat()), tasks, same, steps=12, rng=rng)).theta
+    before, after = (float(loss.value(each, drawn, {}).mean()) for each in (phi.flat(), end))
+    assert after < 0.9 * before
+    encoder = {key.removeprefix("encoder."): value for key, value in end.items()}
+    assert set(app.errors(app.encode(encoder, app.condition(tasks, rng)), tasks)) >= {"error", "normal"}
+
+
+# Both networks in one field, and steps by the photograph, which move one of them
+
+
+@pytest.mark.usefixtures("weights")
+def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, rng: Generator) -> None:
+    """Before their ranges are imposed, and at resolutions that the smaller one does not read."""
+    encoder = app.init_encoder(rng)
+    photo = torch.rand(1, 3, 2 * SIDE, 2 * SIDE, generator=rng)
+    inputs = inputs_of(photo)
+    theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **patch_of(photo)})
+    size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
+    own = LocalField(*app.network)._replace(**size)
+    alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
+    first = own(alone | {"z": theta["z"][:, : own.code]}, inputs)
+    full = full_encoder(torch.device("cpu"))
+    beside = {key.removeprefix("decoder."): value[None] for key, value in full.items() if "decoder." in key}
+    second = FULL_APP.network._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
+    joined = app.network._replace(**size)(theta, inputs)
+    torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
+
+
+def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures) -> None:
+    """In the same direction, each pixel by itself; a slope of SHALLOW is halved, but for STEEPER; other maps stay."""
+    raw = torch.randn(2, sum(RAW), 16, 16, generator=Generator().manual_seed(0))
+    size = torch.logspace(-3, 1, 256).reshape(16, 16)
+    size[0, 0] = SHALLOW
+    raw[:, :2] *= size / raw[:, :2].norm(dim=1, keepdim=True)
+    maps, as_read = app.maps_from(raw), decoded(raw)
+    for found, wanted in zip(maps[:3], as_read[:3], strict=True):
+        assert torch.equal(found, wanted)
+    slopes, read = (each.normal[:, :2] / each.normal[:, 2:] for each in (maps, as_read))
+    torch.testing.assert_close(slopes[:, :, 0, 0].norm(dim=1), torch.full((2,), STEEPER * SHALLOW / 2))
+    ratio = slopes / read
+    torch.testing.assert_close(ratio[:, 0], ratio[:, 1], rtol=1e-2, atol=1e-3)
+    assert (ratio[..., size < SHALLOW / 3] < 0.1 * STEEPER + 1e-3).all()
+    assert (ratio[..., size > 10 * SHALLOW] > 0.99 * STEEPER - 1e-2).all()
+    flat = torch.zeros(1, sum(RAW), 4, 4, requires_grad=True)
+    app.maps_from(flat).normal.sum().backward()
+    assert flat.grad is not None
+    assert flat.grad.isfinite().all()
+
+
+@pytest.mark.usefixtures("weights")
+def test_training_sees_what_the_network_makes_and_fits_what_is_made_of_it(
+    app: FromFeatures, tasks: Tasks, rng: Generator
+) -> None:
+    """Else training would undo it."""
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    photo = tasks.data["photo"]
+    raw = app.network(theta, inputs_of(photo))
+    for maps, wanted in (
+        (app._made_of(theta, inputs_of(photo)), decoded(raw)),
+        (app.maps_of(theta, photo), app.maps_from(raw)),
+    ):
+        for found, other in zip(maps, wanted, strict=True):
+            torch.testing.assert_close(found, other)
+    assert not torch.equal(decoded(raw).normal, app.maps_from(raw).normal)
+
+
+@pytest.mark.usefixtures("weights")
+def test_a_step_by_a_photo_is_that_of_the_whole_field_but_for_what_is_held(
+    app: FromFeatures, tasks: Tasks, rng: Generator
+) -> None:
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
+    batch, own = app.sample(tasks, rng, 1), app.network.code
+    loss = app.loss(theta, batch, {})
+    whole = FromPhoto.loss(app, theta, batch, {})
+    torch.testing.assert_close(loss, whole)
+    by_loss, by_whole = (
+        dict(zip(theta, torch.autograd.grad(each.sum(), [*theta.values()], allow_unused=True), strict=True))
+        for each in (loss, whole)
+    )
+    torch.testing.assert_close(by_loss["z"][:, own:], by_whole["z"][:, own:])
+    torch.testing.assert_close(by_loss["flash"], by_whole["flash"])
+    assert by_loss["z"][:, own:].abs().amax() > 0
+    assert (by_loss["z"][:, :own] == 0).all()
+    assert all(by_loss[key] is None for key in theta if "." in key)
+
+
+@pytest.mark.usefixtures("weights")
+def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    batch = app.sample(tasks, rng, 1)
+    before, photo = app.maps_of(theta, batch["photo"]), task_loss(app, RECIPE.batch)
+    end = final_item(
+        descend(theta, fixed_adam(replace(RECIPE.quickft, rate=0.01), theta, 5), tasks, photo, steps=5, rng=rng)
+    ).theta
+    after = app.maps_of(end, batch["photo"])
+    assert torch.equal(after.normal, before.normal)
+    assert (app.loss(end, batch, {}) < app.loss(theta, batch, {})).all()
+    for was, now in zip(before[:3], after[:3], strict=True):
+        assert (was - now).abs().amax() > 1e-5
+
+
+# What General reads of a photograph
+
+
+DIGEST = "6bc8d907167d"  # the digest of General by "full" that the checkpoint's was trained beside
+
+
+@pytest.mark.usefixtures("weights")
+def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> None:
+    decoder = init_decoder(rng, 5)
+    for side in (32, 64):
+        read = read_photos(decoder, torch.rand(2, 3, side, side, generator=rng))
+        assert read["z"].shape == (2, 5 + FULL_APP.network.code, side, side)
+        assert read["deviation"].shape == (2, len(PARTS), side // 4, side // 4)
+        assert read["flash"].shape == (2, FLASH)
+    with pytest.raises(ValueError, match="44 px, expected a multiple of 8"):
+        read_photos(decoder, torch.rand(1, 3, 44, 44))
+
+
+@pytest.mark.usefixtures("weights")
+def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> None:
+    """It is not in most windows."""
+    decoder, photos = init_decoder(rng, 5), torch.rand(2, 3, 32, 32, generator=rng) ** 2
+    side = FULL_APP.network.height
+    large = torch.nn.functional.interpolate(photos, (side, side), mode="bilinear")
+    with torch.no_grad():
+        seen = FULL_APP.network.gain * FULL_APP.encode(full_encoder(photos.device), {"photo": large})["flash"]
+    torch.testing.assert_close(read_photos(decoder, photos)["flash"], seen)
+    window = photos[..., :16, :16], positions(32, 32)[None, :, :16, :16]
+    torch.testing.assert_close(read_photos(decoder, *window, patch_of(photos))["flash"], seen)
+
+
+def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> None:
+    """The rest of what is known of a photo, and what VGG sees, stays as it is; these move by as much."""
+    photo, place = 0.1 + 0.3 * torch.rand(1, 3, 16, 16, generator=rng), positions(16, 16)[None]
+    gains = torch.tensor([1.3, 1.0, 0.6])[:, None, None]
+    mean = photo.mean((2, 3), keepdim=True)
+    (seen, known), (again, others) = _balanced(photo, place, mean), _balanced(photo * gains, place, mean * gains)
+    torch.testing.assert_close(again, seen)
+    torch.testing.assert_close(others[:, :-4], known[:, :-4])
+    change = (others - known)[0, -4:, 0, 0]
+    torch.testing.assert_close((3 * change[:1] + change[1:]).exp(), gains.flatten())
+
+
+@pytest.mark.usefixtures("weights")
+def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
+    """Gloss is read off an overview, which says the same of a patch in any window and at any resolution."""
+    side = 64
+    made = [variants(torch.rand(2, 10, 128, 128, generator=rng), torch.ones(2, 4), side, rng) for _ in range(12)]
+    whole = [float(each["inputs"][:, -2:].std()) > 0.5 for each in made]
+    assert set(whole) == {True, False}
+    for each, seen in zip(made, whole, strict=True):
+        assert each["overview"].shape == (2, 3, OVERVIEW, OVERVIEW)
+        assert each["photo"].shape[-1] == each["maps"].shape[-1] == each["inputs"].shape[-1] == side
+        if seen:
+            torch.testing.assert_close(inputs_of(each["photo"]), each["inputs"])
+            coarse = torch.nn.functional.avg_pool2d(each["overview"], OVERVIEW)
+            torch.testing.assert_close(each["photo"].mean((2, 3), keepdim=True), coarse)
+    fine = torch.rand(1, 3, 512, 512, generator=rng)
+    smooth = torch.nn.functional.avg_pool2d(fine, 2)
+    torch.testing.assert_close(*(patch_of(photo)["overview"] for photo in (fine, smooth)))
+    untrained = init_decoder(rng, 5)
+    trained = {key: value + (0.1 if ".overview" in key else 0) for key, value in untrained.items()}
+    patch, middle = patch_of(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
+    window = (smooth[middle], positions(256, 256)[None][middle])
+    for parameters, same in ((untrained, True), (trained, False)):  # of another patch with the same mean
+        turned = patch | {"overview": patch["overview"].flip(3)}
+        read, other = (read_photos(parameters, *window, each)["z"] for each in (patch, turned))
+        assert torch.allclose(read, other, atol=1e-5) == same
+
+
+def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
+    """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was trained beside."""
+    assert tensor_digest(full_encoder(torch.device("cpu"))) == DIGEST, "train pretrained beside this General, too"
+    photo = torch.rand(1, 3, 256, 256, generator=rng)
+    guess = patch_of(photo)["guess"]
+    full = app_of(APP, recipes_of(APP, "photo")["full"], "photo")
+    assert isinstance(full, FromPhoto)
+    with torch.no_grad():
+        maps = full.maps_of(full.encode(full_encoder(torch.device("cpu")), {"photo": photo}), photo)
+    assert guess.shape == (1, GUESS, 256, 256)
+    torch.testing.assert_close(guess[:, :1], maps.roughness)
+    torch.testing.assert_close(guess[:, 1:].exp() - DARK, torch.stack([maps.specular, maps.diffuse], 1).mean(2))
+    twice = photo.repeat_interleave(2, 2).repeat_interleave(2, 3)
+    torch.testing.assert_close(patch_of(twice)["guess"], guess)
+
+
+@pytest.mark.usefixtures("weights")
+def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> None:
+    untrained = init_decoder(rng, 5)
+    trained = {key: value + (0.1 if ".guess.kernel" in key else 0) for key, value in untrained.items()}
+    photo = torch.rand(1, 3, 32, 32, generator=rng)
+    patch = patch_of(photo)
+    for parameters, same in ((untrained, True), (trained, False)):
+        changed = patch | {"guess": 1 - patch["guess"]}
+        read, other = (read_photos(parameters, photo, patch=each)["z"] for each in (patch, changed))
+        assert torch.allclose(read, other, atol=1e-5) == same

@@ -1,0 +1,115 @@
+"""Gauss-Newton steps of several photographs against dense least squares, and derivatives through them."""
+
+import math
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded
+from metapp.apps.svbrdf_nonstationary.several import newton
+from metapp.apps.svbrdf_nonstationary.several.app import FLOOR, SeveralPhotos, Texels, flashes_of, radiance_of
+from metapp.learning.adjoint import Draw, Loss, learn_through
+from metapp.learning.recipe import Adam
+from metapp.learning.task import Batch, Params
+from metapp.rules import rule_of
+from tests.apps.several.test_several_photos import PLACES
+
+SIDE, COUNT = 4, 5
+SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2}
+
+
+@pytest.fixture
+def app() -> SeveralPhotos:
+    return SeveralPhotos(Texels(SIDE, SIDE))
+
+
+@pytest.fixture(autouse=True)
+def all_texels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flashes from all texels of maps this small."""
+    monkeypatch.setattr(newton, "COARSE", 1)
+
+
+def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
+    """An initialisation near the maps of exact photographs, the batch, and these maps, in float64."""
+    rng = Generator().manual_seed(seed)
+    true = 0.4 * torch.randn(1, sum(RAW), SIDE, SIDE, generator=rng, dtype=torch.float64)
+    places = PLACES.double()[None, :, None].expand(1, COUNT, 2, 3)
+    photos = radiance_of(decoded(true), flashes_of(true.new_zeros(1, FLASH, COUNT), places))
+    maps = true + off * torch.randn(true.shape, generator=rng, dtype=torch.float64)
+    flash = 0.2 * off * torch.randn(1, FLASH, COUNT, generator=rng, dtype=torch.float64)
+    prior = torch.cat([maps + 0.1, torch.zeros_like(maps)], 1)
+    return {"maps": maps, "flash": flash, "prior": prior}, {"photos": photos, "places": places}, true
+
+
+def settings(values: dict[str, float] = SETTINGS) -> Params:
+    shapes = {"smoothing": (1,), "prior": (1, sum(RAW)), "flash": (1,)}
+    return {key: torch.full(shapes[key], math.log(value), dtype=torch.float64) for key, value in values.items()}
+
+
+def test_changes_are_those_of_dense_least_squares() -> None:
+    theta, batch, _ = problem()
+    found = newton.changes(theta, batch, settings(), longest_of_texel=sum(RAW) * (1e6,))
+
+    def logs(flat: Tensor) -> Tensor:
+        maps, flash = flat[: -FLASH * COUNT].view_as(theta["maps"]), flat[-FLASH * COUNT :].view_as(theta["flash"])
+        return (radiance_of(decoded(maps), flashes_of(flash, batch["places"])) + FLOOR).log().flatten()
+
+    def dense(flash: Tensor) -> Tensor:
+        at = torch.cat([theta["maps"].flatten(), flash.flatten()])
+        rows, short = torch.func.jacfwd(logs)(at), logs(at) - (batch["photos"] + FLOOR).log().flatten()
+        weight = (short.square() + SETTINGS["smoothing"] ** 2).rsqrt()
+        off = (theta["maps"] - theta["prior"].chunk(2, 1)[0]).flatten()
+        pull = 3 * SETTINGS["prior"] / (1 + off.square()).sqrt()
+        moved = torch.full((FLASH, COUNT), 2 * SETTINGS["flash"])
+        moved[3] = 1e-4
+        moved = (SIDE * SIDE * moved).flatten()
+        matrix = rows.T @ (weight[:, None] * rows) + torch.cat([pull + newton.DAMPING, moved]).diag()
+        moment = rows.T @ (weight * short) + torch.cat([pull * off, moved * flash.flatten()])
+        both: Tensor = torch.linalg.solve(matrix, moment)
+        if flash is theta["flash"]:
+            return both[-FLASH * COUNT :].view_as(flash)
+        texels = slice(0, -FLASH * COUNT)
+        return torch.linalg.solve(matrix[texels, texels], moment[texels]).view_as(theta["maps"])
+
+    # up to the error of central differences
+    torch.testing.assert_close(found["flash"], dense(theta["flash"]), rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(found["maps"], dense(theta["flash"] - found["flash"]), rtol=1e-3, atol=1e-5)
+
+
+def test_exact_photographs_are_met_in_a_few_steps() -> None:
+    theta, batch, true = problem(0.1)
+    weak = settings({"smoothing": 0.02, "prior": 1e-9, "flash": 1e-2})
+
+    def worst(theta: Params) -> float:
+        lit = radiance_of(decoded(theta["maps"]), flashes_of(theta["flash"], batch["places"]))
+        return float((lit - batch["photos"]).abs().max())
+
+    first = worst(theta)
+    for _ in range(8):
+        change = newton.changes(theta, batch, weak)
+        theta = theta | {key: theta[key] - value for key, value in change.items()}
+    assert worst(theta) < 0.01 * first
+    assert float((theta["maps"][:, :2] - true[:, :2]).abs().median()) < 0.03
+
+
+def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralPhotos) -> None:
+    theta, batch, true = problem()
+    loss = newton.GaussNewton(lambda *_: Draw((), batch), app.loss, settings=app.settings)
+    rule = rule_of("gauss-newton")
+    alpha = {key: value[:, None].double() for key, value in rule.alpha(app, {"maps": true[0]}, 2, Adam(1.0)).items()}
+
+    def left(*values: Tensor) -> Tensor:
+        learned = rule.rule(dict(zip(alpha, values, strict=True)))
+        moved = learn_through(theta, learned, [batch, batch], loss, order=2)
+        return (moved["maps"] - true).square().sum() + moved["flash"].square().sum()
+
+    assert torch.autograd.gradcheck(left, [value.clone().requires_grad_() for value in alpha.values()], rtol=1e-3)
+
+
+def test_other_applications_are_refused_in_a_line(app: SeveralPhotos) -> None:
+    other = type("Other", (), {"name": "texture"})()
+    with pytest.raises(ValueError, match="its part newton does not apply to texture: its fits are not maps"):
+        rule_of("gauss-newton").require(other, {})
+    plain = Loss(lambda *_: Draw((), {}), app.loss)
+    assert isinstance(rule_of("gauss-newton").loss(app, plain), newton.GaussNewton)

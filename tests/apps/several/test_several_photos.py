@@ -1,0 +1,261 @@
+"""Several photographs of one material: photometric stereo in closed form, the loss, all paradigms on small maps."""
+
+import itertools
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
+from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
+from metapp.appearance.flash import Maps, camera_distance, pack, positions, towards, unpack
+from metapp.apps import presenter_of
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, linear
+from metapp.apps.svbrdf_nonstationary.places import held_places
+from metapp.apps.svbrdf_nonstationary.several import encoder as reader
+from metapp.apps.svbrdf_nonstationary.several.app import (
+    SeveralPhotos,
+    Texels,
+    _encoded,
+    drawn_photos,
+    flashes_of,
+    radiance_of,
+)
+from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL
+from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Params, Task, Tasks
+from metapp.paradigms import PARADIGMS, paradigm_of
+from metapp.rules import rule_of
+from tests.apps.test_svbrdf_nonstationary import material
+
+SIDE, COUNT = 16, 3
+
+
+def several(seed: int, count: int = COUNT) -> Task:
+    """A task of so many photos, from known places."""
+    maps, places = material(seed), held_places(1, count, Generator().manual_seed(seed))[0][0]
+    photos = [flash_photo(maps, place, float((place[2] / camera_distance()) ** 2), place) for place in places]
+    task = svbrdf_task(f"material-{seed}", maps, photo=photos[0])
+    return task._replace(
+        data=task.data | {"others": torch.stack(photos[1:]), "places": places[:, None].repeat(1, 2, 1)}
+    )
+
+
+@pytest.fixture
+def app() -> SeveralPhotos:
+    return SeveralPhotos(Texels(SIDE, SIDE))
+
+
+@pytest.fixture
+def tasks(app: SeveralPhotos) -> Tasks:
+    return stack(app, [several(seed) for seed in range(2)])
+
+
+def general(app: SeveralPhotos, tasks: Tasks) -> Params:
+    """Parameters that an untrained General predicts."""
+    with torch.no_grad():
+        return app.encode(app.init_encoder(Generator().manual_seed(0)), app.condition(tasks, Generator()))
+
+
+def relief(side: int) -> Maps:
+    """A Lambertian material of smooth relief, slopes up to 0.4 about a mean of 0."""
+    x, y = torch.meshgrid(*(2 * [torch.linspace(0, 2 * torch.pi, side + 1)[:-1]]), indexing="xy")
+    slopes = 0.4 * torch.stack([(2 * x).sin() * y.cos(), (x + y).cos()])[None]
+    normal = torch.cat([slopes, torch.ones(1, 1, side, side)], 1)
+    diffuse = 0.3 + 0.2 * torch.stack([x.sin(), y.cos(), (x - y).sin()])[None]
+    none = torch.zeros(1, 3, side, side)
+    return Maps(diffuse, none, none[:, :1] + 0.5, normal / normal.norm(dim=1, keepdim=True))
+
+
+PLACES = torch.tensor([[0.0, 0, 2.4], [1.2, 0.3, 2.2], [-0.9, 0.9, 2.5], [-0.3, -1.3, 2.0], [0.8, -0.7, 3.0]])
+
+
+def test_stereo_is_exact_on_lambertian_texels() -> None:
+    """But for the ridge, which draws slopes to 0 by the share that it states."""
+    maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
+    wi, squared = towards(places[:, :, 1], positions(32, 32))
+    white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared
+    flash = torch.zeros(1, FLASH, 5)
+    brightness = radiance_of(maps, flashes_of(flash, places)).mean(2, keepdim=True) / white
+    expected = maps.normal[:, :2] / maps.normal[:, 2:]
+    one = torch.ones_like(brightness)
+    level, slopes, _, unknown = reader.photometric_stereo(brightness, wi[:, :, :2] / wi[:, :, 2:], one, 0 * one)
+    assert unknown.max() < 0.1
+    bound = 0.4 * unknown.sum(1, keepdim=True) + 0.02  # and slopes above STEEPEST_SLOPE are less steep
+    assert ((slopes - expected).abs() < bound).all()
+    body = maps.diffuse.mean(1, keepdim=True) * maps.normal[:, 2:]
+    torch.testing.assert_close(level, body, rtol=0.03, atol=0)
+    reading = reader.read(radiance_of(maps, flashes_of(flash, places)), places)
+    cosine = torch.nn.functional.cosine_similarity(reading.maps[:, :2].flatten(), expected.flatten(), 0)
+    assert float(cosine) > 0.98  # exposures and lobes are looked for, too
+
+
+def test_exposures_of_photographs_are_solved() -> None:
+    maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
+    gains = torch.tensor([0.4, -0.3, 0.0, -0.4, 0.3])
+    photos = 0.5 * radiance_of(maps, flashes_of(torch.zeros(1, FLASH, 5), places))
+    plain, changed = (reader.read(each, places) for each in (photos, photos * gains.exp()[:, None, None, None]))
+    torch.testing.assert_close(changed.gains - plain.gains, gains[None], rtol=0, atol=0.01)
+    torch.testing.assert_close(changed.maps[:, :2], plain.maps[:, :2], rtol=0, atol=0.03)
+
+
+def test_the_order_of_photographs_does_not_matter(app: SeveralPhotos, tasks: Tasks) -> None:
+    batch, encoder = app.condition(tasks, Generator()), app.init_encoder(Generator().manual_seed(0))
+    one = app.encode(encoder, batch)
+    loss = app.loss(one, batch, {})
+    for order in map(list, itertools.permutations(range(COUNT))):
+        other = app.encode(encoder, {key: value[:, order] for key, value in batch.items()})
+        torch.testing.assert_close(other["maps"], one["maps"], rtol=1e-3, atol=1e-3)
+        torch.testing.assert_close(other["flash"], one["flash"][:, :, order], rtol=1e-3, atol=1e-3)
+        same = one | {"flash": one["flash"][:, :, order]}
+        torch.testing.assert_close(app.loss(same, {k: v[:, order] for k, v in batch.items()}, {}), loss)
+
+
+def truth(tasks: Tasks) -> Tensor:
+    """RAW numbers of the tasks' own maps."""
+    return _encoded(unpack(tasks.data["maps"]))
+
+
+def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, tasks: Tasks) -> None:
+    batch = app.sample(tasks, Generator(), 1)
+    theta = {"maps": truth(tasks), "flash": torch.zeros(2, FLASH, COUNT)}
+    torch.testing.assert_close(decoded(theta["maps"]).normal, unpack(tasks.data["maps"]).normal, rtol=0, atol=1e-3)
+    least = app.loss(theta, batch, {})
+    assert (least / SIDE**2 < 0.03).all()  # the maps are the photos' means, and 8 bits
+    for axis, off in ((0, 1.0), (2, 1.0), (3, 1.0)):
+        moved = theta["flash"].clone()
+        moved[:, axis, 1] = off
+        assert (app.loss(theta | {"flash": moved}, batch, {}) > least).all(), axis
+    prior = theta | {"prior": torch.cat([theta["maps"], torch.zeros_like(theta["maps"])], 1)}
+    torch.testing.assert_close(app.loss(prior, batch, {}), least)
+    away = prior | {"prior": prior["prior"] + 1}
+    assert (app.loss(away, batch, {}) > least).all()
+
+
+def test_gradients_are_those_of_finite_differences(app: SeveralPhotos, tasks: Tasks) -> None:
+    batch = {key: value.double() for key, value in app.condition(tasks.select([0]), Generator()).items()}
+    batch["photos"] = batch["photos"][..., :4, :4].clamp_max(0.9)
+    theta = {key: value.double() for key, value in general(app, tasks.select([0])).items()}
+    theta = {key: value[..., :4, :4] if key != "flash" else value for key, value in theta.items()}
+    noise = torch.randn(theta["maps"].shape, generator=Generator().manual_seed(0), dtype=torch.float64)
+    learned = {key: value.double() for key, value in app.loss_parameters(1).items()}
+    moving = [(theta["maps"] + 0.1 * noise).requires_grad_(), theta["flash"].clone().requires_grad_()]
+
+    def loss(maps: Tensor, flash: Tensor) -> Tensor:
+        return app.loss(theta | {"maps": maps, "flash": flash}, batch, learned)
+
+    assert torch.autograd.gradcheck(loss, moving)
+
+
+@pytest.mark.parametrize("count", [2, 5, 9])
+def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: int) -> None:
+    """Each fit has a lower loss than its initialisation, and none moves the prior."""
+    tasks = stack(app, [several(0, count)])
+    recipe = replace(SEVERAL, app=app, steps=3, overfit_steps=5, finetune_steps=4)
+    encoder = app.init_encoder(Generator().manual_seed(0))
+    random = {key: value[0] for key, value in app.init(Generator(), 1).items()}
+    alpha = rule_of(SEVERAL.rule).alpha(app, random, 3, recipe.quickft)
+    phis = {"overfit": MetaParameters(), "meta": MetaParameters(alpha=alpha, encoder=encoder)}
+    batch = app.condition(tasks, Generator())
+    for name in PARADIGMS:
+        paradigm, phi = paradigm_of(name).of(app, recipe), phis.get(name, MetaParameters(encoder=encoder))
+        steps = list(paradigm.descend(phi, tasks, Generator()))
+        first, last = steps[0].theta, steps[-1].theta
+        assert last["maps"].shape == (1, sum(RAW), SIDE, SIDE)
+        assert last["flash"].shape == (1, FLASH, count)
+        assert (len(steps) > 1) == (name != "general")
+        if name != "general":
+            assert (app.loss(last, batch, {}) < app.loss(first, batch, {})).all(), name
+        assert ("prior" in last) == (name != "overfit")
+        if "prior" in last:
+            assert torch.equal(last["prior"], first["prior"])
+        assert set(app.postprocess(last)) == {"maps", "flash"}
+
+
+def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPhotos) -> None:
+    for roughness in (0.25, 0.7):
+        maps = relief(SIDE)._replace(specular=torch.full((1, 3, SIDE, SIDE), 0.04))
+        maps = maps._replace(roughness=torch.full((1, 1, SIDE, SIDE), roughness))
+        places = PLACES[:, None].expand(5, 2, 3)
+        photos = (radiance_of(maps, flashes_of(torch.zeros(1, FLASH, 5), places[None]))[0]).clamp(0, 1)
+        known = pack(Maps(*(part[0] for part in maps)))
+        shown = (photos.clamp_min(0) ** (1 / 2.2) * 255).round().to(torch.uint8)
+        task = svbrdf_task("relief", known, photo=shown[0])
+        tasks = stack(app, [task._replace(data=task.data | {"others": shown[1:], "places": places})])
+        found = decoded(app.task_parameters(tasks)["maps"]).roughness
+        assert float((found - roughness).abs().max()) < 0.12
+
+
+def test_camera_and_flash_move_together() -> None:
+    places = torch.tensor([[[[0.1, 0.2, 3.0], [0.3, 0.2, 2.0]]]])
+    flash = torch.zeros(1, FLASH, 1)
+    given = flashes_of(flash, places)
+    torch.testing.assert_close(torch.stack([given.eye, given.place], 2), places)
+    moved = flashes_of(flash + torch.tensor([1.0, -1.0, 0.5, 0.0])[:, None], places)
+    for before, after in ((given.eye, moved.eye), (given.place, moved.place)):
+        torch.testing.assert_close(after[..., :2] - before[..., :2], torch.tensor([[[0.3, -0.3]]]))
+        torch.testing.assert_close(after[..., 2] / before[..., 2], torch.tensor([[0.1]]).exp())
+    white = Maps(
+        torch.ones(1, 3, 33, 33), torch.zeros(1, 3, 33, 33), torch.ones(1, 1, 33, 33), torch.zeros(1, 3, 33, 33)
+    )
+    white.normal[:, 2] = 1
+    above = flashes_of(flash, torch.tensor([[[[0.0, 0.0, 5.0], [0.0, 0.0, 5.0]]]]))
+    assert float(radiance_of(white, above)[0, 0, 0, 16, 16]) == pytest.approx(1, abs=1e-3)
+
+
+def test_maps_of_finer_photographs_take_their_detail_as_diffuse_colour(app: SeveralPhotos, tasks: Tasks) -> None:
+    theta = {key: value[:1] for key, value in general(app, tasks).items()}
+    even = torch.full((1, 3, 2 * SIDE, 2 * SIDE), 0.3)
+    striped = even.clone()
+    striped[..., ::2] *= 1.5
+    one, other = (app.maps_of(theta, photo) for photo in (even, striped))
+    assert one.diffuse.shape == (1, 3, 2 * SIDE, 2 * SIDE)
+    assert torch.equal(one.normal, other.normal)
+    assert ((other.diffuse / one.diffuse)[..., ::2] > 1.1).all()
+    assert ((other.diffuse / one.diffuse)[..., 1::2] < 0.95).all()
+
+
+def test_highlights_are_doubted_that_clip_in_all_photographs(app: SeveralPhotos, tasks: Tasks) -> None:
+    photos = tasks.data["photos"].clamp_max(0.5).clone()
+    photos[0, 0] = 1
+    stacked = replace(tasks, data=tasks.data | {"photos": photos, "photo": photos[:, 0]})
+    theta = general(app, stacked)
+    presenter = presenter_of(app)
+    assert presenter.quality_warnings(theta, stacked) == [[], []]
+    maps = app.maps_of(theta, photos[:, 0])
+    assert all(map(torch.equal, app.final_maps(theta, photos[:, 0]), maps))
+    photos[1, :, :, 4:8, 4:8] = 1
+    none, (clause,) = presenter.quality_warnings(theta, stacked)
+    assert none == []
+    assert clause == "6.2 % of all photos is clipped, so F0 is a lower bound (a darker exposure shows more)"
+
+
+def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) -> None:
+    alone = Task("wall", {"photo": several(0).data["photo"]})
+    for other in (several(1, 2), alone):
+        with pytest.raises(ValueError, match=r"photos \(.*expected \(3, 3, 16, 16\) as of material-0; convert both"):
+            stack(app, [several(0), other])
+    data = several(0).data
+    for broken in (data | {"places": data["places"][:2]}, {key: data[key] for key in ("photo", "others")}):
+        with pytest.raises(ValueError, match=r"leaf: 3 photos and [02] places, expected as many"):
+            app.prepare(Task("leaf", broken))
+
+
+def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
+    """The first is the one of sets of one photo; measured places explain the others nearly, others do not."""
+    (one,), (five,) = (list(synthetic_tasks("train", 1, photos=count)) for count in (1, 5))
+    assert all(torch.equal(one.data[key], five.data[key]) for key in ("photo", "maps"))
+    assert set(one.data) == {"photo", "maps"}
+    maps, places = five.data["maps"].float()[None], five.data["places"]
+    assert five.data["others"].shape == (4, 3, 128, 128)
+    drawn, measured = drawn_photos(maps, 5, rng)
+    for photos, of in ((linear(five.data["others"]), places[1:]), (drawn[0, 1:], measured[0, 1:])):
+
+        def off(place: Tensor, photos: Tensor = photos) -> Tensor:
+            seen = radiance_of(unpack(maps), flashes_of(torch.zeros(1, FLASH, 4), place[None]))[0].clamp(0, 1)
+            return (seen - photos).abs().mean((1, 2, 3))
+
+        mirrored = of * torch.tensor([-1.0, -1.0, 1.0])
+        assert off(of).mean() < 0.7 * off(mirrored).mean()

@@ -1,0 +1,240 @@
+"""Folders of photos with the places of camera and flash: one input of non-stationary svBRDFs, and clear refusals."""
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Generator
+
+from data_tools.readers import placed_photos as photos
+from data_tools.readers import svbrdf_inputs
+from data_tools.readers.photos import SIZE_TEXT
+from data_tools.readers.source import Source
+from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
+from metapp.apps import recipes_of
+from metapp.learning.app import stack
+from metapp.learning.task import Task
+from metapp.names import inputs_of
+from metapp.options import BadOption
+from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.choose import choose
+from metapp.runs.inputs.finding import find_sources, source_of_tensors
+from metapp.runs.options import fit_options
+from metapp.runs.run import Run
+from metapp.storage.checkpoints import load_checkpoint, tensor_digest
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
+from metapp.storage.shards import write_shard
+from metapp.storage.shipped import checkpoint_folder, shipped_path
+
+APP = "svbrdf_nonstationary"
+
+
+def write(path: Path, seed: int, height: int = 48, width: int = 48) -> Path:
+    pixels = np.random.default_rng(seed).integers(0, 255, (height, width, 3), dtype=np.uint8)
+    oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(path))
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three photos, written in another order than that of their names."""
+    made = tmp_path / "leaf"
+    made.mkdir()
+    for name, seed in (("c.png", 3), ("a.png", 1), ("b.png", 2)):
+        write(made / name, seed)
+    (made / CAMERA_TEXT).write_text("0,0,16\n1,0,16\n2,0,16\n\n")
+    (made / LIGHT_TEXT).write_text("0,2,16\n-2,4,8\n0,0,16\n")
+    (made / SIZE_TEXT).write_text("8\n")
+    (made / "light_power.txt").write_text("1500,1500,1500\n")
+    return made
+
+
+def test_a_folder_is_one_task_in_the_order_of_names(folder: Path) -> None:
+    task = photos.read_task(folder)
+    assert task.name == "leaf"
+    assert {key: tuple(value.shape) for key, value in task.data.items()} == {
+        "photo": (3, 256, 256), "others": (2, 3, 256, 256), "places": (3, 2, 3),
+    }  # fmt: skip
+    alone = [svbrdf_inputs.read_task(folder / f"{name}.png").data["photo"] for name in "abc"]
+    assert torch.equal(torch.cat([task.data["photo"][None], task.data["others"]]), torch.stack(alone))
+    camera, light = task.data["places"].unbind(1)  # in half sides
+    torch.testing.assert_close(camera, torch.tensor([[0.0, 0, 4], [0.25, 0, 4], [0.5, 0, 4]]))
+    torch.testing.assert_close(light, torch.tensor([[0.0, 0.5, 4], [-0.5, 1, 2], [0, 0, 4]]))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_texts_that_windows_wrote_are_those_of_unix(folder: Path, encoding: str) -> None:
+    before = photos.read_places(folder, 3)
+    for name in (CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT):
+        text = (folder / name).read_text().replace("\n", "\r\n")
+        (folder / name).write_bytes(text.encode(encoding))
+    assert torch.equal(photos.read_places(folder, 3), before)
+
+
+def found(path: Path) -> list[tuple[str, Path]]:
+    """What each format of the application finds in a path that it recognises."""
+    modules = {name: form.load() for name, form in inputs_of(APP).items()}
+    readers = {name: module for name, module in modules.items() if module.recognises(path)}
+    return [(name, source.path) for name, module in readers.items() for source in module.find(path)[0]]
+
+
+def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:
+    assert found(folder) == [("placed", folder)]
+    assert found(folder / "b.png") == [("svbrdf", folder / "b.png")]
+    assert found(folder.parent) == [("placed", folder)]
+    plain = write(folder.parent / "wall.png", 4)
+    assert found(folder.parent) == [("placed", folder), ("svbrdf", plain)]
+    for name in (CAMERA_TEXT, LIGHT_TEXT):
+        (folder / name).unlink()
+    assert [name for name, _ in found(folder)] == ["svbrdf"] * 3
+
+
+@pytest.fixture(params=["", "no weights"])
+def lacking(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What the recipe of one photo, `pretrained`, finds missing."""
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.lacks", lambda: request.param)
+    lack: str = request.param
+    return lack
+
+
+def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: str) -> None:
+    one = "full" if lacking else "pretrained"
+
+    def recipe(*inputs: Path, observe: str = "photo") -> str:
+        return Run.of(fit_options(APP, "general", inputs, observe=observe)).options.recipe
+
+    assert recipe(folder) == recipe(folder.parent) == "several"
+    assert recipe(folder / "a.png") == one
+    assert recipe() == recipe(folder, folder / "a.png", observe="reference") == "full"
+
+
+def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tmp_path: Path, lacking: str) -> None:
+    task = photos.read_task(folder)
+    write_shard(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), [(task, "test", "")])
+    options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
+
+    def recipe(source: Source) -> str:
+        return choose(options, [source]).recipe
+
+    assert recipe(*find_sources(options)) == recipe(source_of_tensors(APP, "leaf", task.data)) == "several"
+    one = source_of_tensors(APP, "one", {"photo": task.data["photo"]})
+    assert recipe(one) == ("full" if lacking else "pretrained")
+
+
+def test_a_folder_tells_how_many_photos_it_holds(folder: Path) -> None:
+    (source,), _ = photos.find(folder)
+    assert (source.name, source.protocol, source.facts) == ("leaf", "photo", {"photos": 3})
+    assert source_of_tensors(APP, "leaf", photos.read_task(folder).data).facts == {"photos": 3}
+
+
+def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, metapp: Callable) -> None:
+    """Or one recipe that is asked for; whether they are named or found in one folder."""
+    plain = write(folder.parent / "wall.png", 4)
+    line = (
+        f"{APP}: {plain} has one flash photo, {folder} has not, and recipes for these differ; fit them by two commands"
+    )
+    for inputs in ((folder, plain), (plain, folder), (folder.parent,), (folder.parent, plain)):
+        with pytest.raises(BadOption, match=re.escape(line)):
+            Run.of(fit_options(APP, "general", inputs, observe="photo"))
+        for recipe in ("full", "several"):
+            assert Run.of(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe == recipe
+    result = metapp("general", APP, folder, plain, "--observe", "photo", "--out", folder.parent / "runs")
+    assert "recipes for these differ; fit them by two commands" in result.misuse
+    assert not (folder.parent / "runs").exists()
+
+
+def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
+    result = metapp("general", APP, folder, "--observe", "photo", "--out", folder.parent / "runs", "--json")
+    assert result.code == 0, result.err
+    assert f"{APP}: recipe several, since every input has several photos\n" in result.err
+    assert result.document["tasks"][0]["counts"] == {"photos": 3}
+    assert re.search(r"^relief: mean tilt \d+\.\d degrees$", result.err, re.MULTILINE)
+    made = Path(result.document["out"]) / "leaf"
+    assert {f"photo_{i}.png" for i in (1, 2, 3)} <= {path.name for path in made.iterdir()}
+    refused = metapp("general", APP, folder, "--observe", "reference", "--out", folder.parent / "runs").error
+    assert "leaf: a flash photo, expected a material's maps" in refused
+    assert "leave --observe reference out" in refused
+
+
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+TEXTS = [
+    (CAMERA_TEXT, "1,0,16\n", "camera_pos.txt: 1 lines, expected 3; give one for each photo"),
+    (LIGHT_TEXT, "1,0\n1,0,3\n1,0,3\n", "light_pos.txt: line '1,0', expected 3 finite"),
+    (LIGHT_TEXT, "1,0,nan\n1,0,3\n1,0,3\n", "expected 3 finite"),
+    (CAMERA_TEXT, "1,0,5\n1,0,-3\n1,0,5\n", "place 2 has z -3 cm"),
+    (SIZE_TEXT, "0\n", "image_size.txt: 0, expected the patch's side in cm, 1e-05 to 100000"),
+    (SIZE_TEXT, "1e300\n", "1e+300, expected the patch's side"),
+    (LIGHT_TEXT, "1,0,1e39\n1,0,3\n1,0,3\n", "place 1 is 1e+39 cm away, expected 8000 at most"),
+    (SIZE_TEXT, "wide\n", "line 'wide', expected 1 finite"),
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        *((lambda at, name=name, text=text: (at / name).write_text(text), line) for name, text, line in TEXTS),
+        (
+            lambda at: pipe(at / CAMERA_TEXT),
+            f"{CAMERA_TEXT}: a pipe or device, expected a file",
+        ),  # which is not waited for
+        (lambda at: (at / LIGHT_TEXT).unlink(), "light_pos.txt: cannot be read as text, expected lines in cm: 3"),
+        (lambda at: (at / SIZE_TEXT).unlink(), "image_size.txt: cannot be read as text"),
+        (lambda at: write(at / "b.png", 2, 48, 64), "b.png: 64 x 48 px, expected square photos of one size"),
+        (lambda at: write(at / "b.png", 2, 64, 64), "b.png: 64 x 64 px, expected square photos of one size"),
+        (lambda at: (at / "b.png").write_bytes(b"no image"), "b.png"),
+        (lambda at: [(at / f"{name}.png").unlink() for name in "bc"], "leaf: 1 photo beside places"),
+    ],
+)
+def test_bad_folders_are_refused_in_a_line(folder: Path, change: Callable[[Path], object], line: str) -> None:
+    change(folder)
+    with pytest.raises(ValueError, match=re.escape(line)) as caught:
+        photos.read_task(folder)
+    assert "\n" not in str(caught.value)
+
+
+# Its checkpoints
+
+
+def test_its_general_ships_with_the_adam_and_the_rule_for_it() -> None:
+    folder = checkpoint_folder(APP, "several")
+    names = ("gauss-newton-photo", "general-photo", "quickft-photo")
+    assert sorted(path.stem for path in folder.glob("*.safetensors")) == list(names)
+    rule, general, quickft = (shipped_path(APP, name, "several") for name in names)
+    others = (rule, quickft)
+    assert [path.parent for path in (general, *others)] == [folder] * 3
+    encoder = load_checkpoint(general)[0].encoder
+    for path in others:
+        prepared, info = load_checkpoint(path)
+        assert path.stat().st_size < 1e4
+        assert (info["recipe"], info["observe"], info["encoder"]) == ("several", "photo", tensor_digest(encoder))
+        assert info["inner_steps"] == recipes_of(APP, "photo")["several"].steps
+        assert not prepared.encoder or tensor_digest(prepared.encoder) == tensor_digest(encoder)
+
+
+@pytest.mark.slow
+def test_five_photos_say_more_than_one_by_default() -> None:
+    """By what ships: one photo by the recipe that a user gets, five by that of folders with places."""
+    tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
+    errors = {}
+    for recipe, paradigm in (("full", "meta"), ("several", "general"), ("several", "quickft"), ("several", "meta")):
+        by = with_checkpoint(Run.of(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
+        of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
+        theta = [by.paradigm.fit(by.phi, stack(by.app, [task]), Generator()) for task in of]
+        found = [by.app.errors(each, stack(by.app, [t])) for each, t in zip(theta, of, strict=True)]
+        errors[recipe, paradigm] = {
+            key: sum(float(each[key]) for each in found) / len(found) for key in ("error", "normal")
+        }
+    meta = errors["several", "meta"]
+    assert meta["error"] < 0.9 * errors["several", "general"]["error"]
+    assert meta["error"] < errors["several", "quickft"]["error"]
+    for key in ("error", "normal"):
+        assert meta[key] < 0.6 * errors["full", "meta"][key]
