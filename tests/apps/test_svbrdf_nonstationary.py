@@ -24,20 +24,20 @@ from metapp.apps.svbrdf_nonstationary.coded_maps import (
 )
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
-    FLASH,
-    flash_of,
-    inputs_of,
-    mirroring_pairs,
-    oblique_pairs,
-    photographed,
+    FLASH_NUMBERS,
+    decode_flash,
+    draw_mirroring_pairs,
+    draw_oblique_pairs,
+    pixel_inputs,
+    render_photo,
 )
 from metapp.apps.svbrdf_nonstationary.variants import (
-    CROPPED,
-    _cropped,
-    _turned,
-    mixed,
-    recoloured,
-    restyled,
+    CROP_SIDES,
+    _crop,
+    _turn,
+    mix_materials,
+    recolour,
+    restyle,
 )
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Tasks
@@ -79,7 +79,7 @@ def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
 def test_contrasts_say_where_it_gets_brighter() -> None:
     x, y = positions(64, 64, dtype=torch.float64)
     photo = torch.exp(0.5 * x + 0.25 * y).expand(1, 3, -1, -1) - 0.02
-    known, even = inputs_of(photo)[0, :, 1:-1, 1:-1], inputs_of(torch.full((1, 3, 16, 16), 0.3))
+    known, even = pixel_inputs(photo)[0, :, 1:-1, 1:-1], pixel_inputs(torch.full((1, 3, 16, 16), 0.3))
     texel = 2 / 64
     torch.testing.assert_close(known[3], torch.full_like(known[3], 2 * texel * 0.5))
     torch.testing.assert_close(known[4], torch.full_like(known[4], 2 * texel * 0.25))
@@ -92,10 +92,10 @@ def test_contrasts_say_where_it_gets_brighter() -> None:
 def test_a_finer_photo_says_the_same() -> None:
     coarse = 0.3 + 0.4 * torch.rand(1, 3, 4, 4, generator=Generator().manual_seed(0))
     fine, plain = (interpolate(coarse, (size, size), mode="bicubic") for size in (256, 64))
-    found = torch.nn.functional.avg_pool2d(inputs_of(fine), 4)
-    difference = (found - inputs_of(plain))[..., 4:-4, 4:-4]
+    found = torch.nn.functional.avg_pool2d(pixel_inputs(fine), 4)
+    difference = (found - pixel_inputs(plain))[..., 4:-4, 4:-4]
     assert difference.abs().max() < 0.05
-    assert (difference.abs().mean((0, 2, 3)) / inputs_of(plain).std((0, 2, 3)).clamp_min(1e-3)).max() < 0.05
+    assert (difference.abs().mean((0, 2, 3)) / pixel_inputs(plain).std((0, 2, 3)).clamp_min(1e-3)).max() < 0.05
 
 
 def test_finer_levels_add_to_what_the_coarse_ones_read(rng: Generator) -> None:
@@ -122,7 +122,7 @@ def test_finer_levels_add_to_what_the_coarse_ones_read(rng: Generator) -> None:
 
 
 def test_mirroring_pairs_mirror_in_the_patch(rng: Generator) -> None:
-    light, view = mirroring_pairs(rng, (2, 50)).unbind(-2)
+    light, view = draw_mirroring_pairs(rng, (2, 50)).unbind(-2)
     centre = (light + view) / 2
     assert centre[..., :2].abs().max() <= 0.8
     towards = (light - centre * torch.tensor([1.0, 1.0, 0.0])) / camera_distance()
@@ -132,7 +132,7 @@ def test_mirroring_pairs_mirror_in_the_patch(rng: Generator) -> None:
 
 
 def test_oblique_pairs_are_evenly_spread_above_the_patch(rng: Generator) -> None:
-    towards = oblique_pairs(rng, (4000,)) / camera_distance()
+    towards = draw_oblique_pairs(rng, (4000,)) / camera_distance()
     torch.testing.assert_close(towards.norm(dim=-1), torch.ones(4000, 2))
     assert towards[..., 2].min() >= 0.4
     assert towards.mean((0, 1)).sub(torch.tensor([0.0, 0.0, 0.7])).abs().max() < 0.02  # z is uniform in [0.4, 1]
@@ -148,7 +148,7 @@ def test_what_fits_see_is_not_what_they_are_judged_by(app: SvbrdfNonstationary) 
 
 def test_a_flash_described_by_zeros_is_the_camera_s() -> None:
     maps = material(0)[None]
-    photo = photographed(unpack(maps), flash_of(torch.zeros(1, FLASH)))
+    photo = render_photo(unpack(maps), decode_flash(torch.zeros(1, FLASH_NUMBERS)))
     wanted = srgb_to_linear(flash_photo(maps[0]).float() / 255)
     torch.testing.assert_close(photo[0].clamp(0, 1), wanted, atol=0.01, rtol=0.01)  # 8 bits
 
@@ -157,8 +157,8 @@ def test_white_below_a_flash_is_as_bright_at_any_height() -> None:
     white = pack(Maps(torch.ones(3, 33, 33), torch.zeros(3, 33, 33), torch.ones(1, 33, 33), torch.zeros(3, 33, 33)))
     white[2] = 1
     for higher in (-2.0, 0.0, 2.0):
-        flash = flash_of(torch.tensor([[0.0, 0.0, higher, 0.0], [0.0, 0.0, higher, 1.0]]))
-        below = photographed(unpack(white[None]), flash)[:, :, 16, 16]
+        flash = decode_flash(torch.tensor([[0.0, 0.0, higher, 0.0], [0.0, 0.0, higher, 1.0]]))
+        below = render_photo(unpack(white[None]), flash)[:, :, 16, 16]
         torch.testing.assert_close(below, torch.tensor([1.0, math.exp(0.3)])[:, None].expand(2, 3), atol=1e-3, rtol=0)
         assert flash.place[0, 2] == pytest.approx(camera_distance() * math.exp(0.2 * higher))
 
@@ -170,7 +170,7 @@ def test_turned_materials_look_like_turned_photos() -> None:
     maps, rng, found = material(0), Generator().manual_seed(0), set()
     photo = flash_photo(maps).int()
     for _ in range(60):
-        turned = _turned(maps, rng)
+        turned = _turn(maps, rng)
         after = flash_photo(turned).int()
         ways = [[torch.rot90(each, k, (1, 2)) for each in (a, a.flip(2)) for k in range(4)] for a in (photo, maps)]
         off = [int((candidate - after).abs().max()) for candidate in ways[0]]
@@ -181,7 +181,7 @@ def test_turned_materials_look_like_turned_photos() -> None:
 
 
 def test_variants_are_materials(tasks: Tasks, rng: Generator) -> None:
-    for change in (mixed, recoloured, restyled):
+    for change in (mix_materials, recolour, restyle):
         maps = change(tasks.data["maps"], rng)
         torch.testing.assert_close(maps[:, :3].norm(dim=1), torch.ones(4, SIDE, SIDE))
         assert maps[:, 3:].amin() >= 0
@@ -194,8 +194,10 @@ def test_the_normals_of_a_crop_are_those_of_its_relief(rng: Generator) -> None:
     height = interpolate(coarse, size=(256, 256), mode="bicubic")
     maps = torch.cat([normal_from_height(height, periodic=False), height, torch.zeros(1, 6, 256, 256)], 1)
     for seed in range(8):
-        crops = _cropped(maps, 128, Generator().manual_seed(seed))
-        share = (CROPPED[0] + (CROPPED[1] - CROPPED[0]) * torch.rand(2, generator=Generator().manual_seed(seed)))[1]
+        crops = _crop(maps, 128, Generator().manual_seed(seed))
+        share = (
+            CROP_SIDES[0] + (CROP_SIDES[1] - CROP_SIDES[0]) * torch.rand(2, generator=Generator().manual_seed(seed))
+        )[1]
         found = normal_from_height(crops[:, 3:4], 128 / (256 * float(share)), periodic=False)
         cosine = (found * crops[:, :3]).sum(1)[..., 2:-2, 2:-2].clamp(-1, 1)
         assert float(torch.rad2deg(cosine.acos()).mean()) < 1.0
@@ -209,7 +211,7 @@ def test_variants_show_relief_that_is_finer_than_their_maps(app: SvbrdfNonstatio
     ridges = pack(Maps(0.5 * even, 0.04 * even, 0.9 * even[:1], normal))
     variants = app.augment(stack(app, [svbrdf_task(f"ridges-{i}", ridges) for i in range(16)]), rng)
     assert variants.data["maps"][:, 2].amin() > 0.9  # even, as far as these know
-    flat = photographed(unpack(variants.data["maps"]), flash_of(torch.zeros(16, FLASH)))
+    flat = render_photo(unpack(variants.data["maps"]), decode_flash(torch.zeros(16, FLASH_NUMBERS)))
     darker = variants.data["photo"].mean((1, 2, 3)) / flat.clamp(0, 1).mean((1, 2, 3))
     assert float(darker.median()) < 0.85  # about cos 45 degrees
 

@@ -97,7 +97,9 @@ def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:
 @pytest.fixture(params=["", "no weights"])
 def lacking(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """What the recipe of one photo, `pretrained`, finds missing."""
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.lacks", lambda: request.param)
+    monkeypatch.setattr(
+        "metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: request.param
+    )
     lack: str = request.param
     return lack
 

@@ -234,7 +234,7 @@ def chosen(app: str, paths: Sequence[Path], **options: Any) -> tuple[str, str, t
 def test_inputs_and_options_choose(case: Case, inputs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = dict(case.options)
     line = LACKING if options.pop("lacking", False) else ""
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.lacks", lambda: line)
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: line)
     monkeypatch.chdir(inputs)
     paths = [Path(name) for name in case.inputs.split()]
     if case.mistake:
@@ -298,7 +298,7 @@ OBJECTS: dict[str, tuple[str, Callable[[], list[Any]], str, str]] = {  # applica
 @pytest.mark.usefixtures("small_spheres")
 @pytest.mark.parametrize("name", OBJECTS)
 def test_objects_in_memory_choose(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.lacks", lambda: "")
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: "")
     app, objects, recipe, protocol = OBJECTS[name]
     made = objects()
     sources = [source_of_tensors(app, task.name, task.data) for task in tasks_of(app, *made)]

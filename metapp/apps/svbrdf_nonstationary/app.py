@@ -19,13 +19,13 @@ from typing_extensions import override
 from metapp.appearance.flash import Maps, positions, render, statistics, unpack
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_VALUE,
-    FLASH,
+    FLASH_NUMBERS,
     Flash,
-    differences,
-    linear,
-    mirroring_pairs,
-    oblique_pairs,
-    pooled,
+    decode_photo,
+    draw_mirroring_pairs,
+    draw_oblique_pairs,
+    map_differences,
+    pool_maps,
 )
 from metapp.learning.app import App, ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
@@ -95,15 +95,15 @@ class SvbrdfNonstationary(App):
             which no fit sees.
         """
         size = (self.network.height, self.network.width)
-        prepared = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
+        prepared = {"photo": adaptive_avg_pool2d(decode_photo(task.data["photo"]), size)}
         if "maps" not in task.data:
             return prepared
         maps = task.data["maps"].float()
         fine = min(maps.shape[-1], 2 * self.shot_size)  # twice as large, to have room for crops
-        prepared["fine"] = pooled(maps, (fine, fine)).half()
+        prepared["fine"] = pool_maps(maps, (fine, fine)).half()
         if "predicted" in task.data:
-            prepared["predicted"] = pooled(task.data["predicted"].float(), size)
-        return prepared | {key: value[0] for key, value in self.described(pooled(maps, size)[None]).items()}
+            prepared["predicted"] = pool_maps(task.data["predicted"].float(), size)
+        return prepared | {key: value[0] for key, value in self.described(pool_maps(maps, size)[None]).items()}
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         """Return maps [T, 10, H, W] as `maps`, for errors, and what fits see of them, by name."""
@@ -111,7 +111,7 @@ class SvbrdfNonstationary(App):
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
-        return super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
+        return super().init(rng, count) | {"flash": torch.zeros(count, FLASH_NUMBERS, device=rng.device)}
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
@@ -176,7 +176,7 @@ class SvbrdfNonstationary(App):
         maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
         logs, references = self.judged(maps), self.judged(target)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
-        parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
+        parts = dict(zip(("diffuse", "specular", "roughness"), map_differences(maps, target), strict=False))
         steepness = [statistics(each)[:, 0, -1] + LEVEL_SINE for each in (maps, target)]
         photo = tasks.data["photo"][tasks.rows]
         return {
@@ -205,7 +205,7 @@ def blots(diffuse: Tensor, photo: Tensor) -> Tensor:
 
 def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:
     """Draw places of light and viewer, [tasks, V, 2, 3]: some anywhere, then some mirrored in the patch."""
-    return torch.cat([oblique_pairs(rng, (tasks, counts[0])), mirroring_pairs(rng, (tasks, counts[1]))], 1)
+    return torch.cat([draw_oblique_pairs(rng, (tasks, counts[0])), draw_mirroring_pairs(rng, (tasks, counts[1]))], 1)
 
 
 def fixed_pairs(counts: tuple[int, int]) -> Tensor:

@@ -27,18 +27,18 @@ from metapp.apps.svbrdf_nonstationary.app import (
 )
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
+    CHANNELS,
     CLIPPED_VALUE,
-    INPUTS,
-    RAW,
+    PIXEL_INPUTS,
     Flash,
-    decoded,
-    differences,
-    flash_of,
-    inputs_of,
-    photographed,
-    pooled,
+    decode_flash,
+    decode_maps,
+    map_differences,
+    pixel_inputs,
+    pool_maps,
+    render_photo,
 )
-from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
+from metapp.apps.svbrdf_nonstationary.variants import draw_photos, vary_materials
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.field import LocalField, field_by_rows
@@ -56,8 +56,8 @@ def field_of(side: int, hidden: int) -> LocalField:
     return LocalField(
         side,
         side,
-        inputs=INPUTS,
-        outputs=sum(RAW),
+        inputs=PIXEL_INPUTS,
+        outputs=sum(CHANNELS),
         rows=side,  # a cell for each texel, so that a step moves each by itself
         columns=side,
         code=12,
@@ -96,22 +96,22 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
     @override
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         height, width = photo.shape[-2:]
-        return self.maps_from(self.network._replace(height=height, width=width)(theta, inputs_of(photo)))
+        return self.maps_from(self.network._replace(height=height, width=width)(theta, pixel_inputs(photo)))
 
     @override
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
         """Make the maps by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB."""
         field = self.network._replace(height=photo.shape[-2], width=photo.shape[-1])
-        parts = [self.maps_from(rows) for rows in field_by_rows(field, theta, inputs_of(photo))]
+        parts = [self.maps_from(rows) for rows in field_by_rows(field, theta, pixel_inputs(photo))]
         return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
 
     def maps_from(self, raw: Tensor) -> Maps:
         """Return the maps [T, C, h, w] of outputs of fields [T, sum(RAW), h, w]."""
-        return decoded(raw)
+        return decode_maps(raw)
 
     @override
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
-        flash = flash_of(self.network.gain * theta["flash"][None])
+        flash = decode_flash(self.network.gain * theta["flash"][None])
         return [Flash(flash.place[0], flash.gain[0], flash.eye)]
 
     @override
@@ -125,14 +125,14 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
         pictures = (logs - references).abs().mean((1, 2, 3, 4))
         photo = self.photo_difference(theta, maps, batch, {})
         steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
-        apart = differences(maps, target)
+        apart = map_differences(maps, target)
         wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
         loss = pictures + MAPS_WEIGHT * wanted + PHOTO_WEIGHT * photo + STEEPNESS_WEIGHT * steep
         return loss + BLOTS_WEIGHT * blots(apart[0], batch["photo"])
 
     def photo_difference(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
         """Return the mean difference of the logs of the photograph and of the maps under the fitted flash, [T]."""
-        seen = photographed(maps, flash_of(self.network.gain * theta["flash"]), batch.get("place"))
+        seen = render_photo(maps, decode_flash(self.network.gain * theta["flash"]), batch.get("place"))
         return photo_loss(seen, batch["photo"], learned)
 
     @override
@@ -153,9 +153,9 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Turn, mirror, mix and recolour the materials, and photograph them anew."""
         size = (self.network.height, self.network.width)
-        fine = varied(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
-        photo = adaptive_avg_pool2d(photographs(fine, rng), size)
-        return tasks.variants({"photo": photo} | self.described(pooled(fine, size)))
+        fine = vary_materials(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
+        photo = adaptive_avg_pool2d(draw_photos(fine, rng), size)
+        return tasks.variants({"photo": photo} | self.described(pool_maps(fine, size)))
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class FromMaps(CodedMaps):
         """Return the difference of maps and of their pictures under the lights that fits see, [T]."""
         maps = self.maps_of(theta, batch["photo"])
         pictures = norm(self.log_radiance(maps, batch["rig"]) - batch["lit"], learned)
-        return pictures.mean((1, 2, 3, 4)) + _map_loss(differences(maps, unpack(batch["maps"])), learned)
+        return pictures.mean((1, 2, 3, 4)) + _map_loss(map_differences(maps, unpack(batch["maps"])), learned)
 
 
 @dataclass(frozen=True)

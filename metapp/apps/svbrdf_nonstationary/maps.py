@@ -1,4 +1,7 @@
-"""Maps of a flat material, the distance of two, and their radiance by eye, light and flash."""
+"""Maps of a flat material: the numbers that stand for them, how far two are apart, and how they look under a flash.
+
+The numbers that fits change are unbounded; `decode_maps` makes maps of them. Nothing here knows of tasks or fits.
+"""
 
 from __future__ import annotations
 
@@ -20,57 +23,62 @@ from metapp.appearance.flash import (
 )
 from metapp.learning.draws import uniform
 
-RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
-ROUGHNESS = RAW[0] + RAW[1]  # the place of roughness among these numbers
-INPUTS = 8  # numbers of a pixel of a photograph that fields and encoders read
-FLASH = 4  # numbers that describe a flash
-ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain
-LEAST_ROUGHNESS = 0.05
-CLIPPED_VALUE = 0.95  # of white: what a photograph shows no more
-LEAST_COSINE = 0.4  # cosine with the patch's normal of the most oblique light or view
-STRIDE = 64  # a picture's side over how far apart neighbours are that contrasts are taken of
+# Channels of unbounded numbers that stand for a texel: slopes, diffuse colour, roughness, specular colour
+CHANNELS = (2, 3, 1, 3)
+ROUGHNESS_CHANNEL = CHANNELS[0] + CHANNELS[1]
+PIXEL_INPUTS = 8  # numbers of a pixel of a photograph that fields and encoders read
+FLASH_NUMBERS = 4  # unbounded numbers that stand for a flash: its shift in x and y, its height, its gain
+# What 1 of such a number means: half sides of the patch, the log of the height, the log of the gain
+FLASH_SHIFT, FLASH_LOG_HEIGHT, FLASH_LOG_GAIN = 0.3, 0.2, 0.3
+MIN_ROUGHNESS = 0.05
+CLIPPED_VALUE = 0.95  # linear value, 1 is white, from which on a photograph may be clipped
+MIN_COSINE = 0.4  # cosine with the patch's normal of the most oblique light or view
+CONTRAST_CELLS = 64  # a picture's side over the distance of the neighbours that contrasts are taken of
 
 
-def decoded(raw: Tensor) -> Maps:
-    """The maps [T, C, H, W] that RAW numbers [T, 9, H, W] stand for."""
-    slopes, diffuse, roughness, specular = raw.split(RAW, 1)
+def decode_maps(raw: Tensor) -> Maps:
+    """Return the maps [T, C, H, W] that unbounded numbers [T, 9, H, W] stand for."""
+    slopes, diffuse, roughness, specular = raw.split(CHANNELS, 1)
     return Maps(
         torch.sigmoid(diffuse) ** 2.2,  # about evenly spread for the eye
         torch.sigmoid(specular - 2) ** 2,  # about 0.02 at first, as of dielectrics
-        LEAST_ROUGHNESS + (1 - LEAST_ROUGHNESS) * torch.sigmoid(roughness),
-        of_length_1(torch.cat([slopes, torch.ones_like(roughness)], 1)),
+        MIN_ROUGHNESS + (1 - MIN_ROUGHNESS) * torch.sigmoid(roughness),
+        normalise(torch.cat([slopes, torch.ones_like(roughness)], 1)),
     )
 
 
-def raw_roughness(roughness: Tensor) -> Tensor:
-    """The numbers that `decoded` makes this roughness of, clear of its bounds by a hundredth of the range."""
-    return torch.logit(((roughness - LEAST_ROUGHNESS) / (1 - LEAST_ROUGHNESS)).clamp(0.01, 0.99))
+def encode_roughness(roughness: Tensor) -> Tensor:
+    """Return the unbounded numbers of a roughness: the inverse of `decode_maps`, but for 1 % at both ends."""
+    return torch.logit(((roughness - MIN_ROUGHNESS) / (1 - MIN_ROUGHNESS)).clamp(0.01, 0.99))
 
 
-def linear(photo: Tensor) -> Tensor:
-    """A photograph as tasks keep it, uint8 sRGB of any shape, in linear RGB."""
+def decode_photo(photo: Tensor) -> Tensor:
+    """Convert a photograph of any shape from uint8 sRGB, as tasks hold it, to linear RGB."""
     levels = srgb_to_linear(torch.arange(256, device=photo.device) / 255)  # as a large photograph has many times
     return levels[photo.int()]
 
 
-def pooled(maps: Tensor, size: Sequence[int]) -> Tensor:
-    """Maps [..., 10, H, W] at another size, normals of unit length."""
+def pool_maps(maps: Tensor, size: Sequence[int]) -> Tensor:
+    """Average packed maps [..., 10, H, W] over areas to another size (height, width), with normals of unit length."""
     normal, rest = adaptive_avg_pool2d(maps, (size[0], size[1])).split((3, 7), -3)
-    return torch.cat([of_length_1(normal), rest], -3)
+    return torch.cat([normalise(normal), rest], -3)
 
 
-def of_length_1(vectors: Tensor) -> Tensor:
-    """Vectors [..., 3, H, W] of length 1; many times as fast as torch's own if channels come first."""
+def normalise(vectors: Tensor) -> Tensor:
+    """Scale vectors [..., 3, H, W] to length 1; many times as fast as torch's own function, as channels come first."""
     return vectors * vectors.square().sum(-3, keepdim=True).clamp_min(1e-24).rsqrt()
 
 
-def differences(maps: Maps, target: Maps) -> list[Tensor]:
-    """Of diffuse and specular colour at gamma 2.2, of roughness and of normals, [T, C, H, W] each."""
-    colours = [_shades(each) - _shades(other) for each, other in zip(maps[:2], target[:2], strict=True)]
+def map_differences(maps: Maps, target: Maps) -> list[Tensor]:
+    """Return the differences of two sets of maps, [T, C, H, W] each.
+
+    They are of diffuse and specular colour, both at gamma 2.2, of roughness and of normals, in this order.
+    """
+    colours = [_encode_gamma(each) - _encode_gamma(other) for each, other in zip(maps[:2], target[:2], strict=True)]
     return [*colours, maps.roughness - target.roughness, maps.normal - target.normal]
 
 
-def _shades(colour: Tensor) -> Tensor:
+def _encode_gamma(colour: Tensor) -> Tensor:
     return (colour + 1e-3) ** (1 / 2.2)
 
 
@@ -88,55 +96,59 @@ class Flash(NamedTuple):
     eye: Tensor
 
 
-def flash_of(flash: Tensor) -> Flash:
-    """Of its description [T, FLASH], any numbers: aside, higher, brighter; zeros say beside the lens, where white is 1.
+def decode_flash(flash: Tensor) -> Flash:
+    """Return the flash that unbounded numbers [T, FLASH_NUMBERS] stand for.
 
-    How bright white is right below the flash does not depend on its height, since exposure makes up for that.
+    Zeros stand for a flash beside the lens in whose light a white patch has radiance 1 right below it,
+    whatever its height, since exposure makes up for that.
     """
-    higher = torch.exp(UP * flash[:, 2:3])
-    place = torch.cat([ACROSS * flash[:, :2], camera_distance() * higher], 1)
+    higher = torch.exp(FLASH_LOG_HEIGHT * flash[:, 2:3])
+    place = torch.cat([FLASH_SHIFT * flash[:, :2], camera_distance() * higher], 1)
     eye = camera(dtype=flash.dtype, device=flash.device)
-    return Flash(place, torch.exp(BRIGHT * flash[:, 3:4]) * higher * higher, eye)
+    return Flash(place, torch.exp(FLASH_LOG_GAIN * flash[:, 3:4]) * higher * higher, eye)
 
 
-def photographed(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tensor:
-    """Radiance [T, 3, H, W] of maps [T, ...] under a flash; of parts of the patch at positions `place` [T, 2, H, W]."""
+def render_photo(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tensor:
+    """Return the radiance [T, 3, H, W] of maps [T, C, H, W] under a flash.
+
+    Maps of a part of the patch come with the positions of their texels, `place` [T, 2, H, W].
+    """
     like = maps.diffuse
     if place is None:
         place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
     return render(maps, place, flash.place, flash.eye, intensity=flash.gain)
 
 
-def oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
-    """Places of a light and of a viewer who know nothing of each other, [*shape, 2, 3]."""
-    return camera_distance() * _directions(rng, (*shape, 2))
+def draw_oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Draw places of a light and of a viewer, independent of each other, [*shape, 2, 3] in half sides of the patch."""
+    return camera_distance() * _draw_directions(rng, (*shape, 2))
 
 
-def mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
-    """Places of a light and of a viewer who sees it mirrored somewhere in a smooth patch, [*shape, 2, 3]."""
+def draw_mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Draw places of a light and of a viewer who sees it mirrored in a smooth patch, [*shape, 2, 3] in half sides."""
     centre = 1.6 * uniform(rng, *shape, 2) - 0.8
     centre = torch.cat([centre, torch.zeros_like(centre[..., :1])], -1)
-    towards = _directions(rng, shape)
+    towards = _draw_directions(rng, shape)
     mirrored = towards * towards.new_tensor([-1.0, -1.0, 1.0])
     return torch.stack([centre + camera_distance() * each for each in (towards, mirrored)], -2)
 
 
-def _directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
-    """Unit vectors [*shape, 3], evenly spread in solid angle about the normal, no more oblique than LEAST_COSINE."""
+def _draw_directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Draw unit vectors [*shape, 3], even in solid angle, whose z, along the normal, is at least MIN_COSINE."""
     z, turn = uniform(rng, 2, *shape)
-    z, phi = LEAST_COSINE + (1 - LEAST_COSINE) * z, 2 * math.pi * turn
+    z, phi = MIN_COSINE + (1 - MIN_COSINE) * z, 2 * math.pi * turn
     sine = (1 - z * z).sqrt()
     return torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1)
 
 
-def inputs_of(photo: Tensor) -> Tensor:
-    """The field's inputs at each pixel of linear photographs [T, 3, H, W]: [T, 8, H, W].
+def pixel_inputs(photo: Tensor) -> Tensor:
+    """Return what fields and encoders read of each pixel of linear photographs [T, 3, H, W]: [T, PIXEL_INPUTS, H, W].
 
-    The log of its colour, how brightness differs from and among its neighbours, and its position. Neighbours are as far
-    apart in the patch whatever the resolution, so that a field that was fitted at one works at others.
+    These are the logs of its colour, contrasts of its brightness with four neighbours, and its position. Neighbours
+    have one distance in the patch at every resolution, so that a field fitted at one resolution works at others.
     """
     logs = (photo + 0.02).log()
-    side = max(1, min(photo.shape[-2:]) // STRIDE)
+    side = max(1, min(photo.shape[-2:]) // CONTRAST_CELLS)
     wide = pad(logs.mean(1, keepdim=True), (side, side, side, side), mode="replicate")
     middle, after = slice(side, -side), slice(2 * side, None)
     before = slice(None, -2 * side)

@@ -18,7 +18,7 @@ from metapp.appearance.presenter import Presenter
 from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
 from metapp.appearance.uniform import black_fit
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.maps import Flash, linear, photographed, pooled
+from metapp.apps.svbrdf_nonstationary.maps import Flash, decode_photo, pool_maps, render_photo
 from metapp.learning.task import Params, Task, Tasks
 
 LARGEST_PX = 4096  # a side of the maps that can be asked for
@@ -50,7 +50,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         maps, photo = self._small_maps(theta, task)
         target = {}
         if "maps" in task.data:
-            target = {"reference": _sheet(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))}
+            target = {"reference": _sheet(unpack(pool_maps(task.data["maps"].float(), photo.shape[-2:])))}
         return target | {"fit": _sheet(with_relief(maps, self.relief))}
 
     @override
@@ -63,7 +63,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(shown).permute(1, 2, 0)}
         tiles |= _linear_pictures(with_relief(maps, self.relief))
         if "maps" in task.data:
-            target = _linear_pictures(unpack(pooled(task.data["maps"].float(), photo.shape[-2:])))
+            target = _linear_pictures(unpack(pool_maps(task.data["maps"].float(), photo.shape[-2:])))
             tiles |= {f"reference {name}": picture for name, picture in target.items()}
         return tiles
 
@@ -112,7 +112,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
             return None
         flashes = self.app.flashes(theta, task)
         photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
-        photos = adaptive_avg_pool2d(linear(photos), min(SHOWN_PX, photos.shape[-1]))
+        photos = adaptive_avg_pool2d(decode_photo(photos), min(SHOWN_PX, photos.shape[-1]))
         maps = self.app.final_maps(_batched(theta), photos[:1])
         pictures = torch.stack([_photograph_by(flash, maps) for flash in flashes])
         return Compared(linear_to_srgb(pictures.clamp(0, 1)), linear_to_srgb(photos))
@@ -190,7 +190,7 @@ def _batched(theta: Params) -> Params:
 
 def _photo_of(task: Task, side: int) -> Tensor:
     """Return the photograph, linear [1, 3, side, side]: means over areas; a smaller one is interpolated."""
-    photo = linear(task.data["photo"])[None]
+    photo = decode_photo(task.data["photo"])[None]
     finer = side > photo.shape[-1]
     return interpolate(photo, size=(side, side), mode="bilinear") if finer else adaptive_avg_pool2d(photo, side)
 
@@ -202,7 +202,7 @@ def _small_photo(task: Task) -> Tensor:
 
 def _photograph_by(flash: Flash, maps: Maps) -> Tensor:
     """Return the radiance [3, H, W] of maps [1, C, H, W] under a flash without task axis."""
-    return photographed(maps, Flash(*(part[None] for part in flash)))[0]
+    return render_photo(maps, Flash(*(part[None] for part in flash)))[0]
 
 
 def _linear_pictures(maps: Maps) -> dict[str, Tensor]:

@@ -1,4 +1,7 @@
-"""Data augmentation of materials: turned, mixed, of other gloss and colour, photographed anew."""
+"""Data augmentation of materials: turned, mixed, of other gloss and colour, photographed anew.
+
+All functions take packed maps [T, 10, H, W], one material a task, and a generator that draws for each task by itself.
+"""
 
 from __future__ import annotations
 
@@ -12,71 +15,84 @@ from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolat
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, unpack
-from metapp.apps.svbrdf_nonstationary.maps import ACROSS, BRIGHT, FLASH, UP, flash_of, of_length_1, photographed
+from metapp.apps.svbrdf_nonstationary.maps import (
+    FLASH_LOG_GAIN,
+    FLASH_LOG_HEIGHT,
+    FLASH_NUMBERS,
+    FLASH_SHIFT,
+    decode_flash,
+    normalise,
+    render_photo,
+)
 from metapp.learning import draws
 
-# of the numbers that describe a flash, as drawn materials are photographed
-JITTER = (ASIDE / ACROSS, ASIDE / ACROSS, HIGHER / UP, BRIGHTER / BRIGHT)
-CROPPED = (0.35, 0.7)  # of the maps' side, in which a square of any direction has room
-EXPOSED, STOPS = 0.2, 1.1  # the share of photographs that are exposed wrongly, by up to so many stops
-TINTED, TINT = 0.3, 0.04  # the share whose white balance is off, and the log of how much
-STEEPEST_SLOPE = 2.0  # slope
-RESTYLED = (0.75, 0.3)  # the share of materials of other gloss and colour, before and after they are mixed
+# Standard deviations of the unbounded numbers that stand for a flash
+FLASH_DEVIATIONS = (ASIDE / FLASH_SHIFT, ASIDE / FLASH_SHIFT, HIGHER / FLASH_LOG_HEIGHT, BRIGHTER / FLASH_LOG_GAIN)
+CROP_SIDES = (0.35, 0.7)  # sides of crops over that of the maps, in which a square of any direction has room
+EXPOSED_SHARE, EXPOSURE_STOPS = 0.2, 1.1  # the share of photographs that are exposed wrongly, and by how many stops
+TINTED_SHARE, LOG_TINT = 0.3, 0.04  # the share whose white balance is off, and the log of how much
+MAX_SLOPE = 2.0  # slope
+RESTYLED_SHARES = (0.75, 0.3)  # the share of materials of other gloss and colour, before and after they are mixed
 
 Draw = Callable[..., Tensor]
 
 
-def varied(maps: Tensor, side: int, rng: Generator) -> Tensor:
-    """Augmented materials [T, 10, side, side].
+def vary_materials(maps: Tensor, side: int, rng: Generator) -> Tensor:
+    """Return augmented materials [T, 10, side, side] of maps [T, 10, S, S].
 
-    Half of them are mixed with their neighbour, evenly or by a smooth mask. Of maps [T, 10, S, S], S at least twice
-    the side, they are crops in any direction, else the whole, turned by quarters.
+    If S is at least twice the side they are crops in any direction, else all of the maps, turned by quarters. Half of
+    the materials are mixed with their neighbour, evenly or by a smooth mask.
     """
-    if maps.shape[-1] >= 2 * side:
-        maps = _cropped(maps, side, rng)
-    else:
-        maps = torch.stack([_turned(each, rng) for each in maps])
-    maps = some(restyled, maps, RESTYLED[0], rng)
-    return some(restyled, mixed(recoloured(maps, rng), rng), RESTYLED[1], rng)
+    has_room = maps.shape[-1] >= 2 * side
+    maps = _crop(maps, side, rng) if has_room else torch.stack([_turn(material, rng) for material in maps])
+    maps = change_some(restyle, maps, RESTYLED_SHARES[0], rng)
+    return change_some(restyle, mix_materials(recolour(maps, rng), rng), RESTYLED_SHARES[1], rng)
 
 
-def photographs(maps: Tensor, rng: Generator) -> Tensor:
-    """Linear photographs [T, 3, S, S] of 8 bits: any flash and exposure, with noise."""
-    uniform, normal = draws_of(len(maps), rng)
-    flash = normal(FLASH) * maps.new_tensor(JITTER) * (uniform(1) > BESIDE_LENS)
-    stops = STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED)
-    flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / BRIGHT]) * stops
-    tint = torch.exp(TINT * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED))
-    display = linear_to_srgb((tint * photographed(unpack(maps), flash_of(flash))).clamp(0, 1))
+def draw_photos(maps: Tensor, rng: Generator) -> Tensor:
+    """Photograph maps [T, 10, S, S] under a random flash and exposure, with noise and 8 bits: linear [T, 3, S, S]."""
+    uniform, normal = draws_per_material(len(maps), rng)
+    flash = normal(FLASH_NUMBERS) * maps.new_tensor(FLASH_DEVIATIONS) * (uniform(1) > BESIDE_LENS)
+    stops = EXPOSURE_STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED_SHARE)
+    flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / FLASH_LOG_GAIN]) * stops
+    tint = torch.exp(LOG_TINT * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED_SHARE))
+    display = linear_to_srgb((tint * render_photo(unpack(maps), decode_flash(flash))).clamp(0, 1))
     noise = torch.randn(display.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
     return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)
 
 
-def draws_of(count: int, rng: Generator) -> tuple[Draw, Draw]:
-    """Functions of a shape that draw evenly from 0 to 1, and normally, for each of so many materials."""
+def draws_per_material(count: int, rng: Generator) -> tuple[Draw, Draw]:
+    """Return two functions of a shape, which draw uniform numbers in [0, 1) and normal ones for `count` materials."""
     return functools.partial(draws.uniform, rng, count), functools.partial(draws.normal, rng, count)
 
 
-def some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: float, rng: Generator) -> Tensor:
-    """A share of the materials [T, ...] after a change of them all."""
+def change_some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: float, rng: Generator) -> Tensor:
+    """Apply a change to a random share of the materials [T, ...] and leave the others as they are."""
     chosen = torch.rand(len(maps), 1, 1, 1, generator=rng, device=rng.device) < share
     return torch.where(chosen, change(maps, rng), maps)
 
 
-def _cropped(maps: Tensor, side: int, rng: Generator) -> Tensor:
-    """Crops [T, 10, side, side] of maps [T, 10, S, S], in any direction, half of them mirrored."""
-    uniform, _ = draws_of(len(maps), rng)
+def _crop(maps: Tensor, side: int, rng: Generator) -> Tensor:
+    """Cut random squares [T, 10, side, side] out of maps [T, 10, S, S], in any direction, half of them mirrored."""
+    uniform, _ = draws_per_material(len(maps), rng)
     angle = 2 * math.pi * uniform()
-    share = CROPPED[0] + (CROPPED[1] - CROPPED[0]) * uniform()
-    return turned_crops(maps, side, angle, share, maps.new_zeros(len(maps), 2), uniform(1, 1, 1) < 0.5, "reflection")
+    share = CROP_SIDES[0] + (CROP_SIDES[1] - CROP_SIDES[0]) * uniform()
+    return crop_turned(maps, side, angle, share, maps.new_zeros(len(maps), 2), uniform(1, 1, 1) < 0.5, "reflection")
 
 
-def turned_crops(
+def crop_turned(
     maps: Tensor, side: int, angle: Tensor, share: Tensor, centre: Tensor, mirrored: Tensor, padding: str
 ) -> Tensor:
-    """Crops [T, 10, side, side] of maps [T, 10, S, S], turned by `angle` [T], with the normals that these then have.
+    """Cut turned squares [T, 10, side, side] out of maps [T, 10, S, S], and turn their normals with them.
 
-    `share` [T] is a crop's side over the maps', `centre` [T, 2] from -1 to 1, `mirrored` [T, 1, 1, 1] true or false.
+    Args:
+        maps: the packed maps.
+        side: texels a side of the crops.
+        angle: of the crops, rad, [T].
+        share: sides of the crops over those of the maps, [T].
+        centre: centres of the crops, x and y from -1 to 1, [T, 2].
+        mirrored: whether crops are mirrored after that, [T, 1, 1, 1].
+        padding: what lies beyond the maps, as `grid_sample` has it.
     """
     cosine, sine = angle.cos(), angle.sin()
     turn = share[:, None, None] * torch.stack([cosine, -sine, sine, cosine], 1).unflatten(1, (2, 2))
@@ -85,15 +101,15 @@ def turned_crops(
     cosine, sine = cosine[:, None, None, None], sine[:, None, None, None]
     x, y = cosine * x - sine * y, sine * x + cosine * y  # rows go down, y goes up
     crops = torch.where(mirrored, torch.cat([-x, y, rest], 1).flip(3), torch.cat([x, y, rest], 1))
-    return torch.cat([of_length_1(crops[:, :3]), crops[:, 3:]], 1)
+    return torch.cat([normalise(crops[:, :3]), crops[:, 3:]], 1)
 
 
-def restyled(maps: Tensor, rng: Generator) -> Tensor:
-    """Materials of the same pattern, steeper or flatter, darker, evenly specular, with roughness that follows it.
+def restyle(maps: Tensor, rng: Generator) -> Tensor:
+    """Give materials other relief, brightness, specular colour and roughness, and keep their patterns.
 
     Scanned materials are like this more often than drawn ones: where they differ from place to place, it is by little.
     """
-    uniform, normal = draws_of(len(maps), rng)
+    uniform, normal = draws_per_material(len(maps), rng)
 
     def chance(share: float) -> Tensor:
         return uniform(1, 1, 1) < share
@@ -101,10 +117,10 @@ def restyled(maps: Tensor, rng: Generator) -> Tensor:
     normals, diffuse, roughness, specular = maps.split((3, 3, 1, 3), 1)
     slopes = normals[:, :2] / normals[:, 2:].clamp_min(0.2)
     slopes = slopes * torch.where(chance(0.6), torch.exp(0.5 * normal(1, 1, 1)), 1)
-    slopes = _at_most(slopes, STEEPEST_SLOPE)
-    tone = _standard((diffuse.mean(1, keepdim=True) + 1e-3).log())
-    rough = _standard(roughness)
-    relief = _standard(avg_pool2d(slopes.square().sum(1, keepdim=True).add(1e-8).sqrt(), 9, 1, 4))
+    slopes = _limit_slopes(slopes, MAX_SLOPE)
+    tone = _standardise((diffuse.mean(1, keepdim=True) + 1e-3).log())
+    rough = _standardise(roughness)
+    relief = _standardise(avg_pool2d(slopes.square().sum(1, keepdim=True).add(1e-8).sqrt(), 9, 1, 4))
     level = torch.where(chance(0.5), torch.exp(-3.9 + 2.7 * uniform(1, 1, 1)), 0.03 + 0.03 * uniform(1, 1, 1))
     level = level * torch.exp(0.06 * normal(3, 1, 1) * chance(0.4))
     even = level * torch.exp(0.08 * normal(1, 1, 1) * tone + 0.05 * normal(1, 1, 1) * rough)
@@ -118,24 +134,24 @@ def restyled(maps: Tensor, rng: Generator) -> Tensor:
     diffuse = torch.where(chance(0.5), other, diffuse)
     plain = torch.lerp(diffuse, diffuse.mean((2, 3), keepdim=True), 0.9 * uniform(1, 1, 1))
     diffuse = torch.where(chance(0.3), plain, diffuse)
-    normals = of_length_1(torch.cat([slopes, torch.ones_like(roughness)], 1))
+    normals = normalise(torch.cat([slopes, torch.ones_like(roughness)], 1))
     return torch.cat([normals, diffuse.clamp(0, 0.98), roughness, specular.clamp(0, 0.98)], 1)
 
 
-def _at_most(slopes: Tensor, steepest: float) -> Tensor:
-    """Slopes [T, 2, H, W] of the same directions, smoothly bounded."""
+def _limit_slopes(slopes: Tensor, steepest: float) -> Tensor:
+    """Bound the lengths of slopes [T, 2, H, W] smoothly and keep their directions."""
     length = slopes.square().sum(1, keepdim=True).add(1e-12).sqrt()
     return slopes * (steepest * torch.tanh(length / steepest) / length)
 
 
-def _standard(values: Tensor) -> Tensor:
-    """Values [T, 1, H, W] of mean 0 and standard deviation 1, or 0 if they are all the same."""
+def _standardise(values: Tensor) -> Tensor:
+    """Scale values [T, 1, H, W] to mean 0 and standard deviation 1; values that are equal become 0."""
     mean, std = values.mean((2, 3), keepdim=True), values.std((2, 3), keepdim=True)
     return (values - mean) / (std + 1e-4)
 
 
-def _turned(maps: Tensor, rng: Generator) -> Tensor:
-    """Maps [10, S, S] after some quarter turns, half of them mirrored."""
+def _turn(maps: Tensor, rng: Generator) -> Tensor:
+    """Turn maps [10, S, S] by a random number of quarters and mirror half of them."""
     quarters, mirrored = divmod(int(torch.randint(8, (1,), generator=rng, device=rng.device)), 2)
     x, y, rest = maps[:1], maps[1:2], maps[2:]
     if mirrored:
@@ -146,8 +162,8 @@ def _turned(maps: Tensor, rng: Generator) -> Tensor:
     return torch.cat([x, y, rest])
 
 
-def recoloured(maps: Tensor, rng: Generator) -> Tensor:
-    """Colours scaled, a third of them with channels exchanged, and roughness scaled."""
+def recolour(maps: Tensor, rng: Generator) -> Tensor:
+    """Scale colours and roughness at random, and exchange the channels of a third of the materials."""
     count, device = len(maps), rng.device
     order = torch.rand(count, 3, generator=rng, device=device).argsort(1)
     kept = torch.rand(count, 1, generator=rng, device=device) > 1 / 3
@@ -162,8 +178,8 @@ def recoloured(maps: Tensor, rng: Generator) -> Tensor:
     return torch.cat([parts[0], parts[1], rough, parts[2]], 1)
 
 
-def mixed(maps: Tensor, rng: Generator) -> Tensor:
-    """Half of the materials mixed with the next one, with one share all over or one that varies smoothly."""
+def mix_materials(maps: Tensor, rng: Generator) -> Tensor:
+    """Mix half of the materials with the next one, by one share all over or by one that varies smoothly."""
     count, device = len(maps), rng.device
     coarse = torch.randn(count, 1, 4, 4, generator=rng, device=device)
     masks = torch.sigmoid(6 * interpolate(coarse, size=maps.shape[-2:], mode="bicubic"))
@@ -171,4 +187,4 @@ def mixed(maps: Tensor, rng: Generator) -> Tensor:
     kind = torch.rand(count, 1, 1, 1, generator=rng, device=device)
     share = torch.where(kind < 0.5, torch.ones_like(masks), torch.where(kind < 0.75, even.expand_as(masks), masks))
     both = torch.lerp(maps.roll(1, 0), maps, share)
-    return torch.cat([of_length_1(both[:, :3]), both[:, 3:]], 1)
+    return torch.cat([normalise(both[:, :3]), both[:, 3:]], 1)

@@ -6,7 +6,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, unpack
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
+from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
@@ -54,6 +54,6 @@ def flat_maps(photos: Tensor) -> Maps:
     """Maps [T, C, H, W] of photographs [T, 3, H, W], linear, as of a surface without highlight and relief."""
     one = torch.ones_like(photos)
     flat = Maps(one, F0 * one, ROUGHNESS * one[:, :1], torch.cat([0 * one[:, :2], one[:, :1]], 1))
-    beside_lens = flash_of(photos.new_zeros(len(photos), FLASH))
-    white = photographed(flat._replace(specular=0 * one, roughness=one[:, :1]), beside_lens)
+    beside_lens = decode_flash(photos.new_zeros(len(photos), FLASH_NUMBERS))
+    white = render_photo(flat._replace(specular=0 * one, roughness=one[:, :1]), beside_lens)
     return flat._replace(diffuse=(photos / white).clamp(0, 1))

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
-from metapp.apps.svbrdf_nonstationary.maps import inputs_of
+from metapp.apps.svbrdf_nonstationary.maps import pixel_inputs
 from metapp.extensions.onnx_files.models import model_of
 from metapp.learning.task import Params
 
@@ -36,7 +36,7 @@ class Material(torch.nn.Module):
     def forward(self, photo: Tensor) -> tuple[Tensor, ...]:
         """OUTPUTS of a photograph [1, 3, H, W]."""
         linear = srgb_to_linear(photo)
-        inputs = inputs_of(linear)
+        inputs = pixel_inputs(linear)
         encoder = {name: self.encoder[short] for short, name in self.names.items()}
         theta = self.app.encode(encoder, {"photo": linear, "inputs": inputs})
         code = self.app.network.gain * theta["z"]  # one in each pixel

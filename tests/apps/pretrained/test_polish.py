@@ -6,9 +6,9 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
 from metapp.appearance.flash import Maps
-from metapp.apps.svbrdf_nonstationary.maps import LEAST_ROUGHNESS, flash_of, photographed
+from metapp.apps.svbrdf_nonstationary.maps import MIN_ROUGHNESS, decode_flash, render_photo
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_decoder
-from metapp.apps.svbrdf_nonstationary.pretrained.polish import highlight_of, raw_shift, shown_roughness
+from metapp.apps.svbrdf_nonstationary.pretrained.polish import describe_highlight, predict_roughness, roughness_shift
 from metapp.learning.task import Params
 from metapp.networks.coded import reader_of
 from metapp.storage.checkpoints import load_checkpoint
@@ -33,7 +33,7 @@ def marble(roughness: float, seed: int, aside: float = 0.0) -> Tensor:
     one = torch.ones_like(veins)
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * one
     maps = Maps(diffuse, 0.04 * one.expand(-1, 3, -1, -1), roughness * one, up)
-    return photographed(maps, flash_of(torch.tensor([[aside, 0.5 * aside, 0.0, 0.0]]))).clamp(0, 1)
+    return render_photo(maps, decode_flash(torch.tensor([[aside, 0.5 * aside, 0.0, 0.0]]))).clamp(0, 1)
 
 
 @pytest.mark.parametrize("aside", [0.0, 1.0])
@@ -43,13 +43,13 @@ def test_the_highlight_of_a_polished_pattern_is_sharp(
 ) -> None:
     """Of ten patterns the median; sharp highlights show up to twice the roughness, as mixed materials would."""
     photos = torch.cat([marble(roughness, seed, aside) for seed in range(10)])
-    shown = shown_roughness(reader, highlight_of(photos))
+    shown = predict_roughness(reader, describe_highlight(photos))
     assert 0.7 * roughness < float(shown.median()) < most
     assert float(shown.max()) < 0.3
 
 
 def test_rough_patterns_are_not_taken_for_polished_ones(reader: Params) -> None:
-    shown = shown_roughness(reader, highlight_of(torch.cat([marble(0.6, seed) for seed in range(10)])))
+    shown = predict_roughness(reader, describe_highlight(torch.cat([marble(0.6, seed) for seed in range(10)])))
     assert float(shown.min()) > 0.3
     torch.testing.assert_close(shifted(torch.full((10,), 0.6), shown), torch.full((10,), 0.6), atol=0.005, rtol=0)
 
@@ -59,8 +59,8 @@ def shifted(roughness: Tensor, shown: Tensor, slope: float = 0.0) -> Tensor:
     one = torch.ones(len(roughness), 1, 2, 2)
     normal = torch.nn.functional.normalize(torch.cat([slope * one, 0 * one, one], 1), dim=1)
     maps = Maps(one.expand(-1, 3, -1, -1), one.expand(-1, 3, -1, -1), roughness[:, None, None, None] * one, normal)
-    raw = ((roughness - LEAST_ROUGHNESS) / (1 - LEAST_ROUGHNESS)).logit()
-    return LEAST_ROUGHNESS + (1 - LEAST_ROUGHNESS) * torch.sigmoid(raw + raw_shift(shown, maps))
+    raw = ((roughness - MIN_ROUGHNESS) / (1 - MIN_ROUGHNESS)).logit()
+    return MIN_ROUGHNESS + (1 - MIN_ROUGHNESS) * torch.sigmoid(raw + roughness_shift(shown, maps))
 
 
 def test_roughness_moves_to_that_of_a_sharp_highlight_of_a_flat_surface_alone() -> None:
@@ -70,11 +70,11 @@ def test_roughness_moves_to_that_of_a_sharp_highlight_of_a_flat_surface_alone() 
 
 
 def test_untrained_readers_take_nothing_for_polished(rng: Generator) -> None:
-    shown = shown_roughness(init_decoder(rng, 5), highlight_of(torch.rand(3, 3, 64, 64, generator=rng)))
+    shown = predict_roughness(init_decoder(rng, 5), describe_highlight(torch.rand(3, 3, 64, 64, generator=rng)))
     torch.testing.assert_close(shown, torch.ones(3))
 
 
 def test_a_highlight_is_the_same_at_twice_the_resolution() -> None:
     photo = marble(0.1, 3)
     twice = photo.repeat_interleave(2, 2).repeat_interleave(2, 3)
-    torch.testing.assert_close(highlight_of(twice), highlight_of(photo))
+    torch.testing.assert_close(describe_highlight(twice), describe_highlight(photo))

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.svbrdf_nonstationary.encoder import BASE
+from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS
 from metapp.apps.svbrdf_nonstationary.pretrained import app as pretrained
 from metapp.apps.svbrdf_nonstationary.pretrained.app import FromFeatures
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import PARTS, laplace_scales, negative_log_likelihood
@@ -15,17 +15,17 @@ CHANNELS = (3, 3, 1, 3)  # of each map
 
 def test_the_likelihood_is_greatest_at_the_scale_of_the_differences(rng: Generator) -> None:
     """Differences of a Laplace distribution of scale 0.1: the scale that gradient descent finds is 0.1."""
-    uniform = torch.rand(1, sum(CHANNELS), BASE, BASE, generator=rng) - 0.5
+    uniform = torch.rand(1, sum(CHANNELS), BASE_TEXELS, BASE_TEXELS, generator=rng) - 0.5
     off = -0.1 * uniform.sign() * (1 - 2 * uniform.abs()).clamp_min(1e-6).log()
     log = torch.full((1, len(PARTS), 1, 1), -1.0, requires_grad=True)
     adam = torch.optim.Adam([log], 0.05)
     for _ in range(200):
-        theta = {"deviation": log.expand(1, len(PARTS), BASE, BASE)}
+        theta = {"deviation": log.expand(1, len(PARTS), BASE_TEXELS, BASE_TEXELS)}
         loss = negative_log_likelihood(off.split(CHANNELS, 1), theta).sum()
         adam.zero_grad()
         loss.backward()
         adam.step()
-    theta = {"deviation": log.detach().expand(1, len(PARTS), BASE, BASE)}
+    theta = {"deviation": log.detach().expand(1, len(PARTS), BASE_TEXELS, BASE_TEXELS)}
     torch.testing.assert_close(laplace_scales(theta), torch.full_like(laplace_scales(theta), 0.1), rtol=0.05, atol=0)
 
 
@@ -37,7 +37,7 @@ def test_the_likelihood_moves_the_predicted_error_alone(
     start = app.encode(app.init_encoder(rng), app.condition(windows, rng))
     theta = {key: value.detach().requires_grad_() for key, value in start.items()}
     batch, grads = app.sample(windows, rng, 1), []
-    for weight in (pretrained.LIKELIHOOD, 0.0):
+    for weight in (pretrained.LIKELIHOOD_WEIGHT, 0.0):
         monkeypatch.setattr(pretrained, "LIKELIHOOD", weight)
         loss = app.outer_loss(theta, batch, {}).sum()
         grads.append(torch.autograd.grad(loss, list(theta.values()), materialize_grads=True))

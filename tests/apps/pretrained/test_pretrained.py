@@ -11,19 +11,19 @@ from torch import Generator, Tensor
 from metapp.appearance.flash import Maps, positions, unpack
 from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, inputs_of
-from metapp.apps.svbrdf_nonstationary.pretrained.app import SHALLOW, SHARE, STEEPER, FromFeatures
-from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import variants
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, pixel_inputs
+from metapp.apps.svbrdf_nonstationary.pretrained.app import FULL_SHARE, HALVED_SLOPE, SLOPE_GAIN, FromFeatures
+from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
-    DARK,
     FULL_APP,
-    GUESS,
-    OVERVIEW,
+    GUESS_CHANNELS,
+    LOG_FLOOR,
+    OVERVIEW_PX,
     PARTS,
-    _balanced,
+    _balance,
+    describe_patch,
     full_encoder,
     init_decoder,
-    patch_of,
     read_photos,
 )
 from metapp.learning.learn import descend, final_item, task_loss
@@ -82,7 +82,10 @@ def test_it_is_the_default_of_what_goes_on_from_general_where_weights_are(
 def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.MonkeyPatch) -> Tensor:
     """The outer losses of such predicted maps, of which General is equally sure."""
     count, side = maps.diffuse.shape[0], maps.diffuse.shape[-1]
-    theta = {"deviation": torch.full((count, 4, side // 4, side // 4), -2.0), "flash": torch.zeros(count, FLASH)}
+    theta = {
+        "deviation": torch.full((count, 4, side // 4, side // 4), -2.0),
+        "flash": torch.zeros(count, FLASH_NUMBERS),
+    }
     monkeypatch.setattr(FromFeatures, "_made_of", lambda app, theta, inputs: maps)
     return app.outer_loss(theta, batch, {})
 
@@ -139,8 +142,8 @@ def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, r
     """Before their ranges are imposed, and at resolutions that the smaller one does not read."""
     encoder = app.init_encoder(rng)
     photo = torch.rand(1, 3, 2 * SIDE, 2 * SIDE, generator=rng)
-    inputs = inputs_of(photo)
-    theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **patch_of(photo)})
+    inputs = pixel_inputs(photo)
+    theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **describe_patch(photo)})
     size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
     own = LocalField(*app.network)._replace(**size)
     alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
@@ -150,25 +153,25 @@ def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, r
     second = FULL_APP.network._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
     joined = app.network._replace(**size)(theta, inputs)
     torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
-    torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, FULL_SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
 
 
 def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures) -> None:
     """In the same direction, each pixel by itself; a slope of SHALLOW is halved, but for STEEPER; other maps stay."""
-    raw = torch.randn(2, sum(RAW), 16, 16, generator=Generator().manual_seed(0))
+    raw = torch.randn(2, sum(CHANNELS), 16, 16, generator=Generator().manual_seed(0))
     size = torch.logspace(-3, 1, 256).reshape(16, 16)
-    size[0, 0] = SHALLOW
+    size[0, 0] = HALVED_SLOPE
     raw[:, :2] *= size / raw[:, :2].norm(dim=1, keepdim=True)
-    maps, as_read = app.maps_from(raw), decoded(raw)
+    maps, as_read = app.maps_from(raw), decode_maps(raw)
     for found, wanted in zip(maps[:3], as_read[:3], strict=True):
         assert torch.equal(found, wanted)
     slopes, read = (each.normal[:, :2] / each.normal[:, 2:] for each in (maps, as_read))
-    torch.testing.assert_close(slopes[:, :, 0, 0].norm(dim=1), torch.full((2,), STEEPER * SHALLOW / 2))
+    torch.testing.assert_close(slopes[:, :, 0, 0].norm(dim=1), torch.full((2,), SLOPE_GAIN * HALVED_SLOPE / 2))
     ratio = slopes / read
     torch.testing.assert_close(ratio[:, 0], ratio[:, 1], rtol=1e-2, atol=1e-3)
-    assert (ratio[..., size < SHALLOW / 3] < 0.1 * STEEPER + 1e-3).all()
-    assert (ratio[..., size > 10 * SHALLOW] > 0.99 * STEEPER - 1e-2).all()
-    flat = torch.zeros(1, sum(RAW), 4, 4, requires_grad=True)
+    assert (ratio[..., size < HALVED_SLOPE / 3] < 0.1 * SLOPE_GAIN + 1e-3).all()
+    assert (ratio[..., size > 10 * HALVED_SLOPE] > 0.99 * SLOPE_GAIN - 1e-2).all()
+    flat = torch.zeros(1, sum(CHANNELS), 4, 4, requires_grad=True)
     app.maps_from(flat).normal.sum().backward()
     assert flat.grad is not None
     assert flat.grad.isfinite().all()
@@ -181,14 +184,14 @@ def test_training_sees_what_the_network_makes_and_fits_what_is_made_of_it(
     """Else training would undo it."""
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     photo = tasks.data["photo"]
-    raw = app.network(theta, inputs_of(photo))
+    raw = app.network(theta, pixel_inputs(photo))
     for maps, wanted in (
-        (app._made_of(theta, inputs_of(photo)), decoded(raw)),
+        (app._made_of(theta, pixel_inputs(photo)), decode_maps(raw)),
         (app.maps_of(theta, photo), app.maps_from(raw)),
     ):
         for found, other in zip(maps, wanted, strict=True):
             torch.testing.assert_close(found, other)
-    assert not torch.equal(decoded(raw).normal, app.maps_from(raw).normal)
+    assert not torch.equal(decode_maps(raw).normal, app.maps_from(raw).normal)
 
 
 @pytest.mark.usefixtures("weights")
@@ -240,7 +243,7 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
         read = read_photos(decoder, torch.rand(2, 3, side, side, generator=rng))
         assert read["z"].shape == (2, 5 + FULL_APP.network.code, side, side)
         assert read["deviation"].shape == (2, len(PARTS), side // 4, side // 4)
-        assert read["flash"].shape == (2, FLASH)
+        assert read["flash"].shape == (2, FLASH_NUMBERS)
     with pytest.raises(ValueError, match="44 px, expected a multiple of 8"):
         read_photos(decoder, torch.rand(1, 3, 44, 44))
 
@@ -255,7 +258,7 @@ def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> 
         seen = FULL_APP.network.gain * FULL_APP.encode(full_encoder(photos.device), {"photo": large})["flash"]
     torch.testing.assert_close(read_photos(decoder, photos)["flash"], seen)
     window = photos[..., :16, :16], positions(32, 32)[None, :, :16, :16]
-    torch.testing.assert_close(read_photos(decoder, *window, patch_of(photos))["flash"], seen)
+    torch.testing.assert_close(read_photos(decoder, *window, describe_patch(photos))["flash"], seen)
 
 
 def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> None:
@@ -263,7 +266,7 @@ def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> N
     photo, place = 0.1 + 0.3 * torch.rand(1, 3, 16, 16, generator=rng), positions(16, 16)[None]
     gains = torch.tensor([1.3, 1.0, 0.6])[:, None, None]
     mean = photo.mean((2, 3), keepdim=True)
-    (seen, known), (again, others) = _balanced(photo, place, mean), _balanced(photo * gains, place, mean * gains)
+    (seen, known), (again, others) = _balance(photo, place, mean), _balance(photo * gains, place, mean * gains)
     torch.testing.assert_close(again, seen)
     torch.testing.assert_close(others[:, :-4], known[:, :-4])
     change = (others - known)[0, -4:, 0, 0]
@@ -274,22 +277,22 @@ def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> N
 def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
     """Gloss is read off an overview, which says the same of a patch in any window and at any resolution."""
     side = 64
-    made = [variants(torch.rand(2, 10, 128, 128, generator=rng), torch.ones(2, 4), side, rng) for _ in range(12)]
+    made = [draw_variants(torch.rand(2, 10, 128, 128, generator=rng), torch.ones(2, 4), side, rng) for _ in range(12)]
     whole = [float(each["inputs"][:, -2:].std()) > 0.5 for each in made]
     assert set(whole) == {True, False}
     for each, seen in zip(made, whole, strict=True):
-        assert each["overview"].shape == (2, 3, OVERVIEW, OVERVIEW)
+        assert each["overview"].shape == (2, 3, OVERVIEW_PX, OVERVIEW_PX)
         assert each["photo"].shape[-1] == each["maps"].shape[-1] == each["inputs"].shape[-1] == side
         if seen:
-            torch.testing.assert_close(inputs_of(each["photo"]), each["inputs"])
-            coarse = torch.nn.functional.avg_pool2d(each["overview"], OVERVIEW)
+            torch.testing.assert_close(pixel_inputs(each["photo"]), each["inputs"])
+            coarse = torch.nn.functional.avg_pool2d(each["overview"], OVERVIEW_PX)
             torch.testing.assert_close(each["photo"].mean((2, 3), keepdim=True), coarse)
     fine = torch.rand(1, 3, 512, 512, generator=rng)
     smooth = torch.nn.functional.avg_pool2d(fine, 2)
-    torch.testing.assert_close(*(patch_of(photo)["overview"] for photo in (fine, smooth)))
+    torch.testing.assert_close(*(describe_patch(photo)["overview"] for photo in (fine, smooth)))
     untrained = init_decoder(rng, 5)
     trained = {key: value + (0.1 if ".overview" in key else 0) for key, value in untrained.items()}
-    patch, middle = patch_of(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
+    patch, middle = describe_patch(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
     window = (smooth[middle], positions(256, 256)[None][middle])
     for parameters, same in ((untrained, True), (trained, False)):  # of another patch with the same mean
         turned = patch | {"overview": patch["overview"].flip(3)}
@@ -301,16 +304,16 @@ def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
     """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was trained beside."""
     assert tensor_digest(full_encoder(torch.device("cpu"))) == DIGEST, "train pretrained beside this General, too"
     photo = torch.rand(1, 3, 256, 256, generator=rng)
-    guess = patch_of(photo)["guess"]
+    guess = describe_patch(photo)["guess"]
     full = app_of(APP, recipes_of(APP, "photo")["full"], "photo")
     assert isinstance(full, FromPhoto)
     with torch.no_grad():
         maps = full.maps_of(full.encode(full_encoder(torch.device("cpu")), {"photo": photo}), photo)
-    assert guess.shape == (1, GUESS, 256, 256)
+    assert guess.shape == (1, GUESS_CHANNELS, 256, 256)
     torch.testing.assert_close(guess[:, :1], maps.roughness)
-    torch.testing.assert_close(guess[:, 1:].exp() - DARK, torch.stack([maps.specular, maps.diffuse], 1).mean(2))
+    torch.testing.assert_close(guess[:, 1:].exp() - LOG_FLOOR, torch.stack([maps.specular, maps.diffuse], 1).mean(2))
     twice = photo.repeat_interleave(2, 2).repeat_interleave(2, 3)
-    torch.testing.assert_close(patch_of(twice)["guess"], guess)
+    torch.testing.assert_close(describe_patch(twice)["guess"], guess)
 
 
 @pytest.mark.usefixtures("weights")
@@ -318,7 +321,7 @@ def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> Non
     untrained = init_decoder(rng, 5)
     trained = {key: value + (0.1 if ".guess.kernel" in key else 0) for key, value in untrained.items()}
     photo = torch.rand(1, 3, 32, 32, generator=rng)
-    patch = patch_of(photo)
+    patch = describe_patch(photo)
     for parameters, same in ((untrained, True), (trained, False)):
         changed = patch | {"guess": 1 - patch["guess"]}
         read, other = (read_photos(parameters, photo, patch=each)["z"] for each in (patch, changed))

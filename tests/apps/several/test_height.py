@@ -7,7 +7,7 @@ from torch import Tensor
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, camera_distance, positions, render
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
-from metapp.apps.svbrdf_nonstationary.several.height import _moved, levelled
+from metapp.apps.svbrdf_nonstationary.several.height import _shift_plane, align_to_surface
 from metapp.learning.task import Task
 from tests.apps.several.test_several_photos import relief
 
@@ -33,11 +33,11 @@ def photographs(slope: float) -> tuple[Tensor, Tensor]:
 @pytest.mark.parametrize("texels", [1.0, 1.5])
 def test_photographs_registered_below_the_surface_are_moved_onto_it(texels: float) -> None:
     photos, places = photographs(1.0)
-    off = _moved(photos, places[:, 0], torch.tensor(-texels * 2 / SIDE))
+    off = _shift_plane(photos, places[:, 0], torch.tensor(-texels * 2 / SIDE))
     inner = ..., slice(8, -8), slice(8, -8)
     display = (linear_to_srgb(off) * 255).round().to(torch.uint8)
     task = Task("relief", {"photo": display[0], "others": display[1:], "places": places})
-    for moved in (levelled(off, places), SeveralPhotos(Texels(SIDE, SIDE)).prepare(task)["photos"]):
+    for moved in (align_to_surface(off, places), SeveralPhotos(Texels(SIDE, SIDE)).prepare(task)["photos"]):
         assert (moved[0] - photos[0]).abs().max() < 0.01
         assert (moved - photos)[inner].abs().mean() < 0.2 * (off - photos)[inner].abs().mean()
 
@@ -45,6 +45,6 @@ def test_photographs_registered_below_the_surface_are_moved_onto_it(texels: floa
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 def test_what_lies_on_the_plane_or_does_not_tell_stays(slope: float) -> None:
     photos, places = photographs(slope)
-    assert levelled(photos, places) is photos
+    assert align_to_surface(photos, places) is photos
     for few, at in ((photos[..., ::2, ::2], places), (photos[:3], places[:3])):
-        assert levelled(few, at) is few
+        assert align_to_surface(few, at) is few

@@ -6,9 +6,15 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps
 from metapp.apps.svbrdf_nonstationary.several import newton
-from metapp.apps.svbrdf_nonstationary.several.app import FLOOR, SeveralPhotos, Texels, flashes_of, radiance_of
+from metapp.apps.svbrdf_nonstationary.several.app import (
+    LIGHT_FLOOR,
+    SeveralPhotos,
+    Texels,
+    decode_flashes,
+    render_photos,
+)
 from metapp.learning.adjoint import Draw, Loss, learn_through
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Batch, Params
@@ -33,43 +39,46 @@ def all_texels(monkeypatch: pytest.MonkeyPatch) -> None:
 def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
     """An initialisation near the maps of exact photographs, the batch, and these maps, in float64."""
     rng = Generator().manual_seed(seed)
-    true = 0.4 * torch.randn(1, sum(RAW), SIDE, SIDE, generator=rng, dtype=torch.float64)
+    true = 0.4 * torch.randn(1, sum(CHANNELS), SIDE, SIDE, generator=rng, dtype=torch.float64)
     places = PLACES.double()[None, :, None].expand(1, COUNT, 2, 3)
-    photos = radiance_of(decoded(true), flashes_of(true.new_zeros(1, FLASH, COUNT), places))
+    photos = render_photos(decode_maps(true), decode_flashes(true.new_zeros(1, FLASH_NUMBERS, COUNT), places))
     maps = true + off * torch.randn(true.shape, generator=rng, dtype=torch.float64)
-    flash = 0.2 * off * torch.randn(1, FLASH, COUNT, generator=rng, dtype=torch.float64)
+    flash = 0.2 * off * torch.randn(1, FLASH_NUMBERS, COUNT, generator=rng, dtype=torch.float64)
     prior = torch.cat([maps + 0.1, torch.zeros_like(maps)], 1)
     return {"maps": maps, "flash": flash, "prior": prior}, {"photos": photos, "places": places}, true
 
 
 def settings(values: dict[str, float] = SETTINGS) -> Params:
-    shapes = {"smoothing": (1,), "prior": (1, sum(RAW)), "flash": (1,)}
+    shapes = {"smoothing": (1,), "prior": (1, sum(CHANNELS)), "flash": (1,)}
     return {key: torch.full(shapes[key], math.log(value), dtype=torch.float64) for key, value in values.items()}
 
 
 def test_changes_are_those_of_dense_least_squares() -> None:
     theta, batch, _ = problem()
-    found = newton.changes(theta, batch, settings(), longest_of_texel=sum(RAW) * (1e6,))
+    found = newton.gauss_newton_change(theta, batch, settings(), longest_of_texel=sum(CHANNELS) * (1e6,))
 
     def logs(flat: Tensor) -> Tensor:
-        maps, flash = flat[: -FLASH * COUNT].view_as(theta["maps"]), flat[-FLASH * COUNT :].view_as(theta["flash"])
-        return (radiance_of(decoded(maps), flashes_of(flash, batch["places"])) + FLOOR).log().flatten()
+        maps, flash = (
+            flat[: -FLASH_NUMBERS * COUNT].view_as(theta["maps"]),
+            flat[-FLASH_NUMBERS * COUNT :].view_as(theta["flash"]),
+        )
+        return (render_photos(decode_maps(maps), decode_flashes(flash, batch["places"])) + LIGHT_FLOOR).log().flatten()
 
     def dense(flash: Tensor) -> Tensor:
         at = torch.cat([theta["maps"].flatten(), flash.flatten()])
-        rows, short = torch.func.jacfwd(logs)(at), logs(at) - (batch["photos"] + FLOOR).log().flatten()
+        rows, short = torch.func.jacfwd(logs)(at), logs(at) - (batch["photos"] + LIGHT_FLOOR).log().flatten()
         weight = (short.square() + SETTINGS["smoothing"] ** 2).rsqrt()
         off = (theta["maps"] - theta["prior"].chunk(2, 1)[0]).flatten()
         pull = 3 * SETTINGS["prior"] / (1 + off.square()).sqrt()
-        moved = torch.full((FLASH, COUNT), 2 * SETTINGS["flash"])
+        moved = torch.full((FLASH_NUMBERS, COUNT), 2 * SETTINGS["flash"])
         moved[3] = 1e-4
         moved = (SIDE * SIDE * moved).flatten()
         matrix = rows.T @ (weight[:, None] * rows) + torch.cat([pull + newton.DAMPING, moved]).diag()
         moment = rows.T @ (weight * short) + torch.cat([pull * off, moved * flash.flatten()])
         both: Tensor = torch.linalg.solve(matrix, moment)
         if flash is theta["flash"]:
-            return both[-FLASH * COUNT :].view_as(flash)
-        texels = slice(0, -FLASH * COUNT)
+            return both[-FLASH_NUMBERS * COUNT :].view_as(flash)
+        texels = slice(0, -FLASH_NUMBERS * COUNT)
         return torch.linalg.solve(matrix[texels, texels], moment[texels]).view_as(theta["maps"])
 
     # up to the error of central differences
@@ -82,12 +91,12 @@ def test_exact_photographs_are_met_in_a_few_steps() -> None:
     weak = settings({"smoothing": 0.02, "prior": 1e-9, "flash": 1e-2})
 
     def worst(theta: Params) -> float:
-        lit = radiance_of(decoded(theta["maps"]), flashes_of(theta["flash"], batch["places"]))
+        lit = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
         return float((lit - batch["photos"]).abs().max())
 
     first = worst(theta)
     for _ in range(8):
-        change = newton.changes(theta, batch, weak)
+        change = newton.gauss_newton_change(theta, batch, weak)
         theta = theta | {key: theta[key] - value for key, value in change.items()}
     assert worst(theta) < 0.01 * first
     assert float((theta["maps"][:, :2] - true[:, :2]).abs().median()) < 0.03

@@ -11,16 +11,16 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash import Maps, camera_distance, pack, positions, towards, unpack
 from metapp.apps import presenter_of
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, linear
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, decode_photo
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as reader
 from metapp.apps.svbrdf_nonstationary.several.app import (
     SeveralPhotos,
     Texels,
-    _encoded,
-    drawn_photos,
-    flashes_of,
-    radiance_of,
+    _encode_maps,
+    decode_flashes,
+    draw_photo_sets,
+    render_photos,
 )
 from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL
 from metapp.learning.app import stack
@@ -77,8 +77,8 @@ def test_stereo_is_exact_on_lambertian_texels() -> None:
     maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
     wi, squared = towards(places[:, :, 1], positions(32, 32))
     white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared
-    flash = torch.zeros(1, FLASH, 5)
-    brightness = radiance_of(maps, flashes_of(flash, places)).mean(2, keepdim=True) / white
+    flash = torch.zeros(1, FLASH_NUMBERS, 5)
+    brightness = render_photos(maps, decode_flashes(flash, places)).mean(2, keepdim=True) / white
     expected = maps.normal[:, :2] / maps.normal[:, 2:]
     one = torch.ones_like(brightness)
     level, slopes, _, unknown = reader.photometric_stereo(brightness, wi[:, :, :2] / wi[:, :, 2:], one, 0 * one)
@@ -87,7 +87,7 @@ def test_stereo_is_exact_on_lambertian_texels() -> None:
     assert ((slopes - expected).abs() < bound).all()
     body = maps.diffuse.mean(1, keepdim=True) * maps.normal[:, 2:]
     torch.testing.assert_close(level, body, rtol=0.03, atol=0)
-    reading = reader.read(radiance_of(maps, flashes_of(flash, places)), places)
+    reading = reader.read_photos(render_photos(maps, decode_flashes(flash, places)), places)
     cosine = torch.nn.functional.cosine_similarity(reading.maps[:, :2].flatten(), expected.flatten(), 0)
     assert float(cosine) > 0.98  # exposures and lobes are looked for, too
 
@@ -95,8 +95,8 @@ def test_stereo_is_exact_on_lambertian_texels() -> None:
 def test_exposures_of_photographs_are_solved() -> None:
     maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
     gains = torch.tensor([0.4, -0.3, 0.0, -0.4, 0.3])
-    photos = 0.5 * radiance_of(maps, flashes_of(torch.zeros(1, FLASH, 5), places))
-    plain, changed = (reader.read(each, places) for each in (photos, photos * gains.exp()[:, None, None, None]))
+    photos = 0.5 * render_photos(maps, decode_flashes(torch.zeros(1, FLASH_NUMBERS, 5), places))
+    plain, changed = (reader.read_photos(each, places) for each in (photos, photos * gains.exp()[:, None, None, None]))
     torch.testing.assert_close(changed.gains - plain.gains, gains[None], rtol=0, atol=0.01)
     torch.testing.assert_close(changed.maps[:, :2], plain.maps[:, :2], rtol=0, atol=0.03)
 
@@ -115,13 +115,13 @@ def test_the_order_of_photographs_does_not_matter(app: SeveralPhotos, tasks: Tas
 
 def truth(tasks: Tasks) -> Tensor:
     """RAW numbers of the tasks' own maps."""
-    return _encoded(unpack(tasks.data["maps"]))
+    return _encode_maps(unpack(tasks.data["maps"]))
 
 
 def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, tasks: Tasks) -> None:
     batch = app.sample(tasks, Generator(), 1)
-    theta = {"maps": truth(tasks), "flash": torch.zeros(2, FLASH, COUNT)}
-    torch.testing.assert_close(decoded(theta["maps"]).normal, unpack(tasks.data["maps"]).normal, rtol=0, atol=1e-3)
+    theta = {"maps": truth(tasks), "flash": torch.zeros(2, FLASH_NUMBERS, COUNT)}
+    torch.testing.assert_close(decode_maps(theta["maps"]).normal, unpack(tasks.data["maps"]).normal, rtol=0, atol=1e-3)
     least = app.loss(theta, batch, {})
     assert (least / SIDE**2 < 0.03).all()  # the maps are the photos' means, and 8 bits
     for axis, off in ((0, 1.0), (2, 1.0), (3, 1.0)):
@@ -163,8 +163,8 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
         paradigm, phi = paradigm_of(name).of(app, recipe), phis.get(name, MetaParameters(encoder=encoder))
         steps = list(paradigm.descend(phi, tasks, Generator()))
         first, last = steps[0].theta, steps[-1].theta
-        assert last["maps"].shape == (1, sum(RAW), SIDE, SIDE)
-        assert last["flash"].shape == (1, FLASH, count)
+        assert last["maps"].shape == (1, sum(CHANNELS), SIDE, SIDE)
+        assert last["flash"].shape == (1, FLASH_NUMBERS, count)
         assert (len(steps) > 1) == (name != "general")
         if name != "general":
             assert (app.loss(last, batch, {}) < app.loss(first, batch, {})).all(), name
@@ -179,21 +179,21 @@ def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPho
         maps = relief(SIDE)._replace(specular=torch.full((1, 3, SIDE, SIDE), 0.04))
         maps = maps._replace(roughness=torch.full((1, 1, SIDE, SIDE), roughness))
         places = PLACES[:, None].expand(5, 2, 3)
-        photos = (radiance_of(maps, flashes_of(torch.zeros(1, FLASH, 5), places[None]))[0]).clamp(0, 1)
+        photos = (render_photos(maps, decode_flashes(torch.zeros(1, FLASH_NUMBERS, 5), places[None]))[0]).clamp(0, 1)
         known = pack(Maps(*(part[0] for part in maps)))
         shown = (photos.clamp_min(0) ** (1 / 2.2) * 255).round().to(torch.uint8)
         task = svbrdf_task("relief", known, photo=shown[0])
         tasks = stack(app, [task._replace(data=task.data | {"others": shown[1:], "places": places})])
-        found = decoded(app.task_parameters(tasks)["maps"]).roughness
+        found = decode_maps(app.task_parameters(tasks)["maps"]).roughness
         assert float((found - roughness).abs().max()) < 0.12
 
 
 def test_camera_and_flash_move_together() -> None:
     places = torch.tensor([[[[0.1, 0.2, 3.0], [0.3, 0.2, 2.0]]]])
-    flash = torch.zeros(1, FLASH, 1)
-    given = flashes_of(flash, places)
+    flash = torch.zeros(1, FLASH_NUMBERS, 1)
+    given = decode_flashes(flash, places)
     torch.testing.assert_close(torch.stack([given.eye, given.place], 2), places)
-    moved = flashes_of(flash + torch.tensor([1.0, -1.0, 0.5, 0.0])[:, None], places)
+    moved = decode_flashes(flash + torch.tensor([1.0, -1.0, 0.5, 0.0])[:, None], places)
     for before, after in ((given.eye, moved.eye), (given.place, moved.place)):
         torch.testing.assert_close(after[..., :2] - before[..., :2], torch.tensor([[[0.3, -0.3]]]))
         torch.testing.assert_close(after[..., 2] / before[..., 2], torch.tensor([[0.1]]).exp())
@@ -201,8 +201,8 @@ def test_camera_and_flash_move_together() -> None:
         torch.ones(1, 3, 33, 33), torch.zeros(1, 3, 33, 33), torch.ones(1, 1, 33, 33), torch.zeros(1, 3, 33, 33)
     )
     white.normal[:, 2] = 1
-    above = flashes_of(flash, torch.tensor([[[[0.0, 0.0, 5.0], [0.0, 0.0, 5.0]]]]))
-    assert float(radiance_of(white, above)[0, 0, 0, 16, 16]) == pytest.approx(1, abs=1e-3)
+    above = decode_flashes(flash, torch.tensor([[[[0.0, 0.0, 5.0], [0.0, 0.0, 5.0]]]]))
+    assert float(render_photos(white, above)[0, 0, 0, 16, 16]) == pytest.approx(1, abs=1e-3)
 
 
 def test_maps_of_finer_photographs_take_their_detail_as_diffuse_colour(app: SeveralPhotos, tasks: Tasks) -> None:
@@ -250,11 +250,13 @@ def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
     assert set(one.data) == {"photo", "maps"}
     maps, places = five.data["maps"].float()[None], five.data["places"]
     assert five.data["others"].shape == (4, 3, 128, 128)
-    drawn, measured = drawn_photos(maps, 5, rng)
-    for photos, of in ((linear(five.data["others"]), places[1:]), (drawn[0, 1:], measured[0, 1:])):
+    drawn, measured = draw_photo_sets(maps, 5, rng)
+    for photos, of in ((decode_photo(five.data["others"]), places[1:]), (drawn[0, 1:], measured[0, 1:])):
 
         def off(place: Tensor, photos: Tensor = photos) -> Tensor:
-            seen = radiance_of(unpack(maps), flashes_of(torch.zeros(1, FLASH, 4), place[None]))[0].clamp(0, 1)
+            seen = render_photos(unpack(maps), decode_flashes(torch.zeros(1, FLASH_NUMBERS, 4), place[None]))[0].clamp(
+                0, 1
+            )
             return (seen - photos).abs().mean((1, 2, 3))
 
         mirrored = of * torch.tensor([-1.0, -1.0, 1.0])

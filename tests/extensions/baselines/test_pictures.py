@@ -14,7 +14,7 @@ from metapp.appearance.flash import Maps, camera, relightings
 from metapp.appearance.latlong import directions
 from metapp.appearance.quilting import beyond_cut
 from metapp.apps.exemplar.app import JUDGED_PICTURES
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
+from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Allowed, BaselineFit
@@ -41,7 +41,7 @@ def test_a_flat_matt_material_is_read_from_its_photo(rng: Generator) -> None:
 
     flat = torch.cat([torch.zeros(1, 2, 32, 32), torch.ones(1, 1, 32, 32)], 1)
     matt = Maps(noise(3), torch.zeros(1, 3, 32, 32), noise(1), flat)
-    found = flat_maps(photographed(matt, flash_of(torch.zeros(1, FLASH))))
+    found = flat_maps(render_photo(matt, decode_flash(torch.zeros(1, FLASH_NUMBERS))))
     torch.testing.assert_close(found.diffuse, matt.diffuse, atol=1e-3, rtol=0.01)
     assert torch.equal(found.normal, flat)
 

@@ -15,7 +15,7 @@ from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, 
 from metapp.appearance.surface import Surface
 from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.maps import linear
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.viewer.pages.flat import Lit, surface_view
@@ -110,10 +110,10 @@ def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None
         light, eye = (torch.tensor(lit[name][key]) for key in ("light", "eye"))
         again = render(maps, positions(64, 64), light, eye, intensity=lit[name]["gain"])
         torch.testing.assert_close(
-            again.clamp(0, 1), linear(255 * files[name].pixels.movedim(-1, 0)), atol=5e-3, rtol=0
+            again.clamp(0, 1), decode_photo(255 * files[name].pixels.movedim(-1, 0)), atol=5e-3, rtol=0
         )
     torch.testing.assert_close(
-        view.pictures["photo_2"], expose(linear(task.data["others"][0])).movedim(0, -1), atol=1e-6, rtol=0
+        view.pictures["photo_2"], expose(decode_photo(task.data["others"][0])).movedim(0, -1), atol=1e-6, rtol=0
     )
     assert not view.facts["tiles"]
     with pytest.raises(KeyError):

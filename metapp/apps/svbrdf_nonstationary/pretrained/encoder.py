@@ -20,9 +20,9 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, in
 from metapp.appearance.features import in_bfloat16, load_features, weights_path
 from metapp.appearance.flash import positions
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
-from metapp.apps.svbrdf_nonstationary.encoder import BASE, SLOPE, block, pointwise, twice
+from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS, LEAKY_SLOPE, apply_pointwise, block, upsample
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE
-from metapp.apps.svbrdf_nonstationary.pretrained.polish import add_polish, highlight_of, shown_roughness
+from metapp.apps.svbrdf_nonstationary.pretrained.polish import add_polish, describe_highlight, predict_roughness
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
@@ -31,24 +31,25 @@ from metapp.storage.shipped import FULL, shipped_path
 
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}  # and their channels; each half as fine
 WIDTHS = (32, 64, 96, 128)  # channels of the levels, the finest first
-STEP_PX = 1 << (len(TAPS) - 1)  # sides of photographs are a multiple of it
-TONE, GAMMA = 0.35, 2.2  # of the mean of a photograph, as VGG sees it
+SIDE_STEP_PX = 1 << (len(TAPS) - 1)  # sides of photographs are a multiple of it
+VGG_MEAN, GAMMA = 0.35, 2.2  # linear mean, and gamma, of the photographs that VGG sees
 PIXEL_INPUTS = 12  # channels of what is known of each pixel beside the features
-LEAST_TINT = 0.2  # of the mean colour, over its brightness: what is darker is not brightened as much
-LEAST = 1e-3  # brightness
+MIN_TINT = 0.2  # of a channel's mean over that of all channels: darker channels are not brightened as much
+MIN_BRIGHTNESS = 1e-3  # linear mean, 1 is white, of photographs that are nearly black
 PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `differences`
-DEVIATION, LEAST_SCALE = 0.1, 0.01  # of all maps at first, and at least
-UNKNOWN_LOG = 10.0  # of a predicted error that says nothing
-DEVIATION_LEVEL = 2  # a quarter of the photograph's side
-OVERVIEW = 32  # side in px of the overview: highlights have the same size in it whatever a photograph's resolution
-COARSER = 4  # how many times as coarse its second level is
-OVERVIEWS = (32, 48)  # channels of its levels
-GUESS, DARK = 3, 0.01  # channels of what General by "full" makes of a photograph; what is added before logs
+INITIAL_DEVIATION, MIN_DEVIATION = 0.1, 0.01  # predicted errors of maps before training, and at least
+UNKNOWN_LOG = 10.0  # log of a predicted error where nothing is known of it
+DEVIATION_LEVEL = 2  # the level of the decoder that predicts errors: a quarter of the photograph's side
+OVERVIEW_PX = 32  # a side of the overview: highlights have one size in it whatever a photograph's resolution
+OVERVIEW_POOLING = 4  # the side of its first level over that of its second
+OVERVIEW_WIDTHS = (32, 48)  # channels of its levels
+GUESS_CHANNELS = 3  # roughness, and the logs of specular and diffuse reflectance, by General of the recipe "full"
+LOG_FLOOR = 0.01  # reflectance that is added before logs
 FULL_APP = cast("FromPhoto", RECIPES["photo"][FULL].app)
 
 
 def init_decoder(rng: Generator, code: int) -> Params:
-    """Random parameters, whose output is `code` numbers in a pixel."""
+    """Draw random parameters of a decoder whose output is `code` numbers in a pixel."""
     decoder: Params = {}
     layer = functools.partial(add_layer, decoder, rng)
     for level, (width, channels) in enumerate(zip(WIDTHS, TAPS.values(), strict=True)):
@@ -59,114 +60,117 @@ def init_decoder(rng: Generator, code: int) -> Params:
         layer(f"level{level}.first", width, width * (1 + len(coarser)) + PIXEL_INPUTS, 3, 3)
         layer(f"level{level}.second", width, width, 3, 3, gain=0.7)
         layer(f"level{level}.mean", width, width, gain=0.5)
-        layer(f"level{level}.overview", width, sum(OVERVIEWS), gain=0.0)
-        layer(f"level{level}.guess", width, GUESS, gain=0.0)
-    for level, (width, below) in enumerate(zip(OVERVIEWS, (PIXEL_INPUTS, *OVERVIEWS), strict=False)):
+        layer(f"level{level}.overview", width, sum(OVERVIEW_WIDTHS), gain=0.0)
+        layer(f"level{level}.guess", width, GUESS_CHANNELS, gain=0.0)
+    for level, (width, below) in enumerate(zip(OVERVIEW_WIDTHS, (PIXEL_INPUTS, *OVERVIEW_WIDTHS), strict=False)):
         layer(f"overview{level}.first", width, below, 3, 3)
         layer(f"overview{level}.second", width, width, 3, 3, gain=0.7)
         layer(f"overview{level}.mean", width, width, gain=0.5)
     add_polish(decoder, rng)
     layer("code", code, WIDTHS[0], gain=0.3)
     layer("deviation", len(PARTS), WIDTHS[DEVIATION_LEVEL], gain=0.0)
-    decoder["deviation.shift"] += math.log(DEVIATION)
+    decoder["deviation.shift"] += math.log(INITIAL_DEVIATION)
     return decoder
 
 
 def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, patch: Params | None = None) -> Params:
-    """Codes of linear photographs [T, 3, H, H], H a multiple of STEP_PX.
+    """Read linear photographs: the codes of fields, the flash, and predicted errors.
 
     Args:
-        decoder: as of `init_decoder`.
-        photos: of any exposure and white balance.
-        place: where the pixels are, [T, 2, H, H]; None if they show all of the patch.
-        patch: as `patch_of` makes it of all of the patch; None if the photographs show that.
+        decoder: the parameters that `init_decoder` draws.
+        photos: linear photographs of any exposure and white balance, [T, 3, H, H].
+        place: the positions of the pixels, [T, 2, H, H]; None if the photographs show all of the patch.
+        patch: what `describe_patch` returns for all of the patch; None if the photographs show it.
 
     Returns:
-        `z`, the code [T, code, H, H] and after it that of General by "full", `flash` [T, FLASH] by that,
-        `deviation` [T, len(PARTS), H / 4, H / 4], logs, and `shown` [T], the roughness by the highlight.
+        `z`, the code [T, code, H, H] and after it the code of General by "full"; `flash` [T, FLASH_NUMBERS] by General
+        of "full"; `deviation` [T, len(PARTS), H / 4, H / 4], logs of predicted errors; `shown` [T], the roughness that
+        the highlight shows.
 
     Raises:
-        ValueError: no weights of VGG-16; another side.
+        ValueError: there are no weights of VGG-16; H is no multiple of SIDE_STEP_PX.
     """
-    if photos.shape[-1] % STEP_PX or photos.shape[-2] % STEP_PX:
-        raise ValueError(f"photos of {photos.shape[-1]} px, expected a multiple of {STEP_PX}; set another size.")
+    if photos.shape[-1] % SIDE_STEP_PX or photos.shape[-2] % SIDE_STEP_PX:
+        raise ValueError(f"photos of {photos.shape[-1]} px, expected a multiple of {SIDE_STEP_PX}; set another size.")
     if place is None:
         place = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
-    patch = patch_of(photos) if patch is None else patch
+    patch = describe_patch(photos) if patch is None else patch
     mean = patch["overview"].mean((2, 3), keepdim=True)
-    balanced, known = _balanced(photos, place, mean)
-    whole = positions(OVERVIEW, OVERVIEW, dtype=photos.dtype, device=photos.device)[None]
-    _, small = _balanced(patch["overview"], whole, mean)
+    balanced, known = _balance(photos, place, mean)
+    whole = positions(OVERVIEW_PX, OVERVIEW_PX, dtype=photos.dtype, device=photos.device)[None]
+    _, small = _balance(patch["overview"], whole, mean)
     with torch.autocast(photos.device.type, torch.bfloat16, enabled=in_bfloat16(photos.device)):
         fine = block(decoder, "overview0", small)
-        coarse = block(decoder, "overview1", avg_pool2d(fine, COARSER))
-        surroundings = torch.cat([fine, interpolate(coarse, scale_factor=COARSER, mode="bilinear")], 1)
+        coarse = block(decoder, "overview1", avg_pool2d(fine, OVERVIEW_POOLING))
+        surroundings = torch.cat([fine, interpolate(coarse, scale_factor=OVERVIEW_POOLING, mode="bilinear")], 1)
         x, result = None, {}
-        for level, features in reversed(list(enumerate(_features(balanced)))):
-            here = pointwise(decoder, f"level{level}.features", features)
-            around = pointwise(decoder, f"level{level}.overview", surroundings)
+        for level, features in reversed(list(enumerate(_vgg_features(balanced)))):
+            here = apply_pointwise(decoder, f"level{level}.features", features)
+            around = apply_pointwise(decoder, f"level{level}.overview", surroundings)
             at = avg_pool2d(place, 1 << level)
-            guessed = pointwise(decoder, f"level{level}.guess", _at(patch["guess"], at))  # finer than levels: first
-            here = leaky_relu(here + _at(around, at).to(here) + guessed, SLOPE)
+            guessed = apply_pointwise(
+                decoder, f"level{level}.guess", _sample_at(patch["guess"], at)
+            )  # finer than levels: first
+            here = leaky_relu(here + _sample_at(around, at).to(here) + guessed, LEAKY_SLOPE)
             parts = [here, avg_pool2d(known, 1 << level).to(here)]
-            parts += [] if x is None else [twice(pointwise(decoder, f"level{level}.coarser", x))]
+            parts += [] if x is None else [upsample(apply_pointwise(decoder, f"level{level}.coarser", x))]
             # channels first: half the time where gradients are wanted, while VGG likes them last
             x = block(decoder, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
             if level == DEVIATION_LEVEL:
-                result["deviation"] = pointwise(decoder, "deviation", x).float()
+                result["deviation"] = apply_pointwise(decoder, "deviation", x).float()
         assert x is not None
-        code = pointwise(decoder, "code", x).float()
-    result |= {"z": torch.cat([code, _at(patch["code"], place)], 1), "flash": patch["flash"]}
-    return result | {"shown": shown_roughness(decoder, patch["highlight"])}
+        code = apply_pointwise(decoder, "code", x).float()
+    result |= {"z": torch.cat([code, _sample_at(patch["code"], place)], 1), "flash": patch["flash"]}
+    return result | {"shown": predict_roughness(decoder, patch["highlight"])}
 
 
 @torch.no_grad()
-def patch_of(photos: Tensor) -> Params:
-    """The knowledge of linear photographs [T, 3, H, W] of all of a patch, whatever window of it is looked at.
+def describe_patch(photos: Tensor) -> Params:
+    """Describe linear photographs [T, 3, H, W] of all of a patch, for windows of it, too.
 
     Returns:
-        `overview` [T, 3, OVERVIEW, OVERVIEW]; `highlight`, as of `highlight_of`; by General of "full", S its side:
-        `guess` [T, GUESS, S, S], roughness and the logs of mean specular and diffuse reflectance, `code`
-        [T, its code, S, S], `flash` [T, FLASH], as numbers of any size.
+        `overview` [T, 3, OVERVIEW_PX, OVERVIEW_PX]; `highlight` [T, HIGHLIGHT_NUMBERS]; and by General of "full", whose
+        side is S: `guess` [T, GUESS_CHANNELS, S, S], `code` [T, its code, S, S] and `flash` [T, FLASH_NUMBERS].
     """
     network = FULL_APP.network
     small = interpolate(photos, (network.height, network.width), mode="bilinear")
     theta = FULL_APP.encode(full_encoder(photos.device), {"photo": small})
     maps = FULL_APP.maps_of(theta, small)
-    shades = [(reflectance.mean(1, keepdim=True) + DARK).log() for reflectance in (maps.specular, maps.diffuse)]
-    overview = interpolate(avg_pool2d(photos, STEP_PX), (OVERVIEW, OVERVIEW), mode="bilinear")
+    shades = [(reflectance.mean(1, keepdim=True) + LOG_FLOOR).log() for reflectance in (maps.specular, maps.diffuse)]
+    overview = interpolate(avg_pool2d(photos, SIDE_STEP_PX), (OVERVIEW_PX, OVERVIEW_PX), mode="bilinear")
     own = {"code": network.gain * theta["z"], "flash": network.gain * theta["flash"]}
     guess = torch.cat([maps.roughness, *shades], 1)
-    return own | {"overview": overview, "highlight": highlight_of(photos), "guess": guess}
+    return own | {"overview": overview, "highlight": describe_highlight(photos), "guess": guess}
 
 
 @functools.cache
 def full_encoder(device: torch.device) -> Params:
-    """The encoder of General by "full" that ships."""
+    """Load the encoder of General of the recipe "full" that ships."""
     return load_checkpoint(shipped_path(FULL_APP.name, "general-photo", FULL), device)[0].encoder
 
 
-def lacks() -> str:
-    """A line about a file that better maps need and that is missing; "" for none."""
+def describe_missing_weights() -> str:
+    """Return a line about missing weights of VGG-16, which better maps need; "" if they are there."""
     if weights_path().is_file():
         return ""
     return "the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them"
 
 
-def _at(around: Tensor, place: Tensor) -> Tensor:
-    """The surroundings of pixels at places [T, 2, h, w] of a patch."""
+def _sample_at(around: Tensor, place: Tensor) -> Tensor:
+    """Interpolate pictures of the whole patch at positions [T, 2, h, w] of pixels."""
     grid = torch.stack([place[:, 0], -place[:, 1]], 3).expand(len(around), -1, -1, -1)
     return grid_sample(around.float(), grid, padding_mode="border", align_corners=False)
 
 
-def _balanced(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
-    """Photographs over a mean colour [T, 3, 1, 1], and inputs of their pixels, [T, PIXEL_INPUTS, H, W].
+def _balance(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
+    """Divide photographs by a mean colour [T, 3, 1, 1], and return what is known of each pixel beside that.
 
-    The logs of the balanced colours, how brightness differs among neighbours, the place, clipping; and, the same all
-    over, how bright and of what tint the mean is: colour and exposure then say nothing of relief by themselves.
+    Colour and exposure then say nothing of relief by themselves. The inputs of pixels, [T, PIXEL_INPUTS, H, W], are the
+    logs of the balanced colours, contrasts of brightness, the position, clipping and, equal in all pixels, brightness
+    and tint of the mean.
     """
-    grey = mean.mean(1, keepdim=True).clamp_min(LEAST)
-    white = torch.maximum(mean, LEAST_TINT * grey)
+    grey = mean.mean(1, keepdim=True).clamp_min(MIN_BRIGHTNESS)
+    white = torch.maximum(mean, MIN_TINT * grey)
     balanced = photos / white
     logs = (balanced + 0.05).log()
     wide = pad(logs.mean(1, keepdim=True), (1, 1, 1, 1), mode="replicate")
@@ -177,38 +181,42 @@ def _balanced(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tens
     return balanced, torch.cat(known, 1)
 
 
-def _features(balanced: Tensor) -> list[Tensor]:
-    """The features of balanced photographs [T, 3, H, W], the finest first; in bfloat16 on CPUs that are made for it.
+def _vgg_features(balanced: Tensor) -> list[Tensor]:
+    """Compute the features of balanced photographs [T, 3, H, W], the finest first; in bfloat16 where CPUs have it.
 
     Raises:
         ValueError: no weights of VGG-16.
     """
-    if lacks():
+    if describe_missing_weights():
         raise ValueError(
             f"{weights_path()}: no such file, expected the weights of VGG-16, which the recipe pretrained reads; get "
             "them by metapp data vgg, or fit by --recipe full."
         )
     with torch.no_grad():
-        images = (TONE * balanced).clamp(0, 1) ** (1 / GAMMA)
+        images = (VGG_MEAN * balanced).clamp(0, 1) ** (1 / GAMMA)
         # without a graph that says no more than: in reduced precision
         features: list[Tensor] = load_features(tuple(TAPS), images)(images.requires_grad_(), reduced=True)
     return features
 
 
 def unknown_deviation(count: int, device: torch.device) -> Params:
-    """`deviation` [count, 4, BASE, BASE] of fits whose maps' errors nothing is known of; no step moves it."""
-    return {"deviation": torch.full((count, len(PARTS), BASE, BASE), UNKNOWN_LOG, device=device)}
+    """Return `deviation` [count, 4, BASE_TEXELS, BASE_TEXELS] where nothing is known of errors; no step moves it."""
+    return {"deviation": torch.full((count, len(PARTS), BASE_TEXELS, BASE_TEXELS), UNKNOWN_LOG, device=device)}
 
 
 def laplace_scales(theta: Params) -> Tensor:
-    """Laplace's scale of the error of each map, mean over its channels, as large as `deviation`."""
-    return LEAST_SCALE + theta["deviation"].exp()
+    """Return the scale of a Laplace distribution of the error of each map, mean over channels, like `deviation`."""
+    return MIN_DEVIATION + theta["deviation"].exp()
 
 
 def negative_log_likelihood(apart: Sequence[Tensor], theta: Params) -> Tensor:
-    """Negative log-likelihood of errors of maps, as of `differences`, but for a constant, [T] (Kendall & Gal 2017).
+    """Return the negative log-likelihood of errors of maps but for a constant, [T] (Kendall & Gal 2017).
 
     Only `deviation` has a gradient of it.
+
+    Args:
+        apart: what `map_differences` returns.
+        theta: with `deviation`, logs of the scales.
     """
     scale = laplace_scales(theta)
     size = (scale.shape[-2], scale.shape[-1])

@@ -11,31 +11,43 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, grid_sample
 
 from metapp.appearance.flash import positions
-from metapp.apps.svbrdf_nonstationary.several.encoder import read
+from metapp.apps.svbrdf_nonstationary.several.encoder import read_photos
 
-FINEST_PX, FEWEST = 128, 4  # coarser or fewer photographs do not tell
-STEPS, SURE = 8, 18.0  # changes of the height; deviations, of a first change, that it must exceed
-LEAST, FARTHEST = 0.5, 4.0  # texels that a height may be off
-RESIDUAL, RIDGE, EDGE, BLOCKS = 0.1, 1e-3, 4, 16  # of a texel's level; of slopes; texels; parts of a side
+MIN_PX, MIN_PHOTOS = 128, 4  # coarser or fewer photographs do not show the height
+MAX_STEPS = 8  # Gauss-Newton steps of the height
+MIN_DEVIATIONS = 18.0  # the first step over its standard deviation, below which photographs stay where they are
+MIN_TEXELS, MAX_TEXELS = 0.5, 4.0  # heights outside this range are noise or mistakes
+RESIDUAL_SCALE = 0.1  # relative deviation from a Lambertian texel that halves a pixel's weight
+RIDGE = 1e-3  # of slopes, in normal equations
+EDGE_TEXELS = 4  # at each edge, left out
+BLOCKS = 16  # a side; the scatter of blocks gives the standard deviation of a step
 
 
 @torch.no_grad()
-def levelled(photos: Tensor, places: Tensor) -> Tensor:
-    """Photographs [N, 3, H, W], linear, as they are on the surface, from places [N, 2, 3]; the first stays."""
+def align_to_surface(photos: Tensor, places: Tensor) -> Tensor:
+    """Move photographs from the plane by which they are registered onto the surface.
+
+    Args:
+        photos: linear photographs [N, 3, H, W].
+        places: positions of camera and flash, [N, 2, 3], in half sides of the patch.
+
+    Returns:
+        The photographs, [N, 3, H, W]; the first one stays, and all stay where the height is not significant.
+    """
     height, result = photos.new_zeros(()), photos
-    if min(photos.shape[-2:]) < FINEST_PX or len(photos) < FEWEST:
+    if min(photos.shape[-2:]) < MIN_PX or len(photos) < MIN_PHOTOS:
         return photos
-    for step in range(STEPS):
-        change, deviation = _change(result, places)
-        if not step and not change > SURE * deviation:
+    for step in range(MAX_STEPS):
+        change, deviation = _height_change(result, places)
+        if not step and not change > MIN_DEVIATIONS * deviation:
             return photos
         height = height + change
-        result = _moved(photos, places[:, 0], height)
-    return result if LEAST < height * photos.shape[-1] / 2 < FARTHEST else photos
+        result = _shift_plane(photos, places[:, 0], height)
+    return result if MIN_TEXELS < height * photos.shape[-1] / 2 < MAX_TEXELS else photos
 
 
-def _moved(photos: Tensor, eyes: Tensor, height: Tensor) -> Tensor:
-    """Photographs on a plane so high, such that the first does not move."""
+def _shift_plane(photos: Tensor, eyes: Tensor, height: Tensor) -> Tensor:
+    """Project photographs [N, 3, H, W] onto a plane of another height, such that the first does not move."""
     scale, shift = eyes[:, 2:] / (eyes[:, 2:] - height), -height * eyes[:, :2] / (eyes[:, 2:] - height)
     scale = scale / scale[:1]
     shift = shift - scale * shift[:1]
@@ -45,9 +57,9 @@ def _moved(photos: Tensor, eyes: Tensor, height: Tensor) -> Tensor:
     return torch.cat([photos[:1], moved[1:].clamp(0, 1)])
 
 
-def _change(photos: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-    """Gauss-Newton's change of the height after each texel's level and slopes are eliminated, and its deviation."""
-    reading = read(photos[None], places[None])
+def _height_change(photos: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
+    """Return a Gauss-Newton step of the height and its standard deviation; texels are eliminated."""
+    reading = read_photos(photos[None], places[None])
     grey, tangents, weight = (part[0] for part in (reading.grey, reading.tangents, reading.weights))
     x, y = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[:2]
     eyes = places[:, 0, :, None, None]
@@ -59,7 +71,9 @@ def _change(photos: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
     matrix = torch.einsum("nihw,njhw,nhw->hwij", rows, rows, weight) + torch.diag(rows.new_tensor([1e-6, RIDGE, RIDGE]))
     solution = torch.linalg.solve(matrix, torch.einsum("nihw,nhw,nhwk->hwik", rows, weight, both))
     left, moves = (both - torch.einsum("nihw,hwik->nhwk", rows, solution)).unbind(-1)
-    weight = weight / (1 + (left / RESIDUAL).square())
-    inner = [(weight * moves * each).sum(0)[EDGE:-EDGE, EDGE:-EDGE] for each in (left, moves)]
+    weight = weight / (1 + (left / RESIDUAL_SCALE).square())
+    inner = [
+        (weight * moves * each).sum(0)[EDGE_TEXELS:-EDGE_TEXELS, EDGE_TEXELS:-EDGE_TEXELS] for each in (left, moves)
+    ]
     blocks = adaptive_avg_pool2d(inner[0][None], BLOCKS)
     return -inner[0].mean() / inner[1].mean(), blocks.std() / BLOCKS / inner[1].mean()

@@ -14,7 +14,7 @@ from metapp.appearance.colour import stretched
 from metapp.appearance.flash import GAMMA, Maps, expose, pack, positions, relightings, render, unpack
 from metapp.appearance.quilting import block_of, quilted
 from metapp.appearance.surface import Surface
-from metapp.apps.svbrdf_nonstationary.maps import linear
+from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.presenter import SvbrdfNonstationaryPresenter
 from metapp.apps.svbrdf_stationary.app import FALLOFF
 from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
@@ -53,7 +53,7 @@ def svbrdf_nonstationary(presenter: SvbrdfNonstationaryPresenter, theta: Params,
     photos = [task.data["photo"], *task.data.get("others", ())][: len(flashes)]
     taken = app.protocol == "photo"  # else the photo was rendered from the maps
     photographed = [
-        Lit(flash.place, flash.eye, float(flash.gain), linear(photo) if taken else None)
+        Lit(flash.place, flash.eye, float(flash.gain), decode_photo(photo) if taken else None)
         for flash, photo in zip(flashes, photos, strict=True)
     ]
     reference = unpack(task.data["maps"].float()) if "maps" in task.data else None
