@@ -51,7 +51,9 @@ class App(ABC):
     all sizes as its fields; two with the same fields are equal.
 
     Attributes:
-        network: the network of one task, which has `init`; None if the application has that itself.
+        network: the network of one task, which has `init`; None if the application has that itself. Rules also read its
+            `periodic`, whether parameters on a grid go on at the other edge, and its `linear_parameter`, the name of a
+            parameter [C, F] in which it is linear, where a network has these.
         protocol: the part of a task that a fit may see, a value of --observe; "" if there is but one.
         name: as on the command line.
         title: as in tables.
@@ -73,11 +75,6 @@ class App(ABC):
     deterministic: ClassVar[bool] = False
 
     @property
-    def periodic(self) -> bool:
-        """True if the columns of parameters on a grid, those of three axes, go on at the grid's other edge."""
-        return False
-
-    @property
     def cheap_fits(self) -> bool:
         """True if a search can afford to fit all validation tasks."""
         return False
@@ -86,16 +83,6 @@ class App(ABC):
     def read_size(self) -> int:
         """The px a side, or rows of a map, that a user's files are read at; 0: as their readers do."""
         return 0
-
-    @property
-    def unshared_parameters(self) -> tuple[str, ...]:
-        """The parameters that a task does not share with others after General's encoder; () for all."""
-        return ()
-
-    @property
-    def linear_parameter(self) -> str:
-        """The parameter [C, F] that the network is linear in; "" if there is none."""
-        return ""
 
     @property
     def full_name(self) -> str:
@@ -144,7 +131,7 @@ class App(ABC):
         return {}
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
-        """Least squares near the inner loss, in `linear_parameter`; without one it is not called."""
+        """Least squares near the inner loss, in the network's `linear_parameter`; without one it is not called."""
         raise NotImplementedError
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:

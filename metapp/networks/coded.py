@@ -33,10 +33,6 @@ class CodedApp(App):
     single_threaded = compiles = deterministic = True
 
     @property
-    def periodic(self) -> bool:
-        return self.network.periodic
-
-    @property
     def cheap_fits(self) -> bool:
         return self.network.height * self.network.width <= CHEAP
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from metapp.apps import is_first_protocol, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
+from metapp.learning.rules.network import is_periodic
 from metapp.learning.task import Params
 from metapp.networks.field import regridded
 from metapp.paradigms import PARADIGMS
@@ -183,7 +184,7 @@ def on_own_grid(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:
     for key, wanted in fresh.items():
         value = alpha.get(key, wanted)
         if value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0:
-            alpha[key] = regridded(value, *wanted.shape[2:], periodic=app.periodic)
+            alpha[key] = regridded(value, *wanted.shape[2:], periodic=is_periodic(app))
     return phi._replace(alpha={key: alpha[key] for key in phi.alpha})
 
 

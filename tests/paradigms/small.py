@@ -28,6 +28,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, final_item
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
+from metapp.learning.rules.solve import linear_parameter
 from metapp.learning.task import Task
 from metapp.names import app_names
 from metapp.networks.field import LocalField
@@ -145,7 +146,7 @@ def small_recipe(app: App) -> Recipe:
         general=replace(recipe.general, **few),
         meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
         app=app,
-        rule="ridge" if app.linear_parameter else recipe.rule,
+        rule="ridge" if linear_parameter(app) else recipe.rule,
     )
 
 

@@ -49,14 +49,6 @@ class Brdf(App):
     }
     single_threaded = compiles = cheap_fits = True
 
-    @property
-    def unshared_parameters(self) -> tuple[str, ...]:
-        return self.network.unshared_parameters
-
-    @property
-    def linear_parameter(self) -> str:
-        return self.network.linear_parameter
-
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Return `where` [N, 7], half and difference vector and cos theta_i; `target` [N, 3], log(1 + f cos theta_i).
 
@@ -68,7 +60,7 @@ class Brdf(App):
             angles = torch.cat([angles, phi_h[:, None]], 1)
         where = half_difference_incident(angles)
         data = {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
-        return put_distinct_first(data) if self.linear_parameter else data
+        return put_distinct_first(data) if self.network.linear_parameter else data
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw `where` [T, 7, count] and `target` [T, 3, count] from the first half of the samples.
@@ -77,7 +69,7 @@ class Brdf(App):
         ones, and a batch has this number, too.
         """
         half = tasks.data["where"].shape[1] // 2
-        if not self.linear_parameter:
+        if not self.network.linear_parameter:
             return samples_at(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
         every = torch.full((len(tasks.names),), float(half), device=rng.device)  # of tasks for another network
         seen = tasks.data.get(COUNT, every)[tasks.rows]
@@ -128,7 +120,7 @@ class Brdf(App):
     def loss_parameters(self, steps: int) -> Params:
         """Return initial smoothing, and the powers of evidence of least squares, else log weights of samples."""
         parameters = {"smoothing": torch.full((steps,), math.log(0.05))}
-        if self.linear_parameter:
+        if self.network.linear_parameter:
             return parameters | {"evidence": torch.tensor([1.0, 0.0]).repeat(steps, 1)}
         return parameters | {"weights": torch.zeros(steps, KNOTS)}
 

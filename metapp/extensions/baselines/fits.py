@@ -13,6 +13,7 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Generator
 
+from metapp.apps.brdf.network import BrdfNetwork
 from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, bytes_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
@@ -88,7 +89,8 @@ def settings_of(run: Run, baseline: Baseline, label: str) -> Record:
 def own_parameters(app: App) -> Params:
     """Parameters [1, ...] that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
-    return {key: value for key, value in theta.items() if not app.unshared_parameters or key in app.unshared_parameters}
+    own = app.network.unshared_parameters if isinstance(app.network, BrdfNetwork) else ()
+    return {key: value for key, value in theta.items() if not own or key in own}
 
 
 def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:

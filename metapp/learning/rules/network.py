@@ -27,6 +27,11 @@ REACH = 10  # how many times a step's length the parameter is measured in
 SLOPE = 0.1
 
 
+def is_periodic(app: App) -> bool:
+    """Return whether the columns of an application's parameters on a grid go on at the grid's other edge."""
+    return bool(getattr(app.network, "periodic", False))
+
+
 class Network(Part):
     """A convolutional network for each parameter of three axes, [channels, rows, columns]."""
 
@@ -46,7 +51,7 @@ class Network(Part):
         rng = Generator().manual_seed(0)
         for key, value in theta.items():
             if value.ndim == 3:
-                channels, name = len(value), f"{'around' if app.periodic else 'within'}.{key}"
+                channels, name = len(value), f"{'around' if is_periodic(app) else 'within'}.{key}"
                 for i, inputs in enumerate((3 * channels + 1 + MEMORY, WIDTH)):
                     kernel = torch.randn(1, WIDTH, inputs, 3, 3, generator=rng) * math.sqrt(2 / (9 * inputs))
                     alpha |= {f"{name}.kernel{i}": kernel, f"{name}.shift{i}": torch.zeros(steps, WIDTH, 1, 1)}

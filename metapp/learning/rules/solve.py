@@ -51,6 +51,11 @@ class NormalEquations(Loss):
         return sums | {name: value for name, value in beside.items() if value is not None}, linear.losses.detach()
 
 
+def linear_parameter(app: App) -> str:
+    """Return the name of the parameter [C, F] in which an application's network is linear; "" if there is none."""
+    return str(getattr(app.network, "linear_parameter", ""))
+
+
 class Solve(Part):
     """Least squares: `penalty.<W>` [1, C, F], logs of penalties, and `keep.<W>` [steps], logits of forgetting factors.
 
@@ -65,11 +70,11 @@ class Solve(Part):
 
     def refusal(self, app: App, theta: Params) -> str:
         """It needs a network that is linear in a parameter."""
-        return "" if app.linear_parameter else "its network is not linear in any parameter of one task"
+        return "" if linear_parameter(app) else "its network is not linear in any parameter of one task"
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Penalties of PENALTY for all features, and steps that keep nearly all of the ones before."""
-        name = app.linear_parameter
+        name = linear_parameter(app)
         return {
             f"penalty.{name}": theta[name].new_full((1, *theta[name].shape), math.log(PENALTY)),
             f"keep.{name}": theta[name].new_full((steps,), 3.0),

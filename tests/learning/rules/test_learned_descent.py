@@ -62,7 +62,7 @@ def seen(randn: Callable[..., Tensor]) -> dict[str, Tensor]:
 
 
 def network(randn: Callable[..., Tensor], *, periodic: bool) -> Params:
-    of: Any = SimpleNamespace(periodic=periodic)
+    of: Any = SimpleNamespace(network=SimpleNamespace(periodic=periodic))
     alpha = Network().initial(of, {"z": torch.zeros(3, 4, 8)}, 1, Adam(0.1))
     alpha = {key: value.double() + 0.1 * randn(*value.shape) for key, value in alpha.items()}
     name = "around" if periodic else "within"
