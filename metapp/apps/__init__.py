@@ -71,3 +71,13 @@ def presenter_of(app: App, values: Mapping[str, object] = MappingProxyType({})) 
 def is_first_protocol(app: App) -> bool:
     """True if an application is under its first protocol, or has no other."""
     return app.protocol in ("", *protocols_of(app.name)[:1])
+
+
+def full_name(app: App) -> str:
+    """Return the name of an application with its protocol, if it has any: illumination photo."""
+    return f"{app.name} {app.protocol}".rstrip()
+
+
+def protocol_entry(app: App) -> dict[str, str]:
+    """Return the protocol as records, rows and headers of checkpoints state it; {} if an application has none."""
+    return {"observe": app.protocol} if app.protocol else {}

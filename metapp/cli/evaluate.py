@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metapp.apps import full_name
 from metapp.cli.console import escaped, out, print_json
 from metapp.cli.options import Json, Overwrite, app_words, check_new, takes
 from metapp.names import app_names, did_you_mean, protocols_of, recipe_entries
@@ -215,7 +216,7 @@ def say_missing(subjects: list[Subject]) -> None:
         if empty := [title for title, (tasks, records) in asked if not tasks or len(records) < len(tasks)]:
             total, there = (sum(len(pair[i]) for pair in subject.asked.values()) for i in (0, 1))
             missing = f"{total - there:,} of {total:,}" if total else "all"
-            say(f"{subject.app.full_name}: {missing} records missing: {', '.join(empty)}")
+            say(f"{full_name(subject.app)}: {missing} records missing: {', '.join(empty)}")
             remedy = "the same command without --no-run measures them"
     if remedy:
         say(remedy)

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from metapp.apps import full_name
 from metapp.evaluation.style import COLOURS, MUTED, STYLE, label, save
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Table, text_of
@@ -103,7 +104,7 @@ def write_figures(subjects: Sequence[Subject], folder: Path) -> dict[Path, str]:
         for name in FIGURES:
             if drawn := draw(name, subject):
                 figure, caption = drawn
-                stem = f"{subject.app.full_name} {name}".replace(" ", "-")
+                stem = f"{full_name(subject.app)} {name}".replace(" ", "-")
                 save(figure, folder / f"{stem}.pdf")
                 captions[save(figure, folder / f"{stem}.png")] = caption
     return captions

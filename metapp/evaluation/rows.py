@@ -8,7 +8,7 @@ import statistics
 from collections.abc import Sequence
 from importlib import resources
 
-from metapp.apps import is_first_protocol
+from metapp.apps import is_first_protocol, protocol_entry
 from metapp.evaluation.statistics import FEWEST, Errors, Paired, is_significant, paired, statistics_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.table import Row
@@ -48,7 +48,7 @@ def row_of(
     row = {
         "app": app.name,
         "paradigm": name,
-        **app.protocol_entry(),
+        **protocol_entry(app),
         **statistics_of(errors_of(records), groups),
         "seconds": statistics.median(seconds) if seconds else None,
         "tasks": len(records),

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from metapp.apps import full_name
 from metapp.evaluation.table import Table
 from metapp.learning.task import Params, Task
 from metapp.paradigms import PARADIGMS
@@ -147,7 +148,7 @@ class Subject:
         names = {record["name"] for record in records}
         missing = [task for task in tasks if task.name not in names]
         if folder and missing and self.measuring:
-            name, each, total = f"{self.app.full_name} {title}", steps + 1, (steps + 1) * len(missing)
+            name, each, total = f"{full_name(self.app)} {title}", steps + 1, (steps + 1) * len(missing)
             bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
             with bars as bar, threads(single=self.app.single_threaded):
                 bar.at(0, total, name)

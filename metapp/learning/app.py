@@ -84,15 +84,6 @@ class App(ABC):
         """The px a side, or rows of a map, that a user's files are read at; 0: as their readers do."""
         return 0
 
-    @property
-    def full_name(self) -> str:
-        """Its name with its protocol, if any: illumination photo."""
-        return f"{self.name} {self.protocol}".rstrip()
-
-    def protocol_entry(self) -> dict[str, str]:
-        """The protocol as records, rows and headers of checkpoints state it; {} if there is none."""
-        return {"observe": self.protocol} if self.protocol else {}
-
     def conditions(self) -> dict[str, str]:
         """The further conditions of its errors, by name: part of every record and caption."""
         return {}

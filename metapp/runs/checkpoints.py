@@ -6,7 +6,7 @@ import shlex
 from dataclasses import fields, replace
 from pathlib import Path
 
-from metapp.apps import is_first_protocol, recipes_of
+from metapp.apps import full_name, is_first_protocol, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules.network import is_periodic
@@ -157,8 +157,8 @@ def _checkpoint_path(run: Run, needed: Preparation) -> Path:
     if path.is_file() and _ships(run):
         return path
     raise ValueError(
-        f"{run.app.full_name} {needed.name}, recipe {run.options.recipe}: no checkpoint ships; train one with --train, "
-        "or name one with --checkpoint."
+        f"{full_name(run.app)} {needed.name}, recipe {run.options.recipe}: no checkpoint ships; train one with "
+        "--train, or name one with --checkpoint."
     )
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import torch
 
+from metapp.apps import full_name
 from metapp.learning.task import Params, Task
 from metapp.paradigms import ranks
 from metapp.runs.checkpoints import with_checkpoint
@@ -127,7 +128,7 @@ def execute(run: Run) -> Report | None:
             count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
             size = "; files of {:,} rows, {:,} columns".format(*run.presenter.size) if run.presenter.size else ""
             steps = f"{run.paradigm.steps} steps, from {run.checkpoint.source}"
-            say(f"{run.app.full_name} {run.paradigm.name}: {count}; {steps}{size}")
+            say(f"{full_name(run.app)} {run.paradigm.name}: {count}; {steps}{size}")
         begin, folder = time.perf_counter(), run.folder(label)
         outcomes = list(keep_fits(run, folder, sources))
         fitted = sum(outcome.record is not None and not outcome.is_earlier for outcome in outcomes)

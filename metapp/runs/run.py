@@ -12,7 +12,7 @@ import torch
 
 from data_tools.readers.source import Source
 from metapp.appearance.presenter import Presenter
-from metapp.apps import app_of, is_first_protocol, presenter_of, recipe_of
+from metapp.apps import app_of, is_first_protocol, presenter_of, protocol_entry, recipe_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -149,7 +149,7 @@ class Run:
         assert self.checkpoint is not None
         return {
             "app": app.name,
-            **app.protocol_entry(),
+            **protocol_entry(app),
             "paradigm": paradigm.name,
             "rule": self.options.rule if paradigm.has_learned_rule else ("adam" if adam else "none"),
             "steps": paradigm.steps,

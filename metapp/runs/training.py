@@ -9,6 +9,7 @@ from pathlib import Path
 
 from torch import Generator, get_num_threads
 
+from metapp.apps import full_name, protocol_entry
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
@@ -146,7 +147,7 @@ def _tasks_of(run: Run, preparation: Preparation) -> Tasks:
     app, folder = run.app, data_folder(run.app, run.options.data, run.options.quiet)
     tasks = stack(app, read_shard(folder, "train", app.name, app.tensors), run.device)
     on = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
-    say(f"training {app.full_name} {preparation.name} on {on}")
+    say(f"training {full_name(app)} {preparation.name} on {on}")
     return tasks
 
 
@@ -215,7 +216,7 @@ def _settings(
         {"app": run.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}
         | {"recipe": run.options.recipe, "recipe_digest": digest(repr(run.recipe)), "seed": run.options.seed}
         | {"steps": run.options.train_steps, "versions": versions()}
-        | ({} if preparation.shared_by_protocols else run.app.protocol_entry())
+        | ({} if preparation.shared_by_protocols else protocol_entry(run.app))
         | run.app.conditions()
         | precision_of(run.app, run.device)
         | ({"encoder": tensor_digest(general.encoder)} if general else {})

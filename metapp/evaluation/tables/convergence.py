@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from metapp.apps import protocol_entry
 from metapp.evaluation.rows import paper, row_of
 from metapp.evaluation.subject import FEW, Subject, evenly
 from metapp.evaluation.table import Column, Row, Table, columns
@@ -82,7 +83,7 @@ def _traced(subject: Subject) -> list[Task]:
 
 def trace_records(subject: Subject) -> list[Record]:
     """Traces of a few tasks: errors of each paradigm along its steps, and of further steps of Meta."""
-    settings = {"app": subject.app.name, **subject.app.protocol_entry(), "further": FURTHER}
+    settings = {"app": subject.app.name, **protocol_entry(subject.app), "further": FURTHER}
     kept = subject.kept("trace", settings, ("curves", "further"), CURVES)
     steps = sum(subject.runs[name].paradigm.steps for name in CURVES) + sum(FURTHER)
 

@@ -13,6 +13,7 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Generator
 
+from metapp.apps import protocol_entry
 from metapp.apps.brdf.network import BrdfNetwork
 from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, bytes_of
 from metapp.learning.app import App, stack
@@ -73,7 +74,7 @@ def settings_of(run: Run, baseline: Baseline, label: str) -> Record:
     own, source = options.own.recorded(), training_folder(run, baseline)
     return {
         "app": app.name,
-        **app.protocol_entry(),
+        **protocol_entry(app),
         "method": baseline.name,
         "data": label,
         "training": source and data_label(source),

@@ -6,6 +6,7 @@ import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
+from metapp.apps import full_name
 from metapp.evaluation.rows import compared_text, few_note, measures_note, notes_of, of_paper, row_of
 from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import Subject
@@ -89,7 +90,7 @@ def baseline_records(subject: Subject, baseline: Baseline) -> list[Record]:
             for record, picture, _ in fit_baselines(subject.run, baseline, tasks):
                 yield record, picture
         except ValueError as error:
-            say(f"{subject.app.full_name} {baseline.name}: {error}")
+            say(f"{full_name(subject.app)} {baseline.name}: {error}")
 
     return subject.measured(baseline.name, kept, measured, subject.tasks)
 
