@@ -74,9 +74,14 @@ def in_bfloat16(device: torch.device) -> bool:
     return device.type == "cpu" and has_bfloat16() and os.environ.get(FLOAT32, "") in ("", "0")
 
 
-def describe_precision(device: torch.device) -> str:
-    """The precision of features in fits, in words; "" for float32."""
-    return "VGG in bfloat16" if weights_path().is_file() and in_bfloat16(device) else ""
+def feature_conditions(device: torch.device | None = None) -> dict[str, str]:
+    """Return the conditions of errors that depend on features, by name: which ones, and their precision.
+
+    Args:
+        device: of steps in reduced precision; None for those of float32.
+    """
+    reduced = device is not None and weights_path().is_file() and in_bfloat16(device)
+    return {"features": describe_features()} | ({"precision": "VGG in bfloat16"} if reduced else {})
 
 
 class RandomFilters(Features):

@@ -84,13 +84,14 @@ class App(ABC):
         """The px a side, or rows of a map, that a user's files are read at; 0: as their readers do."""
         return 0
 
-    def conditions(self) -> dict[str, str]:
-        """The further conditions of its errors, by name: part of every record and caption."""
-        return {}
+    def conditions(self, device: torch.device | None = None) -> dict[str, str]:
+        """Return further conditions of its errors, by name: part of every record and caption.
 
-    def precision(self, device: torch.device) -> str:
-        """The precision of computation, in words: part of every record; "" for float32 throughout."""
-        return ""
+        Args:
+            device: of the steps of fits, whose `precision` is then one of the conditions, unless it is float32
+                throughout; None for errors alone.
+        """
+        return {}
 
     @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:

@@ -26,7 +26,7 @@ from metapp.runs.inputs.finding import find_sources
 from metapp.runs.options import FitOptions, check_under_protocol, fit_options, name_parts, own_of_record
 from metapp.runs.recipes import usual_recipe
 from metapp.runs.reporter import say
-from metapp.runs.surroundings import find_device, precision_of, versions
+from metapp.runs.surroundings import find_device, versions
 from metapp.storage import Document
 from metapp.storage.checkpoints import digest
 from metapp.storage.fits import RunFolder
@@ -163,8 +163,7 @@ class Run:
             "seed": self.options.seed,
             "device": str(self.device),
             "versions": versions(),
-            **app.conditions(),
-            **precision_of(app, self.device, paradigm.steps),
+            **app.conditions(self.device if paradigm.steps else None),
         }
 
     def folder(self, label: str) -> RunFolder:

@@ -36,12 +36,6 @@ def versions() -> dict[str, str]:
     }
 
 
-def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, str]:
-    """The precision of so many steps as records and headers of checkpoints state it; {} for float32."""
-    precision = app.precision(device) if steps else ""
-    return {"precision": precision} if precision else {}
-
-
 def make_folder(folder: Path) -> None:
     """Make a folder to write to, before any work is done.
 

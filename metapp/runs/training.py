@@ -21,7 +21,7 @@ from metapp.runs.checkpoints import has_shipped, trained_path, tuned_by, with_ch
 from metapp.runs.inputs.sources import data_folder, data_label
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Checkpoint, Run
-from metapp.runs.surroundings import make_folder, precision_of, versions
+from metapp.runs.surroundings import make_folder, versions
 from metapp.storage import Document
 from metapp.storage.checkpoints import (
     digest,
@@ -217,8 +217,7 @@ def _settings(
         | {"recipe": run.options.recipe, "recipe_digest": digest(repr(run.recipe)), "seed": run.options.seed}
         | {"steps": run.options.train_steps, "versions": versions()}
         | ({} if preparation.shared_by_protocols else protocol_entry(run.app))
-        | run.app.conditions()
-        | precision_of(run.app, run.device)
+        | run.app.conditions(run.device)
         | ({"encoder": tensor_digest(general.encoder)} if general else {})
         | ({"first": first.digest} if first else {})
     )

@@ -22,9 +22,9 @@ from metapp.appearance.features import (
     amplitudes,
     channels_of,
     describe_features,
-    describe_precision,
     detail,
     distance,
+    feature_conditions,
     gram,
     load_features,
     moments,
@@ -247,13 +247,14 @@ def test_only_descended_pictures_are_in_bfloat16(rng: Generator, monkeypatch: py
         return load_features(TAPS, pictures)(descended, reduced=True)
 
     assert {each.dtype for each in reduced()} == {torch.bfloat16}
-    assert describe_precision(torch.device("cpu")) == "VGG in bfloat16"
-    assert describe_precision(torch.device("cuda")) == ""
+    reduced_steps = {"features": describe_features(), "precision": "VGG in bfloat16"}
+    assert feature_conditions(torch.device("cpu")) == reduced_steps
+    assert feature_conditions(torch.device("cuda")) == feature_conditions() == {"features": describe_features()}
     precise = descended.double()
     assert {each.dtype for each in load_features(TAPS, precise)(precise, reduced=True)} == {torch.float64}
     judged = [network(pictures, reduced=True), network(made, reduced=True), network(descended)]
     monkeypatch.setattr(features, "has_bfloat16", lambda: False)
-    assert describe_precision(torch.device("cpu")) == ""
+    assert feature_conditions(torch.device("cpu")) == feature_conditions()
     for maps in (*judged, reduced()):
         assert all(torch.equal(one, other) for one, other in zip(maps, long, strict=True))
 

@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
-from metapp.appearance.features import channels_of, describe_features, detail, load_features, moments, softness
+from metapp.appearance.features import channels_of, detail, feature_conditions, load_features, moments, softness
 from metapp.learning.app import Answer, App
 from metapp.learning.draws import normal, uniform
 from metapp.learning.recipe import Recipe
@@ -109,8 +109,8 @@ class ExemplarApp(App):
         """The ratio of the sides of an octave's pictures to those of their layouts."""
         return (self.height >> octave) / self.layout_size[0]
 
-    def conditions(self) -> dict[str, str]:
-        return {"features": describe_features()}
+    def conditions(self, device: torch.device | None = None) -> dict[str, str]:
+        return feature_conditions(device if self.reduced else None)
 
     def features(self, images: Tensor, octave: int, crop: Crop | None = None) -> list[Tensor]:
         """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.

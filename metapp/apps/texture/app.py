@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.features import describe_precision, distance, gram
+from metapp.appearance.features import distance, gram
 from metapp.apps.exemplar.app import Crop, ExemplarApp
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.draws import uniform
@@ -25,9 +25,6 @@ class Texture(ExemplarApp):
     error_measure = ErrorMeasure("relative L1 distance of Gram matrices, mean over taps and generated textures")
     reduced = True
     tensors: ClassVar = {"image": TensorSpec((3, "S", "S"), "uint8")}
-
-    def precision(self, device: torch.device) -> str:
-        return describe_precision(device)
 
     @torch.no_grad()
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:

@@ -8,7 +8,7 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.features import describe_features, describe_precision
+from metapp.appearance.features import feature_conditions
 from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, blots
 from metapp.apps.svbrdf_nonstationary.coded_maps import BLOTS_WEIGHT, MAPS_WEIGHT, PHOTO_WEIGHT, FromPhoto
@@ -98,13 +98,10 @@ class FromFeatures(FromPhoto):
     def read_size(self) -> int:
         return FINEST_PX
 
-    def conditions(self) -> dict[str, str]:
-        """Return the features that a checkpoint's encoder needs."""
-        return {"features": describe_features()}
-
-    def precision(self, device: torch.device) -> str:
-        """Return that VGG runs in bfloat16 where CPUs are made for it."""
-        return describe_precision(device)
+    @override
+    def conditions(self, device: torch.device | None = None) -> dict[str, str]:
+        """Return the features of VGG, and that they are in bfloat16 where CPUs are made for it."""
+        return feature_conditions(device)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Add the weights of the losses of maps, `known` [4]: those that the task states, else ones."""
