@@ -59,8 +59,8 @@ class App(ABC):
         title: as in tables.
         error_measure: how `errors` measures.
         tensors: of each task, by the tensor's name.
-        single_threaded: True if threads and GPUs only slow down the fit of one task.
-        compiles: True if compiling the inner step pays in training.
+        single_threaded: True if tensors of one task are so small that threads and GPUs only slow down its fit, and that
+            compiling the inner step pays in training.
         deterministic: True if nothing that a fit sees is drawn at random, so that one fit says what two would.
     """
 
@@ -71,7 +71,6 @@ class App(ABC):
     error_measure: ClassVar[ErrorMeasure]
     tensors: ClassVar[Mapping[str, TensorSpec]] = MappingProxyType({})
     single_threaded: ClassVar[bool] = False
-    compiles: ClassVar[bool] = False
     deterministic: ClassVar[bool] = False
 
     @property

@@ -30,7 +30,7 @@ class CodedApp(App):
 
     network: LocalField = field()
 
-    single_threaded = compiles = deterministic = True
+    single_threaded = deterministic = True
 
     @property
     def cheap_fits(self) -> bool:

@@ -138,7 +138,7 @@ class MetaPreparation(Preparation):
             clip=training.clip,
             encoding=encoding(app) if phi.encoder else None,
             outer_loss=task_loss(app, paradigm.recipe.batch, outer=True),
-            steps_of=fastest(compiles=app.compiles),
+            steps_of=fastest(compiles=app.single_threaded),
         )
         return over_tasks(lifted, count=training.tasks, augment=app.augment if training.augment else None)
 

@@ -47,7 +47,7 @@ class Brdf(App):
         "render": TensorSpec(("H", "W", 4), optional=True),
         "environment": TensorSpec(("h", "w", 4), optional=True),
     }
-    single_threaded = compiles = cheap_fits = True
+    single_threaded = cheap_fits = True
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Return `where` [N, 7], half and difference vector and cos theta_i; `target` [N, 3], log(1 + f cos theta_i).
