@@ -100,7 +100,7 @@ class Presenter(Generic[Application]):
         """Return the picture files of an answer that need not come from the network, such as a baseline's.
 
         Args:
-            answer: what `App.errors_of` judges, with a task axis of one entry.
+            answer: what `errors_of` of the application judges, with a task axis of one entry.
             task: the task that is answered.
         """
         return {}

@@ -13,8 +13,6 @@ from torch import Generator, Tensor
 
 from metapp.learning.task import RESERVED, Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 
-Answer = Any  # what fits of an application are judged by: its own maps, pictures or densities
-
 
 @dataclass(frozen=True)
 class ErrorMeasure:
@@ -161,15 +159,6 @@ class App(ABC):
 
         Empty if the tasks hold no reference.
         """
-
-    def errors_of(self, answer: Answer, tasks: Tasks) -> dict[str, Tensor]:
-        """The same measures of an answer that need not come from the network, as those of baselines do not.
-
-        Args:
-            answer: as `errors` makes it of parameters before it measures; each application has its own.
-            tasks: as of `errors`.
-        """
-        raise NotImplementedError
 
 
 def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:

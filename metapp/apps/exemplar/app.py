@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, detail, feature_conditions, load_features, moments, softness
-from metapp.learning.app import Answer, App
+from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -233,7 +234,7 @@ class ExemplarApp(App):
         rng = Generator(like.device).manual_seed(seed)
         return self.noise(rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
 
-    def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Answer:
+    def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Any:
         """The pictures or maps [T, B, ...] that `errors_of` judges, from noise [T, B, C, H, W] of an octave's size."""
         raise NotImplementedError
 
@@ -242,7 +243,11 @@ class ExemplarApp(App):
         """`errors_of` pictures from noise that no fit draws, the same for all."""
         return self.errors_of(self.generate(theta, self.fixed_noise(tasks.rows, JUDGED_PICTURES)), tasks)
 
-    def look(self, answer: Answer, described: Batch) -> Tensor:
+    @abstractmethod
+    def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
+        """Measure pictures or maps [T, B, ...] that need not come from the network, [T]."""
+
+    def look(self, answer: Any, described: Batch) -> Tensor:
         """The pictures [T, B, 3, H, W] of an answer, as of `errors_of`, under the light of its exemplars."""
         pictures: Tensor = answer
         return pictures

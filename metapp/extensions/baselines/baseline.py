@@ -6,7 +6,7 @@ import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, cast
 
 from torch import Generator, Tensor
 
@@ -50,7 +50,7 @@ class BaselineFit(NamedTuple):
     """A baseline's fit of a task.
 
     Attributes:
-        answer: makes the argument of `App.errors_of`; not timed, as that of a network is not.
+        answer: makes the argument of `judge`; not timed, as that of a network is not.
         numbers: that are kept for the task.
         kept_bytes: their bytes.
         picture: to show beside the application's fits, linear RGB [H, W, 3], if it is a picture.
@@ -97,6 +97,18 @@ class Baseline(ABC):
     @abstractmethod
     def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         """The fit of one task."""
+
+
+class Judge(Protocol):
+    """An application that judges baselines: its `errors` measures an answer that it makes of a fit by `errors_of`."""
+
+    def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
+        """Return the measures [T] of `App.errors` of an answer: the application's own maps, pictures or densities."""
+
+
+def judge(app: App, answer: object, tasks: Tasks) -> dict[str, Tensor]:
+    """Measure an answer that does not come from the application's network, by the measures [T] of fits."""
+    return cast(Judge, app).errors_of(answer, tasks)
 
 
 def bytes_of(*tensors: Tensor) -> int:

@@ -17,6 +17,7 @@ from metapp.extensions.baselines.baseline import (
     BaselineFit,
     Training,
     bytes_of,
+    judge,
 )
 from metapp.extensions.baselines.components import EPSILON, Components, principal
 from metapp.learning.app import App
@@ -141,7 +142,7 @@ def mean_error(baseline: Baseline, tasks: Tasks, allowed: Allowed) -> float:
     for row in range(len(tasks)):
         one = tasks.select([row])
         fitted = baseline.fit(one, Generator().manual_seed(row), allowed)
-        total += float(baseline.app.errors_of(fitted.answer(), one)["error"])
+        total += float(judge(baseline.app, fitted.answer(), one)["error"])
     return total / len(tasks)
 
 

@@ -15,7 +15,7 @@ from torch import Generator
 
 from metapp.apps import protocol_entry
 from metapp.apps.brdf.network import BrdfNetwork
-from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, bytes_of
+from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, bytes_of, judge
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
 from metapp.runs.fitting import rng_of
@@ -121,7 +121,7 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
             fitted = baseline.fit(stacked, rng, allowed)
             seconds = time.perf_counter() - begin
             answer = fitted.answer()
-            errors = {key: float(value[0]) for key, value in app.errors_of(answer, stacked).items()}
+            errors = {key: float(value[0]) for key, value in judge(app, answer, stacked).items()}
             if errors and not math.isfinite(errors["error"]):
                 raise ValueError(f"{task.name}: the error is not finite.")
             scale = {"error": app.error_measure.scale}
