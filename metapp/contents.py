@@ -8,6 +8,7 @@ from metapp.registry import Application, Entry, Export, Format, RecipeEntry, Reg
 APPLICATIONS = {
     "brdf": Application(
         "metapp.apps.brdf.app:Brdf",
+        title="BRDF",
         help="BRDFs: reflectance of a material over pairs of directions.",
         options="metapp.apps.brdf.options:BrdfOptions",
         presenter="metapp.apps.brdf.presenter:BrdfPresenter",
@@ -15,18 +16,21 @@ APPLICATIONS = {
     ),
     "texture": Application(
         "metapp.apps.texture.app:Texture",
+        title="Texture",
         help="Textures that look like the photograph of an exemplar.",
         options="metapp.apps.exemplar.options:ExemplarOptions",
         presenter="metapp.apps.texture.presenter:TexturePresenter",
     ),
     "svbrdf_stationary": Application(
         "metapp.apps.svbrdf_stationary.app:SvbrdfStationary",
+        title="svBRDF stat.",
         help="Tiling maps of a flat material from one flash photograph.",
         options="metapp.apps.svbrdf_stationary.options:FlashExemplarOptions",
         presenter="metapp.apps.svbrdf_stationary.presenter:SvbrdfStationaryPresenter",
     ),
     "svbrdf_nonstationary": Application(
         "metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary",
+        title="svBRDF non-stat.",
         help="Maps of a flat material from one or several flash photographs.",
         options="metapp.networks.options:FlashOptions",
         facts="data_tools.readers.svbrdf_task:facts_of",
@@ -35,6 +39,7 @@ APPLICATIONS = {
     ),
     "illumination": Application(
         "metapp.apps.illumination.app:Illumination",
+        title="Illumination",
         help="HDR environment maps, from themselves or from the photograph of a mirror ball.",
         options="metapp.apps.illumination.options:IlluminationOptions",
         presenter="metapp.apps.illumination.presenter:IlluminationPresenter",
@@ -42,6 +47,7 @@ APPLICATIONS = {
     ),
     "transport": Application(
         "metapp.apps.transport.app:Transport",
+        title="Transport",
         help="Light transport of a scene: densities that guide its paths.",
         options="metapp.apps.transport.options:TransportOptions",
         presenter="metapp.apps.transport.presenter:TransportPresenter",

@@ -88,6 +88,7 @@ class Application(Entry[Any]):
     """An application: a subclass of `metapp.learning.app.App`.
 
     Attributes:
+        title: its name in tables and pictures.
         protocols: the values of --observe, the default first, each with the tensor that fits see; {} if there is no
             choice.
         options: "module:attribute" of its own, a dataclass that extends `metapp.options.AppOptions`.
@@ -96,6 +97,7 @@ class Application(Entry[Any]):
             alone are known, as of data sets; recipes are chosen by it. "" for nothing.
     """
 
+    title: str
     protocols: Mapping[str, str] = field(default_factory=dict)
     options: str = "metapp.options:AppOptions"
     presenter: str = "metapp.appearance.presenter:Presenter"

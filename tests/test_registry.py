@@ -42,7 +42,7 @@ BROKEN = {
     ),
     'registry.exports["brdf", "mine"] = "math:gcd"': "TypeError: brdf mine: a str, expected Export",
     'registry.exports.update({("brdf", "mine"): Entry("math:gcd")})': "TypeError: brdf mine: a Entry, expected Export",
-    'registry.applications["mine"] = Application("math:gcd", options="nothing_at_all:Options")': (
+    'registry.applications["mine"] = Application("math:gcd", title="Mine", options="nothing_at_all:Options")': (
         "ImportError: nothing_at_all:Options: no such module"
     ),
     'registry.exports["mine"] = Export("math:gcd")': "TypeError: 'mine': no name of 2 words",

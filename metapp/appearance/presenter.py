@@ -16,6 +16,7 @@ from metapp.appearance.pictures import Compared, Fitted, Picture, Visible
 from metapp.appearance.surface import Surface
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task, Tasks
+from metapp.names import application_of
 
 Application = TypeVar("Application", bound=App)
 Made = TypeVar("Made")
@@ -53,7 +54,8 @@ class Presenter(Generic[Application]):
     @property
     def title(self) -> str:
         """The application's title in tables, with its protocol if it has several."""
-        return f"{self.app.title} ({self.app.protocol})" if self.app.protocol else self.app.title
+        title = application_of(self.app.name).title
+        return f"{title} ({self.app.protocol})" if self.app.protocol else title
 
     @property
     def picture_measure(self) -> str:

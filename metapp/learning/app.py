@@ -54,7 +54,6 @@ class App(ABC):
             parameter [C, F] in which it is linear, where a network has these.
         protocol: the part of a task that a fit may see, a value of --observe; "" if there is but one.
         name: as on the command line.
-        title: as in tables.
         error_measure: how `errors` measures.
         tensors: of each task, by the tensor's name.
         single_threaded: True if tensors of one task are so small that threads and GPUs only slow down its fit, and that
@@ -65,7 +64,6 @@ class App(ABC):
     network: Any = None
     protocol: str = field(default="", kw_only=True)
     name: ClassVar[str]
-    title: ClassVar[str]
     error_measure: ClassVar[ErrorMeasure]
     tensors: ClassVar[Mapping[str, TensorSpec]] = MappingProxyType({})
     single_threaded: ClassVar[bool] = False

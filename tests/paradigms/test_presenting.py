@@ -42,7 +42,7 @@ def test_an_application_has_the_protocol_that_it_is_made_for(app: App) -> None:
 
 def test_what_tables_say(app: App, presenter: Presenter[Any], sources: list[Task]) -> None:
     """One line each, and how much a fit may see."""
-    for line in (app.title, app.error_measure.text):
+    for line in (presenter.title, app.error_measure.text):
         assert line
         assert line == " ".join(line.split())
     assert presenter.picture_measure == " ".join(presenter.picture_measure.split())

@@ -19,6 +19,7 @@ def register(registry: Registry) -> None:
     """Add the application and all that it has."""
     registry.applications["curve"] = Application(
         "metapp_curve.app:Curve",
+        title="Curve",
         help="Curves: a network of one variable.",
         presenter="metapp_curve.presenter:CurvePresenter",
     )

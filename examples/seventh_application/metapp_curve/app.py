@@ -20,7 +20,6 @@ class Curve(App):
     """The application; parameters have a leading task axis T."""
 
     name = "curve"
-    title = "Curve"
     error_measure = ErrorMeasure("mean absolute difference at held-out samples")
     tensors = MappingProxyType({"y": TensorSpec((SAMPLES,), low=-1e3, high=1e3)})
     single_threaded = cheap_fits = True

@@ -36,7 +36,6 @@ class Brdf(App):
     network: BrdfNetwork = NBRDF
     conserve: bool = False
     name = "brdf"
-    title = "BRDF"
     error_measure = ErrorMeasure(
         "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions", scale=100
     )

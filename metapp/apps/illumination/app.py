@@ -50,7 +50,6 @@ class Illumination(CodedApp):
     encoder_size: tuple[int, int] = (16, 32)
 
     name = "illumination"
-    title = "Illumination"
     error_measure = ErrorMeasure(
         "mean absolute error of a second scene's picture under the map",
         scale=100,

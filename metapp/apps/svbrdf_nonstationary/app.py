@@ -50,8 +50,7 @@ class SvbrdfNonstationary(App):
 
     sees_others: ClassVar[bool] = False
     name = "svbrdf_nonstationary"
-    title = "svBRDF non-stat."
-    single_threaded = compiles = deterministic = True
+    single_threaded = deterministic = True
     error_measure = ErrorMeasure(
         "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere",
         further={
@@ -162,7 +161,6 @@ class SvbrdfNonstationary(App):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         return self.errors_of(self.final_maps(theta, tasks.data["photo"][tasks.rows]), tasks)
 
-    @override
     def errors_of(self, answer: Maps, tasks: Tasks) -> dict[str, Tensor]:
         """Measure how far maps [T, C, H, W] of the size of fits are off; {} if the true ones are not known.
 

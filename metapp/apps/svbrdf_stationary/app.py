@@ -61,7 +61,6 @@ class SvbrdfStationary(ExemplarApp):
     """
 
     name = "svbrdf_stationary"
-    title = "svBRDF stat."
     error_measure = ErrorMeasure(
         "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
     )

@@ -21,7 +21,6 @@ class Texture(ExemplarApp):
     """One exemplar of a stationary texture a task."""
 
     name = "texture"
-    title = "Texture"
     error_measure = ErrorMeasure("relative L1 distance of Gram matrices, mean over taps and generated textures")
     reduced = True
     tensors: ClassVar = {"image": TensorSpec((3, "S", "S"), "uint8")}

@@ -32,7 +32,6 @@ class Transport(App):
     picture: int = field(default=64, compare=False)
 
     name = "transport"
-    title = "Transport"
     error_measure = ErrorMeasure(
         "negative log-likelihood of held-out light paths, on the film and in their first direction", logarithmic=True
     )

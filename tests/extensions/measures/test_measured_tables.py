@@ -45,7 +45,7 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
     subject: Any = SimpleNamespace(
         app=app,
         presenter=presenter_of(app),
-        title=app.title,
+        title=presenter_of(app).title,
         tasks=[task],
         groups={task.name: task.name},
         runs={},
