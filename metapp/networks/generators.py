@@ -35,6 +35,11 @@ class UNet(NamedTuple):
     outputs: int = 3
 
     @property
+    def has_layout(self) -> bool:
+        """False: it reads no layout."""
+        return False
+
+    @property
     def offset(self) -> str:
         """The parameter [T, outputs] that is added to all that it makes."""
         return "out.shift"
@@ -113,6 +118,11 @@ class Pyramid(NamedTuple):
     outputs: int = 3
     finest: int = 0
     layout: int = 0
+
+    @property
+    def has_layout(self) -> bool:
+        """True if it reads a layout."""
+        return self.layout > 0
 
     @property
     def offset(self) -> str:

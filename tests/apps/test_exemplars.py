@@ -13,8 +13,10 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.features import FAINTEST_WAVE, detail
 from metapp.appearance.lines import MOST_ADDED, LinesKept
 from metapp.apps import app_of, presenter_of, recipes_of
-from metapp.apps.exemplar.app import SOFTNESS, ExemplarApp
+from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
+from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import LEAST_ORDER, ExemplarPresenter
+from metapp.apps.exemplar.statistics import SOFTNESS
 from metapp.apps.texture.app import Texture
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
@@ -35,7 +37,7 @@ def tiny(name: str) -> Recipe:
     """The recipe full with a small network, of two octaves."""
     full, side = recipes_of(name)["full"], {"texture": 32, "svbrdf_stationary": 64}[name]
     network = Pyramid(4, 3, code=8, outputs=full.app.network.outputs, layout=3)
-    return replace(full, app=type(full.app)(network, side, side, TAPS, octaves=2, shares=(SHARE,)))
+    return replace(full, app=type(full.app)(network, Octaves(side, side, TAPS, count=2, shares=(SHARE,))))
 
 
 @pytest.fixture(scope="module", params=["texture", "svbrdf_stationary"])
@@ -72,11 +74,11 @@ def test_the_papers_recipes(name: str, steps: int, tasks: int, size: tuple[int, 
     assert (recipe.steps, recipe.rule, training.tasks, training.order) == (steps, "meta-sgd", tasks, 1)
     rng = Generator().manual_seed(0)
     app: Any = app_of(name, recipe)
-    assert app.noise(rng, 1, 1).shape == (1, 1, 8, *size)
+    assert draw_noise(app, rng, 1, 1).shape == (1, 1, 8, *size)
     assert 5e5 < sum(value.numel() for value in app.init(rng, 1).values()) < 5e6
     photos = torch.rand(1, 3, 256, 256, generator=rng)
     rows = (256 - size[0]) // 2
-    assert torch.equal(app.exemplar(photos), photos[:, :, rows : 256 - rows])
+    assert torch.equal(app.octaves.take_exemplar(photos), photos[:, :, rows : 256 - rows])
 
 
 def test_lost_order_is_doubted_where_networks_read_layouts(
@@ -98,15 +100,15 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
     assert kept[2] in registry().baselines.of(app.name)
     alone = {key: value[1:] for key, value in theta.items()}
     assert warnings_of(app, alone, both.select([1]))[0][0] == clause
-    copies = app.exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
-    monkeypatch.setattr(type(app), "look", lambda *_: copies)
+    copies = app.octaves.take_exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
+    monkeypatch.setattr(type(app.statistics), "look", lambda *_: copies)
     assert not any("regular structure" in other for clauses in warnings_of(app, theta, both) for other in clauses)
     quick = app_of(app.name, recipes_of(app.name)["quick"])
     assert warnings_of(quick, {}, both) == [[], []]
 
 
 def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
-    theta, shape = app.init(Generator().manual_seed(0), 3), (3, 1, 3, app.height, app.width)
+    theta, shape = app.init(Generator().manual_seed(0), 3), (3, 1, 3, *app.octaves.size())
     varied = torch.rand(shape, generator=Generator().manual_seed(1))
     for made, said in (
         (torch.zeros(shape), "the fit is black, and its input is not"),
@@ -114,7 +116,7 @@ def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, mon
         (0.02 * varied, ""),
         (varied, ""),
     ):
-        monkeypatch.setattr(type(app), "look", lambda *_, made=made: made)
+        monkeypatch.setattr(type(app.statistics), "look", lambda *_, made=made: made)
         for clauses in warnings_of(app, theta, tasks):
             assert any(clause.startswith("the fit is") for clause in clauses) == bool(said)
             assert any(clause.startswith(said) for clause in clauses) or not said
@@ -139,15 +141,15 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
 @TEXTURE
 def test_lines_are_those_of_a_texture_as_large_as_files_are_quilted_for(app: ExemplarApp, tasks: Tasks) -> None:
     theta = app.init(Generator().manual_seed(0), 3)
-    made = torch.zeros(3, 3, app.height, app.width)
-    assert shown(app).pictures_for_lines(theta, made).shape == (3, 3, 2 * app.height, 2 * app.width)
+    made = torch.zeros(3, 3, *app.octaves.size())
+    assert shown(app).pictures_for_lines(theta, made).shape == (3, 3, 2 * app.octaves.height, 2 * app.octaves.width)
 
 
 def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
-    images = torch.rand(2, 3, app.height, app.width, generator=Generator().manual_seed(0))
+    images = torch.rand(2, 3, *app.octaves.size(), generator=Generator().manual_seed(0))
     whole, cropped = (
-        app.features(images, 0),
-        app.features(images, 0, lambda some: some[..., : some.shape[-2] // 2, :]),
+        app.statistics.compute_features(images, 0),
+        app.statistics.compute_features(images, 0, lambda some: some[..., : some.shape[-2] // 2, :]),
     )
     rows = images.shape[-2] // 2
     assert [each.shape[-2] for each in cropped] == [*(each.shape[-2] for each in whole[:3]), rows, rows // 2]
@@ -157,25 +159,25 @@ def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
 
 def test_softness_counts_at_the_finest_octave_by_exemplar(app: ExemplarApp, tasks: Tasks) -> None:
     """0 of the exemplar itself; weighted, about ln 2 of one whose detail is half as strong."""
-    exemplars = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)
+    exemplars = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
     batch = app.sample(tasks, Generator().manual_seed(0), 1)
-    torch.testing.assert_close(app.softness(exemplars[:, None], batch), torch.zeros(3))
+    torch.testing.assert_close(app.statistics.softness(exemplars[:, None], batch), torch.zeros(3))
     half = 0.5 + (exemplars - 0.5) / 2
     ratio = (detail(exemplars) + FAINTEST_WAVE) / (detail(exemplars) / 2 + FAINTEST_WAVE)
-    torch.testing.assert_close(app.softness(half[:, None], batch), SOFTNESS * ratio.log().mean((1, 2)))
+    torch.testing.assert_close(app.statistics.softness(half[:, None], batch), SOFTNESS * ratio.log().mean((1, 2)))
     mixed = torch.stack([exemplars[0], half[1], exemplars[2]])[:, None]
-    assert (app.softness(mixed, batch) > 0.05).tolist() == [False, True, False]
+    assert (app.statistics.softness(mixed, batch) > 0.05).tolist() == [False, True, False]
     coarse = app.sample(app.stage(tasks, 0.0), Generator().manual_seed(0), 1)
-    assert app.softness(half[:, None], coarse).tolist() == [0, 0, 0]
+    assert app.statistics.softness(half[:, None], coarse).tolist() == [0, 0, 0]
 
 
 def test_coarse_stages_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:
     coarse = app.stage(tasks, SHARE - 0.01).data
     assert app.stage(tasks, SHARE) is tasks
-    for name in app.described:
+    for name in app.statistics.names:
         assert sorted(key for key in coarse if key.startswith(name)) == [f"{name}{i}" for i in range(3)]
         assert sorted(key for key in tasks.data if key.startswith(name)) == [f"{name}{i}" for i in range(5)]
-    assert (app.octave(coarse), app.octave(tasks.data)) == (1, 0)
+    assert (app.octaves.find_octave(coarse), app.octaves.find_octave(tasks.data)) == (1, 0)
 
 
 def test_a_coarse_loss_leaves_the_finest_level_alone(app: ExemplarApp, tasks: Tasks) -> None:
@@ -239,7 +241,7 @@ def paved(app: ExemplarApp) -> Tasks:
 
 def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp, paved: Tasks) -> None:
     layout = paved.data["layout"]
-    assert layout.shape == (2, 3, *app.layout_size)
+    assert layout.shape == (2, 3, *app.octaves.layout_size)
     assert layout[0].std() > 0.1
     rng = Generator().manual_seed(0)
     theta = Overfit.of(app, tiny(app.name), steps=2).fit(MetaParameters(), paved, rng)
@@ -250,7 +252,7 @@ def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp,
 
 
 def test_layouts_move_with_noise_and_are_quilted_for_sizes(app: ExemplarApp, paved: Tasks) -> None:
-    rng, (height, width) = Generator().manual_seed(0), app.layout_size
+    rng, (height, width) = Generator().manual_seed(0), app.octaves.layout_size
     layout = paved.data["layout"]
     moved = layouts(layout, torch.randn(2, 2, 8, 2 * height, 2 * width, generator=rng), 2)
     assert moved.shape == (2, 2, 3, height, width)
@@ -264,7 +266,7 @@ def test_layouts_move_with_noise_and_are_quilted_for_sizes(app: ExemplarApp, pav
 
 
 def test_networks_read_layouts_without_mean_and_of_one_contrast(app: ExemplarApp, paved: Tasks) -> None:
-    noise = torch.randn(2, 1, 8, *(2 * side for side in app.layout_size))
+    noise = torch.randn(2, 1, 8, *(2 * side for side in app.octaves.layout_size))
     layout = paved.data["layout"][:, None]
     read = as_input(layout, noise)
     assert read.shape == (2, 1, 3, *noise.shape[-2:])
@@ -275,10 +277,10 @@ def test_networks_read_layouts_without_mean_and_of_one_contrast(app: ExemplarApp
 def test_what_is_made_follows_its_layout(app: ExemplarApp, paved: Tasks) -> None:
     """The network reads it, and the loss counts how far the coarse picture is from it."""
     rng = Generator().manual_seed(0)
-    noise = app.noise(rng, 2, 1)
+    noise = draw_noise(app, rng, 2, 1)
     theta = app.init(rng, 2) | app.task_parameters(paved)
     other = theta | {"layout": theta["layout"].flip(0)}
-    assert not torch.equal(app.made(theta, noise), app.made(other, noise))
+    assert not torch.equal(generate_raw(app, theta, noise), generate_raw(app, other, noise))
     coarse = layouts(theta["layout"], noise, 2)
     exact = coarse.repeat_interleave(2, -1).repeat_interleave(2, -2)
     assert astray(theta, noise, exact, 2).abs().max() < 1e-6

@@ -19,16 +19,17 @@ from metapp.appearance.flash import (
     statistics,
 )
 from metapp.apps import presenter_of
+from metapp.apps.exemplar.app import draw_noise
+from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import TILED
-from metapp.apps.svbrdf_stationary import app as svbrdf_stationary
 from metapp.apps.svbrdf_stationary.app import (
-    FALLOFF,
     GLOSS,
     OF_ROUGHNESS,
     TRUTH,
     SvbrdfStationary,
 )
 from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR, QUICK
+from metapp.apps.svbrdf_stationary.statistics import FALLOFF, FlashStatistics, raw_gloss
 from metapp.apps.svbrdf_stationary.windows import GRID, grams_in_windows
 from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
@@ -38,7 +39,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import UNet
 
 SIZE = 32
-TINY = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), SIZE, SIZE, ("relu1_1",))
+TINY = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIZE, SIZE, ("relu1_1",)))
 KEPT = replace(TINY, prior=2.0)
 WINDOWS = range(GRID * GRID)
 
@@ -116,10 +117,10 @@ def test_a_photo_is_at_no_distance_from_itself(
     photos = torch.stack([task.data["image"] for task in sources]).float()[:, None] / 255
 
     def show(pictures: Tensor) -> None:
-        def shown(app: SvbrdfStationary, maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+        def shown(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
             return pictures.expand(-1, maps.diffuse.shape[1], -1, -1, -1)
 
-        monkeypatch.setattr(SvbrdfStationary, "photograph", shown)
+        monkeypatch.setattr(FlashStatistics, "photograph", staticmethod(shown))
 
     show(photos)
     assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
@@ -148,13 +149,13 @@ def test_the_light_is_where_the_highlight_is(
     torch.testing.assert_close(lights[:, :2], torch.tensor(PLACES), rtol=0, atol=0.1)
     torch.testing.assert_close(lights[:, 2], camera()[2].expand(3))
     app, used = TINY, []
-    photograph = SvbrdfStationary.photograph
+    photograph = FlashStatistics.photograph
 
-    def spied(app: SvbrdfStationary, maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+    def spied(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
         used.append((light, view))
-        return photograph(app, maps, light, view)
+        return photograph(maps, light, view)
 
-    monkeypatch.setattr(SvbrdfStationary, "photograph", spied)
+    monkeypatch.setattr(FlashStatistics, "photograph", staticmethod(spied))
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)
@@ -171,7 +172,7 @@ def test_the_light_is_where_the_highlight_is(
 def test_maps_stay_in_their_ranges(scale: float) -> None:
     app, theta = TINY, TINY.init(seeded(), 2)
     theta["out.kernel"] = scale * theta["out.kernel"]
-    maps, height = app.maps(theta, app.noise(seeded(), 2, 3))
+    maps, height = app.maps(theta, draw_noise(app, seeded(), 2, 3))
     leading = (2, 3)
     assert [tuple(each.shape) for each in (*maps, height)] == [
         (*leading, channels, SIZE, SIZE) for channels in (3, 1, 1, 3, 1)
@@ -181,7 +182,7 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
     assert 0.1 <= maps.roughness.min() <= maps.roughness.max() <= 1
     torch.testing.assert_close(maps.normal.norm(dim=2), torch.ones(*leading, SIZE, SIZE))
     assert (maps.normal[:, :, 2] > 0).all()
-    picture = app.photograph(maps, camera(), camera())
+    picture = app.statistics.photograph(maps, camera(), camera())
     assert picture.isfinite().all()
     assert 0 <= picture.min() <= picture.max() <= 1
     if scale == 0:
@@ -216,7 +217,7 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
         normal,
     )
     for name, (light, view) in relightings().items():
-        shown = app.photograph(maps, light, view).permute(1, 2, 0)
+        shown = app.statistics.photograph(maps, light, view).permute(1, 2, 0)
         torch.testing.assert_close(files[f"lit_from_{name}"], shown, rtol=0, atol=2e-3)
     # maps tile, also normals, which look at their neighbours
     for name in names:
@@ -266,11 +267,11 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
 def test_references_under_other_lights_are_compared(sources: list[Task]) -> None:
     app = TINY
     theta = flat(app, 0.5, -0.5, 0.0, 0.5, -1.0, 0.0)
-    (maps, _), place = app.maps(theta, app.noise(seeded(), 1, 1)), camera()
+    (maps, _), place = app.maps(theta, draw_noise(app, seeded(), 1, 1)), camera()
     whole = Maps(*(part[0] for part in maps))
 
     def as_bytes(light: Tensor, view: Tensor) -> Tensor:
-        return (255 * app.photograph(whole, light, view)[0]).round().to(torch.uint8)
+        return (255 * app.statistics.photograph(whole, light, view)[0]).round().to(torch.uint8)
 
     image = as_bytes(place, place)
     relit = torch.stack([as_bytes(light, view) for light, view in relightings().values()])
@@ -287,7 +288,7 @@ def test_references_under_other_lights_are_compared(sources: list[Task]) -> None
 def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task]) -> None:
     app = TINY
     theta = app.init(seeded(), 1)
-    noise = app.noise(seeded(), 1, 1)
+    noise = draw_noise(app, seeded(), 1, 1)
     own = statistics(app.maps(theta, noise)[0])[0]
     image = sources[0].data["image"]
 
@@ -378,12 +379,12 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: 
     predicted = flat(KEPT, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
     theta = KEPT.encode(encoder, KEPT.condition(tasks, seeded()))
-    maps, _ = KEPT.maps(theta, KEPT.noise(seeded(), 1, 1).expand(2, -1, -1, -1, -1))
+    maps, _ = KEPT.maps(theta, draw_noise(KEPT, seeded(), 1, 1).expand(2, -1, -1, -1, -1))
     polished, cloth = maps.roughness.mean((1, 2, 3, 4)).tolist()
     assert polished == pytest.approx(0.25, rel=0.2)
     assert cloth == pytest.approx(0.1 + 0.9 * float(torch.sigmoid(torch.tensor(-1.5))))
     assert float(maps.specular[0].mean()) == pytest.approx(0.04, rel=0.5)
     again = theta["gloss"] - torch.stack(
-        [each.mean((1, 2, 3, 4)) for each in svbrdf_stationary._raw_gloss(maps.specular, maps.roughness)], -1
+        [each.mean((1, 2, 3, 4)) for each in raw_gloss(maps.specular, maps.roughness)], -1
     )
     assert float(again.abs().max()) < 1e-3

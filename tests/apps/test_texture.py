@@ -10,14 +10,15 @@ from torch.nn.functional import interpolate, pad
 from metapp.appearance.picture_measures import measure_pictures
 from metapp.appearance.pictures import Fitted
 from metapp.apps import presenter_of
-from metapp.apps.exemplar.app import JUDGED_PICTURES
-from metapp.apps.texture.app import SMALLEST_CROP, Texture
+from metapp.apps.exemplar.app import JUDGED_PICTURES, draw_noise
+from metapp.apps.exemplar.octaves import Octaves
+from metapp.apps.texture.app import SMALLEST_CROP, GramStatistics, Texture
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
 from metapp.networks.generators import UNet
 
 SIZE, LEVELS = 32, 3
-TINY = Texture(UNet(8, LEVELS, noise=4, code=8), SIZE, SIZE, ("relu1_1", "relu2_1"))
+TINY = Texture(UNet(8, LEVELS, noise=4, code=8), Octaves(SIZE, SIZE, ("relu1_1", "relu2_1")))
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -64,7 +65,7 @@ def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
     theta = app.init(seeded(), 4)
     errors = app.errors(theta, tasks)["error"]
     alone = {key: value[2:3] for key, value in theta.items()}
-    noise = app.noise(seeded(), 1, JUDGED_PICTURES)
+    noise = draw_noise(app, seeded(), 1, JUDGED_PICTURES)
     batch = app.sample(tasks.select([2]), seeded(5), 1) | {"noise": noise}
     torch.testing.assert_close(app.loss(alone, batch, {}), errors[2:3])
 
@@ -72,16 +73,24 @@ def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
 # What is made up for training
 
 
-class Seen(Texture):
-    """Keeps exemplars instead of what describes them."""
+class Exemplars(GramStatistics):
+    """Exemplars themselves instead of what describes them."""
 
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        return {"exemplar": exemplars} | {f"gram{i}": exemplars for i in range(self.maps_from(octave))}
+        return {"exemplar": exemplars} | {f"gram{i}": exemplars for i in range(self.octaves.count_maps(octave))}
+
+
+class Seen(Texture):
+    """Keeps exemplars."""
+
+    @property
+    def statistics(self) -> Exemplars:
+        return Exemplars(self.octaves)
 
 
 def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tensor:
     """Variants [count, 3, 16, 16] of an image [3, S, S]."""
-    some = app(TINY.network, 16, 16, TINY.taps)
+    some = app(TINY.network, replace(TINY.octaves, height=16, width=16))
     task = Task("a", {"image": (255 * image).round().to(torch.uint8)})
     tasks = stack(some, [task]).select([0] * count)
     return some.augment(tasks, seeded()).data["exemplar"]
@@ -135,7 +144,7 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 
 def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
     """1 for the exemplar itself, about 0 for noise, nothing for an exemplar without order."""
-    app = replace(TINY, height=64, width=64)
+    app = replace(TINY, octaves=replace(TINY.octaves, height=64, width=64))
     fits = {"a": Fitted({"z": torch.zeros(8)}, 0.0)}
     paving = paved().repeat(1, 2, 2)[:, :64, :64]
     for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):

@@ -19,6 +19,7 @@ from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.nbrdf import NBRDF
+from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, field_of
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
@@ -107,14 +108,15 @@ def path_tasks() -> list[Task]:
     return tasks
 
 
+SMALL_OCTAVES = Octaves(16, 16, ("relu1_1",))
 SMALL: dict[str, Small] = {
     "brdf": Small(brdf_tasks, Brdf(NBRDF)),
     "illumination": Small(map_tasks, Illumination(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))),
     "svbrdf_nonstationary": Small(material_tasks, FromMaps(field_of(16, hidden=8)._replace(code=3), encoder_width=2)),
     "svbrdf_stationary": Small(
-        picture_tasks, SvbrdfStationary(UNet(4, levels=2, noise=2, code=4, outputs=6), 16, 16, ("relu1_1",))
+        picture_tasks, SvbrdfStationary(UNet(4, levels=2, noise=2, code=4, outputs=6), SMALL_OCTAVES)
     ),
-    "texture": Small(picture_tasks, Texture(UNet(4, levels=2, noise=2, code=4, outputs=3), 16, 16, ("relu1_1",))),
+    "texture": Small(picture_tasks, Texture(UNet(4, levels=2, noise=2, code=4, outputs=3), SMALL_OCTAVES)),
     "transport": Small(path_tasks, Transport(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6))),
 }
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
+from torch.nn.functional import leaky_relu
 
-from metapp.appearance.features import channels_of, detail, feature_conditions, load_features, moments, softness
+from metapp.appearance.features import detail, feature_conditions
+from metapp.apps.exemplar.octaves import Octaves
+from metapp.apps.exemplar.statistics import Statistics
 from metapp.learning.app import App
 from metapp.learning.draws import normal, uniform
 from metapp.learning.recipe import Recipe
@@ -21,9 +22,7 @@ from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
 from metapp.networks.layout import as_input, layouts, quilted_layout
 
-Crop = Callable[[Tensor], Tensor]
 HIDDEN_UNITS = 128
-SOFTNESS = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
 JUDGED_PICTURES = 4
 
 
@@ -35,15 +34,16 @@ def with_detail(recipe: Recipe, side: int) -> Recipe:
     """
     app, sides = recipe.app, tuple[int, ...]()
     assert isinstance(app, ExemplarApp)
-    if app.has_layout:
-        trained = app.width >> app.finer
+    octaves = app.octaves
+    if app.network.has_layout:
+        trained = octaves.width >> octaves.finer
         sides = (trained, 2 * trained)
     if side not in sides:
         expected = f"one of {', '.join(map(str, sides))}" if sides else "no choice; take another recipe"
         raise ValueError(f"expected {expected}")
     finer = sides.index(side)
-    height = (app.height >> app.finer) << finer
-    return replace(recipe, app=replace(app, height=height, width=side, finer=finer))
+    height = (octaves.height >> octaves.finer) << finer
+    return replace(recipe, app=replace(app, octaves=replace(octaves, height=height, width=side, finer=finer)))
 
 
 @dataclass(frozen=True)
@@ -55,111 +55,31 @@ class ExemplarApp(App):
 
     Attributes:
         network: the generator.
-        height, width: texels of the exemplar and of generated pictures in training.
-        taps: the layers of VGG-16 whose statistics are compared.
-        octaves: sizes at which they are, each half of the one before (Snelgrove 2017); each finer one leaves out the
-            deepest layer of the one below, so that deep layers see large structures at little cost.
-        shares: of its steps up to which a descent sees the coarsest octave alone, the two coarsest, and so on; () if
-            it sees all from the beginning. A `Pyramid` makes small pictures, too.
-        prior: weight in the loss of the distance of maps from General's, if an application makes several
-            that one picture does not tell apart.
-        finer: octaves by which exemplars are finer than those of training; layouts, which hold the
-            structures that are larger in texels then, stay as they are.
+        octaves: the sizes at which pictures are compared with the exemplar.
     """
 
     network: UNet | Pyramid = field()
-    height: int = field()
-    width: int = field()
-    taps: tuple[str, ...] = field()
-    octaves: int = 1
-    shares: tuple[float, ...] = ()
-    prior: float = 0.0
-    finer: int = 0
-    reduced: ClassVar[bool] = False  # whether fits see features in reduced precision
-    described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
+    octaves: Octaves = field()
+
+    @property
+    @abstractmethod
+    def statistics(self) -> Statistics:
+        """What is known of exemplars, and the distance of pictures from it."""
 
     @property
     def read_size(self) -> int:
-        return self.width if self.finer else 0
-
-    def taps_of(self, octave: int) -> int:
-        """The number of layers that are compared at an octave, 0 the finest."""
-        return len(self.taps) - (self.octaves - 1 - octave)
-
-    def maps_from(self, octave: int) -> int:
-        """The number of maps of features from an octave to the coarsest."""
-        return sum(self.taps_of(each) for each in range(octave, self.octaves))
-
-    def parts(self, maps: list[Tensor], octave: int) -> list[Tensor]:
-        """The maps that a summary has parts of: if finer octaves are not seen, the finest one stands for them."""
-        finest = maps[self.maps_from(octave + 1) :]
-        return maps + [each for finer in reversed(range(octave)) for each in finest[: self.taps_of(finer)]]
-
-    @property
-    def has_layout(self) -> bool:
-        """True if the network reads a layout."""
-        return isinstance(self.network, Pyramid) and self.network.layout > 0
-
-    @property
-    def layout_size(self) -> tuple[int, int]:
-        """Height and width of layouts: twice those of the coarsest pictures in training, if there are finer ones."""
-        octave = max(0, self.octaves - 2) + self.finer
-        return self.height >> octave, self.width >> octave
-
-    def layout_ratio(self, octave: int) -> float:
-        """The ratio of the sides of an octave's pictures to those of their layouts."""
-        return (self.height >> octave) / self.layout_size[0]
+        return self.octaves.width if self.octaves.finer else 0
 
     def conditions(self, device: torch.device | None = None) -> dict[str, str]:
-        return feature_conditions(device if self.reduced else None)
-
-    def features(self, images: Tensor, octave: int, crop: Crop | None = None) -> list[Tensor]:
-        """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.
-
-        Those of a descent are in reduced precision if the application's are, and those of the finest
-        octave, which take the longest, of crops of the images by `crop`.
-        """
-        features, maps = load_features(self.taps, images), []
-        for coarser in reversed(range(octave, self.octaves)):
-            times = 2 ** (coarser - octave)
-            some = avg_pool2d(images, times) if times > 1 else images
-            some = crop(some) if crop and coarser == 0 else some
-            maps += features(some, self.taps_of(coarser), reduced=self.reduced)
-        return maps
-
-    def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """All that fitting and encoding need of exemplars of the size of an octave, those of coarser ones first.
-
-        Args:
-            exemplars: [B, 3, h, w], sRGB in [0, 1].
-            octave: 0 for the whole size.
-
-        Returns:
-            The statistics `described` of each map, such as `gram0`, and `summary` [B, S].
-        """
-        raise NotImplementedError
-
-    def summary(self, maps: list[Tensor], octave: int) -> Tensor:
-        """The encoder's input [B, S]: means and root mean squares of features."""
-        return moments(self.parts(maps, octave))
-
-    def summary_size(self) -> int:
-        """S, the length of the encoder's input."""
-        channels = channels_of(self.taps)
-        return 2 * sum(sum(channels[: self.taps_of(octave)]) for octave in range(self.octaves))
-
-    def octave(self, data: Mapping[str, Tensor]) -> int:
-        """The finest octave that data of tasks describe, 0 for the whole size."""
-        counts = [self.maps_from(octave) for octave in range(self.octaves)]
-        return counts.index(sum(key.startswith("gram") for key in data))
+        return feature_conditions(device if self.statistics.reduced else None)
 
     def stage(self, tasks: Tasks, done: float) -> Tasks:
         """From coarse to fine: at first statistics of the coarsest octave alone."""
-        coarse = sum(done < share for share in self.shares)
-        if not coarse:
+        octaves = self.octaves
+        if not (coarse := sum(done < share for share in octaves.shares)):
             return tasks
-        finer = range(self.maps_from(coarse), self.maps_from(0))
-        left_out = {f"{name}{i}" for name in self.described for i in finer}
+        finer = range(octaves.count_maps(coarse), octaves.count_maps(0))
+        left_out = {f"{name}{i}" for name in self.statistics.names for i in finer}
         return replace(tasks, data={key: value for key, value in tasks.data.items() if key not in left_out})
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -168,102 +88,50 @@ class ExemplarApp(App):
         Raises:
             ValueError: the picture is smaller than finer exemplars than those of training.
         """
-        image, side = task.data["image"], self.width
-        if self.finer and image.shape[-1] < side:
+        image, octaves = task.data["image"], self.octaves
+        if octaves.finer and image.shape[-1] < (side := octaves.width):
             raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
-        exemplar = self.exemplar(image[None].float() / 255)
-        return {"image": image} | {key: value[0] for key, value in self.targets(exemplar).items()}
+        exemplar = octaves.take_exemplar(image[None].float() / 255)
+        return {"image": image} | {key: value[0] for key, value in self._targets(exemplar).items()}
 
-    def targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """All that fits compare with, of exemplars [B, 3, h, w]: `describe` and, if networks read layouts, two more.
+    def _targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        """Return all that fits compare with: what describes exemplars [B, 3, h, w], and layouts if networks read them.
 
-        `layout` [B, 3, h, w] is a coarse picture that tiles, quilted of the exemplar; `detail` [B, 3, N].
+        `layout` [B, 3, h, w] is a coarse picture that tiles, quilted of the exemplar; `detail` [B, 3, N] goes with it.
         """
-        described = self.describe(exemplars, octave)
-        if not self.has_layout:
+        described = self.statistics.describe(exemplars, octave)
+        if not self.network.has_layout:
             return described
-        layouts = [quilted_layout(each, self.layout_size) for each in self.evenly_lit(exemplars, described)]
-        return described | {"layout": torch.stack(layouts), "detail": detail(exemplars)}
-
-    def evenly_lit(self, pictures: Tensor, described: Batch) -> Tensor:
-        """Pictures [B, 3, H, W] under the light of exemplars as if it were the same everywhere; here as they are."""
-        return pictures
+        even, size = self.statistics.evenly_lit(exemplars, described), self.octaves.layout_size
+        made = torch.stack([quilted_layout(each, size) for each in even])
+        return described | {"layout": made, "detail": detail(exemplars)}
 
     def task_parameters(self, tasks: Tasks) -> Params:
         """The layouts, if the network reads one."""
-        return {"layout": tasks.data["layout"][tasks.rows]} if self.has_layout else {}
-
-    def made(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
-        """The network's output from noise [T, B, outputs, H, W], before any range is imposed; it tiles."""
-        network = self.network
-        if not isinstance(network, Pyramid):
-            return network(theta, noise)
-        network = network._replace(finest=octave)
-        if not self.has_layout:
-            return network(theta, noise)
-        return network(theta, noise, as_input(layouts(theta["layout"], noise, self.layout_ratio(octave)), noise))
-
-    def exemplar(self, images: Tensor, octave: int = 0) -> Tensor:
-        """The part of square images [B, 3, S, S] that has the recipe's proportions, resampled to an octave's size."""
-        rows = round(images.shape[-1] * self.height / self.width)
-        top = (images.shape[-2] - rows) // 2
-        size = (self.height >> octave, self.width >> octave)
-        part = images[..., top : top + rows, :]
-        return interpolate(part, size=size, mode="area" if part.shape[-2] >= size[0] else "bilinear")
+        return {"layout": tasks.data["layout"][tasks.rows]} if self.network.has_layout else {}
 
     def init(self, rng: Generator, count: int) -> Params:
         theta = self.network.init(rng, count)
-        if self.has_layout:
-            theta["layout"] = torch.zeros(count, 3, *self.layout_size, device=rng.device)
+        if self.network.has_layout:
+            theta["layout"] = torch.zeros(count, 3, *self.octaves.layout_size, device=rng.device)
         return theta
 
-    def noise(self, rng: Generator, tasks: int, count: int, octave: int = 0) -> Tensor:
-        """Standard normal [tasks, count, C, h, w], as high and wide as the pictures of an octave."""
-        size = (self.height >> octave, self.width >> octave)
-        return normal(rng, tasks, count, self.network.noise, *size)
-
-    def fixed_noise(self, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
-        """Noise that is the same for all tasks and no fit draws, [tasks, count, C, h, w].
-
-        Args:
-            like: a tensor with one entry a task, on the device that noise is to be on.
-            count: of pictures of each task.
-            seed: of the draw.
-            octave: that pictures are as large as, 0 for the whole size.
-        """
-        rng = Generator(like.device).manual_seed(seed)
-        return self.noise(rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
-
+    @abstractmethod
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Any:
-        """The pictures or maps [T, B, ...] that `errors_of` judges, from noise [T, B, C, H, W] of an octave's size."""
-        raise NotImplementedError
+        """Return the pictures or maps [T, B, ...] that are judged, from noise [T, B, C, H, W] of an octave's size."""
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """`errors_of` pictures from noise that no fit draws, the same for all."""
-        return self.errors_of(self.generate(theta, self.fixed_noise(tasks.rows, JUDGED_PICTURES)), tasks)
+        """Measure pictures from noise that no fit draws, the same for all."""
+        return self.errors_of(self.generate(theta, fixed_noise(self, tasks.rows, JUDGED_PICTURES)), tasks)
 
-    @abstractmethod
     def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
-        """Measure pictures or maps [T, B, ...] that need not come from the network, [T]."""
-
-    def look(self, answer: Any, described: Batch) -> Tensor:
-        """The pictures [T, B, 3, H, W] of an answer, as of `errors_of`, under the light of its exemplars."""
-        pictures: Tensor = answer
-        return pictures
-
-    def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
-        """Part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
-
-        0 of pictures of coarser octaves, and if networks read no layout.
-        """
-        if not self.has_layout or self.octave(batch):
-            return pictures.new_zeros(len(pictures))
-        return SOFTNESS * softness(detail(pictures), batch["detail"][:, None]).mean(1)
+        """Measure pictures or maps that need not come from the network, by `Statistics.errors`."""
+        return self.statistics.errors(answer, tasks)
 
     def init_encoder(self, rng: Generator) -> Params:
         encoder = encoder_of({}, self.network.init(rng, 1), ("z",))
-        sizes = (self.summary_size(), HIDDEN_UNITS, HIDDEN_UNITS, self.network.code)
+        sizes = (self.statistics.summary_size, HIDDEN_UNITS, HIDDEN_UNITS, self.network.code)
         for layer in (1, 2, 3):
             inputs, outputs = sizes[layer - 1], sizes[layer]
             noise = normal(rng, outputs, inputs)
@@ -287,17 +155,55 @@ class ExemplarApp(App):
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """These exemplars cropped, flipped, transposed and with their channels permuted, at random."""
-        count, octave = len(tasks), self.octave(tasks.data)
+        count, octave = len(tasks), self.octaves.find_octave(tasks.data)
         exemplars = []
         for row, flip, turn in zip(tasks.rows, *uniform(rng, 2, count).tolist(), strict=True):
             image = self.crop(tasks.data["image"][row].float() / 255, rng)
             image = image.flip(-1) if flip < 0.5 else image
-            exemplars.append(self.exemplar((image.mT if turn < 0.5 else image)[None], octave))
+            exemplars.append(self.octaves.take_exemplar((image.mT if turn < 0.5 else image)[None], octave))
         channels = uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        return tasks.variants(self.targets(images, octave) | self.carried(tasks, channels[..., 0, 0]))
+        return tasks.variants(self._targets(images, octave) | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """Further data of these exemplars, once their channels are those [T, 3] of before."""
         return {}
+
+
+def draw_noise(app: ExemplarApp, rng: Generator, tasks: int, count: int, *, octave: int = 0) -> Tensor:
+    """Draw standard normal numbers [tasks, count, C, h, w] for pictures of the size of an octave."""
+    return normal(rng, tasks, count, app.network.noise, *app.octaves.size(octave))
+
+
+def fixed_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
+    """Return noise that is the same for all tasks and no fit draws, [tasks, count, C, h, w].
+
+    Args:
+        app: the application.
+        like: a tensor with one entry a task, on the device that noise is to be on.
+        count: of pictures of each task.
+        seed: of the draw.
+        octave: that pictures are as large as, 0 for the whole size.
+    """
+    rng = Generator(like.device).manual_seed(seed)
+    return draw_noise(app, rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
+
+
+def generate_raw(app: ExemplarApp, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
+    """Return the network's output from noise [T, B, C, H, W], before any range is imposed; it tiles.
+
+    Args:
+        app: the application.
+        theta: fits [T, ...], with the `layout` of each if the network reads one.
+        noise: of the size of an octave, or another: layouts are then quilted anew.
+        octave: 0 for the whole size.
+    """
+    network = app.network
+    if not isinstance(network, Pyramid):
+        return network(theta, noise)
+    network = network._replace(finest=octave)
+    if not network.has_layout:
+        return network(theta, noise)
+    moved = layouts(theta["layout"], noise, app.octaves.layout_ratio(octave))
+    return network(theta, noise, as_input(moved, noise))

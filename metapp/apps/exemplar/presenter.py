@@ -15,7 +15,7 @@ from metapp.appearance.order import lattice_of, order_kept
 from metapp.appearance.pictures import Visible
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit
-from metapp.apps.exemplar.app import ExemplarApp
+from metapp.apps.exemplar.app import ExemplarApp, fixed_noise
 from metapp.learning.draws import normal
 from metapp.learning.task import Params, Task, Tasks
 
@@ -49,7 +49,8 @@ class ExemplarPresenter(Presenter[Generating]):
     @property
     def picture_size(self) -> tuple[int, int]:
         """The height and width of files in px: the size asked for, else TILED times the exemplar's."""
-        return self.size or (TILED * self.app.height, TILED * self.app.width)
+        height, width = self.app.octaves.size()
+        return self.size or (TILED * height, TILED * width)
 
     @override
     def visible(self, task: Task) -> Visible:
@@ -68,7 +69,7 @@ class ExemplarPresenter(Presenter[Generating]):
         """
         batched = {key: value[None] for key, value in theta.items()}
         rng, channels = Generator(theta["z"].device).manual_seed(SHOWN_SEED), self.app.network.noise
-        return make(batched, normal(rng, 1, 1, channels, *(size or (self.app.height, self.app.width))))
+        return make(batched, normal(rng, 1, 1, channels, *(size or self.app.octaves.size())))
 
     @override
     @torch.no_grad()
@@ -78,14 +79,15 @@ class ExemplarPresenter(Presenter[Generating]):
         All of it, if the fit is black or the same everywhere; regular structure by its lattice; else lines that are
         broken, and seams. Only if networks read layouts.
         """
-        app = self.app
-        if not app.has_layout:
+        app, statistics = self.app, self.app.statistics
+        if not app.network.has_layout:
             return super().quality_warnings(theta, tasks)
         described = {key: value[tasks.rows] for key, value in tasks.data.items()}
-        answer = app.generate(theta, app.fixed_noise(tasks.rows, 1, seed=SHOWN_SEED))
-        pictures = app.exemplar(described["image"].float() / 255), app.look(answer, described)[:, 0]
+        answer = app.generate(theta, fixed_noise(app, tasks.rows, 1, seed=SHOWN_SEED))
+        exemplars = app.octaves.take_exemplar(described["image"].float() / 255)
+        pictures = exemplars, statistics.look(answer, described)[:, 0]
         collapsed = [collapsed_fit(picture, exemplar) for exemplar, picture in zip(*pictures, strict=True)]
-        exemplars, evenly_lit = (app.evenly_lit(photos, described) for photos in pictures)
+        exemplars, evenly_lit = (statistics.evenly_lit(photos, described) for photos in pictures)
         enlarged = self.pictures_for_lines(theta, evenly_lit)
         judged = zip(collapsed, exemplars, evenly_lit, enlarged, strict=True)
         return [clauses or self._find_lost(*compared) for clauses, *compared in judged]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.exemplar.app import ExemplarApp
+from metapp.apps.exemplar.octaves import Octaves
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
 from metapp.networks.generators import Pyramid, UNet
 
@@ -53,7 +54,7 @@ def generator(
             "meta-basis": tuned,
         },
         rule="meta-basis",
-        app=app(UNet(16, outputs=outputs), 64, 64, ("relu1_1", "relu2_1", "relu3_1")),
+        app=app(UNet(16, outputs=outputs), Octaves(64, 64, ("relu1_1", "relu2_1", "relu3_1"))),
     )
 
 
@@ -62,7 +63,7 @@ def pixels(steps: int, tasks: int, validate_every: int = 250) -> OuterLoop:
     return OuterLoop(steps=steps, tasks=tasks, rates=PIXELS, warmup=50, final=0.0, validate_every=validate_every)
 
 
-def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: float = 0.0) -> Recipe:
+def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int) -> Recipe:
     """The recipe of pictures of the size that people use, 256 texels, from coarse to fine.
 
     A fifth of the steps are at 64 texels, the last two fifths at 256; the network reads a layout of the exemplar.
@@ -72,12 +73,12 @@ def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: flo
         steps: gradient steps of a fit.
         searched: the first Adam of searches.
         tasks: of each outer step of General.
-        prior: as of `ExemplarApp`.
     """
     app, tuned = quick.app, replace(quick.meta["meta-basis"], first=searched)
     assert isinstance(app, ExemplarApp)
     taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
     network = Pyramid(16, outputs=app.network.outputs, layout=3)
+    octaves = Octaves(256, 256, taps, count=3, shares=(0.2, 0.6))
     return replace(
         quick,
         steps=steps,
@@ -85,5 +86,5 @@ def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int, prior: flo
         general=pixels(2400, tasks, validate_every=400),
         meta={"meta-encoder": quick.meta["meta-encoder"], "meta-axes": tuned},
         rule="meta-axes",
-        app=replace(app, network=network, height=256, width=256, taps=taps, octaves=3, shares=(0.2, 0.6), prior=prior),
+        app=replace(app, network=network, octaves=octaves),
     )

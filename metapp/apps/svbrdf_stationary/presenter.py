@@ -15,7 +15,8 @@ from metapp.appearance.highlight import F0_BOUND, clipped_highlight
 from metapp.appearance.pictures import Compared, Picture
 from metapp.appearance.surface import Surface, map_pictures, with_relief
 from metapp.apps.exemplar.presenter import ExemplarPresenter
-from metapp.apps.svbrdf_stationary.app import FALLOFF, SvbrdfStationary
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
+from metapp.apps.svbrdf_stationary.statistics import FALLOFF
 from metapp.learning.task import Params, Task, Tasks
 
 # By fits of 39 photographs that were graded by eye: on every other one, all 7 intact materials are above 0.89.
@@ -38,11 +39,11 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return the photo and the fit under the photo's light, then maps and relightings as they are displayed."""
-        app = self.app
-        photo = app.exemplar(task.data["image"][None].float() / 255)
-        light = app.light_of(photo)
+        octaves, statistics = self.app.octaves, self.app.statistics
+        photo = octaves.take_exemplar(task.data["image"][None].float() / 255)
+        light = statistics.find_light(photo)
         maps, height = self._material(theta)
-        fit = app.photograph(maps, light[0], light[0])
+        fit = statistics.photograph(maps, light[0], light[0])
         displayed = {"reference": photo[0].permute(1, 2, 0), "fit": fit.permute(1, 2, 0)}
         pictures = map_pictures(with_relief(maps, self.relief), self.relief * height, falloff=FALLOFF)
         displayed |= {name: picture.pixels for name, picture in pictures.items()}
@@ -53,12 +54,12 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     @torch.no_grad()
     def comparison(self, theta: Params, task: Task) -> Compared:
         """Return the maps under the photo's light, and under others if the task has references of that."""
-        app = self.app
+        octaves, statistics = self.app.octaves, self.app.statistics
         photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
-        references = torch.cat([app.exemplar(images.float() / 255) for images in photos])
-        light, maps = app.light_of(references[:1])[0], self._material(theta)[0]
+        references = torch.cat([octaves.take_exemplar(images.float() / 255) for images in photos])
+        light, maps = statistics.find_light(references[:1])[0], self._material(theta)[0]
         pairs = [(light, light), *relightings(device=light.device).values()][: len(references)]
-        return Compared(torch.stack([app.photograph(maps, *pair) for pair in pairs]), references)
+        return Compared(torch.stack([statistics.photograph(maps, *pair) for pair in pairs]), references)
 
     @override
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
@@ -88,7 +89,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Return clauses on structure that was lost, and on clipped highlights; only if networks read layouts."""
         warnings = super().quality_warnings(theta, tasks)
-        if not self.app.has_layout:
+        if not self.app.network.has_layout:
             return warnings
         pairs = zip(warnings, tasks.data["image"][tasks.rows], strict=True)
         return [clauses + clipped_highlight(image.float() / 255, F0_BOUND) for clauses, image in pairs]

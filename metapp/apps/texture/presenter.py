@@ -37,7 +37,7 @@ class TexturePresenter(ExemplarPresenter[Texture]):
 
     @override
     def comparison(self, theta: Params, task: Task) -> Compared:
-        exemplar = self.app.exemplar(task.data["image"][None].float() / 255)
+        exemplar = self.app.octaves.take_exemplar(task.data["image"][None].float() / 255)
         return Compared(self.make_shown(theta, self.app.generate)[0], exemplar)
 
     @override

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.recipes import generator, pixels, pyramid
 from metapp.apps.texture.app import Texture
 from metapp.learning.recipe import Adam, as_published
@@ -20,8 +21,9 @@ QUICK = generator(
 )
 FULL = pyramid(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4)
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, meta-batch 5
-PUBLISHED = Texture(UNet(32), 192, 256, ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3"))
+TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
+PUBLISHED = Texture(UNet(32), Octaves(192, 256, TAPS))
 PAPER = as_published(QUICK, PUBLISHED, validate_every=50)
 # at a side, in texels, whose outer steps take seconds on CPUs
-PAPER_64 = replace(PAPER, app=replace(PUBLISHED, height=64, width=64))
+PAPER_64 = replace(PAPER, app=replace(PUBLISHED, octaves=Octaves(64, 64, TAPS)))
 RECIPES = {"paper": PAPER, "paper-64": PAPER_64, "quick": QUICK, "full": FULL}

@@ -88,11 +88,11 @@ class QuiltedMaterial(Baseline):
         """The photograph and NUMBERS are kept."""
         app = self.app
         assert isinstance(app, SvbrdfStationary)
-        photos = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)
+        photos = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
         light = tasks.data["light"][tasks.rows]
         maps = quilted_maps(photos, light, rng)
         kept = photos.numel()
-        picture = picture_of(app.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0]))
+        picture = picture_of(app.statistics.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0]))
 
         def written(asked: tuple[int, int] | None) -> Maps:
             return quilted_maps(photos, light, rng, asked, count=1) if asked else maps

@@ -44,7 +44,7 @@ class NearestExemplar(Baseline):
         assert isinstance(self.app, ExemplarApp)
         data = training.stacked.data
         self.grams = {name: data[name] for name in sorted(data) if name.startswith("gram")}
-        self.pictures = self.app.exemplar(data["image"].float() / 255)
+        self.pictures = self.app.octaves.take_exemplar(data["image"].float() / 255)
         self.shared = bytes_of(data["image"], *self.grams.values())
 
     def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
@@ -68,7 +68,7 @@ class Quilting(Baseline):
         """The exemplar is kept: numbers, and as many bytes. The file tiles; what is judged need not."""
         app = self.app
         assert isinstance(app, ExemplarApp)
-        exemplar = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
+        exemplar = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
         size = exemplar.shape[1], exemplar.shape[2]
         pictures, kept = quilts(exemplar, size, rng), exemplar.numel()
 

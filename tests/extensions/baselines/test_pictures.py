@@ -143,7 +143,7 @@ def material(pattern: Tensor | None = None) -> Maps:
 
 def task_of(app: SvbrdfStationary, maps: Maps) -> Task:
     def as_bytes(light: Tensor, view: Tensor) -> Tensor:
-        return (255 * app.photograph(maps, light, view)).round().to(torch.uint8)
+        return (255 * app.statistics.photograph(maps, light, view)).round().to(torch.uint8)
 
     relit = torch.stack([as_bytes(*pair) for pair in relightings().values()])
     return Task("known", {"image": as_bytes(camera(), camera()), "relit": relit})

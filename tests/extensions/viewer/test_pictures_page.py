@@ -16,6 +16,7 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
 from metapp.appearance.pictures import Picture
 from metapp.apps import presenter_of
+from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import TILED
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
@@ -34,7 +35,7 @@ from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
 WHOLE = TILED * SIZE
-SHOWN = Texture(UNet(8, 3, noise=4, code=8), SIZE, SIZE, ("relu1_1",))
+SHOWN = Texture(UNet(8, 3, noise=4, code=8), Octaves(SIZE, SIZE, ("relu1_1",)))
 
 
 def theta_of(seed: int = 0) -> Params:

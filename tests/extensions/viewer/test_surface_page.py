@@ -14,6 +14,7 @@ from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
 from metapp.appearance.surface import Surface
 from metapp.apps import presenter_of
+from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
@@ -37,7 +38,7 @@ def seeded(seed: int = 0) -> Generator:
 @functools.cache
 def stationary() -> tuple[SvbrdfStationary, Params, Task]:
     """A random generator's maps."""
-    app = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), SIDE, SIDE, ("relu1_1",))
+    app = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIDE, SIDE, ("relu1_1",)))
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     photo = (255 * torch.rand(3, SIDE, SIDE, generator=seeded(1))).to(torch.uint8)
     return app, theta, Task("cloth", {"image": photo})

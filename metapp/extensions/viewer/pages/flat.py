@@ -16,8 +16,8 @@ from metapp.appearance.quilting import block_of, quilted
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.presenter import SvbrdfNonstationaryPresenter
-from metapp.apps.svbrdf_stationary.app import FALLOFF
 from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
+from metapp.apps.svbrdf_stationary.statistics import FALLOFF
 from metapp.apps.texture.presenter import TexturePresenter
 from metapp.extensions.viewer.view import THUMBNAIL, View, light_map, thumbnail
 from metapp.learning.task import Params, Task
@@ -65,8 +65,8 @@ def svbrdf_stationary(presenter: SvbrdfStationaryPresenter, theta: Params, task:
     app = presenter.app
     photographed = []
     if "image" in task.data:
-        photo = app.exemplar(task.data["image"][None].float() / 255)
-        light, part = app.light_of(photo)[0], app.width / presenter.picture_size[1]
+        photo = app.octaves.take_exemplar(task.data["image"][None].float() / 255)
+        light, part = app.statistics.find_light(photo)[0], app.octaves.width / presenter.picture_size[1]
         photographed = [Lit(light, light, photo=photo[0] ** GAMMA, part=part)]
     return surface_view(presenter.surface(theta, task), photographed, falloff=FALLOFF)
 
@@ -77,7 +77,8 @@ def texture(presenter: TexturePresenter, theta: Params, task: Task) -> View:
     fit = presenter.pictures(theta, task)["texture"].pixels
     pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
     if "image" in task.data:
-        exemplar = pictures["exemplar"] = app.exemplar(task.data["image"][None].float() / 255)[0].permute(1, 2, 0)
+        photo = task.data["image"][None].float() / 255
+        exemplar = pictures["exemplar"] = app.octaves.take_exemplar(photo)[0].permute(1, 2, 0)
         pixels, size = exemplar.numpy(), (QUILTED * exemplar.shape[0], QUILTED * exemplar.shape[1])
         block, overlap = block_of(pixels)
         made = quilted(pixels, size, np.random.default_rng(0), block=block, overlap=overlap)  # the same each time
