@@ -19,7 +19,7 @@ from metapp.appearance import latlong, reflection
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals, texel_of
 from metapp.learning.draws import uniform
-from metapp.storage.cache import cached_tensors
+from metapp.storage.tensor_cache import cached_tensors
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
 MIRROR_SAMPLES = 4  # of a mirror's pixel along each side

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from metapp.appearance import geometry
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle, gauss_legendre
-from metapp.storage.cache import cached_tensors
+from metapp.storage.tensor_cache import cached_tensors
 
 
 class SphereScene(NamedTuple):

@@ -26,11 +26,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from safetensors import safe_open
+
 from metapp.storage.placeholders import START_BYTES, placeholder_of
 
 if TYPE_CHECKING:
-    import xml.etree.ElementTree as ET
-
     from torch import Tensor
 
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
@@ -103,8 +103,6 @@ def opened_tensors(path: str | Path, device: str = "cpu") -> Iterator[Any]:
         ValueError: it is no file, or stands for another one.
         SafetensorError: it is damaged.
     """
-    from safetensors import safe_open  # here: it imports torch
-
     check_readable(Path(path))
     with open_regular(path) as file:
         place = path if str(path).isprintable() else f"/dev/fd/{file.fileno()}"  # it takes no bytes that are not UTF-8
@@ -183,15 +181,6 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
 def write_bytes(path: str | Path, content: bytes, previous: Path | None = None) -> None:
     """Write a file of this content, as `write_atomically`."""
     write_atomically(path, lambda partial: partial.write_bytes(content), previous)
-
-
-def write_xml(path: Path, root: ET.Element) -> None:
-    """Write an XML document, indented, whole or not at all."""
-    from xml.etree.ElementTree import indent, tostring  # here: every command imports this module
-
-    indent(root)
-    content: bytes = tostring(root, encoding="utf-8", xml_declaration=True)
-    write_bytes(path, content + b"\n")
 
 
 @contextlib.contextmanager

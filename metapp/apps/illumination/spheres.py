@@ -20,7 +20,7 @@ from metapp.appearance.latlong import cosine_transfer, glossy_transfer, sphere_n
 from metapp.appearance.metrics import rgb_angle, si_rmse
 from metapp.appearance.photograph import Material, mirror, shade
 from metapp.appearance.reflection import fresnel_schlick
-from metapp.storage.cache import cached_tensors
+from metapp.storage.tensor_cache import cached_tensors
 
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
 

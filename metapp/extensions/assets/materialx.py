@@ -15,7 +15,7 @@ from pathlib import Path
 from metapp.appearance.surface import Surface
 from metapp.extensions.assets.pictures import fitted_by, named, write_planes
 from metapp.extensions.assets.planes import fitted_planes
-from metapp.storage.files import write_xml
+from metapp.storage.xml_files import write_xml
 
 TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}
 HIGHEST = 0.9999  # F0; beyond, no index of refraction

@@ -15,7 +15,7 @@ from metapp.appearance.flash import camera_distance
 from metapp.appearance.surface import Surface
 from metapp.extensions.assets.pictures import named, write_planes
 from metapp.extensions.assets.planes import all_planes
-from metapp.storage.files import write_xml
+from metapp.storage.xml_files import write_xml
 
 USED = ("diffuse", "specular", "roughness", "normal_gl", "basecolor", "metallic")
 PLUGINS = {  # by the suffix of the scene: the BSDF, and its textures by name

@@ -17,7 +17,8 @@ from importlib import resources
 from pathlib import Path
 
 from metapp.extensions.onnx_files.photographs import FEATURES
-from metapp.storage.cache import cache_folder, download
+from metapp.storage.cache import cache_folder
+from metapp.storage.downloads import download
 from metapp.storage.files import read_bytes, write_bytes
 
 VERSION = "1.30.0"

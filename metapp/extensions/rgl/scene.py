@@ -14,7 +14,8 @@ from safetensors.torch import save
 
 from metapp.extensions.rgl.rgl import export as write_table
 from metapp.learning.task import Params
-from metapp.storage.files import write_bytes, write_xml
+from metapp.storage.files import write_bytes
+from metapp.storage.xml_files import write_xml
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf

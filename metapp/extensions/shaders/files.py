@@ -13,7 +13,8 @@ from metapp.apps.brdf.network import network_of
 from metapp.extensions.shaders.languages import LANGUAGES, translated
 from metapp.extensions.shaders.source import source_of
 from metapp.learning.task import Params
-from metapp.storage.files import write_bytes, write_xml
+from metapp.storage.files import write_bytes
+from metapp.storage.xml_files import write_xml
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf

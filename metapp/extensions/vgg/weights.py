@@ -18,7 +18,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance.features import VGG_BLOCKS, weights_path
-from metapp.storage.cache import download
+from metapp.storage.downloads import download
 from metapp.storage.files import open_regular, opened_tensors, write_bytes
 
 TORCHVISION = "vgg16-397923af.pth"

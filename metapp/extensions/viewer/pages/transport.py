@@ -27,7 +27,7 @@ from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from metapp.runs.surroundings import threads
 from metapp.storage import Document
-from metapp.storage.cache import cached_tensors
+from metapp.storage.tensor_cache import cached_tensors
 
 SIDE_PX = 256  # px of a side
 SECONDS, REFERENCE_SECONDS = 3.0, 10.0  # of CPU: for regular and guided paths each, for the reference
