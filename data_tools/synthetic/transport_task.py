@@ -8,7 +8,8 @@ from torch import Generator
 from metapp.learning.task import Task
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.paths.resampling import draw_samples
-from metapp.rendering.scenes.rules import SceneDict, scene_bytes
+from metapp.rendering.scenes.rules import SceneDict
+from metapp.rendering.scenes.stored_text import scene_bytes
 
 SAMPLES, HELD = 32_768, 8_192
 UNITS = {

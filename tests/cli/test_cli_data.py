@@ -18,7 +18,7 @@ from data_tools.readers.merl import read_merl
 from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.learning.task import Task
-from metapp.rendering.scenes.rules import scene_of
+from metapp.rendering.scenes.stored_text import scene_of
 from metapp.runs.inputs.embedded import embedded_data, split_counts
 from metapp.storage.shards import check_shard, read_manifest, read_shard
 from tests.conftest import Result

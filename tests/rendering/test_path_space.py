@@ -13,7 +13,8 @@ from metapp.rendering.paths import path_space
 from metapp.rendering.paths.path_space import IMAGE_PX, FewPaths, Guide, Tracer, path_samples, reference, render
 from metapp.rendering.paths.resampling import draw_samples, resampled
 from metapp.rendering.scenes.loading import brightness, load_scene
-from metapp.rendering.scenes.rules import box_film, scene_bytes, scene_of
+from metapp.rendering.scenes.rules import box_film
+from metapp.rendering.scenes.stored_text import scene_bytes, scene_of
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 

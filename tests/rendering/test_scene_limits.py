@@ -13,13 +13,11 @@ from metapp.rendering.scenes.rules import (
     MOST_CHARACTERS,
     MOST_NESTED,
     MOST_VALUES,
-    TEXT_BYTES,
     CheckedDict,
     Files,
     box_film,
-    scene_bytes,
-    scene_of,
 )
+from metapp.rendering.scenes.stored_text import TEXT_BYTES, scene_bytes, scene_of
 from tests.needs_mitsuba import needs_mitsuba
 
 

@@ -19,7 +19,7 @@ from metapp.learning.task import Params, Task
 from metapp.registry import Entry, registry
 from metapp.rendering.paths import path_space
 from metapp.rendering.paths.resampling import draw_samples
-from metapp.rendering.scenes.rules import scene_of
+from metapp.rendering.scenes.stored_text import scene_of
 
 SHOWN_PX = 64  # px of a side, of the pictures that a run leaves
 SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2

@@ -9,6 +9,7 @@ from typing_extensions import override
 
 from metapp.appearance.pictures import Fitted, Picture, Visible
 from metapp.appearance.presenter import Presenter
+from metapp.apps.transport import images, pictures
 from metapp.apps.transport.app import Transport
 from metapp.learning.task import Params, Task
 
@@ -18,17 +19,12 @@ NEXT_EVENT_NOTE = (
 
 
 class TransportPresenter(Presenter[Transport]):
-    """What people look at of the density of a scene's light paths.
-
-    Modules that trace scenes are imported by the methods that trace, since most fits show none.
-    """
+    """What people look at of the density of a scene's light paths."""
 
     @property
     @override
     def picture_measure(self) -> str:
-        from metapp.apps.transport.images import integrators
-
-        notes = "".join(f"{plugin.help}; " for plugin in integrators().values())
+        notes = "".join(f"{plugin.help}; " for plugin in images.integrators().values())
         return (
             f"pictures of {self.app.picture} px of 1024 paths a pixel; fits guide three of four paths, without "
             f"next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts the "
@@ -41,8 +37,6 @@ class TransportPresenter(Presenter[Transport]):
         On the film there are the scene's picture and one of GLANCE_SPP paths a pixel that the fit guides; if there is
         no scene, the densities.
         """
-        from metapp.apps.transport import images, pictures
-
         network, reference, guided = self.app.network, None, None
         if "scene" in task.data:
             studio = images.studio_of(task)
@@ -54,8 +48,6 @@ class TransportPresenter(Presenter[Transport]):
 
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Return the scene guided by the fit and without a guide, SHOWN_SPP paths a pixel; {} if there is no scene."""
-        from metapp.apps.transport import images, pictures
-
         if "scene" not in task.data:
             return {}
         studio, spp = images.studio_of(task), pictures.SHOWN_SPP
@@ -67,9 +59,7 @@ class TransportPresenter(Presenter[Transport]):
 
         Pictures without a guide are measured, too: see :func:`metapp.apps.transport.images.picture_errors`.
         """
-        from metapp.apps.transport.images import picture_errors
-
-        return picture_errors(self.app.network, fits, task, self.app.picture) if "scene" in task.data else {}
+        return images.picture_errors(self.app.network, fits, task, self.app.picture) if "scene" in task.data else {}
 
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
         """State that paths have next-event estimation, where the task's samples have."""

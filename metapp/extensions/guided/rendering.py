@@ -14,7 +14,7 @@ from metapp.learning.task import Params, Task
 from metapp.rendering import pictures
 from metapp.rendering.jit import mi
 from metapp.rendering.paths import path_space
-from metapp.rendering.scenes.rules import scene_of
+from metapp.rendering.scenes.stored_text import scene_of
 from metapp.rendering.types import Scene
 
 SPP = 64  # samples a pixel of the guided picture

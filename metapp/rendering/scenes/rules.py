@@ -12,48 +12,22 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from metapp.registry import registry
 from metapp.rendering.types import Mitsuba, Scene
 from metapp.storage import Document
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 Json = Any  # a value of a scene
 
 SceneDict = Document  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
 READER = "the extension scene_files"
 _LONGEST = 200  # characters of Mitsuba's messages
-TEXT_BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
 
 
 def box_film(width: int, height: int) -> SceneDict:
     """A film of so many pixels, each by itself."""
     return {"type": "hdrfilm", "width": width, "height": height, "pixel_format": "rgb", "rfilter": {"type": "box"}}
-
-
-def scene_bytes(scene: SceneDict) -> Tensor:
-    """A scene as its JSON text, uint8 [L], with blanks at its end up to a multiple of 8192 bytes."""
-    import torch
-
-    text = json.dumps(scene, allow_nan=False).encode()
-    padded = text.ljust(math.ceil(len(text) / TEXT_BYTES) * TEXT_BYTES)
-    return torch.frombuffer(bytearray(padded), dtype=torch.uint8)
-
-
-def scene_of(text: Tensor) -> SceneDict:
-    """The scene whose JSON text this is, as `scene_bytes` makes it.
-
-    Raises:
-        ValueError: it is no JSON.
-    """
-    try:
-        result: SceneDict = json.loads(text.cpu().numpy().tobytes())
-        return result
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"a stored scene is no JSON ({error}), expected a dictionary; make the data anew.") from None
 
 
 RESOURCES = "resources"  # the type of an object that declares a folder of files; Mitsuba takes it at the root alone

@@ -17,7 +17,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
 from metapp.learning.task import Task
 from metapp.rendering.paths import path_space
-from metapp.rendering.scenes.rules import scene_bytes
+from metapp.rendering.scenes.stored_text import scene_bytes
 from tests.needs_mitsuba import needs_mitsuba
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)

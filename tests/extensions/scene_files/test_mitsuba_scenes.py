@@ -18,7 +18,7 @@ from metapp.registry import WITHOUT
 from metapp.rendering import variant as mitsuba_variant
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
-from metapp.rendering.scenes.rules import scene_of
+from metapp.rendering.scenes.stored_text import scene_of
 from tests.needs_mitsuba import needs_mitsuba
 from tests.sources import paths_of
 

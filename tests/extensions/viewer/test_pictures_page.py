@@ -27,7 +27,7 @@ from metapp.extensions.viewer.pages.flat import QUILTED
 from metapp.extensions.viewer.view import View, view_of
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
-from metapp.rendering.scenes.rules import scene_bytes
+from metapp.rendering.scenes.stored_text import scene_bytes
 from metapp.runs.outputs.files import write_pictures
 from tests.browser import LEGEND, Page, assert_alike, browsing, false_colours
 from tests.extensions.viewer.conftest import written

@@ -1,0 +1,33 @@
+"""Scenes as tasks hold them: their JSON text, in a tensor."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import torch
+from torch import Tensor
+
+from metapp.rendering.scenes.rules import SceneDict
+
+TEXT_BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
+
+
+def scene_bytes(scene: SceneDict) -> Tensor:
+    """Return a scene as its JSON text, uint8 [L], with blanks at its end up to a multiple of 8192 bytes."""
+    text = json.dumps(scene, allow_nan=False).encode()
+    padded = text.ljust(math.ceil(len(text) / TEXT_BYTES) * TEXT_BYTES)
+    return torch.frombuffer(bytearray(padded), dtype=torch.uint8)
+
+
+def scene_of(text: Tensor) -> SceneDict:
+    """Return the scene whose JSON text :func:`scene_bytes` made.
+
+    Raises:
+        ValueError: it is no JSON.
+    """
+    try:
+        result: SceneDict = json.loads(text.cpu().numpy().tobytes())
+        return result
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"a stored scene is no JSON ({error}), expected a dictionary; make the data anew.") from None
