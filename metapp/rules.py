@@ -1,15 +1,12 @@
-"""Learned rules by name: those of the registry and compositions of them; nothing large is imported."""
+"""Learned rules by name: those of the registry and compositions of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import TYPE_CHECKING
 
+from metapp.learning.rules import LearnedRule, Part, compose
 from metapp.registry import registry
-
-if TYPE_CHECKING:
-    from metapp.learning.rules import LearnedRule, Part
 
 
 @cache
@@ -22,8 +19,6 @@ def rule_of(name: str) -> LearnedRule:
     >>> rule_of("curvature+loss+adam").name
     'meta-curvature'
     """
-    from metapp.learning.rules import compose
-
     tables = registry()
     return compose(
         name, list(tables.parts), lambda part: _part(tables.parts[part].load()), tables.rules, tables.compositions

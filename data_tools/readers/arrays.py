@@ -6,19 +6,15 @@ sRGB, floating-point values display values in [0, 1].
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
-import torch
+from PIL.Image import Image
 from torch import Tensor
 
 from data_tools.readers.colours import SRGB, Array
 from data_tools.readers.image_files import Pixels, check_size, pixels_of_pil
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
-LARGEST_SIZE = 3 * 2**28  # numbers of an array, as of an image file
+from data_tools.readers.numbers import array_of
 
 _EXPECTED = "a path, a picture (of PIL, or an array or tensor [H, W, 3])"
 _SLACK = 1e-3  # by which rounding may leave [0, 1]
@@ -55,15 +51,11 @@ def checked(name: str, pixels: Pixels) -> Pixels:
 
 def is_pil(source: object) -> TypeGuard[Image]:
     """True if something is a picture of PIL of 8 bits; others are arrays of their numbers."""
-    from PIL.Image import Image
-
     return isinstance(source, Image) and source.mode not in ("I", "I;16", "F")
 
 
 def is_picture(source: object) -> bool:
     """True if something is an array, a tensor or a picture of PIL, whatever its shape."""
-    from PIL.Image import Image
-
     return isinstance(source, np.ndarray | Tensor | Image) or hasattr(source, "__array_interface__")
 
 
@@ -96,27 +88,3 @@ def check_range(name: str, values: Array, what: str, remedy: str, low: float = 0
         raise ValueError(
             f"{name}: {what} from {values.min():.4g} to {values.max():.4g}, expected {low:g} to 1; {remedy}."
         )
-
-
-def array_of(name: str, source: object) -> Array:
-    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array; halves become float32.
-
-    Raises:
-        ValueError: no numbers, masked ones, too many, or a tensor that is not dense.
-    """
-    if isinstance(source, np.ma.MaskedArray) and (masked := np.count_nonzero(np.ma.getmaskarray(source))):
-        raise ValueError(f"{name}: {masked:,} values are masked, expected all; fill them: a.filled(0).")
-    try:
-        dense = source.detach().cpu().resolve_neg() if isinstance(source, Tensor) else source
-        values = np.asarray(dense.float() if isinstance(dense, Tensor) and dense.dtype == torch.bfloat16 else dense)
-    except Exception:  # whatever an object of another library raises
-        values = np.asarray(None)
-    if values.dtype.kind not in "uif":
-        kind = f"an array of {values.dtype}" if values.ndim else type(source).__name__
-        if isinstance(source, Tensor):
-            kind = f"a tensor ({source.dtype}, {source.layout}, on {source.device})".replace("torch.", "")
-        raise ValueError(f"{name}: {kind}, expected an array of numbers.")
-    if values.size > LARGEST_SIZE:
-        raise ValueError(f"{name}: {values.size:,} values, expected {LARGEST_SIZE:,} or fewer; take a part of them.")
-    values = values.astype(values.dtype.newbyteorder("="), copy=False)
-    return values.astype(np.float32) if values.dtype == np.float16 else values

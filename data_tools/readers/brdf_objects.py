@@ -12,6 +12,7 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.measured_pairs import LARGEST, Pairs, task_of_pairs
+from data_tools.readers.numbers import doubles_of, unit_vectors, vectors_of
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.learning.task import Task
 from metapp.rendering.types import Bsdf
@@ -39,7 +40,7 @@ def task_of_object(source: object, name: str, **_: object) -> Task:
         if len(source) != len(SAMPLED):
             raise ValueError(f"{name}: {len(source)} arrays, expected {len(SAMPLED)}: {', '.join(SAMPLED)}.")
         wi, wo = (unit_vectors(name, *pair) for pair in zip(source[:2], SAMPLED[:2], strict=True))
-        values = _array(name, source[2], SAMPLED[2])
+        values = vectors_of(name, source[2], SAMPLED[2])
         if not ((values >= 0) & (values <= LARGEST)).all():
             found = "reflectance that is negative, huge or not finite"
             raise ValueError(f"{name}: {found}, expected 0 to {LARGEST:g}.")
@@ -75,7 +76,7 @@ def evaluated_by(mitsuba: ModuleType, bsdf: Bsdf, angles: Tensor) -> Tensor:
 def _called(name: str, function: Function, angles: Tensor) -> Tensor:
     """Linear RGB [..., 3] in 1/sr of angles [..., 3 or 4] in rad."""
     wi, wo = (direction.reshape(-1, 3).float().numpy() for direction in rusinkiewicz_to_directions(angles.double()))
-    values = _doubles(f"{name}'s values", function(wi, wo)).to(angles)
+    values = doubles_of(f"{name}'s values", function(wi, wo)).to(angles)
     if values.shape == (len(wi),):
         values = values[:, None].expand(-1, 3)
     if values.shape != (len(wi), 3):
@@ -84,29 +85,3 @@ def _called(name: str, function: Function, angles: Tensor) -> Tensor:
         least = float(values.min())
         raise ValueError(f"{name}: reflectance of {least:.3g} /sr, expected 0 or more; clamp it in the function.")
     return values.reshape(*angles.shape[:-1], 3)
-
-
-def _doubles(name: str, values: object) -> Tensor:
-    """Numbers of any kind as a tensor; a copy, since arrays may be read-only or run backwards."""
-    from data_tools.readers.arrays import array_of  # here: files of BRDFs need no readers of pictures
-
-    return torch.from_numpy(np.array(array_of(name, values), np.float64, order="C"))
-
-
-def _array(name: str, values: object, what: str) -> Tensor:
-    """An array of samples [N, 3], float64."""
-    array = _doubles(f"{name}: {what}", values)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name}: {what} {tuple(array.shape)}, expected [N, 3].")
-    return array
-
-
-def unit_vectors(name: str, values: object, what: str) -> Tensor:
-    """Directions as unit vectors [N, 3], float64; ValueError for another shape, type or length."""
-    array = _array(name, values, what)
-    lengths = array.norm(dim=1, keepdim=True)
-    if not ((lengths - 1).abs() < 1e-3).all():
-        worst = float(lengths[(lengths - 1).abs().argmax()])
-        raise ValueError(f"{name}: {what} of length {worst:.4g}, expected unit vectors.")
-    unit: Tensor = array / lengths
-    return unit

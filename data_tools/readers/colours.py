@@ -14,18 +14,16 @@ import itertools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+import OpenImageIO as oiio
 import torch
 from numpy.typing import NDArray
+from PIL import Image, ImageCms
 
 from metapp.appearance.colorimetry import colour_science
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-
-if TYPE_CHECKING:
-    import OpenImageIO as oiio
-    from PIL.Image import Exif
 
 Array = NDArray[Any]
 Floats = NDArray[np.floating]
@@ -85,9 +83,6 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
     Raises:
         ValueError: floating-point values in a space that is not known.
     """
-    import OpenImageIO as oiio
-    from PIL import Image
-
     is_float, codes = str(spec.format) in ("half", "float", "double"), spec.getattribute("CICP")
     profile = spec.getattribute("ICCProfile")
     if profile is not None and codes is None:  # which come first
@@ -124,7 +119,7 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
     return LINEAR if is_float else SRGB
 
 
-def states_adobe(exif: Exif) -> bool:
+def states_adobe(exif: Image.Exif) -> bool:
     """True if EXIF states Adobe RGB, as cameras do without a profile."""
     return exif.get_ifd(0xA005).get(1) == "R03" or exif.get_ifd(0x8769).get(0xA001) == 2
 
@@ -142,8 +137,6 @@ def space_of_info(info: Mapping[Any, Any], subject: Path | str, is_adobe: bool) 
 
 def _of_profile(data: bytes, subject: Path | str) -> Space:
     """The space of an ICC profile: sRGB and linear ones by their names, so that floating-point values stay."""
-    from PIL import Image, ImageCms
-
     name, srgb = "damaged", cast(Any, ImageCms.createProfile("sRGB"))
     try:
         stated = ImageCms.ImageCmsProfile(io.BytesIO(data))
@@ -182,8 +175,6 @@ def _taken_as_srgb(subject: Path | str, stated: str) -> str:
 
 def is_linear(space: Space) -> bool:
     """True if light adds up in a space."""
-    import OpenImageIO as oiio
-
     if not isinstance(space, str):
         return isinstance(space, Primaries) and space.power == 1
     config = oiio.ColorConfig(_CONFIG)
@@ -237,8 +228,6 @@ def fraction(values: Array) -> Floats:
 
 
 def _converted(values: Floats, space: str) -> Floats:
-    import OpenImageIO as oiio
-
     image = oiio.ImageBuf(np.ascontiguousarray(values))
     done = oiio.ImageBufAlgo.colorconvert(image, space, LINEAR, colorconfig=_CONFIG)
     linear = done.get_pixels(oiio.FLOAT)

@@ -13,9 +13,11 @@ import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import OpenImageIO as oiio
+from PIL import Image, ImageOps
 
 from data_tools.readers import camera_raws
 from data_tools.readers.colours import (
@@ -31,10 +33,6 @@ from data_tools.readers.colours import (
 )
 from data_tools.readers.lenses import Lens, lens_of
 from metapp.storage.files import check_readable, open_regular
-
-if TYPE_CHECKING:
-    import OpenImageIO as oiio
-    from PIL.Image import Image as PilImage
 
 # All suffixes of pictures that are read, one list for files, maps and folders. Left out are those of OpenImageIO that
 # are mostly something else: .z, .int, .sm and .vsm.
@@ -115,8 +113,6 @@ def opens(path: Path) -> bool:
 
 def open_image(path: Path) -> oiio.ImageInput:
     """An open OpenImageIO.ImageInput that does not multiply colours by alpha."""
-    import OpenImageIO as oiio  # its import costs more than a command that reads no image should pay
-
     check_readable(path)
     if path.suffix.lower() in camera_raws.SUFFIXES or camera_raws.is_raw(path):
         raise ValueError(_to_develop(path))
@@ -334,10 +330,8 @@ def _read_heif(path: Path) -> Pixels:
     return _tagged(values, source.info, source.info.get("exif"), path)
 
 
-def pixels_of_pil(image: PilImage, name: str) -> Pixels:
+def pixels_of_pil(image: Image.Image, name: str) -> Pixels:
     """A picture of PIL, upright, with the encoding and focal length that it states; ValueError for a damaged one."""
-    from PIL import ImageOps
-
     exif = b""
     with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):  # damaged EXIF says nothing
         image = ImageOps.exif_transpose(image)
@@ -351,8 +345,6 @@ def pixels_of_pil(image: PilImage, name: str) -> Pixels:
 
 def _tagged(values: Array, info: Mapping[Any, Any], exif: bytes | None, subject: Path | str) -> Pixels:
     """As the `info` and EXIF of PIL state."""
-    from PIL import Image
-
     parsed, lens, is_adobe = Image.Exif(), Lens(), False
     # Pillow's reader of TIFF raises whatever a damaged block makes of it
     with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):

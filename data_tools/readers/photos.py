@@ -28,14 +28,14 @@ from data_tools.readers.image_files import (
 )
 from data_tools.readers.lenses import FRAME_MM
 from data_tools.readers.listing import Found, files_below, find_files
-from data_tools.readers.source import Sources, sources_of_files
+from data_tools.readers.source import PHOTO_PX, Sources, sources_of_files
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import FOV_RAD
 from metapp.appearance.surface import DESCRIPTION
 from metapp.learning.task import Task
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, Kind, kind_of
 
-SIZE = 256  # px, of a task's picture unless another one is asked for
+SIZE = PHOTO_PX
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
 
 _MIN_DEVIATION = 1 / 255

@@ -11,6 +11,7 @@ from data_tools.readers.listing import Found
 Facts = Mapping[str, bool | int]
 
 ANISOTROPIC, SAMPLES, PHOTOS = "anisotropic", "samples", "photos"
+PHOTO_PX = 256  # px, of the picture that a reader makes of a photograph unless another size is asked for
 DAMAGED = "damaged"  # a source of which reading says what is wrong; it has no part in choosing a recipe
 
 

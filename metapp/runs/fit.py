@@ -8,12 +8,14 @@ from collections.abc import Callable
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
+from PIL.Image import Image
 from torch import Tensor
 
+from data_tools.readers.numbers import unit_vectors
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
@@ -27,9 +29,6 @@ from metapp.storage import Document
 from metapp.storage.files import write_bytes
 from metapp.storage.fits import packed
 from metapp.storage.images import png_address
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 # entries of records that are no errors
 NO_ERRORS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}
@@ -138,8 +137,6 @@ class Fit:
         Raises:
             ValueError: a fit of another application; no unit vectors, another shape.
         """
-        from data_tools.readers.brdf_objects import unit_vectors  # here: only fits of BRDFs need it
-
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")

@@ -6,15 +6,13 @@ import base64
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image as pil
+from PIL.Image import Image
 from torch import Tensor
 
 from metapp.storage.files import write_atomically
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 LEVEL = 2  # of 9, of deflation
 AVERAGE = 64  # libpng's filter by the average of the pixels left and above
@@ -62,7 +60,7 @@ def write_exr(pixels: Tensor, path: Path, *, half: bool | None = None) -> None:
 
 
 def _write(values: np.ndarray, attributes: Mapping[str, str | int], form: str, path: Path) -> None:
-    import OpenImageIO as oiio
+    import OpenImageIO as oiio  # here: most fits of BRDFs write no such file, and it takes 20 ms
 
     image = oiio.ImageBuf(np.ascontiguousarray(values))
     for key, value in attributes.items():
@@ -81,10 +79,8 @@ def in_8_bits(display: np.ndarray) -> Image:
     >>> in_8_bits(np.full((2, 3, 3), 0.5)).getpixel((0, 0))
     (128, 128, 128)
     """
-    from PIL import Image
-
     pixels = (np.clip(display, 0, 1) * 255 + 0.5).astype(np.uint8)
-    return Image.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels)
+    return pil.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels)
 
 
 def png_address(image: Image) -> str:

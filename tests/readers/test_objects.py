@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from data_tools.readers import brdf_objects, flash, latlong, photos, svbrdf_inputs
-from data_tools.readers.arrays import LARGEST_SIZE, array_of
+from data_tools.readers.numbers import LARGEST_SIZE, array_of
 from metapp.extensions.capture.ball import reading
 from metapp.learning.task import Task
 from tests.pictures import noise, write

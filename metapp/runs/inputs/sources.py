@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import torch
 
-from data_tools.readers.source import Source
+from data_tools.readers.source import PHOTO_PX, Source
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.registry import registry
@@ -22,6 +22,7 @@ from metapp.runs.run import Run
 from metapp.storage.files import as_text, check_readable, file_name, named, safe_name
 from metapp.storage.fits import marked_name
 from metapp.storage.folders import listed_once
+from metapp.storage.shards import fingerprint, read_shard
 
 FILES = "files"  # as records call data of files
 
@@ -59,8 +60,6 @@ def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
 
 def data_label(folder: Path) -> str:
     """A data set's name in run folders: its folder's name and a digest of its content."""
-    from metapp.storage.shards import fingerprint
-
     return f"{safe_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
 
 
@@ -70,8 +69,6 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
     Raises:
         ValueError: it has none.
     """
-    from metapp.storage.shards import read_shard
-
     folder = data or embedded_tests(app.name, quiet)
     tasks = read_shard(folder, "test", app.name, app.tensors)
     if not tasks:
@@ -156,9 +153,7 @@ def _arguments(run: Run) -> dict[str, object]:
     """
     arguments = {"observe": run.options.observe} | run.options.own.reading()
     if reads := run.app.read_size:
-        from data_tools.readers.photos import SIZE  # here: fits of BRDFs need no readers of pictures
-
-        arguments = {"size": reads, "rows": reads, "least": min(reads, SIZE)} | arguments
+        arguments = {"size": reads, "rows": reads, "least": min(reads, PHOTO_PX)} | arguments
     return arguments
 
 

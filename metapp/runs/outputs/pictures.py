@@ -12,9 +12,13 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image as pil
+from PIL import ImageDraw, ImageFont
+from PIL.Image import Image
+from PIL.PngImagePlugin import PngInfo
 from torch import Tensor
 
 from metapp.appearance.colour import to_srgb
@@ -25,10 +29,6 @@ from metapp.storage.files import PARTIAL, read_bytes, write_atomically
 from metapp.storage.fits import read_params
 from metapp.storage.images import in_8_bits
 from metapp.storage.parameters import check_params
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-    from PIL.ImageFont import FreeTypeFont
 
 SHEET = "pictures.png"  # of a run, in its folder
 MARKS = "metapp rows"  # the text of a PNG that says where rows are: [name, first line, line after the last] of each
@@ -83,9 +83,6 @@ def write_sheet(
     Returns:
         The file.
     """
-    from PIL import Image, ImageDraw
-    from PIL.PngImagePlugin import PngInfo
-
     small, large = _font(SMALL), _font(LARGE)
     drawn = tasks[:ROWS]
     left, lefts = GAP, {}
@@ -103,7 +100,7 @@ def write_sheet(
     for row in kept:
         marks.append((row.name, top, top + row.picture.height))
         top += row.picture.height
-    sheet = Image.new("RGB", (whole, top + (LARGE + GAP) * (more > 0)), "white")
+    sheet = pil.new("RGB", (whole, top + (LARGE + GAP) * (more > 0)), "white")
     for row in kept:
         sheet.paste(row.picture, (0, below))
         below += row.picture.height
@@ -129,16 +126,14 @@ def write_sheet(
 
 def read_rows(path: Path) -> list[Row]:
     """The rows of a sheet that `write_sheet` wrote; none of a file that is missing, damaged or another picture."""
-    from PIL import Image
-
     try:
-        with Image.open(io.BytesIO(read_bytes(path)), formats=["PNG"]) as sheet:
+        with pil.open(io.BytesIO(read_bytes(path)), formats=["PNG"]) as sheet:
             marks = [(str(name), int(top), int(end)) for name, top, end in json.loads(sheet.info[MARKS])[:ROWS]]
             tall = sheet.width * sheet.height > MOST_PIXELS
             if tall or any(not 0 <= top < end <= sheet.height for _, top, end in marks):
                 return []
             return [Row(name, sheet.convert("RGB").crop((0, top, sheet.width, end))) for name, top, end in marks]
-    except (OSError, ValueError, KeyError, TypeError, SyntaxError, RecursionError, Image.DecompressionBombError):
+    except (OSError, ValueError, KeyError, TypeError, SyntaxError, RecursionError, pil.DecompressionBombError):
         return []
 
 
@@ -155,9 +150,7 @@ def add_to_sheet(tiles: Mapping[str, Tiles], title: str, run_folder: Path) -> Pa
     return write_sheet([*tiles.values()], title, run_folder / SHEET, len(folders), [*tiles], earlier)
 
 
-def _font(size: int) -> FreeTypeFont:
-    from PIL import ImageFont
-
+def _font(size: int) -> ImageFont.FreeTypeFont:
     package = importlib.util.find_spec("matplotlib")
     assert package is not None
     assert package.origin is not None
@@ -182,10 +175,8 @@ def _size(picture: np.ndarray) -> tuple[int, int]:
 
 
 def _shrunk(picture: np.ndarray) -> Image:
-    from PIL.Image import Resampling
-
     height, width = _size(picture)
-    return in_8_bits(picture).resize((width, height), Resampling.BICUBIC)
+    return in_8_bits(picture).resize((width, height), pil.Resampling.BICUBIC)
 
 
 def image_of(linear: Tensor | np.ndarray) -> Image:
@@ -193,7 +184,7 @@ def image_of(linear: Tensor | np.ndarray) -> Image:
     return in_8_bits(to_srgb(linear))
 
 
-def _short(text: str, width: int, font: FreeTypeFont) -> str:
+def _short(text: str, width: int, font: ImageFont.FreeTypeFont) -> str:
     """The beginning of a text that is too long for its place."""
     length = font.getlength
     if length(text) <= width:
@@ -243,11 +234,9 @@ def _shown(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]
 
 def beside(images: Sequence[Image], height: int = 0) -> Image:
     """Pictures beside each other on white, each of a height in px; 0: as high as the first one."""
-    from PIL import Image
-
     height = height or images[0].height
     resized = [image.resize((max(1, round(height * image.width / image.height)), height)) for image in images]
-    strip = Image.new("RGB", (sum(image.width for image in resized) + 4 * (len(resized) - 1), height), "white")
+    strip = pil.new("RGB", (sum(image.width for image in resized) + 4 * (len(resized) - 1), height), "white")
     left = 0
     for image in resized:
         strip.paste(image, (left, 0))
