@@ -7,15 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from metapp.appearance.surface import Surface
 from metapp.extensions.assets.pictures import fitted_by, write_plane
 from metapp.extensions.assets.planes import all_planes
 from metapp.storage.files import write_bytes
-
-if TYPE_CHECKING:
-    from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 PNG_BITS = 8
 TEXTURES = "textures"
@@ -30,8 +28,6 @@ INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
 
 def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.usda with its textures, and <path>/<name>.usdz, which holds all."""
-    from pxr import Sdf, UsdUtils
-
     planes = all_planes(surface)
     for key, _, _ in INPUTS.values():
         write_plane(planes[key], path / TEXTURES / f"{path.name}_{key}.png", PNG_BITS)
@@ -45,8 +41,6 @@ def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) ->
 
 def stage_text(surface: Surface, name: str, provenance: Mapping[str, object]) -> str:
     """The layer as text: one prim with the square and its material."""
-    from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdShade
-
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -64,8 +58,6 @@ def stage_text(surface: Surface, name: str, provenance: Mapping[str, object]) ->
 
 def _quad(stage: Usd.Stage, path: Sdf.Path, surface: Surface) -> UsdGeom.Mesh:
     """A rectangle of width 1 that faces +z."""
-    from pxr import Gf, Sdf, UsdGeom, Vt
-
     half = surface.size[0] / surface.size[1] / 2
     mesh = UsdGeom.Mesh.Define(stage, path)
     corners = [(-0.5, -half, 0), (0.5, -half, 0), (0.5, half, 0), (-0.5, half, 0)]
@@ -82,8 +74,6 @@ def _quad(stage: Usd.Stage, path: Sdf.Path, surface: Surface) -> UsdGeom.Mesh:
 
 
 def _material(stage: Usd.Stage, path: Sdf.Path, name: str, tiles: bool) -> UsdShade.Material:
-    from pxr import Sdf, UsdShade
-
     material = UsdShade.Material.Define(stage, path)
     shader = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
     shader.CreateIdAttr("UsdPreviewSurface")
@@ -105,8 +95,6 @@ def _material(stage: Usd.Stage, path: Sdf.Path, name: str, tiles: bool) -> UsdSh
 
 
 def _texture(stage: Usd.Stage, path: Sdf.Path, file: str, key: str, tiles: bool) -> UsdShade.Shader:
-    from pxr import Gf, Sdf, UsdShade
-
     texture = UsdShade.Shader.Define(stage, path)
     texture.CreateIdAttr("UsdUVTexture")
     texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(file))

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from PIL import Image, ImageDraw
 
 from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
 from metapp.storage.images import write_png
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 _SHOWN_PX = 1200  # their longer side, at most
 
@@ -55,7 +52,7 @@ def write_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Pa
     write_png(torch.from_numpy(np.array(image, np.float32) / 255), {"encoding": "sRGB"}, path)
 
 
-def draw_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], longer_px: int) -> Image:
+def draw_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], longer_px: int) -> Image.Image:
     """Draw a photograph with outlines in colours.
 
     Args:
@@ -63,8 +60,6 @@ def draw_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], longer_px
         outlines: closed ones, px [N, 2] from its upper left corner, and their colours in words.
         longer_px: the drawing's longer side, at most.
     """
-    from PIL import Image, ImageDraw
-
     image = Image.fromarray((display(pixels) * 255).round().astype("uint8"))
     width = image.width
     image.thumbnail((longer_px, longer_px))

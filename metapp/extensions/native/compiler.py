@@ -6,18 +6,17 @@ folder that the user alone can write to, in which a whole one alone gets its nam
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import hashlib
 import os
+import platform
 import shutil
+import subprocess
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from metapp.storage.cache import cache_folder, code_folder
 from metapp.storage.files import read_text, write_atomically
-
-if TYPE_CHECKING:
-    from ctypes import CDLL
 
 # no -ffast-math: what it saves here is lost in noise, and it changes results and hides NaN
 FLAGS = (
@@ -28,7 +27,7 @@ COMPILER_SECONDS = 60  # until a compiler is given up
 
 
 @functools.cache
-def load(source: Path, *names: str, march: str = "native") -> CDLL | None:
+def load(source: Path, *names: str, march: str = "native") -> ctypes.CDLL | None:
     """The functions of a C source; None if it can neither be found compiled nor be compiled, or lacks one.
 
     Args:
@@ -36,8 +35,6 @@ def load(source: Path, *names: str, march: str = "native") -> CDLL | None:
         names: of the functions.
         march: the instructions to use, a name that the compiler knows. Other than this CPU's: tests and benchmarks.
     """
-    import ctypes
-
     try:
         folder = code_folder(cache_folder() / "native", "METAPP_CACHE")
         path = folder / f"{source.stem}-{_key(source, march)}.so"
@@ -63,8 +60,6 @@ def _key(source: Path, march: str) -> str:
 
 def _cpu() -> str:
     """The CPU and its instruction sets, as the system says it."""
-    import platform
-
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8").split("\n\n", 1)[0].splitlines()
     except OSError:
@@ -79,8 +74,6 @@ def _compile(source: Path, path: Path, march: str) -> None:
     Raises:
         OSError: there is no compiler, or it fails.
     """
-    import subprocess
-
     command = compiler()
     if command is None:
         raise FileNotFoundError("no C compiler")

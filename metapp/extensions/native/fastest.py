@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils._pytree import TreeSpec, tree_flatten, tree_unflatten
 
 from metapp.extensions.native import in_c
@@ -89,8 +90,6 @@ class _Program:
             return tree_unflatten(list(program(*leaves)), spec)
 
     def _compile(self, names: list[list[str]], leaves: list[Tensor]) -> Compilation:
-        from torch.fx.experimental.proxy_tensor import make_fx
-
         spec: TreeSpec
 
         def flat(*leaves: Tensor) -> list[Tensor]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.apps.brdf.network import shapes_of
 from metapp.extensions.native.compiler import load
@@ -24,8 +25,6 @@ def takes(loss: Loss, theta: Params) -> bool:
     plain = all(value.dtype == torch.float32 and value.device.type == "cpu" for value in theta.values())
     if not same or not plain or type(loss).gradient is not Loss.gradient:
         return False
-    from metapp.apps.brdf.app import Brdf  # here: steps of other applications, of other parameters, need it not
-
     # a subclass with a loss of its own gets steps by torch
     return getattr(loss.value, "__func__", loss.value) is Brdf.loss and compiled() is not None
 

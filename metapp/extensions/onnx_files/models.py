@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -81,7 +82,6 @@ def model_of(
 
 def _halve(graph: Any, largest: int) -> None:
     """Store large weights in 16 bits, the largest in 8 with a scale for each output, of which runtimes make 32."""
-    import numpy as np
     from onnx import TensorProto, helper, numpy_helper
 
     nodes, scales = [], []

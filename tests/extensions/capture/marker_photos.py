@@ -54,7 +54,7 @@ def tilted(degrees: float, around: float = 0.0, distance: float = 28.0, **more: 
 @functools.lru_cache(4)
 def page(opening: int, paper: str = "a4") -> tuple[np.ndarray, tuple[float, float]]:
     """The printed page [H, W] in [0, 1], rows from the top, and the opening's centre in cm from its lower left."""
-    from metapp.extensions.capture.markers.sheet import draw_sheet
+    from metapp.extensions.capture.markers.sheet_page import draw_sheet
 
     drawn = draw_sheet(opening, paper)
     (axes,) = drawn.axes

@@ -10,13 +10,11 @@ import pytest
 
 from metapp.extensions.capture.markers.sheet import (
     OPENINGS_CM,
-    PAGES_CM,
     corners_cm,
     dictionary,
-    draw_sheet,
     opening_of,
-    write_sheet,
 )
+from metapp.extensions.capture.markers.sheet_page import PAGES_CM, draw_sheet, write_sheet
 from tests.extensions.capture.marker_photos import PX_PER_CM, cv2, page  # skips where there is no OpenCV
 
 POINT = 72 / 2.54  # a centimetre in the unit of PDF

@@ -123,15 +123,21 @@ def capture(
     return light_around(photos, balls, first, exposures, rows)
 
 
-def capture_one(pixels: Pixels, square: Tensor, rows: int, fov_rad: float) -> dict[str, Tensor]:
-    """The data of a task of one photograph: of the ball in it, and of its light if it is surely a mirror.
+def capture_one(pixels: Pixels, name: str, square: Tensor, rows: int, fov_rad: float) -> dict[str, Tensor]:
+    """Return the data of a task of one photograph: of the ball in it, and of its light if it is surely a mirror.
 
     Args:
         pixels: the photograph.
+        name: of the task; begins errors.
         square: its central square as fits see it, uint8 [1, 3, SIZE, SIZE], which is taken where the ball that touches
             its borders explains the photograph as well as the one that is found.
-        rows, fov_rad: as of `capture`.
+        rows: of the map.
+        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
+
+    Raises:
+        ValueError: the photograph has values that are not finite.
     """
+    check_finite(pixels, name)
     height, width = pixels.values.shape[:2]
     gray, central = display(pixels).mean(-1), Ball(width / 2, height / 2, min(height, width) / 2)
     ball = best_ball(gray, lens_of(pixels, fov_rad)) or central

@@ -60,9 +60,6 @@ def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.HEIGHT, fov_ra
         raise ValueError(f"{name}: black inside the disc, expected a sphere that touches the borders; crop it to that.")
     if channels == 4 and fraction(pixels.values[..., 3]).min() < 1:  # what is transparent is no contour
         return Task(name, {"photos": square})
-    # these import scipy, which `recognises` does not need
-    from metapp.extensions.capture.ball.capture import capture_one
-    from metapp.extensions.capture.ball.picture import check_finite
+    from metapp.extensions.capture.ball.capture import capture_one  # here: it takes 0.7 s, and maps need it not
 
-    check_finite(pixels, name)
-    return Task(name, capture_one(pixels, square, rows, fov_rad))
+    return Task(name, capture_one(pixels, name, square, rows, fov_rad))

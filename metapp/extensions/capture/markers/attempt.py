@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from PIL import Image as image
+from PIL import ImageDraw
+from PIL import ImageFont as fonts
+from PIL.Image import Image
+from PIL.ImageFont import FreeTypeFont, ImageFont
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.photos import draw_found
 from metapp.storage.files import as_text
 from metapp.storage.images import write_png
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
-    from PIL.ImageFont import FreeTypeFont, ImageFont
 
 # Takes a photograph, words for what was found in it, closed outlines [N, M, 2] in px from its upper left pixel's
 # centre, and their colour in words.
@@ -58,10 +58,6 @@ class Attempt:
         Raises:
             OSError: it cannot be written; names the folder.
         """
-        from PIL import Image as image
-        from PIL import ImageDraw
-        from PIL import ImageFont as fonts
-
         if not any(path in self._found for path in paths):
             return False
         columns = min(_COLUMNS, len(paths)) if len(paths) <= _COLUMNS**2 else math.ceil(math.sqrt(len(paths)))
@@ -85,9 +81,6 @@ class Attempt:
 
     def _tile(self, path: Path, side: int, font: ImageFont | FreeTypeFont) -> Image:
         """Draw a photograph, up to `side` px wide and high, and below it its name and what was found."""
-        from PIL import Image as image
-        from PIL import ImageDraw
-
         found = self._found.get(path, {})
         outlines = [(points + 0.5, colour) for colour, (_, each) in found.items() for points in each]
         if found:

@@ -47,7 +47,7 @@ def markers(
     Example:
       metapp data markers sheet.pdf
     """
-    from metapp.extensions.capture.markers.sheet import write_sheet
+    from metapp.extensions.capture.markers.sheet_page import write_sheet
     from metapp.storage.files import suffixed
 
     path, opening = suffixed(path, ".pdf"), options.opening

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import brute, linprog
 
 from data_tools.readers.lenses import FRAME_MM
 from metapp.extensions.capture.markers.registration import through
@@ -25,8 +26,6 @@ def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> li
         sightings: as `register` returns them.
         focal_mm: as of 35 mm film, of photographs that do not state it.
     """
-    from scipy.optimize import brute
-
     known = [each._replace(focal_mm=each.focal_mm or focal_mm) for each in sightings]
     few = [each._replace(points_cm=each.points_cm[:_TRIED], points_px=each.points_px[:_TRIED]) for each in known]
 
@@ -49,8 +48,6 @@ def on_square(cameras: Sequence[Camera]) -> list[Camera]:
     Raises:
         ValueError: there is none.
     """
-    from scipy.optimize import linprog
-
     rows = []
     for sighting, *_ in cameras:
         to_px = sighting.to_px * np.sign(sighting.to_px[2] @ [*sighting.points_cm[0], 1.0])

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brute
 
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.lenses import FRAME_MM
@@ -208,7 +209,6 @@ def common_focal(sightings: Sequence[Sighting], cameras_of: CamerasOf = cameras_
     Raises:
         ValueError: none of them is tilted enough to tell.
     """
-    from scipy.optimize import brute
 
     def error(log_focal: Floats) -> float:
         """Mean square error, in fractions of the photograph's diagonal."""
