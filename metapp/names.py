@@ -72,6 +72,15 @@ def recipe_entries(app: str, protocol: str = "") -> dict[str, RecipeEntry]:
     return registry().recipes.of(app, protocol_of(app, protocol))
 
 
+def embedded_apps() -> list[str]:
+    """Return the names of the applications that have an embedded data set, sorted.
+
+    >>> embedded_apps()[:2]
+    ['brdf', 'illumination']
+    """
+    return sorted(registry().synthetic)
+
+
 def rule_words() -> list[str]:
     """The words of --rule, which + joins: rules, short names of compositions, and parts.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,11 +11,10 @@ import typer
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.options import Json, Out, Overwrite, Quiet, takes
 from metapp.options import Converter
-from metapp.runs.inputs.convert import Converted, convert, converted
-from metapp.runs.reporter import progress, say
+from metapp.runs.reporter import say
 
 if TYPE_CHECKING:
-    from metapp.learning.task import Task
+    from metapp.runs.inputs.convert import Converted
 
 
 def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
@@ -31,6 +30,8 @@ def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
         quiet: Quiet = False,
         as_json: Json = False,
     ) -> None:
+        from metapp.runs.inputs.convert import convert
+
         done = convert(name, paths, folder, options.split, options.arguments(), overwrite=overwrite, quiet=quiet)
         report(done, quiet, as_json)
 
@@ -62,42 +63,9 @@ def join(
     Example:
       metapp data join drawn photographed --alike --out joint
     """
-    import torch
+    from metapp.runs.inputs.joining import join_data_sets
 
-    from metapp.apps import class_of
-    from metapp.learning.task import KIND
-    from metapp.storage.shards import read_manifest, read_shard, write_shard
-
-    if folder.resolve() in [source.resolve() for source in folders]:
-        raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
-    manifests = [read_manifest(source) for source in folders]
-    app = class_of(name := manifests[0].app)
-    sets = [{task.name: task for task in read_shard(source, app=name, holds=app.tensors)} for source in folders]
-    every = [task.data for tasks in sets for task in tasks.values()]
-    shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
-    units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
-    units |= {KIND: "uint8 [1], which of the joined data sets"} if alike else {}
-
-    def shared(task: Task, kind: int) -> Task:
-        data = {key: task.data[key] for key in shapes}
-        for key, shape in shapes.items():
-            if data[key].shape != shape:
-                raise ValueError(
-                    f"{task.name}: {key} {tuple(data[key].shape)}, expected {tuple(shape)} as in the others; "
-                    "convert all with the same --samples or --size."
-                )
-        return task._replace(data=data | ({KIND: torch.tensor([kind], dtype=torch.uint8)} if alike else {}))
-
-    pairs = [(entry, shared(sets[i][entry.name], i)) for i in range(len(sets)) for entry in manifests[i].tasks]
-    notes = {"made_by": "metapp data join", "of": [source.name for source in folders]}
-
-    def joint() -> Iterator[tuple[Task, str, str]]:
-        with progress(name, len(pairs), quiet=quiet) as bar:
-            for entry, task in pairs:
-                yield task._replace(group=entry.group), entry.split, entry.source
-                bar.advance(entry.name)
-
-    done = converted(name, folder, write_shard(folder, name, units, joint(), notes, overwrite=overwrite))
+    done = join_data_sets(folders, folder, alike=alike, overwrite=overwrite, quiet=quiet)
     report(done, quiet, as_json)
 
 
@@ -114,26 +82,23 @@ def check(
     Example:
       metapp data check merl
     """
-    from metapp.apps import class_of
-    from metapp.storage.shards import check_shard, read_manifest
+    from metapp.runs.inputs.checking import check_data_set
 
     try:
-        manifest = read_manifest(folder)
-        problems = check_shard(folder, class_of(manifest.app).tensors)
+        checked = check_data_set(folder)
     except ValueError as error:
         if not as_json:
             raise
         print_json({"app": None, "folder": str(folder), "problems": [str(error)]})
         raise typer.Exit(Exit.FAILED) from None
-    counts = {split: sum(task.split == split for task in manifest.tasks) for split in ("train", "test")}
-    files = [folder / task.file for task in manifest.tasks]
-    size = sum(file.stat().st_size for file in files if file.is_file())
+    counts, problems = checked.counts, checked.problems
     if as_json:
-        document = {"app": manifest.app, "folder": str(folder), **counts, "bytes": size, "units": manifest.units}
-        print_json({**document, "problems": problems})
+        document = {"app": checked.app, "folder": str(folder), **counts, "bytes": checked.bytes}
+        print_json({**document, "units": checked.units, "problems": problems})
     else:
-        head = f"{folder}: {manifest.app}, {counts['train']} train + {counts['test']} test tasks, {size / 1e6:,.1f} MB"
-        lines = [head] + [f"  {key}: {unit}" for key, unit in manifest.units.items()]
+        tasks = f"{counts['train']} train + {counts['test']} test tasks"
+        lines = [f"{folder}: {checked.app}, {tasks}, {checked.bytes / 1e6:,.1f} MB"]
+        lines += [f"  {key}: {unit}" for key, unit in checked.units.items()]
         out().print("\n".join(lines), soft_wrap=True)
         for problem in problems:
             say(f"problem: {problem}")

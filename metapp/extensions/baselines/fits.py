@@ -18,8 +18,9 @@ from metapp.apps.brdf.network import BrdfNetwork
 from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, bytes_of, judge
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
+from metapp.names import embedded_apps
 from metapp.runs.fitting import rng_of
-from metapp.runs.inputs.embedded import embedded_apps, embedded_data, embedded_has_training
+from metapp.runs.inputs.embedded import embedded_data, embedded_has_training
 from metapp.runs.inputs.sources import data_label
 from metapp.runs.outputs.pictures import PICTURE
 from metapp.runs.run import Run

@@ -5,18 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from data_tools.readers.source import Source, Sources
+from metapp.apps import class_of
+from metapp.learning.task import Task
 from metapp.registry import registry
 from metapp.runs.inputs.finding import reading
 from metapp.runs.reporter import progress, say
+from metapp.runs.surroundings import threads
 from metapp.storage.files import check_readable, named
 from metapp.storage.folders import Kind, check_files_of_user, kind_of, listed_once, refusal
-
-if TYPE_CHECKING:
-    from data_tools.readers.source import Source, Sources
-    from metapp.learning.task import Task
-    from metapp.storage.shards import Entry
+from metapp.storage.shards import AUTO, SPLITS, Entry, write_shard
 
 
 class Converted(NamedTuple):
@@ -62,10 +62,6 @@ def convert(
     Raises:
         ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
     """
-    from metapp.apps import class_of
-    from metapp.runs.surroundings import threads
-    from metapp.storage.shards import AUTO, write_shard
-
     form = registry().formats[name]
     reader = form.load()
     paths, expected = list(paths), f"files for metapp data {name}"
@@ -123,8 +119,6 @@ def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> di
 
     The innermost folder that stands beside the other counts; whether only one of the two was named does not matter.
     """
-    from metapp.storage.shards import AUTO, SPLITS, Entry
-
     entries = {source: Entry(source.stem if source.is_file() else source.resolve().name) for source in sources}
     for source in sources if split == AUTO else ():
         inner = Path(os.path.abspath(source.parent))

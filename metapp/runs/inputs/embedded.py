@@ -10,26 +10,25 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from metapp.apps import class_of
+from metapp.learning.task import Task
+from metapp.names import embedded_apps
 from metapp.registry import registry
 from metapp.runs.reporter import progress, say
+from metapp.runs.surroundings import threads
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import PARTIAL, partial_path
 from metapp.storage.folders import Kind, kind_of
+from metapp.storage.shards import read_manifest, write_shard
 
 if TYPE_CHECKING:
     from metapp.contracts import EmbeddedSet
-    from metapp.learning.task import Task
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
 _PART = "part"  # the note that names the one split of a set that its folder holds; a whole set has none
 _STALE_SECONDS = 3600.0
-
-
-def embedded_apps() -> list[str]:
-    """Return the applications that have an embedded set."""
-    return sorted(registry().synthetic)
 
 
 def embedded_module(app: str) -> EmbeddedSet:
@@ -208,10 +207,6 @@ def _cached(app: str, notes: Document) -> Path:
 def _make(
     app: str, folder: Path, counts: dict[str, int], notes: Document, *, overwrite: bool = False, quiet: bool
 ) -> None:
-    from metapp.apps import class_of
-    from metapp.runs.surroundings import threads
-    from metapp.storage.shards import write_shard
-
     module, drawn = embedded_module(app), _drawn(app, notes)
     units = module.units_of(**drawn) if hasattr(module, "units_of") else module.UNITS
 
@@ -227,8 +222,6 @@ def _make(
 
 
 def _is_finished(folder: Path, app: str, notes: Document) -> bool:
-    from metapp.storage.shards import read_manifest
-
     try:
         manifest = read_manifest(folder)
     except ValueError:

@@ -7,18 +7,18 @@ import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from data_tools.readers.listing import files_below
 from data_tools.readers.source import Source
+from metapp.learning.task import Task
 from metapp.names import application_of, inputs_of
 from metapp.registry import WITHOUT, load, registry
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
 from metapp.storage.folders import Kind, check_files_of_user, kind_of, listed_once, looks_once, refusal
-
-if TYPE_CHECKING:
-    from metapp.learning.task import Task
+from metapp.storage.shards import read_manifest
 
 DATA_SET, MEMORY = "data set", "memory"  # formats of sources that are no files
 
@@ -47,8 +47,6 @@ def source_of_data(app: str, folder: Path) -> Source:
     Raises:
         ValueError: it cannot be read.
     """
-    from metapp.storage.shards import read_manifest  # here: most fits are of files
-
     tensors = dict.fromkeys(read_manifest(folder).units)
     return source_of_tensors(app, folder.name, tensors, folder)
 
@@ -141,8 +139,6 @@ def _refusal(app: str, path: Path, expected: str) -> str:
 
 def _first_placeholder(path: Path) -> str:
     """Return the line about the first file in a folder that stands for another one, pages by name left out."""
-    from data_tools.readers.listing import files_below  # here: most runs need it not
-
     files = files_below(path) if path.is_dir() else []
     lines = (placeholder_line(file) for file in files if file.suffix.lower() not in (".htm", ".html"))
     return next(filter(None, lines), "")

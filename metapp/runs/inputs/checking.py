@@ -1,0 +1,45 @@
+"""Data sets verified: what one holds, and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from metapp.apps import class_of
+from metapp.storage.shards import check_shard, read_manifest
+
+
+class CheckedData(NamedTuple):
+    """The content of a data set.
+
+    Attributes:
+        app: name of the application.
+        counts: the number of tasks of the splits "train" and "test".
+        bytes: of all files of tasks that are there.
+        units: the meaning of tensors by name.
+        problems: a line for each thing that is wrong; [] for none.
+    """
+
+    app: str
+    counts: Mapping[str, int]
+    bytes: int
+    units: Mapping[str, str]
+    problems: list[str]
+
+
+def check_data_set(folder: Path) -> CheckedData:
+    """Compare the files of a data set with its manifest, and its tensors with those that the application reads.
+
+    Raises:
+        ValueError: the manifest cannot be read.
+    """
+    manifest = read_manifest(folder)
+    files = [folder / task.file for task in manifest.tasks]
+    return CheckedData(
+        app=manifest.app,
+        counts={split: sum(task.split == split for task in manifest.tasks) for split in ("train", "test")},
+        bytes=sum(file.stat().st_size for file in files if file.is_file()),
+        units=manifest.units,
+        problems=check_shard(folder, class_of(manifest.app).tensors),
+    )
