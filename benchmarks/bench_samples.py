@@ -24,7 +24,7 @@ from metapp.cli.console import run
 from metapp.evaluation.statistics import paired
 from metapp.evaluation.style import COLOURS, MUTED, STYLE, save
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import Training
+from metapp.extensions.baselines.baseline import Training, judge
 from metapp.extensions.baselines.fits import allowed_for, training_of
 from metapp.learning.app import stack
 from metapp.learning.task import Task
@@ -82,7 +82,7 @@ def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Trai
     for task in tasks:
         stacked = stack(planned.app, [task])
         answer = baseline.fit(stacked, rng_of(planned, task), allowed).answer()
-        errors[task.name] = planned.app.error_measure.scale * float(planned.app.errors_of(answer, stacked)["error"])
+        errors[task.name] = planned.app.error_measure.scale * float(judge(planned.app, answer, stacked)["error"])
     return errors
 
 

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from metapp.cli.console import escaped, out, print_json
+from metapp.cli.console import out, print_json
 from metapp.cli.options import FittedData, Json, Overwrite, Quiet, RunPath, check_new
-from metapp.runs.reporter import number, progress, say
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from metapp.extensions.compare.compare import Comparison
+from metapp.runs.reporter import say
 
 
 def command(
@@ -41,17 +36,12 @@ def command(
 
     Example: metapp compare RUN OTHER_RUN
     """
-    from metapp.extensions.compare.compare import compare, draw
-    from metapp.runs.outputs.recorded import holds_fits
+    from metapp.extensions.compare.side_by_side import compare_runs, table_of
 
     check_new(out_file, overwrite)
-    runs = [first, second, *filter(holds_fits, others or [])]
-    with progress("compare: reading what was fitted", quiet=quiet):
-        compared = compare(runs, task, [path for path in others or [] if path not in runs], data)
-    file = out_file or compared.sides[0].folder / "comparison.png"
-    picture, compared = draw(compared, file, quiet=quiet)
+    compared, picture = compare_runs([first, second], others or [], task, data, out_file, quiet=quiet)
     if not (quiet or json):
-        out().print(_table(compared))
+        out().print(table_of(compared))
     if not quiet:
         for note in compared.notes:
             say(f"note: {note}")
@@ -59,46 +49,3 @@ def command(
         say(f"picture: {picture}" if picture else missing)
     if json:
         print_json(compared.document(picture))
-
-
-def _table(compared: Comparison) -> Table:
-    """A column a run: errors of tasks, then their means, how these compare with the first run's, and seconds."""
-    from rich.table import Table
-
-    from metapp.evaluation.statistics import FEWEST
-
-    sides, presenter = compared.sides, compared.sides[0].presenter
-    pairs = [each.compared for each in compared.errors]
-    base, known = sides[0].label, [pair for pair in pairs if pair]
-    said = [presenter.caption()]
-    if known and known[0].groups < FEWEST:
-        said.append(f"{known[0].groups} different tasks are too few to call a win")
-    for title, measured in compared.measures.items():
-        of_sides = (
-            f"{side.label} {number(each.mean, '.3f')}" + (f" (ratio {each.compared})" if each.compared else "")
-            for side, each in zip(sides, measured, strict=True)
-        )
-        said.append(f"{title}: {', '.join(of_sides)}")
-    table = Table(
-        title=f"{presenter.title}, error{presenter.app.error_measure.factor}",
-        caption="\n".join(said),
-        caption_justify="left",
-    )
-    table.add_column("task")
-    for side in sides:
-        table.add_column(side.label, justify="right")
-    for of_task in zip(*(side.records for side in sides), strict=True):
-        table.add_row(escaped(of_task[0]["name"]), *(number(each["error"], ".3f") for each in of_task))
-    table.add_section()
-    table.add_row("mean error", *(number(each.mean, ".3f") for each in compared.errors))
-    if known:
-        form = ".3f" if known[0].kind == "ratio" else "+.3f"
-        rows = {
-            {"ratio": "ratio to", "difference": "difference from"}[known[0].kind] + f" {base}'s": "{0.value:%s}",
-            "95 % interval": "{0.low:%s} .. {0.high:%s}",
-            f"lower than {base}'s on": "{0.ahead}/{0.tasks}",
-        }
-        for title, text in rows.items():
-            table.add_row(title, *(text.replace("%s", form).format(pair) if pair else "-" for pair in pairs))
-    table.add_row("median seconds", *(number(side.seconds(), ".4f") for side in sides))
-    return table

@@ -14,6 +14,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import OpenImageIO as oiio
+
 from data_tools.readers.image_files import check_memory, check_size, error_of, reason_of, silent
 from metapp.rendering.scenes.rules import Files, snake_case
 from metapp.storage.files import open_regular, open_text, placeholder_line
@@ -177,8 +179,6 @@ def check_file(kind: str, path: Path) -> None:
 
 def _check_picture(path: Path) -> None:
     """The rule of photographs."""
-    import OpenImageIO as oiio
-
     with silent():
         source = oiio.ImageInput.open(str(path))
         if source is None:

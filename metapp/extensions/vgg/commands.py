@@ -32,8 +32,7 @@ def vgg(
       metapp data vgg
       metapp data vgg --weights vgg16-397923af.pth
     """
-    from metapp.appearance.features import weights_path
-    from metapp.extensions.vgg.weights import provide
+    from metapp.extensions.vgg.weights import provide, weights_path
 
     with progress("VGG-16", quiet=quiet) as bar:
 

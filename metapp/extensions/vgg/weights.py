@@ -17,7 +17,8 @@ from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
 
-from metapp.appearance.features import VGG_BLOCKS, weights_path
+from metapp.appearance.features import VGG_BLOCKS
+from metapp.appearance.features import weights_path as weights_path
 from metapp.storage.downloads import download
 from metapp.storage.files import open_regular, opened_tensors, write_bytes
 

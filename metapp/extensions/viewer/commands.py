@@ -11,6 +11,9 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.options import FittedData, Json, Overwrite, Quiet, app_words, check_new
+from metapp.names import app_names
+from metapp.options import BadOption
+from metapp.runs.options import check_name
 from metapp.runs.reporter import number, progress, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
@@ -79,9 +82,6 @@ def try_all(
     """
     begin = time.perf_counter()
     from metapp.extensions.viewer.viewing import try_app, view_page
-    from metapp.names import app_names
-    from metapp.options import BadOption
-    from metapp.runs.options import check_name
 
     runs, fits = list[Path](), []
     for app in apps or ():

@@ -11,7 +11,7 @@ from PIL import Image
 
 from data_tools.readers.listing import files_below
 from data_tools.readers.placed_photos import read_places
-from metapp.extensions.capture.markers.command import ONE_PLACE_SIDES, line_about_views
+from metapp.extensions.capture.markers.rectifying import ONE_PLACE_SIDES, line_about_views
 from metapp.storage.folders import Kind, kind_of
 from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write

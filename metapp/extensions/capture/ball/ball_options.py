@@ -1,0 +1,37 @@
+"""Options of the command that reads the light around a mirror ball."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from metapp.networks.options import Layer, fov
+from metapp.options import Option
+
+
+def circle_of(text: str) -> tuple[float, ...]:
+    """Return centre and radius, in px, of "X,Y,RADIUS"; ValueError for another form."""
+    try:
+        x, y, radius = map(float, text.split(","))
+    except ValueError:
+        x = y = radius = math.nan
+    if not (math.isfinite(x) and math.isfinite(y) and 0 < radius < math.inf):
+        raise ValueError("expected centre and radius in px, such as 210,205,180")
+    return x, y, radius
+
+
+@dataclass(frozen=True)
+class BallOptions:
+    """The options of `ball` about photographs and map."""
+
+    shutter: Annotated[
+        str, Option("Shutter times of the photos in their order, such as 1/20,1/60; auto: EXIF's.", "T,T,...")
+    ] = "auto"
+    fov: Annotated[float, fov("EXIF's of uncropped photos, else far away")] = 0.0
+    ball: Annotated[
+        tuple[float, ...],
+        Option("Where the ball is, px from the upper left; default: it is found.", "X,Y,RADIUS", parse=circle_of),
+    ] = ()
+    rows: Annotated[int, Option("Rows of the map, 32 to 1024.", "N", low=32, high=1024)] = 128
+    layer: Layer = ""

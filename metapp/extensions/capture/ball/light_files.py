@@ -1,0 +1,75 @@
+"""The light around a mirror ball, written as a data set, a map and pictures of the balls that were found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from data_tools.readers.image_files import read_pixels
+from metapp.extensions.capture.ball.ball_options import BallOptions
+from metapp.extensions.capture.ball.capture import Capture, capture
+from metapp.extensions.capture.photos import write_found
+from metapp.learning.task import Task
+from metapp.runs.reporter import progress
+from metapp.storage.folders import FOUND
+from metapp.storage.images import write_exr
+from metapp.storage.shards import write_shard
+
+UNITS = {
+    "photos": "the ball as a camera far away sees it, display values, uint8 0..255 [1, 3, 64, 64]; black outside",
+    "seen": "lat-long radiance that the ball mirrors, linear Rec.709 [3, H, 2 H], rows from the top (+y), the middle "
+    "column looks to +z, to the camera; 1 is white in `photos`; 0 where nothing is seen",
+    "certain": "[2, H, 2 H] in [0, 1]: how far a texel is seen unclipped; how far it is seen but white in all photos, "
+    "so that `seen` is a lower bound",
+}
+
+
+def write_light(paths: Sequence[Path], options: BallOptions, folder: Path, *, overwrite: bool, quiet: bool) -> Capture:
+    """Read the light around a ball from photographs of it, and write all that was found.
+
+    Args:
+        paths: photographs of one ball, of different exposures.
+        options: about photographs and map.
+        folder: the folder of the data set, whose name is that of the task and of the map.
+        overwrite: whether a data set that is there is replaced.
+        quiet: no progress.
+
+    Returns:
+        What the photographs show, and where the balls are in them.
+
+    Raises:
+        ValueError: a photograph that cannot be read or shows no ball; shutter times of another number or form.
+        OSError: a file cannot be written.
+    """
+    with progress("photos", len(paths), quiet=quiet) as bar:
+        fov_rad = math.radians(options.fov)
+        captured = capture(paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer)
+        bar.name("writing the map and pictures of what was found")
+        _write(folder.resolve().name, paths, captured, folder, options.layer, overwrite=overwrite)
+    return captured
+
+
+def _write(name: str, paths: Sequence[Path], captured: Capture, folder: Path, layer: str, *, overwrite: bool) -> None:
+    """Write a data set of one task, its map NAME.exr and found/*.png."""
+    notes = {
+        "made_by": "metapp data ball",
+        "photos": [path.name for path in paths],
+        "exposures": captured.exposures.tolist(),
+        "power": captured.power,
+        "files": [FOUND, f"{name}.exr"],
+    }
+    turn = np.linspace(0, 2 * np.pi, 361)
+
+    def task() -> Iterator[tuple[Task, str, Path]]:
+        yield Task(name, captured.data), "test", paths[captured.chosen]
+        for path, ball in zip(paths, captured.balls, strict=True):
+            contour = ball.to_px(np.stack([np.cos(turn), np.sin(turn)])).T
+            write_found(read_pixels(path, layer), [(contour, "lime")], folder / FOUND / f"{path.stem}.png")
+        light = torch.cat([captured.data["seen"], captured.data["certain"][:1]])
+        write_exr(light.permute(1, 2, 0), folder / f"{name}.exr")
+
+    write_shard(folder, "illumination", UNITS, task(), notes, overwrite=overwrite)

@@ -1,0 +1,48 @@
+"""Options of the commands that write marker sheets and rectify photographs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from metapp.networks.options import fov
+from metapp.options import Option
+
+
+@dataclass(frozen=True)
+class SheetOptions:
+    """The options of `markers` about the sheet."""
+
+    opening: Annotated[int, Option("Side of the square opening, 4 to 13 whole centimetres.", "CM", low=4, high=13)] = 10
+    page: Annotated[str, Option("The paper.", "a4|letter", choices=("a4", "letter"))] = "a4"
+
+
+def offset_of(text: str) -> tuple[float, ...]:
+    """Return the numbers of an offset "X,Y" in cm; ValueError for another form."""
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not math.hypot(x, y) <= 30:
+        raise ValueError("expected two numbers in cm, up to 30, such as 1.2,0")
+    return x, y
+
+
+@dataclass(frozen=True)
+class RectifyOptions:
+    """The options of `rectify` about photographs and pictures."""
+
+    size: Annotated[
+        int, Option("Greatest side of the pictures; never finer than the first photo.", "PX", low=64, high=4096)
+    ] = 1024
+    fov: Annotated[float, fov("EXIF's, else as markers or points fit best")] = 0.0
+    flash: Annotated[
+        tuple[float, ...],
+        Option(
+            "Where the flash is beside the lens: cm right and up in the photo; default: 0,0.", "X,Y", parse=offset_of
+        ),
+    ] = ()
+    ruler: Annotated[float, Option("Measured length of the sheet's printed 10 cm ruler.", "CM", low=5.0, high=20.0)] = (
+        10.0
+    )

@@ -1,0 +1,97 @@
+"""The installation: versions, device, compiler, cache, checkpoints, weights of VGG, libLLVM."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sysconfig
+from importlib import metadata
+
+import torch
+from safetensors import SafetensorError
+
+from metapp.appearance.features import weights_path
+from metapp.names import app_names
+from metapp.registry import SHIPPED, WITHOUT, registry
+from metapp.rendering.variant import find_llvm
+from metapp.runs.inputs.embedded import embedded_exists
+from metapp.storage.shipped import shipped_names
+from metapp.storage import Document
+from metapp.storage.cache import cache_folder
+from metapp.storage.files import opened_tensors
+
+PACKAGES = (
+    "metapp",
+    "torch",
+    "numpy",
+    "scipy",
+    "mitsuba",
+    "OpenImageIO",
+    "colour-science",
+    "safetensors",
+    "typer",
+    "rich",
+)
+
+
+def examine() -> Document:
+    """Return what is installed, and what it can use, by subject: a text, or texts by name."""
+    shipped = {key: names for app in app_names() for key, names in shipped_names(app).items()}
+    return {
+        "versions": {name: _version(name) for name in PACKAGES},
+        "extensions": ", ".join(_extensions()),
+        "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
+        "compiler": _compiler(),
+        "cache": str(cache_folder()),
+        "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
+        "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
+        "VGG": _vgg(),
+        "libLLVM": _llvm(),
+    }
+
+
+def _extensions() -> list[str]:
+    """Return extensions by name, with the package of those that do not ship, and those that are left out."""
+    extensions = registry().extensions.items()
+    names = [name if package == SHIPPED else f"{name} of {package}" for name, package in extensions]
+    names += [f"{name} (left out: {reason})" for name, reason in registry().problems.items()]
+    without = os.environ.get(WITHOUT, "")
+    return names + [f"left out by {WITHOUT}: {without}"] * bool(without)
+
+
+def _compiler() -> str:
+    """Return the compiler for torch.compile, if it takes Python's headers and OpenMP; the probe takes no second."""
+    name = next(filter(shutil.which, ("g++", "clang++")), "")
+    probe = "#include <Python.h>\n#include <omp.h>\nint main() { return omp_get_max_threads() < 1; }\n"
+    options = ["-x", "c++", "-fopenmp", "-fsyntax-only", f"-I{sysconfig.get_path('include')}", "-"]
+    if name and subprocess.run([name, *options], input=probe, text=True, capture_output=True).returncode == 0:
+        return f"{name}, with Python's headers and OpenMP"
+    return "none that works: training is half as fast; install g++ and python3-dev"
+
+
+def _version(package: str) -> str:
+    """Return the version of a package, or that it is missing."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "missing"
+
+
+def _vgg() -> str:
+    """Return where the weights of VGG come from, or what to do without them."""
+    if not weights_path().is_file():
+        return "not fetched; textures and svbrdf_stationary need it; get it: metapp data vgg"
+    try:
+        with opened_tensors(weights_path()) as file:
+            return f"from {(file.metadata() or {}).get('source', 'unknown')}"
+    except (OSError, SafetensorError):
+        return "damaged: what is fitted to pictures fails; fetch it again: metapp data vgg"
+
+
+def _llvm() -> str:
+    """Return the library that scenes are rendered with, or what is wrong with those that are there."""
+    try:
+        return str(find_llvm())
+    except ValueError as error:
+        return str(error).removeprefix("libLLVM: ")
