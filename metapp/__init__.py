@@ -9,6 +9,7 @@ fit.save("gold.safetensors")
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,9 +23,7 @@ __version__ = "0.1.0"
 def __getattr__(name: str) -> Any:
     """Import the API on first use, as torch takes a second or more to load."""
     if name in ("Fit", "fit", "fit_all", "load"):
-        from metapp.runs import api
-
-        return getattr(api, name)
+        return getattr(importlib.import_module("metapp.runs.api"), name)
     raise AttributeError(f"module 'metapp' has no attribute '{name}'")
 
 

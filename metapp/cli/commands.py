@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from metapp import __version__
+from metapp.cli.data import convert_by
 from metapp.cli.help import Command, Group
 from metapp.names import app_names, did_you_mean
 from metapp.options import BadOption, Converter
@@ -100,8 +102,6 @@ def _made(command: Any, name: str, *, bare_is_help: bool) -> Any:
     if isinstance(command, typer.Typer):
         return typer.main.get_group(command)
     if isinstance(command, type) and issubclass(command, Converter):
-        from metapp.cli.data import convert_by
-
         command = convert_by(name, command)
     paragraphs = inspect.cleandoc(command.__doc__ or "").split("\n\n")
     text = "\n\n".join(part if "\n  " in part else part.replace("\n", " ") for part in paragraphs)
@@ -142,8 +142,6 @@ app = _registry_group(
 
 def _version(asked: bool) -> None:
     if asked:
-        from metapp import __version__
-
         typer.echo(f"metapp {__version__}")
         raise typer.Exit
 

@@ -127,6 +127,11 @@ def parameter_of(option: Option, **changes: Any) -> inspect.Parameter:
     return parameter(option.name, Annotated[annotation, typer.Option(*names, **shown | changes)], default)
 
 
+def place_of(param: Any) -> str:
+    """Return the word that stands for the value of a parameter in help."""
+    return str(param.metavar or param.name.upper())
+
+
 def signed(
     command: Callable[..., None], like: Callable[..., object], parameters: list[inspect.Parameter]
 ) -> Callable[..., None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -104,8 +104,12 @@ class Report(NamedTuple):
         return Path(self.records[0]["folder"]) if len(self.records) == 1 else self.folder.path
 
 
-def execute(run: Run) -> Report | None:
-    """Train the checkpoint, if that is asked for, then fit all inputs and keep each fit in its folder.
+def execute(run: Run, provide: Callable[[Run], Run] = with_checkpoint) -> Report | None:
+    """Get the checkpoint of a run, then fit all inputs and keep each fit in its folder.
+
+    Args:
+        run: without its checkpoint.
+        provide: gives the run its checkpoint; of --train it is `metapp.runs.training.trained`, which few runs need.
 
     Returns:
         What became of the inputs; None on all but the first of several ranks, which train alone.
@@ -118,11 +122,11 @@ def execute(run: Run) -> Report | None:
         if ranks.number() > 0:
             if run.options.train:
                 with reporting(Reporter()):
-                    _with_checkpoint(replace(run, options=replace(run.options, quiet=True)))
+                    provide(replace(run, options=replace(run.options, quiet=True)))
             return None
         make_folder(run.options.out)
         sources, label = sources_to_fit(run)
-        run = replace(run, checkpoint=_with_checkpoint(run).checkpoint)
+        run = replace(run, checkpoint=provide(run).checkpoint)
         assert run.checkpoint is not None
         if not run.options.quiet:
             count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
@@ -248,11 +252,3 @@ def _draw(report: Report) -> None:
         if outcome.record and outcome.tiles
     }
     add_to_sheet(tiles, title, report.folder.path)
-
-
-def _with_checkpoint(run: Run) -> Run:
-    if not run.options.train:
-        return with_checkpoint(run)
-    from metapp.runs.training import trained  # here: most runs train nothing
-
-    return trained(run)

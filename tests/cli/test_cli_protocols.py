@@ -26,7 +26,7 @@ from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.cli.console import Terminal
 from metapp.cli.evaluate import Evaluation, subjects_of
-from metapp.cli.fit import VISIBLE_TILT_DEGREES
+from metapp.cli.fitting import VISIBLE_TILT_DEGREES
 from metapp.evaluation.tables.results import closing
 from metapp.names import exports_of
 from metapp.networks.field import LocalField

@@ -7,7 +7,7 @@ import torch
 
 from metapp.appearance.flash import Maps, mean_tilt_degrees, normal_from_height, relightings
 from metapp.appearance.surface import photograph, with_relief
-from metapp.cli.fit import VISIBLE_TILT_DEGREES, relief_lines
+from metapp.cli.fitting import VISIBLE_TILT_DEGREES, relief_lines
 
 SIDE = 48  # px
 VISIBLE = 0.02  # of display values, the mean of pictures under three lights

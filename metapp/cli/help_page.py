@@ -1,0 +1,61 @@
+"""The page that --help prints: usage, text, and panels of commands and options."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.padding import Padding
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+from typer.core import TyperArgument
+
+from metapp.cli.options import place_of
+from metapp.options import PANELS
+
+LABEL = 19  # columns of an option, so that texts of all panels begin at the same one
+COMMANDS, OPTIONS = "Commands", "Options"  # panels; the second is of options that name none
+
+
+def print_help(command: Any, ctx: Any, commands: list[tuple[str, str]]) -> None:
+    """Print usage, text and panels of a command.
+
+    Args:
+        command: of typer.
+        ctx: its context.
+        commands: names of the commands below it, and the first line of their help.
+    """
+    console = Console(highlight=False)
+    usage = " ".join(command.collect_usage_pieces(ctx))
+    console.print(Text.assemble("\n ", ("Usage:", "yellow"), " ", (ctx.command_path, "bold"), f" {usage}"))
+    console.print(Padding(Text((command.help or "").replace("\b\n", "")), (1, 1, 0, 1)))
+    panels: dict[str, list[tuple[str, str, str]]] = {name: [] for name in (COMMANDS, *PANELS, OPTIONS)}
+    panels[COMMANDS] = [(name, "", text) for name, text in commands]
+    for param in sorted(command.get_params(ctx), key=lambda param: not isinstance(param, TyperArgument)):
+        if isinstance(param, TyperArgument):
+            panels[param.rich_help_panel or OPTIONS].append((place_of(param), "", param.help or ""))
+        elif not param.hidden and param.name != "help":
+            names = ", ".join([*sorted(param.opts, key=len), *param.secondary_opts])
+            place = "" if param.is_flag else f" {place_of(param)}"
+            panels[param.rich_help_panel or OPTIONS].append((names, place, f"{param.help or ''}{_default(param)}"))
+    for title, rows in panels.items():
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(min_width=LABEL, no_wrap=True)
+        for names, place, text in rows:
+            grid.add_row(Text.assemble((names, "bold cyan"), (place, "yellow")), Text(text))
+        if rows:
+            console.print(Panel(grid, title=title, title_align="left", border_style="dim"))
+    if command.epilog:
+        console.print(Padding(Text(command.epilog), (1, 1, 0, 1)))
+
+
+def _default(param: Any) -> str:
+    """Return a sentence about the default of an option, or that it must be given."""
+    default = getattr(param.default, "value", param.default)
+    if param.required:
+        return " Required."
+    if isinstance(param.show_default, str):
+        return f" Default: {param.show_default}."
+    is_shown = param.show_default and not isinstance(default, bool) and not callable(default)
+    return f" Default: {default}." if is_shown and default not in (None, "", (), []) else ""
