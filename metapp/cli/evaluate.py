@@ -2,70 +2,19 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from metapp.apps import full_name
-from metapp.cli.console import escaped, out, print_json
+from metapp.cli.evaluation_options import ALL, Evaluation
 from metapp.cli.options import Json, Overwrite, app_words, check_new, takes
-from metapp.names import app_names, did_you_mean, protocols_of, recipe_entries
-from metapp.options import Option
+from metapp.names import did_you_mean
 from metapp.registry import registry
-from metapp.runs.options import MOST_SEEDS, check_name, check_protocol, fit_options
-from metapp.runs.reporter import say
 
-if TYPE_CHECKING:
-    from rich.table import Table as RichTable
-
-    from metapp.evaluation.subject import Subject
-    from metapp.evaluation.table import Table
-
-ALL = "all"
-NOTE_LINES = 10  # below all tables of a terminal
-FEWEST_COLUMNS = 3  # are shown however narrow the terminal
-FORMATS = ("rich", "markdown", "latex", "csv", "json")
-SHARED = ("rule", "data", "checkpoint", "out", "seed", "device", "quiet")  # options of fits
 Apps = Annotated[
     list[str] | None,
     typer.Argument(metavar="[APP]...", autocompletion=app_words, help="Applications; default: all there are."),
 ]
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """The options of `metapp evaluate`."""
-
-    which: Annotated[
-        str, Option(f"Which table: {', '.join([*registry().tables, ALL])}; default: results, in a report all.", "NAME")
-    ] = ""
-    format: Annotated[str, Option(f"One of {', '.join(FORMATS)}.", choices=FORMATS)] = "rich"
-    no_run: Annotated[bool, Option("Print what there is; measure nothing, say how much is missing.")] = False
-    table: Annotated[bool, Option("No effect: tables are always printed.")] = False
-    whole: Annotated[bool, Option("Overfit and Finetune on all test tasks, not on three; both protocols.")] = False
-    rule: Annotated[str, Option("Meta's learned rule; default: the recipe's.")] = ""
-    observe: Annotated[
-        str,
-        Option(
-            "What fits may see, where an application has both: reference or photo; default: reference, with --whole "
-            "each."
-        ),
-    ] = ""
-    data: Annotated[Path | None, Option("Folder of task shards; default: the embedded set.")] = None
-    checkpoint: Annotated[
-        Path | None, Option("Folder of trained checkpoints of one APP; default: those that ship.", "DIR")
-    ] = None
-    out: Annotated[Path, Option("Where runs are kept.")] = Path("runs")
-    recipe: Annotated[str, Option("quick, full, paper, or another of APP; quick for those that lack it.")] = "quick"
-    seed: Annotated[int, Option("Seed of all random draws.", low=0, high=MOST_SEEDS)] = 0
-    device: Annotated[str, Option("auto, cpu or cuda.", choices=("auto", "cpu", "cuda"))] = "auto"
-    figures: Annotated[Path | None, Option("Draw the figures there, as PNG and PDF.", "DIR")] = None
-    report: Annotated[Path | None, Option("Write tables there, as Markdown, and the figures.", "DIR")] = None
-    quiet: Annotated[bool, Option("No progress and no pictures.", short="q")] = False
 
 
 @takes(Evaluation)
@@ -81,142 +30,6 @@ def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrit
     for folder in filter(None, (options.figures, options.report)):
         for file in (*folder.glob("*-*.p[nd][gf]"), *folder.glob("index.md")):
             check_new(file, overwrite)
-    if not (options.quiet or options.no_run):
-        say("evaluate: looking for records")
-    form = "json" if json else options.format
-    shown = names if which == ALL else [which]
-    made: dict[str, list[Table]] = {name: [] for name in (names if options.report and not options.which else shown)}
-    subjects, notes = subjects_of(options, apps or []), list[str]()
-    for name, tables in made.items():
-        for subject in subjects:
-            tables.append(subject.table(name))
-            if form == "rich" and name in shown and tables[-1].rows:
-                print_table(tables[-1], notes)
-    print_notes(notes)
-    if form != "rich":
-        show({name: made[name] for name in shown}, form, which)
-    for name in () if options.quiet else shown:
-        for subject in subjects:
-            if picture := subject.draw(name, subject.table(name).fits):
-                say(f"picture: {picture}")
-    if options.no_run:
-        say_missing(subjects)
-    for subject in subjects:
-        subject.measuring = False  # figures show what has been measured
-    if options.figures or options.report:
-        from metapp.evaluation.figures import write_figures, write_report
+    from metapp.cli.evaluating import evaluate
 
-        for file in write_figures(subjects, options.figures) if options.figures else ():
-            say(f"figures: {file}")
-        if options.report:
-            say(f"report: {write_report(subjects, options.report, made)}")
-
-
-def show(tables: Mapping[str, Sequence[Table]], form: str, which: str) -> None:
-    """Print tables of several applications, by name, in a format other than rich; `which` was asked for."""
-    from metapp.evaluation.table import csv_of, flat, text_of
-
-    if form in ("json", "csv"):
-        pairs = [(name, row) for name, some in tables.items() for table in some for row in table.rows]
-        rows = [flat(row) | ({"table": name} if len(tables) > 1 else {}) for name, row in pairs]
-        if form == "json":
-            print_json({"which": which, "rows": rows})
-        else:
-            out().print(csv_of(rows), soft_wrap=True)
-        return
-    for some in filter(None, tables.values()):
-        out().print(text_of(some, form), soft_wrap=True)
-
-
-def print_table(table: Table, notes: list[str]) -> None:
-    """Print the table of one application below its title and findings.
-
-    Args:
-        table: with rows.
-        notes: of the tables before, to which new ones are appended; the title has the numbers of its own.
-    """
-    notes += [note for note in table.notes if note not in notes]
-    numbers = ", ".join(str(1 + notes.index(note)) for note in table.notes)
-    out().print(f"{table.whole_title} [{numbers}]", *table.findings, sep="\n")
-    out().print(rich_table(table))
-
-
-def print_notes(notes: Sequence[str]) -> None:
-    """Print numbered notes on tables, in at most NOTE_LINES lines."""
-    wrapped = [textwrap.wrap(f"[{i}] {note}", out().width) for i, note in enumerate(notes, 1)]
-    while (lines := [line for some in wrapped for line in some]) and len(lines) > NOTE_LINES - (
-        len(wrapped) < len(notes)
-    ):
-        del wrapped[-1]
-    if rest := len(notes) - len(wrapped):
-        lines.append(f"{rest} further notes: --format markdown")
-    if lines:
-        out().print("\n".join(lines))
-
-
-def rich_table(table: Table) -> RichTable:
-    """The table of one application for a terminal: as many columns, from the left, as it has room for."""
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    grid = RichTable()
-    room, columns = out().width - 1, list[list[str]]()
-    for column in table.columns:
-        lines = [part for part in column.title.rpartition(" ")[::2] if part]  # two: most columns are of short numbers
-        cells = [escaped(column.text(row)) for row in table.rows]
-        room -= max(map(len, [*lines, *cells])) + 3
-        if room < 0 and len(columns) >= FEWEST_COLUMNS:
-            break
-        right = bool(column.form)
-        grid.add_column("\n".join(lines), justify="right" if right else "left", no_wrap=right)
-        columns.append(cells)
-    for row in zip(*columns, strict=True):
-        grid.add_row(*map(Text, row))
-    return grid
-
-
-def subjects_of(options: Evaluation, apps: list[str]) -> list[Subject]:
-    """Each application under each protocol; one that was not named is left out if a checkpoint of it is missing."""
-    from metapp.evaluation.subject import Subject
-    from metapp.runs.run import Run
-
-    names = apps or app_names()
-    if options.checkpoint and not (len(names) == 1 and options.checkpoint.is_dir()):
-        found = f"{len(names)} applications" if options.checkpoint.is_dir() else "no folder"
-        raise typer.BadParameter(
-            f"--checkpoint {options.checkpoint}: {found}, expected one APP and the folder of its trained checkpoints, "
-            "such as runs/brdf/checkpoints/..."
-        )
-    for name in names:
-        check_name(name)
-    for name in [name for name in names if protocols_of(name)] or names:
-        check_protocol(options.observe, name)
-    given, runs = {name: getattr(options, name) for name in SHARED}, []
-    for name in names:
-        recipe = options.recipe if apps or options.recipe in recipe_entries(name) else "quick"
-        protocols = protocols_of(name)[: None if options.whole else 1] or ("",)
-        for protocol in [options.observe] if options.observe and any(protocols) else protocols:
-            runs.append(Run.of(fit_options(name, "general", observe=protocol, recipe=recipe, **given)))
-    subjects = []
-    for run in runs:  # all checkpoints before the first fit
-        try:
-            subjects.append(Subject(run, measuring=not options.no_run, whole=options.whole))
-        except ValueError as error:
-            if apps:
-                raise
-            say(f"{run.presenter.title} is left out: {error}")
-    return subjects
-
-
-def say_missing(subjects: list[Subject]) -> None:
-    """Say how much has no record yet of each application."""
-    remedy = ""
-    for subject in subjects:
-        asked = subject.asked.items()
-        if empty := [title for title, (tasks, records) in asked if not tasks or len(records) < len(tasks)]:
-            total, there = (sum(len(pair[i]) for pair in subject.asked.values()) for i in (0, 1))
-            missing = f"{total - there:,} of {total:,}" if total else "all"
-            say(f"{full_name(subject.app)}: {missing} records missing: {', '.join(empty)}")
-            remedy = "the same command without --no-run measures them"
-    if remedy:
-        say(remedy)
+    evaluate(options, apps or [], which, "json" if json else options.format)

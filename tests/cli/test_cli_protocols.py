@@ -25,7 +25,8 @@ from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.cli.console import Terminal
-from metapp.cli.evaluate import Evaluation, subjects_of
+from metapp.cli.evaluating import subjects_of
+from metapp.cli.evaluation_options import Evaluation
 from metapp.cli.fitting import VISIBLE_TILT_DEGREES
 from metapp.evaluation.tables.results import closing
 from metapp.names import exports_of

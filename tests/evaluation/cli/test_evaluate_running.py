@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.cli.evaluate import Evaluation, subjects_of
+from metapp.cli.evaluating import subjects_of
+from metapp.cli.evaluation_options import Evaluation
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
@@ -119,10 +120,10 @@ def test_fits_have_the_threads_of_their_application(measure: Callable, monkeypat
 
 def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
-    monkeypatch.setattr("metapp.cli.evaluate.app_names", lambda: ["texture", "transport"])
+    monkeypatch.setattr("metapp.cli.evaluating.app_names", lambda: ["texture", "transport"])
     monkeypatch.setattr("metapp.evaluation.subject.tasks_of_data", lambda *_: ([], "none"))  # drawn in minutes
     lines: list[str] = []
-    monkeypatch.setattr("metapp.cli.evaluate.say", lines.append)
+    monkeypatch.setattr("metapp.cli.evaluating.say", lines.append)
     assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path), [])] == ["transport"]
     (line,) = lines
     assert line.startswith("Texture is left out: ")

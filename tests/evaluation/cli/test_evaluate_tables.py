@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.evaluate import NOTE_LINES, rich_table
+from metapp.cli.evaluating import NOTE_LINES, rich_table
 from metapp.evaluation.subject import Subject
 from metapp.registry import registry
 from tests.evaluation.cli.subjects import rows
@@ -80,7 +80,7 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
 ) -> None:
     from rich.console import Console
 
-    monkeypatch.setattr("metapp.cli.evaluate.out", lambda: Console(width=width))
+    monkeypatch.setattr("metapp.cli.evaluating.out", lambda: Console(width=width))
     for name in registry().tables:
         table = subject.table(name)
         if not table.rows:

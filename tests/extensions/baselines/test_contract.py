@@ -11,7 +11,7 @@ from rich.console import Console
 from torch import Generator, Tensor
 
 from metapp.apps import app_of, class_of, presenter_of, recipes_of
-from metapp.cli.evaluate import rich_table
+from metapp.cli.evaluating import rich_table
 from metapp.evaluation.figures import draw as draw_figure
 from metapp.evaluation.subject import Subject
 from metapp.extensions.baselines import baselines_of
