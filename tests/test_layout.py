@@ -1,5 +1,6 @@
 """How the code hangs together: who imports whom, who prints, what is installed, and that nothing is unpickled."""
 
+import ast
 import configparser
 import os
 import re
@@ -19,6 +20,33 @@ UNPICKLES = (
     r"^ *(?:import|from) (?:pickle|cPickle|dill|cloudpickle|joblib|shelve|marshal)\b"
     r"|torch\.load\(|allow_pickle=(?!False)"
 )
+
+# Commands: typer reads their signatures for --help, which imports no torch.
+COMMANDS = r"metapp/cli/\w+\.py|metapp/extensions/\w+/(\w+/)?commands?\.py"
+SEVERAL_IMPORTS = {"metapp/extensions/few/commands.py"}  # commands of extensions whose work is still inside them
+# Files beside commands that import inside functions, each with its reason.
+LATE_IMPORTS = {
+    # the two modules that keep torch out of --help: options whose choice changes a recipe
+    "metapp/apps/brdf/options.py": "networks that conserve energy need torch",
+    "metapp/apps/exemplar/options.py": "networks of a finer texture need torch",
+    # libraries that are not always installed
+    "data_tools/readers/image_files.py": "pillow-heif",
+    "data_tools/readers/nbrdf.py": "h5py",
+    "metapp/extensions/capture/photos.py": "OpenCV",
+    "metapp/extensions/onnx_files/models.py": "onnx",
+    # Mitsuba and Dr.Jit take a libLLVM once and for all when they are imported, and 0.2 s
+    "data_tools/readers/brdf_objects.py": "Dr.Jit is there if a BSDF of Mitsuba is given",
+    "metapp/apps/transport/images.py": "integrators run after a scene is loaded",
+    "metapp/extensions/guided/picture.py": "a part of Mitsuba that needs a variant",
+    "metapp/extensions/scene_files/trial.py": "limits of memory, which Unix alone has, come before Mitsuba",
+    "metapp/rendering/paths/path_space.py": "paths are traced after a scene is loaded",
+    "metapp/rendering/second_scene/relighting.py": "the matrix is mostly in the cache",
+    "metapp/rendering/variant.py": "the one place that chooses a libLLVM, then imports Mitsuba",
+    # libraries that are slow to import, and modules that few runs need
+    "metapp/appearance/colorimetry.py": "colour-science takes 1.1 s",
+    "metapp/extensions/capture/ball/reading.py": "SciPy's parts for balls take 0.7 s; maps need none of them",
+    "metapp/storage/images.py": "OpenImageIO takes 0.02 s; fits of BRDFs write no such picture",
+}
 
 
 def files_with(pattern: str) -> list[str]:
@@ -46,6 +74,47 @@ def test_no_circles_among_files() -> None:
     while leaves := {name for name, others in needed.items() if not others & needed.keys()}:
         needed = {name: others for name, others in needed.items() if name not in leaves}
     assert sorted(needed) == []
+
+
+def late_imports(path: Path) -> dict[str, int]:
+    """The numbers of imports inside functions, by the names of these."""
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
+    found: dict[str, int] = {}
+
+    def visit(node: ast.AST, function: str) -> None:
+        for child in ast.iter_child_nodes(node):
+            if function and isinstance(child, ast.Import | ast.ImportFrom):
+                found[function] = found.get(function, 0) + 1
+            inner = f"{function}.{getattr(child, 'name', 'lambda')}" if isinstance(child, functions) else function
+            visit(child, inner)
+
+    visit(ast.parse(path.read_text(encoding="utf-8")), "")
+    return found
+
+
+def test_imports_stand_at_the_top() -> None:
+    """An import inside a function hides what a file needs: each file that has one is listed, with its reason."""
+    late = {str(path.relative_to(ROOT)) for path in FILES if late_imports(path)}
+    assert {file for file in late if not re.fullmatch(COMMANDS, file)} == LATE_IMPORTS.keys()
+
+
+def test_a_command_imports_one_module() -> None:
+    """The work of an extension's command stands in a module beside it, whose imports are at its top."""
+    commands = {
+        str(path.relative_to(ROOT)): late_imports(path) for path in FILES if path.stem in ("command", "commands")
+    }
+    several = {file for file, late in commands.items() if "extensions" in file and max(late.values(), default=0) > 1}
+    assert several <= SEVERAL_IMPORTS
+
+
+def test_late_imports_are_found(tmp_path: Path) -> None:
+    """Imports of functions, methods and inner functions count; those of a module, also under a condition, do not."""
+    file = tmp_path / "module.py"
+    file.write_text(
+        "import a\nif a:\n    import b\nclass C:\n    def m(self):\n        import c\n        from d import e\n"
+        "def f():\n    def g():\n        if a:\n            import h\n"
+    )
+    assert late_imports(file) == {".m": 2, ".f.g": 1}
 
 
 def test_paradigms_name_no_application() -> None:
