@@ -16,10 +16,10 @@ from metapp.names import app_names
 from metapp.registry import SHIPPED, WITHOUT, registry
 from metapp.rendering.variant import find_llvm
 from metapp.runs.inputs.embedded import embedded_exists
-from metapp.storage.shipped import shipped_names
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import opened_tensors
+from metapp.storage.shipped import shipped_names
 
 PACKAGES = (
     "metapp",
