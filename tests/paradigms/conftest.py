@@ -4,7 +4,6 @@ import functools
 
 import pytest
 
-from metapp.extensions.native import fastest
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
 from metapp.paradigms.paradigm import Paradigm
@@ -14,7 +13,7 @@ from tests.paradigms.small import KINDS, SMALL, fits_of, small_app, small_recipe
 @pytest.fixture(autouse=True)
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiling takes longer than these tests."""
-    monkeypatch.setattr(fastest, "can_compile", lambda: False)
+    monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")
 
 
 @pytest.fixture(scope="session", params=KINDS)

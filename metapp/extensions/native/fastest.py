@@ -21,6 +21,7 @@ from metapp.runs.reporter import say
 from metapp.storage.cache import cache_folder, code_folder
 
 COMPILED = "TORCHINDUCTOR_CACHE_DIR"  # where torch keeps code, which it loads again
+DISABLED = "TORCH_COMPILE_DISABLE"  # of the environment, torch's own: 1 for no compiling
 
 
 def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, compiles: bool = False) -> Steps:
@@ -43,9 +44,14 @@ def compiled_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> S
     return torch_steps(rule, loss, theta, order)._replace(step=step, vjp=vjp)
 
 
-@functools.cache
 def can_compile() -> bool:
-    """torch.compile needs a whole C++ tool chain on the CPU; without one, training is about half as fast, the same."""
+    """Return whether torch compiles steps here; it never does where TORCH_COMPILE_DISABLE is 1."""
+    return os.environ.get(DISABLED) != "1" and has_tool_chain()
+
+
+@functools.cache
+def has_tool_chain() -> bool:
+    """Return whether torch.compile finds a whole C++ tool chain; without one, training is about half as fast."""
     if not any(shutil.which(name) for name in ("g++", "clang++")):
         return False
     try:
