@@ -107,12 +107,6 @@ def _caches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(autouse=True)
-def _no_lines_about_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No line tells of a wait: what a test reads does not depend on how busy the machine is."""
-    monkeypatch.setattr("metapp.cli.console.WAIT_SECONDS", 3600.0)
-
-
-@pytest.fixture(autouse=True)
 def cache(_caches: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
     """No test touches the user's cache; each has an empty one of its own."""
     folder = next(_caches)
@@ -195,15 +189,19 @@ def made_command() -> Callable[..., Any]:
 
 @pytest.fixture
 def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
-    """Runs `metapp <arguments>` as the command does, without the seconds that a new process takes."""
-    from metapp.cli.console import run
+    """Runs `metapp <arguments>` as the command does, without the seconds that a new process takes.
+
+    No line tells of a wait: what a test reads does not depend on how busy the machine is.
+    """
+    from metapp.cli.console import Terminal, run
 
     made_command()  # of all extensions, before a test leaves one out
 
     def call(*arguments: str | Path) -> Result:
         words = [str(each) for each in arguments]
         with warnings.catch_warnings():
-            code = run(lambda: made_command()(words, standalone_mode=False, prog_name="metapp"))
+            terminal = Terminal(wait_seconds=3600.0)
+            code = run(lambda: made_command()(words, standalone_mode=False, prog_name="metapp"), terminal)
         captured = capsys.readouterr()
         return Result(int(code), captured.out, captured.err)
 
@@ -291,7 +289,7 @@ def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             for name, network in (("quick", quick), ("full", full)):
                 app = type(of_protocol[name].app)(network, **fields)
                 monkeypatch.setitem(of_protocol, name, replace(_short(of_protocol[name]), app=app))
-        monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
+        monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")
 
     return shorten
 

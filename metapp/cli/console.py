@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
 LONGEST = 300  # characters of an error or a warning
 LINE_SECONDS = 60.0  # between lines about long work where there is no terminal
-WAIT_SECONDS = 2.0  # of silence, after which a line says about shorter work how far it is where there is no terminal
-NEXT_SECONDS = 10.0  # between further lines about it
+WAIT_SECONDS, NEXT_SECONDS = 2.0, 10.0  # before the first line about shorter work, and between further ones
 KNOWN = 0.1  # of a job, before which no estimate of the time left is shown
 STEADY = 3600.0  # seconds, whose mean speed makes the estimate
 REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
@@ -110,13 +109,13 @@ class _Bar(Bar):
 
 
 class _Lines(Bar):
-    """Lines about short work where there is no terminal: one after WAIT_SECONDS, then some as parts are done."""
+    """Lines about short work where there is no terminal: one after a wait, then some as parts are done."""
 
     def __init__(self, terminal: Terminal, title: str, total: int | None, done: int) -> None:
         self.terminal, self.title, self.total, self.done, self.note = terminal, title, total, done, ""
-        self._next = time.monotonic() + WAIT_SECONDS + NEXT_SECONDS
+        self._next = time.monotonic() + terminal.wait_seconds + terminal.next_seconds
         # the first part may take all the time, so that nothing else would say anything
-        self._timer = threading.Timer(WAIT_SECONDS, self._say)
+        self._timer = threading.Timer(terminal.wait_seconds, self._say)
         self._timer.daemon = True
         self._timer.start()
 
@@ -136,15 +135,21 @@ class _Lines(Bar):
         self._timer.cancel()
 
     def _say(self) -> None:
-        self._next = time.monotonic() + NEXT_SECONDS
+        self._next = time.monotonic() + self.terminal.next_seconds
         state = "under way" if self.total is None else f"{self.done} of {self.total}"
         self.terminal.say(", ".join(filter(None, [f"{self.title}: {state}", self.note])))
 
 
 class Terminal(Reporter):
-    """Messages and progress on standard error."""
+    """Messages and progress on standard error.
 
-    def __init__(self) -> None:
+    Args:
+        wait_seconds: silence, after which a line says about shorter work how far it is where there is no terminal.
+        next_seconds: time between further lines about it.
+    """
+
+    def __init__(self, *, wait_seconds: float = WAIT_SECONDS, next_seconds: float = NEXT_SECONDS) -> None:
+        self.wait_seconds, self.next_seconds = wait_seconds, next_seconds
         self._console = plain_console(stderr=True)
         self._warned: set[str] = set()
         self._last_line = float("-inf")
@@ -218,8 +223,16 @@ def importing() -> Iterator[None]:
         gc.enable()
 
 
-def run(command: Callable[[], object]) -> int:
-    """Run a command; an error of the user's or of the data is one line on standard error, never a traceback."""
+def run(command: Callable[[], object], terminal: Terminal | None = None) -> int:
+    """Run a command; an error of the user's or of the data is one line on standard error, never a traceback.
+
+    Args:
+        command: what is done; its whole numbers are exit codes.
+        terminal: prints messages and progress; None is a new one.
+
+    Returns:
+        The exit code.
+    """
     import typer
 
     global _begin
@@ -228,7 +241,7 @@ def run(command: Callable[[], object]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # no character of a name stops a line
-    terminal = Terminal()
+    terminal = terminal or Terminal()
     # typer carries click inside from 0.2x on, so its classes are reached through those that typer exports
     usage_error, click_error = typer.BadParameter.__mro__[1:3]
     # only our own warnings are for the user

@@ -1,5 +1,6 @@
 """Messages on a terminal, help and completion."""
 
+import contextlib
 import io
 import os
 import re
@@ -34,25 +35,19 @@ def test_paths_in_messages_turn_no_text(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().err == "picture: a\\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a\n"
 
 
-def test_a_reader_that_goes_away_ends_a_command_quietly(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_reader_that_goes_away_ends_a_command_quietly(capsys: pytest.CaptureFixture[str]) -> None:
     """As of `metapp ... | head`."""
     reading, writing = os.pipe()
     os.close(reading)
-    with os.fdopen(writing, "w") as pipe:
-        monkeypatch.setattr("sys.stdout", pipe)
+    with os.fdopen(writing, "w") as pipe, contextlib.redirect_stdout(pipe):
         assert run(lambda: print("a line")) == 141
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 @pytest.mark.parametrize("flush", [False, True])
-def test_a_full_standard_output_is_named(
-    flush: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with open("/dev/full", "w") as full:
-        monkeypatch.setattr("sys.stdout", full)
+def test_a_full_standard_output_is_named(flush: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    with open("/dev/full", "w") as full, contextlib.redirect_stdout(full):
         assert run(lambda: print("a line", flush=flush)) == 1
     assert capsys.readouterr().err == "error: standard output: No space left on device; print to another file.\n"
 
@@ -107,53 +102,45 @@ def test_a_name_in_an_error_line_is_as_it_was_given(metapp: Callable, command: s
 
 
 def test_names_beside_a_progress_bar_are_drawn_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", drawn)
     monkeypatch.setenv("FORCE_COLOR", "1")
-    shown = Terminal()
-    with shown.bar(NAMES[0], 2, 0, False) as bar:
-        bar.advance(NAMES[1])
-        shown.say(NAMES[3])
+    with contextlib.redirect_stderr(io.StringIO()) as drawn:
+        shown = Terminal()
+        with shown.bar(NAMES[0], 2, 0, False) as bar:
+            bar.advance(NAMES[1])
+            shown.say(NAMES[3])
     assert all(name in drawn.getvalue() for name in (NAMES[0], NAMES[1], NAMES[3]))
 
 
 def test_the_time_left_is_shown_once_a_tenth_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", drawn)
     monkeypatch.setenv("FORCE_COLOR", "1")
-    with Terminal().bar("job", 100, 0, False) as bar:
+    with contextlib.redirect_stderr(io.StringIO()) as drawn, Terminal().bar("job", 100, 0, False) as bar:
         for step in range(30):
             bar.at(step, 100)
             bar.bars.refresh()
             assert bool(re.search(r"\d:\d\d:\d\d", drawn.getvalue())) == (step >= 10)
 
 
-def test_a_wait_is_said_where_there_is_no_terminal(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("metapp.cli.console.WAIT_SECONDS", 0.05)
-    with Terminal().bar("photos", 3, 0, False) as bar:
+def test_a_wait_is_said_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    terminal = Terminal(wait_seconds=0.05)
+    with terminal.bar("photos", 3, 0, False) as bar:
         bar.advance("a.jpg")
         bar.name("b.jpg: finding features")
         time.sleep(0.3)  # in one step, which tells nothing
     assert capsys.readouterr().err == "photos: 1 of 3, b.jpg: finding features\n"
-    with Terminal().bar("plan", None, 0, False):
+    with terminal.bar("plan", None, 0, False):
         time.sleep(0.3)
     assert capsys.readouterr().err == "plan: under way\n"
-    with Terminal().bar("photos", 3, 0, False) as bar:  # as soon as all is done nothing more is said
+    with terminal.bar("photos", 3, 0, False) as bar:  # as soon as all is done nothing more is said
         bar.advance("a.jpg")
     time.sleep(0.2)
     assert capsys.readouterr().err == ""
 
 
-def test_longer_waits_are_said_now_and_then(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("metapp.cli.console.NEXT_SECONDS", -3600.0)
-    monkeypatch.setattr("metapp.cli.console.WAIT_SECONDS", 3500.0)
-    with Terminal().bar("photos", 2, 0, False) as bar:
+def test_longer_waits_are_said_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
+    terminal = Terminal(wait_seconds=3500.0, next_seconds=-3600.0)
+    with terminal.bar("photos", 2, 0, False) as bar:
         bar.advance("a.jpg")
-        monkeypatch.setattr("metapp.cli.console.NEXT_SECONDS", 3600.0)
+        terminal.next_seconds = 3600.0
         bar.advance("b.jpg")
         bar.at(2, 2, "c.jpg")
     assert capsys.readouterr().err.splitlines() == ["photos: 1 of 2, a.jpg", "photos: 2 of 2, b.jpg"]
