@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +21,20 @@ class Adam:
     beta2: float = 0.999
     eps: float = 1e-8
     final: float = 1.0
+
+
+# a coordinate search: lines of changes, one line after the other around the best so far; a rate is a factor of its rate
+AdamSearch = tuple[Sequence[Mapping[str, float]], ...]
+ADAM_SEARCH: AdamSearch = (
+    [{"rate": 2.0**i} for i in (-1, 1, -2, 2, -3, 3, -4, 4, -5, 5)],
+    [
+        {"beta1": beta1, "beta2": beta2}
+        for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
+    ],
+    [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
+    [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
+    [{"rate": 2 ** (i / 8)} for i in (-5, -3, -2, -1, 1, 2, 3, 5)],
+)
 
 
 @dataclass(frozen=True)
@@ -116,6 +132,7 @@ class Recipe:
         meta: how each rule's checkpoint is trained, by the rule's name.
         rule: the rule that is best on validation tasks: Meta's default.
         app: the application, with the sizes of its network.
+        search: what a search of an Adam on validation tasks tries, for QuickFT and for rules that are tuned.
     """
 
     steps: int
@@ -129,6 +146,7 @@ class Recipe:
     meta: dict[str, MetaTraining]
     rule: str
     app: App
+    search: AdamSearch = ADAM_SEARCH
 
     def training(self, rule: str) -> MetaTraining:
         """The training of a rule, its network, and the guard of its fits after the recipe's number of steps.

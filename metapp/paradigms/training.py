@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -57,6 +56,28 @@ class TrainState(NamedTuple):
         return MetaParameters.unflat(self.best)
 
 
+Validate = Callable[[Paradigm, MetaParameters, Tasks], float]
+
+
+def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> float:
+    """The mean error of fits of all tasks with fixed seeds, as tables print it; infinite if a fit diverges.
+
+    Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
+    """
+    app = paradigm.app
+    total, weights, seeds = 0.0, tasks.weights(), 1 if app.deterministic else 2
+    for seed in range(seeds):
+        rng = Generator(tasks.rows.device).manual_seed(seed)
+        for rows in torch.arange(len(tasks)).split(PARALLEL_TASKS):
+            part = tasks.select(rows)
+            try:
+                theta = paradigm.fit(phi, part, rng, guarded=False)
+            except FloatingPointError:
+                return float("inf")
+            total += float((weights[rows] * app.errors(theta, part)["error"]).sum())
+    return app.error_measure.scale * total / (seeds * float(weights.sum()))
+
+
 def prepare(
     preparation: Preparation,
     tasks: Tasks,
@@ -66,6 +87,7 @@ def prepare(
     first: MetaParameters | None = None,
     steps: int | None = None,
     since: TrainState | None = None,
+    validate: Validate = validation_error,
 ) -> Iterator[TrainState]:
     """Train a checkpoint.
 
@@ -77,6 +99,7 @@ def prepare(
         first: a checkpoint of the same kind whose outer steps go on, in place of a fresh phi.
         steps: outer steps in place of the recipe's; the most Adams to try if there is only a search.
         since: state of the same training when it was cut off; `first` and `general` are not read.
+        validate: the error of a checkpoint's fits of validation tasks, by which the best state is chosen.
 
     Yields:
         Its state after each Adam tried, before and after each outer step, and after each validation; the last one is
@@ -93,7 +116,7 @@ def prepare(
     state = since or TrainState((first or preparation.first_phi(general, to_fit, rng)).flat(), rng.get_state())
     if adam and not first and not state.moments:
         # where outer steps follow, their number says nothing about the search
-        for tried in _search(preparation, adam, state, to_validate, None if training.steps else steps):
+        for tried in _search(preparation, adam, state, to_validate, validate, None if training.steps else steps):
             yield tried
         if not training.steps:
             return
@@ -104,11 +127,17 @@ def prepare(
         rows = list(range(len(to_validate))) * training.validation_variants
         fixed = Generator(tasks.rows.device).manual_seed(0)
         to_validate = preparation.paradigm.app.augment(to_validate.select(rows), fixed)
-    yield from _outer_loop(preparation, training, state, to_fit, to_validate, rng)
+    yield from _outer_loop(preparation, training, state, to_fit, to_validate, rng, validate)
 
 
 def _outer_loop(
-    preparation: Preparation, training: OuterLoop, state: TrainState, to_fit: Tasks, to_validate: Tasks, rng: Generator
+    preparation: Preparation,
+    training: OuterLoop,
+    state: TrainState,
+    to_fit: Tasks,
+    to_validate: Tasks,
+    rng: Generator,
+    validate: Validate,
 ) -> Iterator[TrainState]:
     """Outer steps, with a validation before the first, at the end, and every so many."""
     loss, steps = preparation.outer_loss(MetaParameters.unflat(state.current)), training.steps
@@ -133,7 +162,7 @@ def _outer_loop(
         if state.curve[-1:] and state.curve[-1][0] == now.step:
             continue  # it was cut off after this validation
         if now.step == steps or now.step % training.validate_every == 0:
-            error = validation_error(paradigm, MetaParameters.unflat(now.theta), to_validate)
+            error = validate(paradigm, MetaParameters.unflat(now.theta), to_validate)
             mean = paradigm.app.error_measure.scale * float(losses.mean()) if len(losses) else None
             state = state._replace(losses=losses[:0], curve=(*state.curve, (now.step, mean, error)))
             if error < state.validation:
@@ -143,40 +172,30 @@ def _outer_loop(
             yield state._replace(note=note if mean is None else f"loss {mean:.3f}, {note}")
 
 
-# The coordinate search of an Adam, a line after the other around the best so far; a rate is a factor of the best's
-SEARCHED: tuple[list[dict[str, float]], ...] = (
-    [{"rate": 2.0**i} for i in (-1, 1, -2, 2, -3, 3, -4, 4, -5, 5)],
-    [
-        {"beta1": beta1, "beta2": beta2}
-        for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
-    ],
-    [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
-    [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
-    [{"rate": 2 ** (i / 8)} for i in (-5, -3, -2, -1, 1, 2, 3, 5)],
-)
 SEARCH_TASKS = 8  # validation tasks, where a fit takes longer than an instant
 
 
 def _search(
-    preparation: Preparation, first: Adam, state: TrainState, tasks: Tasks, most: int | None
+    preparation: Preparation, first: Adam, state: TrainState, tasks: Tasks, validate: Validate, most: int | None
 ) -> Iterator[TrainState]:
     """A coordinate search from an Adam on, one setting or two at a time; errors that `state` knows stay."""
     paradigm, known, phi = preparation.paradigm, state.searched, MetaParameters.unflat(state.current)
+    lines = paradigm.recipe.search
     tasks = _search_tasks(paradigm.app, tasks)
-    total = min(1 + sum(map(len, SEARCHED)), most or sys.maxsize)
+    total = min(1 + sum(map(len, lines)), most or sys.maxsize)
     state, best = TrainState(state.current, state.rng, total=total), first
     errors: list[float] = []
 
     def candidates() -> Iterator[Adam]:
         yield best
-        for choices in SEARCHED:
+        for choices in lines:
             around = best
             for changes in choices[: total - len(errors)]:
                 yield replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)})
 
     for step, adam in enumerate(candidates(), 1):
         tried = preparation.with_adam(phi, adam)
-        error = known[step - 1] if step <= len(known) else validation_error(paradigm, tried, tasks)
+        error = known[step - 1] if step <= len(known) else validate(paradigm, tried, tasks)
         errors.append(error)
         state = state._replace(searched=tuple(errors), step=step)
         if error < state.validation:
@@ -218,22 +237,3 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
         tasks.select([row for row in rows if groups[row] not in validating]),
         tasks.select([row for row in rows if groups[row] in validating]),
     )
-
-
-def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> float:
-    """The mean error of fits of all tasks with fixed seeds, as tables print it; infinite if a fit diverges.
-
-    Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
-    """
-    app = paradigm.app
-    total, weights, seeds = 0.0, tasks.weights(), 1 if app.deterministic else 2
-    for seed in range(seeds):
-        rng = Generator(tasks.rows.device).manual_seed(seed)
-        for rows in torch.arange(len(tasks)).split(PARALLEL_TASKS):
-            part = tasks.select(rows)
-            try:
-                theta = paradigm.fit(phi, part, rng, guarded=False)
-            except FloatingPointError:
-                return float("inf")
-            total += float((weights[rows] * app.errors(theta, part)["error"]).sum())
-    return app.error_measure.scale * total / (seeds * float(weights.sum()))

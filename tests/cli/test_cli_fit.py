@@ -31,7 +31,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     """The quick recipe with few steps of Overfit and Finetune, and without a compiler."""
     recipe = replace(RECIPES["quick"], overfit_steps=30, finetune_steps=5)
     monkeypatch.setitem(RECIPES, "quick", recipe)
-    monkeypatch.setattr("metapp.extensions.native.fastest.can_compile", lambda: False)
+    monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")
     return recipe
 
 
@@ -219,8 +219,7 @@ def test_a_training_begins_at_the_general_that_is_named(fit: Callable) -> None:
 
 def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
     # a recipe that moves too far, and a search that looks at one other
-    monkeypatch.setitem(RECIPES, "quick", replace(short, quickft=Adam(1.0)))
-    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
+    monkeypatch.setitem(RECIPES, "quick", replace(short, quickft=Adam(1.0), search=([{"beta1": 0.3, "rate": 1e-7}],)))
     assert fit("general", *STEPS).code == 0
     (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
     assert "no Adam was tuned" in fit("quickft", "--checkpoint", general).err

@@ -321,7 +321,8 @@ def on_data(metapp: Callable, short_by_protocol: Callable) -> Callable:
 
 
 def test_protocols_share_general_and_nothing_else(on_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"rate": 0.5}],))
+    quick = MATERIALS["photo"]["quick"]
+    monkeypatch.setitem(MATERIALS["photo"], "quick", replace(quick, search=([{"rate": 0.5}],)))
     rule = MATERIALS["photo"]["quick"].rule
     for paradigm in ("meta", "quickft"):
         assert on_data(paradigm, "--observe", "photo", *STEPS).code == 0

@@ -54,10 +54,10 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     app = replace(quick.app, network=network, height=16, width=16, taps=("relu1_1", "relu2_1"))
     short = {name: replace(training, steps=2, tasks=2, warmup=0) for name, training in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2)
-    quick = replace(quick, app=app, steps=3, overfit_steps=3, general=general, meta=short)
+    search = ([{"rate": 0.5}], [{"beta1": 0.3}])
+    quick = replace(quick, app=app, steps=3, overfit_steps=3, general=general, meta=short, search=search)
     monkeypatch.setitem(recipes, "quick", quick)
     monkeypatch.setitem(recipes, "full", quick)
-    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"rate": 0.5}], [{"beta1": 0.3}]))
     return request.param
 
 

@@ -15,9 +15,8 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.nbrdf import NBRDF
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.recipe import Adam
+from metapp.learning.recipe import ADAM_SEARCH, Adam
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.paradigms import training
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
@@ -126,11 +125,10 @@ def test_augmented_variants_of_validation_tasks_may_validate(app: App, tasks: Ta
 
 @ONE_APP
 @pytest.mark.parametrize("name", ["general", "meta-sgd"])
-def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks) -> None:
     """Iteration 0 is among the states to choose from, and it is not written to afterwards."""
     before, errors = look(trained, tasks, steps=0), itertools.count(1)
-    monkeypatch.setattr(training, "validation_error", lambda *_: float(next(errors)))
-    prepared = look(trained, tasks)
+    prepared = look(trained, tasks, validate=lambda *_: float(next(errors)))
     assert (prepared.best_step, prepared.validation) == (0, 1.0)
     assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
     assert all(torch.equal(prepared.phi.flat()[key], value) for key, value in before.phi.flat().items())
@@ -192,17 +190,14 @@ def test_meta_goes_on_from_general(fits: dict[str, Paradigm], tasks: Tasks) -> N
 @pytest.mark.parametrize(
     ("app", "name"), [*((app, "general") for app in OWN_RULES), ("brdf", "meta-sgd")], indirect=["app"]
 )
-def test_training_never_sees_a_validation_task(
-    trained: Paradigm, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_training_never_sees_a_validation_task(trained: Paradigm, tasks: Tasks) -> None:
     """With the data of the validation tasks spoilt, the training loss stays finite."""
     rows = split_validation(tasks)[1].rows
     spoilt = {}
     for key, value in tasks.data.items():
         own = value.stride(0) != 0  # what all tasks share is no task's
         spoilt[key] = value.float().index_fill(0, rows, math.nan) if own else value
-    monkeypatch.setattr(training, "validation_error", lambda *_: 1.0)
-    prepared = look(trained, Tasks(tasks.names, spoilt, tasks.rows), steps=12)
+    prepared = look(trained, Tasks(tasks.names, spoilt, tasks.rows), steps=12, validate=lambda *_: 1.0)
     assert all(loss is not None and math.isfinite(loss) for _, loss, _ in prepared.curve[1:])
 
 
@@ -232,7 +227,7 @@ def bowl(adam: Adam) -> float:
 class Search:
     """A search from an Adam on that is told errors in closed form, and what it looked at."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, first: Adam, error: Callable[[Adam], float] = bowl) -> None:
+    def __init__(self, first: Adam, error: Callable[[Adam], float] = bowl) -> None:
         self.quickft = QuickFT.of(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first))
         self.looked: list[Adam] = []
 
@@ -241,8 +236,8 @@ class Search:
             self.looked.append(self.quickft.adam(prepared))
             return error(self.looked[-1])
 
-        monkeypatch.setattr(training, "validation_error", told)
-        self.path = list(training.prepare(self.quickft.preparations[-1], TASKS, rng(), general=GENERAL))
+        (*_, preparation) = self.quickft.preparations
+        self.path = list(prepare(preparation, TASKS, rng(), general=GENERAL, validate=told))
         self.tuned = result(self.path)
         self.found = self.quickft.adam(self.tuned.phi)
 
@@ -250,9 +245,9 @@ class Search:
 @pytest.mark.parametrize(
     "first", [Adam(1e-2), Adam(5e-2, 0.9, 0.99, 1e-8, 0.0), Adam(1.0, 0.3, 0.8), Adam(2e-3, 0.9, 0.999, 1e-3)]
 )
-def test_the_search_finds_the_best_adam(first: Adam, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_search_finds_the_best_adam(first: Adam) -> None:
     """Also from a rate that is 25 times too small or 20 times too large; the rate to a third of its grid's step."""
-    search = Search(monkeypatch, first)
+    search = Search(first)
     found = search.found
     assert (found.beta1, found.beta2, found.final) == (BEST.beta1, BEST.beta2, BEST.final)
     assert found.eps == pytest.approx(BEST.eps)
@@ -260,11 +255,11 @@ def test_the_search_finds_the_best_adam(first: Adam, monkeypatch: pytest.MonkeyP
     assert search.tuned.validation == pytest.approx(bowl(found))
 
 
-def test_the_search_goes_on_around_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_search_goes_on_around_the_best_so_far() -> None:
     """One line of choices at a time changes its own quantities, and those before it stay at their best."""
     first = Adam(0.05, 0.9, 0.999, 1e-8, 1.0)
-    search = Search(monkeypatch, first)
-    looked, lines = search.looked, [len(line) for line in training.SEARCHED]
+    search = Search(first)
+    looked, lines = search.looked, [len(line) for line in ADAM_SEARCH]
     assert (looked[0], len(looked)) == (first, 1 + sum(lines))
     for i, now in enumerate(search.path, 1):
         assert (now.step, now.total, now.searched) == (i, len(looked), tuple(map(bowl, looked[:i])))
@@ -280,21 +275,19 @@ def test_the_search_goes_on_around_the_best_so_far(monkeypatch: pytest.MonkeyPat
     assert errors == sorted(errors, reverse=True)
 
 
-def test_the_best_recipe_is_kept_and_a_diverging_one_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_best_recipe_is_kept_and_a_diverging_one_is_left() -> None:
     first = Adam(0.0123, 0.77, 0.95, 3e-5, 0.2)
     for error in (lambda adam: 1.0, lambda adam: 0.5 if adam == first else math.inf):
-        search = Search(monkeypatch, first, error)
+        search = Search(first, error)
         assert search.found == first
         assert (search.tuned.best_step, len(search.tuned.curve)) == (1, 1)
-    search = Search(monkeypatch, Adam(10.0), lambda adam: bowl(adam) if adam.rate < 3 else math.inf)
+    search = Search(Adam(10.0), lambda adam: bowl(adam) if adam.rate < 3 else math.inf)
     assert math.isfinite(search.tuned.validation)
     assert search.found.rate < 3
 
 
 @pytest.mark.parametrize(("name", "count"), [("brdf", 30), ("texture", 8), ("svbrdf_stationary", 8)])
-def test_searches_use_all_validation_tasks_if_fits_are_cheap(
-    name: str, count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_searches_use_all_validation_tasks_if_fits_are_cheap(name: str, count: int) -> None:
     quickft = QuickFT.of(app_by(name), recipes_of(name)["quick"])
     names = tuple(f"{i:03d}" for i in range(240))
     looked: list[int] = []
@@ -303,9 +296,9 @@ def test_searches_use_all_validation_tasks_if_fits_are_cheap(
         looked.append(len(tasks))
         return 1.0
 
-    monkeypatch.setattr(training, "validation_error", told)
     data = Tasks(names, {}, torch.arange(240))
-    assert len(list(training.prepare(quickft.preparations[-1], data, rng(), general=GENERAL, steps=3))) == 3
+    states = prepare(quickft.preparations[-1], data, rng(), general=GENERAL, steps=3, validate=told)
+    assert len(list(states)) == 3
     assert looked == [count] * 3
 
 
@@ -313,15 +306,15 @@ def test_searches_use_all_validation_tasks_if_fits_are_cheap(
 @pytest.mark.parametrize("outer", [0, 2])
 @pytest.mark.parametrize("rule", ["meta-axes", "meta-basis"])
 def test_a_rule_is_tuned_as_quickft_is(
-    rule: str, outer: int, app: App, fits: dict[str, Paradigm], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+    rule: str, outer: int, app: App, fits: dict[str, Paradigm], tasks: Tasks
 ) -> None:
     """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
-    monkeypatch.setattr(training, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
-    recipe = fits["meta"].recipe
+    search = ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}])
+    recipe = replace(fits["meta"].recipe, search=search)
     tuned = replace(recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
     meta = Meta.of(app, replace(recipe, meta={rule: tuned}), rule)
     encoder = MetaParameters(encoder=app.init_encoder(rng()))
-    made = result(training.prepare(meta.preparations[-1], tasks, rng(), general=encoder))
+    made = result(prepare(meta.preparations[-1], tasks, rng(), general=encoder))
     plain = rule_of(rule).alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, tuned.first)
     assert made.phi.alpha.keys() == plain.keys()
     assert not made.phi.theta

@@ -14,7 +14,6 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
-from metapp.paradigms import training
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.training import TrainState, prepare
@@ -32,12 +31,11 @@ class Cut(Exception):
 
 
 @pytest.fixture
-def trained(kind: str, fits: dict[str, Paradigm], monkeypatch: pytest.MonkeyPatch) -> Paradigm:
+def trained(kind: str, fits: dict[str, Paradigm]) -> Paradigm:
     """What prepares a checkpoint: general, quickft, or a rule, the Adam of which may be tuned first."""
-    monkeypatch.setattr(training, "SEARCHED", SEARCHED)
+    recipe = replace(fits["meta"].recipe, search=SEARCHED)
     if kind in fits:
-        return fits[kind]
-    recipe = fits["meta"].recipe
+        return replace(fits[kind], recipe=recipe)
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
     rule = rule if rule in recipe.meta else "meta-encoder"  # networks are for grids alone
     settings = replace(recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
