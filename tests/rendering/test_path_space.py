@@ -97,18 +97,19 @@ def test_directions_are_for_surfaces_that_scatter() -> None:
 
 
 class _Sloped:
-    """Stands for a tracer: what a path carries grows along one axis, to 2, whatever bound it states."""
+    """Stands for a tracer: what a path carries grows along one axis, to `most`, whatever bound it states."""
 
-    def __init__(self, brightest: float) -> None:
-        self.brightest = brightest
+    batch_paths = 1000
+
+    def __init__(self, brightest: float, most: float = 2.0) -> None:
+        self.brightest, self.most = brightest, most
 
     def contributions(self, points: Tensor, rng: Generator) -> Tensor:
-        return 2 * points[:, 2:3].expand(-1, 3)
+        return self.most * points[:, 2:3].expand(-1, 3)
 
 
 @pytest.mark.parametrize("brightest", [0.0, 1.3, 2.0, 5.0])
-def test_a_bound_that_is_exceeded_is_raised(brightest: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 1000)
+def test_a_bound_that_is_exceeded_is_raised(brightest: float) -> None:
     points, image = path_samples(_Sloped(brightest), 100_000, seeded())  # type: ignore[arg-type]
     # of a density 2 x the cumulative distribution is x^2; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()
@@ -117,10 +118,9 @@ def test_a_bound_that_is_exceeded_is_raised(brightest: float, monkeypatch: pytes
     assert float(image.mean()) == pytest.approx(1, abs=0.02)
 
 
-def test_scenes_without_light_in_view_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_Sloped, "contributions", lambda self, points, rng: torch.zeros(len(points), 3))
+def test_scenes_without_light_in_view_are_refused() -> None:
     with pytest.raises(ValueError, match=r"0 of [\d,]+ paths meet a light, expected 0.02% or more; point the camera"):
-        path_samples(_Sloped(1.0), 100, seeded())  # type: ignore[arg-type]
+        path_samples(_Sloped(1.0, most=0.0), 100, seeded())  # type: ignore[arg-type]
 
 
 @needs_mitsuba
@@ -277,15 +277,14 @@ def bulb(seed: int, **more: Any) -> Scene:
 class _Steep:
     """Stands for a tracer: paths that carry 3 u^2 along one number, by a noise whose mean is 1."""
 
-    next_event = True
+    next_event, batch_paths = True, 2**16
 
     def contributions(self, points: Tensor, rng: Generator) -> Tensor:
         noise = 4.0 * (torch.rand(len(points), 1, generator=rng) < 0.25)
         return (3 * points[:, 2:3] ** 2 * noise).expand(-1, 3)
 
 
-def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**16)
+def test_moves_leave_the_density_of_a_noisy_function_as_it_is() -> None:
     points, image = resampled(_Steep(), 20_000, Generator().manual_seed(0))  # type: ignore[arg-type]
     # of a density 3 x^2 the cumulative distribution is x^3; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()
@@ -295,9 +294,8 @@ def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytes
 
 @pytest.mark.long
 @needs_mitsuba
-def test_samples_are_resampled_only_if_few_paths_meet_a_light(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**16)
-    plain, small = Tracer(random_scene(0)), Tracer(small_lamp(0, 12))
+def test_samples_are_resampled_only_if_few_paths_meet_a_light() -> None:
+    plain, small = (Tracer(scene, batch_paths=2**16) for scene in (random_scene(0), small_lamp(0, 12)))
     expected = path_samples(plain, 500, Generator().manual_seed(3))
     found = draw_samples(plain, 500, Generator().manual_seed(3))
     assert not plain.next_event

@@ -30,7 +30,7 @@ IMAGE_PX = 32  # px, side of the picture that comes with samples
 UNGUIDED_OF = 4  # one path in so many is not guided
 BELOW_ONE = 1 - 2**-24
 
-BATCH_PATHS = 2**19  # paths traced at a time for samples, and for pictures
+BATCH_PATHS = 2**19  # paths traced at a time for samples
 _PICTURE_BATCH = 2**18
 _REFERENCE_SPP = 2048
 _BAD, _FEW = 1e-4, 8  # share and number of paths that may carry no number
@@ -45,14 +45,17 @@ class Tracer:
         depth: edges of the longest path, as `max_depth` of Mitsuba's `path`.
         next_event: whether paths have next-event estimation; those of a scene with a point, spot or directional emitter
             have it anyway.
+        batch_paths: paths that are traced at a time for samples; more take memory.
 
     Raises:
         ValueError: as `load_scene`.
     """
 
-    def __init__(self, scene: SceneDict, depth: int = DEPTH_EDGES, next_event: bool = False) -> None:
+    def __init__(
+        self, scene: SceneDict, depth: int = DEPTH_EDGES, next_event: bool = False, batch_paths: int = BATCH_PATHS
+    ) -> None:
         self.mi, self.scene, self.brightest = load_scene(scene)
-        self.depth = depth
+        self.depth, self.batch_paths = depth, batch_paths
         flags = (emitter.flags() for emitter in self.scene.emitters())
         self.next_event = next_event or any(self.mi.has_flag(flag, self.mi.EmitterFlags.Delta) for flag in flags)
 
@@ -161,19 +164,19 @@ def path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Te
         FewPaths: hardly any path meets a light.
     """
     kept: list[Tensor] = []
-    bound, traced, have = tracer.brightest, 0, 0
+    bound, traced, have, batch = tracer.brightest, 0, 0, tracer.batch_paths
     image = ImageSum()
     while have < count:
-        points = torch.rand(BATCH_PATHS, DIMENSIONS, generator=rng)
+        points = torch.rand(batch, DIMENSIONS, generator=rng)
         carried = tracer.contributions(points, rng)
         bright = brightness(carried)
         highest = float(bright.max())
         if highest > bound:
             kept = [part[torch.rand(len(part), generator=rng) < bound / highest] for part in kept]
             bound = highest
-        kept.append(points[torch.rand(BATCH_PATHS, generator=rng) * bound < bright])
+        kept.append(points[torch.rand(batch, generator=rng) * bound < bright])
         image.add(points, carried)
-        traced, have = traced + BATCH_PATHS, sum(map(len, kept))
+        traced, have = traced + batch, sum(map(len, kept))
         if have < _RAREST * traced:
             raise FewPaths(
                 f"{have} of {traced:,} paths meet a light, expected {_RAREST:.2%} or more; point the camera at "

@@ -11,7 +11,6 @@ from __future__ import annotations
 import torch
 from torch import Generator, Tensor
 
-from metapp.rendering.paths import path_space
 from metapp.rendering.paths.path_space import BELOW_ONE, DIMENSIONS, FewPaths, ImageSum, Tracer, path_samples
 from metapp.rendering.scenes.loading import brightness
 
@@ -66,7 +65,7 @@ def _pool(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor, T
     Dark paths are kept by chance, with a weight that makes up for it, so that memory is bounded.
     """
     kept, weights, image = [], [], ImageSum()
-    first, second, batch = 0.0, 0.0, path_space.BATCH_PATHS
+    first, second, batch = 0.0, 0.0, tracer.batch_paths
     for number in range(1, LAST_BATCH + 1):
         points = torch.rand(batch, DIMENSIONS, generator=rng)
         carried = tracer.contributions(points, rng)
