@@ -342,6 +342,12 @@ def ten_materials(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.T
 
 
 @pytest.fixture
+def few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands trace 2**16 paths of a scene at a time instead of 2**19, where samples are few."""
+    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 2**16)
+
+
+@pytest.fixture
 def small_spheres(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures of BRDFs of 16 px instead of 96, where what they show does not matter."""
     shrink_spheres(monkeypatch)

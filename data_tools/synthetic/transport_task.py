@@ -30,8 +30,9 @@ def transport_task(
     *,
     samples: int = SAMPLES,
     held: int = HELD,
+    batch_paths: int | None = None,
 ) -> Task:
-    """A scene as a task.
+    """Trace light paths of a scene, as a task.
 
     Args:
         name: of the task.
@@ -39,6 +40,7 @@ def transport_task(
         seed: of all draws.
         samples: N, for fits to see.
         held: M, for tests alone.
+        batch_paths: paths that are traced at a time; None for as many as :class:`Tracer` traces.
 
     Returns:
         `samples` [N, 4], `held` [M, 4] and `image` [3, 32, 32], float32, and `scene`, uint8 [L]; where paths had
@@ -47,7 +49,7 @@ def transport_task(
     Raises:
         ValueError: as `load_scene` and `draw_samples`.
     """
-    rng, tracer = Generator().manual_seed(seed), Tracer(scene)
+    rng, tracer = Generator().manual_seed(seed), Tracer(scene, batch_paths=batch_paths)
     points, image = draw_samples(tracer, samples + held, rng)
     data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": scene_bytes(scene)}
     if tracer.next_event:

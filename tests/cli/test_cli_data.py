@@ -329,11 +329,6 @@ def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: 
     assert "0.1 GB free, expected 3.5 GB for 100 merl files" in result.refusal
 
 
-@pytest.fixture
-def few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 2**16)
-
-
 @pytest.mark.long
 @pytest.mark.usefixtures("few_paths")
 @needs_mitsuba

@@ -25,15 +25,11 @@ from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from tests.quick import app_by
 
-SPP_OF_TABLES = images.REFERENCE_SPP
-
 
 @pytest.fixture(scope="module")
 def box() -> Task:
     """A Cornell box of few samples."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(path_space, "BATCH_PATHS", 2**16)  # of 2**19 paths, for samples by the ten thousand
-        return transport_task("box", random_scene(0), 0, samples=2048, held=512)
+    return transport_task("box", random_scene(0), 0, samples=2048, held=512, batch_paths=2**16)
 
 
 def uniform(app: Transport) -> Params:
@@ -44,13 +40,9 @@ def uniform(app: Transport) -> Params:
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
-    app = Transport(Flow(code=3, hidden=8, bins=4))
+    app = Transport(Flow(code=3, hidden=8, bins=4), spp=64, reference_spp=16, shown_spp=4, overview_spp=1)
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, app=app))
-    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN_SPP", 4)
-    monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE_SPP", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
-    monkeypatch.setattr(images, "SPP", 64)
-    monkeypatch.setattr(images, "REFERENCE_SPP", 16)
 
 
 @pytest.mark.long
@@ -77,36 +69,37 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None
 
 
 @pytest.mark.long
-def test_pictures_with_nee_come_in_waves(box: Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    studio = images.Studio(box.data["scene"].numpy().tobytes(), size=8)
+def test_pictures_with_nee_come_in_waves(box: Task) -> None:
+    asked: list[tuple[int, int]] = []
+
+    class Noted(images.Studio):
+        def _by(self, integrator: str, spp: int, seed: int) -> images.Shot:
+            asked.append((spp, seed))
+            return super()._by(integrator, spp, seed)
+
+    scene = box.data["scene"].numpy().tobytes()
+    studio = images.Studio(scene, size=8)
     whole = studio.path(4096).picture
     assert torch.equal(whole, studio.path(4096).picture)
-    monkeypatch.setattr(images, "WAVE_PATHS", 1500 * 8 * 8)
-    asked, by = [], studio._by
-
-    def noted(integrator: str, spp: int, seed: int) -> images.Shot:
-        asked.append((spp, seed))
-        return by(integrator, spp, seed)
-
-    monkeypatch.setattr(studio, "_by", noted)
-    waves = studio.path(4096, seed=1).picture
+    waves = Noted(scene, size=8, wave_paths=1500 * 8 * 8).path(4096, seed=1).picture
     assert asked == [(1500, 65536), (1500, 65537), (1096, 65538)]
-    parts = sum(spp / 4096 * by("path", spp, seed).picture for spp, seed in asked)
+    parts = sum(spp / 4096 * studio._by("path", spp, seed).picture for spp, seed in asked)
     torch.testing.assert_close(waves, parts)
     assert float(waves.mean()) == pytest.approx(float(whole.mean()), rel=0.01)
     assert not torch.equal(waves, whole)
 
 
 @pytest.mark.long
-def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task) -> None:
     app, sampled = app_by("transport"), []
 
-    def sampling(self: images.Studio, samples: torch.Tensor) -> float:
-        sampled.append(tuple(samples.shape))
-        return 1e9
+    class Slow(images.Studio):
+        def sampling(self, samples: torch.Tensor) -> float:
+            sampled.append(tuple(samples.shape))
+            return 1e9
 
-    monkeypatch.setattr(images.Studio, "sampling", sampling)
-    found = presenter_of(app).picture_errors({"instant": Fitted(uniform(app), 0.0)}, box)
+    studio = Slow(box.data["scene"].numpy().tobytes(), size=64, spp=64, reference_spp=16)
+    found = images.picture_errors(studio, app.network, {"instant": Fitted(uniform(app), 0.0)}, box)
     assert sampled == [(2048, 4)]  # what fits may see, without what is held out
     assert images.EQUAL_TIME not in found["instant"]
     assert found["instant"][images.FIXED] > 1e6
@@ -114,19 +107,18 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task, monkeypatch: p
 
 
 @pytest.mark.long
-def test_a_reference_knows_its_own_error(box: Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(images, "REFERENCE_SPP", SPP_OF_TABLES // 4)
-    studio = images.Studio(box.data["scene"].numpy().tobytes(), size=8)
-    told, wanted = studio.reference_error, path_space.reference(studio.tracer, 8, 4 * SPP_OF_TABLES, seed=9)
+def test_a_reference_knows_its_own_error(box: Task) -> None:
+    studio = images.Studio(box.data["scene"].numpy().tobytes(), size=8, reference_spp=images.REFERENCE_SPP // 4)
+    told, wanted = studio.reference_error, path_space.reference(studio.tracer, 8, 4 * images.REFERENCE_SPP, seed=9)
     found = float(images.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
     assert studio.sampling(box.data["samples"]) > 0
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("few_paths")
 def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**15)
-    monkeypatch.setattr(reading.read_task, "__defaults__", (512, 128, 4, ()))
+    monkeypatch.setattr(reading.read_task, "__defaults__", (512, 128, ()))  # samples, held, roots
     box = {key: value for key, value in random_scene(0).items() if key != "light"}
     box["bulb"] = {"type": "point", "position": [0.0, 0.7, 0.0]}
     box["fog"] = {"type": "homogeneous"}  # which nothing refers to

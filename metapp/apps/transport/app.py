@@ -15,6 +15,8 @@ from metapp.learning.draws import normal, uniform
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
+PICTURE_SPP = 1024  # paths a pixel of pictures that fits are judged by, as in Fischer & Ritschel 2022, table 2
+REFERENCE_SPP = 8192  # paths a pixel of their reference, with next-event estimation
 OUTER_SAMPLES = 2048  # samples of a training scene that preparation judges a fit by
 JITTER = 0.1  # of what augmentation adds to the log of a picture
 
@@ -24,12 +26,20 @@ class Transport(App):
     """One scene a task: samples of its light paths in proportion to the luminance that they carry.
 
     Attributes:
-        picture: side of the pictures that fits are judged by, px; no training depends on it, so that checkpoints
-            are the same for all sizes.
+        picture: side of the pictures that fits are judged by, px; no training depends on it or on the numbers of paths,
+            so that checkpoints are the same for all of them.
+        spp: paths a pixel of these pictures.
+        reference_spp: paths a pixel of their reference, with next-event estimation.
+        shown_spp: paths a pixel of the pictures that a run leaves.
+        overview_spp: paths a pixel of those in its overview.
     """
 
     network: Flow = field()
     picture: int = field(default=64, compare=False)
+    spp: int = field(default=PICTURE_SPP, compare=False)
+    reference_spp: int = field(default=REFERENCE_SPP, compare=False)
+    shown_spp: int = field(default=512, compare=False)
+    overview_spp: int = field(default=256, compare=False)
 
     name = "transport"
     error_measure = ErrorMeasure(

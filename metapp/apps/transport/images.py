@@ -13,6 +13,7 @@ from torch import Generator, Tensor
 from metapp.appearance.metrics import displayed, dssim, mape, smape
 from metapp.appearance.picture_measures import further_errors
 from metapp.appearance.pictures import REFERENCE, Compared, Fitted
+from metapp.apps.transport.app import PICTURE_SPP, REFERENCE_SPP
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params, Task
@@ -22,12 +23,10 @@ from metapp.rendering.paths.resampling import draw_samples
 from metapp.rendering.scenes.stored_text import scene_of
 
 SHOWN_PX = 64  # px of a side, of the pictures that a run leaves
-SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
 FIXED = "fixed time"
 REGULAR_NEE = "regular + NEE"  # Mitsuba's path
-REFERENCE_SPP = 8192  # with next-event estimation, in two halves, which tell its own error
-WAVE_PATHS = 2**22  # paths at a time
+WAVE_PATHS = 2**22  # paths of Mitsuba's path at a time
 
 
 class Shot(NamedTuple):
@@ -44,15 +43,27 @@ class Studio:
         scene: its JSON text, UTF-8.
         size: side of the pictures, px.
         next_event: whether paths, guided or not, have next-event estimation from the second surface on.
+        spp: paths a pixel of the pictures that are compared with it.
+        reference_spp: paths a pixel of the reference, in two halves, which tell its own error.
+        wave_paths: paths of Mitsuba's path at a time, as memory asks for.
 
     Raises:
         ValueError: it cannot be traced here.
     """
 
-    def __init__(self, scene: bytes, size: int, next_event: bool = False) -> None:
+    def __init__(
+        self,
+        scene: bytes,
+        size: int,
+        next_event: bool = False,
+        *,
+        spp: int = PICTURE_SPP,
+        reference_spp: int = REFERENCE_SPP,
+        wave_paths: int = WAVE_PATHS,
+    ) -> None:
         text = torch.frombuffer(bytearray(scene), dtype=torch.uint8)
         self.tracer = path_space.Tracer(scene_of(text), next_event=next_event)
-        self.size = size
+        self.size, self.spp, self.reference_spp, self.wave_paths = size, spp, reference_spp, wave_paths
 
     def regular(self, spp: int, seed: int = 0) -> Shot:
         """A picture by the sampling of materials alone."""
@@ -70,7 +81,7 @@ class Studio:
 
     def path(self, spp: int, seed: int = 0) -> Shot:
         """A picture by Mitsuba's path, with next-event estimation, in as many waves as memory asks for."""
-        most = max(1, WAVE_PATHS // self.size**2)
+        most = max(1, self.wave_paths // self.size**2)
         counts = [min(most, spp - first) for first in range(0, spp, most)]
         shots = [self._by("path", count, seed * 2**16 + i) for i, count in enumerate(counts)]
         total = sum(count * shot.picture for count, shot in zip(counts, shots, strict=True))
@@ -99,7 +110,7 @@ class Studio:
     @functools.cached_property
     def halves(self) -> Tensor:
         """The picture itself twice, of half the paths each, with other random numbers: [2, 3, size, size]."""
-        spp = max(1, REFERENCE_SPP // 2)
+        spp = max(1, self.reference_spp // 2)
         return torch.stack([path_space.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
 
     @functools.cached_property
@@ -121,7 +132,7 @@ class Studio:
     def baseline(self) -> Shot:
         """The one by the sampling of materials that others are compared with."""
         self.regular(1)  # the first call compiles
-        return self.regular(SPP)
+        return self.regular(self.spp)
 
     def errors(self, picture: Tensor) -> dict[str, float]:
         """Measures of a picture against the reference."""
@@ -136,18 +147,21 @@ def _timed(shoot: Callable[[], Tensor]) -> Shot:
     return Shot(picture, time.process_time() - begin)
 
 
-def studio_of(task: Task, size: int = SHOWN_PX) -> Studio:
-    """The studio of a task's scene, for pictures of a size.
+def studio_of(
+    task: Task, size: int = SHOWN_PX, *, spp: int = PICTURE_SPP, reference_spp: int = REFERENCE_SPP
+) -> Studio:
+    """Return the studio of a task's scene, for pictures of a size.
 
     Raises:
         ValueError: the scene cannot be traced here.
     """
-    return _studio(task.data["scene"].cpu().numpy().tobytes(), size, "next_event" in task.data)
+    scene = task.data["scene"].cpu().numpy().tobytes()
+    return _studio(scene, size, "next_event" in task.data, spp=spp, reference_spp=reference_spp)
 
 
 @functools.lru_cache(maxsize=16)  # a reference takes seconds, of 256 px minutes
-def _studio(scene: bytes, size: int, next_event: bool) -> Studio:
-    return Studio(scene, size, next_event)
+def _studio(scene: bytes, size: int, next_event: bool, **numbers_of_paths: int) -> Studio:
+    return Studio(scene, size, next_event, **numbers_of_paths)
 
 
 def integrators() -> dict[str, Entry[Callable[[], None]]]:
@@ -160,22 +174,21 @@ def row_of(integrator: str) -> str:
     return f"{integrator.removeprefix('metapp_')} + NEE"
 
 
-def picture_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:
+def picture_errors(studio: Studio, flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
     """Measure the pictures that fits guide, and those of REGULAR, REGULAR_NEE and `integrators`, which have no fit.
 
     Args:
+        studio: of the task's scene.
         flow: the network.
         fits: by name.
-        task: holds the `scene`.
-        size: side of the pictures, px.
+        task: holds the `samples` that fits see.
 
     Returns:
-        By name: `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel; `time`, of the picture over Regular's, the table
+        By name: `MAPE`, `SMAPE` and `DSSIM` at the studio's `spp`; `time`, of the picture over Regular's, the table
         counted; `fixed time`, of the preparation, whatever the paths: the samples that fits see, the fit and its
         table, over Regular's picture; and `MAPE, equal time`, of as many paths as there is time for where all of that
-        and the picture may take as long as Regular for SPP, left out if there is none. REFERENCE has its own `MAPE`.
+        and the picture may take as long as Regular's `spp`, left out if there is none. REFERENCE has its own `MAPE`.
     """
-    studio = studio_of(task, size)
     regular = studio.errors(studio.baseline.picture)
     errors = {
         REFERENCE: {"MAPE": studio.reference_error},
@@ -184,7 +197,7 @@ def picture_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int
     without_fit = {REGULAR_NEE: studio.path}
     without_fit |= {row_of(name): functools.partial(studio.by, name) for name in integrators()}
     for name, shoot in without_fit.items():
-        shoot(min(SPP, 64), 0)  # the first call compiles
+        shoot(min(studio.spp, 64), 0)  # the first call compiles
         errors[name] = _errors(studio, shoot)
     sampling = studio.sampling(task.data["samples"]) if fits else 0.0
     for i, (name, fit) in enumerate(fits.items()):
@@ -200,9 +213,9 @@ def _errors(
     studio: Studio, shoot: Callable[[int, int], Shot], *, fixed: float = 0.0, table: float = 0.0, seed: int = 0
 ) -> dict[str, float]:
     """Measure a picture for `picture_errors`; `shoot` takes paths a pixel and a seed, `seed` that of equal time."""
-    plain, shot = studio.baseline.seconds, shoot(SPP, 0)
+    plain, shot = studio.baseline.seconds, shoot(studio.spp, 0)
     errors = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: fixed / plain}
-    spp = int(SPP * (plain - fixed) / max(shot.seconds - table, 1e-9))
-    if spp >= 1:
-        errors[EQUAL_TIME] = float(mape(shoot(spp, seed).picture[None], studio.reference[None]))
+    in_time = int(studio.spp * (plain - fixed) / max(shot.seconds - table, 1e-9))
+    if in_time >= 1:
+        errors[EQUAL_TIME] = float(mape(shoot(in_time, seed).picture[None], studio.reference[None]))
     return errors

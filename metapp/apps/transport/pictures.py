@@ -10,7 +10,6 @@ from metapp.apps.transport.flow import DIRECTIONS, Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params
 
-SHOWN_SPP, GLANCE_SPP = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
 FILM, PARTS, CELLS = 32, 4, 16  # places along the film, parts of it, cells of directions in each
 PART_PX = 32  # px of a part
 

@@ -26,31 +26,30 @@ class TransportPresenter(Presenter[Transport]):
     def picture_measure(self) -> str:
         notes = "".join(f"{plugin.help}; " for plugin in images.integrators().values())
         return (
-            f"pictures of {self.app.picture} px of 1024 paths a pixel; fits guide three of four paths, without "
-            f"next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts the "
-            "samples that a fit sees, the fit, its table and the picture"
+            f"pictures of {self.app.picture} px of {self.app.spp} paths a pixel; fits guide three of four paths, "
+            f"without next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts "
+            "the samples that a fit sees, the fit, its table and the picture"
         )
 
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Draw the film, and the directions at sixteen parts of it, of the samples and of the fit.
 
-        On the film there are the scene's picture and one of GLANCE_SPP paths a pixel that the fit guides; if there is
-        no scene, the densities.
+        On the film there are the scene's picture and one that the fit guides; if there is no scene, the densities.
         """
         network, reference, guided = self.app.network, None, None
         if "scene" in task.data:
             studio = images.studio_of(task)
-            reference, guided = studio.glance, studio.guided(network, theta, pictures.GLANCE_SPP).picture
+            reference, guided = studio.glance, studio.guided(network, theta, self.app.overview_spp).picture
         return {
             "reference": pictures.picture_of_samples(task.data["samples"], reference),
             "fit": pictures.picture_of_flow(network, theta, guided),
         }
 
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """Return the scene guided by the fit and without a guide, SHOWN_SPP paths a pixel; {} if there is no scene."""
+        """Return the scene guided by the fit and without a guide; {} if there is no scene."""
         if "scene" not in task.data:
             return {}
-        studio, spp = images.studio_of(task), pictures.SHOWN_SPP
+        studio, spp = images.studio_of(task), self.app.shown_spp
         shots = {"guided": studio.guided(self.app.network, theta, spp), "regular": studio.regular(spp)}
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
 
@@ -59,7 +58,11 @@ class TransportPresenter(Presenter[Transport]):
 
         Pictures without a guide are measured, too: see :func:`metapp.apps.transport.images.picture_errors`.
         """
-        return images.picture_errors(self.app.network, fits, task, self.app.picture) if "scene" in task.data else {}
+        if "scene" not in task.data:
+            return {}
+        app = self.app
+        studio = images.studio_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
+        return images.picture_errors(studio, app.network, fits, task)
 
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
         """State that paths have next-event estimation, where the task's samples have."""

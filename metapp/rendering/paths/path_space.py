@@ -45,17 +45,17 @@ class Tracer:
         depth: edges of the longest path, as `max_depth` of Mitsuba's `path`.
         next_event: whether paths have next-event estimation; those of a scene with a point, spot or directional emitter
             have it anyway.
-        batch_paths: paths that are traced at a time for samples; more take memory.
+        batch_paths: paths that are traced at a time for samples, None for BATCH_PATHS; more take memory.
 
     Raises:
         ValueError: as `load_scene`.
     """
 
     def __init__(
-        self, scene: SceneDict, depth: int = DEPTH_EDGES, next_event: bool = False, batch_paths: int = BATCH_PATHS
+        self, scene: SceneDict, depth: int = DEPTH_EDGES, next_event: bool = False, batch_paths: int | None = None
     ) -> None:
         self.mi, self.scene, self.brightest = load_scene(scene)
-        self.depth, self.batch_paths = depth, batch_paths
+        self.depth, self.batch_paths = depth, batch_paths or BATCH_PATHS
         flags = (emitter.flags() for emitter in self.scene.emitters())
         self.next_event = next_event or any(self.mi.has_flag(flag, self.mi.EmitterFlags.Delta) for flag in flags)
 

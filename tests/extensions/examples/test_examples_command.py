@@ -2,10 +2,12 @@
 
 import shlex
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.examples.commands import FOLDER, READ_VGG, lines_of
 from metapp.names import app_names
 from tests.needs_mitsuba import skip_without_mitsuba
@@ -22,7 +24,8 @@ def inputs(request: pytest.FixtureRequest, metapp: Callable, app: str) -> None:
 @pytest.fixture
 def works(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
     """Runs a command of a script and looks for the files that it makes, whose noise does not matter."""
-    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN_SPP", 4)
+    full = RECIPES["full"]
+    monkeypatch.setitem(RECIPES, "full", replace(full, app=replace(full.app, shown_spp=4)))
 
     def run(line: str) -> None:
         if "transport" in line or "--render" in line:

@@ -1,6 +1,7 @@
 """Entries of the extension: the integrator, its row in tables of pictures, `--render`; and all without it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,11 @@ import torch
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
 from metapp.apps import presenter_of
-from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
+from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Task
-from metapp.rendering.paths import path_space
 from metapp.rendering.scenes.stored_text import scene_bytes
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -29,22 +29,19 @@ def task_of(seed: int) -> Task:
 
 @pytest.mark.long
 @needs_mitsuba
-def test_the_integrator_has_a_row_in_the_table_of_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(images, "SPP", 64)
-    monkeypatch.setattr(images, "REFERENCE_SPP", 64)
-    presenter, task = presenter_of(Transport(FLOW, picture=16)), task_of(0)
+def test_the_integrator_has_a_row_in_the_table_of_pictures() -> None:
+    presenter, task = presenter_of(Transport(FLOW, picture=16, spp=64, reference_spp=64)), task_of(0)
     assert list(presenter.picture_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, "guided_path + NEE"]
 
 
+@pytest.mark.usefixtures("few_paths")
 @needs_mitsuba
 def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(path_space, "BATCH_PATHS", 2**16)
-    monkeypatch.setattr("metapp.apps.transport.pictures.SHOWN_SPP", 4)
-    monkeypatch.setattr("metapp.apps.transport.pictures.GLANCE_SPP", 1)
-    monkeypatch.setattr("metapp.extensions.guided.rendering.SPP", 16)
+    full = RECIPES["full"]
+    monkeypatch.setitem(RECIPES, "full", replace(full, app=replace(full.app, shown_spp=4, overview_spp=1)))
     (box,) = write_example("transport", Path())
     result = metapp("overfit", "transport", box, "--steps", "2", "--render", "24")
     assert result.code == 0, result.err
@@ -53,5 +50,5 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     assert {picture.shape for picture in made} == {(24, 24, 3)}
     assert np.mean(made[0]) == pytest.approx(np.mean(made[1]), rel=0.2)
     assert (folder / "guided_path.png").is_file()
-    assert "guided_path: 16 samples a pixel in" in result.err
+    assert "guided_path: 64 samples a pixel in" in result.err
     assert "regular_nee: " in result.err

@@ -62,9 +62,7 @@ def test_scene_files_are_recognised(tmp_path: Path) -> None:
         find(tmp_path / "none.xml")
 
 
-@pytest.fixture(autouse=True)
-def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 2**16)
+pytestmark = pytest.mark.usefixtures("few_paths")
 
 
 @needs_mitsuba
