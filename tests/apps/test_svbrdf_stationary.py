@@ -110,52 +110,60 @@ def test_windows_cover_the_picture_and_fade_towards_their_edges() -> None:
 # What is compared
 
 
-def test_a_photo_is_at_no_distance_from_itself(
-    sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    app, theta = TINY, TINY.init(seeded(), 3)
+def test_a_photo_is_at_no_distance_from_itself(sources: list[Task], tasks: Tasks) -> None:
+    theta = TINY.init(seeded(), 3)
     photos = torch.stack([task.data["image"] for task in sources]).float()[:, None] / 255
 
-    def show(pictures: Tensor) -> None:
-        def shown(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
-            return pictures.expand(-1, maps.diffuse.shape[1], -1, -1, -1)
+    def showing(pictures: Tensor) -> SvbrdfStationary:
+        class ShownStatistics(FlashStatistics):
+            @staticmethod
+            def photograph(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+                return pictures.expand(-1, maps.diffuse.shape[1], -1, -1, -1)
 
-        monkeypatch.setattr(FlashStatistics, "photograph", staticmethod(shown))
+        class Shown(SvbrdfStationary):
+            @property
+            def statistics(self) -> FlashStatistics:
+                return ShownStatistics(self.octaves)
 
-    show(photos)
+        return Shown(**vars(TINY))
+
+    app = showing(photos)
     assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
     found = app.errors(theta, tasks)
     assert set(found) == {"error", "spectrum", "brightness"}
     assert all(value.max() < 1e-5 for value in found.values())
 
-    show(photos.roll(1, 0))  # another photo's: the highlight is elsewhere
-    assert app.errors(theta, tasks)["error"].min() > 0.1
-    show(photos.flip(-1))  # windows know where the light is, spectra do not
-    turned = app.errors(theta, tasks)
+    # another photo's: the highlight is elsewhere
+    assert showing(photos.roll(1, 0)).errors(theta, tasks)["error"].min() > 0.1
+    # windows know where the light is, spectra do not
+    turned = showing(photos.flip(-1)).errors(theta, tasks)
     assert (turned["error"][1:] > 0.2).all()
-    show(photos.sqrt())
-    brighter = app.errors(theta, tasks)["brightness"]
+    brighter = showing(photos.sqrt()).errors(theta, tasks)["brightness"]
     torch.testing.assert_close(brighter, (photos.sqrt() - photos).mean((1, 2, 3, 4)), rtol=0.01, atol=0)
 
 
 # The light
 
 
-def test_the_light_is_where_the_highlight_is(
-    sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_light_is_where_the_highlight_is(sources: list[Task], tasks: Tasks) -> None:
     """Found in the photo, and put there, above the camera's plane, whenever a fit is compared with it or shown."""
     lights = tasks.data["light"]
     torch.testing.assert_close(lights[:, :2], torch.tensor(PLACES), rtol=0, atol=0.1)
     torch.testing.assert_close(lights[:, 2], camera()[2].expand(3))
-    app, used = TINY, []
-    photograph = FlashStatistics.photograph
+    used = []
 
-    def spied(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
-        used.append((light, view))
-        return photograph(maps, light, view)
+    class NotedStatistics(FlashStatistics):
+        @staticmethod
+        def photograph(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+            used.append((light, view))
+            return FlashStatistics.photograph(maps, light, view)
 
-    monkeypatch.setattr(FlashStatistics, "photograph", staticmethod(spied))
+    class Noted(SvbrdfStationary):
+        @property
+        def statistics(self) -> FlashStatistics:
+            return NotedStatistics(self.octaves)
+
+    app = Noted(**vars(TINY))
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)

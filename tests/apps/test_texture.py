@@ -14,7 +14,7 @@ from metapp.apps.exemplar.app import JUDGED_PICTURES, draw_noise
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.texture.app import SMALLEST_CROP, GramStatistics, Texture
 from metapp.learning.app import stack
-from metapp.learning.task import Task, Tasks
+from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import UNet
 
 SIZE, LEVELS = 32, 3
@@ -142,14 +142,23 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 # Fitting, and what fits make
 
 
-def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_order_is_measured_where_the_exemplar_has_some() -> None:
     """1 for the exemplar itself, about 0 for noise, nothing for an exemplar without order."""
     app = replace(TINY, octaves=replace(TINY.octaves, height=64, width=64))
+
+    def showing(picture: Tensor) -> Texture:
+        class Shown(Texture):
+            def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
+                return picture[None, None]
+
+        return Shown(**vars(app))
+
     fits = {"a": Fitted({"z": torch.zeros(8)}, 0.0)}
     paving = paved().repeat(1, 2, 2)[:, :64, :64]
     for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):
-        monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0, made=made: made[None, None])
-        measured = measure_pictures(presenter_of(app), fits, Task("paving", {"image": (255 * paving).to(torch.uint8)}))
+        task = Task("paving", {"image": (255 * paving).to(torch.uint8)})
+        measured = measure_pictures(presenter_of(showing(made)), fits, task)
         assert measured["a"]["order"] == pytest.approx(expected, abs=0.25)
     noise = torch.randint(256, (3, 64, 64), generator=seeded(1), dtype=torch.uint8)
-    assert "order" not in measure_pictures(presenter_of(app), fits, Task("noise", {"image": noise}))["a"]
+    disorder = measure_pictures(presenter_of(showing(noise / 255)), fits, Task("noise", {"image": noise}))
+    assert "order" not in disorder["a"]

@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from torch import Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.console import LONGEST, one_line
 from metapp.learning.recipe import Adam
+from metapp.learning.task import Task
 from metapp.runs import fitting
 from metapp.storage.fits import PARAMS, RECORD, read_fits
 from tests.conftest import Result
@@ -110,16 +112,18 @@ def test_messages_are_one_short_line(metapp: Callable) -> None:
 def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
     fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    def fail(*_: object) -> None:
-        raise error
+    class Failing(Brdf):
+        def prepare(self, task: Task) -> dict[str, Tensor]:
+            raise error
 
-    monkeypatch.setattr(Brdf, "prepare", staticmethod(fail))
-    line = one(fit("overfit", network, "--steps", "2"))
+    quick, words = RECIPES["quick"], ("overfit", network, "--steps", "2", "--recipe", "quick")
+    monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Failing(quick.app.network)))
+    line = one(fit(*words))
     assert type(error).__name__ in line
     assert "please report it" in line
     monkeypatch.setenv("METAPP_TRACEBACK", "1")
     with pytest.raises(type(error)):
-        fit("overfit", network, "--steps", "2")
+        fit(*words)
 
 
 def test_records_state_threads_and_fits_that_end_worse(

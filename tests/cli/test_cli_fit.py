@@ -17,6 +17,7 @@ from safetensors.torch import load_file, save_file
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
+from metapp.learning.task import Params, Tasks
 from metapp.storage.checkpoints import digest, load_checkpoint
 from metapp.storage.fits import RECORD, read_fits, read_params
 from tests.conftest import Result
@@ -231,16 +232,17 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     assert record["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
 
 
-def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    errors, calls = Brdf().errors, []
+def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
+    calls = []
 
-    def interrupted(theta, tasks):
-        calls.append(tasks.names)
-        if len(calls) in (2, 4):
-            raise KeyboardInterrupt
-        return errors(theta, tasks)
+    class Interrupted(Brdf):
+        def errors(self, theta: Params, tasks: Tasks) -> dict[str, torch.Tensor]:
+            calls.append(tasks.names)
+            if len(calls) in (2, 4):
+                raise KeyboardInterrupt
+            return super().errors(theta, tasks)
 
-    monkeypatch.setattr(Brdf, "errors", staticmethod(interrupted))
+    monkeypatch.setitem(RECIPES, "quick", replace(short, app=Interrupted(short.app.network)))
     result = fit("overfit")
     assert result.code == 130
     assert "the same command goes on with training where it was, with --resume with fits" in result.err
@@ -353,15 +355,14 @@ def test_refuses_bad_files(fit: Callable, metapp: Callable, networks: Path) -> N
 
 
 def test_parameters_that_are_not_finite_are_an_error(
-    metapp: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch, short: Recipe
 ) -> None:
-    init = Brdf.init
+    class Infinite(Brdf):
+        def init(self, rng: torch.Generator, count: int) -> Params:
+            return {key: value / 0 for key, value in super().init(rng, count).items()}
 
-    def infinite(self: Brdf, rng: torch.Generator, count: int) -> dict[str, torch.Tensor]:
-        return {key: value / 0 for key, value in init(self, rng, count).items()}
-
-    monkeypatch.setattr(Brdf, "init", infinite)
-    error = metapp("overfit", "brdf", networks / "m1", "--steps", "0").error
+    monkeypatch.setitem(RECIPES, "quick", replace(short, app=Infinite(short.app.network)))
+    error = metapp("overfit", "brdf", networks / "m1", "--steps", "0", "--recipe", "quick").error
     assert "m1: the fit's parameters are not finite" in error
     assert not list(Path("runs").rglob("*.jsonl"))
 

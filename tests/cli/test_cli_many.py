@@ -3,11 +3,15 @@
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from torch import Tensor
 
 from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.recipes import RECIPES
+from metapp.learning.task import Params, Tasks
 from metapp.runs import fitting
 from metapp.runs.inputs.sources import Input
 from metapp.storage.fits import marked_name, read_fits
@@ -108,15 +112,15 @@ def test_a_broken_file_stops_no_other(fit: Callable, fitted: list[list[str]], ma
 def test_a_fit_that_fails_is_parted_from_its_batch(
     fit: Callable, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    measure = Brdf().errors
+    class Broken(Brdf):
+        def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+            found = super().errors(theta, tasks)
+            bad = [i for i, name in enumerate(tasks.selected_names) if name == "m1"]
+            found["error"][bad] = float("nan")
+            return found
 
-    def broken(theta, tasks):
-        found = measure(theta, tasks)
-        bad = [i for i, name in enumerate(tasks.selected_names) if name == "m1"]
-        found["error"][bad] = float("nan")
-        return found
-
-    monkeypatch.setattr(Brdf, "errors", staticmethod(broken))
+    quick = RECIPES["quick"]
+    monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Broken(quick.app.network)))
     result = fit("--batch", "4")
     assert result.error == "error: 1 of 5 inputs were not fitted."
     assert sorted(errors(result.document)) == ["m0", "m2", "m3", "m4"]
@@ -130,16 +134,16 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
 def test_batches_beyond_the_memory_are_fitted_one_by_one(
     fit: Callable, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = fitting.fit_side_by_side
+    class Large(Brdf):
+        def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+            if len(tasks) > 2:
+                raise MemoryError
+            return super().errors(theta, tasks)
 
-    def short(run, tasks, *more, **options):
-        if len(tasks) > 2:
-            raise MemoryError
-        return original(run, tasks, *more, **options)
-
-    monkeypatch.setattr(fitting, "fit_side_by_side", short)
+    quick = RECIPES["quick"]
+    monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Large(quick.app.network)))
     assert fit("--batch", "4").code == 0
-    assert fitted == [["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
+    assert fitted == [NAMES[:4], *([name] for name in NAMES)]
 
 
 def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
