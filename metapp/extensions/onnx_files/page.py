@@ -59,26 +59,28 @@ def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Seq
     write_bytes(folder / "index.html", page.encode())
 
 
-def runtime(report: Callable[[int, int | None], None]) -> dict[str, bytes]:
-    """The files PARTS of onnxruntime-web, of the cache's archive or of one that is fetched into it.
+def runtime(report: Callable[[int, int | None], None], *, url: str = URL, sha512: str = SHA512) -> dict[str, bytes]:
+    """Return the files PARTS of onnxruntime-web, of the cache's archive or of one that is fetched into it.
 
     Args:
         report: told the bytes that are there and those expected; None if that is unknown.
+        url: where the archive is fetched, such as a mirror of npm.
+        sha512: its digest, as npm writes it.
 
     Raises:
         ValueError: neither is to be had; the registry's is another file than expected.
     """
     path = cache_folder() / ARCHIVE
     content = read_bytes(path) if path.is_file() else b""
-    if digest(content) != SHA512:
+    if digest(content) != sha512:
         try:
-            content = download(URL, report)
+            content = download(url, report)
         except ValueError as error:
             wanted = f"expected onnxruntime-web {VERSION} (33 MB), once; get it elsewhere and put it at {path}"
             raise ValueError(f"{error}, {wanted}.") from None
         found = digest(content)
-        if found != SHA512:
-            raise ValueError(f"{URL}: SHA-512 {found[:16]}..., expected {SHA512[:16]}...; damaged or another file.")
+        if found != sha512:
+            raise ValueError(f"{url}: SHA-512 {found[:16]}..., expected {sha512[:16]}...; damaged or another file.")
         write_bytes(path, content)
     with tarfile.open(fileobj=io.BytesIO(content), mode="r:gz") as archive:
         members = {name: archive.extractfile(member) for name, member in PARTS.items()}

@@ -2,6 +2,7 @@
 
 import io
 import tarfile
+import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -151,25 +152,24 @@ def archive(parts: dict[str, bytes]) -> bytes:
     return buffer.getvalue()
 
 
-def test_the_runtime_is_fetched_once_and_compared(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    content = archive(PARTS)
-    monkeypatch.setattr(pages, "URL", (tmp_path / "npm.tgz").as_uri())
+def test_the_runtime_is_fetched_once_and_compared(cache: Path, tmp_path: Path) -> None:
+    content, url = archive(PARTS), (tmp_path / "npm.tgz").as_uri()
+    ours = {"url": url, "sha512": pages.digest(content)}
     line = r"expected onnxruntime-web .* \(33 MB\), once; get it elsewhere and put it at .*\.tgz\.$"
     with pytest.raises(ValueError, match=line):
-        pages.runtime(lambda *_: None)
+        pages.runtime(lambda *_: None, url=url)
     (tmp_path / "npm.tgz").write_bytes(content)
     with pytest.raises(ValueError, match=r"SHA-512 .*\.\.\., expected q0y\+Jrrtuk.*; damaged or another file\.$"):
-        pages.runtime(lambda *_: None)
+        pages.runtime(lambda *_: None, url=url)
     assert not list(cache.iterdir())
-    monkeypatch.setattr(pages, "SHA512", pages.digest(content))
     shown: list[tuple[int, int | None]] = []
-    assert pages.runtime(lambda *state: shown.append(state)) == PARTS
+    assert pages.runtime(lambda *state: shown.append(state), **ours) == PARTS
     assert shown[-1] == (len(content), len(content))
     (tmp_path / "npm.tgz").unlink()
-    assert pages.runtime(lambda *_: None) == PARTS
+    assert pages.runtime(lambda *_: None, **ours) == PARTS
     (cache / pages.ARCHIVE).write_bytes(content[:-1])  # damaged: asked for anew
     with pytest.raises(ValueError, match=line):
-        pages.runtime(lambda *_: None)
+        pages.runtime(lambda *_: None, **ours)
 
 
 def test_the_command_refuses_before_it_computes(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,6 +178,10 @@ def test_the_command_refuses_before_it_computes(metapp: Callable, monkeypatch: p
     Path("page/index.html").touch()
     words = ("export", "svbrdf_nonstationary", "onnx-page")
     assert "page/index.html: is there already" in metapp(*words, "--out", "page").misuse
-    monkeypatch.setattr(pages, "URL", Path("none.tgz").absolute().as_uri())
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError("no route")
+
+    monkeypatch.setattr(urllib.request, "urlopen", refuse)
     assert "expected onnxruntime-web" in metapp(*words).refusal
     assert not Path("onnx-page").exists()
