@@ -48,16 +48,24 @@ def task_of(light: Tensor) -> Task:
     return Task("lamps", {"map": light, "scale": torch.tensor(3.0), "photos": photos, "seen": light, "certain": shares})
 
 
+LIGHT = lamps(1, sun=30.0)
+
+
+class Fitted(Illumination):
+    """Fits that have a known map, whatever the parameters of their networks."""
+
+    def radiance_of(self, theta: Params) -> Tensor:
+        return LIGHT[None]
+
+
 @pytest.fixture
-def fitted(monkeypatch: pytest.MonkeyPatch) -> Tensor:
-    """The map that the networks give."""
-    light = lamps(1, sun=30.0)
-    monkeypatch.setattr(LocalField, "__call__", lambda field, theta, places: light.log()[None])
-    return light
+def fitted() -> Tensor:
+    """The map that the fits have."""
+    return LIGHT.clone()
 
 
 def shown(protocol: str) -> tuple[Illumination, Params]:
-    app = Illumination(FIELD, protocol=protocol)
+    app = Fitted(FIELD, protocol=protocol)
     return app, {key: each[0] for key, each in app.init(Generator().manual_seed(0), 1).items()}
 
 
@@ -73,14 +81,16 @@ def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted: Tensor) -> 
     assert set(view_of(presenter_of(app), theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
 
 
-def test_suns_beyond_half_floats_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_suns_beyond_half_floats_are_kept() -> None:
     app, theta = shown("reference")
     pixels = torch.full((256, 512, 3), 0.01)
     pixels[100, 200, 0] = 1e5
-    monkeypatch.setattr(
-        IlluminationPresenter, "map_picture", lambda presenter, theta, task: Picture(pixels, "radiance")
-    )
-    view = view_of(presenter_of(app), theta, Task("sun", {}))
+
+    class Sunny(IlluminationPresenter):
+        def map_picture(self, theta: Params, task: Task) -> Picture:
+            return Picture(pixels, "radiance")
+
+    view = view_of(Sunny(app), theta, Task("sun", {}))
     kept = view.arrays["map"].float() * view.facts["scale"]
     assert torch.isfinite(kept).all()
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)

@@ -19,7 +19,6 @@ from metapp.apps import presenter_of
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import TILED
 from metapp.apps.texture.app import Texture
-from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR
 from metapp.extensions.viewer.pages import transport as pages
@@ -109,14 +108,12 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
 @pytest.mark.long
 @needs_mitsuba
 def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(pages, "SIDE_PX", 16)
-    monkeypatch.setattr(pages, "SECONDS", 0.5)
-    monkeypatch.setattr(pages, "REFERENCE_SECONDS", 0.2)
+    effort = pages.Effort(side_px=16, seconds=0.5, reference_seconds=0.2)
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
     flow = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-    app, task = Transport(flow), Task("room", {"scene": scene_bytes(random_scene(0))})
+    task = Task("room", {"scene": scene_bytes(random_scene(0))})
     theta = {key: value[0] for key, value in flow.init(Generator().manual_seed(0), 1).items()}
-    view = view_of(presenter_of(app), theta, task)
+    view = pages.scene_view(flow, theta, task, effort)
     shown = {each["title"]: each for each in view.facts["pictures"]}
     names = ("reference", REGULAR, pages.GUIDED)
     worst = [f"worst region x4, {name}" for name in names]
@@ -129,8 +126,7 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
         assert sorted(seconds) == list(seconds)
         assert float(mape(light[line["label"]], light["reference"])) == pytest.approx(errors[-1], rel=0.01)
     assert view.facts["notes"][0].startswith("To a MAPE of ")
-    monkeypatch.setattr(pages, "_traced", lambda *_: pytest.fail("traced again"))
-    again = view_of(presenter_of(app), theta, task)
+    again = pages.scene_view(flow, theta, task, effort)  # seconds would not be the same if it were traced again
     assert (again.facts, list(again.arrays)) == (view.facts, list(view.arrays))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import time
@@ -29,13 +30,28 @@ from metapp.runs.surroundings import threads
 from metapp.storage import Document
 from metapp.storage.tensor_cache import cached_tensors
 
-SIDE_PX = 256  # px of a side
-SECONDS, REFERENCE_SECONDS = 3.0, 10.0  # of CPU: for regular and guided paths each, for the reference
 ZOOM = 4  # times that the worst region is enlarged
 GUIDED = "guided by the fit"
 HALF = 65504.0  # the greatest of float16
 
-Shoot = Callable[[int, int], Tensor]  # of samples a pixel and a seed, a picture [3, SIDE_PX, SIDE_PX]
+Shoot = Callable[[int, int], Tensor]  # of samples a pixel and a seed, a picture [3, size, size]
+
+
+class Effort(NamedTuple):
+    """What the pictures of a scene may cost.
+
+    Attributes:
+        side_px: side of the pictures, px.
+        seconds: seconds of CPU for regular and for guided paths, each.
+        reference_seconds: seconds of CPU for the reference.
+    """
+
+    side_px: int = 256
+    seconds: float = 3.0
+    reference_seconds: float = 10.0
+
+
+USUAL = Effort()
 
 
 class Progress(NamedTuple):
@@ -56,9 +72,9 @@ def view(presenter: Presenter[Transport], theta: Params, task: Task) -> View:
     return pictures_view(shown)._replace(thumbnail=thumbnail(shown["fit"][:, : len(shown["fit"])]))
 
 
-def scene_view(flow: Flow, theta: Params, task: Task) -> View:
-    """The scene of a task; its pictures are kept in the cache folder, so that a page made again traces nothing."""
-    made = _kept("fit", [task.data["scene"], *theta.values()], lambda: _traced(flow, theta, task))
+def scene_view(flow: Flow, theta: Params, task: Task, effort: Effort = USUAL) -> View:
+    """Show the scene of a task; its pictures are kept in the cache folder, so that a page made again traces nothing."""
+    made = _kept("fit", [task.data["scene"], *theta.values()], effort, lambda: _traced(flow, theta, task, effort))
     reference = made[REFERENCE]
     unit = reference.mean().clamp_min(1e-20)  # pictures hold radiance of any unit then
     shots = {name: Progress(*(made[f"{name} {field}"] for field in Progress._fields)) for name in (REGULAR, GUIDED)}
@@ -82,32 +98,34 @@ def scene_view(flow: Flow, theta: Params, task: Task) -> View:
         "compared": [REGULAR, GUIDED],
         "reference": REFERENCE,
         "region": region,
-        "notes": [said, *_notes(made, "next_event" in task.data)],
+        "notes": [said, *_notes(made, "next_event" in task.data, effort)],
     }
     return View("pictures", arrays, {}, facts, thumbnail=thumbnail(tone_map(reference / unit).permute(1, 2, 0)))
 
 
-def _kept(what: str, of: Sequence[Tensor], make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+def _kept(what: str, of: Sequence[Tensor], effort: Effort, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
     """Tensors from the cache, for these inputs and this code."""
-    settings = repr((SIDE_PX, SECONDS, REFERENCE_SECONDS)).encode()
+    settings = repr(tuple(effort)).encode()
     digest = hashlib.sha256(settings + b"".join(each.detach().cpu().numpy().tobytes() for each in of)).hexdigest()
     sources = [str(module.__file__) for module in (guide, images, path_space)]
     return cached_tensors(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], make)
 
 
-def _traced(flow: Flow, theta: Params, task: Task) -> dict[str, Tensor]:
+def _traced(flow: Flow, theta: Params, task: Task, effort: Effort) -> dict[str, Tensor]:
     """The reference, with its own error, and the pictures of regular and guided paths as `Progress` has them."""
-    studio = studio_of(task, SIDE_PX)
+    studio = studio_of(task, effort.side_px)
     with threads(single=True):  # the table is made of small tensors, for which threads only wait
-        halves = _kept("reference", [task.data["scene"]], lambda: {"halves": _reference_halves(studio)})["halves"]
+        make = functools.partial(_reference_halves, studio, effort.reference_seconds)
+        halves = _kept("reference", [task.data["scene"]], effort, lambda: {"halves": make()})["halves"]
         reference = halves.mean(0)
         begin = time.process_time()
         table = guide.table_of(flow, theta)
         before, by = time.process_time() - begin, path_space.Guide(table.sample, table.density)
+        side, seconds = effort.side_px, effort.seconds
         shots = {
-            REGULAR: progress(lambda spp, seed: studio.regular(spp, seed).picture, reference, 0.0),
+            REGULAR: progress(lambda spp, seed: studio.regular(spp, seed).picture, reference, 0.0, seconds),
             GUIDED: progress(
-                lambda spp, seed: path_space.render(studio.tracer, spp, SIDE_PX, seed, by), reference, before
+                lambda spp, seed: path_space.render(studio.tracer, spp, side, seed, by), reference, before, seconds
             ),
         }
     # a half is as far from the mean of both as that is from the truth
@@ -117,21 +135,22 @@ def _traced(flow: Flow, theta: Params, task: Task) -> dict[str, Tensor]:
     return made
 
 
-def _reference_halves(studio: Studio) -> Tensor:
+def _reference_halves(studio: Studio, seconds: float) -> Tensor:
     """Two pictures by Mitsuba's path, of other random numbers, [2, 3, size, size]."""
     studio.path(1)  # the first call compiles
     rate = studio.path(4).seconds / 4
-    spp = max(1, round(REFERENCE_SECONDS / 2 / max(rate, 1e-9)))
+    spp = max(1, round(seconds / 2 / max(rate, 1e-9)))
     return torch.stack([studio.path(spp, seed).picture for seed in (1, 2)])
 
 
-def progress(shoot: Shoot, reference: Tensor, before: float) -> Progress:
-    """A picture of as many samples as SECONDS of CPU have room for, measured each time that their number has doubled.
+def progress(shoot: Shoot, reference: Tensor, before: float, most_seconds: float = USUAL.seconds) -> Progress:
+    """Take a picture of as many samples as there is time for, measured each time that their number has doubled.
 
     Args:
         shoot: takes samples a pixel and a seed, which is another one for each part.
         reference: [3, size, size].
         before: seconds of CPU that something took before the first sample.
+        most_seconds: seconds of CPU that all may take.
     """
     shoot(1, 0)  # the first call compiles
     total, count, spent, points, part = torch.zeros_like(reference), 0, before, list[tuple[float, float]](), 1
@@ -141,7 +160,7 @@ def progress(shoot: Shoot, reference: Tensor, before: float) -> Progress:
         seconds = time.process_time() - begin
         spent, count = spent + seconds, count + part
         points.append((spent, float(mape(total[None] / count, reference[None]))))
-        part = min(count, int((SECONDS - spent) / max(seconds / part, 1e-9)))
+        part = min(count, int((most_seconds - spent) / max(seconds / part, 1e-9)))
     taken, errors = torch.tensor(points).unbind(1)
     return Progress(total / count, taken, errors, torch.tensor(count))
 
@@ -173,12 +192,12 @@ def worst_region(picture: Tensor, reference: Tensor) -> list[int]:
     return [column, row, side, side]
 
 
-def _notes(made: dict[str, Tensor], next_event: bool) -> list[str]:
+def _notes(made: dict[str, Tensor], next_event: bool, effort: Effort) -> list[str]:
     where = "from the second surface on" if next_event else "at no surface"
     return [
         f"{GUIDED}: the fit guides three of four paths, with next-event estimation {where}. {REGULAR}: by the sampling "
-        f"of materials. Both have about {SECONDS:.0f} s of CPU, the guide's table counted; the fit and its samples are "
-        "not: metapp evaluate --which image counts these.",
+        f"of materials. Both have about {effort.seconds:.0f} s of CPU, the guide's table counted; the fit and its "
+        "samples are not: metapp evaluate --which image counts these.",
         f"The reference, by Mitsuba's path, has a MAPE of about {float(made['own error']):.2g} of its own, below which "
         "no error can be told. The worst region is that of the guided picture. All show the central square of the "
         "scene. spp: samples a pixel; s: seconds of CPU. Radiance is in units of the reference's mean.",
