@@ -85,17 +85,14 @@ def test_a_line_says_how_much_is_kept(metapp: Callable, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("look", [{"half_side": 40.0}, {"half_side": 40.0, "finger": True}, {"thickness": 0.0}])
-def test_photographs_that_show_one_plane_are_registered_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, look: dict
-) -> None:
+def test_photographs_that_show_one_plane_are_registered_once(tmp_path: Path, look: dict) -> None:
     registered: list[tuple] = []
 
     def once(*args: object) -> tuple:
         registered.append(find_cameras(*args))
         return registered[-1]
 
-    monkeypatch.setattr(sample, "find_cameras", once)
-    result = find_sample(photograph(tmp_path, **{"thickness": THICKNESS} | look))
+    result = find_sample(photograph(tmp_path, **{"thickness": THICKNESS} | look), register=once)
     assert result == (*registered[0], 1.0)
     assert len(result[0]) == len(CAMERAS)
 
@@ -109,11 +106,8 @@ def test_photographs_stay_as_they_are_where_no_sample_is_found(monkeypatch: pyte
     everywhere = np.ones((192, 192), bool)
     monkeypatch.setattr(sample, "compare_on_planes", lambda _: sample.Agreement(~everywhere, everywhere, 3))
     paths = [camera.sighting.path for camera in found[0]]
-    with monkeypatch.context() as patch:
-        patch.setattr(sample, "find_cameras", register)
-        assert find_sample(paths) == (*found[:3], 0.0)
-    monkeypatch.setattr(sample, "find_cameras", lambda *_, **__: found[:3])  # registered, but of no plane
-    assert find_sample(paths) == (*found[:3], 0.0)
+    assert find_sample(paths, register=register) == (*found[:3], 0.0)
+    assert find_sample(paths, register=lambda *_, **__: found[:3]) == (*found[:3], 0.0)  # registered, but of no plane
 
 
 def test_the_largest_square_is_turned_as_the_part_is() -> None:

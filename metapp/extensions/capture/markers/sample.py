@@ -68,6 +68,7 @@ def find_sample(
     done: Callable[[str], object] = str,
     begin: Callable[[str], object] = str,
     show: Show = show_nothing,
+    register: Callable[..., tuple[list[Camera], float, list[str]]] = find_cameras,
 ) -> tuple[list[Camera], float, list[str], float]:
     """Find the cameras of photographs above the marker sheet's opening, or above the largest square on the sample.
 
@@ -80,6 +81,7 @@ def find_sample(
         done: called with the name of each photograph that was searched.
         begin: called with what is done next, in words.
         show: as :func:`find_cameras` takes it.
+        register: finds cameras as :func:`find_cameras` does.
 
     Returns:
         Cameras, focal length and lines of photographs left out, as :func:`find_cameras` returns them; and the share of
@@ -88,7 +90,7 @@ def find_sample(
     Raises:
         ValueError: as :func:`find_cameras`.
     """
-    found = find_cameras(paths, fov_rad, ruler_cm, done, begin, show)
+    found = register(paths, fov_rad, ruler_cm, done, begin, show)
     begin("comparing photos on planes of several heights")
     if found[0][0].sighting.sheet or not compare_on_planes(found[0]).shows_table:
         return *found, 1.0
@@ -97,7 +99,7 @@ def find_sample(
     paths = sorted(paths, key=lambda path: path not in [x.sighting.path for x in found[0] if x.sighting.reference])
     for _ in range(2):  # by the middle, then by all of the sample, which is more exact
         try:
-            cameras, focal_mm, skipped = find_cameras(paths, fov_rad, ruler_cm, str, begin, parts=parts)
+            cameras, focal_mm, skipped = register(paths, fov_rad, ruler_cm, str, begin, parts=parts)
         except ValueError:  # too few features there
             break
         *middle, side, turn_rad = find_largest_square(select_middle_region(compare_on_planes(cameras).sample))
