@@ -109,10 +109,15 @@ def print_notes(notes: Sequence[str]) -> None:
         out().print("\n".join(lines))
 
 
-def rich_table(table: Table) -> RichTable:
-    """The table of one application for a terminal: as many columns, from the left, as it has room for."""
+def rich_table(table: Table, width: int | None = None) -> RichTable:
+    """Lay out the table of one application for a terminal: as many columns, from the left, as it has room for.
+
+    Args:
+        table: with rows.
+        width: of the terminal, in characters; None for that of standard output.
+    """
     grid = RichTable()
-    room, columns = out().width - 1, list[list[str]]()
+    room, columns = (width or out().width) - 1, list[list[str]]()
     for column in table.columns:
         lines = [part for part in column.title.rpartition(" ")[::2] if part]  # two: most columns are of short numbers
         cells = [escaped(column.text(row)) for row in table.rows]

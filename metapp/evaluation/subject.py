@@ -39,25 +39,26 @@ class Subject:
         presenter: of the application.
         title: of the application, in tables and pictures.
         measuring: whether missing records are measured when a table asks for them.
-        whole: whether all rows are of all test tasks; else those of more than LONG steps are of FEW of them.
+        whole: whether all rows are of all test tasks; else those of more than LONG steps are of `few` of them.
+        few: number of tasks of these rows.
         runs: by the name of a row of the results: the paradigms, then meta:<rule> for further rules with a checkpoint.
         tasks: the test tasks; none if nothing is to be measured and the embedded set was never made.
         label: name of the data set in run folders.
         asked: (tasks, records of these) of all that tables asked for, by its title.
     """
 
-    def __init__(self, run: Run, *, measuring: bool, whole: bool = True) -> None:
+    def __init__(self, run: Run, *, measuring: bool, whole: bool = True, few: int = FEW) -> None:
         """Read all checkpoints, then the tasks: a missing one should not be found after an hour of fits.
 
         Args:
-            run, measuring, whole: as the attributes.
+            run, measuring, whole, few: as the attributes.
 
         Raises:
             ValueError: a checkpoint is missing that fits need; if nothing is measured it is printed, and rows stay
                 empty.
         """
         self.run, self.app, self.presenter, self.title = run, run.app, run.presenter, run.presenter.title
-        self.measuring, self.whole = measuring, whole
+        self.measuring, self.whole, self.few = measuring, whole, few
         self.asked: dict[str, tuple[list[Task], list[Record]]] = {}
         self._tables: dict[str, Table] = {}
         self.runs: dict[str, Run] = {}
@@ -87,7 +88,7 @@ class Subject:
 
     def tasks_of(self, name: str) -> list[Task]:
         """The tasks of a row of the results."""
-        return self.tasks if self.whole or self.runs[name].paradigm.steps <= LONG else evenly(self.tasks, FEW)
+        return self.tasks if self.whole or self.runs[name].paradigm.steps <= LONG else evenly(self.tasks, self.few)
 
     def is_of_few(self, name: str) -> bool:
         """True if a row of the results is of some of the tasks alone."""

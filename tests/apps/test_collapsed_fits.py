@@ -31,10 +31,10 @@ def test_a_network_of_zeros_is_black_where_the_material_is_not() -> None:
     assert ["the input is one reflectance" in note for note in notes] == [False, False, True]
 
 
-def fitted(app: SvbrdfNonstationary, maps: Maps) -> SvbrdfNonstationary:
+def fitted(app: FromPhoto, maps: Maps) -> FromPhoto:
     """An application whose fits have these maps, whatever their parameters."""
 
-    class Fitted(SvbrdfNonstationary):
+    class Fitted(FromPhoto):
         def maps_of(self, theta: Params, photo: Tensor) -> Maps:
             return maps
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 from metapp.apps import protocol_entry
 from metapp.evaluation.rows import paper, row_of
-from metapp.evaluation.subject import FEW, Subject, evenly
+from metapp.evaluation.subject import Subject, evenly
 from metapp.evaluation.table import Column, Row, Table, columns
 from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
@@ -78,7 +78,7 @@ def near(error: float | None, wanted: float | None) -> bool:
 
 
 def _traced(subject: Subject) -> list[Task]:
-    return evenly(subject.tasks, TRACED if subject.whole else FEW)
+    return evenly(subject.tasks, TRACED if subject.whole else subject.few)
 
 
 def trace_records(subject: Subject) -> list[Record]:

@@ -1,14 +1,15 @@
 """Rows of the tables beside the results: ablation, trace, storage, samples, pictures."""
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 from torch import Generator
 
+from metapp.appearance.pictures import Fitted
 from metapp.apps.brdf.presenter import BrdfPresenter
 from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
@@ -113,19 +114,22 @@ def test_samples_are_those_that_steps_draw(subject: Subject) -> None:
     assert found["general"]["seen"] == 1024
 
 
-def test_measures_of_pictures(data: Path, done: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_measures_of_pictures(data: Path, done: Path, tmp_path: Path) -> None:
     runs = shutil.copytree(done / "runs", tmp_path / "runs")
 
-    def measured(self: Any, fits: Any, task: Task) -> dict[str, dict[str, float]]:
-        assert all(fit.seconds > 0 and fit.theta["w2"].shape == (21, 21) for fit in fits.values())
-        value = 0.94 + 0.01 * int(task.name[1:])  # m0 is below the bound
-        return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
+    class Measured(BrdfPresenter):
+        def picture_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+            assert all(fit.seconds > 0 and fit.theta["w2"].shape == (21, 21) for fit in fits.values())
+            value = 0.94 + 0.01 * int(task.name[1:])  # m0 is below the bound
+            return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
 
-    monkeypatch.setattr(BrdfPresenter, "picture_errors", measured)
-    monkeypatch.setattr(BrdfPresenter, "comparison", lambda *_: None)
+        def comparison(self, *_: object) -> None:
+            return None
+
     (kept,) = (runs / "brdf").glob("image-*")
     shutil.rmtree(kept)
     subject = subject_of(data, runs)
+    subject.presenter = Measured(subject.app)
     by = {(row["paradigm"], row["measure"]): row for row in rows(subject, "image")}
     assert by["regular", "MAPE"]["error"] == 0.5
     assert by["regular", "SSIM"]["error"] is None

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 import torch
 
+from metapp.apps.brdf.app import Brdf
 from metapp.cli.evaluating import subjects_of
 from metapp.cli.evaluation_options import Evaluation
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
-from metapp.runs.reporter import Bar
+from metapp.runs.reporter import Bar, Reporter, reporting
 from metapp.runs.surroundings import find_device
 from metapp.storage.fits import Record, RunFolder
 from tests.evaluation.cli.subjects import subject_of
@@ -77,12 +78,28 @@ def test_fits_of_few_steps_come_first(empty: Subject) -> None:
     assert [record["name"] for record in empty.found("general")] == ["m0", "m1", "m2"]
 
 
-def test_the_progress_counts_gradient_steps(measure: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    lines: list[tuple[int, int | None, str]] = []
-    monkeypatch.setattr("metapp.evaluation.subject.progress", lambda *_, **__: contextlib.nullcontext(Bar()))
-    monkeypatch.setattr(Bar, "at", lambda _, *line: lines.append(line))
-    measure("long", steps=99)
-    assert lines == [
+class Heard(Reporter, Bar):
+    """Keeps the lines that are said, and what its one bar shows."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.shown: list[tuple[int, int | None, str]] = []
+
+    def say(self, message: str) -> None:
+        self.lines.append(message)
+
+    def bar(self, *_: object) -> contextlib.AbstractContextManager[Bar]:
+        return contextlib.nullcontext(self)
+
+    def at(self, done: int, total: int | None, note: str = "") -> None:
+        self.shown.append((done, total, note))
+
+
+def test_the_progress_counts_gradient_steps(measure: Callable, empty: Subject) -> None:
+    empty.run = replace(empty.run, options=replace(empty.run.options, quiet=False))
+    with reporting(heard := Heard()):
+        measure("long", steps=99)
+    assert heard.shown == [
         (0, 300, "brdf long"),
         (100, 300, "brdf long m0"),
         (200, 300, "brdf long m1"),
@@ -90,26 +107,26 @@ def test_the_progress_counts_gradient_steps(measure: Callable, monkeypatch: pyte
     ]
 
 
-def test_a_row_is_said_as_soon_as_it_is_measured(
-    measure: Callable, empty: Subject, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lines: list[str] = []
-    monkeypatch.setattr("metapp.evaluation.subject.say", lines.append)
-    measure("quiet")
-    assert lines == []
-    empty.run = replace(empty.run, options=replace(empty.run.options, quiet=False))
-    for _ in range(2):  # the second time it is there
-        measure("some")
-    assert lines == ["brdf some: mean error 1.000, 3 tasks"]
+def test_a_row_is_said_as_soon_as_it_is_measured(measure: Callable, empty: Subject) -> None:
+    with reporting(heard := Heard()):
+        measure("quiet")
+        assert heard.lines == []
+        empty.run = replace(empty.run, options=replace(empty.run.options, quiet=False))
+        for _ in range(2):  # the second time it is there
+            measure("some")
+    assert heard.lines == ["brdf some: mean error 1.000, 3 tasks"]
 
 
-def test_fits_have_the_threads_of_their_application(measure: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fits_have_the_threads_of_their_application(measure: Callable, empty: Subject) -> None:
+    class Threaded(Brdf):
+        single_threaded = False
+
     counts: list[int] = []
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(2)
-        for single in (True, False):
-            monkeypatch.setattr("metapp.apps.brdf.app.Brdf.single_threaded", single)
+        for single, kind in ((True, Brdf), (False, Threaded)):
+            empty.app = kind(**vars(empty.app))
             measure(f"{single}", lambda _: counts.append(torch.get_num_threads()))
         find_device("cpu", app_by("illumination"))  # looking for a device changes nothing
         assert [*counts[::3], torch.get_num_threads()] == [1, 2, 2]
@@ -122,10 +139,9 @@ def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypa
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
     monkeypatch.setattr("metapp.cli.evaluating.app_names", lambda: ["texture", "transport"])
     monkeypatch.setattr("metapp.evaluation.subject.tasks_of_data", lambda *_: ([], "none"))  # drawn in minutes
-    lines: list[str] = []
-    monkeypatch.setattr("metapp.cli.evaluating.say", lines.append)
-    assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path), [])] == ["transport"]
-    (line,) = lines
+    with reporting(heard := Heard()):
+        assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path), [])] == ["transport"]
+    (line,) = heard.lines
     assert line.startswith("Texture is left out: ")
     assert "metapp data vgg" in line
     with pytest.raises(ValueError, match="metapp data vgg"):

@@ -75,24 +75,21 @@ def test_fits_that_carry_a_warning_are_counted(subject: Subject) -> None:
 
 
 @pytest.mark.parametrize("width", [60, 120, 200])
-def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
-    width: int, subject: Subject, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_shows_as_many_columns_as_it_has_room_for(width: int, subject: Subject) -> None:
     from rich.console import Console
 
-    monkeypatch.setattr("metapp.cli.evaluating.out", lambda: Console(width=width))
     for name in registry().tables:
         table = subject.table(name)
         if not table.rows:
             continue
         console = Console(width=width)
         with console.capture() as shown:
-            console.print(rich_table(table))
+            console.print(rich_table(table, width))
         text = shown.get()
         assert max(map(len, text.splitlines())) <= width
         assert "…" not in text
         if width == 200:
-            assert len(rich_table(table).columns) == len(table.columns)
+            assert len(rich_table(table, width).columns) == len(table.columns)
         for row in table.rows:
             assert table.columns[0].text(row) in text, name
 
@@ -131,9 +128,8 @@ def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, 
     assert {name: row["tasks"] for name, row in rows.items() if row["tasks"]} == {"quickft": 3}
 
 
-def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.evaluation.subject.FEW", 2)
-    short = Subject(subject.run, measuring=True, whole=False)
+def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject) -> None:
+    short = Subject(subject.run, measuring=True, whole=False, few=2)
     whole, few = ({row["paradigm"]: row for row in rows(one, "results")} for one in (subject, short))
     assert [name for name in few if few[name]["few"]] == ["overfit"]  # of 40 steps; the others have 10 at most
     assert [row["tasks"] for row in few.values()] == [3 - (name == "overfit") for name in few]

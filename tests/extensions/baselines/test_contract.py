@@ -24,7 +24,7 @@ from metapp.names import app_names, protocols_of
 from metapp.registry import WITHOUT as LEAVING_OUT
 from metapp.registry import registry
 from metapp.runs.options import fit_options
-from metapp.runs.reporter import Reporter
+from metapp.runs.reporter import Reporter, reporting
 from metapp.runs.run import Run
 from metapp.storage.fits import RunFolder, read_params
 from metapp.storage.shards import write_shard
@@ -211,13 +211,18 @@ def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) ->
 
 
 def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
-    subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
+    subject_of: Callable[[str, str], Subject],
 ) -> None:
-    subject, messages = subject_of("brdf", ""), []
-    monkeypatch.setattr(Reporter, "say", lambda _, message: messages.append(message))
+    subject, messages = subject_of("brdf", ""), list[str]()
+
+    class Heard(Reporter):
+        def say(self, message: str) -> None:
+            messages.append(message)
+
     for task in subject.tasks:
         task.data["angles"] = task.data["angles"] + 0.01
-    assert baseline_records(subject, baselines_of(subject.app)[0]) == []
+    with reporting(Heard()):
+        assert baseline_records(subject, baselines_of(subject.app)[0]) == []
     assert any("pca_20" in line and "other angles" in line for line in messages)
     subject.measuring = False
     assert rows_of(subject)["pca_20"]["tasks"] == 0
