@@ -21,7 +21,7 @@ from metapp.rendering.scenes.rules import Files, snake_case
 from metapp.storage.files import open_regular, open_text, placeholder_line
 
 TEXT_LENGTH = 2**24  # characters of a scene file or an include
-_DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
+DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
 _VOLUME = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
 _BOX_BYTES = 24
 _DRIVE = re.compile(r"[A-Za-z]:[\\/]")  # begins an absolute name of Windows
@@ -38,10 +38,12 @@ class Places(Files):
     Attributes:
         search: folders in which relative names are looked for, in this order.
         roots: resolved folders that hold all files that may be read; none: of a stored scene.
+        most_bytes: of a mesh, bitmap or spectrum.
     """
 
     search: tuple[Path, ...] = ()
     roots: tuple[Path, ...] = ()
+    most_bytes: int = DATA_BYTES
 
     @classmethod
     def beside(cls, path: Path, others: Iterable[Path] = ()) -> Places:
@@ -67,8 +69,8 @@ class Places(Files):
         if not path.is_file():
             raise ValueError(f"names {path!s:.200}, which is no regular file; give a mesh, bitmap or spectrum.")
         size = path.stat().st_size
-        if size > _DATA_BYTES:
-            raise ValueError(f"names {path!s:.200}, of {size:,} bytes, expected {_DATA_BYTES:,} at most.")
+        if size > self.most_bytes:
+            raise ValueError(f"names {path!s:.200}, of {size:,} bytes, expected {self.most_bytes:,} at most.")
         if line := placeholder_line(path):
             raise ValueError(f"names {line}")
         _read_before.add(path)
@@ -136,15 +138,19 @@ def _spelled_otherwise(folder: Path, name: str) -> Path | None:
     return path
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, most_characters: int = TEXT_LENGTH) -> str:
     """Read the text of a regular file; a FIFO or a device is refused at once, not waited for.
+
+    Args:
+        path: of the file.
+        most_characters: of the text.
 
     Raises:
         ValueError: no regular file, too large, not readable, no text.
     """
     try:
         with open_text(path) as file:
-            content = file.read(TEXT_LENGTH + 1)
+            content = file.read(most_characters + 1)
     except UnicodeDecodeError:
         raise ValueError("not text in UTF-8 or UTF-16, expected a scene of Mitsuba 3.") from None
     except (IsADirectoryError, ValueError) as error:
@@ -152,8 +158,10 @@ def read_text(path: Path) -> str:
         raise ValueError(found or "no regular file, expected a scene of Mitsuba 3.") from None
     except OSError as error:
         raise ValueError(f"{error.strerror}, expected a scene of Mitsuba 3 that can be read.") from None
-    if len(content) > TEXT_LENGTH:
-        raise ValueError(f"more than {TEXT_LENGTH:,} characters, expected a scene of Mitsuba 3; put meshes in files.")
+    if len(content) > most_characters:
+        raise ValueError(
+            f"more than {most_characters:,} characters, expected a scene of Mitsuba 3; put meshes in files."
+        )
     return content
 
 
