@@ -6,6 +6,7 @@ from torch import Tensor
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.flash import Maps
 from metapp.apps import presenter_of
+from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task
 from tests.quick import app_by

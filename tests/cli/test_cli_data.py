@@ -6,8 +6,10 @@ import os
 import shutil
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,9 +17,12 @@ import pytest
 import torch
 
 from data_tools.readers.merl import read_merl
+from data_tools.synthetic import brdf as synthetic_brdf
 from data_tools.synthetic import transport as synthetic_transport
+from data_tools.synthetic.stationary.families import Split
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.learning.task import Task
+from metapp.registry import registry
 from metapp.rendering.scenes.stored_text import scene_of
 from metapp.runs.inputs.embedded import embedded_data, split_counts
 from metapp.storage.shards import check_shard, read_manifest, read_shard
@@ -302,13 +307,28 @@ def test_synth_writes_merl_files_that_convert_back(metapp: Callable) -> None:
     assert [task.name for task in read_manifest(Path("shards")).tasks] == [test]
 
 
+def interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def few(split: Split, count: int, seed: int) -> Iterator[Task]:
+    """The boxes of the embedded set, of few samples each."""
+    return synthetic_tasks(split, count, seed, samples=100, held=20)
+
+
+# embedded sets, as entries of the registry name them: modules
+INTERRUPTED = SimpleNamespace(**vars(synthetic_brdf) | {"synthetic_tasks": interrupt})
+OF_FEW_SAMPLES = SimpleNamespace(**vars(synthetic_transport) | {"synthetic_tasks": few})
+
+
+def embed(monkeypatch: pytest.MonkeyPatch, app: str, name: str) -> None:
+    """Have the registry name an object of this module as the embedded set of an application."""
+    entry = replace(registry().synthetic[app], reference=f"{__name__}:{name}")
+    monkeypatch.setitem(registry().synthetic.data, app, entry)
+
+
 def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from data_tools.synthetic import brdf as synthetic_brdf
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(synthetic_brdf, "synthetic_tasks", interrupt)
+    embed(monkeypatch, "brdf", "INTERRUPTED")
     stale = cache / "data" / ".partial-1-brdf"
     stale.mkdir(parents=True)
     os.utime(stale, (time.time() - 7200,) * 2)
@@ -356,10 +376,7 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
 @pytest.mark.usefixtures("few_paths")
 @needs_mitsuba
 def test_the_embedded_set_is_made_of_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
-    def few(split: str, count: int, seed: int) -> object:
-        return synthetic_tasks(split, count, seed, samples=100, held=20)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(synthetic_transport, "synthetic_tasks", few)
+    embed(monkeypatch, "transport", "OF_FEW_SAMPLES")
     folder = embedded_data("transport", count=3, quiet=True)
     assert [task.name for task in read_manifest(folder).tasks] == ["box-000", "box-001", "box-t000"]
     assert check_shard(folder) == []

@@ -18,6 +18,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
+from metapp.registry import registry
 from metapp.storage.checkpoints import digest, load_checkpoint
 from metapp.storage.fits import RECORD, read_fits, read_params
 from tests.conftest import Result
@@ -55,16 +56,19 @@ def errors_of(result: Result) -> list[float]:
 # What works
 
 
+def write_to_a_full_disk(*arguments: object) -> None:
+    """An export, as entries of the registry name it."""
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 @pytest.mark.parametrize("full", [False, True])
 def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.MonkeyPatch, full: bool) -> None:
     """Parameters and records are written first; a file in a folder's place, or a full disk, is said by its path."""
     folder = Path(fit("general", *STEPS, "--json").done["out"])
 
-    def write(*arguments: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     if full:
-        monkeypatch.setattr("data_tools.readers.merl.export", write)
+        merl = replace(registry().exports["brdf", "merl"], reference=f"{__name__}:write_to_a_full_disk")
+        monkeypatch.setitem(registry().exports.data, ("brdf", "merl"), merl)
     else:
         for name in ("m4", "m9"):
             (folder / name / "merl").touch()

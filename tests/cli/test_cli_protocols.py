@@ -31,6 +31,7 @@ from metapp.cli.fitting import VISIBLE_TILT_DEGREES
 from metapp.evaluation.tables.results import closing
 from metapp.names import exports_of
 from metapp.networks.field import LocalField
+from metapp.registry import registry
 from metapp.runs.keeping import execute
 from metapp.runs.options import fit_options
 from metapp.runs.outputs.recorded import recorded_fits, tasks_as
@@ -210,7 +211,7 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     metapp: Callable, shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     form = replace(exports_of(SVBRDF)["asset"], needs=("no_such_module", "no-such-package"))
-    monkeypatch.setattr("metapp.runs.options.exports_of", lambda app: {"asset": form})
+    monkeypatch.setitem(registry().exports.data, (SVBRDF, "asset"), form)
     misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in misuse
     assert not Path("runs").exists()

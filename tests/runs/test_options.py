@@ -175,7 +175,7 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
     """An extension's format of a suffix that is taken neither wins nor loses in silence."""
     (tmp_path / "paint.csv").write_text("")
     gonio = registry().formats["gonio"]
-    monkeypatch.setattr("metapp.runs.inputs.finding.inputs_of", lambda app: {"acme": gonio, "gonio": gonio})
+    monkeypatch.setitem(registry().formats, "acme", gonio)
     for path in (tmp_path / "paint.csv", tmp_path):
         options = fit_options("brdf", "general", inputs=[path], recipe="full")
         with pytest.raises(

@@ -5,11 +5,13 @@ import os
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from metapp.appearance.presenter import Presenter
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.viewer.pages import brdf
 from metapp.extensions.viewer.view import View, view_of
@@ -166,22 +168,28 @@ def test_what_cannot_be_fitted_is_left_out_of_all(
     assert metapp("try", "texture").refusal == "error: texture needs weights"
 
 
+# pages, as entries of the registry name them
+
+
+def view_of_none(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
+    raise ValueError(f"{task.name}: no photo, expected one; give it by --input.")
+
+
+def view_of_some(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
+    return (view_of_none if task.name == "m0" else brdf.view)(presenter, theta, task)
+
+
 def test_fits_that_cannot_be_shown_are_left_out(
     metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, lacking = fitted("meta"), {"m0"}
-    view = brdf.view
-
-    def some(app: Brdf, theta: Params, task: Task) -> View:
-        if task.name in lacking:
-            raise ValueError(f"{task.name}: no photo, expected one; give it by --input.")
-        return view(app, theta, task)
-
-    monkeypatch.setattr(brdf, "view", some)
+    run = fitted("meta")
+    page = replace(registry().pages["brdf"], reference=f"{__name__}:view_of_some")
+    monkeypatch.setitem(registry().pages.data, "brdf", page)
     result = metapp("view", run, "--no-open", "--out", "some.html")
     assert (result.code, [group["title"] for group in groups_of(Path("some.html"))]) == (0, ["m1"])
     assert "warning: left out: meta of m0: no photo, expected one; give it by --input." in result.err
-    lacking.add("m1")
+    page = replace(page, reference=f"{__name__}:view_of_none")
+    monkeypatch.setitem(registry().pages.data, "brdf", page)
     assert "m0: no photo, expected one" in metapp("view", run, "--no-open", "--out", "none.html").error
     assert not Path("none.html").exists()
 
