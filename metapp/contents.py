@@ -156,7 +156,7 @@ def register(registry: Registry) -> None:
         help="one flash photo",
         suits={"photos": 1},
         paradigms=("general", "quickft", "meta"),
-        lacks=f"{PHOTOS}.pretrained.encoder:lacks",
+        lacks=f"{PHOTOS}.pretrained.encoder:describe_missing_weights",
     )
     registry.recipes["svbrdf_nonstationary", "photo", "several"] = RecipeEntry(
         f"{PHOTOS}.several.recipe:SEVERAL",
