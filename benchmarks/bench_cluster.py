@@ -21,11 +21,11 @@ import numpy as np
 from examples.dask_fits import fits_of
 from examples.ray_fits import Fits
 
-ROWS, BATCH = 2000, 2
-HEAD = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
+TABLE_ROWS, BATCH_MATERIALS = 2000, 2
+TABLE_HEADER = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
 
 
-class Span(NamedTuple):
+class TimeSpan(NamedTuple):
     """When work was asked for, the first fit began, the last one ended; the CPU time of fits; all in seconds."""
 
     asked: float
@@ -34,7 +34,7 @@ class Span(NamedTuple):
     cpu: float
 
 
-def stamped(sources: Sequence[str]) -> tuple[float, float, float]:
+def time_fits(sources: Sequence[str]) -> tuple[float, float, float]:
     """Fit sources on a worker: when that began and ended, without imports, and the CPU seconds between."""
     import metapp
 
@@ -45,23 +45,23 @@ def stamped(sources: Sequence[str]) -> tuple[float, float, float]:
     return began, time.time(), time.process_time() - cpu
 
 
-class Stamped(Fits):
+class TimedFits(Fits):
     """The same by an actor of Ray."""
 
     def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
-        return {"stamps": np.array([stamped([str(source) for source in batch["item"]])])}
+        return {"stamps": np.array([time_fits([str(source) for source in batch["item"]])])}
 
 
-def batches(sources: Sequence[str]) -> list[Sequence[str]]:
-    return [sources[first : first + BATCH] for first in range(0, len(sources), BATCH)]
+def split_batches(sources: Sequence[str]) -> list[Sequence[str]]:
+    return [sources[first : first + BATCH_MATERIALS] for first in range(0, len(sources), BATCH_MATERIALS)]
 
 
-def by_loop(sources: Sequence[str], workers: int) -> Span:
+def fit_by_loop(sources: Sequence[str], workers: int) -> TimeSpan:
     asked = time.time()
-    return span(asked, [stamped(batch) for batch in batches(sources)])
+    return span_of_stamps(asked, [time_fits(batch) for batch in split_batches(sources)])
 
 
-def by_dask(sources: Sequence[str], workers: int) -> Span:
+def fit_by_dask(sources: Sequence[str], workers: int) -> TimeSpan:
     from dask.distributed import Client, LocalCluster
 
     asked = time.time()
@@ -69,35 +69,37 @@ def by_dask(sources: Sequence[str], workers: int) -> Span:
         LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster) as client,
     ):
-        return span(asked, client.gather(client.map(stamped, batches(sources), pure=False)))
+        return span_of_stamps(asked, client.gather(client.map(time_fits, split_batches(sources), pure=False)))
 
 
-def by_ray(sources: Sequence[str], workers: int) -> Span:
+def fit_by_ray(sources: Sequence[str], workers: int) -> TimeSpan:
     import ray
 
     logging.getLogger("ray.data").setLevel(logging.ERROR)
     asked = time.time()
     ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False, logging_level="error")
     ray.data.DataContext.get_current().enable_progress_bars = False
-    data = ray.data.from_items(list(sources), override_num_blocks=len(batches(sources)))
+    data = ray.data.from_items(list(sources), override_num_blocks=len(split_batches(sources)))
     actors = ray.data.ActorPoolStrategy(size=workers)
-    rows = data.map_batches(Stamped, fn_constructor_args=("brdf",), batch_size=BATCH, compute=actors).take_all()
+    rows = data.map_batches(
+        TimedFits, fn_constructor_args=("brdf",), batch_size=BATCH_MATERIALS, compute=actors
+    ).take_all()
     ray.shutdown()
-    return span(asked, [tuple(row["stamps"]) for row in rows])
+    return span_of_stamps(asked, [tuple(row["stamps"]) for row in rows])
 
 
-def span(asked: float, stamps: Sequence[tuple[float, ...]]) -> Span:
+def span_of_stamps(asked: float, stamps: Sequence[tuple[float, ...]]) -> TimeSpan:
     began, ended, cpu = zip(*stamps, strict=True)
-    return Span(asked, min(began), max(ended), sum(cpu))
+    return TimeSpan(asked, min(began), max(ended), sum(cpu))
 
 
-WAYS: list[tuple[str, Callable[[Sequence[str], int], Span], int]] = [
-    ("loop", by_loop, 1),
-    ("Dask", by_dask, 1),
-    ("Dask", by_dask, 2),
-    ("Ray Data", by_ray, 1),
-    ("Ray Data", by_ray, 2),
-    ("loop", by_loop, 1),
+CLUSTER_METHODS: list[tuple[str, Callable[[Sequence[str], int], TimeSpan], int]] = [
+    ("loop", fit_by_loop, 1),
+    ("Dask", fit_by_dask, 1),
+    ("Dask", fit_by_dask, 2),
+    ("Ray Data", fit_by_ray, 1),
+    ("Ray Data", fit_by_ray, 2),
+    ("loop", fit_by_loop, 1),
 ]
 
 
@@ -105,10 +107,10 @@ def write_materials(folder: Path, count: int) -> list[str]:
     """Tables of Lambertian materials with a little noise, at random directions."""
     rng = np.random.default_rng(0)
     for number in range(count):
-        angles = rng.uniform(0, 1, (ROWS, 4)) * (80, 360, 80, 360)
-        colours = rng.uniform(0.1, 0.6, 3) / np.pi * rng.uniform(0.98, 1.02, (ROWS, 1))
+        angles = rng.uniform(0, 1, (TABLE_ROWS, 4)) * (80, 360, 80, 360)
+        colours = rng.uniform(0.1, 0.6, 3) / np.pi * rng.uniform(0.98, 1.02, (TABLE_ROWS, 1))
         rows = np.concatenate([angles, colours], 1)
-        np.savetxt(folder / f"m{number:03}.csv", rows, "%.6g", ",", header=HEAD, comments="")
+        np.savetxt(folder / f"m{number:03}.csv", rows, "%.6g", ",", header=TABLE_HEADER, comments="")
     return sorted(map(str, folder.glob("*.csv")))
 
 
@@ -119,11 +121,11 @@ def main() -> None:
     count = parser.parse_args().count
     with tempfile.TemporaryDirectory() as folder:
         sources = write_materials(Path(folder), count)
-        stamped(sources[:1])  # what the first fit on a machine compiles and keeps
+        time_fits(sources[:1])  # what the first fit on a machine compiles and keeps
         print("| by | workers | materials a minute | of the loop | CPU s a material | start-up, s |")
         print("|---|---|---|---|---|---|", flush=True)
         first = 0.0
-        for name, run, workers in WAYS:
+        for name, run, workers in CLUSTER_METHODS:
             done = run(sources, workers)
             rate = 60 * count / (done.ended - done.began)
             first = first or rate

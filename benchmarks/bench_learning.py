@@ -44,25 +44,25 @@ from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from benchmarks.bench_growth import Size, draw
+from benchmarks.bench_growth import ProblemSize, draw_batch
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.native import nbrdf
-from metapp.extensions.native.compiler import load
-from metapp.extensions.native.fastest import compiled_steps
-from metapp.extensions.native.fastest import steps as fastest
-from metapp.learning.adjoint import Draw, Loss, StepsOf, torch_steps
+from metapp.extensions.native.compiler import load_library
+from metapp.extensions.native.fastest import choose_steps as fastest
+from metapp.extensions.native.fastest import make_compiled_steps
+from metapp.learning.adjoint import DrawnBatch, Loss, StepsOf, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, sgd
 from metapp.learning.task import Batch, Params
 from metapp.rules import rule_of
 
-APP = Brdf()
+LEARNING_APP = Brdf()
 
-SIZE, RATE = Size(steps=10, tasks=8, samples=512), 1e-2
-STEPS, TASKS, SAMPLES = SIZE
-ROUNDS = 25
-DEFAULT = "meta-curvature"
+LEARNING_SIZE, LEARNING_RATE = ProblemSize(steps=10, tasks=8, samples=512), 1e-2
+INNER_STEPS, BATCH_TASKS, TASK_SAMPLES = LEARNING_SIZE
+LEARNING_ROUNDS = 25
+DEFAULT_RULE = "meta-curvature"
 
 
 def one_task(batch: Batch, task: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -93,7 +93,7 @@ def plain_adapt(weights: list[Tensor], rates: list[Tensor], batches: list[PlainB
     return weights
 
 
-class Network(torch.nn.Module):
+class TorchNetwork(torch.nn.Module):
     """The same network for the libraries, which want a module."""
 
     def __init__(self, weights: list[Tensor]) -> None:
@@ -114,7 +114,7 @@ def learn2learn_step(theta: Params, inner: list[list[PlainBatch]], last: list[Pl
     """One second-order outer step of learn2learn's MetaSGD."""
     from learn2learn.algorithms import MetaSGD
 
-    meta = MetaSGD(Network(plain_weights(theta)), lr=RATE)
+    meta = MetaSGD(TorchNetwork(plain_weights(theta)), lr=LEARNING_RATE)
 
     def step() -> tuple[Tensor, list[Tensor]]:
         total = torch.zeros(())
@@ -122,7 +122,7 @@ def learn2learn_step(theta: Params, inner: list[list[PlainBatch]], last: list[Pl
             learner = meta.clone()
             for batch in batches:
                 learner.adapt(learner(batch))
-            total = total + learner(final) / TASKS
+            total = total + learner(final) / BATCH_TASKS
         return total, list(torch.autograd.grad(total, list(meta.parameters())))
 
     return [step]
@@ -132,8 +132,8 @@ def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[Plain
     """One second-order outer step of TorchOpt's differentiable SGD."""
     import torchopt
 
-    net = Network(plain_weights(theta))
-    optimiser = torchopt.MetaSGD(net, lr=RATE)
+    net = TorchNetwork(plain_weights(theta))
+    optimiser = torchopt.MetaSGD(net, lr=LEARNING_RATE)
     start_net, start_state = torchopt.extract_state_dict(net), torchopt.extract_state_dict(optimiser)
     leaves = list(net.parameters())
 
@@ -142,7 +142,7 @@ def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[Plain
         for batches, final in zip(inner, last, strict=True):
             for batch in batches:
                 optimiser.step(net(batch))
-            total = total + net(final) / TASKS
+            total = total + net(final) / BATCH_TASKS
             torchopt.recover_state_dict(net, start_net)
             torchopt.recover_state_dict(optimiser, start_state)
         return total, list(torch.autograd.grad(total, leaves))
@@ -163,7 +163,7 @@ def jax_steps(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatc
     batches = tuple(stacked(pick) for pick in columns)
     final = tuple(jnp.asarray(torch.stack([pick(b) for b in last]).numpy()) for pick in columns)
     weights = [jnp.asarray(value.numpy()) for value in theta.values()]
-    rates = [jnp.full_like(value, RATE) for value in weights]
+    rates = [jnp.full_like(value, LEARNING_RATE) for value in weights]
 
     def loss(weights: Any, batch: Any) -> Any:
         x, cosine, target = batch
@@ -190,7 +190,7 @@ def jax_steps(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatc
     ]
 
 
-PEAK = """
+PEAK_SOURCE = """
 #include <time.h>
 double peak(void) {
   V a[12], x = (V){0} + 0.999f, y = (V){0} + 0.001f;
@@ -206,51 +206,51 @@ double peak(void) {
 """
 
 
-def limit(march: str = "native") -> float:
+def measure_peak_gflops(march: str = "native") -> float:
     """Multiply-adds of this machine's core by these instructions, in GFLOP/s; NaN without a compiler."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "peak.c"
-        source.write_text(Path(nbrdf.__file__).with_name("vectors.h").read_text() + PEAK)
-        library = load(source, "peak", march=march)
+        source.write_text(Path(nbrdf.__file__).with_name("vectors.h").read_text() + PEAK_SOURCE)
+        library = load_library(source, "peak", march=march)
     if library is None:
         return float("nan")
     library.peak.restype = ctypes.c_double
     return float(library.peak())
 
 
-OPERATIONS = {"gradient": 2 * 1764, "product": 2 * 3969}  # of the layers, for a sample
+OPERATIONS_PER_SAMPLE = {"gradient": 2 * 1764, "product": 2 * 3969}  # of the layers, for a sample
 
 
 def bench_kernel() -> None:
     """The loss of the BRDF network in C by instruction set: microseconds of a task, and of the limit."""
     rng = Generator().manual_seed(0)
-    theta, batch = APP.init(rng, TASKS), draw(SIZE, rng)
+    theta, batch = LEARNING_APP.init(rng, BATCH_TASKS), draw_batch(LEARNING_SIZE, rng)
     flat = torch.cat([value.flatten(1) for value in theta.values()], 1)
     capability = torch.backends.cpu.get_cpu_capability()
     runs = ["native", *(["x86-64-v3"] if capability in ("AVX2", "AVX512") else []), "x86-64-v2"]
-    print(f"\nBRDF network in C, {SAMPLES} samples of a task, one thread; torch says {capability}")
+    print(f"\nBRDF network in C, {TASK_SAMPLES} samples of a task, one thread; torch says {capability}")
     print(f"  {'-march':12} {'lanes':>5} {'limit':>13} {'gradient':>24} {'product':>24}")
     for march in runs:
-        library = nbrdf.compiled(march)
+        library = nbrdf.load_nbrdf_library(march)
         if library is None:
             print(f"  {march:12} is not compiled here")
             continue
-        with mock.patch.object(nbrdf, "compiled", return_value=library):
-            times = medians(
+        with mock.patch.object(nbrdf, "load_nbrdf_library", return_value=library):
+            times = median_seconds(
                 {
-                    "gradient": lambda: nbrdf.gradient(flat, batch, {}),
-                    "product": lambda: nbrdf.product(flat, batch, {}, flat),
+                    "gradient": lambda: nbrdf.loss_gradient(flat, batch, {}),
+                    "product": lambda: nbrdf.gradient_product(flat, batch, {}, flat),
                 },
                 rounds=200,
             )
-        peak, cells = limit(march), ""
+        peak, cells = measure_peak_gflops(march), ""
         for name, seconds in times.items():
-            rate = OPERATIONS[name] * TASKS * SAMPLES / seconds / 1e9
-            cells += f" {1e6 * seconds / TASKS:8.1f} us, {rate / peak:4.0%} of it"
+            rate = OPERATIONS_PER_SAMPLE[name] * BATCH_TASKS * TASK_SAMPLES / seconds / 1e9
+            cells += f" {1e6 * seconds / BATCH_TASKS:8.1f} us, {rate / peak:4.0%} of it"
         print(f"  {march:12} {library.nbrdf_lanes():5} {peak:5.0f} GFLOP/s {cells}")
 
 
-def medians(contestants: dict[str, Callable[[], Any]], rounds: int = ROUNDS) -> dict[str, float]:
+def median_seconds(contestants: dict[str, Callable[[], Any]], rounds: int = LEARNING_ROUNDS) -> dict[str, float]:
     """CPU seconds of each, taking turns."""
     seconds: dict[str, list[float]] = {name: [] for name in contestants}
     for name, run in contestants.items():
@@ -267,20 +267,20 @@ def medians(contestants: dict[str, Callable[[], Any]], rounds: int = ROUNDS) -> 
     return {name: statistics.median(each) for name, each in seconds.items()}
 
 
-HISTORY = Path("docs/results/core.jsonl")
+HISTORY_FILE = Path("docs/results/core.jsonl")
 figures: dict[str, dict[str, float]] = {}
 
 
-def remember(entry: dict[str, Any]) -> None:
+def append_history(entry: dict[str, Any]) -> None:
     """Append a run's figures to the history: when, on what, milliseconds."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     cpu = next((line.split(": ")[1] for line in lines if line.startswith("model name")), platform.processor())
     entry = {"at": time.strftime("%Y-%m-%dT%H:%MZ", time.gmtime()), "cpu": cpu, "torch": torch.__version__, **entry}
-    with HISTORY.open("a") as file:
+    with HISTORY_FILE.open("a") as file:
         file.write(json.dumps(entry) + "\n")
 
 
-def show(title: str, seconds: dict[str, float], targets: dict[str, float]) -> None:
+def print_contestants(title: str, seconds: dict[str, float], targets: dict[str, float]) -> None:
     """Milliseconds and how many times as fast as the first contestant."""
     print(f"\n{title:44} {'ms':>8} {'times (a)':>10} {'target':>8}")
     first = next(iter(seconds.values()))
@@ -293,27 +293,30 @@ def show(title: str, seconds: dict[str, float], targets: dict[str, float]) -> No
 def bench_brdf() -> None:
     """Training and adapting with the BRDF network."""
     rng = Generator().manual_seed(0)
-    theta = {key: value[0] for key, value in APP.init(rng, 1).items()}
-    alpha = {f"rate.{key}": torch.full_like(value, RATE)[None] for key, value in theta.items()}
-    batches, last = [draw(SIZE, rng) for _ in range(STEPS)], draw(SIZE, rng)
-    plain_inner = [[one_task(batch, task) for batch in batches] for task in range(TASKS)]
-    plain_last = [one_task(last, task) for task in range(TASKS)]
+    theta = {key: value[0] for key, value in LEARNING_APP.init(rng, 1).items()}
+    alpha = {f"rate.{key}": torch.full_like(value, LEARNING_RATE)[None] for key, value in theta.items()}
+    batches, last = [draw_batch(LEARNING_SIZE, rng) for _ in range(INNER_STEPS)], draw_batch(LEARNING_SIZE, rng)
+    plain_inner = [[one_task(batch, task) for batch in batches] for task in range(BATCH_TASKS)]
+    plain_last = [one_task(last, task) for task in range(BATCH_TASKS)]
     supply: list[Iterator[Batch]] = [iter(())]
-    loss = Loss(lambda data, rng, done: Draw((), next(supply[0])), APP.loss)
+    loss = Loss(lambda data, rng, done: DrawnBatch((), next(supply[0])), LEARNING_APP.loss)
     first = Adam(5e-3, beta2=0.99, eps=META_EPS)
-    rules = {"sgd": (sgd, alpha), "default": (rule_of(DEFAULT).rule, rule_of(DEFAULT).alpha(APP, theta, STEPS, first))}
+    rules = {
+        "sgd": (sgd, alpha),
+        "default": (rule_of(DEFAULT_RULE).rule, rule_of(DEFAULT_RULE).alpha(LEARNING_APP, theta, INNER_STEPS, first)),
+    }
 
     def plain() -> tuple[Tensor, list[Tensor]]:
         weights = [weight.clone().requires_grad_() for weight in plain_weights(theta)]
-        rates = [torch.full_like(weight, RATE, requires_grad=True) for weight in weights]
+        rates = [torch.full_like(weight, LEARNING_RATE, requires_grad=True) for weight in weights]
         total = torch.zeros(())
         for inner, final in zip(plain_inner, plain_last, strict=True):
-            total = total + plain_loss(plain_adapt(weights, rates, inner, graph=True), final) / TASKS
+            total = total + plain_loss(plain_adapt(weights, rates, inner, graph=True), final) / BATCH_TASKS
         return total.detach(), list(torch.autograd.grad(total, [*weights, *rates]))
 
     def ours(steps_of: StepsOf, rule: str = "sgd") -> Callable[[], tuple[Tensor, list[Tensor]]]:
         make, alpha = rules[rule]
-        lifted = after_learning(loss, make, steps=STEPS, order=2, steps_of=steps_of)
+        lifted = after_learning(loss, make, steps=INNER_STEPS, order=2, steps_of=steps_of)
 
         def step() -> tuple[Tensor, list[Tensor]]:
             phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flat().items()}
@@ -322,20 +325,20 @@ def bench_brdf() -> None:
 
         return step
 
-    def adapt(steps_of: StepsOf, rule: str = "sgd", tasks: int = TASKS) -> Callable[[], Params]:
+    def adapt(steps_of: StepsOf, rule: str = "sgd", tasks: int = BATCH_TASKS) -> Callable[[], Params]:
         make, alpha = rules[rule]
         start, made = expand_tasks(theta, tasks, 0), make(expand_tasks(alpha, tasks, 1))
         some = [{key: value[:tasks] for key, value in batch.items()} for batch in batches]
 
         def run() -> Params:
             supply[0] = iter(some)
-            return learn(start, made, None, loss, steps=STEPS, rng=rng, steps_of=steps_of)
+            return learn(start, made, None, loss, steps=INNER_STEPS, rng=rng, steps_of=steps_of)
 
         return run
 
     def plain_one_by_one(graph: bool) -> Callable[[], None]:
         weights = [weight.clone().requires_grad_() for weight in plain_weights(theta)]
-        rates = [torch.full_like(weight, RATE) for weight in weights]
+        rates = [torch.full_like(weight, LEARNING_RATE) for weight in weights]
 
         def run() -> None:
             for inner in plain_inner:
@@ -345,17 +348,19 @@ def bench_brdf() -> None:
 
     (value_a, grads_a), (value, grads) = plain(), ours(fastest)()
     away = max(float((a - b.reshape(a.shape)).norm() / a.norm()) for a, b in zip(grads_a, grads, strict=True))
-    peak = limit()
-    print(f"\nBRDF network, {TASKS} tasks, {STEPS} steps of {SAMPLES} samples; CPU seconds, one thread")
+    peak = measure_peak_gflops()
+    print(
+        f"\nBRDF network, {BATCH_TASKS} tasks, {INNER_STEPS} steps of {TASK_SAMPLES} samples; CPU seconds, one thread"
+    )
     print(f"  loss (a) {float(value_a):.7f}, metapp {float(value):.7f}; gradients differ by {away:.0e} of their norm")
-    least = 1e3 * TASKS * STEPS * SAMPLES * 2 * 1764 / (peak * 1e9)
+    least = 1e3 * BATCH_TASKS * INNER_STEPS * TASK_SAMPLES * 2 * 1764 / (peak * 1e9)
     print(f"  limit of the machine: {peak:.0f} GFLOP/s, adapting not below {least:.2f} ms")
-    name, default = "metapp, SGD", f"metapp, {DEFAULT}"
+    name, default = "metapp, SGD", f"metapp, {DEFAULT_RULE}"
     contestants: dict[str, Callable[[], Any]] = {
         "(a) plain loop, unrolled": plain,
         "metapp by torch, eager": ours(torch_steps),
-        "metapp by torch, compiled": ours(compiled_steps),
-        f"metapp by torch, eager, {DEFAULT}": ours(torch_steps, "default"),
+        "metapp by torch, compiled": ours(make_compiled_steps),
+        f"metapp by torch, eager, {DEFAULT_RULE}": ours(torch_steps, "default"),
         name: ours(fastest),
         default: ours(fastest, "default"),
     }
@@ -375,20 +380,20 @@ def bench_brdf() -> None:
         if others:
             adapting[title] = others[0]
         print(f"  {title}: loss {float(contestants[title]()[0]):.7f}")
-    show("second-order training step", medians(contestants), {name: 11, default: 8})
+    print_contestants("second-order training step", median_seconds(contestants), {name: 11, default: 8})
     contestants = {
         "(a) plain loop, one by one": plain_one_by_one(False),
         "the same, with the graph that training needs": plain_one_by_one(True),
         "metapp by torch, eager": adapt(torch_steps),
-        "metapp by torch, compiled": adapt(compiled_steps),
-        f"metapp by torch, eager, {DEFAULT}": adapt(torch_steps, "default"),
+        "metapp by torch, compiled": adapt(make_compiled_steps),
+        f"metapp by torch, eager, {DEFAULT_RULE}": adapt(torch_steps, "default"),
         name: adapt(fastest),
         default: adapt(fastest, "default"),
-        f"one fit alone, {DEFAULT}": adapt(fastest, "default", tasks=1),
+        f"one fit alone, {DEFAULT_RULE}": adapt(fastest, "default", tasks=1),
         **adapting,
     }
-    show("adapting, no meta-gradient", medians(contestants), {name: 11, default: 8})
-    remember({"gflops": round(peak, 1), "ms": figures})
+    print_contestants("adapting, no meta-gradient", median_seconds(contestants), {name: 11, default: 8})
+    append_history({"gflops": round(peak, 1), "ms": figures})
 
 
 # Memory
@@ -423,10 +428,10 @@ class LiveBytes(TorchDispatchMode):
         self.peak = max(self.peak, self.live)
 
 
-CHANNELS = (16, 32, 64, 128)
+UNET_CHANNELS = (16, 32, 64, 128)
 
 
-def unet_init(rng: Generator) -> Params:
+def init_unet(rng: Generator) -> Params:
     """Weights of one U-Net, 3 channels in and out, two convolutions a level."""
     theta = {}
 
@@ -434,26 +439,26 @@ def unet_init(rng: Generator) -> Params:
         theta[f"{name}.w"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * (2 / (9 * inputs)) ** 0.5
         theta[f"{name}.b"] = torch.zeros(outputs)
 
-    for level, (inputs, outputs) in enumerate(zip((3, *CHANNELS), CHANNELS, strict=False)):
+    for level, (inputs, outputs) in enumerate(zip((3, *UNET_CHANNELS), UNET_CHANNELS, strict=False)):
         add(f"down{level}", inputs, outputs)
         add(f"deep{level}", outputs, outputs)
-    for level in reversed(range(len(CHANNELS) - 1)):
-        add(f"up{level}", CHANNELS[level + 1] + CHANNELS[level], CHANNELS[level])
-    add("out", CHANNELS[0], 3)
+    for level in reversed(range(len(UNET_CHANNELS) - 1)):
+        add(f"up{level}", UNET_CHANNELS[level + 1] + UNET_CHANNELS[level], UNET_CHANNELS[level])
+    add("out", UNET_CHANNELS[0], 3)
     return theta
 
 
-def unet(theta: Params, x: Tensor) -> Tensor:
+def apply_unet(theta: Params, x: Tensor) -> Tensor:
     """One U-Net on pictures [N, 3, H, W]."""
 
     def layer(name: str, x: Tensor) -> Tensor:
         return torch.nn.functional.silu(conv2d(x, theta[f"{name}.w"], theta[f"{name}.b"], padding=1))
 
     kept = []
-    for level in range(len(CHANNELS)):
+    for level in range(len(UNET_CHANNELS)):
         x = layer(f"deep{level}", layer(f"down{level}", x if level == 0 else avg_pool2d(x, 2)))
         kept.append(x)
-    for level in reversed(range(len(CHANNELS) - 1)):
+    for level in reversed(range(len(UNET_CHANNELS) - 1)):
         x = layer(f"up{level}", torch.cat([interpolate(x, scale_factor=2.0), kept[level]], 1))
     return conv2d(x, theta["out.w"], theta["out.b"], padding=1)
 
@@ -461,16 +466,16 @@ def unet(theta: Params, x: Tensor) -> Tensor:
 def bench_memory(tasks: int = 4, steps: int = 3) -> None:
     """Peak of an outer step of first and of second order."""
     rng = Generator().manual_seed(0)
-    theta = unet_init(rng)
+    theta = init_unet(rng)
     alpha = {f"rate.{key}": torch.full_like(value, 1e-2)[None] for key, value in theta.items()}
-    apply = torch.func.vmap(unet)
+    apply = torch.func.vmap(apply_unet)
 
     def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
         return (apply(theta, batch["photo"]) - batch["target"]).square().mean((1, 2, 3, 4))
 
     photos = torch.rand(2, tasks, 1, 3, 128, 128, generator=rng)
     batch = {"photo": photos[0], "target": photos[1]}
-    loss = Loss(lambda data, rng, done: Draw((), batch), value)
+    loss = Loss(lambda data, rng, done: DrawnBatch((), batch), value)
     weights = sum(each.numel() for each in theta.values())
     print(f"\nU-Net of {weights:,} weights, {tasks} tasks of 128 x 128 pixels, {steps} steps: peak of live tensors")
     peaks = []

@@ -21,18 +21,18 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from torch import Generator
 
-from benchmarks.bench_growth import exponent
+from benchmarks.bench_growth import growth_exponent
 from metapp.apps import app_of, recipes_of
-from metapp.evaluation.style import STYLE, save
-from metapp.learning.app import App, stack
+from metapp.evaluation.style import FIGURE_STYLE, save_figure
+from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Task
 
-STEPS = 10
-FIGURE = Path("runs/bench/size.png")
-SIZES = {
+TIMED_STEPS = 10
+SIZE_FIGURE_FILE = Path("runs/bench/size.png")
+SIDES_BY_APP = {
     "texture": (128, 256, 512),
     "svbrdf_stationary": (128, 256, 512),
     "svbrdf_nonstationary": (64, 128, 256, 512),
@@ -40,7 +40,7 @@ SIZES = {
 }
 
 
-def at_size(name: str, side: int) -> App:
+def app_at_size(name: str, side: int) -> App:
     """An application by its recipe full, at another size."""
     recipe = recipes_of(name)["full"]
     app: Any = recipe.app
@@ -55,7 +55,7 @@ def at_size(name: str, side: int) -> App:
     return app_of(name, replace(recipe, app=app))
 
 
-def noise(name: str, side: int) -> Task:
+def noise_task(name: str, side: int) -> Task:
     """An input of that size; what it shows does not matter to the cost."""
     rng = Generator().manual_seed(0)
 
@@ -73,37 +73,39 @@ def noise(name: str, side: int) -> Task:
     return Task("noise", {"image": photo})
 
 
-def measure(name: str, side: int) -> dict[str, float]:
+def measure_size(name: str, side: int) -> dict[str, float]:
     """CPU seconds of a step and megabytes, of one size in this process."""
     torch.set_num_threads(1)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    app, rng = at_size(name, side), Generator().manual_seed(0)
-    tasks, loss = stack(app, [noise(name, side)]), task_loss(app, 1)
+    app, rng = app_at_size(name, side), Generator().manual_seed(0)
+    tasks, loss = stack_tasks(app, [noise_task(name, side)]), task_loss(app, 1)
     theta = app.init(rng, 1)
     app.loss(theta, app.sample(tasks, rng, 1), {})  # what is computed once for a size
     begin = time.process_time()
-    learn(theta, fixed_adam(Adam(1e-3), theta, STEPS), tasks, loss, steps=STEPS, rng=rng)
-    seconds = (time.process_time() - begin) / STEPS
+    learn(theta, fixed_adam(Adam(1e-3), theta, TIMED_STEPS), tasks, loss, steps=TIMED_STEPS, rng=rng)
+    seconds = (time.process_time() - begin) / TIMED_STEPS
     return {"seconds": seconds, "megabytes": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024}
 
 
-def figure(found: dict[str, list[dict[str, float]]], file: Path) -> None:
+def draw_size_figure(found: dict[str, list[dict[str, float]]], file: Path) -> None:
     """Time of a step and memory over texels, both logarithmic, a line an application, beside a linear one."""
     drawn = Figure(figsize=(9, 3.4))
     panels = drawn.subplots(1, 2)
     for panel, (key, label) in zip(panels, (("seconds", "seconds a step"), ("megabytes", "MB")), strict=True):
         for name, rows in found.items():
-            panel.loglog([texels(name, side) for side in SIZES[name]], [row[key] for row in rows], "o-", label=name)
-        sides = [texels("texture", side) for side in SIZES["texture"]]
+            panel.loglog(
+                [count_texels(name, side) for side in SIDES_BY_APP[name]], [row[key] for row in rows], "o-", label=name
+            )
+        sides = [count_texels("texture", side) for side in SIDES_BY_APP["texture"]]
         least = 0.5 * found["texture"][0][key]
         panel.loglog(sides, [least * n / sides[0] for n in sides], "k:", label="linear")
         panel.set_xlabel("texels")
         panel.set_ylabel(label)
     panels[0].legend()
-    save(drawn, file)
+    save_figure(drawn, file)
 
 
-def texels(name: str, side: int) -> int:
+def count_texels(name: str, side: int) -> int:
     """How many there are; maps of light are twice as wide as high."""
     return side * side * (2 if name == "illumination" else 1)
 
@@ -112,26 +114,26 @@ def main() -> None:
     """Print the table, draw the figure."""
     rows = {}
     print("| application | side | ms a step | MB | exponents of time and memory |\n|---|---|---|---|---|")
-    for name, sizes in SIZES.items():
+    for name, sizes in SIDES_BY_APP.items():
         found = []
         for side in sizes:
             words = [sys.executable, "-m", "benchmarks.bench_size", name, str(side)]
             done = subprocess.run(words, check=True, capture_output=True, text=True)
             found.append(json.loads(done.stdout.splitlines()[-1]))
         rows[name] = found
-        counts = [texels(name, side) for side in sizes]
-        powers = [exponent(counts, [row[key] for row in found]) for key in ("seconds", "megabytes")]
+        counts = [count_texels(name, side) for side in sizes]
+        powers = [growth_exponent(counts, [row[key] for row in found]) for key in ("seconds", "megabytes")]
         for side, each in zip(sizes, found, strict=True):
             said = " and ".join(f"{power:.2f}" for power in powers) if side == sizes[-1] else ""
             print(f"| {name} | {side} | {1e3 * each['seconds']:.0f} | {each['megabytes']:.0f} | {said} |", flush=True)
-    FIGURE.parent.mkdir(parents=True, exist_ok=True)
-    with rc_context(STYLE):
-        figure(rows, FIGURE)
-    print(f"{FIGURE}: figure")
+    SIZE_FIGURE_FILE.parent.mkdir(parents=True, exist_ok=True)
+    with rc_context(FIGURE_STYLE):
+        draw_size_figure(rows, SIZE_FIGURE_FILE)
+    print(f"{SIZE_FIGURE_FILE}: figure")
 
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        print(json.dumps(measure(sys.argv[1], int(sys.argv[2]))))
+        print(json.dumps(measure_size(sys.argv[1], int(sys.argv[2]))))
     else:
         main()

@@ -14,8 +14,8 @@ from pathlib import Path
 from metapp.extensions.viewer import page as pages
 from tests.browser import Page, browsing
 
-WIDTH, HEIGHT = 1280, 720
-MOVED = """async () => {
+WINDOW_WIDTH_PX, WINDOW_HEIGHT_PX = 1280, 720
+MEASURING_SCRIPT = """async () => {
   const viewer = metapp.viewer;
   if (!viewer.renderer) return null;
   const still = viewer.cost;
@@ -33,16 +33,16 @@ MOVED = """async () => {
 def main() -> None:
     """Print a table."""
     file = Path(sys.argv[1])
-    empty = len(pages.html(pages.document("", [])))
+    empty = len(pages.viewer_html(pages.page_document("", [])))
     print(f"{file}: {file.stat().st_size / 1e6:.2f} MB, of which {empty / 1e6:.2f} MB are scripts and three.js\n")
     print("| view | frame at rest, ms | resolution while moving | frames/s while moving |")
     print("|---|---|---|---|")
     with browsing() as browser:
-        page = Page(browser, file, WIDTH, HEIGHT, adapts=True)
+        page = Page(browser, file, WINDOW_WIDTH_PX, WINDOW_HEIGHT_PX, adapts=True)
         for i, section in enumerate(page.page.evaluate("DATA.groups.map((group) => group.section)")):
             page.page.evaluate(f"metapp.open({i})")
             page.page.wait_for_timeout(6000)
-            if measured := page.page.evaluate(MOVED):
+            if measured := page.page.evaluate(MEASURING_SCRIPT):
                 cost, detail, rate = measured
                 print(f"| {section} | {cost:.0f} | {detail:.2f} | {rate:.1f} |")
 

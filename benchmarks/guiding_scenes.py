@@ -6,26 +6,26 @@ from typing import Any
 
 import numpy as np
 
-from data_tools.synthetic.cornell import Scene, diffuse, random_scene, rectangle, rgb
+from data_tools.synthetic.cornell import SceneEntry, diffuse_bsdf, random_scene, rectangle_entry, rgb_entry
 from metapp.rendering.variant import load_mitsuba
 
-BOXES = (101, 102, 103, 104)  # seeds
+BOX_SEEDS = (101, 102, 103, 104)  # seeds
 
 
-def scenes() -> dict[str, Scene]:
+def scenes_by_name() -> dict[str, SceneEntry]:
     """By name."""
-    boxes = {f"box {seed}": random_scene(seed) for seed in BOXES}
-    return boxes | {"mitsuba": mitsuba_box(), "baffle": baffle(), "caustic": caustic()}
+    boxes = {f"box {seed}": random_scene(seed) for seed in BOX_SEEDS}
+    return boxes | {"mitsuba": mitsuba_box_scene(), "baffle": baffle_scene(), "caustic": caustic_scene()}
 
 
-def kind_of(name: str) -> str:
+def scene_kind(name: str) -> str:
     """What a scene is counted among: boxes, mitsuba, baffle, caustic."""
     return "boxes" if name.startswith("box") else name
 
 
-def mitsuba_box() -> Scene:
+def mitsuba_box_scene() -> SceneEntry:
     """The Cornell box that comes with Mitsuba, with two blocks; its pixels are means, as those of references."""
-    result: Scene = _plain(load_mitsuba().cornell_box())
+    result: SceneEntry = _plain(load_mitsuba().cornell_box())
     result["sensor"]["film"]["rfilter"] = {"type": "box"}
     return result
 
@@ -37,7 +37,7 @@ def _plain(value: Any) -> Any:
     return np.array(value.matrix).reshape(4, 4).tolist() if hasattr(value, "matrix") else value
 
 
-def baffle() -> Scene:
+def baffle_scene() -> SceneEntry:
     """A lamp that shines on the ceiling alone, above a board."""
     room = _room()
     room["light"] = _square(0.9, 0.2, down=False) | _shining([25.0, 25.0, 22.0])
@@ -47,7 +47,7 @@ def baffle() -> Scene:
     return room
 
 
-def caustic() -> Scene:
+def caustic_scene() -> SceneEntry:
     """A small lamp over two balls of glass."""
     room = _room()
     room["light"] = _square(0.98, 0.08, down=True, at=(0.3, 0.2)) | _shining([150.0, 150.0, 140.0])
@@ -57,19 +57,19 @@ def caustic() -> Scene:
     return room
 
 
-def _room() -> Scene:
+def _room() -> SceneEntry:
     kept = ("type", "sensor", "floor", "ceiling", "back", "left", "right")
     return {key: value for key, value in random_scene(7).items() if key in kept}
 
 
-def _square(height: float, half: float, *, down: bool, at: tuple[float, float] = (0.0, 0.0)) -> Scene:
+def _square(height: float, half: float, *, down: bool, at: tuple[float, float] = (0.0, 0.0)) -> SceneEntry:
     """A level square that faces up or down."""
-    return rectangle((at[0], height, at[1]), (half, 0, 0), (0, 0, half if down else -half), _grey(0.0))
+    return rectangle_entry((at[0], height, at[1]), (half, 0, 0), (0, 0, half if down else -half), _grey(0.0))
 
 
-def _shining(radiance: list[float]) -> Scene:
-    return {"emitter": {"type": "area", "radiance": rgb(radiance)}}
+def _shining(radiance: list[float]) -> SceneEntry:
+    return {"emitter": {"type": "area", "radiance": rgb_entry(radiance)}}
 
 
-def _grey(value: float) -> Scene:
-    return diffuse([value] * 3)
+def _grey(value: float) -> SceneEntry:
+    return diffuse_bsdf([value] * 3)

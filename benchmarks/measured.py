@@ -7,11 +7,11 @@ import hashlib
 import torch
 from torch import Generator
 
-from metapp.learning.draws import normal
+from metapp.learning.draws import draw_normal
 from metapp.learning.task import Task
 
 
-def as_measured(task: Task, noise: float, samples: int | None = None) -> Task:
+def simulate_measurement(task: Task, noise: float, samples: int | None = None) -> Task:
     """A material of which the half that fits may see is as a gonioreflectometer would have it.
 
     The held-out half stays as it is, so that errors are those of the material, not of the noise. Samples that are
@@ -25,7 +25,7 @@ def as_measured(task: Task, noise: float, samples: int | None = None) -> Task:
     half = len(task.data["angles"]) // 2
     data = {key: task.data[key].clone() for key in ("angles", "phi_h", "reflectance") if key in task.data}
     rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode(errors="replace")).digest()[:6]))
-    data["reflectance"][:half] *= torch.exp(noise * normal(rng, half, 3))
+    data["reflectance"][:half] *= torch.exp(noise * draw_normal(rng, half, 3))
     if samples is not None:
         rows = torch.randperm(half, generator=rng)[:samples]
         missing = torch.ones(half, dtype=torch.bool)

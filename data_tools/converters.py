@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from metapp.networks.options import Layer, field_of_view
+from metapp.networks.options import LayerOption, parse_field_of_view
 from metapp.options import Converter, Option, split_option
 
-Samples = Annotated[
+SamplesOption = Annotated[
     int,
     Option("Samples (pairs of directions) per material; the first half is for fits to see.", low=2, high=10**7),
 ]
-Size = Annotated[int, Option("Side of the pictures.", "PX", low=32, high=4096)]
-Normals = Annotated[
+SizeOption = Annotated[int, Option("Side of the pictures.", "PX", low=32, high=4096)]
+NormalsOption = Annotated[
     str,
     Option(
         "Where the green of normals points: up (opengl) or down (directx). auto: as names say (gl, dx), else as a "
@@ -27,7 +27,7 @@ Normals = Annotated[
 
 
 @dataclass(frozen=True)
-class Merl(Converter):
+class MerlConverter(Converter):
     """Convert MERL tables, measured BRDFs.
 
     A table (Matusik et al. 2003) has 34,992,012 bytes. It becomes samples (angles in rad, reflectance in 1/sr, linear
@@ -39,11 +39,11 @@ class Merl(Converter):
       metapp data merl gold.binary steel.binary --split test --out metals
     """
 
-    samples: Samples = 65_536
+    samples: SamplesOption = 65_536
 
 
 @dataclass(frozen=True)
-class Nbrdf(Converter):
+class NbrdfConverter(Converter):
     """Convert NBRDF networks, BRDFs as small neural networks.
 
     A network (Sztrajman et al. 2021) is a Keras model as published, gold.h5 (which needs h5py: pip install
@@ -57,11 +57,11 @@ class Nbrdf(Converter):
       metapp data nbrdf trained/gold trained/tin.h5 --split test --out metals
     """
 
-    samples: Samples = 65_536
+    samples: SamplesOption = 65_536
 
 
 @dataclass(frozen=True)
-class Gonio(Converter):
+class GonioConverter(Converter):
     """Convert goniometer measurements, CSV files.
 
     A line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light), theta_o_deg,
@@ -78,7 +78,7 @@ class Gonio(Converter):
 
 
 @dataclass(frozen=True)
-class Images(Converter):
+class ImagesConverter(Converter):
     """Convert photographs of textures.
 
     Any format of OpenImageIO: JPEG, PNG, TIFF, EXR and more. Of each the central square is taken, upright, scaled in
@@ -90,12 +90,12 @@ class Images(Converter):
       metapp data images bark.jpg sand.png --split test --size 512 --out textures
     """
 
-    size: Size = 256
-    layer: Layer = ""
+    size: SizeOption = 256
+    layer: LayerOption = ""
 
 
 @dataclass(frozen=True)
-class Flash(Converter):
+class FlashConverter(Converter):
     """Convert flash photographs of flat materials.
 
     Of each the central square is taken, around the flash, upright, scaled in linear light to --size, and kept as
@@ -118,7 +118,7 @@ class Flash(Converter):
             "tests."
         ),
     ] = "auto"
-    size: Size = 256
+    size: SizeOption = 256
     fov: Annotated[
         float,
         Option(
@@ -126,10 +126,10 @@ class Flash(Converter):
             "DEGREES",
             low=0.0,
             high=150.0,
-            parse=field_of_view,
+            parse=parse_field_of_view,
         ),
     ] = 0.0
-    layer: Layer = ""
+    layer: LayerOption = ""
 
     def arguments(self) -> dict[str, object]:
         """As of `Converter`; the field of view in radians."""
@@ -137,7 +137,7 @@ class Flash(Converter):
 
 
 @dataclass(frozen=True)
-class Maps(Converter):
+class MapsConverter(Converter):
     """Convert materials whose maps are separate images, such as rock_diffuse.png beside rock_normal.png.
 
     Base colour (diffuse, albedo, basecolor, color), normal, roughness or gloss, and, if there are any, specular or
@@ -159,13 +159,13 @@ class Maps(Converter):
             "of the sorted names, every fifth is a test task; variants with the same normal map stay together."
         ),
     ] = "auto"
-    size: Size = 256
-    normals: Normals = "auto"
-    layer: Layer = ""
+    size: SizeOption = 256
+    normals: NormalsOption = "auto"
+    layer: LayerOption = ""
 
 
 @dataclass(frozen=True)
-class Materials(Maps):
+class MaterialsConverter(MapsConverter):
     """Convert real materials for training, with drawn ones beside them.
 
     As `metapp data maps`, but a set may lack its roughness: one is made up, and losses of made-up maps count
@@ -179,7 +179,7 @@ class Materials(Maps):
       metapp data materials scans/rock scans/bark games --size 512 --out real
     """
 
-    size: Size = 512
+    size: SizeOption = 512
 
 
 def _folder(path: Path) -> Path:
@@ -189,7 +189,7 @@ def _folder(path: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Strips(Converter):
+class StripsConverter(Converter):
     """Convert strips, images of five squares: flash photograph, normal, diffuse, roughness, specular.
 
     As Deschaintre et al. 2018 publish theirs: linear, normals with y up. A bad file that was named ends the conversion
@@ -207,7 +207,7 @@ class Strips(Converter):
         str,
         split_option("no base material on both sides, a fifth or more for tests; blends of both sides are left out."),
     ] = "auto"
-    size: Size = 256
+    size: SizeOption = 256
     gamma: Annotated[float, Option("Encoding of all tiles but the normals; 1 is linear.", "G", low=0.1, high=10)] = 1.0
     white: Annotated[
         float,
@@ -227,11 +227,11 @@ class Strips(Converter):
             parse=_folder,
         ),
     ] = None
-    layer: Layer = ""
+    layer: LayerOption = ""
 
 
 @dataclass(frozen=True)
-class Laval(Converter):
+class LavalConverter(Converter):
     """Convert HDR environment maps, such as those of the Laval indoor set.
 
     Any lat-long map (Gardner et al. 2017 publish 2048 x 1024 EXR) with floating-point RGB or gray pixels. It becomes
@@ -245,4 +245,4 @@ class Laval(Converter):
     """
 
     rows: Annotated[int, Option("Rows of the maps; the recipe full fits 128.", low=32, high=1024)] = 64
-    layer: Layer = ""
+    layer: LayerOption = ""

@@ -7,7 +7,7 @@ import numpy as np
 Rng = np.random.Generator
 
 
-def stream(*key: int) -> Rng:
+def random_stream(*key: int) -> Rng:
     """The random numbers of a key, whole numbers >= 0; others for every other key of the same length.
 
     >>> stream(7, 0).random() == stream(7, 0).random(), stream(7, 0).random() == stream(7, 1).random()

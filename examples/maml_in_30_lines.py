@@ -8,7 +8,7 @@ import math
 
 import torch
 
-from metapp.learning.adjoint import Draw, Loss
+from metapp.learning.adjoint import DrawnBatch, Loss
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn, over_tasks
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam, sgd
@@ -28,7 +28,7 @@ def draw(tasks, rng, done):
     """Draw the batch of a step: points of each task, [T, 1, POINTS]."""
     amplitude, phase = (tasks.data[key][tasks.rows, None, None] for key in ("amplitude", "phase"))
     x = 10 * torch.rand(len(tasks), 1, POINTS, generator=rng) - 5
-    return Draw(tasks.selected_names, {"x": x, "y": amplitude * torch.sin(x + phase)})
+    return DrawnBatch(tasks.selected_names, {"x": x, "y": amplitude * torch.sin(x + phase)})
 
 
 def error(theta, batch, learned):

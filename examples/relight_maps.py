@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import Maps, camera, expose, positions, render
+from metapp.appearance.flash import Maps, camera_position, radiance_to_display, render_maps, texel_positions
 
 
 def read(file: Path) -> Tensor:
@@ -30,9 +30,9 @@ maps = Maps(
     roughness=read(folder / "roughness.png"),
     normal=normal / normal.norm(dim=1, keepdim=True),
 )
-places, eye = positions(*normal.shape[-2:]), camera()
+places, eye = texel_positions(*normal.shape[-2:]), camera_position()
 lights = [torch.tensor([x, 0.5, 1.5]) for x in (-1.5, -0.5, 0.5, 1.5)]
-lit = torch.cat([expose(render(maps, places, light, eye))[0] for light in lights], 2)
+lit = torch.cat([radiance_to_display(render_maps(maps, places, light, eye))[0] for light in lights], 2)
 image = oiio.ImageBuf((255 * lit.permute(1, 2, 0) + 0.5).byte().contiguous().numpy())
 if not image.write(str(picture), "uint8"):
     sys.exit(f"{picture}: not written ({image.geterror()})")

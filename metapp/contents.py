@@ -53,12 +53,12 @@ APPLICATIONS = {
         presenter="metapp.apps.transport.presenter:TransportPresenter",
     ),
 }
-PHOTOS = "metapp.apps.svbrdf_nonstationary"
+NONSTATIONARY_PACKAGE = "metapp.apps.svbrdf_nonstationary"
 FURTHER_RECIPES = {  # of --observe reference
     **dict.fromkeys(("texture", "svbrdf_stationary", "svbrdf_nonstationary"), ("paper-64",)),
     **dict.fromkeys(("brdf", "illumination", "transport"), ("paper-long",)),
 }
-SYNTHETIC = {
+SYNTHETIC_SET_HELP = {
     "brdf": "metals, plastics, paints, fabrics; 1.6 MB, as MERL 35 MB (80 + 20)",
     "texture": "photos of 20 kinds of flat materials; 0.2 MB (240 + 20)",
     "svbrdf_stationary": "flash photos of 16 of these kinds; 0.2 MB (120 + 16)",
@@ -66,14 +66,14 @@ SYNTHETIC = {
     "illumination": "HDR maps of 16 kinds, photos of spheres; 0.15 MB (900 + 16)",
     "transport": "light paths of Cornell boxes; 0.7 MB and 2 s each (40 + 8)",
 }
-OBJECTS = {
+OBJECT_READERS = {
     "brdf": "brdf_objects:task_of_object",
     "texture": "photos:task_of_object",
     "svbrdf_stationary": "flash:task_of_object",
     "svbrdf_nonstationary": "svbrdf_inputs:task_of_object",
     "illumination": "latlong:task_of_object",
 }
-FORMATS = {  # module of data_tools.readers, application, inputs
+INPUT_FORMATS = {  # module of data_tools.readers, application, inputs
     "merl": ("merl", "brdf", "MERL .binary files"),
     "nbrdf": ("nbrdf", "brdf", "NBRDF networks (.h5, folders of .npy)"),
     "gonio": ("gonio", "brdf", "goniometer .csv files"),
@@ -83,7 +83,7 @@ FORMATS = {  # module of data_tools.readers, application, inputs
     "strips": ("strips", "svbrdf_nonstationary", ""),
     "laval": ("latlong", "illumination", "HDR maps (.exr, .hdr)"),
 }
-PARTS = {  # of rules, in the order in which they act on a step
+RULE_PARTS = {  # of rules, in the order in which they act on a step
     "sgd": "parts:SignedRates",
     "rates": "parts:Rates",
     "shared": "parts:SharedRates",
@@ -117,12 +117,12 @@ def register(registry: Registry) -> None:
             for name in ("quick", "full", "paper", *further):
                 place = ".".join(filter(None, ("RECIPES", protocol, name)))
                 registry.recipes[app, protocol, name] = RecipeEntry(f"metapp.apps.{app}.recipes:{place}")
-        registry.synthetic[app] = Entry(f"data_tools.synthetic.{app}", SYNTHETIC[app])
-        if app in OBJECTS:
-            registry.objects[app] = Entry(f"data_tools.readers.{OBJECTS[app]}")
-    for name, (module, app, inputs) in FORMATS.items():
+        registry.synthetic[app] = Entry(f"data_tools.synthetic.{app}", SYNTHETIC_SET_HELP[app])
+        if app in OBJECT_READERS:
+            registry.objects[app] = Entry(f"data_tools.readers.{OBJECT_READERS[app]}")
+    for name, (module, app, inputs) in INPUT_FORMATS.items():
         registry.formats[name] = Format(f"data_tools.readers.{module}", app=app, inputs=inputs)
-        registry.commands[f"data {name}"] = Entry(f"data_tools.converters:{name.capitalize()}")
+        registry.commands[f"data {name}"] = Entry(f"data_tools.converters:{name.capitalize()}Converter")
     registry.formats["svbrdf"] = Format(  # of fits: photos, strips and maps
         "data_tools.readers.svbrdf_inputs",
         app="svbrdf_nonstationary",
@@ -136,7 +136,7 @@ def register(registry: Registry) -> None:
     registry.formats["materials"] = Format(
         "data_tools.readers.training_materials", app="svbrdf_nonstationary", data_sets=True
     )
-    registry.commands["data materials"] = Entry("data_tools.converters:Materials")
+    registry.commands["data materials"] = Entry("data_tools.converters:MaterialsConverter")
     registry.recipes["brdf", "", "anisotropic"] = RecipeEntry(
         "metapp.apps.brdf.recipes:RECIPES.anisotropic",
         help="reflectance that depends on phi_h",
@@ -145,35 +145,35 @@ def register(registry: Registry) -> None:
         paradigms=("meta", "overfit"),
     )
     registry.recipes["brdf", "", "few"] = RecipeEntry(
-        "metapp.apps.brdf.few.app:FEW",
+        "metapp.apps.brdf.few.app:FEW_RECIPE",
         help="200 samples or fewer",
         suits={"samples": (1, 200)},  # up to which it has lower errors than the usual one
         mixed="full",
         paradigms=("meta",),
     )
     registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = RecipeEntry(
-        f"{PHOTOS}.pretrained.recipe:PRETRAINED",
+        f"{NONSTATIONARY_PACKAGE}.pretrained.recipe:PRETRAINED",
         help="one flash photo",
         suits={"photos": 1},
         paradigms=("general", "quickft", "meta"),
-        lacks=f"{PHOTOS}.pretrained.encoder:describe_missing_weights",
+        lacks=f"{NONSTATIONARY_PACKAGE}.pretrained.encoder:describe_missing_weights",
     )
     registry.recipes["svbrdf_nonstationary", "photo", "several"] = RecipeEntry(
-        f"{PHOTOS}.several.recipe:SEVERAL",
+        f"{NONSTATIONARY_PACKAGE}.several.recipe:SEVERAL",
         help="several photos",
         suits={"photos": (2, math.inf)},
     )
-    registry.networks["brdf", "nbrdf"] = Entry("metapp.apps.brdf.nbrdf:NBRDF")
-    registry.networks["brdf", "featured"] = Entry("metapp.apps.brdf.featured:FEATURED")
-    registry.networks["brdf", "anisotropic"] = Entry("metapp.apps.brdf.featured:ANISOTROPIC")
-    registry.networks["brdf", "few"] = Entry("metapp.apps.brdf.few.network:NETWORK")
+    registry.networks["brdf", "nbrdf"] = Entry("metapp.apps.brdf.nbrdf:NBRDF_NETWORK")
+    registry.networks["brdf", "featured"] = Entry("metapp.apps.brdf.featured:FEATURED_NETWORK")
+    registry.networks["brdf", "anisotropic"] = Entry("metapp.apps.brdf.featured:ANISOTROPIC_NETWORK")
+    registry.networks["brdf", "few"] = Entry("metapp.apps.brdf.few.network:FEW_NETWORK")
     registry.exports["brdf", "merl"] = Export("data_tools.readers.merl:export")
     weights = ("w1", "w2", "w3", "b1", "b2", "b3")
     registry.exports["brdf", "nbrdf"] = Export("data_tools.readers.nbrdf:export", holds=weights)
 
-    for name, part in PARTS.items():
+    for name, part in RULE_PARTS.items():
         registry.parts[name] = Entry(f"metapp.learning.rules.{part}")
-    registry.parts["newton"] = Entry(f"{PHOTOS}.several.newton:Newton")
+    registry.parts["newton"] = Entry(f"{NONSTATIONARY_PACKAGE}.several.newton:Newton")
     # names for compositions
     registry.compositions["adam"] = "rates+betas"
     registry.compositions["tied"] = "shared+pace"
@@ -203,11 +203,11 @@ def register(registry: Registry) -> None:
         ("brdf", "svbrdf_nonstationary", "illumination"),
     )
     for paradigm in PARADIGMS:
-        registry.commands[paradigm] = Entry(f"metapp.cli.fit:COMMANDS.{paradigm}")
-    registry.commands["plan"] = Entry("metapp.cli.plan:plan")
-    registry.commands["evaluate"] = Entry("metapp.cli.evaluate:command")
-    registry.commands["export"] = Entry("metapp.cli.export:command")
-    registry.commands["data"] = Entry("metapp.cli.commands:data")
+        registry.commands[paradigm] = Entry(f"metapp.cli.fit:FIT_COMMANDS.{paradigm}")
+    registry.commands["plan"] = Entry("metapp.cli.plan:plan_measurements")
+    registry.commands["evaluate"] = Entry("metapp.cli.evaluate:evaluate_command")
+    registry.commands["export"] = Entry("metapp.cli.export:export_command")
+    registry.commands["data"] = Entry("metapp.cli.commands:data_group")
     registry.commands["data synth"] = Entry("metapp.cli.synth:synth")
     registry.commands["data cornell"] = Entry("metapp.cli.synth:cornell")
     registry.commands["data join"] = Entry("metapp.cli.data:join")

@@ -90,7 +90,7 @@ class RenderFit(Protocol):
     """
 
     def __call__(self, app: App, task: Task, theta: Params, value: Any, /) -> Any:
-        """Return a `metapp.appearance.pictures.Rendered`: pictures by their files' names, and lines that are printed.
+        """Return a `metapp.appearance.pictures.ScenePictures`: pictures by their files' names, and lines that are printed.
 
         Args:
             app: the application.
@@ -227,7 +227,7 @@ class MakeTable(Protocol):
         """Return the :class:`metapp.evaluation.table.Table` of an application; without rows if it has nothing to show.
 
         Args:
-            subject: a :class:`metapp.evaluation.subject.Subject`: the application under a protocol, its tasks and
+            subject: a :class:`metapp.evaluation.subject.EvaluationRun`: the application under a protocol, its tasks and
                 runs; it fits what the table asks for.
         """
         ...

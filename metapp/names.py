@@ -49,7 +49,7 @@ def protocols_of(app: str) -> tuple[str, ...]:
     return tuple(application_of(app).protocols)
 
 
-def protocol_of(app: str, protocol: str = "") -> str:
+def protocol_or_default(app: str, protocol: str = "") -> str:
     """The protocol, the default one if none is named; "" if there is no choice.
 
     >>> protocol_of("illumination")
@@ -69,7 +69,7 @@ def recipe_names(app: str) -> list[str]:
 
 def recipe_entries(app: str, protocol: str = "") -> dict[str, RecipeEntry]:
     """The recipes of an application under a protocol, its default one if none is named."""
-    return registry().recipes.of(app, protocol_of(app, protocol))
+    return registry().recipes.of(app, protocol_or_default(app, protocol))
 
 
 def embedded_apps() -> list[str]:
@@ -91,7 +91,7 @@ def rule_words() -> list[str]:
     return [*tables.rules, *tables.compositions, *tables.parts]
 
 
-def inputs_of(app: str) -> dict[str, Format]:
+def input_formats(app: str) -> dict[str, Format]:
     """The formats that fits of an application take as INPUT, sorted by name.
 
     >>> list(inputs_of("texture"))

@@ -19,7 +19,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from metapp.names import application_of, did_you_mean
-from metapp.registry import load
+from metapp.registry import load_reference
 
 PANELS = INPUT, FIT, OUTPUT = "Input", "Fit", "Output"  # of --help
 Options = TypeVar("Options")
@@ -101,7 +101,7 @@ def _is_one_of(value: object, kinds: tuple[Any, ...]) -> bool:
     return isinstance(value, plain) and (bool in plain or not isinstance(value, bool))
 
 
-def declared(options: type) -> Mapping[str, Option]:
+def options_by_name(options: type) -> Mapping[str, Option]:
     """The options of a dataclass by name, in the order of its fields."""
     return _declared(options)
 
@@ -117,7 +117,7 @@ def _declared(options: type) -> Mapping[str, Option]:
     return found
 
 
-def parse(options: type[Options], values: Mapping[str, object], **checked: object) -> Options:
+def parse_options(options: type[Options], values: Mapping[str, object], **checked: object) -> Options:
     """An instance of a dataclass of options.
 
     Args:
@@ -128,7 +128,7 @@ def parse(options: type[Options], values: Mapping[str, object], **checked: objec
     Raises:
         BadOption: a value that an option cannot have.
     """
-    known = declared(options)
+    known = options_by_name(options)
     given = {name: known[name].value(value) for name, value in values.items() if value is not None}
     return options(**given, **checked)
 
@@ -141,7 +141,7 @@ class AppOptions:
         """The options of these panels (of all if none is named) that are not at their default."""
         return {
             name: getattr(self, name)
-            for name, option in declared(type(self)).items()
+            for name, option in options_by_name(type(self)).items()
             if (not panels or option.panel in panels) and getattr(self, name) != option.default
         }
 
@@ -162,9 +162,9 @@ class AppOptions:
         return {name: _as_json(value) for name, value in sorted(self.given(INPUT, FIT).items())}
 
 
-def options_of(app: str) -> type[AppOptions]:
+def app_options_class(app: str) -> type[AppOptions]:
     """The dataclass of an application's own options."""
-    result: type[AppOptions] = load(application_of(app).options)
+    result: type[AppOptions] = load_reference(application_of(app).options)
     return result
 
 

@@ -22,15 +22,15 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 if TYPE_CHECKING:
     from metapp import contracts
 
-GROUP, CORE = "metapp.extensions", "metapp.contents"
-WITHOUT = "METAPP_WITHOUT"  # environment variable: names of extensions to leave out, separated by commas
-SHIPPED = "metapp"  # the package whose extensions come first, and whose errors are raised
+ENTRY_POINT_GROUP, CORE_MODULE = "metapp.extensions", "metapp.contents"
+WITHOUT_VARIABLE = "METAPP_WITHOUT"  # environment variable: names of extensions to leave out, separated by commas
+METAPP_PACKAGE = "metapp"  # the package whose extensions come first, and whose errors are raised
 
 Value = TypeVar("Value")
 Contract = TypeVar("Contract")  # the type of the object that an entry names
 
 
-def load(reference: str) -> Any:
+def load_reference(reference: str) -> Any:
     """The object of "module:attribute", the entry of "module:TABLE.key" or a module; it is imported now.
 
     Raises:
@@ -47,11 +47,11 @@ def load(reference: str) -> Any:
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise ImportError(f"{reference} cannot be loaded: {reason_of(error)}") from error
+        raise ImportError(f"{reference} cannot be loaded: {describe_error(error)}") from error
     return thing
 
 
-def reason_of(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """An error in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
@@ -79,7 +79,7 @@ class Entry(Generic[Contract]):
         Raises:
             ImportError: there is no such module or attribute, or the import fails.
         """
-        named: Contract = load(self.reference)
+        named: Contract = load_reference(self.reference)
         return named
 
 
@@ -104,7 +104,7 @@ class Application(Entry[Any]):
     facts: str = ""
 
 
-Wanted = bool | int | tuple[float, float]  # the value of a fact, or its least and greatest one
+FactRange = bool | int | tuple[float, float]  # the value of a fact, or its least and greatest one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,7 @@ class RecipeEntry(Entry[Any]):
         lacks: a function `lacks() -> str`, a line that names a file it needs and does not find; "" for none.
     """
 
-    suits: Mapping[str, Wanted] = field(default_factory=dict)
+    suits: Mapping[str, FactRange] = field(default_factory=dict)
     mixed: str = ""
     paradigms: tuple[str, ...] = ()
     lacks: str = ""
@@ -137,7 +137,7 @@ class Format(Entry[Any]):
     - `read_task(path, ...)`: the task; ValueError if the source is damaged. Fits pass the parameters that it names,
       among them `content`, what `find` has parsed already;
     - `UNITS`, if the command "data NAME" (a `metapp.options.Converter`) converts files: units of tensors by name;
-    - `entries(paths, folders, split)`, optional: names, groups and splits as `metapp.storage.shards.Entry`, of all
+    - `entries(paths, folders, split)`, optional: names, groups and splits as `metapp.storage.shards.ManifestEntry`, of all
       paths of sources that are not left out.
 
     Attributes:
@@ -238,7 +238,7 @@ class Registry:
         self.pages: Entries[Entry[contracts.ViewFit]] = Entries(Entry)  # by application
         # plugins of Mitsuba: functions that register one; of integrators `help` says what they do
         self.plugins: Entries[Entry[Callable[[], None]]] = Entries(Entry)
-        self.measures: Entries[Entry[Any]] = Entries(Entry)  # a `metapp.appearance.picture_measures.Measure`
+        self.measures: Entries[Entry[Any]] = Entries(Entry)  # a `metapp.appearance.picture_measures.PictureMeasure`
         self.baselines: Entries[Entry[contracts.MakeBaselines]] = Entries(Entry, 2)  # by application and method
         self.tables: Entries[Entry[contracts.MakeTable]] = Entries(Entry)  # of `metapp evaluate`; `help` is the heading
         # a function that typer reads, or a group of typer; of "data FORMAT" a subclass of `metapp.options.Converter`
@@ -303,7 +303,7 @@ class Registry:
                 raise TypeError(f"commands {key}: {entry.reference} is no function")
 
     def loaded(self, table: str, *first: str) -> dict[str, Any]:
-        """The objects of a table, or of keys that begin with these words; ImportError as of `load`.
+        """The objects of a table, or of keys that begin with these words; ImportError as of `load_reference`.
 
         Entries that another package has, or that cannot be loaded, are left out with a warning.
         """
@@ -312,7 +312,7 @@ class Registry:
             try:
                 objects[name] = entry.load()
             except ImportError as error:
-                if (owner := self.owners[self.name(table, (*first, name))]) == SHIPPED:
+                if (owner := self.owners[self.name(table, (*first, name))]) == METAPP_PACKAGE:
                     raise
                 warnings.warn(f"extension of {owner}: {error}; {name} is left out.", stacklevel=2)
         return objects
@@ -324,29 +324,29 @@ def registry() -> Registry:
     >>> registry().rules["meta-sgd"]
     'sgd'
     """
-    return _built(os.environ.get(WITHOUT, ""))
+    return _built(os.environ.get(WITHOUT_VARIABLE, ""))
 
 
 @functools.cache
 def _built(without: str) -> Registry:
     result, names = Registry(), {name.strip() for name in without.split(",")}
-    importlib.import_module(CORE).register(core := Registry())
-    result.add(core, SHIPPED)
-    points = [(_package(point.dist), point) for point in importlib.metadata.entry_points(group=GROUP)]
+    importlib.import_module(CORE_MODULE).register(core := Registry())
+    result.add(core, METAPP_PACKAGE)
+    points = [(_package(point.dist), point) for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP)]
     points = [(package, point) for package, point in points if point.name not in names]
-    for package, point in sorted(points, key=lambda each: (each[0] != SHIPPED, each[0], each[1].value)):
+    for package, point in sorted(points, key=lambda each: (each[0] != METAPP_PACKAGE, each[0], each[1].value)):
         try:
             (point.load() if point.attr else point.load().register)(part := Registry())
-            if package != SHIPPED:
+            if package != METAPP_PACKAGE:
                 part.check()
             result.add(part, package)
             result.extensions[point.name] = package
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # whatever a stranger's module does, the rest of metapp works
-            if package == SHIPPED:
+            if package == METAPP_PACKAGE:
                 raise
-            result.problems[f"{point.name} of {package}"] = reason_of(error)
+            result.problems[f"{point.name} of {package}"] = describe_error(error)
     return result
 
 

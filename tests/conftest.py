@@ -18,21 +18,21 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from data_tools.readers.nbrdf import SHAPES
+from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES
 from metapp.appearance import features
-from metapp.appearance.features import weights_path
+from metapp.appearance.features import vgg_weights_path
 from metapp.appearance.flash import camera_distance
-from metapp.appearance.geometry import above_horizon
+from metapp.appearance.geometry import is_above_horizon
 from metapp.extensions.native import compiler
 from metapp.learning.recipe import Recipe
-from metapp.rendering.second_scene.relighting import matrix_path
+from metapp.rendering.second_scene.relighting import matrix_file
 from tests.needs_mitsuba import skip_without_mitsuba
 from tests.small_spheres import run_small, shrink_spheres
 
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
-os.environ[features.FLOAT32] = "1"  # figures are the same on all machines
+os.environ[features.FLOAT32_VARIABLE] = "1"  # figures are the same on all machines
 HAS_GPU = torch.cuda.is_available()
 
 
@@ -132,7 +132,7 @@ def compiled(cache: Path, _compiled_once: Path) -> None:
     shutil.copytree(_compiled_once, cache / _compiled_once.name, copy_function=os.link)
 
 
-USER_WEIGHTS, USER_MATRIX = weights_path(), matrix_path()  # before any test moves the cache
+USER_WEIGHTS, USER_MATRIX = vgg_weights_path(), matrix_file()  # before any test moves the cache
 
 
 @pytest.fixture
@@ -150,7 +150,7 @@ def with_bfloat16(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     biases = {key.replace("weight", "bias"): torch.zeros(len(value)) for key, value in weights.items()}
     save_file(weights | biases, cache / "vgg16.safetensors")
     monkeypatch.setattr(features, "has_bfloat16", lambda: True)
-    monkeypatch.delenv(features.FLOAT32)
+    monkeypatch.delenv(features.FLOAT32_VARIABLE)
 
 
 @pytest.fixture
@@ -193,7 +193,7 @@ def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
 
     No line tells of a wait: what a test reads does not depend on how busy the machine is.
     """
-    from metapp.cli.console import Terminal, run
+    from metapp.cli.console import Terminal, run_command
 
     made_command()  # of all extensions, before a test leaves one out
 
@@ -201,7 +201,7 @@ def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
         words = [str(each) for each in arguments]
         with warnings.catch_warnings():
             terminal = Terminal(wait_seconds=3600.0)
-            code = run(lambda: made_command()(words, standalone_mode=False, prog_name="metapp"), terminal)
+            code = run_command(lambda: made_command()(words, standalone_mode=False, prog_name="metapp"), terminal)
         captured = capsys.readouterr()
         return Result(int(code), captured.out, captured.err)
 
@@ -221,7 +221,7 @@ def random_angles() -> Callable[..., Tensor]:
         rng = torch.Generator().manual_seed(3)
         high = torch.tensor([math.pi / 2, math.pi / 2, math.pi], dtype=torch.float64)
         angles = 1e-4 + torch.rand(count, 3, generator=rng, dtype=torch.float64) * (high - 2e-4)
-        return angles[above_horizon(angles)] if above else angles
+        return angles[is_above_horizon(angles)] if above else angles
 
     return draw
 
@@ -314,7 +314,7 @@ def neural_fits(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Pat
         folder, rng = tmp_path_factory.mktemp("networks"), np.random.default_rng(0)
         for i in range(count):
             (folder / f"m{i}").mkdir()
-            for part, shape in SHAPES.items():
+            for part, shape in NBRDF_ARRAY_SHAPES.items():
                 np.save(folder / f"m{i}" / f"{part}.npy", rng.normal(0, 0.3, shape).astype(np.float32))
         return folder
 

@@ -59,9 +59,9 @@ def metapp(*words: str) -> None:
 
 def compiles(source: Path, found: bool) -> None:
     """Load a C source, and fail where its functions were to be had or not against `found`."""
-    from metapp.extensions.native.compiler import load
+    from metapp.extensions.native.compiler import load_library
 
-    assert (load(source) is not None) is found
+    assert (load_library(source) is not None) is found
 
 
 def _script(*words: str) -> None:

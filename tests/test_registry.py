@@ -14,7 +14,7 @@ import pytest
 
 from metapp import contracts
 from metapp import registry as module
-from metapp.registry import WITHOUT, Export, Registry, load, registry
+from metapp.registry import WITHOUT_VARIABLE, Export, Registry, load_reference, registry
 
 ROOT = Path(__file__).parent.parent
 RUN = "import sys\nfrom metapp.cli import main\nmain()"
@@ -132,7 +132,7 @@ def test_ctrl_c_is_no_error_of_an_extension(installed: Callable[..., Registry]) 
 def test_left_out_by_the_environment_nothing_of_it_is_there(
     installed: Callable[..., Registry], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(WITHOUT, "viewer, stranger,dead")
+    monkeypatch.setenv(WITHOUT_VARIABLE, "viewer, stranger,dead")
     installed(GOOD)
     there = installed("import nothing_at_all", "dead")
     assert there.problems == {}
@@ -181,7 +181,7 @@ def test_all_that_ships_can_be_loaded() -> None:
     for _, _, entry in registry().entries():
         for name in ("reference", "options", "presenter", "lacks", "facts"):
             if reference := getattr(entry, name, ""):
-                assert load(reference) is not None
+                assert load_reference(reference) is not None
 
 
 # Entries of formats, exports and objects

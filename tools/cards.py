@@ -1,7 +1,7 @@
 """Make the cards of docs/what-can-i-make.md, 720 x 360 px, of what commands have written: cards.py FOLDER OUT.
 
 FOLDER holds exemplars of the embedded data sets as pictures (`metapp data synth APP` draws these), ball0.jpg to
-ball2.jpg (`metapp.appearance.photograph.mirror` of a map of `metapp data synth illumination --rows 256`, on grey, each
+ball2.jpg (`metapp.appearance.photograph.render_mirror_spheres` of a map of `metapp data synth illumination --rows 256`, on grey, each
 a third as bright as the one before), and the runs of
 
     metapp meta texture bricks.png
@@ -25,41 +25,45 @@ from PIL import Image
 
 from metapp.appearance.colour import linear_to_srgb
 
-Part = tuple[str, tuple[int, int, int, int] | None]  # a file, which may be a pattern, and its box, px
-DOCS = Path(__file__).parent.parent / "docs"
-HEIGHT, WIDTH, GAP = 360, 720, 4  # px
-QUARTER = (0, 0, 512, 512)
-STATIONARY = "runs/svbrdf_stationary/meta*/*{}*/{}.png"
-PHOTO = "runs/svbrdf_nonstationary/meta*/*sign*/{}.png"
-BOX = "runs/transport/meta*/cornell-0-000/{}.png"
+CardPart = tuple[str, tuple[int, int, int, int] | None]  # a file, which may be a pattern, and its box, px
+DOCS_FOLDER = Path(__file__).parent.parent / "docs"
+CARD_HEIGHT_PX, CARD_WIDTH_PX, CARD_GAP_PX = 360, 720, 4  # px
+UPPER_LEFT_BOX = (0, 0, 512, 512)
+STATIONARY_PATTERN = "runs/svbrdf_stationary/meta*/*{}*/{}.png"
+NONSTATIONARY_PATTERN = "runs/svbrdf_nonstationary/meta*/*sign*/{}.png"
+CORNELL_PATTERN = "runs/transport/meta*/cornell-0-000/{}.png"
 
 
-def maps(pattern: str, names: Sequence[str], box: tuple[int, int, int, int] | None) -> list[list[Part]]:
+def map_rows(pattern: str, names: Sequence[str], box: tuple[int, int, int, int] | None) -> list[list[CardPart]]:
     """Four maps, two above two."""
     parts = [(pattern.format(name), box) for name in names]
     return [parts[:2], parts[2:]]
 
 
 # columns of a card, each a list of rows of parts
-CARDS: dict[str, list[list[list[Part]]]] = {
+CARD_COLUMNS: dict[str, list[list[list[CardPart]]]] = {
     "brdf": [[[("demo.png", (372, 32, 996, 350))]]],
-    "texture": [[[("bricks.png", None)]], [[("runs/texture/meta*/*bricks*/texture.png", QUARTER)]]],
+    "texture": [[[("bricks.png", None)]], [[("runs/texture/meta*/*bricks*/texture.png", UPPER_LEFT_BOX)]]],
     "svbrdf-stationary": [
         [[("rust.png", None)]],
-        maps(STATIONARY.format("rust", "{}"), ("diffuse", "roughness", "normal", "lit_from_left"), QUARTER),
+        map_rows(
+            STATIONARY_PATTERN.format("rust", "{}"), ("diffuse", "roughness", "normal", "lit_from_left"), UPPER_LEFT_BOX
+        ),
     ],
     "svbrdf-nonstationary": [
         [[("sign.png", None)]],
-        maps(PHOTO, ("diffuse", "roughness", "normal", "lit_from_left"), None),
+        map_rows(NONSTATIONARY_PATTERN, ("diffuse", "roughness", "normal", "lit_from_left"), None),
     ],
     "illumination": [
         [[("ball-to-hdr.jpg", (0, 0, 192, 192))]],
         [[("ball-to-hdr.jpg", (208, 0, 592, 192))], [("ball-to-hdr.jpg", (608, 24, 896, 168))]],
     ],
-    "transport": [[[(BOX.format("guided_path"), None)]], [[(BOX.format("regular_nee"), None)]]],
+    "transport": [[[(CORNELL_PATTERN.format("guided_path"), None)]], [[(CORNELL_PATTERN.format("regular_nee"), None)]]],
     "maps": [
-        [[(STATIONARY.format("leather", "lit_from_left"), QUARTER)]],
-        maps(STATIONARY.format("leather", "{}"), ("diffuse", "roughness", "normal", "specular"), QUARTER),
+        [[(STATIONARY_PATTERN.format("leather", "lit_from_left"), UPPER_LEFT_BOX)]],
+        map_rows(
+            STATIONARY_PATTERN.format("leather", "{}"), ("diffuse", "roughness", "normal", "specular"), UPPER_LEFT_BOX
+        ),
     ],
     "ball": [
         [[("garden/found/ball0.png", (90, 0, 630, 540))]],
@@ -72,35 +76,35 @@ CARDS: dict[str, list[list[list[Part]]]] = {
 }
 
 
-def opened(folder: Path, name: str) -> Image.Image:
+def open_picture(folder: Path, name: str) -> Image.Image:
     """A picture of the folder or else of docs/; linear ones by sRGB's curve, times the number after a `*`."""
     path, linear, factor = name.partition(".exr*")
     if not linear:
-        return Image.open(next(folder.glob(name), DOCS / name)).convert("RGB")
+        return Image.open(next(folder.glob(name), DOCS_FOLDER / name)).convert("RGB")
     pixels = oiio.ImageBuf(str(folder / f"{path}.exr")).get_pixels(oiio.FLOAT)
     assert pixels is not None, name
     shown = linear_to_srgb((torch.from_numpy(pixels[..., :3]) * float(factor)).clamp(0, 1))
     return Image.fromarray((shown * 255).round().to(torch.uint8).numpy())
 
 
-def card(folder: Path, columns: list[list[list[Part]]]) -> Image.Image:
+def compose_card(folder: Path, columns: list[list[list[CardPart]]]) -> Image.Image:
     """Columns of equal width, of rows of equal height, of parts of equal width."""
-    result = Image.new("RGB", (WIDTH, HEIGHT), "white")
+    result = Image.new("RGB", (CARD_WIDTH_PX, CARD_HEIGHT_PX), "white")
     for i, column in enumerate(columns):
         for j, row in enumerate(column):
             for k, (name, box) in enumerate(row):
-                width, height = WIDTH // len(columns) // len(row), HEIGHT // len(column)
-                part = opened(folder, name).crop(box) if box else opened(folder, name)
-                place = (i * WIDTH // len(columns) + k * width, j * height)
-                result.paste(part.resize((width - GAP, height - GAP), Image.Resampling.LANCZOS), place)
-    return result.crop((0, 0, WIDTH - GAP, HEIGHT - GAP))
+                width, height = CARD_WIDTH_PX // len(columns) // len(row), CARD_HEIGHT_PX // len(column)
+                part = open_picture(folder, name).crop(box) if box else open_picture(folder, name)
+                place = (i * CARD_WIDTH_PX // len(columns) + k * width, j * height)
+                result.paste(part.resize((width - CARD_GAP_PX, height - CARD_GAP_PX), Image.Resampling.LANCZOS), place)
+    return result.crop((0, 0, CARD_WIDTH_PX - CARD_GAP_PX, CARD_HEIGHT_PX - CARD_GAP_PX))
 
 
 def main(folder: Path, out: Path) -> None:
     """Write all cards."""
     out.mkdir(parents=True, exist_ok=True)
-    for name, columns in CARDS.items():
-        card(folder, columns).save(out / f"{name}.jpg", quality=88)
+    for name, columns in CARD_COLUMNS.items():
+        compose_card(folder, columns).save(out / f"{name}.jpg", quality=88)
 
 
 if __name__ == "__main__":

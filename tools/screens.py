@@ -16,10 +16,10 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.browser import Page, browsing
 
-WIDTH, HEIGHT, QUALITY = 1120, 660, 82
-SECONDS = 90.0  # that a picture may improve, at most
+SCREEN_WIDTH_PX, SCREEN_HEIGHT_PX, JPEG_QUALITY = 1120, 660, 82
+MAX_PICTURE_SECONDS = 90.0  # that a picture may improve, at most
 # applications' titles as pages have them
-SECTIONS = {
+PICTURE_NAMES = {
     "BRDF": "brdf",
     "Illumination (reference)": "illumination",
     "svBRDF non-stat. (photo)": "svbrdf-nonstationary",
@@ -32,21 +32,23 @@ SECTIONS = {
 def main() -> None:
     """Write view-<name>.jpg of each application, as its page opens."""
     file, out = Path(sys.argv[1]), Path(sys.argv[2])
-    wanted = dict(each.partition(":")[::2] for each in sys.argv[3:] or SECTIONS.values())
+    wanted = dict(each.partition(":")[::2] for each in sys.argv[3:] or PICTURE_NAMES.values())
     with browsing() as browser:
-        page = Page(browser, file, WIDTH, HEIGHT, adapts=True)
+        page = Page(browser, file, SCREEN_WIDTH_PX, SCREEN_HEIGHT_PX, adapts=True)
         groups = page.page.evaluate("DATA.groups.map((group) => [group.section, group.title])")
-        for section, name in SECTIONS.items():
+        for section, name in PICTURE_NAMES.items():
             if name not in wanted:
                 continue
             task = wanted[name]
             which = next(i for i, (of, title) in enumerate(groups) if of == section and task in ("", title))
             page.page.evaluate(f"metapp.open({which})")
             begin = time.monotonic()
-            page.page.evaluate(f"Promise.race([metapp.settled(), new Promise((r) => setTimeout(r, {1000 * SECONDS}))])")
+            page.page.evaluate(
+                f"Promise.race([metapp.settled(), new Promise((r) => setTimeout(r, {1000 * MAX_PICTURE_SECONDS}))])"
+            )
             print(name, f"{time.monotonic() - begin:.1f} s", json.dumps(page.problems))
             picture = Image.open(io.BytesIO(page.page.screenshot(timeout=120_000))).convert("RGB")
-            picture.save(out / f"view-{name}.jpg", quality=QUALITY, optimize=True)
+            picture.save(out / f"view-{name}.jpg", quality=JPEG_QUALITY, optimize=True)
 
 
 if __name__ == "__main__":

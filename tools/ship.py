@@ -19,18 +19,18 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest
 
-GRID, CURVE = 64, 200
-SKIPPED = (".previous", ".interrupted", ".training", ".aside")
+MAX_ALPHA_GRID_CELLS, MAX_CURVE_POINTS = 64, 200
+UNFINISHED_ENDINGS = (".previous", ".interrupted", ".training", ".aside")
 
 
-def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:
+def copy_checkpoint(source: Path, target: Path, rounded: dict[str, str]) -> None:
     """Copy one checkpoint; `rounded` has the digests of encoders before and after rounding."""
     with safe_open(source, "pt") as file:
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         info: dict[str, Any] = json.loads(file.metadata()["metapp"])
     if "encoder" in info:
         info["encoder"] = rounded.get(info["encoder"], info["encoder"])
-    info["curve"] = info["curve"][:: max(1, len(info["curve"]) // CURVE)]
+    info["curve"] = info["curve"][:: max(1, len(info["curve"]) // MAX_CURVE_POINTS)]
     tensors = {key: _on_small_grid(value) if key.startswith("alpha.") else value for key, value in tensors.items()}
     tensors = {key: value.half() if _is_large(key, value) else value for key, value in tensors.items()}
     encoder = MetaParameters.unflat(tensors).encoder
@@ -49,7 +49,7 @@ def _on_small_grid(value: torch.Tensor) -> torch.Tensor:
         return value
     if torch.equal(value, value[..., :1, :1].expand_as(value)):
         return value[..., :1, :1].clone()
-    return adaptive_avg_pool2d(value, GRID) if value.shape[2] > GRID else value
+    return adaptive_avg_pool2d(value, MAX_ALPHA_GRID_CELLS) if value.shape[2] > MAX_ALPHA_GRID_CELLS else value
 
 
 def _is_large(key: str, value: torch.Tensor) -> bool:
@@ -63,9 +63,9 @@ def _digest(encoder: Params) -> str:
     return tensor_digest({key: value.float() for key, value in encoder.items()})
 
 
-def digests(folder: Path) -> dict[str, str]:
+def encoder_digests(folder: Path) -> dict[str, str]:
     """Digests of Generals as they were trained, and as they ship."""
-    paths = [path for path in folder.glob("general*.safetensors") if not path.stem.endswith(SKIPPED)]
+    paths = [path for path in folder.glob("general*.safetensors") if not path.stem.endswith(UNFINISHED_ENDINGS)]
     encoders = [load_checkpoint(path)[0].encoder for path in paths]
     return {tensor_digest(each): _digest({key: value.half() for key, value in each.items()}) for each in encoders}
 
@@ -73,8 +73,8 @@ def digests(folder: Path) -> dict[str, str]:
 if __name__ == "__main__":
     folder, checkpoints = map(Path, sys.argv[1:])
     checkpoints.mkdir(parents=True, exist_ok=True)
-    rounded = digests(folder)
+    rounded = encoder_digests(folder)
     for source in sorted(folder.glob("*.safetensors")):
-        if not source.stem.endswith(SKIPPED):
-            ship(source, checkpoints / source.name, rounded)
+        if not source.stem.endswith(UNFINISHED_ENDINGS):
+            copy_checkpoint(source, checkpoints / source.name, rounded)
             print(checkpoints / source.name, (checkpoints / source.name).stat().st_size)

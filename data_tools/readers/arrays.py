@@ -12,7 +12,7 @@ import numpy as np
 from PIL.Image import Image
 from torch import Tensor
 
-from data_tools.readers.colours import SRGB, Array
+from data_tools.readers.colours import SRGB_SPACE, Array
 from data_tools.readers.image_files import Pixels, check_size, pixels_of_pil
 from data_tools.readers.numbers import array_of
 
@@ -34,15 +34,15 @@ def pixels_of(name: str, source: object, others: str = "") -> Pixels:
     if not is_picture(source):
         raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED}{others}.")
     if is_pil(source):
-        return checked(name, pixels_of_pil(source, name))
-    values = planes_of(name, source)
+        return check_pixels(name, pixels_of_pil(source, name))
+    values = picture_values(name, source)
     if values.dtype.kind == "f":
         check_range(name, values, "display values", "clip them, divide by 255 or give uint8")
         values = (np.clip(values, 0, 1) * 65535 + 0.5).astype(np.uint16)
-    return checked(name, Pixels(values, SRGB, False))
+    return check_pixels(name, Pixels(values, SRGB_SPACE, False))
 
 
-def checked(name: str, pixels: Pixels) -> Pixels:
+def check_pixels(name: str, pixels: Pixels) -> Pixels:
     """A picture whose size `check_size` takes."""
     height, width = pixels.values.shape[:2]
     check_size(width, height, name)
@@ -59,7 +59,7 @@ def is_picture(source: object) -> bool:
     return isinstance(source, np.ndarray | Tensor | Image) or hasattr(source, "__array_interface__")
 
 
-def planes_of(name: str, source: object) -> Array:
+def picture_values(name: str, source: object) -> Array:
     """The values of a picture, [H, W, 3]: uint8, uint16, or float; ValueError for another shape or type."""
     values = array_of(name, source)
     shape = tuple(values.shape)

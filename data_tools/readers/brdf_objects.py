@@ -11,17 +11,17 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.measured_pairs import LARGEST, Pairs, task_of_pairs
+from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, task_of_pairs
 from data_tools.readers.numbers import doubles_of, unit_vectors, vectors_of
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.learning.task import Task
 from metapp.rendering.types import Bsdf
 from metapp.rendering.variant import load_mitsuba
 
-SAMPLES = 65_536
-SAMPLED = ("wi", "wo", "reflectance")  # arrays of samples
+FUNCTION_SAMPLES = 65_536
+SAMPLE_ARRAY_NAMES = ("wi", "wo", "reflectance")  # arrays of samples
 
-Function = Callable[[np.ndarray, np.ndarray], object]
+BrdfFunction = Callable[[np.ndarray, np.ndarray], object]
 
 
 def task_of_object(source: object, name: str, **_: object) -> Task:
@@ -37,18 +37,20 @@ def task_of_object(source: object, name: str, **_: object) -> Task:
         ValueError: none of these; values of another shape, negative, or not finite; too few samples.
     """
     if isinstance(source, tuple | list):
-        if len(source) != len(SAMPLED):
-            raise ValueError(f"{name}: {len(source)} arrays, expected {len(SAMPLED)}: {', '.join(SAMPLED)}.")
-        wi, wo = (unit_vectors(name, *pair) for pair in zip(source[:2], SAMPLED[:2], strict=True))
-        values = vectors_of(name, source[2], SAMPLED[2])
-        if not ((values >= 0) & (values <= LARGEST)).all():
+        if len(source) != len(SAMPLE_ARRAY_NAMES):
+            raise ValueError(
+                f"{name}: {len(source)} arrays, expected {len(SAMPLE_ARRAY_NAMES)}: {', '.join(SAMPLE_ARRAY_NAMES)}."
+            )
+        wi, wo = (unit_vectors(name, *pair) for pair in zip(source[:2], SAMPLE_ARRAY_NAMES[:2], strict=True))
+        values = vectors_of(name, source[2], SAMPLE_ARRAY_NAMES[2])
+        if not ((values >= 0) & (values <= MAX_REFLECTANCE_PER_SR)).all():
             found = "reflectance that is negative, huge or not finite"
-            raise ValueError(f"{name}: {found}, expected 0 to {LARGEST:g}.")
+            raise ValueError(f"{name}: {found}, expected 0 to {MAX_REFLECTANCE_PER_SR:g}.")
         if not len(wi) == len(wo) == len(values):
             raise ValueError(f"{name}: {len(wi)}, {len(wo)} and {len(values)} rows, expected as many of each.")
-        return task_of_pairs(name, Pairs(wi, wo, values).above())
+        return task_of_pairs(name, MeasuredPairs(wi, wo, values).above())
     if type(source).__module__.partition(".")[0] == "mitsuba":
-        return _evaluated(name, partial(evaluated_by, load_mitsuba(), source))
+        return _evaluated(name, partial(evaluate_mitsuba_bsdf, load_mitsuba(), source))
     if callable(source):
         return _evaluated(name, partial(_called, name, source))
     raise ValueError(
@@ -57,11 +59,13 @@ def task_of_object(source: object, name: str, **_: object) -> Task:
     )
 
 
-def _evaluated(name: str, evaluate: brdf_task.Evaluate) -> Task:
-    return brdf_task.measured_task(name, evaluate, SAMPLES, name, azimuths=brdf_task.is_anisotropic(evaluate))
+def _evaluated(name: str, evaluate: brdf_task.AnglesToReflectance) -> Task:
+    return brdf_task.make_measured_task(
+        name, evaluate, FUNCTION_SAMPLES, name, azimuths=brdf_task.depends_on_phi_h(evaluate)
+    )
 
 
-def evaluated_by(mitsuba: ModuleType, bsdf: Bsdf, angles: Tensor) -> Tensor:
+def evaluate_mitsuba_bsdf(mitsuba: ModuleType, bsdf: Bsdf, angles: Tensor) -> Tensor:
     """A BSDF of Mitsuba, without the cosine: linear RGB [..., 3] in 1/sr, >= 0, of angles [..., 3 or 4] in rad."""
     import drjit
 
@@ -73,7 +77,7 @@ def evaluated_by(mitsuba: ModuleType, bsdf: Bsdf, angles: Tensor) -> Tensor:
     return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(*angles.shape[:-1], 3).to(angles)
 
 
-def _called(name: str, function: Function, angles: Tensor) -> Tensor:
+def _called(name: str, function: BrdfFunction, angles: Tensor) -> Tensor:
     """Linear RGB [..., 3] in 1/sr of angles [..., 3 or 4] in rad."""
     wi, wo = (direction.reshape(-1, 3).float().numpy() for direction in rusinkiewicz_to_directions(angles.double()))
     values = doubles_of(f"{name}'s values", function(wi, wo)).to(angles)

@@ -11,8 +11,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from data_tools.readers.source import ANISOTROPIC, SAMPLES, Facts
-from metapp.appearance.geometry import above_horizon, cosines
+from data_tools.readers.source import ANISOTROPIC_FACT, SAMPLE_COUNT_FACT, Facts
+from metapp.appearance.geometry import angle_cosines, is_above_horizon
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.learning.task import Task
 
@@ -24,22 +24,22 @@ UNITS = {
     "environment": "linear RGB on black, coverage; the sphere under the environment map of metapp.appearance.sphere",
 }
 
-LEAST_CHANGE = 0.01
+MIN_AZIMUTH_CHANGE_SHARE = 0.01
 _TRIED = 4096  # samples
 _MAX_DRAWS = 64  # per sample; about 2 suffice for a measured table
 
-Evaluate = Callable[[Tensor], Tensor]  # angles [..., 3 or 4] rad -> reflectance [..., 3] in 1/sr, linear RGB
-Keep = Callable[[Tensor], Tensor]  # draws [M, 3] -> indices of those to keep, ascending
+AnglesToReflectance = Callable[[Tensor], Tensor]  # angles [..., 3 or 4] rad -> reflectance [..., 3] in 1/sr, linear RGB
+DrawFilter = Callable[[Tensor], Tensor]  # draws [M, 3] -> indices of those to keep, ascending
 # 1/sr, times both cosines: a GGX highlight of alpha 0.001 has 8e4. Of 138 published files half have up to 4,300, the
 # others 2,200; without the cosines, up to 1e6 beside the horizon, where a division by them lets noise grow
-HIGHEST = 1e6
-REFLECTED = 2.0  # of the light that comes in; of 138 published files half have up to 1.25, the others 1.10
+MAX_WEIGHTED_REFLECTANCE_PER_SR = 1e6
+MAX_PLAUSIBLE_ALBEDO = 2.0  # of the light that comes in; of 138 published files half have up to 1.25, the others 1.10
 _RINGS, _TURNS = 256, 16
 
 
-def brdf_task(
+def make_brdf_task(
     name: str,
-    evaluate: Evaluate,
+    evaluate: AnglesToReflectance,
     samples: int = 65_536,
     seed: int = 0,
     source: str | Path = "",
@@ -86,7 +86,7 @@ def brdf_task(
         spheres = {"render": reference_scene(azimuths=azimuths), "environment": environment_scene(azimuths=azimuths)}
         pictures = {key: shade_sphere(scene, evaluate).float() for key, scene in spheres.items()}
     _require_finite(source, (("samples", reflectance), *(("sphere", picture) for picture in pictures.values())))
-    return Task(name, {**columns_of(angles), "reflectance": reflectance.clamp_min(0), **pictures})
+    return Task(name, {**angle_tensors(angles), "reflectance": reflectance.clamp_min(0), **pictures})
 
 
 def _require_finite(source: str | Path, subjects: Iterable[tuple[str, Tensor]]) -> None:
@@ -96,7 +96,7 @@ def _require_finite(source: str | Path, subjects: Iterable[tuple[str, Tensor]]) 
             raise ValueError(f"{source}: {bad:,} values of the {subject} are NaN or infinite, expected finite ones.")
 
 
-def columns_of(angles: Tensor) -> dict[str, Tensor]:
+def angle_tensors(angles: Tensor) -> dict[str, Tensor]:
     """The tensors of a task for angles [N, 3 or 4]: `angles` [N, 3] and, of four, `phi_h` [N]."""
     if angles.shape[-1] == 3:
         return {"angles": angles}
@@ -105,30 +105,34 @@ def columns_of(angles: Tensor) -> dict[str, Tensor]:
 
 def facts_of(tensors: Mapping[str, Tensor | None]) -> Facts:
     """Return what tensors of a task tell; values are None where names alone are known, as of data sets."""
-    facts: dict[str, bool | int] = {ANISOTROPIC: "phi_h" in tensors}
+    facts: dict[str, bool | int] = {ANISOTROPIC_FACT: "phi_h" in tensors}
     if (angles := tensors.get("angles")) is not None:
         first, second = angles.chunk(2)
-        facts[SAMPLES] = len(first) if torch.equal(first, second) else len(angles)  # none held out, or half of them
+        facts[SAMPLE_COUNT_FACT] = (
+            len(first) if torch.equal(first, second) else len(angles)
+        )  # none held out, or half of them
     return facts
 
 
-def is_anisotropic(evaluate: Evaluate) -> bool:
+def depends_on_phi_h(evaluate: AnglesToReflectance) -> bool:
     """True if reflectance depends on phi_h: by more than LEAST_CHANGE of its mean, both as log(1 + f cos theta_i)."""
     angles = _analytic_angles(_TRIED, 0, azimuths=True)
     still = angles * angles.new_tensor([1.0, 1.0, 1.0, 0.0])
     with torch.no_grad():
-        turned, first = (torch.log1p(evaluate(each).clamp_min(0) * cosines(each).incident[:, None])
+        turned, first = (torch.log1p(evaluate(each).clamp_min(0) * angle_cosines(each).incident[:, None])
                          for each in (angles, still))  # fmt: skip
-    return bool((turned - first).abs().mean() > LEAST_CHANGE * first.mean())
+    return bool((turned - first).abs().mean() > MIN_AZIMUTH_CHANGE_SHARE * first.mean())
 
 
 @functools.lru_cache(maxsize=2)
 def _analytic_angles(samples: int, seed: int, azimuths: bool = False) -> Tensor:
     """The pool [N, 3] rad of all materials that can be evaluated anywhere; [N, 4] with phi_h."""
-    return sample_pool("samples", samples, seed, lambda draws: above_horizon(draws).nonzero()[:, 0], 3 + azimuths)
+    return draw_sample_pool(
+        "samples", samples, seed, lambda draws: is_above_horizon(draws).nonzero()[:, 0], 3 + azimuths
+    )
 
 
-def sample_pool(source: str | Path, samples: int, seed: int, keep: Keep, axes: int = 3) -> Tensor:
+def draw_sample_pool(source: str | Path, samples: int, seed: int, keep: DrawFilter, axes: int = 3) -> Tensor:
     """The first `samples` draws [N, axes] rad that are kept, the order random within each half."""
     extent = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi, 2 * math.pi])[:axes]
     count = 4 * samples
@@ -148,26 +152,29 @@ def sample_pool(source: str | Path, samples: int, seed: int, keep: Keep, axes: i
     return draws[kept[:samples][order]]
 
 
-def measured_task(
+def make_measured_task(
     name: str,
-    evaluate: Evaluate,
+    evaluate: AnglesToReflectance,
     samples: int,
     source: str | Path,
     *,
     azimuths: bool = False,
     measured: tuple[Tensor, Tensor] | None = None,
 ) -> Task:
-    """As `brdf_task`, of a file; warns if nothing is reflected, far too much, or more than comes in."""
-    task = brdf_task(name, evaluate, samples, source=source, azimuths=azimuths, measured=measured)
-    reflectance, cos = task.data["reflectance"], cosines(task.data["angles"])
+    """As `make_brdf_task`, of a file; warns if nothing is reflected, far too much, or more than comes in."""
+    task = make_brdf_task(name, evaluate, samples, source=source, azimuths=azimuths, measured=measured)
+    reflectance, cos = task.data["reflectance"], angle_cosines(task.data["angles"])
     weighted = (reflectance * (cos.incident * cos.outgoing)[:, None]).amax(1)
     high = float(reflectance[weighted.argmax()].max())
     albedo = float(normal_albedo(evaluate, azimuths=azimuths).max())
     if not reflectance.any():
         found, expected = "reflectance 0 everywhere", "some light reflected"
-    elif weighted.max() > HIGHEST:
-        found, expected = f"reflectance of up to {high:.3g} /sr, not at grazing angles", f"at most {HIGHEST:g} there"
-    elif albedo > REFLECTED:
+    elif weighted.max() > MAX_WEIGHTED_REFLECTANCE_PER_SR:
+        found, expected = (
+            f"reflectance of up to {high:.3g} /sr, not at grazing angles",
+            f"at most {MAX_WEIGHTED_REFLECTANCE_PER_SR:g} there",
+        )
+    elif albedo > MAX_PLAUSIBLE_ALBEDO:
         found, expected = f"{albedo:.3g} times the light that comes in from above is reflected", "at most all of it"
     else:
         return task

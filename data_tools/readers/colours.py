@@ -22,14 +22,14 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
-from metapp.appearance.colorimetry import colour_science
+from metapp.appearance.colorimetry import import_colour_science
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
 Array = NDArray[Any]
 Floats = NDArray[np.floating]
 
 
-class Profile(NamedTuple):
+class IccProfile(NamedTuple):
     """An ICC profile of encoded colours: its description, and its conversion of uint8 [rows, columns, 3] to sRGB."""
 
     name: str
@@ -49,9 +49,9 @@ class Hlg(NamedTuple):
     matrix: Floats
 
 
-Space = str | Primaries | Profile | Hlg  # or OpenColorIO's name
+ColourSpace = str | Primaries | IccProfile | Hlg  # or OpenColorIO's name
 
-SRGB, LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
+SRGB_SPACE, LINEAR_SPACE = "srgb_rec709_scene", "lin_rec709_scene"
 
 _CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may know other spaces
 _UNSTATED = ("", "unknown", "data", "raw", "rec709")  # say nothing of primaries, or those that are expected
@@ -70,7 +70,7 @@ _LEAST_DOUBLED_AREA = 1e-3  # of a triangle of primaries; that of Rec.709 is 0.2
 _SAME = 1  # levels of 255 by which conversions of one space differ
 
 
-def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] = (), part: int = 0) -> Space:
+def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] = (), part: int = 0) -> ColourSpace:
     """The space of the colours of an open file; a warning of one that cannot be converted.
 
     Args:
@@ -94,7 +94,7 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
         info, is_adobe = dict[Any, Any](), False
         with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"), Image.open(path) as image:
             image.seek(part)
-            info, is_adobe = image.info, states_adobe(image.getexif())
+            info, is_adobe = image.info, states_adobe_rgb(image.getexif())
         if space := space_of_info(info, path, is_adobe):
             return space
     if codes is not None and codes[1] == _HLG_CODE and codes[0] in _CODED_XY:
@@ -104,7 +104,7 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
         return Hlg(linear.matrix if isinstance(linear, Primaries) else np.eye(3, dtype=np.float32))
     stated: str = spec.get_string_attribute("oiio:ColorSpace")
     is_srgb = codes is None or (codes[0] in _CODES_UNSTATED and codes[1] in _CODES_AS_SRGB)
-    if stated in ("", SRGB) and not is_srgb:  # so OpenImageIO says of code points that it does not know
+    if stated in ("", SRGB_SPACE) and not is_srgb:  # so OpenImageIO says of code points that it does not know
         return _taken_as_srgb(path, f"of primaries {codes[0]} and transfer {codes[1]} of ITU-T H.273")
     if stated.lower() not in _UNSTATED:
         if oiio.ColorConfig(_CONFIG).getColorSpaceIndex(stated) >= 0:
@@ -116,15 +116,15 @@ def space_of_file(spec: oiio.ImageSpec, path: Path, primaries: Sequence[float] =
             )
         if codes is not None:
             return _taken_as_srgb(path, f"in {stated[:40]!a}")
-    return LINEAR if is_float else SRGB
+    return LINEAR_SPACE if is_float else SRGB_SPACE
 
 
-def states_adobe(exif: Image.Exif) -> bool:
+def states_adobe_rgb(exif: Image.Exif) -> bool:
     """True if EXIF states Adobe RGB, as cameras do without a profile."""
     return exif.get_ifd(0xA005).get(1) == "R03" or exif.get_ifd(0x8769).get(0xA001) == 2
 
 
-def space_of_info(info: Mapping[Any, Any], subject: Path | str, is_adobe: bool) -> Space | None:
+def space_of_info(info: Mapping[Any, Any], subject: Path | str, is_adobe: bool) -> ColourSpace | None:
     """The space that the `info` of a picture of PIL or its EXIF state, if any; `subject` begins warnings."""
     if profile := info.get("icc_profile"):
         return _of_profile(profile, subject)
@@ -135,7 +135,7 @@ def space_of_info(info: Mapping[Any, Any], subject: Path | str, is_adobe: bool) 
     return "g22_adobergb_scene" if is_adobe else None
 
 
-def _of_profile(data: bytes, subject: Path | str) -> Space:
+def _of_profile(data: bytes, subject: Path | str) -> ColourSpace:
     """The space of an ICC profile: sRGB and linear ones by their names, so that floating-point values stay."""
     name, srgb = "damaged", cast(Any, ImageCms.createProfile("sRGB"))
     try:
@@ -154,7 +154,7 @@ def _of_profile(data: bytes, subject: Path | str) -> Space:
     lattice = np.stack(np.meshgrid(*[np.arange(0, 256, 15, dtype=np.uint8)] * 3), -1).reshape(18, -1, 3)
     shown = convert(lattice).astype(np.int32)
     if np.abs(shown - lattice).max() <= _SAME:
-        return SRGB
+        return SRGB_SPACE
     if stated.profile.is_matrix_shaper and mode == "RGB":
         own, to_xyz = (
             np.array([each.red_colorant[0], each.green_colorant[0], each.blue_colorant[0]], np.float32).T
@@ -164,16 +164,16 @@ def _of_profile(data: bytes, subject: Path | str) -> Space:
         expected = linear_to_srgb(torch.from_numpy(linear_rgb(lattice, linear).clip(0, 1))).numpy() * 255
         if np.abs(shown - expected).max() <= _SAME:
             return linear
-    return Profile(name, convert)
+    return IccProfile(name, convert)
 
 
 def _taken_as_srgb(subject: Path | str, stated: str) -> str:
     found = f"{subject}: colours {stated}, which cannot be converted, are taken as sRGB; export it as sRGB."
     warnings.warn(found, stacklevel=2)
-    return SRGB
+    return SRGB_SPACE
 
 
-def is_linear(space: Space) -> bool:
+def is_linear(space: ColourSpace) -> bool:
     """True if light adds up in a space."""
     if not isinstance(space, str):
         return isinstance(space, Primaries) and space.power == 1
@@ -181,23 +181,23 @@ def is_linear(space: Space) -> bool:
     return config.isColorSpaceLinear(config.resolve(space))
 
 
-def linear_rgb(values: Array, space: Space) -> Floats:
+def linear_rgb(values: Array, space: ColourSpace) -> Floats:
     """Stored colours, uint8, uint16 or float [rows, columns, 3], as linear Rec.709, float32, which may leave [0, 1]."""
-    if isinstance(space, Profile):
+    if isinstance(space, IccProfile):
         return _by_profile(values, space.convert)
     if isinstance(space, Hlg):
-        light = _hlg_light(fraction(values)) / _hlg_light(np.array(_HLG_WHITE, np.float32))
+        light = _hlg_light(integers_to_unit_range(values)) / _hlg_light(np.array(_HLG_WHITE, np.float32))
         return light @ space.matrix.T
     if isinstance(space, Primaries):
-        linear = fraction(values) if space.power else linear_rgb(values, SRGB)
+        linear = integers_to_unit_range(values) if space.power else linear_rgb(values, SRGB_SPACE)
         return (linear if space.power in (0, 1) else linear.clip(0) ** np.float32(space.power)) @ space.matrix.T
-    if space == SRGB and values.dtype.kind == "u":
+    if space == SRGB_SPACE and values.dtype.kind == "u":
         levels = torch.linspace(0, 1, np.iinfo(values.dtype).max + 1, dtype=torch.float64)
         return srgb_to_linear(levels).float().numpy()[values]
-    floats = fraction(values)
-    if space == SRGB:
+    floats = integers_to_unit_range(values)
+    if space == SRGB_SPACE:
         return srgb_to_linear(torch.from_numpy(floats)).numpy()
-    return floats if space == LINEAR else _converted(floats, space)
+    return floats if space == LINEAR_SPACE else _converted(floats, space)
 
 
 def _hlg_light(signal: Floats) -> Floats:
@@ -212,24 +212,24 @@ def _hlg_light(signal: Floats) -> Floats:
 def _by_profile(values: Array, convert: Callable[[Array], Array]) -> Floats:
     """Linear colours, of more than 8 bits interpolated between those of 8 bits; floats in [0, 1]."""
     if values.dtype == np.uint8:
-        return linear_rgb(convert(values), SRGB)
-    place = fraction(values).clip(0, 1) * 255
+        return linear_rgb(convert(values), SRGB_SPACE)
+    place = integers_to_unit_range(values).clip(0, 1) * 255
     low = np.nan_to_num(place).astype(np.uint8)
     total = np.zeros(values.shape, np.float32)
     for corner in np.array(list(itertools.product((0, 1), repeat=3)), np.uint16):
         weight = np.where(corner, place - low, 1 - place + low).prod(-1, keepdims=True)
-        total += weight * linear_rgb(convert((low + corner).clip(max=255).astype(np.uint8)), SRGB)
+        total += weight * linear_rgb(convert((low + corner).clip(max=255).astype(np.uint8)), SRGB_SPACE)
     return total
 
 
-def fraction(values: Array) -> Floats:
+def integers_to_unit_range(values: Array) -> Floats:
     """Integers over their greatest value, floats as they are; float32."""
     return values.astype(np.float32) / (np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1)
 
 
 def _converted(values: Floats, space: str) -> Floats:
     image = oiio.ImageBuf(np.ascontiguousarray(values))
-    done = oiio.ImageBufAlgo.colorconvert(image, space, LINEAR, colorconfig=_CONFIG)
+    done = oiio.ImageBufAlgo.colorconvert(image, space, LINEAR_SPACE, colorconfig=_CONFIG)
     linear = done.get_pixels(oiio.FLOAT)
     assert linear is not None, done.geterror()  # `space_of_file` names known ones only
     return linear / (_PQ_WHITE if space.startswith("pq_") else 1)
@@ -262,7 +262,7 @@ def _doubled_area(first: Floats, second: Floats, third: Floats) -> float:
     return float(x * v - y * u)
 
 
-def _of_primaries(xy: Sequence[float], power: float) -> Space:
+def _of_primaries(xy: Sequence[float], power: float) -> ColourSpace:
     """Return the space of stated chromaticities (`states_primaries`).
 
     Args:
@@ -271,8 +271,8 @@ def _of_primaries(xy: Sequence[float], power: float) -> Space:
     """
     is_rec709 = np.abs(np.subtract(xy, _REC709_XY)).max() <= 1e-3
     if is_rec709 and power in (0, 1):
-        return LINEAR if power else SRGB
-    colour = colour_science()
+        return LINEAR_SPACE if power else SRGB_SPACE
+    colour = import_colour_science()
     source = colour.RGB_Colourspace("stated", np.reshape(xy[:6], (3, 2)), np.array(xy[6:]))
     matrix = colour.matrix_RGB_to_RGB(source, colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
     return Primaries(np.asarray(matrix, np.float32), power)

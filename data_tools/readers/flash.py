@@ -20,11 +20,11 @@ from pathlib import Path
 
 from data_tools.readers import material_maps, photos
 from data_tools.readers.arrays import pixels_of
-from data_tools.readers.colours import SRGB
+from data_tools.readers.colours import SRGB_SPACE
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import SIZE, flash_view, photo_of, task_of_square
+from data_tools.readers.photos import SIZE, flash_view, task_of_square, to_square_photo
 from metapp.learning.task import Task
-from metapp.storage.shards import AUTO, SPLITS, Entry
+from metapp.storage.shards import AUTO_SPLIT, SPLITS, ManifestEntry
 
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top; the flash is at the centre"}
 
@@ -35,7 +35,7 @@ find, recognises = photos.find, photos.recognises
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, layer: str = "") -> Task:
-    """A flash photograph as a task of its stem's name; as of `read_pixels`, `flash_view` and `photo_of`."""
+    """A flash photograph as a task of its stem's name; as of `read_pixels`, `flash_view` and `to_square_photo`."""
     whole = read_pixels(path, layer)
     return task_of_square("image", flash_view(whole, fov_rad, str(path)), whole, path, size, least)
 
@@ -46,13 +46,13 @@ def task_of_object(
     """The task of a flash photograph in memory, or of one that is rendered of maps, as of `task_of_arrays`."""
     if isinstance(source, Mapping):
         photo = material_maps.task_of_arrays(source, name, _RENDERED_PX, least=1).data["photo"]
-        pixels = Pixels(photo.permute(1, 2, 0).numpy(), SRGB, False)
+        pixels = Pixels(photo.permute(1, 2, 0).numpy(), SRGB_SPACE, False)
     else:
-        pixels = pixels_of(name, source, material_maps.OR_MAPS)
-    return Task(name, {"image": photo_of(flash_view(pixels, fov_rad, name), name, size, least)})
+        pixels = pixels_of(name, source, material_maps.OR_MAPS_TEXT)
+    return Task(name, {"image": to_square_photo(flash_view(pixels, fov_rad, name), name, size, least)})
 
 
-def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, Entry]:
+def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, ManifestEntry]:
     """Photographs by what they show: in the splits that they state, if all state one and both occur.
 
     Raises:
@@ -62,8 +62,8 @@ def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dic
     of = {}
     for photo in sources:
         below = (folder for folder in outer if Path(os.path.abspath(photo)).is_relative_to(os.path.abspath(folder)))
-        of[photo] = shown(photo, next(below, None))
-    if split != AUTO or {entry.split for entry in of.values()} != set(SPLITS):
+        of[photo] = entry_of_photo(photo, next(below, None))
+    if split != AUTO_SPLIT or {entry.split for entry in of.values()} != set(SPLITS):
         return {photo: entry._replace(split="") for photo, entry in of.items()}
     first: dict[str, Path] = {}
     for photo, entry in of.items():
@@ -76,19 +76,19 @@ def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dic
     return of
 
 
-def shown(photo: Path, folder: Path | None = None) -> Entry:
+def entry_of_photo(photo: Path, folder: Path | None = None) -> ManifestEntry:
     """Name, material and split of a photograph by its name and its place in a folder; None: it was named itself."""
     match = _NAME.fullmatch(photo.stem)
     if match:
         split, material, image = match.groups()
-        return Entry(f"{material}_{image}", split=split.lower(), group=material)
+        return ManifestEntry(f"{material}_{image}", split=split.lower(), group=material)
     absolute = Path(os.path.abspath(photo))  # links are not followed: their own place counts
     start = Path(os.path.abspath(folder)).parent if folder else Path(absolute.anchor)
     outer, inner = ("", "", *absolute.relative_to(start).parts[:-1])[-2:]
     if outer.lower() in SPLITS:
-        return Entry(f"{inner}_{photo.stem}", split=outer.lower(), group=inner)
+        return ManifestEntry(f"{inner}_{photo.stem}", split=outer.lower(), group=inner)
     if inner.lower() in SPLITS:
-        return Entry(photo.stem, split=inner.lower(), group=photo.stem)
+        return ManifestEntry(photo.stem, split=inner.lower(), group=photo.stem)
     if outer and folder:
-        return Entry(f"{inner}_{photo.stem}", group=inner)
-    return Entry(photo.stem, group=photo.stem)
+        return ManifestEntry(f"{inner}_{photo.stem}", group=inner)
+    return ManifestEntry(photo.stem, group=photo.stem)

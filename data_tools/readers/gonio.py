@@ -28,24 +28,24 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.listing import find_by_suffix, has_suffix
-from data_tools.readers.measured_pairs import LARGEST, Pairs, depends_on_azimuth, task_of_pairs
-from data_tools.readers.source import ANISOTROPIC, DAMAGED, SAMPLES, Source, Sources
-from metapp.appearance.colorimetry import spectra_to_rgb
+from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, depends_on_azimuth, task_of_pairs
+from data_tools.readers.source import ANISOTROPIC_FACT, DAMAGED_FACT, SAMPLE_COUNT_FACT, Source, Sources
+from metapp.appearance.colorimetry import spectrum_to_rgb_matrix
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
 from metapp.storage.files import open_text, write_bytes
 
-Array = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
-SUFFIX = ".csv"
-ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o")
+GONIO_SUFFIX = ".csv"
+ANGLE_COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o")
 UNITS = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environment"}
-RADIANS = {"deg": math.pi / 180, "rad": 1.0}
-RGB = ("r", "g", "b")
-VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
-KEPT_BYTES = 1 << 26  # of parsed tables; those of a larger folder are parsed again when their turn comes
-LONGEST = 1 << 28  # bytes of a file
-NOISE = 1e-3  # 1/sr; what is no further below 0 is noise
+RADIANS_PER_UNIT = {"deg": math.pi / 180, "rad": 1.0}
+RGB_COLUMNS = ("r", "g", "b")
+VISIBLE_RANGE_NM = (420.0, 680.0)  # nm, that spectra must cover
+MAX_KEPT_TABLE_BYTES = 1 << 26  # of parsed tables; those of a larger folder are parsed again when their turn comes
+MAX_TABLE_BYTES = 1 << 28  # bytes of a file
+MAX_NOISE_PER_SR = 1e-3  # 1/sr; what is no further below 0 is noise
 
 _LINE = 1 << 20  # characters of a line
 _SEPARATORS = ",;\t|"
@@ -53,27 +53,27 @@ _UNITS = {"deg": "_deg", "degree": "_deg", "degrees": "_deg", "°": "_deg", "rad
           "radians": "_rad", "nm": "nm"}  # fmt: skip
 _WAVELENGTH = re.compile(r"(\d{3,4}(?:\.\d+)?)\s*nm")
 
-recognises = functools.partial(has_suffix, suffix=SUFFIX)
+recognises = functools.partial(has_suffix, suffix=GONIO_SUFFIX)
 
 
 def find(path: Path) -> Sources:
     """Find tables and parse them, as each will be fitted; of a damaged one reading it says what is wrong."""
-    files, skipped = find_by_suffix(path, SUFFIX, "a .csv file of a goniometer")
+    files, skipped = find_by_suffix(path, GONIO_SUFFIX, "a .csv file of a goniometer")
     sources, kept = [], 0
     for file in files:
         try:
             pairs = read_pairs(file)
         except (ValueError, OSError):
-            sources.append(Source(file.stem, file, facts={DAMAGED: True}))
+            sources.append(Source(file.stem, file, facts={DAMAGED_FACT: True}))
             continue
         azimuths = depends_on_azimuth(directions_to_four_angles(pairs.wi, pairs.wo), pairs.reflectance)
-        facts = {ANISOTROPIC: azimuths, SAMPLES: len(pairs.wi)}
+        facts = {ANISOTROPIC_FACT: azimuths, SAMPLE_COUNT_FACT: len(pairs.wi)}
         kept += sum(values.nbytes for values in pairs)
-        sources.append(Source(file.stem, file, facts=facts, content=pairs if kept <= KEPT_BYTES else None))
+        sources.append(Source(file.stem, file, facts=facts, content=pairs if kept <= MAX_KEPT_TABLE_BYTES else None))
     return sources, skipped
 
 
-def read_task(path: Path, content: Pairs | None = None) -> Task:
+def read_task(path: Path, content: MeasuredPairs | None = None) -> Task:
     """Turn measurements into a BRDF task, named by the file's stem, as `task_of_pairs` says.
 
     Args:
@@ -86,7 +86,7 @@ def read_task(path: Path, content: Pairs | None = None) -> Task:
     return task_of_pairs(path.stem, content or read_pairs(path), path)
 
 
-def read_pairs(path: Path) -> Pairs:
+def read_pairs(path: Path) -> MeasuredPairs:
     """Read a file; rows along or below the surface are left out.
 
     Raises:
@@ -94,15 +94,15 @@ def read_pairs(path: Path) -> Pairs:
             their range.
     """
     columns, lines = _rows(path)
-    angles = np.stack([_angle(path, columns, lines, name) for name in ANGLES], 1)
+    angles = np.stack([_angle(path, columns, lines, name) for name in ANGLE_COLUMNS], 1)
     names, matrix = _colours(path, list(columns))
     values = np.stack([columns[name] for name in names], 1)
-    bad = ~((values >= -NOISE) & (values <= LARGEST))
+    bad = ~((values >= -MAX_NOISE_PER_SR) & (values <= MAX_REFLECTANCE_PER_SR))
     if bad.any():
         row, column = np.argwhere(bad)[0]
         raise ValueError(
             f"{path}: line {lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to "
-            f"{LARGEST:g} in 1/sr; fill in what a plan asks for, and leave out rows that were not measured."
+            f"{MAX_REFLECTANCE_PER_SR:g} in 1/sr; fill in what a plan asks for, and leave out rows that were not measured."
         )
     if count := int((values < 0).sum()):
         found = f"{count:,} of {values.size:,} values below 0, down to {values.min():.3g} /sr"
@@ -110,16 +110,16 @@ def read_pairs(path: Path) -> Pairs:
     if not values.any():
         warnings.warn(f"{path}: reflectance 0 everywhere, expected some light reflected; is it damaged?", stacklevel=2)
     light, viewer = (torch.from_numpy(_direction(angles[:, i], angles[:, i + 1])) for i in (0, 2))
-    return Pairs(light, viewer, torch.from_numpy(values @ matrix).clamp_min(0)).above()
+    return MeasuredPairs(light, viewer, torch.from_numpy(values @ matrix).clamp_min(0)).above()
 
 
-def write_pairs(path: Path, wi: Tensor, wo: Tensor, before: Pairs) -> None:
+def write_pairs(path: Path, wi: Tensor, wo: Tensor, before: MeasuredPairs) -> None:
     """Write a table to fill in: earlier measurements, then pairs of unit vectors [N, 3] without a BRDF."""
     lines = [
         "# the BRDF in 1/sr as linear RGB, a row a pair of directions: theta_i, phi_i light, theta_o, phi_o detector"
     ]
     lines += ["# fill in all rows; leave out those that cannot be measured"] * (len(wi) > 0)
-    lines += [",".join([*(f"{name}_deg" for name in ANGLES), *RGB])]
+    lines += [",".join([*(f"{name}_deg" for name in ANGLE_COLUMNS), *RGB_COLUMNS])]
     for *pair, colour in zip(before.wi, before.wo, before.reflectance.tolist(), strict=True):
         lines.append(",".join([*_degrees(*pair), *(f"{value:.6g}" for value in colour)]))
     lines += [",".join([*_degrees(*pair), "", "", ""]) for pair in zip(wi, wo, strict=True)]
@@ -131,13 +131,13 @@ def _degrees(*vectors: Tensor) -> Iterator[str]:
         yield from (f"{math.degrees(angle):.2f}" for angle in (math.atan2(math.hypot(x, y), z), math.atan2(y, x)))
 
 
-def _rows(path: Path) -> tuple[dict[str, Array], list[int]]:
+def _rows(path: Path) -> tuple[dict[str, Doubles], list[int]]:
     """The columns of a file by name, [N] each, and the line of each row; comments are left out."""
     size = path.stat().st_size
-    if size > LONGEST:
+    if size > MAX_TABLE_BYTES:
         raise ValueError(
-            f"{path}: {size:,} bytes, expected at most {LONGEST:,}, some 6 million rows; keep one row in "
-            f"{math.ceil(size / LONGEST)}."
+            f"{path}: {size:,} bytes, expected at most {MAX_TABLE_BYTES:,}, some 6 million rows; keep one row in "
+            f"{math.ceil(size / MAX_TABLE_BYTES)}."
         )
     try:
         with open_text(path) as text:
@@ -191,7 +191,7 @@ def _named(name: str, unit: str) -> str:
     """A column's name with its unit behind, which stands in brackets or below it."""
     name, _, bracketed = name.replace("(", "[").partition("[")
     name, end = name.strip(), _UNITS.get(bracketed.strip("]) ") or unit, "")
-    return name if name.endswith(end) or not (name in ANGLES or end == "nm") else f"{name}{end}"
+    return name if name.endswith(end) or not (name in ANGLE_COLUMNS or end == "nm") else f"{name}{end}"
 
 
 def _is_number(word: str) -> bool:
@@ -214,13 +214,13 @@ def _shown(word: str) -> str:
     return repr(word.strip()[:30])
 
 
-def _angle(path: Path, columns: dict[str, Array], lines: list[int], name: str) -> Array:
+def _angle(path: Path, columns: dict[str, Doubles], lines: list[int], name: str) -> Doubles:
     """One of the angles in rad, [N], thetas in [-pi/2, pi/2]."""
-    there = [unit for unit in RADIANS if f"{name}_{unit}" in columns]
+    there = [unit for unit in RADIANS_PER_UNIT if f"{name}_{unit}" in columns]
     if len(there) != 1:
         problem = "both units" if there else ("no unit" if name in columns else "no such column")
         raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad.")
-    values, unit = columns[f"{name}_{there[0]}"], RADIANS[there[0]]
+    values, unit = columns[f"{name}_{there[0]}"], RADIANS_PER_UNIT[there[0]]
     high = math.pi / 2 if name.startswith("theta") else 2 * math.tau
     bad = ~(np.abs(values * unit) <= high + 1e-6)
     if bad.any():
@@ -229,27 +229,27 @@ def _angle(path: Path, columns: dict[str, Array], lines: list[int], name: str) -
             f"{path}: line {lines[row]}: {name} {values[row]:.6g} {there[0]}, expected {-high / unit:.6g} to "
             f"{high / unit:.6g}; reflection alone can be fitted."
         )
-    result: Array = values * unit
+    result: Doubles = values * unit
     return result
 
 
-def _colours(path: Path, names: Sequence[str]) -> tuple[list[str], Array]:
+def _colours(path: Path, names: Sequence[str]) -> tuple[list[str], Doubles]:
     """The columns of the BRDF, and the matrix from them to linear RGB, [C, 3]."""
-    if all(name in names for name in RGB):
-        return list(RGB), np.eye(3)
+    if all(name in names for name in RGB_COLUMNS):
+        return list(RGB_COLUMNS), np.eye(3)
     spectral = {float(found[1]): name for name in names if (found := _WAVELENGTH.fullmatch(name))}
     if not spectral:
-        missing = next(name for name in RGB if name not in names)
+        missing = next(name for name in RGB_COLUMNS if name not in names)
         raise ValueError(f"{path}: no column {missing}, expected r, g, b, or wavelengths such as 400nm, 410nm, ...")
     nanometres = np.array(sorted(spectral))
-    if len(nanometres) < 4 or nanometres[0] > VISIBLE[0] or nanometres[-1] < VISIBLE[1]:
+    if len(nanometres) < 4 or nanometres[0] > VISIBLE_RANGE_NM[0] or nanometres[-1] < VISIBLE_RANGE_NM[1]:
         raise ValueError(
             f"{path}: {len(nanometres)} wavelengths from {nanometres[0]:g} to {nanometres[-1]:g} nm, expected 4 or "
-            f"more that cover {VISIBLE[0]:g} to {VISIBLE[1]:g} nm."
+            f"more that cover {VISIBLE_RANGE_NM[0]:g} to {VISIBLE_RANGE_NM[1]:g} nm."
         )
-    return [spectral[wavelength] for wavelength in nanometres], spectra_to_rgb(nanometres)
+    return [spectral[wavelength] for wavelength in nanometres], spectrum_to_rgb_matrix(nanometres)
 
 
-def _direction(theta: Array, phi: Array) -> Array:
+def _direction(theta: Doubles, phi: Doubles) -> Doubles:
     """Unit vectors [N, 3] of spherical angles in rad; of a negative theta at phi + pi."""
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)

@@ -21,22 +21,22 @@ from PIL import Image, ImageOps
 
 from data_tools.readers import camera_raws
 from data_tools.readers.colours import (
-    SRGB,
+    SRGB_SPACE,
     Array,
+    ColourSpace,
     Floats,
-    Space,
-    fraction,
+    integers_to_unit_range,
     linear_rgb,
     space_of_file,
     space_of_info,
-    states_adobe,
+    states_adobe_rgb,
 )
-from data_tools.readers.lenses import Lens, lens_of
+from data_tools.readers.lenses import ExifLens, lens_of_exif
 from metapp.storage.files import check_readable, open_regular
 
 # All suffixes of pictures that are read, one list for files, maps and folders. Left out are those of OpenImageIO that
 # are mostly something else: .z, .int, .sm and .vsm.
-SUFFIXES = (
+IMAGE_SUFFIXES = (
     ".bmp", ".bw", ".cin", ".dds", ".dib", ".dpx", ".env", ".exr", ".fits", ".gif", ".hdr", ".icb", ".ico", ".iff",
     ".inta", ".j2c", ".j2k", ".jfi", ".jfif", ".jif", ".jp2", ".jpc", ".jpe", ".jpeg", ".jpf", ".jpg", ".jph", ".jpx",
     ".jxl", ".mpo", ".mxr", ".pbm", ".pdd", ".pfm", ".pgm", ".pic", ".png", ".pnm", ".ppm", ".psb", ".psd", ".rgb",
@@ -44,8 +44,8 @@ SUFFIXES = (
     ".webp", ".xyze",
 )  # fmt: skip
 _HEIF = (".avif", ".heic", ".heif", ".hif")  # few builds of OpenImageIO read these
-NAMED = (*SUFFIXES, *camera_raws.SUFFIXES, *_HEIF)
-EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
+ALL_PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *camera_raws.RAW_SUFFIXES, *_HEIF)
+EXPECTED_IMAGE = "expected an image file, such as JPEG, PNG, TIFF or EXR"
 
 _BEAUTY = ("COMBINED", "BEAUTY", "RGBA")  # names that renderers give the layer of the picture itself
 _DEPTH = {"Z", "ZBACK", "DEPTH"}
@@ -56,7 +56,7 @@ _MOST_PICTURES = 1000  # of a file, that are looked at
 _ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
 _REASON = 120  # characters of a library's message
 
-INSTALL = 'pip install "metapp[heic]"'
+INSTALL_HEIF = 'pip install "metapp[heic]"'
 _BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")  # ISO/IEC 23008-12
 _EXIF_BLOCK = 0x8769
 _RATIONAL_TAGS = (0xA20E, 0xA20F, 0x920A)  # FocalPlaneXResolution, FocalPlaneYResolution, FocalLength
@@ -71,11 +71,11 @@ class Pixels(NamedTuple):
         space: of the colours.
         is_premultiplied: whether colours are multiplied by alpha.
         focal_mm: focal length as of 35 mm film; 0 if the file does not say.
-        lens_note: how EXIF states it, or why it is not known, as of `Lens`.
+        lens_note: how EXIF states it, or why it is not known, as of `ExifLens`.
     """
 
     values: Array
-    space: Space
+    space: ColourSpace
     is_premultiplied: bool
     focal_mm: float = 0.0
     lens_note: str = ""
@@ -85,7 +85,7 @@ class Pixels(NamedTuple):
         stored = self.values[rows]
         if stored.shape[-1] == 3:
             return linear_rgb(stored, self.space).clip(0, high)
-        values = fraction(stored)
+        values = integers_to_unit_range(stored)
         colours, alpha = values[..., :3], values[..., 3:].clip(0, 1)
         if self.is_premultiplied:  # in the file's encoding, which does not commute with it
             colours = colours / np.maximum(alpha, 1e-6)
@@ -96,15 +96,15 @@ def check_exists(path: Path) -> None:
     """Refuse a folder, and a path of nothing."""
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
-        raise ValueError(f"{path}: {found}, {EXPECTED}; check the path.")
+        raise ValueError(f"{path}: {found}, {EXPECTED_IMAGE}; check the path.")
 
 
-def opens(path: Path) -> bool:
+def is_readable_image(path: Path) -> bool:
     """True if a file is an image that can be read, by its content."""
     if is_heif(path):
-        return can_read()
+        return can_read_heif()
     try:
-        with silent():
+        with silence_libraries():
             open_image(path).close()
     except ValueError:
         return False
@@ -114,7 +114,7 @@ def opens(path: Path) -> bool:
 def open_image(path: Path) -> oiio.ImageInput:
     """An open OpenImageIO.ImageInput that does not multiply colours by alpha."""
     check_readable(path)
-    if path.suffix.lower() in camera_raws.SUFFIXES or camera_raws.is_raw(path):
+    if path.suffix.lower() in camera_raws.RAW_SUFFIXES or camera_raws.is_raw(path):
         raise ValueError(_to_develop(path))
     wanted = oiio.ImageSpec()
     wanted.attribute("oiio:UnassociatedAlpha", 1)
@@ -123,28 +123,30 @@ def open_image(path: Path) -> oiio.ImageInput:
     except (UnicodeError, TypeError):  # which one depends on OpenImageIO's version
         raise ValueError(f"{str(path)!a}: a name that is not UTF-8, expected one that is; rename it.") from None
     if source is None:
-        reason = reason_of(error_of(oiio), path)  # also told where it is not shown, else it appears as Python ends
+        reason = shorten_oiio_error(
+            last_oiio_error(oiio), path
+        )  # also told where it is not shown, else it appears as Python ends
         _radiance_header(path)
         if path.suffix.lower() in _HEIF:
-            raise ValueError(to_export(path))
-        raise ValueError(f"{path}: not an image ({reason}), {EXPECTED}; check the file or export it again.")
+            raise ValueError(export_advice(path))
+        raise ValueError(f"{path}: not an image ({reason}), {EXPECTED_IMAGE}; check the file or export it again.")
     return source
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[oiio.ImageInput]:
+def open_largest_picture(path: Path) -> Iterator[oiio.ImageInput]:
     """Open an image file at its largest picture; libraries say nothing meanwhile.
 
     Raises:
         ValueError: no such file, no image, text that is not UTF-8.
     """
     check_exists(path)
-    with silent(), contextlib.closing(open_image(path)) as source:
+    with silence_libraries(), contextlib.closing(open_image(path)) as source:
         try:
             _seek_largest(source)
             yield source
         except UnicodeDecodeError:
-            raise ValueError(f"{path}: holds text that is not UTF-8, {EXPECTED}; export it again.") from None
+            raise ValueError(f"{path}: holds text that is not UTF-8, {EXPECTED_IMAGE}; export it again.") from None
 
 
 def _seek_largest(source: oiio.ImageInput) -> str:
@@ -159,7 +161,7 @@ def _seek_largest(source: oiio.ImageInput) -> str:
     while len(sizes) < _MOST_PICTURES and source.seek_subimage(len(sizes), 0):
         spec = source.spec()
         sizes.append(spec.width * spec.height)
-    error_of(source)  # of the picture after the last one
+    last_oiio_error(source)  # of the picture after the last one
     largest = sizes.index(max(sizes)) if sizes else 0
     source.seek_subimage(largest, 0)
     spec = source.spec()
@@ -173,20 +175,20 @@ def shape_of(path: Path) -> tuple[int, int]:
     if is_heif(path):
         height, width, _ = read_pixels(path).values.shape
         return height, width
-    with opened(path) as source:
+    with open_largest_picture(path) as source:
         return _display_window(source)[:2]
 
 
-def to_export(path: Path) -> str:
+def export_advice(path: Path) -> str:
     """The line about a camera's or phone's own form of pictures."""
-    if path.suffix.lower() in camera_raws.SUFFIXES:
+    if path.suffix.lower() in camera_raws.RAW_SUFFIXES:
         return _to_develop(path)
-    remedy = "" if can_read() or not is_heif(path) else f", or read it as it is: {INSTALL}"
-    return f"{path}: a picture in HEIF or AVIF, {EXPECTED}; export it as JPEG or PNG{remedy}."
+    remedy = "" if can_read_heif() or not is_heif(path) else f", or read it as it is: {INSTALL_HEIF}"
+    return f"{path}: a picture in HEIF or AVIF, {EXPECTED_IMAGE}; export it as JPEG or PNG{remedy}."
 
 
 def _to_develop(path: Path) -> str:
-    return f"{path}: raw values of a camera, {EXPECTED}; develop it and export it as JPEG or PNG."
+    return f"{path}: raw values of a camera, {EXPECTED_IMAGE}; develop it and export it as JPEG or PNG."
 
 
 def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue: bool = False) -> Pixels:
@@ -206,7 +208,7 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
     check_exists(path)
     if is_heif(path):
         return _read_heif(path)
-    with opened(path) as source:
+    with open_largest_picture(path) as source:
         chosen = _seek_largest(source)
         part, channels = _find_layer(source, layer, path, lacks_blue=lacks_blue)
         source.seek_subimage(part, 0)
@@ -220,7 +222,7 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
             space = space_of_file(spec, path, primaries, part)
         kind = str(spec.format) if str(spec.format) in ("uint8", "uint16") else "float"
         values = source.read_image(part, 0, first, max(channels) + 1, kind)
-        problem = error_of(source)
+        problem = last_oiio_error(source)
         lens = _lens_of_spec(source.spec(0, 0), (width, height))  # whose EXIF is that of the file
     for warning in said:
         warnings.warn(warning.message, stacklevel=2)
@@ -229,7 +231,7 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
     if values is None or problem:
         repack = "" if exposure is None else ", or write one of old run lengths again by Radiance's pfilt -1"
         raise ValueError(
-            f"{path}: damaged or incomplete ({reason_of(problem, path)}), expected a whole image; copy or download it "
+            f"{path}: damaged or incomplete ({shorten_oiio_error(problem, path)}), expected a whole image; copy or download it "
             f"again{repack}."
         )
     values = values[..., [channel - first for channel in channels]]
@@ -246,7 +248,7 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
     return Pixels(upright, space, not spec.get_int_attribute("oiio:UnassociatedAlpha", 0), *lens)
 
 
-def _lens_of_spec(spec: oiio.ImageSpec, size: tuple[int, int]) -> Lens:
+def _lens_of_spec(spec: oiio.ImageSpec, size: tuple[int, int]) -> ExifLens:
     """Return the lens that the EXIF of an open file states; width and height, px, count where it states no others."""
     across, down, focal_mm = (
         spec.get_float_attribute(f"Exif:{name}", 0.0)
@@ -256,7 +258,7 @@ def _lens_of_spec(spec: oiio.ImageSpec, size: tuple[int, int]) -> Lens:
         spec.get_int_attribute(f"Exif:{name}", 0)
         for name in ("FocalLengthIn35mmFilm", "FocalPlaneResolutionUnit", "PixelXDimension", "PixelYDimension")
     )
-    return lens_of(in_film_mm, focal_mm, (across, down), unit, stated if min(stated) > 0 else size)
+    return lens_of_exif(in_film_mm, focal_mm, (across, down), unit, stated if min(stated) > 0 else size)
 
 
 def _display_window(source: oiio.ImageInput) -> tuple[int, int, int, int]:
@@ -309,12 +311,12 @@ def _radiance_header(path: Path) -> tuple[Floats, list[float]]:
 
 
 def _read_heif(path: Path) -> Pixels:
-    if not can_read():
-        raise ValueError(to_export(path))
+    if not can_read_heif():
+        raise ValueError(export_advice(path))
     import pillow_heif
 
     try:
-        with silent():
+        with silence_libraries():
             source = pillow_heif.open_heif(path)
             width, height = source.size
             values = np.asarray(source) if width * height <= _MAX_PIXELS else np.empty(0)
@@ -345,17 +347,17 @@ def pixels_of_pil(image: Image.Image, name: str) -> Pixels:
 
 def _tagged(values: Array, info: Mapping[Any, Any], exif: bytes | None, subject: Path | str) -> Pixels:
     """As the `info` and EXIF of PIL state."""
-    parsed, lens, is_adobe = Image.Exif(), Lens(), False
+    parsed, lens, is_adobe = Image.Exif(), ExifLens(), False
     # Pillow's reader of TIFF raises whatever a damaged block makes of it
     with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):
         parsed.load(exif or b"")
-        is_adobe = states_adobe(parsed)
+        is_adobe = states_adobe_rgb(parsed)
         tags = parsed.get_ifd(_EXIF_BLOCK)
         across, down, focal_mm = (float(tags.get(tag, 0)) for tag in _RATIONAL_TAGS)
         in_film_mm, unit, *stated = (int(tags.get(tag, 0)) for tag in _WHOLE_TAGS)
         size = stated if min(stated) > 0 else values.shape[1::-1]
-        lens = lens_of(in_film_mm, focal_mm, (across, down), unit, size)
-    return Pixels(values, space_of_info(info, subject, is_adobe) or SRGB, False, *lens)
+        lens = lens_of_exif(in_film_mm, focal_mm, (across, down), unit, size)
+    return Pixels(values, space_of_info(info, subject, is_adobe) or SRGB_SPACE, False, *lens)
 
 
 def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE) -> None:
@@ -454,13 +456,13 @@ def is_heif(path: Path) -> bool:
     return start[4:8] == b"ftyp" and start[8:12] in _BRANDS
 
 
-def can_read() -> bool:
+def can_read_heif() -> bool:
     """True if pillow-heif is installed."""
     return importlib.util.find_spec("pillow_heif") is not None
 
 
 @contextlib.contextmanager
-def silent() -> Iterator[None]:
+def silence_libraries() -> Iterator[None]:
     """Keep messages that libraries such as libpng write to standard error off the user's screen."""
     try:
         kept = os.dup(2)
@@ -487,7 +489,7 @@ def check_memory(spec: oiio.ImageSpec, path: Path) -> None:
         )
 
 
-def error_of(source: oiio.ImageInput | ModuleType) -> str:
+def last_oiio_error(source: oiio.ImageInput | ModuleType) -> str:
     """The error message of OpenImageIO, or of an open file of its; "" for none."""
     try:
         return str(source.geterror())
@@ -495,7 +497,7 @@ def error_of(source: oiio.ImageInput | ModuleType) -> str:
         return error.object.decode("ascii", "replace")
 
 
-def reason_of(message: str, path: Path) -> str:
+def shorten_oiio_error(message: str, path: Path) -> str:
     """The first sentence of OpenImageIO's message, without the path, which the line has already."""
     without = re.sub(rf'( for( file)?)? ?["(]?{re.escape(str(path))}[")]?( is\b)?', "", message)
     first = next(iter(without.splitlines()), "").partition(". ")[0]

@@ -11,21 +11,29 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.draws import Rng, stream
-from data_tools.readers.arrays import pixels_of, planes_of
-from data_tools.readers.colours import LINEAR, Floats, Space, is_linear, linear_rgb
-from data_tools.readers.image_files import NAMED, check_exists, check_size, opened, opens, read_pixels, shape_of
+from data_tools.draws import Rng, random_stream
+from data_tools.readers.arrays import picture_values, pixels_of
+from data_tools.readers.colours import LINEAR_SPACE, ColourSpace, Floats, is_linear, linear_rgb
+from data_tools.readers.image_files import (
+    ALL_PICTURE_SUFFIXES,
+    check_exists,
+    check_size,
+    is_readable_image,
+    open_largest_picture,
+    read_pixels,
+    shape_of,
+)
 from data_tools.readers.listing import files_of, find_files
-from data_tools.readers.photos import fault_of
+from data_tools.readers.photos import photo_fault
 from data_tools.readers.source import Sources, sources_of_files
-from metapp.appearance.latlong import mean_luminance, resample
-from metapp.appearance.photograph import photograph
+from metapp.appearance.latlong import mean_luminance, resample_maps
+from metapp.appearance.photograph import photograph_spheres
 from metapp.learning.task import Task
-from metapp.names import inputs_of
-from metapp.storage.folders import looks_once
+from metapp.names import input_formats
+from metapp.storage.folders import cached_lookup
 
-HEIGHT, WIDTH = 64, 128
-SIZE, COUNT = 64, 4  # px and number of the photographs of a map
+MAP_HEIGHT_PX, MAP_WIDTH_PX = 64, 128
+SPHERE_PHOTO_PX, SPHERE_PHOTO_COUNT = 64, 4  # px and number of the photographs of a map
 UNITS = {
     "map": "lat-long radiance, linear Rec.709 [3, 64, 128], rows from the top (+y), the middle column looks to +z; "
     "mean luminance over the sphere 1",
@@ -44,8 +52,8 @@ def is_latlong(height: int, width: int) -> bool:
     return abs(width - 2 * height) <= 2
 
 
-def read_task(path: Path, rows: int = HEIGHT, fov_rad: float = 0.0, observe: str = "", layer: str = "") -> Task:
-    """An HDR map as a task of so many rows, as `map_task`, named by the file's stem; errors as of `read_map`.
+def read_task(path: Path, rows: int = MAP_HEIGHT_PX, fov_rad: float = 0.0, observe: str = "", layer: str = "") -> Task:
+    """An HDR map as a task of so many rows, as `make_map_task`, named by the file's stem; errors as of `read_map`.
 
     Args:
         path, rows, layer: as of `read_map`.
@@ -54,11 +62,11 @@ def read_task(path: Path, rows: int = HEIGHT, fov_rad: float = 0.0, observe: str
     if observe == "photo" and not is_latlong(*shape_of(path)):
         task: Task = _photo_reader(str(path)).task_of_pixels(read_pixels(path, layer), str(path), rows, fov_rad)
         return task._replace(name=path.stem)
-    return map_task(path.stem, read_map(path, rows, layer), _draws(path.stem), rows)
+    return make_map_task(path.stem, read_map(path, rows, layer), _draws(path.stem), rows)
 
 
 def task_of_object(
-    source: object, name: str, rows: int = HEIGHT, fov_rad: float = 0.0, observe: str = "", **_: object
+    source: object, name: str, rows: int = MAP_HEIGHT_PX, fov_rad: float = 0.0, observe: str = "", **_: object
 ) -> Task:
     """The task of an environment map in memory, or of the photograph of a ball.
 
@@ -73,12 +81,14 @@ def task_of_object(
         ValueError: neither; as the reader.
     """
     if isinstance(source, np.ndarray | Tensor):
-        values = planes_of(name, source)
+        values = picture_values(name, source)
         is_float, (height, width) = values.dtype.kind == "f", values.shape[:2]
         if is_float and is_latlong(height, width):
             check_size(width, height, name)
             with np.errstate(over="ignore"):  # what is infinite is refused
-                return map_task(name, _light_of(values.astype(np.float32), LINEAR, name, rows), _draws(name), rows)
+                return make_map_task(
+                    name, _light_of(values.astype(np.float32), LINEAR_SPACE, name, rows), _draws(name), rows
+                )
         if is_float and observe == "reference":
             raise ValueError(
                 f"{name}: an array {list(values.shape)}, expected linear radiance [H, 2 H, 3]; leave --observe "
@@ -90,7 +100,7 @@ def task_of_object(
 
 def _photo_reader(name: str) -> ModuleType:
     """The reader of photographs of balls; ValueError if there is none."""
-    forms = inputs_of("illumination").values()
+    forms = input_formats("illumination").values()
     readers: list[ModuleType] = [form.load() for form in forms if hasattr(form.load(), "task_of_pixels")]
     if not readers:
         raise ValueError(f"{name}: a picture, expected {', '.join(form.inputs for form in forms)}.")
@@ -99,45 +109,45 @@ def _photo_reader(name: str) -> ModuleType:
 
 def _draws(name: str) -> Rng:
     """The random numbers of a map's photographs, which depend on its name alone."""
-    return stream(*hashlib.sha256(name.encode()).digest())
+    return random_stream(*hashlib.sha256(name.encode()).digest())
 
 
-def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
+def make_map_task(name: str, light: Tensor, rng: Rng, rows: int = MAP_HEIGHT_PX) -> Task:
     """A map, linear Rec.709 radiance [3, H, W] >= 0, not black, as a task.
 
     Returns:
         `map` [3, rows, 2 * rows] of mean luminance 1, `scale` [], the mean luminance before, and `photos` uint8
         [4, 3, 64, 64] of spheres under the map, of materials and cameras that `rng` draws.
     """
-    light = resample(light.float(), rows, 2 * rows)
+    light = resample_maps(light.float(), rows, 2 * rows)
     scale = mean_luminance(light)
     light = light / scale
     seeded = torch.Generator().manual_seed(int(rng.integers(2**63)))
-    photos = photograph(light.expand(COUNT, -1, -1, -1), seeded, SIZE)
+    photos = photograph_spheres(light.expand(SPHERE_PHOTO_COUNT, -1, -1, -1), seeded, SPHERE_PHOTO_PX)
     return Task(name, {"map": light, "scale": scale, "photos": (photos * 255).round().to(torch.uint8)})
 
 
-@looks_once
+@cached_lookup
 def is_map(path: Path) -> bool:
     """True if a file is an HDR image, which holds floating-point values."""
     if path.suffix.lower() in _SUFFIXES:
         return True
-    if not opens(path):
+    if not is_readable_image(path):
         return False
-    with opened(path) as source:
+    with open_largest_picture(path) as source:
         return str(source.spec().format) in _FLOATS
 
 
 def recognises(path: Path) -> bool:
     """True for an HDR image, and for a folder with one below it."""
-    return any(map(is_map, files_of(path, NAMED)))
+    return any(map(is_map, files_of(path, ALL_PICTURE_SUFFIXES)))
 
 
 def find(path: Path) -> Sources:
     """Find HDR maps, as `find_files`; the error of a named file comes when it is read."""
 
     def fault(file: Path) -> str | None:
-        if line := fault_of(file):
+        if line := photo_fault(file):
             return line
         return "" if is_map(file) else f"{file}: not an HDR map, {_EXPECTED}."
 
@@ -145,7 +155,7 @@ def find(path: Path) -> Sources:
     return sources_of_files(find_files(path, check_exists, fault, nothing), protocol="reference")
 
 
-def read_map(path: str | Path, height: int = HEIGHT, layer: str = "") -> Tensor:
+def read_map(path: str | Path, height: int = MAP_HEIGHT_PX, layer: str = "") -> Tensor:
     """A lat-long map, averaged over solid angle: linear Rec.709 radiance, float32 [3, height, 2 * height], >= 0.
 
     Negative values become 0, if together they are less than 0.1 % of the light, and so do colours that Rec.709 cannot
@@ -192,11 +202,11 @@ def _layout(height: int, width: int) -> str:
     return f", the shape of {words}" if words else ""
 
 
-def _light_of(radiance: Floats, space: Space, subject: Path | str, height: int) -> Tensor:
+def _light_of(radiance: Floats, space: ColourSpace, subject: Path | str, height: int) -> Tensor:
     """A whole map [H, W, 3] of a linear space as `read_map` gives it; `subject` begins errors."""
     planes = [radiance[..., channel] for channel in range(3)]
     _check_values(planes, subject)
-    stored = [resample(torch.from_numpy(np.ascontiguousarray(plane)), height, 2 * height) for plane in planes]
+    stored = [resample_maps(torch.from_numpy(np.ascontiguousarray(plane)), height, 2 * height) for plane in planes]
     light = torch.from_numpy(linear_rgb(torch.stack(stored, -1).numpy(), space)).permute(2, 0, 1).clamp_min(0)
     if not mean_luminance(light) > 0:
         raise ValueError(f"{subject}: black all over, expected a map with some light; leave it out.")

@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-FRAME_MM = math.hypot(36, 24)  # the diagonal that focal lengths "in 35 mm film" are of (CIPA DCG-001)
-UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # of resolutions on the sensor, by the numbers of EXIF
+FILM_DIAGONAL_MM = math.hypot(36, 24)  # the diagonal that focal lengths "in 35 mm film" are of (CIPA DCG-001)
+RESOLUTION_UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # of resolutions on the sensor, by the numbers of EXIF
 
 _LEAST_SENSOR_MM, _LARGEST_SENSOR_MM = 3.0, 70.0  # diagonals, of phones to medium format
 _LEAST_FOCAL_MM, _LARGEST_FOCAL_MM = 5.0, 3000.0  # as of 35 mm film
 
 
-class Lens(NamedTuple):
+class ExifLens(NamedTuple):
     """What EXIF states of a photograph's lens.
 
     Attributes:
@@ -25,9 +25,9 @@ class Lens(NamedTuple):
     note: str = ""
 
 
-def lens_of(
+def lens_of_exif(
     in_film_mm: float, focal_mm: float, resolution: tuple[float, float], unit: int, size: Sequence[int]
-) -> Lens:
+) -> ExifLens:
     """Return the lens of what EXIF states; 0 stands for a tag that is missing.
 
     The sensor's size is that of the picture's px over the resolution on the sensor.
@@ -43,16 +43,18 @@ def lens_of(
     28.3
     """
     if in_film_mm > 0:
-        return Lens(float(in_film_mm))
+        return ExifLens(float(in_film_mm))
     if not (math.isfinite(focal_mm) and focal_mm > 0):
-        return Lens()
-    unit_mm = UNITS_MM.get(unit or 2, 0.0)
+        return ExifLens()
+    unit_mm = RESOLUTION_UNITS_MM.get(unit or 2, 0.0)
     across, down = resolution[0], resolution[1] if resolution[1] > 0 else resolution[0]
     if across > 0 and down > 0 and unit_mm and min(size) > 0:
         width_mm, height_mm = size[0] / across * unit_mm, size[1] / down * unit_mm
         diagonal_mm = math.hypot(width_mm, height_mm)
-        in_film_mm = focal_mm * FRAME_MM / diagonal_mm if diagonal_mm else 0.0
+        in_film_mm = focal_mm * FILM_DIAGONAL_MM / diagonal_mm if diagonal_mm else 0.0
         if _LEAST_SENSOR_MM <= diagonal_mm <= _LARGEST_SENSOR_MM and _LEAST_FOCAL_MM <= in_film_mm <= _LARGEST_FOCAL_MM:
             sensor = f"{width_mm:.1f} x {height_mm:.1f} mm"
-            return Lens(in_film_mm, f"{focal_mm:.3g} mm on a sensor of {sensor}: {in_film_mm:.0f} mm as of 35 mm film")
-    return Lens(0.0, f"{focal_mm:.3g} mm on a sensor of unknown size")
+            return ExifLens(
+                in_film_mm, f"{focal_mm:.3g} mm on a sensor of {sensor}: {in_film_mm:.0f} mm as of 35 mm film"
+            )
+    return ExifLens(0.0, f"{focal_mm:.3g} mm on a sensor of unknown size")

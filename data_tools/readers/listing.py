@@ -7,9 +7,9 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from metapp.storage.files import placeholder_line
-from metapp.storage.folders import FAILED, entries_of, holds_files_of_users, looks_once
+from metapp.storage.folders import FAILED_PICTURE_SUFFIX, cached_lookup, holds_files_of_users, list_folder
 
-Found = tuple[list[Path], list[str]]  # the files of a path, and the line of each skipped file of a folder
+FoundFiles = tuple[list[Path], list[str]]  # the files of a path, and the line of each skipped file of a folder
 
 
 def find_files(
@@ -18,7 +18,7 @@ def find_files(
     fault: Callable[[Path], str | None],
     nothing: str,
     likely: Collection[str] = (),
-) -> Found:
+) -> FoundFiles:
     """Find files of a format: a named one, or those in a folder at any depth (hidden ones left out), sorted.
 
     Args:
@@ -45,7 +45,7 @@ def find_files(
     return [file for file, line in faults.items() if line == ""], [line for line in faults.values() if line]
 
 
-def find_by_suffix(path: Path, suffix: str, what: str) -> Found:
+def find_by_suffix(path: Path, suffix: str, what: str) -> FoundFiles:
     """As `find_files`, by suffix (with its dot) alone; `what` is their noun in errors."""
 
     def check(file: Path) -> None:
@@ -78,15 +78,15 @@ def files_below(folder: Path, endings: str | tuple[str, ...] = "") -> list[Path]
     return [Path(file) for file in _all_below(str(folder)) if file.lower().endswith(endings)]
 
 
-@looks_once
+@cached_lookup
 def _all_below(folder: str) -> list[str]:
     """Return the paths of all files that `files_below` chooses from, sorted."""
     found, folders = [], [folder]
     while folders:  # of any depth, which recursion has not
         place = folders.pop()
         takes_files, takes_folders = holds_files_of_users(place)
-        for entry in entries_of(place):
-            if entry.name.startswith(".") or (entry.name.endswith(FAILED) and entry.is_file()):
+        for entry in list_folder(place):
+            if entry.name.startswith(".") or (entry.name.endswith(FAILED_PICTURE_SUFFIX) and entry.is_file()):
                 continue
             if entry.is_dir(follow_symlinks=False):
                 folders += [entry.path] * takes_folders

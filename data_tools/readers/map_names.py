@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-NORMALS = ("normal (OpenGL)", "normal", "normal (DirectX)")  # green points up, is not said, points down
-PLAIN = "plain"  # the role of a colour that only its place beside other maps tells
-COLOURS = ("base colour", "diffuse", PLAIN)
+NORMAL_ROLES = ("normal (OpenGL)", "normal", "normal (DirectX)")  # green points up, is not said, points down
+PLAIN_COLOUR_ROLE = "plain"  # the role of a colour that only its place beside other maps tells
+COLOUR_ROLES = ("base colour", "diffuse", PLAIN_COLOUR_ROLE)
 # the roles of red, green, blue and alpha of files that pack them; "" for a channel that is not read
-CHANNELS = {
+PACKED_CHANNEL_ROLES = {
     "occlusion, roughness, metallic": ("", "roughness", "metallic"),
     "roughness, metallic": ("roughness", "metallic"),
     "metallic, roughness": ("metallic", "roughness"),
@@ -71,7 +71,7 @@ def _role_of_words() -> dict[str, str]:
 _ROLES = _role_of_words()
 
 
-def map_name(stem: str) -> MapName:
+def parse_map_name(stem: str) -> MapName:
     """Split the stem of a file into the material's name, a mark, and the role that its last words tell.
 
     >>> map_name("RockNormalGL_4k")
@@ -87,7 +87,7 @@ def map_name(stem: str) -> MapName:
         marks += [word] * (not _RESOLUTION.fullmatch(word))
         words.pop()
     if words and words[-1].group() in _WORKFLOWS:
-        name, mark, role = map_name(before := stem[: words[-1].start()].rstrip("_-. "))
+        name, mark, role = parse_map_name(before := stem[: words[-1].start()].rstrip("_-. "))
         if role is not None and name and before.removeprefix(name).isupper():
             return MapName(name, "_".join(filter(None, (mark, words[-1].group()))), role)
     for count in range(min(_MOST_WORDS, len(words)), 0, -1):
@@ -99,6 +99,6 @@ def map_name(stem: str) -> MapName:
     return MapName(stem, "", None)
 
 
-def lies_aside(file: Path) -> bool:
+def is_unused_map(file: Path) -> bool:
     """Tell whether a file is a map that is of no use alone, by its name, such as heights and packed channels."""
-    return map_name(file.stem).role in ("", *CHANNELS)
+    return parse_map_name(file.stem).role in ("", *PACKED_CHANNEL_ROLES)

@@ -28,31 +28,37 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import photos
-from data_tools.readers.arrays import check_range, checked, is_pil, pixels_of, planes_of
-from data_tools.readers.colours import LINEAR
-from data_tools.readers.image_files import SUFFIXES, Pixels, read_pixels, shape_of
+from data_tools.readers.arrays import check_pixels, check_range, is_pil, picture_values, pixels_of
+from data_tools.readers.colours import LINEAR_SPACE
+from data_tools.readers.image_files import IMAGE_SUFFIXES, Pixels, read_pixels, shape_of
 from data_tools.readers.listing import files_below
-from data_tools.readers.map_names import CHANNELS, COLOURS, NORMALS, PLAIN, map_name
+from data_tools.readers.map_names import (
+    COLOUR_ROLES,
+    NORMAL_ROLES,
+    PACKED_CHANNEL_ROLES,
+    PLAIN_COLOUR_ROLE,
+    parse_map_name,
+)
 from data_tools.readers.normal_maps import complete_normals
-from data_tools.readers.photos import SIZE, central_square, resample, side_of
+from data_tools.readers.photos import SIZE, central_square, reading_side_px, resample_square
 from data_tools.readers.source import Source, Sources
 from data_tools.readers.svbrdf_task import UNITS as UNITS
-from data_tools.readers.svbrdf_task import svbrdf_task, task_name, unit_normals
-from metapp.appearance.flash import Maps, pack
-from metapp.appearance.surface import DIELECTRIC, from_metallic
+from data_tools.readers.svbrdf_task import decode_unit_normals, make_svbrdf_task, task_name
+from metapp.appearance.flash import Maps, pack_maps
+from metapp.appearance.surface import DIELECTRIC_F0, metallic_to_specular
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
-from metapp.storage.folders import entries_of, looks_once
-from metapp.storage.shards import Entry
+from metapp.storage.folders import cached_lookup, list_folder
+from metapp.storage.shards import ManifestEntry
 
 _IS_CLEAR = 0.2  # correlation of the two mixed slopes, 1 for an exact height field and -1 for an upturned one
 _SAME_SHAPE = 0.02  # log of a ratio of width to height
 _UNIT = 0.1  # by which the length of normals, which may be averages, differs from 1 in the mean at most
-OR_MAPS = " or maps (a dictionary of such)"  # what errors say of objects in memory
+OR_MAPS_TEXT = " or maps (a dictionary of such)"  # what errors say of objects in memory
 _EXPECTED = "expected names such as rock_diffuse.png, rock_normal.png, rock_roughness.png"
 
 
-class Material(NamedTuple):
+class MaterialFiles(NamedTuple):
     """The maps of a material.
 
     Attributes:
@@ -75,7 +81,7 @@ class Material(NamedTuple):
     @property
     def source(self) -> Path:
         """The file that stands for all: the colour, which variants do not share."""
-        return min(next((self.files[role] for role in COLOURS if role in self.files), self.maps))
+        return min(next((self.files[role] for role in COLOUR_ROLES if role in self.files), self.maps))
 
     @property
     def maps(self) -> list[Path]:
@@ -90,7 +96,7 @@ def recognises(path: Path) -> bool:
     """True for one of the maps of a material, and for a folder with a material at any depth."""
     if not path.is_dir():
         return path.is_file() and material_of(path) is not None
-    return any(materials_in(folder)[0] for folder in {file.parent for file in files_below(path, SUFFIXES)})
+    return any(list_materials(folder)[0] for folder in {file.parent for file in files_below(path, IMAGE_SUFFIXES)})
 
 
 def find(path: Path) -> Sources:
@@ -102,7 +108,7 @@ def find(path: Path) -> Sources:
     files, skipped = photos.find_images(path)
     if not path.is_dir():
         return [_source_of(_material(path))], []
-    in_folders = [materials_in(folder) for folder in sorted({file.parent for file in files})]
+    in_folders = [list_materials(folder) for folder in sorted({file.parent for file in files})]
     materials = [_source_of(material) for some, _ in in_folders for material in some]
     if not materials:
         names = ", ".join(file.name for file in files[:3])
@@ -111,28 +117,28 @@ def find(path: Path) -> Sources:
     return materials, skipped + [f"{file}: no map under a usual name, {_EXPECTED}; rename it." for file in others]
 
 
-def _source_of(material: Material) -> Source:
+def _source_of(material: MaterialFiles) -> Source:
     return Source(material.title, material.source, content=material)
 
 
-def material_of(file: Path) -> Material | None:
+def material_of(file: Path) -> MaterialFiles | None:
     """The material that a map belongs to."""
-    materials = materials_in(file.parent)[0]
+    materials = list_materials(file.parent)[0]
     return next((material for material in materials if file.name in [map_.name for map_ in material.maps]), None)
 
 
-def _material(file: Path) -> Material:
+def _material(file: Path) -> MaterialFiles:
     if material := material_of(file):
         return material
     raise ValueError(f"{file}: no map under a usual name, {_EXPECTED}; rename it, or name a folder.")
 
 
-@looks_once
-def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
+@cached_lookup
+def list_materials(folder: Path) -> tuple[list[MaterialFiles], list[Path]]:
     """The materials right in a folder, by name, and image files whose role is unknown."""
-    files = (Path(entry.path) for entry in entries_of(str(folder)) if entry.is_file())
-    images = sorted(file for file in files if file.suffix.lower() in SUFFIXES)
-    parts = {file: map_name(file.stem) for file in images if not file.name.startswith(".")}
+    files = (Path(entry.path) for entry in list_folder(str(folder)) if entry.is_file())
+    images = sorted(file for file in files if file.suffix.lower() in IMAGE_SUFFIXES)
+    parts = {file: parse_map_name(file.stem) for file in images if not file.name.startswith(".")}
     names = {name.lower() for name, _, role in parts.values() if role}
     groups: dict[str, dict[Path, tuple[str, str, str]]] = {}
     plain = []
@@ -148,8 +154,8 @@ def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
     others = []
     for file in plain:
         maps = groups.get(file.stem.lower())
-        if maps and not any(role in COLOURS[:2] for _, _, role in maps.values()):
-            maps[file] = file.stem, "", PLAIN
+        if maps and not any(role in COLOUR_ROLES[:2] for _, _, role in maps.values()):
+            maps[file] = file.stem, "", PLAIN_COLOUR_ROLE
         else:
             others.append(file)
     stems = {file.stem.lower(): file for file in others}
@@ -160,7 +166,7 @@ def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
     for key, group in groups.items():
         unknown[key] |= {stems[begin] for begin in _beginnings(next(iter(group.values()))[0]) & stems.keys()}
     made = [
-        Material(folder, *variant, tuple(sorted(unknown[key])))
+        MaterialFiles(folder, *variant, tuple(sorted(unknown[key])))
         for key in sorted(groups)
         for variant in _variants(folder, groups[key])
     ]
@@ -190,7 +196,7 @@ def _variants(
 
 def _unpacked(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
     """The files by role, those of packed channels for each of their roles that has no file of its own."""
-    for packed, channels in CHANNELS.items():
+    for packed, channels in PACKED_CHANNEL_ROLES.items():
         for file in files.pop(packed, ()):
             for role in filter(None, channels):
                 files.setdefault(role, (file,))
@@ -203,7 +209,7 @@ def read_task(
     normals: str = "auto",
     least: int = 0,
     layer: str = "",
-    content: Material | None = None,
+    content: MaterialFiles | None = None,
 ) -> Task:
     """Turn the material that a map belongs to into a task, photographed by the renderer.
 
@@ -233,7 +239,7 @@ def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, leas
         name: of the material.
         size, least: as of `read_task`.
     """
-    words = {key: map_name(str(key)).role for key in maps}
+    words = {key: parse_map_name(str(key)).role for key in maps}
     unknown = [key for key, role in words.items() if role is None]
     if unknown or len(set(filter(None, words.values()))) < 2:
         found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, maps)) or 'none'}"
@@ -246,13 +252,13 @@ def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, leas
             files[file := Path(f"{name}_{key}")] = pixels
             roles[role] = (*roles.get(role, ()), file)
     side = max(min(pixels.values.shape[:2]) for pixels in files.values())
-    material = Material(Path(), name, _unpacked(roles))
-    return _task(material, lambda file, _: files[file], side_of(side, size, least), "auto")
+    material = MaterialFiles(Path(), name, _unpacked(roles))
+    return _task(material, lambda file, _: files[file], reading_side_px(side, size, least), "auto")
 
 
 def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
     """The role of a map in memory and its values, those of floating point linear, normals 0..1 for -1..1."""
-    if is_pil(source) or (values := planes_of(subject, source)).dtype.kind != "f":
+    if is_pil(source) or (values := picture_values(subject, source)).dtype.kind != "f":
         return role, pixels_of(subject, source)
     if not role.startswith("normal"):
         check_range(subject, values, "linear values", "scale them to it")
@@ -265,40 +271,42 @@ def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
                 "[H, W, 3], x right, y up; of values in [0, 1] take 2 v - 1."
             )
         values, role = values * 0.5 + 0.5, "normal (OpenGL)" if role == "normal" else role
-    return role, checked(subject, Pixels(values.astype(np.float32), LINEAR, False))
+    return role, check_pixels(subject, Pixels(values.astype(np.float32), LINEAR_SPACE, False))
 
 
-def read_material(material: Material, size: int = SIZE, normals: str = "auto", least: int = 0, layer: str = "") -> Task:
+def read_material(
+    material: MaterialFiles, size: int = SIZE, normals: str = "auto", least: int = 0, layer: str = ""
+) -> Task:
     """As `read_task`, of a material that was found."""
     side = max(min(shape_of(file)) for file in _choose(material).values())
-    size = side_of(side, size, least)
+    size = reading_side_px(side, size, least)
 
     def pixels_of_map(file: Path, role: str) -> Pixels:
-        return read_pixels(file, layer, lacks_blue=role in NORMALS)
+        return read_pixels(file, layer, lacks_blue=role in NORMAL_ROLES)
 
     return _task(material, pixels_of_map, size, normals)
 
 
-def _task(material: Material, pixels_of_map: Callable[[Path, str], Pixels], size: int, normals: str) -> Task:
+def _task(material: MaterialFiles, pixels_of_map: Callable[[Path, str], Pixels], size: int, normals: str) -> Task:
     chosen = _choose(material)
     shapes: dict[str, tuple[int, int]] = {}
     maps = {role: _read(file, pixels_of_map(file, role), size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
-    colour = next(maps[role] for role in COLOURS if role in maps)
+    colour = next(maps[role] for role in COLOUR_ROLES if role in maps)
     if "metallic" in maps:
-        diffuse, specular = from_metallic(colour, _gray(maps["metallic"]))
+        diffuse, specular = metallic_to_specular(colour, _gray(maps["metallic"]))
     else:
-        diffuse, specular = colour, maps.get("specular", torch.full_like(colour, DIELECTRIC))
+        diffuse, specular = colour, maps.get("specular", torch.full_like(colour, DIELECTRIC_F0))
     if "roughness" in maps:
         roughness = _gray(maps["roughness"])
-    elif PLAIN in maps:  # that of a GGX lobe whose peak is as bright
-        roughness = (DIELECTRIC / 4 / _gray(maps["gloss"]).clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
+    elif PLAIN_COLOUR_ROLE in maps:  # that of a GGX lobe whose peak is as bright
+        roughness = (DIELECTRIC_F0 / 4 / _gray(maps["gloss"]).clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
     else:
         roughness = 1 - _gray(maps["gloss"])
-    role = next(role for role in NORMALS if role in maps)
-    normal = unit_normals(maps[role], chosen[role])
+    role = next(role for role in NORMAL_ROLES if role in maps)
+    normal = decode_unit_normals(maps[role], chosen[role])
     if normals == "auto" and role == "normal":
-        is_down = mixed_slopes(normal) < -_IS_CLEAR
+        is_down = mixed_slope_correlation(normal) < -_IS_CLEAR
     else:
         is_down = normals == "directx" or (normals == "auto" and role == "normal (DirectX)")
     if is_down:
@@ -307,10 +315,10 @@ def _task(material: Material, pixels_of_map: Callable[[Path, str], Pixels], size
         raise ValueError(
             f"{material}: diffuse and specular are black, expected a material that reflects; leave it out."
         )
-    return svbrdf_task(material.title, pack(Maps(diffuse, specular, roughness, normal)))
+    return make_svbrdf_task(material.title, pack_maps(Maps(diffuse, specular, roughness, normal)))
 
 
-def mixed_slopes(normal: Tensor) -> float:
+def mixed_slope_correlation(normal: Tensor) -> float:
     """Correlation 2 <u v> / <u^2 + v^2> of the mixed second derivatives of a height with normals [3, H, W].
 
     A height field has u = v and 1, one whose y is turned over -1, a plane 0.
@@ -322,23 +330,23 @@ def mixed_slopes(normal: Tensor) -> float:
     return 2 * float((along_x * along_y).sum()) / total if total > 0 else 0.0
 
 
-def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, Entry]:
+def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, ManifestEntry]:
     """Materials by their maps; those with the very same file of normals are a group, as variants."""
-    found: dict[Path, Entry] = {}
+    found: dict[Path, ManifestEntry] = {}
     groups: dict[str, str] = {}
     for source in sources:
         material = _material(source)
-        files = next((material.files[role] for role in NORMALS if role in material.files), (material.source,))
+        files = next((material.files[role] for role in NORMAL_ROLES if role in material.files), (material.source,))
         digest = hashlib.sha256(read_bytes(files[0])).hexdigest()
         group = groups.setdefault(digest, material.title)
-        found[source] = Entry(task_name(material.title), group=group)
+        found[source] = ManifestEntry(task_name(material.title), group=group)
     return found
 
 
-def _choose(material: Material) -> dict[str, Path]:
+def _choose(material: MaterialFiles) -> dict[str, Path]:
     """One file for each role that counts."""
     roles = dict(material.files)
-    if {*COLOURS[:2], "specular"} <= roles.keys():  # the specular workflow, not the metallic one beside it
+    if {*COLOUR_ROLES[:2], "specular"} <= roles.keys():  # the specular workflow, not the metallic one beside it
         roles = {role: files for role, files in roles.items() if role not in ("base colour", "metallic")}
     if diffuse := roles.pop("diffuse", ()):
         roles["base colour"] = (*roles.get("base colour", ()), *diffuse)
@@ -346,8 +354,8 @@ def _choose(material: Material) -> dict[str, Path]:
     unknown = ", ".join(file.name for file in material.unknown[:3])
     remedy = f"; of {unknown} the role is unknown: rename it" if unknown else "; add it"
     needed = {
-        "base colour": ("base colour", PLAIN),
-        "normal": NORMALS,
+        "base colour": ("base colour", PLAIN_COLOUR_ROLE),
+        "normal": NORMAL_ROLES,
         "roughness or gloss": ("roughness", "gloss"),
         "": ("metallic", "specular"),
     }
@@ -369,27 +377,29 @@ def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tu
     """The central square of a map, [3, size, size] in [0, 1]; its whole size in px goes to `shapes`."""
     height, width = pixels.values.shape[:2]
     shapes[role] = height, width
-    is_colour = role in (*COLOURS, "specular")
+    is_colour = role in (*COLOUR_ROLES, "specular")
     values = pixels.values[..., :3]  # alpha holds opacity or something else again
-    channels = CHANNELS.get(map_name(file.stem if file.suffix.lower() in SUFFIXES else file.name).role or "", ())
+    channels = PACKED_CHANNEL_ROLES.get(
+        parse_map_name(file.stem if file.suffix.lower() in IMAGE_SUFFIXES else file.name).role or "", ()
+    )
     if role in channels:
         channel, count = channels.index(role), pixels.values.shape[-1]
         if channel >= count:
             raise ValueError(f"{file}: {count} channels, expected {role} in alpha; export it with that.")
         values = pixels.values[..., [channel] * 3]
-    if role in NORMALS:
+    if role in NORMAL_ROLES:
         values, slopes = pixels.values, pixels.values[..., :2]
         if values.dtype.kind == "f" and (slopes.min() < -0.1 or slopes.mean() < 0.25):  # -1..1
             values = values / 2 + 0.5
         values = complete_normals(values, file)
-    square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR))
-    linear = resample(square, size)
+    square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR_SPACE))
+    linear = resample_square(square, size)
     if not np.isfinite(linear).all():
         raise ValueError(f"{file}: holds NaN, expected finite values; export the map again.")
     return torch.from_numpy(linear).permute(2, 0, 1).float()
 
 
-def _check_shapes(material: Material, files: Mapping[str, Path], shapes: Mapping[str, tuple[int, int]]) -> None:
+def _check_shapes(material: MaterialFiles, files: Mapping[str, Path], shapes: Mapping[str, tuple[int, int]]) -> None:
     """Sizes may differ, but not the ratio of width to height."""
     ratios = {role: math.log(width / height) for role, (height, width) in shapes.items()}
     low, high = min(ratios, key=ratios.__getitem__), max(ratios, key=ratios.__getitem__)

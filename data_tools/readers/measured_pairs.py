@@ -13,17 +13,20 @@ from data_tools.readers import brdf_task
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
 
-LEAST = 4  # pairs of directions
-FEW = 1000  # with at most this many measurements, none is held out
-LARGEST = 1e9  # of a BRDF, in 1/sr
-LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
-COMPARED, PAIRED = 1_024, 8  # measurements that tell whether phi_h counts, and neighbours of each
-EXPLAINED = 0.1  # share of the squared differences of neighbours, from which on phi_h counts
-TOLD = 64  # measurements that tell so at least
-STEEPEST_RAD = math.radians(3)  # half vectors nearer to the normal have no azimuth to speak of
+MIN_PAIRS = 4  # pairs of directions
+MAX_PAIRS_ALL_SEEN = 1000  # with at most this many measurements, none is held out
+MAX_REFLECTANCE_PER_SR = 1e9  # of a BRDF, in 1/sr
+MAX_THETA_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
+AZIMUTH_TEST_PAIRS, AZIMUTH_TEST_NEIGHBOURS = (
+    1_024,
+    8,
+)  # measurements that tell whether phi_h counts, and neighbours of each
+MIN_AZIMUTH_EXPLAINED_SHARE = 0.1  # share of the squared differences of neighbours, from which on phi_h counts
+MIN_AZIMUTH_TEST_PAIRS = 64  # measurements that tell so at least
+MIN_HALF_THETA_RAD = math.radians(3)  # half vectors nearer to the normal have no azimuth to speak of
 
 
-class Pairs(NamedTuple):
+class MeasuredPairs(NamedTuple):
     """Measured pairs of directions.
 
     Attributes:
@@ -35,13 +38,13 @@ class Pairs(NamedTuple):
     wo: Tensor
     reflectance: Tensor
 
-    def above(self) -> Pairs:
+    def above(self) -> MeasuredPairs:
         """Those of which neither direction is along or below the surface."""
-        rows = torch.minimum(self.wi[:, 2], self.wo[:, 2]) > math.cos(LAST_RAD)
-        return Pairs(self.wi[rows], self.wo[rows], self.reflectance[rows])
+        rows = torch.minimum(self.wi[:, 2], self.wo[:, 2]) > math.cos(MAX_THETA_RAD)
+        return MeasuredPairs(self.wi[rows], self.wo[rows], self.reflectance[rows])
 
 
-def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
+def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> Task:
     """Measurements above the surface as a BRDF task; `source` is the file that errors name.
 
     The samples are the measurements, in random order, half of them for fits to see; of FEW at most, fits
@@ -60,13 +63,13 @@ def task_of_pairs(name: str, pairs: Pairs, source: str | Path = "") -> Task:
     angles, reflectance = angles if azimuths else angles[:, :3], pairs.reflectance
     if len(angles):
         angles, reflectance = _distinct(angles, reflectance)
-    if len(angles) < LEAST:
+    if len(angles) < MIN_PAIRS:
         found = f"different pairs of directions: {len(angles)} of {len(pairs.wi)}"
-        raise ValueError(f"{source or name}: {found}, expected {LEAST} or more; measure more.")
+        raise ValueError(f"{source or name}: {found}, expected {MIN_PAIRS} or more; measure more.")
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
-    if len(order) <= FEW:
+    if len(order) <= MAX_PAIRS_ALL_SEEN:
         order = order.repeat(2)
-    samples = brdf_task.columns_of(angles[order].float())
+    samples = brdf_task.angle_tensors(angles[order].float())
     return Task(name, {**samples, "reflectance": reflectance[order].float()})
 
 
@@ -76,14 +79,17 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
     By least squares of differences of log reflectance on differences of the first two harmonics of phi_h, which noise
     does not follow. Measurements at one azimuth count as isotropic.
     """
-    tilted = angles[:, 0] > STEEPEST_RAD
+    tilted = angles[:, 0] > MIN_HALF_THETA_RAD
     angles, values = angles[tilted], torch.log(reflectance[tilted].mean(1) + 1e-3)
-    if len(angles) < TOLD:
+    if len(angles) < MIN_AZIMUTH_TEST_PAIRS:
         return False
-    order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))[:COMPARED]
+    order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))[:AZIMUTH_TEST_PAIRS]
     points = _points(angles[:, :3])
-    nearest = [torch.cdist(part, points).topk(1 + PAIRED, largest=False).indices for part in points[order].split(512)]
-    first, second = order.repeat_interleave(PAIRED), torch.cat(nearest)[:, 1:].reshape(-1)
+    nearest = [
+        torch.cdist(part, points).topk(1 + AZIMUTH_TEST_NEIGHBOURS, largest=False).indices
+        for part in points[order].split(512)
+    ]
+    first, second = order.repeat_interleave(AZIMUTH_TEST_NEIGHBOURS), torch.cat(nearest)[:, 1:].reshape(-1)
     phi_h = angles[:, 3]
     waves = torch.stack([phi_h.cos(), phi_h.sin(), (2 * phi_h).cos(), (2 * phi_h).sin()], 1).double()
     changes, difference = waves[first] - waves[second], (values[first] - values[second]).double()
@@ -92,7 +98,7 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
     moment = changes.T @ difference
     # a few numbers explain a share of noise, too
     explained = float(moment @ torch.linalg.solve(gram, moment)) - 4 * total / len(order)
-    return total > 0 and explained > EXPLAINED * total
+    return total > 0 and explained > MIN_AZIMUTH_EXPLAINED_SHARE * total
 
 
 def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:

@@ -27,22 +27,22 @@ from torch import Tensor
 from data_tools.readers import brdf_task
 from data_tools.readers.listing import files_of, find_files
 from data_tools.readers.source import Sources, sources_of_files
-from metapp.appearance.geometry import above_horizon
+from metapp.appearance.geometry import is_above_horizon
 from metapp.learning.task import Params, Task
-from metapp.storage.files import open_regular, placeholder_line, suffixed, write_atomically
+from metapp.storage.files import add_suffix, open_regular, placeholder_line, write_atomically
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
-Array = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 UNITS = brdf_task.UNITS
-SUFFIX = ".binary"
-SHAPE = (90, 90, 180)
-SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
-FILE_BYTES = 12 + 8 * 3 * math.prod(SHAPE)
+MERL_SUFFIX = ".binary"
+TABLE_SHAPE = (90, 90, 180)
+CHANNEL_SCALES = np.array([1.0, 1.15, 1.66]) / 1500.0
+FILE_BYTES = 12 + 8 * 3 * math.prod(TABLE_SHAPE)
 
-_HEADER = np.array(SHAPE, dtype="<i4")
+_HEADER = np.array(TABLE_SHAPE, dtype="<i4")
 _MIN_VALID = 0.01  # three quarters of the bins are above the horizon
 _ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
 
@@ -50,18 +50,18 @@ _ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
 def find(path: Path) -> Sources:
     """Find MERL files by size and header, as `find_files`; values are not looked at."""
     nothing = f"no MERL file, expected *.binary files of {_ABOUT}; name their folder."
-    return sources_of_files(find_files(path, _check_file, _problem, nothing, (SUFFIX,)))
+    return sources_of_files(find_files(path, _check_file, _problem, nothing, (MERL_SUFFIX,)))
 
 
 def recognises(path: str | Path) -> bool:
     """True for a file named .binary or of a MERL file's size, and for a folder with one below it."""
-    return any(file.suffix.lower() == SUFFIX or file.stat().st_size == FILE_BYTES for file in files_of(path))
+    return any(file.suffix.lower() == MERL_SUFFIX or file.stat().st_size == FILE_BYTES for file in files_of(path))
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a MERL file; `path` without .binary gets it."""
     app.require_isotropic(path.name, "a MERL table")
-    write_merl(suffixed(path, SUFFIX), tabulate(lambda angles: app.reflectance(theta, angles)))
+    write_merl(add_suffix(path, MERL_SUFFIX), tabulate_merl(lambda angles: app.reflectance(theta, angles)))
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
@@ -69,7 +69,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
     return task_of_table(path.stem, read_merl(path), samples, path)
 
 
-def task_of_table(name: str, table: Array, samples: int, source: str | Path) -> Task:
+def task_of_table(name: str, table: Doubles, samples: int, source: str | Path) -> Task:
     """A table [90, 90, 180, 3], as `read_merl` returns it, as a BRDF task, whose samples are measured values.
 
     Each draw moves to the centre of its bin, on its side of phi_d and phi_d + pi: nothing is interpolated but the
@@ -81,13 +81,13 @@ def task_of_table(name: str, table: Array, samples: int, source: str | Path) -> 
     """
     measured = _table_samples(source, table, samples) if samples > 1 else None
     # interpolation gathers at random: channels side by side and half the bytes are faster
-    evaluate = partial(merl_evaluate, torch.from_numpy(table.astype(np.float32, order="C")))
-    return brdf_task.measured_task(name, evaluate, samples, source, measured=measured)
+    evaluate = partial(evaluate_merl, torch.from_numpy(table.astype(np.float32, order="C")))
+    return brdf_task.make_measured_task(name, evaluate, samples, source, measured=measured)
 
 
-def _table_samples(source: str | Path, table: Array, samples: int) -> tuple[Tensor, Tensor]:
+def _table_samples(source: str | Path, table: Doubles, samples: int) -> tuple[Tensor, Tensor]:
     """Angles [N, 3] rad and reflectance [N, 3] of distinct valid bins."""
-    allowed = torch.from_numpy(merl_valid(table)).reshape(-1) & _bins_above_horizon()
+    allowed = torch.from_numpy(merl_valid_mask(table)).reshape(-1) & _bins_above_horizon()
     available = int(allowed.sum())
     if samples > available:
         raise ValueError(f"{source}: {available:,} valid bins, expected {samples:,} or more; take fewer samples.")
@@ -98,7 +98,7 @@ def _table_samples(source: str | Path, table: Array, samples: int) -> tuple[Tens
         _, first = np.unique(bins[inside].numpy(), return_index=True)
         return inside[torch.from_numpy(np.sort(first))]
 
-    draws = brdf_task.sample_pool(source, samples, 0, keep)
+    draws = brdf_task.draw_sample_pool(source, samples, 0, keep)
     bins = merl_index(draws)
     angles = merl_centres().reshape(-1, 3)[bins]
     angles[:, 2] += torch.where(draws[:, 2] >= math.pi, math.pi, 0.0)
@@ -107,10 +107,10 @@ def _table_samples(source: str | Path, table: Array, samples: int) -> tuple[Tens
 
 @cache
 def _bins_above_horizon() -> Tensor:
-    return above_horizon(merl_centres()).reshape(-1)
+    return is_above_horizon(merl_centres()).reshape(-1)
 
 
-def read_merl(path: str | Path) -> Array:
+def read_merl(path: str | Path) -> Doubles:
     """The table of a MERL file [90, 90, 180, 3]: linear RGB reflectance in 1/sr, invalid entries negative.
 
     It is a view of planes, as the file has them: interleaving the channels can take longer than reading them.
@@ -120,21 +120,21 @@ def read_merl(path: str | Path) -> Array:
     """
     path = Path(path)
     _check_file(path)
-    planes = np.fromfile(path, dtype="<f8", offset=12).astype(np.float64, copy=False).reshape(3, *SHAPE)
+    planes = np.fromfile(path, dtype="<f8", offset=12).astype(np.float64, copy=False).reshape(3, *TABLE_SHAPE)
     _check_values(planes, str(path))
-    planes *= SCALE[:, None, None, None]
+    planes *= CHANNEL_SCALES[:, None, None, None]
     return np.moveaxis(planes, 0, -1)
 
 
-def write_merl(path: str | Path, table: Array) -> None:
+def write_merl(path: str | Path, table: Doubles) -> None:
     """Write a table, as `read_merl` returns it, as a MERL file, whole or not at all; up to the last bit the same again.
 
     Raises:
         ValueError: another shape, values that are not finite, almost no valid entries.
     """
-    if table.shape != (*SHAPE, 3):
-        raise ValueError(f"{path}: table {table.shape}, expected {(*SHAPE, 3)} to write.")
-    planes = np.stack([table[..., channel] / SCALE[channel] for channel in range(3)])
+    if table.shape != (*TABLE_SHAPE, 3):
+        raise ValueError(f"{path}: table {table.shape}, expected {(*TABLE_SHAPE, 3)} to write.")
+    planes = np.stack([table[..., channel] / CHANNEL_SCALES[channel] for channel in range(3)])
     _check_values(planes, str(path))
 
     def write(partial: Path) -> None:
@@ -171,7 +171,7 @@ def _problem(path: Path) -> str:
     return "" if matches else f"{path}: header {found}, expected 90x90x180; not a MERL file."
 
 
-def _check_values(planes: Array, subject: str) -> None:
+def _check_values(planes: Doubles, subject: str) -> None:
     """Refuse planes that no measurement gives."""
     # The sum is not finite if any value is not; it costs less than looking at each.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -179,7 +179,7 @@ def _check_values(planes: Array, subject: str) -> None:
     if not np.isfinite(total) and not np.isfinite(planes).all():
         count = int((~np.isfinite(planes)).sum())
         raise ValueError(f"{subject}: {count:,} values are NaN or infinite, expected none; download or make it again.")
-    valid = float(merl_valid(np.moveaxis(planes, 0, -1)).mean())
+    valid = float(merl_valid_mask(np.moveaxis(planes, 0, -1)).mean())
     if valid < _MIN_VALID:
         raise ValueError(
             f"{subject}: {valid:.2%} of the entries are valid (not negative), expected {_MIN_VALID:.0%} or more; "
@@ -187,7 +187,7 @@ def _check_values(planes: Array, subject: str) -> None:
         )
 
 
-def merl_valid(table: Array) -> NDArray[np.bool_]:
+def merl_valid_mask(table: Doubles) -> NDArray[np.bool_]:
     """Mask [90, 90, 180] of a table's valid entries: those with a channel that is not negative."""
     return (table[..., 0] >= 0) | (table[..., 1] >= 0) | (table[..., 2] >= 0)
 
@@ -203,11 +203,11 @@ def merl_index(angles: Tensor) -> Tensor:
     The thetas are clamped to 0..pi/2, and phi_d + pi is phi_d (reciprocity).
     """
     bins = [position.floor().long().clamp(0, size - 1)
-            for position, size in zip(_positions(angles), SHAPE, strict=True)]  # fmt: skip
-    return (bins[0] * SHAPE[1] + bins[1]) * SHAPE[2] + bins[2]
+            for position, size in zip(_positions(angles), TABLE_SHAPE, strict=True)]  # fmt: skip
+    return (bins[0] * TABLE_SHAPE[1] + bins[1]) * TABLE_SHAPE[2] + bins[2]
 
 
-def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
+def evaluate_merl(table: Doubles | Tensor, angles: Tensor) -> Tensor:
     """Reflectance [..., 3] of a table [90, 90, 180, 3], interpolated linearly in angles [..., 3] rad, of their type.
 
     Invalid entries are left out and the rest weighs more; if all eight are invalid the result is 0. phi_d is
@@ -215,8 +215,8 @@ def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
     """
     flat = torch.as_tensor(table, device=angles.device).reshape(-1, 3)
     lower, upper, weight = [], [], []
-    for position, size, axis, angle in zip(_positions(angles), SHAPE, _axes(), angles.unbind(-1), strict=True):
-        if size == SHAPE[2]:
+    for position, size, axis, angle in zip(_positions(angles), TABLE_SHAPE, _axes(), angles.unbind(-1), strict=True):
+        if size == TABLE_SHAPE[2]:
             first = (position - 0.5).floor()
             weight.append(position - 0.5 - first)
             lower.append(first.long() % size)
@@ -232,7 +232,7 @@ def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
     for corner in range(8):
         index = torch.zeros_like(lower[0])
         share = torch.ones_like(weight[0])
-        for dim, size in enumerate(SHAPE):
+        for dim, size in enumerate(TABLE_SHAPE):
             is_upper = corner >> dim & 1
             index = index * size + (upper[dim] if is_upper else lower[dim])
             share = share * (weight[dim] if is_upper else 1 - weight[dim])
@@ -243,16 +243,16 @@ def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
     return (total / weights.clamp_min(1e-12)).clamp_min(0)
 
 
-def tabulate(evaluate: Callable[[Tensor], Tensor]) -> Array:
+def tabulate_merl(evaluate: Callable[[Tensor], Tensor]) -> Doubles:
     """The table [90, 90, 180, 3] of a BRDF at the centres of all bins; those below the horizon are invalid.
 
     `evaluate` takes angles float32 [N, 3] rad, all above the horizon, and returns reflectance [N, 3] in 1/sr.
     """
-    table = np.empty((*SHAPE, 3))
-    table[:] = -SCALE
+    table = np.empty((*TABLE_SHAPE, 3))
+    table[:] = -CHANNEL_SCALES
     # A few theta_h at a time: a network's hidden layers over all bins at once would take hundreds of megabytes.
     for rows, angles in zip(np.array_split(table, 9), merl_centres().tensor_split(9), strict=True):
-        above = above_horizon(angles)
+        above = is_above_horizon(angles)
         with torch.no_grad():
             value = evaluate(angles[above])
         rows[above.numpy()] = value.clamp_min(0).double().cpu().numpy()
@@ -261,7 +261,7 @@ def tabulate(evaluate: Callable[[Tensor], Tensor]) -> Array:
 
 def _axes() -> tuple[Tensor, Tensor, Tensor]:
     """Centres of the bins along theta_h, theta_d, phi_d: float64 rad."""
-    theta_h, theta_d, phi_d = ((torch.arange(size, dtype=torch.float64) + 0.5) / size for size in SHAPE)
+    theta_h, theta_d, phi_d = ((torch.arange(size, dtype=torch.float64) + 0.5) / size for size in TABLE_SHAPE)
     return theta_h**2 * (math.pi / 2), theta_d * (math.pi / 2), phi_d * math.pi
 
 
@@ -269,7 +269,7 @@ def _positions(angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Positions along the three axes in bins: bin i covers [i, i + 1)."""
     theta_h, theta_d, phi_d = angles.unbind(-1)
     return (
-        (theta_h.clamp_min(0) * (2 / math.pi)).sqrt() * SHAPE[0],
-        theta_d * (2 / math.pi * SHAPE[1]),
-        phi_d.remainder(math.pi) * (SHAPE[2] / math.pi),
+        (theta_h.clamp_min(0) * (2 / math.pi)).sqrt() * TABLE_SHAPE[0],
+        theta_d * (2 / math.pi * TABLE_SHAPE[1]),
+        phi_d.remainder(math.pi) * (TABLE_SHAPE[2] / math.pi),
     )

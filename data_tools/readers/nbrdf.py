@@ -25,7 +25,7 @@ from torch import Tensor
 from data_tools.readers import brdf_task
 from data_tools.readers.listing import files_below
 from data_tools.readers.source import Source, Sources
-from metapp.appearance.geometry import half_difference
+from metapp.appearance.geometry import half_difference_vectors
 from metapp.learning.task import Params, Task
 from metapp.storage.files import check_readable, open_regular, write_atomically
 
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
 UNITS = brdf_task.UNITS
-SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
+NBRDF_ARRAY_SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
 
 _FILE = re.compile(r"(?:(?P<name>.*)_)?(?P<part>fc[123]|b[123])\.npy")
 _EXPECTED = "expected fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy"
 _KERAS = (".h5", ".hdf5")
-INSTALL = 'pip install "metapp[nbrdf]"'
+INSTALL_HDF5 = 'pip install "metapp[nbrdf]"'
 
 
 def find(path: Path) -> Sources:
@@ -57,12 +57,14 @@ def find(path: Path) -> Sources:
         _files_of(path)
         return [_source_of(path)], []
     groups = _networks(files_below(path, ".npy"))
-    whole = sorted(network for network, files in groups.items() if len(files) == len(SHAPES))
+    whole = sorted(network for network, files in groups.items() if len(files) == len(NBRDF_ARRAY_SHAPES))
     broken = [_missing(network, groups[network]) for network in sorted(groups.keys() - set(whole))]
     if (keras := files_below(path, _KERAS)) and importlib.util.find_spec("h5py"):
         whole = sorted([*whole, *keras])
     elif keras:
-        broken.insert(0, f"{path}: {len(keras)} networks in HDF5 ({keras[0].name}, ...), which need h5py; {INSTALL}.")
+        broken.insert(
+            0, f"{path}: {len(keras)} networks in HDF5 ({keras[0].name}, ...), which need h5py; {INSTALL_HDF5}."
+        )
     if not whole:
         raise ValueError(broken[0] if broken else f"{path}: no NBRDF network, {_EXPECTED}; name their folder.")
     return [_source_of(network) for network in whole], broken
@@ -88,13 +90,13 @@ def export(app: Brdf, theta: Params, folder: Path) -> None:
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
     """A network as a BRDF task, named by its place; errors as of `read_nbrdf`, warnings of implausible values."""
-    evaluate = partial(nbrdf_evaluate, read_nbrdf(path))
+    evaluate = partial(evaluate_nbrdf, read_nbrdf(path))
     name = path.stem if _is_keras(path) else path.resolve().name
-    return brdf_task.measured_task(name, evaluate, samples, path)
+    return brdf_task.make_measured_task(name, evaluate, samples, path)
 
 
 def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:
-    """A network at a place as of `find`, or alone in a folder: float32 arrays in C order, as of `SHAPES`.
+    """A network at a place as of `find`, or alone in a folder: float32 arrays in C order, as of `NBRDF_ARRAY_SHAPES`.
 
     Raises:
         ValueError: no such folder, missing files, several networks, another shape or type, values that are not finite;
@@ -103,11 +105,11 @@ def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:
     if _is_keras(Path(folder)):
         return _read_keras(Path(folder))
     files = _files_of(Path(folder))
-    return {part: _read_part(files[part], shape) for part, shape in SHAPES.items()}
+    return {part: _read_part(files[part], shape) for part, shape in NBRDF_ARRAY_SHAPES.items()}
 
 
 def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] | Tensor]) -> None:
-    """Write a network, arrays or tensors as of `SHAPES`, as six little-endian float32 files, each whole or not at all.
+    """Write a network, arrays or tensors as of `NBRDF_ARRAY_SHAPES`, as six little-endian float32 files, each whole or not at all.
 
     In C order: numpy stores a transposed view in Fortran order, which the Mitsuba plugin of the paper reads scrambled.
 
@@ -115,14 +117,16 @@ def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] |
         ValueError: missing or unknown names, another shape, values that are not finite; nothing is written then.
     """
     folder = Path(folder)
-    if set(weights) != set(SHAPES):
-        raise ValueError(f"{folder}: weights {', '.join(sorted(weights)) or 'none'}, expected {', '.join(SHAPES)}.")
+    if set(weights) != set(NBRDF_ARRAY_SHAPES):
+        raise ValueError(
+            f"{folder}: weights {', '.join(sorted(weights)) or 'none'}, expected {', '.join(NBRDF_ARRAY_SHAPES)}."
+        )
     plain = {
         part: value.detach().cpu().numpy() if isinstance(value, Tensor) else value for part, value in weights.items()
     }
-    arrays = {part: np.ascontiguousarray(plain[part], "<f4") for part in SHAPES}
+    arrays = {part: np.ascontiguousarray(plain[part], "<f4") for part in NBRDF_ARRAY_SHAPES}
     for part, array in arrays.items():
-        _check_part(array, SHAPES[part], str(folder / f"{part}.npy"))
+        _check_part(array, NBRDF_ARRAY_SHAPES[part], str(folder / f"{part}.npy"))
 
     def write(array: NDArray[np.float32], path: Path) -> None:
         with path.open("wb") as stream:
@@ -132,10 +136,10 @@ def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] |
         write_atomically(folder / f"{part}.npy", partial(write, array))
 
 
-def nbrdf_evaluate(weights: Mapping[str, NDArray[np.floating] | Tensor], angles: Tensor) -> Tensor:
+def evaluate_nbrdf(weights: Mapping[str, NDArray[np.floating] | Tensor], angles: Tensor) -> Tensor:
     """Reflectance [..., 3] in 1/sr, linear RGB, >= 0, of a network's weights at angles [..., 3] rad."""
     w = {part: torch.as_tensor(array).to(angles) for part, array in weights.items()}
-    hidden = torch.relu(half_difference(angles) @ w["fc1"] + w["b1"])
+    hidden = torch.relu(half_difference_vectors(angles) @ w["fc1"] + w["b1"])
     hidden = torch.relu(hidden @ w["fc2"] + w["b2"])
     return torch.expm1(hidden @ w["fc3"] + w["b3"]).clamp_min(0)
 
@@ -161,12 +165,16 @@ def _files_of(network: Path) -> dict[str, Path]:
         network = network if network in networks or not networks else next(iter(networks))
         files = networks.get(network, {})
     else:  # without a look at a folder of many networks
-        files = {part: file for part in SHAPES if (file := network.parent / f"{network.name}_{part}.npy").is_file()}
+        files = {
+            part: file
+            for part in NBRDF_ARRAY_SHAPES
+            if (file := network.parent / f"{network.name}_{part}.npy").is_file()
+        }
         if not files:
             found = "a file" if network.is_file() else "no such file or folder"
             others = f"or {network.name}_fc1.npy, ..., or a Keras model (.h5)"
             raise ValueError(f"{network}: {found}, {_EXPECTED} in it, {others}; check the path.")
-    if len(files) < len(SHAPES):
+    if len(files) < len(NBRDF_ARRAY_SHAPES):
         raise ValueError(_missing(network, files))
     return files
 
@@ -180,7 +188,7 @@ def _read_keras(path: Path) -> dict[str, NDArray[np.float32]]:
     try:
         import h5py
     except ImportError:
-        raise ValueError(f"{path}: a network in HDF5, which needs h5py; {INSTALL}.") from None
+        raise ValueError(f"{path}: a network in HDF5, which needs h5py; {INSTALL_HDF5}.") from None
     layers: dict[str, dict[int, NDArray[np.floating]]] = {}  # by the number of axes
 
     def visit(name: str, node: h5py.Dataset | h5py.Group) -> None:
@@ -194,19 +202,19 @@ def _read_keras(path: Path) -> dict[str, NDArray[np.float32]]:
         reason = (str(error) or type(error).__name__).splitlines()[0][:80]
         raise ValueError(f"{path}: not a readable HDF5 file ({reason}), expected a Keras model of an NBRDF.") from None
     found = {arrays[2].shape: arrays for arrays in layers.values() if 2 in arrays}
-    kernels = [SHAPES[f"fc{layer}"] for layer in (1, 2, 3)]
+    kernels = [NBRDF_ARRAY_SHAPES[f"fc{layer}"] for layer in (1, 2, 3)]
     if found.keys() != set(kernels):
         shapes = ", ".join(map(str, found)) or "none"
         raise ValueError(f"{path}: dense layers {shapes}, expected {', '.join(map(str, kernels))} of an NBRDF network.")
     parts = {f"fc{layer + 1}": found[kernel][2] for layer, kernel in enumerate(kernels)}
     parts |= {f"b{layer + 1}": found[kernel].get(1, np.empty(0)) for layer, kernel in enumerate(kernels)}
     for part, array in parts.items():
-        _check_part(array, SHAPES[part], f"{path}: {part}")
+        _check_part(array, NBRDF_ARRAY_SHAPES[part], f"{path}: {part}")
     return parts
 
 
 def _missing(network: Path, files: Mapping[str, Path]) -> str:
-    missing = ", ".join(part for part in SHAPES if part not in files)
+    missing = ", ".join(part for part in NBRDF_ARRAY_SHAPES if part not in files)
     return f"{network}: no file for {missing}, {_EXPECTED}; the network is incomplete."
 
 

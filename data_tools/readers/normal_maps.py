@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_tools.readers.colours import Array, Floats, fraction
+from data_tools.readers.colours import Array, Floats, integers_to_unit_range
 
 _SAMPLES = 2**20  # px that tell
 _ROWS = 256  # rebuilt at a time: floats of a whole map take over a hundred megabytes
@@ -36,7 +36,7 @@ def complete_normals(values: Array, source: Path) -> Array:
         ValueError: red and green are the x and y of no normals: equal, constant at -1 or 1, or longer than 1.
     """
     step = max(1, round((values.shape[0] * values.shape[1] / _SAMPLES) ** 0.5))
-    sample = fraction(values[::step, ::step])
+    sample = integers_to_unit_range(values[::step, ::step])
     if not np.isfinite(sample).all():
         return values[..., :3]  # its reader says so
     red, green, *_ = planes = np.moveaxis(sample, -1, 0)
@@ -97,6 +97,6 @@ def _with_heights(values: Array) -> Array:
     result = values.copy()
     largest = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 0
     for row in range(0, len(values), _ROWS):
-        stored = _heights(fraction(values[row : row + _ROWS])) / 2 + 0.5
+        stored = _heights(integers_to_unit_range(values[row : row + _ROWS])) / 2 + 0.5
         result[row : row + _ROWS, :, 2] = (stored * largest).round() if largest else stored
     return result

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-LARGEST_SIZE = 3 * 2**28  # numbers of an array, as of an image file
+MAX_ARRAY_VALUES = 3 * 2**28  # numbers of an array, as of an image file
 
 
 def array_of(name: str, source: object) -> NDArray[Any]:
@@ -30,8 +30,10 @@ def array_of(name: str, source: object) -> NDArray[Any]:
         if isinstance(source, Tensor):
             kind = f"a tensor ({source.dtype}, {source.layout}, on {source.device})".replace("torch.", "")
         raise ValueError(f"{name}: {kind}, expected an array of numbers.")
-    if values.size > LARGEST_SIZE:
-        raise ValueError(f"{name}: {values.size:,} values, expected {LARGEST_SIZE:,} or fewer; take a part of them.")
+    if values.size > MAX_ARRAY_VALUES:
+        raise ValueError(
+            f"{name}: {values.size:,} values, expected {MAX_ARRAY_VALUES:,} or fewer; take a part of them."
+        )
     values = values.astype(values.dtype.newbyteorder("="), copy=False)
     return values.astype(np.float32) if values.dtype == np.float16 else values
 

@@ -17,25 +17,25 @@ from torch.nn import functional
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import (
-    EXPECTED,
-    NAMED,
-    SUFFIXES,
+    ALL_PICTURE_SUFFIXES,
+    EXPECTED_IMAGE,
+    IMAGE_SUFFIXES,
     Pixels,
     check_exists,
-    opens,
+    export_advice,
+    is_readable_image,
     read_pixels,
-    to_export,
 )
-from data_tools.readers.lenses import FRAME_MM
-from data_tools.readers.listing import Found, files_below, find_files
-from data_tools.readers.source import PHOTO_PX, Sources, sources_of_files
+from data_tools.readers.lenses import FILM_DIAGONAL_MM
+from data_tools.readers.listing import FoundFiles, files_below, find_files
+from data_tools.readers.source import DEFAULT_PHOTO_PX, Sources, sources_of_files
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import FOV_RAD
-from metapp.appearance.surface import DESCRIPTION
+from metapp.appearance.flash import CAMERA_FOV_RAD
+from metapp.appearance.surface import DESCRIPTION_FILE
 from metapp.learning.task import Task
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, Kind, kind_of
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, path_kind
 
-SIZE = PHOTO_PX
+SIZE = DEFAULT_PHOTO_PX
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
 
 _MIN_DEVIATION = 1 / 255
@@ -44,7 +44,7 @@ _ROWS = 256  # decoded at a time: linear floats of a whole photograph take over 
 # the side in cm of several photos of one flat material, beside the positions of camera and flash
 SIZE_TEXT = "image_size.txt"
 # texts that belong in folders of images; no fit reads the power of the light
-BESIDE = ("metadata.json", DESCRIPTION, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
+TEXTS_BESIDE_PHOTOS = ("metadata.json", DESCRIPTION_FILE, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
 
 
 def find(path: Path) -> Sources:
@@ -52,38 +52,40 @@ def find(path: Path) -> Sources:
     return sources_of_files(find_images(path))
 
 
-def find_images(path: Path) -> Found:
+def find_images(path: Path) -> FoundFiles:
     """Find image files, as `find_files`; the error of a named file comes when it is read."""
-    nothing = f"no image in this folder, {EXPECTED}; name the folder of the photographs."
-    return find_files(path, check_exists, fault_of, nothing, NAMED)
+    nothing = f"no image in this folder, {EXPECTED_IMAGE}; name the folder of the photographs."
+    return find_files(path, check_exists, photo_fault, nothing, ALL_PICTURE_SUFFIXES)
 
 
-def fault_of(file: Path) -> str | None:
+def photo_fault(file: Path) -> str | None:
     """The line why a file of a folder is no image; "" for an image, by its suffix or if it opens, None for BESIDE."""
     suffix = file.suffix.lower()
-    if suffix in SUFFIXES or (suffix in ("", *NAMED) and opens(file)):  # opening 50,000 others takes a minute
+    if suffix in IMAGE_SUFFIXES or (
+        suffix in ("", *ALL_PICTURE_SUFFIXES) and is_readable_image(file)
+    ):  # opening 50,000 others takes a minute
         return ""
-    if suffix in NAMED:
-        return to_export(file)
-    return None if file.name in BESIDE else f"{file}: not an image that can be read, {EXPECTED}."
+    if suffix in ALL_PICTURE_SUFFIXES:
+        return export_advice(file)
+    return None if file.name in TEXTS_BESIDE_PHOTOS else f"{file}: not an image that can be read, {EXPECTED_IMAGE}."
 
 
 def is_photo(path: str | Path) -> bool:
     """True if a file is an image: by a known suffix, of a camera's raw or a HEIF file too, else by OpenImageIO."""
     path = Path(path)
-    return path.is_file() and (path.suffix.lower() in NAMED or opens(path))
+    return path.is_file() and (path.suffix.lower() in ALL_PICTURE_SUFFIXES or is_readable_image(path))
 
 
 def recognises(path: str | Path) -> bool:
     """True if a path is an image file, or a folder with one below it, known by its suffix."""
     path = Path(path)
-    return bool(files_below(path, NAMED)) if path.is_dir() else is_photo(path)
+    return bool(files_below(path, ALL_PICTURE_SUFFIXES)) if path.is_dir() else is_photo(path)
 
 
-def placed_in(folder: Path) -> list[Path]:
+def folders_with_places(folder: Path) -> list[Path]:
     """A folder and those below it that say where camera or flash were, sorted, hidden ones left out."""
     folders = {file.parent for file in files_below(folder, (CAMERA_TEXT, LIGHT_TEXT))}
-    return sorted(folder for folder in folders if kind_of(folder) is Kind.RECTIFIED)
+    return sorted(folder for folder in folders if path_kind(folder) is PathKind.RECTIFIED)
 
 
 def read_task(path: Path, size: int = SIZE, least: int = 0, layer: str = "") -> Task:
@@ -93,8 +95,8 @@ def read_task(path: Path, size: int = SIZE, least: int = 0, layer: str = "") -> 
 
 
 def task_of_square(key: str, square: Pixels, whole: Pixels, path: Path, size: int, least: int) -> Task:
-    """The task of a square of a file, named by the file's stem, with a note; arguments and errors as of `photo_of`."""
-    photo = photo_of(square, str(path), size, least)
+    """The task of a square of a file, named by the file's stem, with a note; arguments and errors as of `to_square_photo`."""
+    photo = to_square_photo(square, str(path), size, least)
     (height, width), part, side = whole.values.shape[:2], len(square.values), photo.shape[-1]
     cut = f": the central {part:,} x {part:,} px" if (height, width) != (part, part) else ""
     scaled = f", scaled to {side:,} x {side:,}" if part != side else ""
@@ -102,16 +104,16 @@ def task_of_square(key: str, square: Pixels, whole: Pixels, path: Path, size: in
 
 
 def task_of_object(source: object, name: str, size: int = SIZE, least: int = 0, **_: object) -> Task:
-    """The task of a picture in memory; arguments and errors as of `pixels_of` and `photo_of`."""
-    return Task(name, {"image": photo_of(pixels_of(name, source), name, size, least)})
+    """The task of a picture in memory; arguments and errors as of `pixels_of` and `to_square_photo`."""
+    return Task(name, {"image": to_square_photo(pixels_of(name, source), name, size, least)})
 
 
 def read_photo(path: str | Path, size: int = SIZE, least: int = 0, layer: str = "") -> Tensor:
-    """The central square of an image file; arguments and errors as of `photo_of` and `read_pixels`."""
-    return photo_of(read_pixels(Path(path), layer), str(path), size, least)
+    """The central square of an image file; arguments and errors as of `to_square_photo` and `read_pixels`."""
+    return to_square_photo(read_pixels(Path(path), layer), str(path), size, least)
 
 
-def photo_of(whole: Pixels, name: str, size: int = SIZE, least: int = 0) -> Tensor:
+def to_square_photo(whole: Pixels, name: str, size: int = SIZE, least: int = 0) -> Tensor:
     """The central square of a picture.
 
     Means are taken over exact areas in linear light, of values clamped to [0, 1]; a smaller picture is interpolated.
@@ -130,7 +132,7 @@ def photo_of(whole: Pixels, name: str, size: int = SIZE, least: int = 0) -> Tens
         ValueError: NaN; transparent all over; a picture of one colour.
     """
     pixels = central_square(whole)
-    linear = resample(pixels, side_of(len(pixels.values), size, least))
+    linear = resample_square(pixels, reading_side_px(len(pixels.values), size, least))
     if not np.isfinite(linear).all():
         raise ValueError(f"{name}: holds NaN, expected finite values; export the image again.")
     if linear.shape[-1] == 4:
@@ -151,14 +153,14 @@ def photo_of(whole: Pixels, name: str, size: int = SIZE, least: int = 0) -> Tens
     return torch.from_numpy((srgb * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()
 
 
-def side_of(own: int, size: int, least: int) -> int:
+def reading_side_px(own: int, size: int, least: int) -> int:
     """px a side that a picture of its own side is read at: as fine as it is, from `least` to `size`; 0: `size`."""
     return min(size, max(least, own)) if least else size
 
 
-def field_of_view(focal_mm: float, height: int, width: int) -> float:
+def field_of_view_rad(focal_mm: float, height: int, width: int) -> float:
     """The field of view in rad along the shorter side of an uncropped picture, of a focal length as of 35 mm film."""
-    shorter = FRAME_MM * min(height, width) / math.hypot(height, width)
+    shorter = FILM_DIAGONAL_MM * min(height, width) / math.hypot(height, width)
     return 2 * math.atan(shorter / 2 / focal_mm)
 
 
@@ -173,11 +175,13 @@ def flash_view(whole: Pixels, fov_rad: float = 0.0, name: str = "photo") -> Pixe
         name: begins the line.
     """
     if not fov_rad and whole.lens_note:
-        taken = "" if whole.focal_mm else f", taken for {math.degrees(FOV_RAD):.0f} degrees along the shorter side"
+        taken = (
+            "" if whole.focal_mm else f", taken for {math.degrees(CAMERA_FOV_RAD):.0f} degrees along the shorter side"
+        )
         warnings.warn(f"{name}: {whole.lens_note}{taken}; --fov sets another field of view.", stacklevel=2)
     if not fov_rad and whole.focal_mm:
-        fov_rad = field_of_view(whole.focal_mm, *whole.values.shape[:2])
-    return central_square(whole, min(1.0, math.tan(FOV_RAD / 2) / math.tan(fov_rad / 2)) if fov_rad else 1.0)
+        fov_rad = field_of_view_rad(whole.focal_mm, *whole.values.shape[:2])
+    return central_square(whole, min(1.0, math.tan(CAMERA_FOV_RAD / 2) / math.tan(fov_rad / 2)) if fov_rad else 1.0)
 
 
 def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:
@@ -188,7 +192,7 @@ def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:
     return pixels._replace(values=pixels.values[top : top + side, left : left + side])
 
 
-def resample(pixels: Pixels, size: int) -> Floats:
+def resample_square(pixels: Pixels, size: int) -> Floats:
     """A square as linear RGB [size, size, 3], or 4 with alpha last and colours multiplied by it, float64 in [0, 1].
 
     Means are taken over exact areas; a smaller picture is interpolated.

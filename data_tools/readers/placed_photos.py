@@ -14,36 +14,38 @@ from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
 from data_tools.readers.photos import SIZE as PX
-from data_tools.readers.photos import SIZE_TEXT, is_photo, placed_in, read_photo
-from data_tools.readers.source import PHOTOS, Source, Sources
-from data_tools.readers.svbrdf_task import rightly_exposed
+from data_tools.readers.photos import SIZE_TEXT, folders_with_places, is_photo, read_photo
+from data_tools.readers.source import PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, Kind, entries_of, kind_of
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, list_folder, path_kind
 
-LARGEST_CM = 1e5  # a side of a patch
-FARTHEST = 1000.0  # sides that camera and flash are away
+MAX_PATCH_SIDE_CM = 1e5  # a side of a patch
+MAX_DISTANCE_SIDES = 1000.0  # sides that camera and flash are away
 
 
 def recognises(path: Path) -> bool:
     """Test whether a path is a folder with places of cameras or flashes, or has one below it."""
-    return path.is_dir() and bool(placed_in(path))
+    return path.is_dir() and bool(folders_with_places(path))
 
 
 def find(path: Path) -> Sources:
     """Find the folder and those below it that say so; no lines, as nothing else is looked at."""
-    return [_source_of(folder) for folder in placed_in(path)], []
+    return [_source_of(folder) for folder in folders_with_places(path)], []
 
 
 def _source_of(folder: Path) -> Source:
     photos = photos_in(folder)
-    return Source(folder.resolve().name, folder, protocol="photo", facts={PHOTOS: len(photos)}, content=photos)
+    return Source(
+        folder.resolve().name, folder, protocol="photo", facts={PHOTO_COUNT_FACT: len(photos)}, content=photos
+    )
 
 
 def photos_in(folder: Path) -> list[Path]:
     """Return the photographs right in a folder in the order of their names."""
-    paths = sorted(Path(entry.path) for entry in entries_of(str(folder)) if not entry.name.startswith("."))
-    return [path for path in paths if kind_of(path) is Kind.FILE and is_photo(path)]
+    paths = sorted(Path(entry.path) for entry in list_folder(str(folder)) if not entry.name.startswith("."))
+    return [path for path in paths if path_kind(path) is PathKind.FILE and is_photo(path)]
 
 
 def read_task(
@@ -76,7 +78,7 @@ def read_task(
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."
             )
-    photo, *others = (rightly_exposed(read_photo(path, size, min(size, PX), layer), stops) for path in paths)
+    photo, *others = (correct_exposure(read_photo(path, size, min(size, PX), layer), stops) for path in paths)
     return Task(folder.resolve().name, {"photo": photo, "others": torch.stack(others), "places": places})
 
 
@@ -90,10 +92,10 @@ def read_places(folder: Path, photos: int) -> Tensor:
         ValueError: a file is missing, malformed or of another count; a place is not above the patch.
     """
     side = _rows(folder / SIZE_TEXT, 1, 1)[0][0]
-    if not 1 / LARGEST_CM <= side <= LARGEST_CM:
-        expected = f"the patch's side in cm, {1 / LARGEST_CM:g} to {LARGEST_CM:g}"
+    if not 1 / MAX_PATCH_SIDE_CM <= side <= MAX_PATCH_SIDE_CM:
+        expected = f"the patch's side in cm, {1 / MAX_PATCH_SIDE_CM:g} to {MAX_PATCH_SIDE_CM:g}"
         raise ValueError(f"{folder / SIZE_TEXT}: {side:g}, expected {expected}; measure it.")
-    places = [_above(folder / name, photos, FARTHEST * side) for name in (CAMERA_TEXT, LIGHT_TEXT)]
+    places = [_above(folder / name, photos, MAX_DISTANCE_SIDES * side) for name in (CAMERA_TEXT, LIGHT_TEXT)]
     return torch.stack(places, 1) / (side / 2)
 
 
@@ -104,7 +106,7 @@ def _above(path: Path, photos: int, farthest: float) -> Tensor:
         if not max(map(abs, place)) <= farthest:
             raise ValueError(
                 f"{path}: place {number} is {max(map(abs, place)):g} cm away, expected {farthest:g} at most, "
-                f"{FARTHEST:g} sides of the patch; write cm."
+                f"{MAX_DISTANCE_SIDES:g} sides of the patch; write cm."
             )
     places = places.float()
     for number, height in enumerate(places[:, 2].tolist(), 1):

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from data_tools.readers.listing import Found
+from data_tools.readers.listing import FoundFiles
 
 Facts = Mapping[str, bool | int]
 
-ANISOTROPIC, SAMPLES, PHOTOS = "anisotropic", "samples", "photos"
-PHOTO_PX = 256  # px, of the picture that a reader makes of a photograph unless another size is asked for
-DAMAGED = "damaged"  # a source of which reading says what is wrong; it has no part in choosing a recipe
+ANISOTROPIC_FACT, SAMPLE_COUNT_FACT, PHOTO_COUNT_FACT = "anisotropic", "samples", "photos"
+DEFAULT_PHOTO_PX = 256  # px, of the picture that a reader makes of a photograph unless another size is asked for
+DAMAGED_FACT = "damaged"  # a source of which reading says what is wrong; it has no part in choosing a recipe
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Source:
 Sources = tuple[list[Source], list[str]]  # what a path holds, and the line of each skipped file of a folder
 
 
-def sources_of_files(found: Found, protocol: str = "") -> Sources:
+def sources_of_files(found: FoundFiles, protocol: str = "") -> Sources:
     """Return files as sources of which nothing but a protocol is known, named by the stems of the files."""
     files, skipped = found
     return [Source(file.stem, file, protocol=protocol) for file in files], skipped

@@ -20,19 +20,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.colours import LINEAR, Floats, fraction
+from data_tools.readers.colours import LINEAR_SPACE, Floats, integers_to_unit_range
 from data_tools.readers.image_files import Pixels, is_heif, read_pixels, shape_of
 from data_tools.readers.normal_maps import complete_normals
-from data_tools.readers.photos import SIZE, central_square, resample, side_of
+from data_tools.readers.photos import SIZE, central_square, reading_side_px, resample_square
 from data_tools.readers.photos import find as find
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
-from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
-from metapp.appearance.flash import Maps, pack
+from data_tools.readers.svbrdf_task import decode_unit_normals, encode_srgb, make_svbrdf_task, task_name
+from metapp.appearance.flash import Maps, pack_maps
 from metapp.learning.task import Task
-from metapp.storage.shards import AUTO, Entry, split_auto
+from metapp.storage.shards import AUTO_SPLIT, ManifestEntry, split_auto
 
-TILES = 5
-WHITE = 1.35  # radiance of white right below the flash
+STRIP_TILES = 5
+WHITE_RADIANCE = 1.35  # radiance of white right below the flash
 UNITS = {
     **OF_TASKS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; the strip's own flash photograph, exposed so "
@@ -56,7 +56,7 @@ def read_task(
     path: Path,
     size: int = SIZE,
     gamma: float = 1.0,
-    white: float = WHITE,
+    white: float = WHITE_RADIANCE,
     predicted: Path | None = None,
     least: int = 0,
     layer: str = "",
@@ -81,11 +81,11 @@ def read_task(
     tiles = _read_tiles(path, gamma, white, layer)
     of_others = read_predicted(predicted, (path.stem, path.stem.split(";")[0])) if predicted else []
     share = min(1.0, len(of_others[0]) / len(tiles[0])) if of_others else 1.0
-    size = side_of(round(share * len(tiles[0])), size, least)
+    size = reading_side_px(round(share * len(tiles[0])), size, least)
     photo, *true = (_resampled(tile, size, share) for tile in tiles)
     if max(float(true[1].max()), float(true[3].max())) < _DARKEST:
         raise ValueError(f"{path}: diffuse and specular are black, expected a material that reflects; leave it out.")
-    task = svbrdf_task(path.stem, _packed(path, *true), photo=encoded(photo))
+    task = make_svbrdf_task(path.stem, _packed(path, *true), photo=encode_srgb(photo))
     if not predicted:
         return task
     maps = _packed(predicted / path.name, *(_resampled(tile, size) for tile in of_others))
@@ -118,7 +118,7 @@ def _read_predicted(file: Path) -> Floats:
 
 
 def _finite(file: Path, pixels: Pixels) -> Floats:
-    values = fraction(pixels.values[..., :3])
+    values = integers_to_unit_range(pixels.values[..., :3])
     wrong = int((~np.isfinite(values)).sum())
     if wrong:
         raise ValueError(f"{file}: {wrong:,} values are NaN or infinite, expected finite ones; export it again.")
@@ -127,24 +127,26 @@ def _finite(file: Path, pixels: Pixels) -> Floats:
 
 def _packed(source: Path, normal: Tensor, diffuse: Tensor, roughness: Tensor, specular: Tensor) -> Tensor:
     """Maps [10, S, S] of images, [3, S, S] each; errors name the source."""
-    return pack(Maps(diffuse, specular, roughness.mean(0, keepdim=True), unit_normals(normal, source)))
+    return pack_maps(Maps(diffuse, specular, roughness.mean(0, keepdim=True), decode_unit_normals(normal, source)))
 
 
-def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, Entry]:
+def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, ManifestEntry]:
     """Strips by the materials that they blend; with a split by it those of both sides are left out."""
     groups = group_strips(sources)
-    sides, by = split_strips(sources) if split == AUTO else (dict.fromkeys(sources, ""), "")
+    sides, by = split_strips(sources) if split == AUTO_SPLIT else (dict.fromkeys(sources, ""), "")
     if by == "preset":
         found = "base materials are blended with all others: training and test strips show other presets of them."
         warnings.warn(found, stacklevel=2)
     if left_out := len(sources) - len(sides):
         found = f"{left_out} of {len(sources)} strips left out: they blend {by}s of training with {by}s of tests."
         warnings.warn(found, stacklevel=2)
-    return {strip: Entry(task_name(strip.stem), split=side, group=groups[strip]) for strip, side in sides.items()}
+    return {
+        strip: ManifestEntry(task_name(strip.stem), split=side, group=groups[strip]) for strip, side in sides.items()
+    }
 
 
 def _has_tiles(height: int, width: int) -> bool:
-    return abs(width - TILES * height) <= TILES
+    return abs(width - STRIP_TILES * height) <= STRIP_TILES
 
 
 def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floats]:
@@ -153,16 +155,18 @@ def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floa
     height, width = pixels.values.shape[:2]
     if not _has_tiles(height, width):
         count = round(width / height)
-        found = f"{count} tiles" if abs(width - count * height) <= 1 else f"tiles of {width / TILES:g}x{height} px"
+        found = (
+            f"{count} tiles" if abs(width - count * height) <= 1 else f"tiles of {width / STRIP_TILES:g}x{height} px"
+        )
         raise ValueError(
-            f"{path}: {width}x{height} px, {found}, expected {TILES} squares: photo, normal, diffuse, roughness, "
+            f"{path}: {width}x{height} px, {found}, expected {STRIP_TILES} squares: photo, normal, diffuse, roughness, "
             "specular; choose strips only."
         )
     values = _finite(path, pixels)
-    side = min(height, width // TILES)
+    side = min(height, width // STRIP_TILES)
     tiles = []
-    for index in range(TILES):
-        left = min(round(index * width / TILES), width - side)
+    for index in range(STRIP_TILES):
+        left = min(round(index * width / STRIP_TILES), width - side)
         tile = values[:side, left : left + side].clip(0, 1)
         tile = complete_normals(tile, path) if index == 1 else tile**gamma
         if index == 0:
@@ -173,11 +177,11 @@ def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floa
 
 def _resampled(tile: Floats, size: int, share: float = 1.0) -> Tensor:
     """The middle of a tile [S, S, 3], such a share of its side, [3, size, size]."""
-    shown = central_square(Pixels(tile, LINEAR, False), share)
-    return torch.from_numpy(resample(shown, size)).permute(2, 0, 1).float()
+    shown = central_square(Pixels(tile, LINEAR_SPACE, False), share)
+    return torch.from_numpy(resample_square(shown, size)).permute(2, 0, 1).float()
 
 
-def blend(strip: Path) -> tuple[frozenset[str], frozenset[str]]:
+def blended_materials(strip: Path) -> tuple[frozenset[str], frozenset[str]]:
     """The base materials of a strip and their presets, `marble;1`, by its name; else the strip itself for both.
 
     Every capital X parts, of a material's own name, too, so that no strip seems to share less than it does.
@@ -194,10 +198,10 @@ def blend(strip: Path) -> tuple[frozenset[str], frozenset[str]]:
 
 def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
     """The groups of strips: components that share base materials, if these are _FEW or more, else single blends."""
-    components = _components({strip: blend(strip)[0] for strip in strips})
+    components = _components({strip: blended_materials(strip)[0] for strip in strips})
     if len(set(components.values())) >= _FEW:
         return components
-    return {strip: " + ".join(sorted(blend(strip)[1])) for strip in components}
+    return {strip: " + ".join(sorted(blended_materials(strip)[1])) for strip in components}
 
 
 def split_strips(strips: Sequence[Path]) -> tuple[dict[Path, str], str]:
@@ -208,7 +212,7 @@ def split_strips(strips: Sequence[Path]) -> tuple[dict[Path, str], str]:
     materials alone, are a fifth or more and no more than training strips, and fewest are left out, of both. Where no
     choice does that, presets are parted; where none of these, all train.
     """
-    materials, presets = ({strip: blend(strip)[which] for strip in strips} for which in (0, 1))
+    materials, presets = ({strip: blended_materials(strip)[which] for strip in strips} for which in (0, 1))
     components = _components(materials)
     sizes = Counter(components.values())
     if len(sizes) >= _FEW:

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from data_tools.readers.source import PHOTOS, Facts
+from data_tools.readers.source import PHOTO_COUNT_FACT, Facts
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import camera, positions, render, unpack
+from metapp.appearance.flash import camera_position, render_maps, texel_positions, unpack_maps
 from metapp.learning.task import Task
 
 UNITS = {
@@ -21,7 +21,7 @@ UNITS = {
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera and flash above the centre, 45 degrees",
 }
 
-CLIPPED = 0.95  # of white: brighter px say no more than "at least so bright"
+CLIPPED_RADIANCE = 0.95  # of white: brighter px say no more than "at least so bright"
 _MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
 _LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
 
@@ -29,40 +29,42 @@ _LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
 def facts_of(tensors: Mapping[str, Tensor | None]) -> Facts:
     """Return what tensors of a task tell; values are None where names alone are known, as of data sets."""
     others = tensors.get("others")
-    return {PHOTOS: 1 + len(others) if others is not None else 2 if "places" in tensors else 1}
+    return {PHOTO_COUNT_FACT: 1 + len(others) if others is not None else 2 if "places" in tensors else 1}
 
 
-def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) -> Task:
+def make_svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) -> Task:
     """A material of maps [10, S, S], as of `pack`: `maps` float16 and `photo` uint8 [3, S, S], rendered if None."""
-    return Task(name, {"maps": maps.half(), "photo": flash_photo(maps) if photo is None else photo})
+    return Task(name, {"maps": maps.half(), "photo": render_flash_photo(maps) if photo is None else photo})
 
 
-def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0, eye: Tensor | None = None) -> Tensor:
+def render_flash_photo(
+    maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0, eye: Tensor | None = None
+) -> Tensor:
     """A material [10, H, W] under a flash, uint8 sRGB [3, H, W].
 
     Args:
         maps: the material.
-        flash: its place [3] as of `render`; None for beside the lens, straight above.
+        flash: its place [3] as of `render_maps`; None for beside the lens, straight above.
         intensity: of the flash; with 1 and beside the lens white has radiance 1 in the centre.
         eye: the camera's place [3]; None for straight above.
     """
-    above = camera(dtype=torch.float32)
-    place = positions(*maps.shape[-2:], dtype=torch.float32)
+    above = camera_position(dtype=torch.float32)
+    place = texel_positions(*maps.shape[-2:], dtype=torch.float32)
     light, view = (above if each is None else each for each in (flash, eye))
-    radiance = render(unpack(maps.float()), place, light, view, intensity=intensity)
-    return encoded(radiance)
+    radiance = render_maps(unpack_maps(maps.float()), place, light, view, intensity=intensity)
+    return encode_srgb(radiance)
 
 
-def rightly_exposed(photo: Tensor, stops: float) -> Tensor:
+def correct_exposure(photo: Tensor, stops: float) -> Tensor:
     """A photograph, uint8 sRGB [..., 3, H, W], that is too bright by so many stops; clipped px stay white."""
     if not stops:
         return photo
     radiance = srgb_to_linear(photo.float() / 255)
-    clips = (radiance > CLIPPED).any(-3, keepdim=True) & (stops > 0)
-    return torch.where(clips, photo, encoded(radiance * 2.0**-stops))
+    clips = (radiance > CLIPPED_RADIANCE).any(-3, keepdim=True) & (stops > 0)
+    return torch.where(clips, photo, encode_srgb(radiance * 2.0**-stops))
 
 
-def encoded(radiance: Tensor) -> Tensor:
+def encode_srgb(radiance: Tensor) -> Tensor:
     """Linear radiance of any shape, 1 is white, as uint8 sRGB."""
     return (linear_to_srgb(radiance.clamp(0, 1)) * 255).round().to(torch.uint8)
 
@@ -76,7 +78,7 @@ def task_name(stem: str) -> str:
     return re.sub(r"[^\w.-]", "_", stem).lstrip(".") or "material"
 
 
-def unit_normals(stored: Tensor, source: Path) -> Tensor:
+def decode_unit_normals(stored: Tensor, source: Path) -> Tensor:
     """Normals [3, H, W] of unit length, z > 0, of an image in [0, 1], whose 0.5 is 0.
 
     Raises:

@@ -14,88 +14,92 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.brdf_task import UNITS as UNITS
-from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.merl import tabulate, write_merl
+from data_tools.readers.brdf_task import make_brdf_task
+from data_tools.readers.merl import tabulate_merl, write_merl
 from data_tools.synthetic.brdf_anisotropic import anisotropic_materials
 from data_tools.synthetic.brdf_draws import COUNTS as COUNTS
-from data_tools.synthetic.brdf_draws import Draws, Material, Split, colour_name, roughness_name
+from data_tools.synthetic.brdf_draws import Draws, Split, SyntheticBrdf, colour_name, roughness_name
 from data_tools.synthetic.brdf_models import (
     CONDUCTORS,
-    Model,
+    IsotropicModel,
     absorbing_layer,
-    coated,
     conductor,
+    dielectric_coating,
     diffuse,
     flakes,
-    mixture,
+    isotropic_mixture,
     oren_nayar,
     plastic,
     sheen,
 )
-from metapp.appearance.geometry import Cosines, cosines
+from metapp.appearance.geometry import Cosines, angle_cosines
 from metapp.learning.task import Task
 
 VERSION = 3  # 2: pictures under an environment map; 3: phi_d over the full circle
 
 
-def _draw_conductor(draw: Draws) -> tuple[str, Model]:
+def _draw_conductor(draw: Draws) -> tuple[str, IsotropicModel]:
     metal = list(CONDUCTORS)[int(draw.hue * len(CONDUCTORS))]
     alpha = draw.alpha(0.03, 0.5)
     return f"{metal}-{roughness_name(alpha)}", conductor(*CONDUCTORS[metal], alpha, draw.kind())
 
 
-def _draw_plastic(draw: Draws) -> tuple[str, Model]:
+def _draw_plastic(draw: Draws) -> tuple[str, IsotropicModel]:
     colour, alpha = draw.colour(), draw.alpha(0.12, 0.6)
     return f"{colour_name(colour)}-{roughness_name(alpha)}", plastic(colour, alpha, draw.kind(), draw.between(1.4, 1.7))
 
 
-def _draw_glossy(draw: Draws) -> tuple[str, Model]:
+def _draw_glossy(draw: Draws) -> tuple[str, IsotropicModel]:
     colour, alpha = draw.colour(0.01), draw.alpha(0.03, 0.12)
     return f"{colour_name(colour)}-{roughness_name(alpha)}", plastic(colour, alpha, draw.kind(), draw.between(1.4, 1.7))
 
 
-def _draw_coated_metal(draw: Draws) -> tuple[str, Model]:
+def _draw_coated_metal(draw: Draws) -> tuple[str, IsotropicModel]:
     metal = ("aluminium", "chromium", "silver", "titanium", "iron", "iridium")[int(draw.between(0, 6))]
     tint, alpha = draw.colour(0.5, 0.98, (0.1, 0.75)), draw.alpha(0.08, 0.45)
     body = absorbing_layer(conductor(*CONDUCTORS[metal], alpha, draw.kind()), tint)
-    return f"{colour_name(tint)}-{metal}-{roughness_name(alpha)}", coated(body, draw.between(0.03, 0.12), "ggx")
+    return f"{colour_name(tint)}-{metal}-{roughness_name(alpha)}", dielectric_coating(
+        body, draw.between(0.03, 0.12), "ggx"
+    )
 
 
-def _draw_paint(draw: Draws) -> tuple[str, Model]:
+def _draw_paint(draw: Draws) -> tuple[str, IsotropicModel]:
     colour, alpha = draw.colour(0.15, 0.85, (0.2, 0.9)), draw.alpha(0.2, 0.55)
     ground = diffuse(draw.colour(0.02, 0.35, (0.3, 1)))
-    body = mixture(flakes(colour, alpha), ground, draw.between(0.35, 0.85))
-    return f"{colour_name(colour)}-{roughness_name(alpha)}", coated(body, draw.between(0.03, 0.08), draw.kind())
+    body = isotropic_mixture(flakes(colour, alpha), ground, draw.between(0.35, 0.85))
+    return f"{colour_name(colour)}-{roughness_name(alpha)}", dielectric_coating(
+        body, draw.between(0.03, 0.08), draw.kind()
+    )
 
 
-def _draw_fabric(draw: Draws) -> tuple[str, Model]:
+def _draw_fabric(draw: Draws) -> tuple[str, IsotropicModel]:
     colour, pile = draw.colour(0.02, 0.7), draw.between(0, 0.6)
     red, green, blue = (pile + (1 - pile) * channel for channel in colour)
     body = oren_nayar(colour, draw.between(0.3, 0.9))
     if draw.chance(0.4):  # satin weaves have a broad highlight as well
-        body = coated(body, draw.between(0.3, 0.5), "beckmann", 1.46)
+        body = dielectric_coating(body, draw.between(0.3, 0.5), "beckmann", 1.46)
         return f"{colour_name(colour)}-satin", sheen(body, (red, green, blue), 0.15 + 0.35 * draw.roughness)
     return f"{colour_name(colour)}-velvet", sheen(body, (red, green, blue), 0.2 + 0.6 * draw.roughness)
 
 
-def _draw_diffuse(draw: Draws) -> tuple[str, Model]:
+def _draw_diffuse(draw: Draws) -> tuple[str, IsotropicModel]:
     colour = draw.colour(0.02, 0.95)
     if draw.chance(0.4):
         return f"{colour_name(colour)}-lambert", diffuse(colour)
     return f"{colour_name(colour)}-oren-nayar", oren_nayar(colour, 0.2 + 0.8 * draw.roughness)
 
 
-def _draw_mixture(draw: Draws) -> tuple[str, Model]:
+def _draw_mixture(draw: Draws) -> tuple[str, IsotropicModel]:
     families = [_draw_conductor, _draw_plastic, _draw_glossy, _draw_paint, _draw_diffuse]
     first = int(draw.between(0, 5))
     second = (first + int(draw.between(1, 5))) % 5
     one, model = families[first](draw)
     draw.hue, draw.lightness = (draw.hue + draw.between(0.2, 0.8)) % 1, 1 - draw.lightness
     other, body = families[second](draw)
-    return f"{one}-on-{other}", mixture(model, body, draw.between(0.25, 0.75))
+    return f"{one}-on-{other}", isotropic_mixture(model, body, draw.between(0.25, 0.75))
 
 
-_FAMILIES: dict[str, Callable[[Draws], tuple[str, Model]]] = {
+_FAMILIES: dict[str, Callable[[Draws], tuple[str, IsotropicModel]]] = {
     "conductor": _draw_conductor,
     "plastic": _draw_plastic,
     "glossy": _draw_glossy,
@@ -112,9 +116,9 @@ _TURNS = """
 """
 
 
-def _evaluator(model: Model) -> Callable[[Tensor], Tensor]:
+def _evaluator(model: IsotropicModel) -> Callable[[Tensor], Tensor]:
     def evaluate(angles: Tensor) -> Tensor:
-        at = cosines(angles)
+        at = angle_cosines(angles)
         above = (at.incident > 0) & (at.outgoing > 0)
         # Below the horizon a model may be anything; a harmless place keeps values and gradients finite.
         safe = Cosines(at.incident.clamp_min(1e-6), at.outgoing.clamp_min(1e-6), at.half, at.difference)
@@ -123,7 +127,7 @@ def _evaluator(model: Model) -> Callable[[Tensor], Tensor]:
     return evaluate
 
 
-def synthetic_materials(split: Split, count: int | None = None, seed: int = 0) -> list[Material]:
+def synthetic_materials(split: Split, count: int | None = None, seed: int = 0) -> list[SyntheticBrdf]:
     """The materials of one split.
 
     Args:
@@ -150,7 +154,7 @@ def synthetic_materials(split: Split, count: int | None = None, seed: int = 0) -
         drawn[family] += 1
         kind, model = _FAMILIES[family](draw)
         number = f"{'t' if split == 'test' else ''}{index:02d}"
-        materials.append(Material(f"{family}-{kind}-{number}", _evaluator(model)))
+        materials.append(SyntheticBrdf(f"{family}-{kind}-{number}", _evaluator(model)))
     return materials
 
 
@@ -165,7 +169,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, *, anisotropic: boo
         ValueError: as `synthetic_materials`.
     """
     for material in (anisotropic_materials if anisotropic else synthetic_materials)(split, count, seed):
-        yield brdf_task(material.name, material.evaluate, azimuths=anisotropic)
+        yield make_brdf_task(material.name, material.evaluate, azimuths=anisotropic)
 
 
 def write_merl_files(folder: str | Path, split: Split, count: int, seed: int = 0) -> Iterator[str]:
@@ -178,7 +182,7 @@ def write_merl_files(folder: str | Path, split: Split, count: int, seed: int = 0
         ValueError: as `synthetic_materials`.
     """
     for material in synthetic_materials(split, count, seed):
-        write_merl(Path(folder) / f"{material.name}.binary", tabulate(material.evaluate))
+        write_merl(Path(folder) / f"{material.name}.binary", tabulate_merl(material.evaluate))
         yield material.name
 
 

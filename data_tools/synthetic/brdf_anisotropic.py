@@ -13,25 +13,25 @@ import torch
 from torch import Tensor
 
 from data_tools.synthetic.brdf_anisotropic_models import (
-    Model,
+    AnisotropicModel,
     Roughness,
+    anisotropic_mixture,
     ashikhmin,
-    brushed,
+    brushed_grooves,
     facets,
     fibres,
-    mixture,
     ward,
 )
-from data_tools.synthetic.brdf_draws import COUNTS, Draws, Material, Split, colour_name
+from data_tools.synthetic.brdf_draws import COUNTS, Draws, Split, SyntheticBrdf, colour_name
 from data_tools.synthetic.brdf_models import CONDUCTORS, Rgb
 from data_tools.synthetic.interfaces import fresnel_conductor
-from metapp.appearance.geometry import rusinkiewicz_to_directions, turned_about_normal
+from metapp.appearance.geometry import rotate_about_normal, rusinkiewicz_to_directions
 from metapp.appearance.reflection import fresnel_schlick
 
-FIRST = 100  # of families among the keys of draws, which those of the isotropic set do not reach
+FIRST_ANISOTROPIC_FAMILY_KEY = 100  # of families among the keys of draws, which those of the isotropic set do not reach
 
 
-def _diffuse(albedo: Rgb) -> Model:
+def _diffuse(albedo: Rgb) -> AnisotropicModel:
     return lambda wi, wo: wi.new_tensor(albedo).div(math.pi).expand(*wi.shape[:-1], 3)
 
 
@@ -52,12 +52,12 @@ def _fresnel(draw: Draws) -> tuple[str, Callable[[Tensor], Tensor]]:
     return colour_name(colour), lambda cos: fresnel_schlick(cos, cos.new_tensor(colour))
 
 
-def _draw_metal(draw: Draws) -> tuple[str, Model]:
+def _draw_metal(draw: Draws) -> tuple[str, AnisotropicModel]:
     name, fresnel = _fresnel(draw)
     return name, facets(_roughness(draw, 0.03, 0.25, (1.4, 10)), fresnel, draw.kind())
 
 
-def _draw_plastic(draw: Draws) -> tuple[str, Model]:
+def _draw_plastic(draw: Draws) -> tuple[str, AnisotropicModel]:
     colour = draw.colour()
     f0 = draw.between(0.03, 0.12)
     roughness, kind = _roughness(draw, 0.04, 0.25, (1.4, 8)), draw.kind()
@@ -71,21 +71,21 @@ def _draw_plastic(draw: Draws) -> tuple[str, Model]:
     return colour_name(colour), model
 
 
-def _draw_ward(draw: Draws) -> tuple[str, Model]:
+def _draw_ward(draw: Draws) -> tuple[str, AnisotropicModel]:
     colour = draw.colour(0.05, 0.9)
     share = draw.between(0.2, 0.95)
     lobe = ward(_roughness(draw, 0.04, 0.25, (1.4, 8)), draw.colour(0.3, 0.95, (0.05, 0.5)))
-    return colour_name(colour), mixture((share, lobe), (1 - share, _diffuse(colour)))
+    return colour_name(colour), anisotropic_mixture((share, lobe), (1 - share, _diffuse(colour)))
 
 
-def _draw_brushed(draw: Draws) -> tuple[str, Model]:
+def _draw_brushed(draw: Draws) -> tuple[str, AnisotropicModel]:
     name, fresnel = _fresnel(draw)
     roughness = _roughness(draw, 0.03, 0.12, (4, 14))
     spread = draw.between(0.03, 0.35)
-    return name, brushed(roughness, spread, fresnel, draw.kind())
+    return name, brushed_grooves(roughness, spread, fresnel, draw.kind())
 
 
-def _draw_cloth(draw: Draws) -> tuple[str, Model]:
+def _draw_cloth(draw: Draws) -> tuple[str, AnisotropicModel]:
     lobes = []
     colour = draw.colour(0.1, 0.9)
     for turn in (0.0, math.pi / 2):
@@ -93,35 +93,35 @@ def _draw_cloth(draw: Draws) -> tuple[str, Model]:
         tint = (0.2 + 0.8 * tint[0], 0.2 + 0.8 * tint[1], 0.2 + 0.8 * tint[2])
         roughness = Roughness(draw.between(0.3, 0.8), draw.between(0.06, 0.3))
         thread = facets(roughness, lambda cos, tint=tint: fresnel_schlick(cos, cos.new_tensor(tint)), "beckmann")  # type: ignore[misc]
-        lobes.append((draw.between(0.1, 0.4), turned(thread, turn)))
-    return colour_name(colour), mixture(*lobes, (1 - sum(share for share, _ in lobes), _diffuse(colour)))
+        lobes.append((draw.between(0.1, 0.4), rotate_model(thread, turn)))
+    return colour_name(colour), anisotropic_mixture(*lobes, (1 - sum(share for share, _ in lobes), _diffuse(colour)))
 
 
-def _draw_ashikhmin(draw: Draws) -> tuple[str, Model]:
+def _draw_ashikhmin(draw: Draws) -> tuple[str, AnisotropicModel]:
     colour, (across, along) = draw.colour(0.3, 0.9), _roughness(draw, 0.05, 0.2, (1.5, 8))
     share = draw.between(0.4, 1.0)
     lobe = ashikhmin((2 / along**2, 2 / across**2), colour)
-    return colour_name(colour), mixture((share, lobe), (1 - share, _diffuse(draw.colour(0.05, 0.6))))
+    return colour_name(colour), anisotropic_mixture((share, lobe), (1 - share, _diffuse(draw.colour(0.05, 0.6))))
 
 
-def _draw_fibres(draw: Draws) -> tuple[str, Model]:
+def _draw_fibres(draw: Draws) -> tuple[str, AnisotropicModel]:
     colour = draw.colour(0.1, 0.8)
     lobe = fibres(draw.between(0.08, 0.35), draw.between(0, 0.2), draw.colour(0.4, 0.9, (0.05, 0.5)))
     share = draw.between(0.3, 0.8)
-    return colour_name(colour), mixture((share, lobe), (1 - share, _diffuse(colour)))
+    return colour_name(colour), anisotropic_mixture((share, lobe), (1 - share, _diffuse(colour)))
 
 
-def turned(model: Model, angle_rad: float) -> Model:
+def rotate_model(model: AnisotropicModel, angle_rad: float) -> AnisotropicModel:
     """A model turned about the normal."""
 
     def result(wi: Tensor, wo: Tensor) -> Tensor:
         back = wi.new_tensor(-angle_rad).expand(wi.shape[:-1])
-        return model(turned_about_normal(wi, back), turned_about_normal(wo, back))
+        return model(rotate_about_normal(wi, back), rotate_about_normal(wo, back))
 
     return result
 
 
-_FAMILIES: dict[str, Callable[[Draws], tuple[str, Model]]] = {
+_FAMILIES: dict[str, Callable[[Draws], tuple[str, AnisotropicModel]]] = {
     "metal": _draw_metal,
     "brushed": _draw_brushed,
     "cloth": _draw_cloth,
@@ -130,11 +130,11 @@ _FAMILIES: dict[str, Callable[[Draws], tuple[str, Model]]] = {
     "ashikhmin": _draw_ashikhmin,
     "fibres": _draw_fibres,
 }
-UNSEEN = ("ashikhmin", "fibres")  # of the test split alone
+TEST_ONLY_FAMILIES = ("ashikhmin", "fibres")  # of the test split alone
 
 
-def _evaluator(model: Model, turn: float) -> Callable[[Tensor], Tensor]:
-    laid = turned(model, turn)
+def _evaluator(model: AnisotropicModel, turn: float) -> Callable[[Tensor], Tensor]:
+    laid = rotate_model(model, turn)
 
     def evaluate(angles: Tensor) -> Tensor:
         """Of angles [..., 4] in rad."""
@@ -148,7 +148,7 @@ def _evaluator(model: Model, turn: float) -> Callable[[Tensor], Tensor]:
     return evaluate
 
 
-def anisotropic_materials(split: Split, count: int | None = None, seed: int = 0) -> list[Material]:
+def anisotropic_materials(split: Split, count: int | None = None, seed: int = 0) -> list[SyntheticBrdf]:
     """The materials of one split, families in turn; the test split has more families.
 
     Args:
@@ -165,12 +165,12 @@ def anisotropic_materials(split: Split, count: int | None = None, seed: int = 0)
     count = COUNTS.get(split, 0) if count is None else count
     if split not in COUNTS or count < 0 or seed < 0:
         raise ValueError(f"anisotropic BRDFs: {split!r}, {count}, seed {seed}, expected train or test, and 0 or more.")
-    families = [name for name in _FAMILIES if split == "test" or name not in UNSEEN]
+    families = [name for name in _FAMILIES if split == "test" or name not in TEST_ONLY_FAMILIES]
     materials = []
     for index in range(count):
         family = families[index % len(families)]
-        draw = Draws(split, seed, FIRST + list(_FAMILIES).index(family), index // len(families))
+        draw = Draws(split, seed, FIRST_ANISOTROPIC_FAMILY_KEY + list(_FAMILIES).index(family), index // len(families))
         name, model = _FAMILIES[family](draw)
         number = f"{'t' if split == 'test' else ''}{index:02d}"
-        materials.append(Material(f"{family}-{name}-{number}", _evaluator(model, math.tau * draw.between(0, 1))))
+        materials.append(SyntheticBrdf(f"{family}-{name}-{number}", _evaluator(model, math.tau * draw.between(0, 1))))
     return materials

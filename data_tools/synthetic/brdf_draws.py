@@ -16,7 +16,7 @@ Split = Literal["train", "test"]
 COUNTS: dict[Split, int] = {"train": 80, "test": 20}
 
 
-class Material(NamedTuple):
+class SyntheticBrdf(NamedTuple):
     """One material.
 
     Attributes:

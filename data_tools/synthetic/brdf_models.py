@@ -25,7 +25,9 @@ from metapp.appearance.reflection import (
 )
 
 Rgb = tuple[float, float, float]
-Model = Callable[[Cosines], Tensor]  # cosines [...] -> BRDF [..., 3], wherever both directions are above the horizon
+IsotropicModel = Callable[
+    [Cosines], Tensor
+]  # cosines [...] -> BRDF [..., 3], wherever both directions are above the horizon
 
 # Complex indices (eta, k) for linear RGB: what Mitsuba 3.9.1, variant scalar_rgb, makes of the spectra it ships. Those
 # of iron and titanium, which it does not ship, are at 650, 550 and 450 nm: Johnson and Christy 1974.
@@ -64,7 +66,7 @@ def _grid() -> Tensor:
     return torch.linspace(0, 1, _TABLE_SIZE, dtype=torch.float64).clamp_min(1e-6)
 
 
-def directional_albedo(model: Model, cos: Tensor, points: int = 48) -> Tensor:
+def directional_albedo(model: IsotropicModel, cos: Tensor, points: int = 48) -> Tensor:
     """Share of the light from one direction that a BRDF without sharp lobes reflects, by quadrature.
 
     Args:
@@ -86,7 +88,7 @@ def directional_albedo(model: Model, cos: Tensor, points: int = 48) -> Tensor:
     return result
 
 
-def diffuse(albedo: Rgb) -> Model:
+def diffuse(albedo: Rgb) -> IsotropicModel:
     """Lambert's law."""
 
     def model(at: Cosines) -> Tensor:
@@ -95,7 +97,7 @@ def diffuse(albedo: Rgb) -> Model:
     return model
 
 
-def oren_nayar(albedo: Rgb, sigma: float) -> Model:
+def oren_nayar(albedo: Rgb, sigma: float) -> IsotropicModel:
     """Rough diffuse facets: Oren and Nayar (1994) in Fujii's form, which keeps energy; `sigma` in [0, 1]."""
     norm = 1 / (math.pi + (math.pi / 2 - 2 / 3) * sigma)
 
@@ -108,7 +110,7 @@ def oren_nayar(albedo: Rgb, sigma: float) -> Model:
     return model
 
 
-def conductor(eta: Rgb, k: Rgb, alpha: float, kind: MicrofacetKind) -> Model:
+def conductor(eta: Rgb, k: Rgb, alpha: float, kind: MicrofacetKind) -> IsotropicModel:
     """Bare rough metal; the same model as Mitsuba's `roughconductor`."""
 
     def fresnel(cos: Tensor) -> Tensor:
@@ -117,7 +119,7 @@ def conductor(eta: Rgb, k: Rgb, alpha: float, kind: MicrofacetKind) -> Model:
     return lambda at: microfacet_lobe(at, alpha, fresnel, kind)
 
 
-def coated(base: Model, alpha: float, kind: MicrofacetKind, eta: float = 1.5) -> Model:
+def dielectric_coating(base: IsotropicModel, alpha: float, kind: MicrofacetKind, eta: float = 1.5) -> IsotropicModel:
     """A rough dielectric interface over another model, which gets the light that the interface lets through, twice.
 
     Args:
@@ -149,17 +151,17 @@ def internal_reflectance(alpha: float, kind: MicrofacetKind, eta: float) -> floa
     return float((2 * weights * nodes * kept).sum())
 
 
-def plastic(albedo: Rgb, alpha: float, kind: MicrofacetKind, eta: float = 1.49) -> Model:
+def plastic(albedo: Rgb, alpha: float, kind: MicrofacetKind, eta: float = 1.49) -> IsotropicModel:
     """A rough coat on a diffuse body, light bouncing between the two; Mitsuba's `roughplastic` with `nonlinear`.
 
     The bounces deepen the colour: the body's albedo a becomes a / (1 - a R), R the coat's reflectance from within.
     """
     kept = internal_reflectance(alpha, kind, eta)
     red, green, blue = (a / ((1 - a * kept) * eta * eta) for a in albedo)
-    return coated(diffuse((red, green, blue)), alpha, kind, eta)
+    return dielectric_coating(diffuse((red, green, blue)), alpha, kind, eta)
 
 
-def absorbing_layer(base: Model, tint: Rgb, eta: float = 1.5) -> Model:
+def absorbing_layer(base: IsotropicModel, tint: Rgb, eta: float = 1.5) -> IsotropicModel:
     """A clear coloured layer over a model: `tint` is the transmittance of a straight way in and out, in (0, 1]."""
 
     def model(at: Cosines) -> Tensor:
@@ -169,7 +171,7 @@ def absorbing_layer(base: Model, tint: Rgb, eta: float = 1.5) -> Model:
     return model
 
 
-def flakes(colour: Rgb, alpha: float) -> Model:
+def flakes(colour: Rgb, alpha: float) -> IsotropicModel:
     """Metal flakes scattered about the surface's plane: a wide lobe of the given colour."""
 
     def fresnel(cos: Tensor) -> Tensor:
@@ -178,7 +180,7 @@ def flakes(colour: Rgb, alpha: float) -> Model:
     return lambda at: microfacet_lobe(at, alpha, fresnel, "ggx")
 
 
-def sheen(base: Model, colour: Rgb, roughness: float) -> Model:
+def sheen(base: IsotropicModel, colour: Rgb, roughness: float) -> IsotropicModel:
     """Fibres standing on a base: Estevez and Kulla's "Charlie" (2017) with Neubelt and Pettineo's visibility.
 
     Args:
@@ -207,6 +209,6 @@ def sheen(base: Model, colour: Rgb, roughness: float) -> Model:
     return model
 
 
-def mixture(first: Model, second: Model, share: float) -> Model:
+def isotropic_mixture(first: IsotropicModel, second: IsotropicModel, share: float) -> IsotropicModel:
     """Two materials side by side, finer than the eye: `share` of the first, the rest of the second."""
     return lambda at: share * first(at) + (1 - share) * second(at)

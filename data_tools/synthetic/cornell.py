@@ -14,13 +14,13 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from data_tools.draws import Rng, stream
-from data_tools.synthetic.draws import between, chance, log_between, pick, whole
+from data_tools.draws import Rng, random_stream
+from data_tools.synthetic.draws import between, chance, integer_between, log_between, pick
 
-Scene = dict[str, Any]
+SceneEntry = dict[str, Any]
 
-MATERIALS = ("diffuse", "glass", "metal")
-METALS = ("Ag", "Al", "Au", "Cr", "Cu")
+SPHERE_MATERIALS = ("diffuse", "glass", "metal")
+MITSUBA_METALS = ("Ag", "Al", "Au", "Cr", "Cu")
 
 _CAMERA, _FIELD_DEGREES = 3.9, 38.0  # distance from the middle; the opening fills the picture
 _WHITE = 0.75
@@ -29,14 +29,14 @@ _RADII = (0.18, 0.42)
 _GAP = 0.02  # between things, at least
 
 
-class Ball(NamedTuple):
+class SpherePlace(NamedTuple):
     """A sphere's place."""
 
     centre: tuple[float, float, float]
     radius: float
 
 
-def random_scene(seed: int) -> Scene:
+def random_scene(seed: int) -> SceneEntry:
     """A Cornell box drawn at random.
 
     Args:
@@ -51,21 +51,21 @@ def random_scene(seed: int) -> Scene:
     """
     if seed < 0:
         raise ValueError(f"Cornell box: seed {seed}, expected 0 or more.")
-    return draw_scene(stream(seed))
+    return draw_scene(random_stream(seed))
 
 
-def draw_scene(rng: Rng) -> Scene:
+def draw_scene(rng: Rng) -> SceneEntry:
     """The same, from these random numbers."""
-    scene: Scene = {"type": "scene", "sensor": sensor()}
-    scene |= walls(wall_colour(rng), wall_colour(rng))
+    scene: SceneEntry = {"type": "scene", "sensor": sensor_entry()}
+    scene |= wall_entries(draw_wall_colour(rng), draw_wall_colour(rng))
     scene["mirror"] = _mirror(rng)
     scene["light"] = _light(rng)
-    for number, ball in enumerate(balls(rng, whole(rng, 1, 5))):
-        scene[f"sphere-{number}"] = sphere(ball, material(rng))
+    for number, ball in enumerate(draw_sphere_places(rng, integer_between(rng, 1, 5))):
+        scene[f"sphere-{number}"] = sphere_entry(ball, draw_bsdf(rng))
     return scene
 
 
-def sensor() -> Scene:
+def sensor_entry() -> SceneEntry:
     """A camera in front of the open side, which fills the picture."""
     return {
         "type": "perspective",
@@ -76,72 +76,72 @@ def sensor() -> Scene:
     }
 
 
-def walls(left: list[float], right: list[float]) -> Scene:
+def wall_entries(left: list[float], right: list[float]) -> SceneEntry:
     """Five walls, of which the side walls have these colours, linear RGB."""
     white = [_WHITE] * 3
     return {
-        "floor": rectangle((0, -1, 0), (1, 0, 0), (0, 0, -1), diffuse(white)),
-        "ceiling": rectangle((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(white)),
-        "back": rectangle((0, 0, -1), (1, 0, 0), (0, 1, 0), diffuse(white)),
-        "left": rectangle((-1, 0, 0), (0, 0, -1), (0, 1, 0), diffuse(left)),
-        "right": rectangle((1, 0, 0), (0, 0, 1), (0, 1, 0), diffuse(right)),
+        "floor": rectangle_entry((0, -1, 0), (1, 0, 0), (0, 0, -1), diffuse_bsdf(white)),
+        "ceiling": rectangle_entry((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse_bsdf(white)),
+        "back": rectangle_entry((0, 0, -1), (1, 0, 0), (0, 1, 0), diffuse_bsdf(white)),
+        "left": rectangle_entry((-1, 0, 0), (0, 0, -1), (0, 1, 0), diffuse_bsdf(left)),
+        "right": rectangle_entry((1, 0, 0), (0, 0, 1), (0, 1, 0), diffuse_bsdf(right)),
     }
 
 
-def _mirror(rng: Rng) -> Scene:
+def _mirror(rng: Rng) -> SceneEntry:
     side = pick(rng, (-1, 1))
     width, height = between(rng, 0.3, 0.6), between(rng, 0.3, 0.6)  # half of them
     reach_y, reach_z = 0.95 - height, 0.95 - width
     centre = (side * 0.99, between(rng, -reach_y, reach_y), between(rng, -reach_z, reach_z))
-    glass = {"type": "conductor", "material": "none", "specular_reflectance": rgb([0.95] * 3)}
-    return rectangle(centre, (0, 0, side * width), (0, height, 0), glass)
+    glass = {"type": "conductor", "material": "none", "specular_reflectance": rgb_entry([0.95] * 3)}
+    return rectangle_entry(centre, (0, 0, side * width), (0, height, 0), glass)
 
 
-def _light(rng: Rng) -> Scene:
+def _light(rng: Rng) -> SceneEntry:
     width, depth = between(rng, 0.15, 0.35), between(rng, 0.15, 0.35)  # half of them
     reach_x, reach_z = 0.9 - width, 0.9 - depth
     centre = (between(rng, -reach_x, reach_x), 0.99, between(rng, -reach_z, reach_z))
     warmth = between(rng, 0.0, 0.35)
     radiance = _POWER / (4 * width * depth) * np.array([1 + warmth, 1.0, 1 - warmth])
-    lamp = rectangle(centre, (width, 0, 0), (0, 0, depth), diffuse([0.0] * 3))
-    return {**lamp, "emitter": {"type": "area", "radiance": rgb(radiance.tolist())}}
+    lamp = rectangle_entry(centre, (width, 0, 0), (0, 0, depth), diffuse_bsdf([0.0] * 3))
+    return {**lamp, "emitter": {"type": "area", "radiance": rgb_entry(radiance.tolist())}}
 
 
-def balls(rng: Rng, count: int) -> list[Ball]:
+def draw_sphere_places(rng: Rng, count: int) -> list[SpherePlace]:
     """Places inside the box that do not overlap; most stand on the floor, some hover."""
-    balls: list[Ball] = []
-    while len(balls) < count:
+    draw_sphere_places: list[SpherePlace] = []
+    while len(draw_sphere_places) < count:
         radius = between(rng, *_RADII)
         reach = 0.97 - radius
         height = radius - 1 if chance(rng, 0.7) else between(rng, radius - 1 + _GAP, 0.5 - radius)
-        ball = Ball((between(rng, -reach, reach), height, between(rng, -reach, reach)), radius)
-        if all(math.dist(ball.centre, each.centre) > ball.radius + each.radius + _GAP for each in balls):
-            balls.append(ball)
-    return balls
+        ball = SpherePlace((between(rng, -reach, reach), height, between(rng, -reach, reach)), radius)
+        if all(math.dist(ball.centre, each.centre) > ball.radius + each.radius + _GAP for each in draw_sphere_places):
+            draw_sphere_places.append(ball)
+    return draw_sphere_places
 
 
-def material(rng: Rng) -> Scene:
+def draw_bsdf(rng: Rng) -> SceneEntry:
     """One of MATERIALS."""
-    kind = pick(rng, MATERIALS)
+    kind = pick(rng, SPHERE_MATERIALS)
     if kind == "diffuse":
         hue, saturation, value = between(rng, 0, 1), between(rng, 0.1, 0.8), between(rng, 0.3, 0.85)
-        return diffuse(list(colorsys.hsv_to_rgb(hue, saturation, value)))
+        return diffuse_bsdf(list(colorsys.hsv_to_rgb(hue, saturation, value)))
     if kind == "glass":
         return {"type": "dielectric", "int_ior": between(rng, 1.35, 1.7), "ext_ior": 1.0}
     return {
         "type": "roughconductor",
-        "material": pick(rng, METALS),
+        "material": pick(rng, MITSUBA_METALS),
         "distribution": "ggx",
         "alpha": log_between(rng, 0.03, 0.3),
     }
 
 
-def wall_colour(rng: Rng) -> list[float]:
+def draw_wall_colour(rng: Rng) -> list[float]:
     """Of a side wall, linear RGB."""
     return list(colorsys.hsv_to_rgb(between(rng, 0, 1), between(rng, 0.6, 0.9), between(rng, 0.55, 0.8)))
 
 
-def sphere(ball: Ball, bsdf: Scene) -> Scene:
+def sphere_entry(ball: SpherePlace, bsdf: SceneEntry) -> SceneEntry:
     """A ball of a material."""
     (x, y, z), r = ball.centre, ball.radius
     # its poles are above and below: where directions are counted from turns evenly all round
@@ -149,7 +149,7 @@ def sphere(ball: Ball, bsdf: Scene) -> Scene:
     return {"type": "sphere", "to_world": turned, "bsdf": bsdf}
 
 
-def rectangle(centre: Any, right: Any, up: Any, bsdf: Scene) -> Scene:
+def rectangle_entry(centre: Any, right: Any, up: Any, bsdf: SceneEntry) -> SceneEntry:
     """A rectangle from its centre to its sides; it faces where right x up points."""
     right, up = np.array(right, float), np.array(up, float)
     facing = np.cross(right, up)
@@ -158,17 +158,17 @@ def rectangle(centre: Any, right: Any, up: Any, bsdf: Scene) -> Scene:
     return {"type": "rectangle", "to_world": matrix, "bsdf": bsdf}
 
 
-def diffuse(reflectance: list[float]) -> Scene:
+def diffuse_bsdf(reflectance: list[float]) -> SceneEntry:
     """A material of this linear RGB."""
-    return {"type": "diffuse", "reflectance": rgb(reflectance)}
+    return {"type": "diffuse", "reflectance": rgb_entry(reflectance)}
 
 
-def rgb(value: list[float]) -> Scene:
+def rgb_entry(value: list[float]) -> SceneEntry:
     """A colour as scenes have it."""
     return {"type": "rgb", "value": value}
 
 
-def to_xml(scene: Scene) -> str:
+def to_xml(scene: SceneEntry) -> str:
     """The same as an XML file of Mitsuba 3."""
     root = Element("scene", version="3.0.0")
     for name, part in scene.items():
@@ -179,7 +179,7 @@ def to_xml(scene: Scene) -> str:
     return tostring(root, encoding="unicode") + "\n"
 
 
-def _add(parent: Element, tag: str, attributes: dict[str, str], part: Scene) -> None:
+def _add(parent: Element, tag: str, attributes: dict[str, str], part: SceneEntry) -> None:
     """An object of a scene below another one."""
     element = SubElement(parent, tag, {"type": part["type"], **attributes})
     for name, value in part.items():

@@ -1,4 +1,4 @@
-"""Draws of the sets, by random numbers of `data_tools.draws.stream`."""
+"""Draws of the sets, by random numbers of `data_tools.draws.random_stream`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def log_between(rng: Rng, low: float, high: float) -> float:
     return float(low * (high / low) ** float(rng.random()))
 
 
-def whole(rng: Rng, low: int, high: int) -> int:
+def integer_between(rng: Rng, low: int, high: int) -> int:
     """A whole number from low to high, both included."""
     return low + int(float(rng.random()) * (high - low + 1))
 
@@ -38,7 +38,7 @@ def chance(rng: Rng, probability: float) -> bool:
 
 def pick(rng: Rng, items: Sequence[_Item]) -> _Item:
     """One of the items."""
-    return items[whole(rng, 0, len(items) - 1)]
+    return items[integer_between(rng, 0, len(items) - 1)]
 
 
 def uniforms(rng: Rng, *shape: int) -> Field:

@@ -15,11 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Generator, Tensor
 
-from data_tools.draws import stream
+from data_tools.draws import random_stream
 from data_tools.synthetic import brdf, cornell, illumination, svbrdf_nonstationary, svbrdf_stationary, texture
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.geometry import directions_to_full_circle
-from metapp.appearance.latlong import texel_of
+from metapp.appearance.geometry import directions_to_full_rusinkiewicz
+from metapp.appearance.latlong import texel_index
 from metapp.storage.files import write_atomically, write_bytes
 from metapp.storage.images import write_exr, write_png
 
@@ -74,7 +74,7 @@ def _write_brdf(file: Path) -> None:
         for x, y, z in (wi.T.double(), wo.T.double())
         for angle in (torch.hypot(x, y).atan2(z), y.atan2(x))
     ]
-    rows = torch.cat([torch.stack(places, 1), paint.evaluate(directions_to_full_circle(wi, wo))], 1)
+    rows = torch.cat([torch.stack(places, 1), paint.evaluate(directions_to_full_rusinkiewicz(wi, wo))], 1)
     head = "# a row a pair of directions: theta_i, phi_i light, theta_o, phi_o detector; r, g, b its BRDF in 1/sr\n"
     head += "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
     formats = ["%.2f"] * 4 + ["%.6g"] * 3
@@ -110,7 +110,7 @@ def _drawn(module: ModuleType, family: str, key: str, seed: int) -> Tensor:
 
 def _write_illumination(map_file: Path, ball_file: Path) -> None:
     """A courtyard, and a mirror ball in it as a phone shows it: the brightest px are clipped."""
-    light = illumination.environment(illumination.FAMILIES["courtyard"], stream(_SEED, 1), rows=_ROWS)
+    light = illumination.draw_environment_map(illumination.FAMILIES["courtyard"], random_stream(_SEED, 1), rows=_ROWS)
     write_exr(light.permute(1, 2, 0), map_file)
     places = (np.arange(2 * _SIDE) + 0.5) / 2 - _SIDE / 2
     disc = np.stack(np.meshgrid(places / _BALL, -places / _BALL))
@@ -126,21 +126,21 @@ def _write_illumination(map_file: Path, ball_file: Path) -> None:
 
 def _looked_up(light: Tensor, towards: NDArray[np.floating]) -> Tensor:
     """Radiance [3, H, W] of a map in directions [3, H, W]."""
-    texels = texel_of(torch.from_numpy(towards), *light.shape[1:])
+    texels = texel_index(torch.from_numpy(towards), *light.shape[1:])
     return light.flatten(1)[:, texels]
 
 
 def _write_transport(file: Path) -> None:
     """A Cornell box with a red and a blue wall, two matte balls and a wide lamp, which paths often hit."""
-    scene: cornell.Scene = {"type": "scene", "sensor": cornell.sensor()}
-    scene |= cornell.walls([0.7, 0.12, 0.08], [0.1, 0.25, 0.7])
-    lamp = cornell.rectangle((0, 0.99, 0), (_LAMP, 0, 0), (0, 0, _LAMP), cornell.diffuse([0.0] * 3))
-    scene["light"] = {**lamp, "emitter": {"type": "area", "radiance": cornell.rgb([4.4, 4.0, 3.6])}}
+    scene: cornell.SceneEntry = {"type": "scene", "sensor": cornell.sensor_entry()}
+    scene |= cornell.wall_entries([0.7, 0.12, 0.08], [0.1, 0.25, 0.7])
+    lamp = cornell.rectangle_entry((0, 0.99, 0), (_LAMP, 0, 0), (0, 0, _LAMP), cornell.diffuse_bsdf([0.0] * 3))
+    scene["light"] = {**lamp, "emitter": {"type": "area", "radiance": cornell.rgb_entry([4.4, 4.0, 3.6])}}
     for name, centre, radius, colour in (
         ("sphere-0", (-0.4, -0.62, -0.3), 0.38, [0.75, 0.6, 0.3]),
         ("sphere-1", (0.42, -0.7, 0.25), 0.3, [0.6, 0.35, 0.25]),
     ):
-        scene[name] = cornell.sphere(cornell.Ball(centre, radius), cornell.diffuse(colour))
+        scene[name] = cornell.sphere_entry(cornell.SpherePlace(centre, radius), cornell.diffuse_bsdf(colour))
     text = cornell.to_xml(scene)
     write_bytes(file, text.encode())
 

@@ -17,7 +17,7 @@ from data_tools.draws import Rng
 from data_tools.readers import latlong
 from data_tools.synthetic.draws import Field, between, chance
 from data_tools.synthetic.environments.indoor import apartment, evening, lobby, office, studio, warehouse, workshop
-from data_tools.synthetic.environments.light import render
+from data_tools.synthetic.environments.light import render_environment
 from data_tools.synthetic.environments.outdoor import (
     courtyard,
     dull,
@@ -30,17 +30,17 @@ from data_tools.synthetic.environments.outdoor import (
     street,
 )
 from data_tools.synthetic.environments.patterns import vector
-from data_tools.synthetic.environments.scene import Scene
-from data_tools.synthetic.stationary.families import Split, turns
+from data_tools.synthetic.environments.scene import EnvironmentScene
+from data_tools.synthetic.stationary.families import Split, split_draws
 from metapp.appearance.latlong import solid_angles
 from metapp.learning.task import Task
 
 _STRONGEST_CAST = 1.2  # of red over blue, in the mean of a map, as a power of 2
 
-ROWS = latlong.HEIGHT  # rows of a map
+ROWS = latlong.MAP_HEIGHT_PX  # rows of a map
 UNITS = {**latlong.UNITS, "scale": "mean luminance of the map before, kcd/m^2, about"}
 COUNTS: dict[Split, int] = {"train": 900, "test": 16}
-FAMILIES: dict[str, Callable[[Rng], Scene]] = {
+FAMILIES: dict[str, Callable[[Rng], EnvironmentScene]] = {
     "meadow": meadow,
     "apartment": apartment,
     "street": street,
@@ -76,23 +76,25 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, rows: int = ROWS) -
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    for family, name, rng in turns("environments", FAMILIES, COUNTS, split, count, seed):
-        light = environment(FAMILIES[family], rng, 2 * max(1, math.ceil(rows / ROWS)), rows)
-        yield latlong.map_task(name, light, rng, rows)
+    for family, name, rng in split_draws("environments", FAMILIES, COUNTS, split, count, seed):
+        light = draw_environment_map(FAMILIES[family], rng, 2 * max(1, math.ceil(rows / ROWS)), rows)
+        yield latlong.make_map_task(name, light, rng, rows)
 
 
-def environment(family: Callable[[Rng], Scene], rng: Rng, supersampling: int = 2, rows: int = ROWS) -> Tensor:
+def draw_environment_map(
+    family: Callable[[Rng], EnvironmentScene], rng: Rng, supersampling: int = 2, rows: int = ROWS
+) -> Tensor:
     """A map of a family's next scene, turned to anywhere and seen by a camera of some white balance.
 
     Returns:
         Radiance, float32 [3, rows, 2 * rows], kcd/m^2.
     """
     scene = family(rng)
-    light = render(scene, between(rng, 0, math.tau), supersampling, rows)
-    return torch.from_numpy(light * white_balance(light, rng)[:, None, None])
+    light = render_environment(scene, between(rng, 0, math.tau), supersampling, rows)
+    return torch.from_numpy(light * draw_white_balance(light, rng)[:, None, None])
 
 
-def white_balance(light: Field, rng: Rng) -> Field:
+def draw_white_balance(light: Field, rng: Rng) -> Field:
     """Gains [3] of a camera: towards a gray mean of the map [3, H, W], more or less, and a little off."""
     weights = solid_angles(*light.shape[1:]).numpy() / light.shape[2]
     mean = np.maximum((light * weights).sum((1, 2)), 1e-9)

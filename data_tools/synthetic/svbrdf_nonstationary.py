@@ -19,8 +19,8 @@ from data_tools.draws import Rng
 from data_tools.readers import svbrdf_task
 from data_tools.synthetic.nonstationary.built import circuit, cover, inlay, mosaic, planks, plates, tiles
 from data_tools.synthetic.nonstationary.crafted import carpet, label, ornament, stitched
-from data_tools.synthetic.nonstationary.materials import piece
-from data_tools.synthetic.nonstationary.surface import Surface, finish
+from data_tools.synthetic.nonstationary.materials import procedural_piece
+from data_tools.synthetic.nonstationary.surface import PatchSurface, pack_surface
 from data_tools.synthetic.nonstationary.worn import (
     corroded,
     crumpled,
@@ -31,25 +31,32 @@ from data_tools.synthetic.nonstationary.worn import (
     stains,
     tracks,
 )
-from data_tools.synthetic.stationary.families import Split, turns
-from data_tools.synthetic.svbrdf_stationary import FLAT
-from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera, camera_distance
+from data_tools.synthetic.stationary.families import Split, split_draws
+from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES
+from metapp.appearance.flash import (
+    BESIDE_LENS_SHARE,
+    FLASH_BRIGHTNESS_LOG_DEVIATION,
+    FLASH_HEIGHT_LOG_DEVIATION,
+    FLASH_OFFSET_HALF_SIDES,
+    camera_distance,
+    camera_position,
+)
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.learning.task import Task
 
 VERSION = 2
-MOST_PHOTOS = 9
+MAX_PHOTOS = 9
 UNITS = {
     **svbrdf_task.UNITS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera above the centre, flash near it",
 }
-SEVERAL_UNITS = {
+SEVERAL_PHOTO_UNITS = {
     "others": "sRGB, uint8 0..255 [photos - 1, 3, height, width], the further photos, in the frame of the first",
     "places": "float32 [photos, 2, 3], measured places of camera and flash: x right, y up, z out of the patch, from "
     "its centre, in half sides of the patch",
 }
 COUNTS: dict[Split, int] = {"train": 1200, "test": 16}
-FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
+FAMILIES: dict[str, Callable[[Rng, int], PatchSurface]] = {
     "inlay": inlay,
     "corroded": corroded,
     "tiles": tiles,
@@ -73,13 +80,15 @@ FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
 
 SIZE = 128
 PHOTOS = 1
-EVEN = {f"even_{name}": functools.partial(piece, names=(name,)) for name in FLAT}  # in sets of larger maps, too
+EVEN_FAMILIES = {
+    f"even_{name}": functools.partial(procedural_piece, names=(name,)) for name in FLAT_FAMILIES
+}  # in sets of larger maps, too
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
 
 
 def units_of(photos: int = 1, **_: object) -> dict[str, str]:
     """Units of the tensors of a set, of one photo of each material or of several."""
-    return UNITS | (SEVERAL_UNITS if photos > 1 else {})
+    return UNITS | (SEVERAL_PHOTO_UNITS if photos > 1 else {})
 
 
 def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, photos: int = PHOTOS) -> Iterator[Task]:
@@ -90,7 +99,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, p
         count: how many. A larger set begins with the smaller one.
         seed: of all draws, >= 0.
         size: px a side; another size draws other patches of the same families, and a larger one than SIZE of materials
-            that are the same all over, too: `EVEN`.
+            that are the same all over, too: `EVEN_FAMILIES`.
         photos: of each material, 1 to MOST_PHOTOS; the first is the same whatever their number.
 
     Returns:
@@ -102,11 +111,11 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, p
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    families = FAMILIES if size <= SIZE else FAMILIES | EVEN
-    for family, name, rng in turns("svBRDFs", families, COUNTS, split, count, seed, _STREAM):
-        maps = finish(families[family](rng, size))
-        place, intensity = held(rng)
-        task = svbrdf_task.svbrdf_task(name, maps, photo=svbrdf_task.flash_photo(maps, place, intensity))
+    families = FAMILIES if size <= SIZE else FAMILIES | EVEN_FAMILIES
+    for family, name, rng in split_draws("svBRDFs", families, COUNTS, split, count, seed, _STREAM):
+        maps = pack_surface(families[family](rng, size))
+        place, intensity = draw_flash(rng)
+        task = svbrdf_task.make_svbrdf_task(name, maps, photo=svbrdf_task.render_flash_photo(maps, place, intensity))
         yield task if photos == 1 else task._replace(data=task.data | _further(maps, place, photos, rng))
 
 
@@ -114,17 +123,21 @@ def _further(maps: Tensor, first: Tensor, photos: int, rng: Rng) -> dict[str, Te
     """`others` and `places` of so many photos, of the first of which the flash is known."""
     (cameras,), (off,) = held_places(1, photos, Generator().manual_seed(int(rng.integers(2**62))))
     lights = torch.cat([first[None], cameras[1:]])
-    brighter = np.exp(rng.normal(size=photos) * BRIGHTER)
+    brighter = np.exp(rng.normal(size=photos) * FLASH_BRIGHTNESS_LOG_DEVIATION)
     others = [
-        svbrdf_task.flash_photo(maps, eye, float(gain * (eye[2] / camera_distance()) ** 2), eye)
+        svbrdf_task.render_flash_photo(maps, eye, float(gain * (eye[2] / camera_distance()) ** 2), eye)
         for eye, gain in zip(cameras[1:], brighter[1:], strict=True)
     ]
     return {"others": torch.stack(others), "places": torch.stack([cameras, lights], 1) + off[:, None]}
 
 
-def held(rng: Rng) -> tuple[Tensor, float]:
-    """The position of the flash, [3] as `metapp.appearance.flash.render` has it, and its intensity."""
-    apart = rng.normal(size=4) * (rng.random() >= BESIDE_LENS)
-    aside, higher, brighter = apart[:2] * ASIDE, np.exp(apart[2] * HIGHER), np.exp(apart[3] * BRIGHTER)
-    place = torch.tensor([*aside, float(camera()[2]) * higher], dtype=torch.float32)
+def draw_flash(rng: Rng) -> tuple[Tensor, float]:
+    """The position of the flash, [3] as `metapp.appearance.flash.render_maps` has it, and its intensity."""
+    apart = rng.normal(size=4) * (rng.random() >= BESIDE_LENS_SHARE)
+    aside, higher, brighter = (
+        apart[:2] * FLASH_OFFSET_HALF_SIDES,
+        np.exp(apart[2] * FLASH_HEIGHT_LOG_DEVIATION),
+        np.exp(apart[3] * FLASH_BRIGHTNESS_LOG_DEVIATION),
+    )
+    place = torch.tensor([*aside, float(camera_position()[2]) * higher], dtype=torch.float32)
     return place, float(brighter * higher**2)  # exposed by what is right below it

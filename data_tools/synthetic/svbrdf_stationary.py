@@ -17,18 +17,18 @@ from torch.nn.functional import adaptive_avg_pool2d
 from data_tools.draws import Rng
 from data_tools.readers.flash import UNITS as OF_PHOTOS
 from data_tools.synthetic.draws import between, log_between, uniforms
-from data_tools.synthetic.stationary import families as procedural
-from data_tools.synthetic.stationary.families import FAMILIES, Split, turns
+from data_tools.synthetic.stationary.families import FAMILIES, Split, split_draws
+from data_tools.synthetic.stationary.maps import PeriodicMaps
 from metapp.appearance.flash import (
-    STATISTICS_AT,
+    STATISTICS_SIDES_PX,
     Maps,
-    camera,
-    expose,
+    camera_position,
+    map_statistics,
     normal_from_height,
-    positions,
-    relightings,
-    render,
-    statistics,
+    radiance_to_display,
+    relighting_positions,
+    render_maps,
+    texel_positions,
 )
 from metapp.learning.task import Task
 
@@ -37,11 +37,11 @@ UNITS = {
     **OF_PHOTOS,
     "relit": "photographs under other lights, sRGB display values 0..255, [3, 3, S, S]; test tasks only",
     "truth": "statistics of the maps under the photo's exposure, at 256, 128 and 64 px, float32 [3, 2, 6] as of "
-    "metapp.appearance.flash.statistics; training tasks only",
+    "metapp.appearance.flash.map_statistics; training tasks only",
 }
 
 # Flat enough to be maps on a plane: without loose grass, leaves, and what is mostly print.
-FLAT = tuple(name for name in FAMILIES if name not in ("grass", "foliage", "stripes", "camouflage"))
+FLAT_FAMILIES = tuple(name for name in FAMILIES if name not in ("grass", "foliage", "stripes", "camouflage"))
 
 SIZE = 256  # px a side
 _STREAM = 1  # other materials than those of the textures
@@ -59,18 +59,18 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
     Returns:
         Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
         [3, 256, 256], sRGB; in the training split also `truth`, float32 [3, 2, 6], in the test split `relit`, uint8
-        [3, 3, 256, 256], the same material and exposure under `metapp.appearance.flash.relightings`.
+        [3, 3, 256, 256], the same material and exposure under `metapp.appearance.flash.relighting_positions`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    for family, name, rng in turns("svBRDFs", FLAT, COUNTS, split, count, seed, _STREAM):
-        image, relit, truth = flash_photographs(FAMILIES[family](rng, size), rng)
+    for family, name, rng in split_draws("svBRDFs", FLAT_FAMILIES, COUNTS, split, count, seed, _STREAM):
+        image, relit, truth = take_flash_photos(FAMILIES[family](rng, size), rng)
         yield Task(name, {"image": image} | ({"relit": relit} if split == "test" else {"truth": truth}))
 
 
 @torch.no_grad()
-def flash_photographs(maps: procedural.Maps, rng: Rng) -> tuple[Tensor, Tensor, Tensor]:
+def take_flash_photos(maps: PeriodicMaps, rng: Rng) -> tuple[Tensor, Tensor, Tensor]:
     """A photograph of a material by a phone held straight above it, its flash beside the lens, and relightings.
 
     Args:
@@ -79,15 +79,15 @@ def flash_photographs(maps: procedural.Maps, rng: Rng) -> tuple[Tensor, Tensor, 
 
     Returns:
         uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor white. And
-        uint8 [3, 3, S, S], the same exposure without noise under `metapp.appearance.flash.relightings`. And
+        uint8 [3, 3, S, S], the same exposure without noise under `metapp.appearance.flash.relighting_positions`. And
         float32 [3, 2, 6], see `UNITS`.
     """
     diffuse, specular, roughness, height = (torch.from_numpy(each) for each in maps)
     size = height.shape[-1]
     surface = Maps(diffuse, specular, roughness.clamp_min(0.15), normal_from_height(height, 0.7))
-    flash = camera() + torch.tensor([between(rng, -0.06, 0.06), between(rng, -0.06, 0.06), 0.0])
-    place, falloff = positions(size, size), between(rng, 0.7, 1.3)
-    radiance = render(surface, place, flash, camera(), falloff=falloff)
+    flash = camera_position() + torch.tensor([between(rng, -0.06, 0.06), between(rng, -0.06, 0.06), 0.0])
+    place, falloff = texel_positions(size, size), between(rng, 0.7, 1.3)
+    radiance = render_maps(surface, place, flash, camera_position(), falloff=falloff)
     luminance = radiance.mean(0)
     # A phone meters the whole picture and holds the highlight back: of the two, what is darker.
     metered = log_between(rng, 0.13, 0.3) / float(luminance.mean())
@@ -98,8 +98,8 @@ def flash_photographs(maps: procedural.Maps, rng: Rng) -> tuple[Tensor, Tensor, 
     normal = torch.from_numpy((uniforms(rng, 4, 3, size, size).sum(0) - 2) * np.float32(3**0.5))
     noise = log_between(rng, 0.003, 0.015)
     noisy = exposed + normal * (noise**2 * exposed + (0.15 * noise) ** 2).sqrt()
-    moved = [render(surface, place, *lit, falloff=falloff) * exposure for lit in relightings().values()]
-    photo, relit = ((expose(each) * 255).round().to(torch.uint8) for each in (noisy, torch.stack(moved)))
+    moved = [render_maps(surface, place, *lit, falloff=falloff) * exposure for lit in relighting_positions().values()]
+    photo, relit = ((radiance_to_display(each) * 255).round().to(torch.uint8) for each in (noisy, torch.stack(moved)))
     return photo, relit, _statistics(surface, exposure)
 
 
@@ -108,5 +108,5 @@ def _statistics(surface: Maps, exposure: float) -> Tensor:
     lit = surface._replace(
         diffuse=(surface.diffuse * exposure).clamp(0, 1), specular=(surface.specular * exposure).clamp(0, 1)
     )
-    smaller = (Maps(*(adaptive_avg_pool2d(each, size) for each in lit)) for size in STATISTICS_AT)
-    return torch.stack([statistics(each) for each in smaller])
+    smaller = (Maps(*(adaptive_avg_pool2d(each, size) for each in lit)) for size in STATISTICS_SIDES_PX)
+    return torch.stack([map_statistics(each) for each in smaller])

@@ -15,8 +15,9 @@ import torch
 
 from data_tools.draws import Rng
 from data_tools.synthetic.draws import Field, between, log_between
-from data_tools.synthetic.patterns.fields import blur, slopes
-from data_tools.synthetic.stationary.families import FAMILIES, Maps, Split, turns
+from data_tools.synthetic.patterns.fields import blur_periodic, height_slopes
+from data_tools.synthetic.stationary.families import FAMILIES, Split, split_draws
+from data_tools.synthetic.stationary.maps import PeriodicMaps
 from metapp.learning.task import Task
 
 UNITS = {"image": "sRGB, 0 .. 255; a photograph from above"}
@@ -42,12 +43,12 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    for family, name, rng in turns("textures", FAMILIES, COUNTS, split, count, seed):
-        image = photograph(FAMILIES[family](rng, size), rng)
+    for family, name, rng in split_draws("textures", FAMILIES, COUNTS, split, count, seed):
+        image = photograph_from_above(FAMILIES[family](rng, size), rng)
         yield Task(name, {"image": torch.from_numpy(image)})
 
 
-def photograph(maps: Maps, rng: Rng) -> npt.NDArray[np.uint8]:
+def photograph_from_above(maps: PeriodicMaps, rng: Rng) -> npt.NDArray[np.uint8]:
     """A picture of a flat material from above, far away, in sunlight and skylight.
 
     Args:
@@ -60,7 +61,7 @@ def photograph(maps: Maps, rng: Rng) -> npt.NDArray[np.uint8]:
     elevation, azimuth = math.asin(between(rng, 0.45, 0.97)), between(rng, 0, math.tau)
     sun = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
     height = maps.height[0]
-    along_x, along_y = slopes(height)
+    along_x, along_y = height_slopes(height)
     length = np.sqrt(1 + along_x**2 + along_y**2)
     facing = np.clip((sun[2] - along_x * sun[0] - along_y * sun[1]) / length, 0, None)
     warm = between(rng, -0.12, 0.12)
@@ -73,7 +74,7 @@ def photograph(maps: Maps, rng: Rng) -> npt.NDArray[np.uint8]:
     gloss = _highlight(maps, along_x, along_y, sun) * sunlight + maps.specular * sky * np.clip(bright_side, 0.2, 2)
     seen = maps.diffuse * (lit + sky) + gloss
     sharpness = between(rng, 0.4, 0.7) / len(height)  # of the lens; it also smooths jagged edges
-    return _exposed(np.stack([blur(channel, sharpness) for channel in seen]), rng)
+    return _exposed(np.stack([blur_periodic(channel, sharpness) for channel in seen]), rng)
 
 
 def _sunlit(height: Field, sun: tuple[float, float, float]) -> Field:
@@ -92,12 +93,12 @@ def _openness(height: Field) -> Field:
     size = height.shape[0]
     hidden = np.zeros_like(height)
     for texels in (1.5, 5.0):
-        hidden += np.clip(blur(height, texels / size) - height, 0, None) / np.float32(texels)
+        hidden += np.clip(blur_periodic(height, texels / size) - height, 0, None) / np.float32(texels)
     result: Field = np.exp(np.float32(-1.5) * hidden)
     return result
 
 
-def _highlight(maps: Maps, along_x: Field, along_y: Field, sun: tuple[float, float, float]) -> Field:
+def _highlight(maps: PeriodicMaps, along_x: Field, along_y: Field, sun: tuple[float, float, float]) -> Field:
     """Reflection of the sun by GGX [S, S], seen from above, without its Fresnel and shadowing."""
     half = np.array([sun[0], sun[1], sun[2] + 1])
     half /= np.linalg.norm(half)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from data_tools.draws import stream
+from data_tools.draws import random_stream
 from data_tools.synthetic.cornell import draw_scene
-from data_tools.synthetic.stationary.families import Split, turns
-from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
+from data_tools.synthetic.stationary.families import Split, split_draws
+from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, make_transport_task
 from metapp.learning.task import Task
 
 __all__ = ["BESIDE", "COUNTS", "UNITS", "cornell_tasks", "synthetic_tasks"]
@@ -36,26 +36,26 @@ def synthetic_tasks(
         held: of each scene, for tests alone.
 
     Returns:
-        Tasks as `transport_task` makes them, named "box-000" and so on ("box-t000" in the test split).
+        Tasks as `make_transport_task` makes them, named "box-000" and so on ("box-t000" in the test split).
 
     Raises:
         ValueError: for another split, a negative count or seed; no Mitsuba that can render here.
     """
-    for _, name, rng in turns("scenes", ["box"], COUNTS, split, count, seed):
+    for _, name, rng in split_draws("scenes", ["box"], COUNTS, split, count, seed):
         scene = draw_scene(rng)
         drawn = int(rng.integers(2**63))
-        yield transport_task(name, scene, drawn, samples=samples, held=held)
+        yield make_transport_task(name, scene, drawn, samples=samples, held=held)
 
 
 def cornell_tasks(count: int, seed: int = 0, *, samples: int = SAMPLES, held: int = HELD) -> Iterator[Task]:
     """Other Cornell boxes than any of the default sets, one by one: those of `metapp data cornell`.
 
     Returns:
-        Tasks as `transport_task` makes them, named "cornell-7-000" and so on, with the seed in the middle. A larger set
+        Tasks as `make_transport_task` makes them, named "cornell-7-000" and so on, with the seed in the middle. A larger set
         begins with the smaller one.
     """
     for index in range(count):
-        rng = stream(seed, len(COUNTS), 0, index)  # beside those that `turns` draws from
+        rng = random_stream(seed, len(COUNTS), 0, index)  # beside those that `split_draws` draws from
         scene = draw_scene(rng)
         drawn, name = int(rng.integers(2**63)), f"cornell-{seed}-{index:03d}"
-        yield transport_task(name, scene, drawn, samples=samples, held=held)
+        yield make_transport_task(name, scene, drawn, samples=samples, held=held)

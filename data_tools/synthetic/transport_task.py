@@ -7,9 +7,9 @@ from torch import Generator
 
 from metapp.learning.task import Task
 from metapp.rendering.paths.path_space import Tracer
-from metapp.rendering.paths.resampling import draw_samples
+from metapp.rendering.paths.resampling import draw_path_samples
 from metapp.rendering.scenes.rules import SceneDict
-from metapp.rendering.scenes.stored_text import scene_bytes
+from metapp.rendering.scenes.stored_text import encode_scene
 
 SAMPLES, HELD = 32_768, 8_192
 UNITS = {
@@ -23,7 +23,7 @@ UNITS = {
 BESIDE = ("scene", ".json")  # is a file beside each shard, too
 
 
-def transport_task(
+def make_transport_task(
     name: str,
     scene: SceneDict,
     seed: int,
@@ -47,11 +47,11 @@ def transport_task(
         next-event estimation also `next_event`, uint8 [1].
 
     Raises:
-        ValueError: as `load_scene` and `draw_samples`.
+        ValueError: as `load_scene` and `draw_path_samples`.
     """
     rng, tracer = Generator().manual_seed(seed), Tracer(scene, batch_paths=batch_paths)
-    points, image = draw_samples(tracer, samples + held, rng)
-    data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": scene_bytes(scene)}
+    points, image = draw_path_samples(tracer, samples + held, rng)
+    data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": encode_scene(scene)}
     if tracer.next_event:
         data["next_event"] = torch.ones(1, dtype=torch.uint8)
     return Task(name, data)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def colour_science() -> ModuleType:
+def import_colour_science() -> ModuleType:
     """colour-science, imported without its warning of a missing SciPy, which nothing here needs.
 
     It may not see OpenImageIO: references to it would be reported as leaks when Python ends. The mocks that it
@@ -36,7 +36,7 @@ def colour_science() -> ModuleType:
     return colour
 
 
-def spectra_to_rgb(wavelengths: Array) -> Array:
+def spectrum_to_rgb_matrix(wavelengths: Array) -> Array:
     """The matrix [W, 3] that turns reflectance at some wavelengths into colour, multiplied with from the right.
 
     Between wavelengths reflectance is linear, beyond the last ones constant. A perfect white is (1, 1, 1).
@@ -47,7 +47,7 @@ def spectra_to_rgb(wavelengths: Array) -> Array:
     Returns:
         To linear RGB (sRGB primaries), of a material in D65 for the CIE 1931 2 degree observer.
     """
-    colour = colour_science()
+    colour = import_colour_science()
     shape = colour.SpectralShape(360, 830, 1)
     # each row: how much of each nanometre a measured wavelength stands for
     share = np.stack([np.interp(shape.wavelengths, wavelengths, row) for row in np.eye(len(wavelengths))])
@@ -61,7 +61,7 @@ def spectra_to_rgb(wavelengths: Array) -> Array:
 
 def colour_difference(pictures: Array, references: Array) -> Array:
     """CIE 2000 colour differences (CIEDE2000, all weights 1) of display values in [0, 1], sRGB [..., 3], D65: [...]."""
-    colour = colour_science()
+    colour = import_colour_science()
     labs = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(each)) for each in (pictures, references)]
     result: Array = colour.delta_E(*labs, method="CIE 2000")
     return result

@@ -27,7 +27,7 @@ def linear_to_srgb(linear: Tensor) -> Tensor:
     return torch.where(linear <= 0.0031308, low, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
 
-def to_srgb(linear: Tensor | np.ndarray) -> np.ndarray:
+def composite_to_srgb(linear: Tensor | np.ndarray) -> np.ndarray:
     """Linear RGB [H, W, 3] or, on black with coverage, [H, W, 4] to sRGB on white, in [0, 1] (IEC 61966-2-1)."""
     image = np.asarray(linear, dtype=np.float64)
     # composited after encoding, so that the rim stays as smooth as its coverage
@@ -46,7 +46,7 @@ def tone_map(radiance: Tensor) -> Tensor:
     return linear_to_srgb(light / (1 + light))
 
 
-def stretched(values: Tensor) -> tuple[Tensor, float, float]:
+def stretch_to_unit_range(values: Tensor) -> tuple[Tensor, float, float]:
     """Values of any shape mapped linearly to [0, 1], and their least and greatest; 0 if all are the same.
 
     >>> stretched(torch.tensor([2.0, 3.0, 6.0]))

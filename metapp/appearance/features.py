@@ -16,7 +16,7 @@ from torch import Generator, Tensor, nn
 from torch.nn.functional import avg_pool2d, conv2d
 
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import open_regular, opened_tensors
+from metapp.storage.files import open_regular, open_tensors
 
 # channels of the convolutions of each block of VGG-16 (Simonyan & Zisserman 2015); blocks are parted by max pooling
 VGG_BLOCKS = ((64,) * 2, (128,) * 2, (256,) * 3, (512,) * 3, (512,) * 3)
@@ -25,7 +25,7 @@ IMAGENET_DIGESTS = ("397923af", "a286e44c", "306c6f39")
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
-class Features(nn.Module):
+class FeatureExtractor(nn.Module):
     """Maps of features of images, at several depths; `stages` are the layers up to each tap, from the one before."""
 
     mean: Tensor
@@ -46,7 +46,7 @@ class Features(nn.Module):
         """
         x = ((images - self.mean) / self.deviation).contiguous(memory_format=torch.channels_last)
         stages = self.stages
-        if reduced and images.requires_grad and images.dtype == torch.float32 and in_bfloat16(images.device):
+        if reduced and images.requires_grad and images.dtype == torch.float32 and uses_bfloat16(images.device):
             x, stages = x.bfloat16(), self._in_bfloat16
         maps = []
         for stage in stages[:taps]:
@@ -59,7 +59,7 @@ class Features(nn.Module):
         return copy.deepcopy(self.stages).bfloat16()
 
 
-FLOAT32 = "METAPP_FLOAT32"  # of the environment: 1 for float32 everywhere
+FLOAT32_VARIABLE = "METAPP_FLOAT32"  # of the environment: 1 for float32 everywhere
 
 
 @cache
@@ -69,9 +69,9 @@ def has_bfloat16() -> bool:
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 
-def in_bfloat16(device: torch.device) -> bool:
+def uses_bfloat16(device: torch.device) -> bool:
     """True if features in reduced precision are computed in bfloat16 on a device; METAPP_FLOAT32=1: never."""
-    return device.type == "cpu" and has_bfloat16() and os.environ.get(FLOAT32, "") in ("", "0")
+    return device.type == "cpu" and has_bfloat16() and os.environ.get(FLOAT32_VARIABLE, "") in ("", "0")
 
 
 def feature_conditions(device: torch.device | None = None) -> dict[str, str]:
@@ -80,11 +80,11 @@ def feature_conditions(device: torch.device | None = None) -> dict[str, str]:
     Args:
         device: of steps in reduced precision; None for those of float32.
     """
-    reduced = device is not None and weights_path().is_file() and in_bfloat16(device)
+    reduced = device is not None and vgg_weights_path().is_file() and uses_bfloat16(device)
     return {"features": describe_features()} | ({"precision": "VGG in bfloat16"} if reduced else {})
 
 
-class RandomFilters(Features):
+class RandomFilters(FeatureExtractor):
     """Random filters with a ReLU, on the image at several scales (Ustyuzhaninov et al. 2017)."""
 
     def forward(self, images: Tensor, taps: int | None = None, *, reduced: bool = False) -> list[Tensor]:
@@ -97,7 +97,7 @@ class RandomFilters(Features):
         return maps
 
 
-def weights_path() -> Path:
+def vgg_weights_path() -> Path:
     """The file in which `metapp data vgg` stores the weights of VGG-16."""
     return cache_folder() / "vgg16.safetensors"
 
@@ -111,7 +111,7 @@ def describe_features(imagenet_digests: tuple[str, ...] = IMAGENET_DIGESTS) -> s
     Raises:
         ValueError: damaged weights.
     """
-    path = weights_path()
+    path = vgg_weights_path()
     if path.is_file():
         return f"VGG-16 features ({_origin(path, path.stat().st_mtime_ns, imagenet_digests)})"
     return "random filters, as the weights of VGG-16 are missing (metapp data vgg fetches them)"
@@ -121,7 +121,7 @@ def describe_features(imagenet_digests: tuple[str, ...] = IMAGENET_DIGESTS) -> s
 def _origin(path: Path, changed: int, imagenet_digests: tuple[str, ...]) -> str:
     """The origin of a file's weights by the digest of their source or their own: ImageNet, or unknown."""
     try:
-        with opened_tensors(path) as weights:
+        with open_tensors(path) as weights:
             digest = (weights.metadata() or {}).get("sha256", "")
     except SafetensorError:
         raise _damaged(path) from None
@@ -136,26 +136,26 @@ def _damaged(path: str | Path) -> ValueError:
     return ValueError(f"{path}: damaged, expected the weights of VGG-16; fetch it again: metapp data vgg.")
 
 
-def load_features(taps: Sequence[str], like: Tensor) -> Features:
+def load_features(taps: Sequence[str], like: Tensor) -> FeatureExtractor:
     """Features with taps such as ("relu1_1", "relu2_1"), on the device and in the precision of a tensor.
 
     Without weights in the cache they are fixed random filters; their Gram matrices say much less about textures.
     """
-    path = weights_path()
+    path = vgg_weights_path()
     return _load(tuple(taps), str(path) if path.is_file() else "", like.device, like.dtype)
 
 
 @lru_cache(maxsize=4)
-def _load(taps: tuple[str, ...], path: str, device: torch.device, dtype: torch.dtype) -> Features:
+def _load(taps: tuple[str, ...], path: str, device: torch.device, dtype: torch.dtype) -> FeatureExtractor:
     features = _vgg(taps, path) if path else _random(len(taps))
-    result: Features = features.to(device=device, dtype=dtype).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    result: FeatureExtractor = features.to(device=device, dtype=dtype).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
     return result
 
 
-def _vgg(taps: Sequence[str], path: str) -> Features:
+def _vgg(taps: Sequence[str], path: str) -> FeatureExtractor:
     stages: list[list[nn.Module]] = [[]]
     try:
-        with opened_tensors(path) as weights:
+        with open_tensors(path) as weights:
             keys = set(weights.keys())
             for name, tap, inputs, outputs in _layers():
                 if tap.endswith("_1") and name != "conv0":
@@ -174,7 +174,7 @@ def _vgg(taps: Sequence[str], path: str) -> Features:
         raise ValueError(
             f"{path}: {name} missing or of another shape, expected VGG-16; fetch it again: metapp data vgg."
         ) from None
-    return Features([nn.Sequential(*stage) for stage in stages[:-1]])
+    return FeatureExtractor([nn.Sequential(*stage) for stage in stages[:-1]])
 
 
 def _layers() -> Iterator[tuple[str, str, int, int]]:
@@ -186,25 +186,27 @@ def _layers() -> Iterator[tuple[str, str, int, int]]:
             inputs, count = outputs, count + 1
 
 
-RANDOM_FILTERS, FILTER_PX = 96, 7  # how many, and their side
+RANDOM_FILTER_COUNT, RANDOM_FILTER_PX = 96, 7  # how many, and their side
 
 
-def _random(scales: int) -> Features:
+def _random(scales: int) -> FeatureExtractor:
     rng = Generator().manual_seed(0)
     stages = []
     for _ in range(scales):
-        convolution = nn.Conv2d(3, RANDOM_FILTERS, FILTER_PX, padding=FILTER_PX // 2)
+        convolution = nn.Conv2d(3, RANDOM_FILTER_COUNT, RANDOM_FILTER_PX, padding=RANDOM_FILTER_PX // 2)
         # unit response to white noise, biases that spread the thresholds
-        convolution.weight.data = torch.randn(convolution.weight.shape, generator=rng) / (3 * FILTER_PX**2) ** 0.5
-        convolution.bias.data = torch.randn(RANDOM_FILTERS, generator=rng) * 0.5  # type: ignore[union-attr]
+        convolution.weight.data = (
+            torch.randn(convolution.weight.shape, generator=rng) / (3 * RANDOM_FILTER_PX**2) ** 0.5
+        )
+        convolution.bias.data = torch.randn(RANDOM_FILTER_COUNT, generator=rng) * 0.5  # type: ignore[union-attr]
         stages.append(nn.Sequential(convolution, nn.ReLU(inplace=True)))
     return RandomFilters(stages)
 
 
-def channels_of(taps: Sequence[str]) -> list[int]:
+def tap_channels(taps: Sequence[str]) -> list[int]:
     """Channels of the maps at each tap."""
-    if not weights_path().is_file():
-        return [RANDOM_FILTERS] * len(taps)
+    if not vgg_weights_path().is_file():
+        return [RANDOM_FILTER_COUNT] * len(taps)
     return [outputs for _, name, _, outputs in _layers() if name in taps]
 
 
@@ -214,7 +216,7 @@ def moments(maps: Sequence[Tensor]) -> Tensor:
     return torch.cat(parts, 1)
 
 
-BLOCK_ROWS = 1024
+GRAM_BLOCK_PX = 1024
 
 
 class _Products(torch.autograd.Function):
@@ -226,7 +228,7 @@ class _Products(torch.autograd.Function):
         if rows.dtype != torch.bfloat16:
             return rows.mT @ rows
         # a product is rounded to bfloat16 at its end: those of blocks are added in float32
-        count = math.gcd(rows.shape[1], max(rows.shape[1] // BLOCK_ROWS, 1))
+        count = math.gcd(rows.shape[1], max(rows.shape[1] // GRAM_BLOCK_PX, 1))
         blocks: Tensor = rows.unflatten(1, (count, -1))
         return (blocks.mT @ blocks).float().sum(1)
 
@@ -244,25 +246,25 @@ def gram(maps: Tensor) -> Tensor:
     return products(rows) / rows.shape[1]
 
 
-def hann(size: int, like: Tensor) -> Tensor:
+def hann_window(size: int, like: Tensor) -> Tensor:
     """A smooth window [size], positive, 1 in the middle."""
     return torch.hann_window(size + 2, periodic=False, dtype=like.dtype, device=like.device)[1:-1]
 
 
-MIXTURES = 8
+RANDOM_SIGN_SUMS = 8
 
 
-def amplitudes(maps: Tensor) -> Tensor:
+def amplitude_spectrum(maps: Tensor) -> Tensor:
     """Root of the power spectrum, summed over channels, [B, H, W // 2 + 1], of feature maps [B, C, H, W].
 
     The mean is subtracted and edges are faded out, so that neither brightness nor the border counts; the power is
     smoothed, since that of one random picture scatters about its expectation. Of more than MIXTURES channels the sum
     is estimated by so many sums with random signs, the same each time.
     """
-    if maps.shape[1] > MIXTURES:
+    if maps.shape[1] > RANDOM_SIGN_SUMS:
         maps = (maps.movedim(1, -1) @ _signs(maps.shape[1]).to(maps)).movedim(-1, 1)
     height, width = maps.shape[-2:]
-    window = hann(height, maps)[:, None] * hann(width, maps)
+    window = hann_window(height, maps)[:, None] * hann_window(width, maps)
     centred = (maps - maps.mean((-1, -2), keepdim=True)) * window
     power = torch.fft.rfft2(centred, norm="ortho").abs().square().sum(1, keepdim=True)
     return (avg_pool2d(power, 3, stride=1, padding=1, count_include_pad=False) + 1e-8).sqrt()[:, 0]
@@ -272,10 +274,10 @@ def amplitudes(maps: Tensor) -> Tensor:
 def _signs(channels: int) -> Tensor:
     """Signs [channels, MIXTURES] of sums whose powers add up to that of the channels, in expectation."""
     rng = Generator().manual_seed(0)
-    return (torch.randint(2, (channels, MIXTURES), generator=rng) * 2.0 - 1) / math.sqrt(MIXTURES)
+    return (torch.randint(2, (channels, RANDOM_SIGN_SUMS), generator=rng) * 2.0 - 1) / math.sqrt(RANDOM_SIGN_SUMS)
 
 
-def distance(generated: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:
+def statistics_distance(generated: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:
     """Relative L1 distance [...] of statistics [..., C, C], one a tap, sum |G - G*| / sum |G*|, the mean over taps.
 
     0 for statistics equal to the target's, 1 for a picture without any features.
@@ -287,13 +289,13 @@ def distance(generated: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:
 
 # The finest detail of pictures, which statistics of features say little of
 
-SQUARE_PX = 4  # px of the squares whose cosine waves are looked at
-STRIDE_PX = 3  # px from one square to the next; odd, so that they see both phases of waves of 2 px
-WINDOW_PX = 8  # px of the windows in which waves of 2 px are summed with their signs
-FAINTEST_WAVE = 0.003  # display values; what is weaker is noise
+WAVE_SQUARE_PX = 4  # px of the squares whose cosine waves are looked at
+WAVE_STRIDE_PX = 3  # px from one square to the next; odd, so that they see both phases of waves of 2 px
+WAVE_WINDOW_PX = 8  # px of the windows in which waves of 2 px are summed with their signs
+NOISE_DISPLAY_VALUE = 0.003  # display values; what is weaker is noise
 
 
-def detail(pictures: Tensor) -> Tensor:
+def detail_statistics(pictures: Tensor) -> Tensor:
     """Root mean squares of waves of 2 to 8 px in display values of pictures [..., C, H, W].
 
     Of the 15 cosine waves in squares of 4 px, one every 3 px, and of the three waves of 2 px with equal phase over
@@ -303,23 +305,25 @@ def detail(pictures: Tensor) -> Tensor:
         [..., C, 18].
     """
     images = pictures.reshape(-1, 1, *pictures.shape[-2:])
-    powers = [conv2d(images, _waves().to(images), stride=STRIDE_PX).square().mean((-1, -2))]
+    powers = [conv2d(images, _waves().to(images), stride=WAVE_STRIDE_PX).square().mean((-1, -2))]
     rows, columns = (1 - 2 * (torch.arange(side).to(images) % 2) for side in images.shape[-2:])
     for sign in (rows[:, None], columns, rows[:, None] * columns):
-        powers.append(WINDOW_PX * avg_pool2d(images * sign, WINDOW_PX, WINDOW_PX // 2).square().mean((-1, -2)))
+        powers.append(
+            WAVE_WINDOW_PX * avg_pool2d(images * sign, WAVE_WINDOW_PX, WAVE_WINDOW_PX // 2).square().mean((-1, -2))
+        )
     result: Tensor = (torch.cat(powers, 1) + 1e-10).sqrt()  # it has a derivative at 0, too
     return result.reshape(*pictures.shape[:-2], -1)
 
 
-def softness(made: Tensor, wanted: Tensor) -> Tensor:
-    """Mean over channels and waves of how far `detail` [..., C, N] is apart, the logarithm of the ratio, [...]."""
-    return ((made + FAINTEST_WAVE) / (wanted + FAINTEST_WAVE)).log().abs().mean((-1, -2))
+def detail_difference(made: Tensor, wanted: Tensor) -> Tensor:
+    """Mean over channels and waves of how far `detail_statistics` [..., C, N] is apart, the logarithm of the ratio, [...]."""
+    return ((made + NOISE_DISPLAY_VALUE) / (wanted + NOISE_DISPLAY_VALUE)).log().abs().mean((-1, -2))
 
 
 @cache
 def _waves() -> Tensor:
     """Orthonormal cosine waves [15, 1, 4, 4] of squares of 4 px, without the mean."""
-    at = torch.arange(SQUARE_PX)
-    waves = torch.cos(math.pi * (at + 0.5) * at[:, None] / SQUARE_PX)
+    at = torch.arange(WAVE_SQUARE_PX)
+    waves = torch.cos(math.pi * (at + 0.5) * at[:, None] / WAVE_SQUARE_PX)
     waves = waves / waves.norm(dim=1, keepdim=True)
-    return torch.einsum("ai,bj->abij", waves, waves).reshape(-1, 1, SQUARE_PX, SQUARE_PX)[1:]
+    return torch.einsum("ai,bj->abij", waves, waves).reshape(-1, 1, WAVE_SQUARE_PX, WAVE_SQUARE_PX)[1:]

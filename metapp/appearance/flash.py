@@ -20,16 +20,16 @@ from torch import Tensor
 from metapp.appearance.geometry import direction_cosines
 from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 
-FOV_RAD = math.pi / 4  # a phone held upright, along the shorter side of its picture
+CAMERA_FOV_RAD = math.pi / 4  # a phone held upright, along the shorter side of its picture
 # GGX is narrower than a texel there: half vectors of neighbours differ by 0.003 rad in a map of 256.
 LEAST_ROUGHNESS = 0.04
-GAMMA = 2.2  # of displays
+DISPLAY_GAMMA = 2.2  # of displays
 LEAST_NORMAL_Z = 0.05  # least z of normals that heights follow: slopes stay below 20
-FARTHEST_HALF_SIDES = 0.5  # from the centre of a photo that its flash is searched for
+FARTHEST_FLASH_HALF_SIDES = 0.5  # from the centre of a photo that its flash is searched for
 # Synthetic photographs: the share whose flash is beside the lens; standard deviations of the others' offsets, sideways
 # in half sides of the patch, of height and brightness in logs; sideways as in the strips of Deschaintre et al. 2018.
-BESIDE_LENS = 0.3
-ASIDE, HIGHER, BRIGHTER = 0.24, 0.08, 0.06
+BESIDE_LENS_SHARE = 0.3
+FLASH_OFFSET_HALF_SIDES, FLASH_HEIGHT_LOG_DEVIATION, FLASH_BRIGHTNESS_LOG_DEVIATION = 0.24, 0.08, 0.06
 
 
 class Maps(NamedTuple):
@@ -48,34 +48,34 @@ class Maps(NamedTuple):
     normal: Tensor
 
 
-def pack(maps: Maps) -> Tensor:
+def pack_maps(maps: Maps) -> Tensor:
     """Maps without a leading axis, C = 1 or 3 specular channels, as one tensor [10, H, W]."""
     specular = maps.specular.expand(3, -1, -1)
     return torch.cat([maps.normal, maps.diffuse, maps.roughness, specular])
 
 
-def unpack(maps: Tensor) -> Maps:
-    """The inverse of `pack`, for [..., 10, H, W]."""
+def unpack_maps(maps: Tensor) -> Maps:
+    """The inverse of `pack_maps`, for [..., 10, H, W]."""
     normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
     return Maps(diffuse, specular, roughness, normal)
 
 
-STATISTICS_AT = (256, 128, 64)  # px a side of the maps that data sets have the statistics of
+STATISTICS_SIDES_PX = (256, 128, 64)  # px a side of the maps that data sets have the statistics of
 
 
-def statistics(maps: Maps) -> Tensor:
+def map_statistics(maps: Maps) -> Tensor:
     """Means and standard deviations of a material's maps over the patch, [B, 2, 6].
 
     Channels: diffuse red, green and blue and mean specular, each as a display of gamma 2.2 shows it, roughness, and the
     sine of the angle between normal and patch normal.
     """
     specular = maps.specular.mean(-3, keepdim=True)
-    display = torch.cat([maps.diffuse, specular], -3).clamp(1e-4, 1) ** (1 / GAMMA)
-    channels = torch.cat([display, maps.roughness, tilt(maps.normal)], -3).flatten(-2)
+    display = torch.cat([maps.diffuse, specular], -3).clamp(1e-4, 1) ** (1 / DISPLAY_GAMMA)
+    channels = torch.cat([display, maps.roughness, tilt_sine(maps.normal)], -3).flatten(-2)
     return torch.stack([channels.mean(-1), (channels.var(-1, unbiased=False) + 1e-8).sqrt()], -2)
 
 
-def tilt(normal: Tensor) -> Tensor:
+def tilt_sine(normal: Tensor) -> Tensor:
     """Sine of the angle between normals [..., 3, H, W] and the patch's, [..., 1, H, W]; 0.001 where it is 0."""
     return (normal[..., :2, :, :].square().sum(-3, keepdim=True) + 1e-6).sqrt()
 
@@ -92,19 +92,19 @@ def mean_tilt_degrees(normal: Tensor) -> float:
 
 def camera_distance() -> float:
     """Height from which a camera of field of view FOV_RAD sees exactly the patch."""
-    return 1 / math.tan(FOV_RAD / 2)
+    return 1 / math.tan(CAMERA_FOV_RAD / 2)
 
 
-def camera(*, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None) -> Tensor:
+def camera_position(*, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None) -> Tensor:
     """Position of the camera, [3]: above the centre. A flash beside its lens is there, too."""
     return torch.tensor([0.0, 0.0, camera_distance()], dtype=dtype, device=device)
 
 
-def relightings(
+def relighting_positions(
     *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> dict[str, tuple[Tensor, ...]]:
     """Three (light [3], view [3]) for evaluation and pictures, by name."""
-    eye = camera(dtype=dtype, device=device)
+    eye = camera_position(dtype=dtype, device=device)
     moves = {
         "left": ((-0.8, 0.0, -0.8), (0.0, 0.0, 0.0)),
         "above": ((0.0, 0.8, -0.8), (0.0, 0.0, 0.0)),
@@ -113,7 +113,7 @@ def relightings(
     return {name: tuple(eye + eye.new_tensor(move) for move in pair) for name, pair in moves.items()}
 
 
-def positions(
+def texel_positions(
     height: int, width: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> Tensor:
     """Centres of texels (x right, y up), [2, height, width], row 0 on top.
@@ -198,7 +198,7 @@ def _mirrored(slopes: Tensor, odd: int) -> Tensor:
     return slopes
 
 
-def brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
+def evaluate_brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
     """Reflection of a material's texels: a Lambertian body under a GGX lobe with Schlick's Fresnel.
 
     diffuse (1 - specular) / pi + D F G / (4 cos_i cos_o), as Deschaintre et al., "Single-Image SVBRDF Capture with a
@@ -223,17 +223,17 @@ def brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
     return maps.diffuse * (1 - maps.specular) / math.pi + lobe
 
 
-def towards(place: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
+def directions_to_point(place: Tensor, texel_positions: Tensor) -> tuple[Tensor, Tensor]:
     """Unit vectors [B, 3, h, w] from the patch to a place [B, 3] above it, and squared distances [B, 1, h, w]."""
-    across = place[..., :2, None, None] - positions
+    across = place[..., :2, None, None] - texel_positions
     up = place[..., 2:, None, None].expand_as(across[..., :1, :, :])
     squared = (across * across).sum(-3, keepdim=True) + up * up
     return torch.cat([across, up], dim=-3) * squared.rsqrt(), squared
 
 
-def render(
+def render_maps(
     maps: Maps,
-    positions: Tensor,
+    texel_positions: Tensor,
     light: Tensor,
     view: Tensor,
     *,
@@ -244,7 +244,7 @@ def render(
 
     Args:
         maps: of the patch, or of any crop of it.
-        positions: [2, h, w] or [B, 2, h, w] from `positions`: of the maps' texels in the patch.
+        positions: [2, h, w] or [B, 2, h, w] from `texel_positions`: of the maps' texels in the patch.
         light: [3] or [B, 3], position of the flash; z > 0.
         view: [3] or [B, 3], position of the viewer; z > 0.
         intensity: of the flash: a number, [3] or [B, 3] linear RGB, or [B, 1]. With 1 a white Lambertian patch has
@@ -255,22 +255,22 @@ def render(
     Returns:
         Linear radiance [B, 3, h, w], >= 0.
     """
-    wi, squared = towards(light, positions)
-    wo, _ = towards(view, positions)
+    wi, squared = directions_to_point(light, texel_positions)
+    wo, _ = directions_to_point(view, texel_positions)
     power = falloff[..., None, None, None] if isinstance(falloff, Tensor) else falloff
     colour = intensity[..., None, None] if isinstance(intensity, Tensor) else intensity
     irradiance = colour * (math.pi * camera_distance() * camera_distance()) * wi[..., 2:, :, :] ** power / squared
     cosine = (wi * maps.normal).sum(-3, keepdim=True).clamp_min(0)
-    return brdf(maps, wi, wo) * (irradiance * cosine)
+    return evaluate_brdf(maps, wi, wo) * (irradiance * cosine)
 
 
-def expose(radiance: Tensor) -> Tensor:
+def radiance_to_display(radiance: Tensor) -> Tensor:
     """Linear radiance of any shape, 1 is white, to display values in [0.002, 1]: clamped to [1e-6, 1], gamma 2.2.
 
     The floor keeps the slope at black finite (850) and is less than half a step of 8 bits. Outside the range the
     gradient is 0: a descent must begin dark enough, since a picture that is over-exposed all over has none.
     """
-    return radiance.clamp(1e-6, 1.0) ** (1 / GAMMA)
+    return radiance.clamp(1e-6, 1.0) ** (1 / DISPLAY_GAMMA)
 
 
 @functools.lru_cache(4)  # 15 MB each; the photos of one camera have one shape
@@ -282,10 +282,10 @@ def _radial_models(rows: int, columns: int) -> tuple[Tensor, Tensor, Tensor]:
         a + b log(1 + r^2) + c exp(-8 r^2), or of a + b x + c y; and [K, 3], by how much each basis picture falls from
         the centre to r = 1, 0 for the slope.
     """
-    ticks = torch.arange(-12, 13, dtype=torch.float64) * (FARTHEST_HALF_SIDES / 12)
+    ticks = torch.arange(-12, 13, dtype=torch.float64) * (FARTHEST_FLASH_HALF_SIDES / 12)
     centres = torch.cartesian_prod(ticks, ticks)
-    centres = centres[centres.square().sum(-1) <= FARTHEST_HALF_SIDES**2 + 1e-9]
-    cells = positions(rows, columns, dtype=torch.float64).flatten(1).T
+    centres = centres[centres.square().sum(-1) <= FARTHEST_FLASH_HALF_SIDES**2 + 1e-9]
+    cells = texel_positions(rows, columns, dtype=torch.float64).flatten(1).T
 
     def profile(squared: Tensor) -> Tensor:
         return torch.stack([torch.ones_like(squared), squared.log1p(), (-8 * squared).exp()], dim=-1)
@@ -318,7 +318,7 @@ def _falloff_centre(brightness: Tensor) -> Tensor:
 
 def _highlight(radiance: Tensor) -> tuple[Tensor, Tensor]:
     """Centre [B, 2] of the bright outliers among cells [B, rows, columns]; [B, 1], whether these are a central spot."""
-    places = positions(*radiance.shape[-2:], dtype=radiance.dtype, device=radiance.device).flatten(1).T
+    places = texel_positions(*radiance.shape[-2:], dtype=radiance.dtype, device=radiance.device).flatten(1).T
     cells = radiance.flatten(-2)
     apart = cells - cells.median(-1, keepdim=True).values
     deviation = 1.4826 * apart.abs().median(-1, keepdim=True).values + 1e-3  # 1.4826: of a normal distribution
@@ -328,11 +328,11 @@ def _highlight(radiance: Tensor) -> tuple[Tensor, Tensor]:
     share = weights / total.clamp_min(1e-6)
     centre = share @ places
     spread_squared = share @ places.square().sum(-1, keepdim=True) - centre.square().sum(-1, keepdim=True)
-    is_near = centre.square().sum(-1, keepdim=True) < FARTHEST_HALF_SIDES**2
+    is_near = centre.square().sum(-1, keepdim=True) < FARTHEST_FLASH_HALF_SIDES**2
     return centre, is_near & (total > 3) & (spread_squared < 0.35**2)
 
 
-def flash_position(photo: Tensor) -> Tensor:
+def estimate_flash_position(photo: Tensor) -> Tensor:
     """The point of the patch below the flash, estimated from a photo's highlight, without one from its fall-off.
 
     Put both light and view above that point: an off-centre highlight mostly means a camera that was not held straight.
@@ -341,7 +341,7 @@ def flash_position(photo: Tensor) -> Tensor:
         photo: [B, 3, H, W] or [3, H, W] as displayed (gamma-encoded), in [0, 1]; 16 pixels or more a side.
 
     Returns:
-        [B, 2], as `positions`, at most 0.5 from the centre, and near it where the photo is ambiguous. Errors on
+        [B, 2], as `texel_positions`, at most 0.5 from the centre, and near it where the photo is ambiguous. Errors on
         renders: 0.03, 0.1 under strong texture, 0.3 where that is coarse and matte. Without useful gradients.
     """
     height, width = photo.shape[-2:]
@@ -352,5 +352,5 @@ def flash_position(photo: Tensor) -> Tensor:
         size = round(height / cell), round(width / cell)
         return torch.nn.functional.adaptive_avg_pool2d(picture, size).squeeze(-3)
 
-    highlight, is_clear = _highlight(pooled(luminance**GAMMA))
+    highlight, is_clear = _highlight(pooled(luminance**DISPLAY_GAMMA))
     return torch.where(is_clear, highlight, _falloff_centre((pooled(luminance) + 1 / 255).log()))

@@ -41,7 +41,7 @@ def _turn_about_y(vectors: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     return torch.stack([cosine * x + sine * z, y, cosine * z - sine * x], dim=-1)
 
 
-def turned_about_normal(vectors: Tensor, angle_rad: Tensor) -> Tensor:
+def rotate_about_normal(vectors: Tensor, angle_rad: Tensor) -> Tensor:
     """Vectors [..., 3] turned about z by angles [...] in rad, from x towards y.
 
     >>> turned_about_normal(torch.tensor([1.0, 0.0, 0.0]), torch.tensor(torch.pi / 3))
@@ -71,7 +71,7 @@ def rusinkiewicz_to_directions(angles: Tensor) -> tuple[Tensor, Tensor]:
     wi, wo = _turn_about_y(difference, cosine, sine), _turn_about_y(mirrored, cosine, sine)
     if angles.shape[-1] < 4:
         return wi, wo
-    return turned_about_normal(wi, angles[..., 3]), turned_about_normal(wo, angles[..., 3])
+    return rotate_about_normal(wi, angles[..., 3]), rotate_about_normal(wo, angles[..., 3])
 
 
 def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
@@ -91,20 +91,20 @@ def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
     return _angles(wi, wo, math.pi)
 
 
-def directions_to_full_circle(wi: Tensor, wo: Tensor) -> Tensor:
+def directions_to_full_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
     """As `directions_to_rusinkiewicz`, but with phi_d in [0, 2 pi): which of the two directions is the light counts."""
     return _angles(wi, wo, math.tau)
 
 
 def directions_to_four_angles(wi: Tensor, wo: Tensor) -> Tensor:
-    """As `directions_to_full_circle`, with phi_h in [0, 2 pi): [..., 4]; 0 if the half vector is the normal."""
+    """As `directions_to_full_rusinkiewicz`, with phi_h in [0, 2 pi): [..., 4]; 0 if the half vector is the normal."""
     total = wi + wo
     tiny = torch.finfo(total.dtype).tiny
     azimuthal = total[..., 0] ** 2 + total[..., 1] ** 2 > tiny
     phi_h = torch.atan2(torch.where(azimuthal, total[..., 1], 0.0), torch.where(azimuthal, total[..., 0], 1.0))
     phi_h = torch.where(phi_h < 0, phi_h + math.tau, phi_h)
     phi_h = torch.where(phi_h >= math.tau, 0.0, phi_h)
-    return torch.cat([directions_to_full_circle(wi, wo), phi_h[..., None]], -1)
+    return torch.cat([directions_to_full_rusinkiewicz(wi, wo), phi_h[..., None]], -1)
 
 
 def _angles(wi: Tensor, wo: Tensor, period: float) -> Tensor:
@@ -127,7 +127,7 @@ def _angles(wi: Tensor, wo: Tensor, period: float) -> Tensor:
     return torch.stack([theta_h, theta_d, phi_d], dim=-1)
 
 
-def half_difference(angles: Tensor) -> Tensor:
+def half_difference_vectors(angles: Tensor) -> Tensor:
     """Half and difference vectors, the input of the network of Sztrajman et al., "Neural BRDF ..." (2021).
 
     Args:
@@ -149,9 +149,9 @@ def half_difference(angles: Tensor) -> Tensor:
     return vectors
 
 
-def half_difference_incident(angles: Tensor) -> Tensor:
+def half_difference_and_cosine(angles: Tensor) -> Tensor:
     """Half vector, difference vector and cos theta_i, [N, 7], of angles [N, 3 or 4] in rad."""
-    places, vectors = angles.new_empty(len(angles), 7), half_difference(angles)
+    places, vectors = angles.new_empty(len(angles), 7), half_difference_vectors(angles)
     half_x, half_y, half_z, x, _, z = vectors.unbind(1)
     places[:, :6] = vectors
     places[:, 6] = z * half_z - x * (half_x if angles.shape[1] == 3 else (half_x * half_x + half_y * half_y).sqrt())
@@ -164,7 +164,7 @@ def outgoing_cosine(where: Tensor) -> Tensor:
     return torch.addcmul(z * half_z, x, half_x)
 
 
-def cosines(angles: Tensor) -> Cosines:
+def angle_cosines(angles: Tensor) -> Cosines:
     """The four cosines of half and difference angles [..., 3 or 4] in rad, without forming directions."""
     theta_h, theta_d, phi_d = angles[..., :3].unbind(-1)
     half, difference = theta_h.cos(), theta_d.cos()
@@ -172,20 +172,20 @@ def cosines(angles: Tensor) -> Cosines:
     return Cosines(common - apart, common + apart, half, difference)
 
 
-def above_horizon(angles: Tensor) -> Tensor:
+def is_above_horizon(angles: Tensor) -> Tensor:
     """Test for both directions above the surface: bool [...] of angles [..., 3 or 4] in rad.
 
     >>> above_horizon(torch.tensor([[0.0, 0.1, 0.0], [1.5, 1.5, 0.0]]))
     tensor([ True, False])
     """
-    incident, outgoing, *_ = cosines(angles)
+    incident, outgoing, *_ = angle_cosines(angles)
     return (incident > 0) & (outgoing > 0)
 
 
-def spread_angles(count: int) -> Tensor:
+def quasirandom_angles(count: int) -> Tensor:
     """Angles [count, 3] in rad that are spread as held-out samples of BRDFs are: uniform, above the horizon."""
     draws = torch.quasirandom.SobolEngine(3).draw(4 * count) * torch.tensor([math.pi / 2, math.pi / 2, math.tau])
-    return draws[above_horizon(draws)][:count]
+    return draws[is_above_horizon(draws)][:count]
 
 
 def direction_cosines(wi: Tensor, wo: Tensor, normal: Tensor) -> Cosines:

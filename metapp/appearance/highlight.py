@@ -8,24 +8,33 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, max_pool2d
 
-from metapp.appearance.flash import GAMMA, Maps, positions, render
-from metapp.appearance.order import flattened
+from metapp.appearance.flash import DISPLAY_GAMMA, Maps, render_maps, texel_positions
+from metapp.appearance.order import even_out_brightness
 
-RINGS = 24
-REACH_HALF_SIDES = 1.5  # half sides of the patch from the flash to the last ring
-RING_POWER = 1.5  # power by which rings are closer together near the flash
-ROUGHNESSES = tuple(0.08 * 1.12**i for i in range(22))  # 0.08 to 0.86
-CLIPPED_VALUE, CLIPPED_SHARE = 0.98, 0.02  # a ring with a larger share of px above says no more than "so bright"
-LEAST_WHITE_VALUE = 0.9  # least channel of a clipped highlight; paint that saturates one or two channels has less
-CLIPPED_WINDOW_HALF_SHARE, LEAST_DENSITY = 1 / 128, 0.5  # half the window's side over the photo's; share of its px
+PROFILE_RINGS = 24
+PROFILE_RADIUS_HALF_SIDES = 1.5  # half sides of the patch from the flash to the last ring
+RING_SPACING_POWER = 1.5  # power by which rings are closer together near the flash
+CANDIDATE_ROUGHNESSES = tuple(0.08 * 1.12**i for i in range(22))  # 0.08 to 0.86
+CLIPPED_DISPLAY_VALUE, CLIPPED_RING_SHARE = (
+    0.98,
+    0.02,
+)  # a ring with a larger share of px above says no more than "so bright"
+MIN_WHITE_DISPLAY_VALUE = 0.9  # least channel of a clipped highlight; paint that saturates one or two channels has less
+CLIPPED_WINDOW_HALF_SHARE, MIN_CLIPPED_DENSITY = (
+    1 / 128,
+    0.5,
+)  # half the window's side over the photo's; share of its px
 # Between photos that show next to nothing clipped (< 0.1 %) and those of which 0.5 % or more is. Of flat materials
 # whose photos have 1 % the highlight says at least 0.75 of F0, of those with more down to 0.34 (9 in 10 of 136
 # renderings, roughness 0.16 to 0.6, F0 up to 1).
-CLIPPED_PX_SHARE = 0.002
-F0_BOUND = "so F0 is a lower bound"
+WARNING_CLIPPED_PX_SHARE = 0.002
+F0_BOUND_CLAUSE = "so F0 is a lower bound"
 FILL_PX = 256  # side at which clipped px are found and fills are made, which are smooth
 FILL_MARGIN_SHARE = 1 / 64  # of the side: by which fills reach beyond what clips, and over which they fade
-BRIGHT_VALUES = (0.4, 0.8)  # mean display values between which px beside those that clip come to be filled as these
+FILL_FADE_DISPLAY_VALUES = (
+    0.4,
+    0.8,
+)  # mean display values between which px beside those that clip come to be filled as these
 HALO_SHARE = 3 / 16  # of the side: maps so near to a wide highlight are taken for part of it
 HALO_WEIGHT, COVERED_WEIGHT = 1e-3, 1e-6  # of maps there, and beneath the fill, if there is nothing else to fill from
 
@@ -48,36 +57,36 @@ class Gloss(NamedTuple):
     diffuse: Tensor
 
 
-def profile(pictures: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
+def ring_profile(pictures: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
     """Means of pictures [..., C, H, W] in rings about the point below the flash [..., 3].
 
     Returns:
         Means [..., C, RINGS], and by how much each px belongs to each ring, linear between two, [..., RINGS, H W].
     """
-    place = positions(*pictures.shape[-2:], dtype=light.dtype, device=light.device).flatten(1)
+    place = texel_positions(*pictures.shape[-2:], dtype=light.dtype, device=light.device).flatten(1)
     distance = (place - light[..., :2, None]).square().sum(-2).sqrt()
-    at = (distance / REACH_HALF_SIDES).clamp_max(1) ** (1 / RING_POWER) * (RINGS - 1)
-    ring = torch.arange(RINGS, dtype=light.dtype, device=light.device)[:, None]
+    at = (distance / PROFILE_RADIUS_HALF_SIDES).clamp_max(1) ** (1 / RING_SPACING_POWER) * (PROFILE_RINGS - 1)
+    ring = torch.arange(PROFILE_RINGS, dtype=light.dtype, device=light.device)[:, None]
     belongs = (1 - (at[..., None, :] - ring).abs()).clamp_min(0)
     means = pictures.flatten(-2) @ belongs.mT / belongs.sum(-1).clamp_min(1e-3)[..., None, :]
     return means, belongs
 
 
-def unlit(pictures: Tensor, light: Tensor) -> Tensor:
+def remove_flash_falloff(pictures: Tensor, light: Tensor) -> Tensor:
     """Pictures [..., C, H, W] of display values under a flash [..., 3] as if all rings about it were as bright."""
-    means, belongs = profile(pictures, light)
+    means, belongs = ring_profile(pictures, light)
     around = (means @ belongs).unflatten(-1, pictures.shape[-2:]).clamp_min(0.02)
     even: Tensor = pictures * pictures.mean((-1, -2), keepdim=True) / around
     return even
 
 
-def evenly_lit(photos: Tensor, light: Tensor) -> Tensor:
+def remove_shading(photos: Tensor, light: Tensor) -> Tensor:
     """Photos [..., 3, H, W] under a flash [..., 3] as if the light were the same everywhere."""
-    return flattened(unlit(photos, light))
+    return even_out_brightness(remove_flash_falloff(photos, light))
 
 
 @torch.no_grad()
-def gloss(photos: Tensor, light: Tensor) -> Gloss:
+def estimate_gloss(photos: Tensor, light: Tensor) -> Gloss:
     """The gloss of the flat even material whose profile is most like that of photos [B, 3, H, W].
 
     A Lambertian body of any colour under one GGX lobe without colour: linear in both but where the photo is clipped.
@@ -89,15 +98,15 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
     Returns:
         Roughness to about 10 %, below 0.2, where the lobe is a few px wide, to 25 %.
     """
-    means, belongs = profile(photos.clamp(1e-3, 1) ** GAMMA, light)
-    display = means.clamp_min(1e-4) ** (1 / GAMMA)
+    means, belongs = ring_profile(photos.clamp(1e-3, 1) ** DISPLAY_GAMMA, light)
+    display = means.clamp_min(1e-4) ** (1 / DISPLAY_GAMMA)
     inside = (belongs.sum(-1) > 2).to(means)[:, None]
-    over = (photos.amax(1, keepdim=True) > CLIPPED_VALUE).to(means)
-    clipped = (profile(over, light)[0] > CLIPPED_SHARE).to(means)
-    weight = inside * display / means.clamp_min(1e-4) / GAMMA  # of display values, not of radiance
+    over = (photos.amax(1, keepdim=True) > CLIPPED_DISPLAY_VALUE).to(means)
+    clipped = (ring_profile(over, light)[0] > CLIPPED_RING_SHARE).to(means)
+    weight = inside * display / means.clamp_min(1e-4) / DISPLAY_GAMMA  # of display values, not of radiance
     body, lobes = _flat(light)
     # what diffuse red, green, blue and F0 add
-    rows = body.new_zeros(len(body), len(ROUGHNESSES), 3, RINGS, 4)
+    rows = body.new_zeros(len(body), len(CANDIDATE_ROUGHNESSES), 3, PROFILE_RINGS, 4)
     for channel in range(3):
         rows[:, :, channel, :, channel] = body[:, None]
     rows[..., 3] = lobes[:, :, None]
@@ -109,7 +118,7 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
         solution = torch.linalg.solve(a.mT @ a + 1e-4 * torch.eye(4).to(a), a.mT @ y).clamp_min(0)
         made = (rows @ solution[:, :, None]).squeeze(-1)
         counts = torch.maximum((1 - clipped)[:, None], (made < means[:, None]).to(made))
-    wrong = (made.clamp(1e-4, 1) ** (1 / GAMMA) - display[:, None]) * inside[:, None]
+    wrong = (made.clamp(1e-4, 1) ** (1 / DISPLAY_GAMMA) - display[:, None]) * inside[:, None]
     best = wrong.square().mean((2, 3)).argmin(1)
     row = torch.arange(len(best), device=best.device)
     specular, under = solution[row, best, 3, 0], solution[row, best, :3, 0]
@@ -118,17 +127,20 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
     by_ring = belongs.sum(-1)
     share = (lobe * by_ring).sum(1) / ((lobe + beneath) * by_ring).sum(1).clamp_min(1e-4)
     diffuse = under / (1 - specular).clamp_min(0.1)[:, None]  # what the surface lets through reaches the body
-    return Gloss(lobes.new_tensor(ROUGHNESSES)[best], specular, contrast, share, diffuse)
+    return Gloss(lobes.new_tensor(CANDIDATE_ROUGHNESSES)[best], specular, contrast, share, diffuse)
 
 
 def _flat(light: Tensor) -> tuple[Tensor, Tensor]:
     """Radiance by ring of a flat white Lambertian patch [B, RINGS], and of lobes with F0 = 1 [B, K, RINGS]."""
-    ring = torch.arange(RINGS, dtype=light.dtype, device=light.device) / (RINGS - 1)
-    place = torch.stack([REACH_HALF_SIDES * ring**RING_POWER, torch.zeros_like(ring)])[:, None]
+    ring = torch.arange(PROFILE_RINGS, dtype=light.dtype, device=light.device) / (PROFILE_RINGS - 1)
+    place = torch.stack([PROFILE_RADIUS_HALF_SIDES * ring**RING_SPACING_POWER, torch.zeros_like(ring)])[:, None]
     above = torch.cat([torch.zeros_like(light[:, :2]), light[:, 2:]], 1)
-    one, up = torch.ones_like(ring)[None, None], torch.eye(3).to(light)[2, :, None, None].expand(3, 1, RINGS)
-    body = render(Maps(one.expand(3, 1, -1), 0 * one, one, up), place, above, above, falloff=1.0)
-    lobes = [render(Maps(0 * up, one, rough * one, up), place, above, above, falloff=1.0) for rough in ROUGHNESSES]
+    one, up = torch.ones_like(ring)[None, None], torch.eye(3).to(light)[2, :, None, None].expand(3, 1, PROFILE_RINGS)
+    body = render_maps(Maps(one.expand(3, 1, -1), 0 * one, one, up), place, above, above, falloff=1.0)
+    lobes = [
+        render_maps(Maps(0 * up, one, rough * one, up), place, above, above, falloff=1.0)
+        for rough in CANDIDATE_ROUGHNESSES
+    ]
     return body[:, 0, 0], torch.stack(lobes, 1)[:, :, 0, 0]
 
 
@@ -144,7 +156,7 @@ def find_white(photos: Tensor) -> Tensor:
         A mask, bool [..., 1, H, W].
     """
     brightest, darkest = photos.amax(-3, keepdim=True), photos.amin(-3, keepdim=True)
-    white: Tensor = (brightest >= CLIPPED_VALUE) & (darkest >= LEAST_WHITE_VALUE)
+    white: Tensor = (brightest >= CLIPPED_DISPLAY_VALUE) & (darkest >= MIN_WHITE_DISPLAY_VALUE)
     return white
 
 
@@ -160,7 +172,7 @@ def find_clipped(photos: Tensor) -> Tensor:
     white = find_white(photos)
     half = int(min(photos.shape[-2:]) * CLIPPED_WINDOW_HALF_SHARE)
     density = avg_pool2d(white.to(photos), 2 * half + 1, 1, half, count_include_pad=False)
-    return white & (density >= LEAST_DENSITY)
+    return white & (density >= MIN_CLIPPED_DENSITY)
 
 
 @torch.no_grad()
@@ -183,7 +195,7 @@ def fill_clipped(maps: Maps, photos: Tensor) -> Maps:
     margin, halo = (max(1, round(min(mask.shape[-2:]) * share)) for share in (FILL_MARGIN_SHARE, HALO_SHARE))
     covered = _grow(mask, margin)
     faded = avg_pool2d(covered, 2 * margin + 1, 1, margin, count_include_pad=False)
-    low, high = BRIGHT_VALUES
+    low, high = FILL_FADE_DISPLAY_VALUES
     bright = ((photos.mean(1, keepdim=True) - low) / (high - low)).clamp(0, 1)
     opacity = (faded * bright).maximum(mask)
     wide = 1 - _grow(1 - mask, margin)  # a few px have no halo, and what is around them is the best guess
@@ -198,7 +210,7 @@ def fill_clipped(maps: Maps, photos: Tensor) -> Maps:
         return torch.where(share > 0, torch.lerp(shades, smooth, share) ** gamma, values)
 
     diffuse, specular, roughness, normal = maps
-    return Maps(fill(diffuse, GAMMA), fill(specular, GAMMA), fill(roughness, 1.0), normal)
+    return Maps(fill(diffuse, DISPLAY_GAMMA), fill(specular, DISPLAY_GAMMA), fill(roughness, 1.0), normal)
 
 
 def _grow(mask: Tensor, radius: int) -> Tensor:
@@ -233,7 +245,7 @@ def format_percent(share: float) -> str:
     return f"{float(f'{100 * share:.2g}'):g} %"
 
 
-def clipped_highlight(photo: Tensor, effect: str, subject: str = "the photo") -> list[str]:
+def clipped_highlight_warnings(photo: Tensor, effect: str, subject: str = "the photo") -> list[str]:
     """Return a clause on a photo if more than CLIPPED_PX_SHARE of its px clip and are white, else [].
 
     Args:
@@ -243,4 +255,4 @@ def clipped_highlight(photo: Tensor, effect: str, subject: str = "the photo") ->
     """
     share = float(find_white(photo).float().mean())
     clause = f"{format_percent(share)} of {subject} is clipped, {effect} (a darker exposure shows more)"
-    return [clause] if share > CLIPPED_PX_SHARE else []
+    return [clause] if share > WARNING_CLIPPED_PX_SHARE else []

@@ -21,7 +21,7 @@ from metapp.appearance.reflection import microfacet_lobe
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
 
 
-def directions(
+def texel_directions(
     height: int, width: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> Tensor:
     """Directions of the texels' centres, [3, height, width], of unit length."""
@@ -31,7 +31,7 @@ def directions(
     return torch.stack([theta.sin() * phi.sin(), y, -theta.sin() * phi.cos()]).to(device, dtype)
 
 
-def texel_of(towards: Tensor, height: int, width: int) -> Tensor:
+def texel_index(towards: Tensor, height: int, width: int) -> Tensor:
     """Which texel of a map directions [3, ...] of unit length lie in, counted row by row: int64 [...]."""
     x, y, z = towards
     across = torch.atan2(x, -z) / math.tau % 1
@@ -65,7 +65,7 @@ def mean_luminance(maps: Tensor) -> Tensor:
     return (luminance(maps) * share.to(maps)).sum((-2, -1))
 
 
-def resample(maps: Tensor, height: int, width: int) -> Tensor:
+def resample_maps(maps: Tensor, height: int, width: int) -> Tensor:
     """Maps [..., 3, H, W] at another resolution, [..., 3, height, width]: the mean over each new texel's exact area.
 
     Radiance times solid angle, summed over the sphere, stays as it is.
@@ -132,7 +132,7 @@ def _texels(normals: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
     """Directions [3, H * W] of a map's texels and their solid angles over pi [H * W], as the normals are stored."""
     dtype, device = normals.dtype, normals.device
     weights = solid_angles(height, width, dtype=dtype, device=device).expand(height, width).flatten() / math.pi
-    return directions(height, width, dtype=dtype, device=device).flatten(1), weights
+    return texel_directions(height, width, dtype=dtype, device=device).flatten(1), weights
 
 
 def _to_one(rows: Tensor) -> Tensor:

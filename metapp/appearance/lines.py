@@ -15,19 +15,22 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.order import levelled
+from metapp.appearance.order import remove_quadratic_trend
 
-SMALLEST_PX = 64  # side of pictures that are measured
-BORDER_PX = 16  # left out at each side: exemplars do not tile, and what is filtered does
-LENGTH_WIDTHS = 8.0  # standard deviation along a line, in widths of it
-SAMPLES = 60_000  # px whose energies are sorted
-FAINTEST, LEAST_EDGE = 1e-14, 1e-9  # energies, display values squared, below which lines and edges are not there
+SMALLEST_SIDE_PX = 64  # side of pictures that are measured
+IGNORED_BORDER_PX = 16  # left out at each side: exemplars do not tile, and what is filtered does
+LINE_LENGTH_WIDTHS = 8.0  # standard deviation along a line, in widths of it
+QUANTILE_PX = 60_000  # px whose energies are sorted
+FAINTEST_LINE_ENERGY, MIN_EDGE_ENERGY = (
+    1e-14,
+    1e-9,
+)  # energies, display values squared, below which lines and edges are not there
 # Lines added by pictures without visible seams: at most 1.3 of image quilting and of fits of 66 photographs, but 1.6 to
 # 3.8 of quilts where edges of blocks are seen.
-MOST_ADDED = 1.5
+SEAM_STRENGTH_RATIO = 1.5
 
 
-class LinesKept(NamedTuple):
+class LineComparison(NamedTuple):
     """The strengths of a picture's lines over those of its exemplar's, each relative to the edges in the same picture.
 
     Attributes:
@@ -39,7 +42,7 @@ class LinesKept(NamedTuple):
     added: float
 
 
-def compare_lines(exemplar: Tensor, made: Tensor) -> LinesKept:
+def compare_lines(exemplar: Tensor, made: Tensor) -> LineComparison:
     """Compare the straight lines of a picture [C, h, w] with those of its exemplar [C, H, W], at the same scale.
 
     Args:
@@ -50,16 +53,16 @@ def compare_lines(exemplar: Tensor, made: Tensor) -> LinesKept:
         NaN for both if a picture has a side below SMALLEST_PX or the exemplar has no edges.
     """
     smallest = min(*exemplar.shape[-2:], *made.shape[-2:])
-    if smallest < SMALLEST_PX or _edge_energy(_gray(exemplar)) < LEAST_EDGE:
-        return LinesKept(math.nan, math.nan)
+    if smallest < SMALLEST_SIDE_PX or _edge_energy(_gray(exemplar)) < MIN_EDGE_ENERGY:
+        return LineComparison(math.nan, math.nan)
     of_exemplar, of_made = (_line_strengths(_gray(picture)) for picture in (exemplar, made))
     kept, added = (math.exp(found - wanted) for found, wanted in zip(of_made, of_exemplar, strict=True))
-    return LinesKept(kept, added)
+    return LineComparison(kept, added)
 
 
 def _gray(picture: Tensor) -> Tensor:
     """Return the mean of the channels of a picture [C, H, W] without its slow change, float32 on the CPU, [H, W]."""
-    return levelled(picture.float().cpu()).mean(0)
+    return remove_quadratic_trend(picture.float().cpu()).mean(0)
 
 
 def _edge_energy(gray: Tensor) -> float:
@@ -69,12 +72,15 @@ def _edge_energy(gray: Tensor) -> float:
 
 def _line_strengths(gray: Tensor) -> tuple[float, float]:
     """Return the logarithms of the strength of lines of 1 and 2 px, and of the strongest ones of 4 px."""
-    fine = [math.log(max(_quantile(_strongest(gray, width, LENGTH_WIDTHS), 0.95), FAINTEST)) for width in (1, 2)]
-    edges = math.log(max(_edge_energy(gray), LEAST_EDGE))
-    coarse = math.log(max(_quantile(_strongest(gray, 4, 1.0), 0.95), LEAST_EDGE))
+    fine = [
+        math.log(max(_quantile(_strongest(gray, width, LINE_LENGTH_WIDTHS), 0.95), FAINTEST_LINE_ENERGY))
+        for width in (1, 2)
+    ]
+    edges = math.log(max(_edge_energy(gray), MIN_EDGE_ENERGY))
+    coarse = math.log(max(_quantile(_strongest(gray, 4, 1.0), 0.95), MIN_EDGE_ENERGY))
     # the fourth moment counts few px of much energy, as seams are
-    longest = float(_strongest(gray, 4, LENGTH_WIDTHS).double().pow(4).mean().pow(0.25))
-    return sum(fine) / len(fine) - edges, math.log(max(longest, FAINTEST)) - coarse
+    longest = float(_strongest(gray, 4, LINE_LENGTH_WIDTHS).double().pow(4).mean().pow(0.25))
+    return sum(fine) / len(fine) - edges, math.log(max(longest, FAINTEST_LINE_ENERGY)) - coarse
 
 
 def _strongest(gray: Tensor, width: int, length: float) -> Tensor:
@@ -90,7 +96,7 @@ def _strongest(gray: Tensor, width: int, length: float) -> Tensor:
     for kernel in _kernels(small.shape[0], small.shape[1], length):
         response = torch.fft.ifft2(spectrum * kernel)
         strongest = torch.maximum(strongest, response.real.square() + response.imag.square())
-    border = min(max(6, BORDER_PX // width), (min(small.shape) - 1) // 2)
+    border = min(max(6, IGNORED_BORDER_PX // width), (min(small.shape) - 1) // 2)
     return strongest[border:-border, border:-border].flatten()
 
 
@@ -113,4 +119,4 @@ def _kernels(height: int, width: int, length: float) -> list[Tensor]:
 
 def _quantile(energies: Tensor, share: float) -> float:
     """Return a quantile of energies [N], of SAMPLES to twice as many of them."""
-    return float(torch.quantile(energies[:: max(1, len(energies) // SAMPLES)], share))
+    return float(torch.quantile(energies[:: max(1, len(energies) // QUANTILE_PX)], share))

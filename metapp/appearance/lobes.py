@@ -15,24 +15,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from metapp.appearance.geometry import directions_to_four_angles, directions_to_rusinkiewicz, turned_about_normal
+from metapp.appearance.geometry import directions_to_four_angles, directions_to_rusinkiewicz, rotate_about_normal
 
 Array = NDArray[np.float64]
-Pair = tuple[Tensor, Tensor]
+DirectionPair = tuple[Tensor, Tensor]
 
-ALPHAS = tuple(float(alpha) for alpha in np.geomspace(0.005, 0.7, 12))  # GGX roughness of the candidates
-ISOTROPIC = tuple((alpha, alpha) for alpha in ALPHAS)
+CANDIDATE_ALPHAS = tuple(float(alpha) for alpha in np.geomspace(0.005, 0.7, 12))  # GGX roughness of the candidates
+ISOTROPIC_ALPHAS = tuple((alpha, alpha) for alpha in CANDIDATE_ALPHAS)
 # roughness along and across the axes: of highlights that reach farther along the first one, or as far
-ANISOTROPIC = tuple((first, second) for first in ALPHAS[2::2] for second in ALPHAS[2::2])
-LOBES = 2  # of these; the cosine is a further one
-NODES = 24  # angles of the viewer, from the normal to LAST_RAD
-LAST_RAD = math.radians(89)
-LEAST_COSINE = 0.1  # share of the cosine: bounds the weight of a sample where no lobe of the fit reaches
+ANISOTROPIC_ALPHAS = tuple((first, second) for first in CANDIDATE_ALPHAS[2::2] for second in CANDIDATE_ALPHAS[2::2])
+LOBE_COUNT = 2  # of these; the cosine is a further one
+VIEWER_NODES = 24  # angles of the viewer, from the normal to LAST_RAD
+LAST_VIEWER_RAD = math.radians(89)
+MIN_COSINE_SHARE = 0.1  # share of the cosine: bounds the weight of a sample where no lobe of the fit reaches
 _DRAWS, _FEW_DRAWS = 128, 48  # directions for each candidate and node, isotropic and anisotropic
 _ROUNDS = 20
 
 
-class Lobes(NamedTuple):
+class LobeMixture(NamedTuple):
     """A mixture for each angle of the viewer.
 
     Attributes:
@@ -46,7 +46,7 @@ class Lobes(NamedTuple):
     turn: float = 0.0
 
 
-def fit_lobes(reflectance: Callable[[Tensor], Tensor], turn: float | None = None) -> Lobes:
+def fit_lobes(reflectance: Callable[[Tensor], Tensor], turn: float | None = None) -> LobeMixture:
     """Fit a mixture to a BRDF, greedily: the lobes that lower the variance most, one after the other.
 
     Args:
@@ -54,20 +54,20 @@ def fit_lobes(reflectance: Callable[[Tensor], Tensor], turn: float | None = None
             one also phi_h, [..., 4].
         turn: azimuth of the axes of an anisotropic one in rad; shares are then the same for all azimuths of a viewer.
     """
-    candidates = ISOTROPIC if turn is None else ANISOTROPIC
+    candidates = ISOTROPIC_ALPHAS if turn is None else ANISOTROPIC_ALPHAS
     angles, cosine, densities = _directions(turn)
     with torch.no_grad():
         value = reflectance(angles).double().mean(-1).numpy()
     # a network's values beside the horizon may be infinite, which must not decide alone
     target, drawn = np.nan_to_num(value, posinf=0) * cosine, densities.mean(0) + 1e-30
     chosen = [0]
-    for _ in range(LOBES):
+    for _ in range(LOBE_COUNT):
         others = [i for i in range(1, len(densities)) if i not in chosen]
         chosen.append(min(others, key=lambda i: _fitted(target, drawn, densities[[*chosen, i]])[1]))
     shares, _ = _fitted(target, drawn, densities[chosen])
-    shares *= 1 - LEAST_COSINE
-    shares[:, 0] += LEAST_COSINE
-    return Lobes(tuple(candidates[i - 1] for i in chosen[1:]), shares, turn or 0.0)
+    shares *= 1 - MIN_COSINE_SHARE
+    shares[:, 0] += MIN_COSINE_SHARE
+    return LobeMixture(tuple(candidates[i - 1] for i in chosen[1:]), shares, turn or 0.0)
 
 
 def _fitted(target: Array, drawn: Array, lobes: Array) -> tuple[Array, float]:
@@ -95,7 +95,7 @@ def _fitted(target: Array, drawn: Array, lobes: Array) -> tuple[Array, float]:
 
 @functools.cache
 def _isotropic_directions() -> tuple[Tensor, Array, Array]:
-    pair, cosine, lobes = _drawn(ISOTROPIC, _DRAWS, 0.0)
+    pair, cosine, lobes = _drawn(ISOTROPIC_ALPHAS, _DRAWS, 0.0)
     return directions_to_rusinkiewicz(*pair), cosine, lobes
 
 
@@ -108,17 +108,19 @@ def _directions(turn: float | None) -> tuple[Tensor, Array, Array]:
     """
     if turn is None:
         return _isotropic_directions()
-    (light, viewer), cosine, lobes = _drawn(ANISOTROPIC, _FEW_DRAWS, math.tau)
-    light, viewer = (turned_about_normal(each, each.new_full(each.shape[:-1], turn)) for each in (light, viewer))
+    (light, viewer), cosine, lobes = _drawn(ANISOTROPIC_ALPHAS, _FEW_DRAWS, math.tau)
+    light, viewer = (rotate_about_normal(each, each.new_full(each.shape[:-1], turn)) for each in (light, viewer))
     return directions_to_four_angles(light, viewer), cosine, lobes
 
 
-def _drawn(candidates: Sequence[tuple[float, float]], draws: int, azimuths: float) -> tuple[Pair, Array, Array]:
+def _drawn(
+    candidates: Sequence[tuple[float, float]], draws: int, azimuths: float
+) -> tuple[DirectionPair, Array, Array]:
     """Directions to light and viewer, float32, in the axes of lobes, and the rest of `_directions`."""
     rng = np.random.default_rng(0)
-    theta = np.linspace(0, LAST_RAD, NODES)[:, None]
-    u = rng.random((2, 1 + len(candidates), NODES, draws))
-    phi = azimuths * rng.random((NODES, draws))
+    theta = np.linspace(0, LAST_VIEWER_RAD, VIEWER_NODES)[:, None]
+    u = rng.random((2, 1 + len(candidates), VIEWER_NODES, draws))
+    phi = azimuths * rng.random((VIEWER_NODES, draws))
     viewer = np.stack(np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), -1)
     radius, azimuth = np.sqrt(u[0, 0]), 2 * math.pi * u[1, 0]
     lights = [np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - u[0, 0])], -1)]

@@ -29,16 +29,16 @@ def smape(pictures: Tensor, references: Tensor) -> Tensor:
 
 
 def dssim(pictures: Tensor, references: Tensor) -> Tensor:
-    """Structural dissimilarity, 1 - SSIM (Wang et al. 2004), of pictures, as `displayed`: [T] in [0, 2].
+    """Structural dissimilarity, 1 - SSIM (Wang et al. 2004), of pictures, as `tone_map_pair`: [T] in [0, 2].
 
     >>> pictures = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
     >>> dssim(pictures, pictures)
     tensor([0.])
     """
-    return 1 - ssim(*displayed(pictures, references)).flatten(1).mean(1)
+    return 1 - ssim(*tone_map_pair(pictures, references)).flatten(1).mean(1)
 
 
-def displayed(pictures: Tensor, references: Tensor) -> tuple[Tensor, Tensor]:
+def tone_map_pair(pictures: Tensor, references: Tensor) -> tuple[Tensor, Tensor]:
     """Both tone-mapped at equal exposure, divided by the reference's mean before; shapes as of `mape`."""
     exposure = references.mean((1, 2, 3), keepdim=True).clamp_min(torch.finfo(references.dtype).tiny)
     return tone_map(pictures / exposure), tone_map(references / exposure)
@@ -61,7 +61,7 @@ def si_rmse(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:
     return (scale * some - wanted).square().sum(1).mean(1).sqrt()
 
 
-def rgb_angle(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:
+def rgb_angle_degrees(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:
     """Mean angle [T] between RGB vectors of pixels, degrees, each pixel counting the same.
 
     As in the evaluation of StyleLight and DiffusionLight, but for pixels of which one alone is black: these count 90
@@ -74,8 +74,8 @@ def rgb_angle(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:
     return torch.where(one_is_black, math.pi / 2, angle).mean(1) * (180 / math.pi)
 
 
-WINDOW_RADIUS_PX, WINDOW_SIGMA_PX = 5, 1.5  # px, of the Gaussian window about each pixel
-C1, C2 = 0.01**2, 0.03**2  # stabilise luminance and contrast
+SSIM_WINDOW_RADIUS_PX, SSIM_WINDOW_SIGMA_PX = 5, 1.5  # px, of the Gaussian window about each pixel
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # stabilise luminance and contrast
 
 
 def ssim(pictures: Tensor, references: Tensor) -> Tensor:
@@ -86,17 +86,19 @@ def ssim(pictures: Tensor, references: Tensor) -> Tensor:
     Returns:
         [B, C, H, W] in [-1, 1]; the mean over a picture is its SSIM.
     """
-    window = torch.arange(-WINDOW_RADIUS_PX, WINDOW_RADIUS_PX + 1, dtype=pictures.dtype, device=pictures.device)
-    window = torch.exp(-((window / WINDOW_SIGMA_PX) ** 2) / 2)
+    window = torch.arange(
+        -SSIM_WINDOW_RADIUS_PX, SSIM_WINDOW_RADIUS_PX + 1, dtype=pictures.dtype, device=pictures.device
+    )
+    window = torch.exp(-((window / SSIM_WINDOW_SIGMA_PX) ** 2) / 2)
     window = (window / window.sum())[None]
     kernel = (window.T @ window).expand(pictures.shape[1], 1, -1, -1)
-    a, b = (pad(images, (WINDOW_RADIUS_PX,) * 4, mode="reflect") for images in (pictures, references))
+    a, b = (pad(images, (SSIM_WINDOW_RADIUS_PX,) * 4, mode="reflect") for images in (pictures, references))
     means = conv2d(torch.cat([a, b, a * a, b * b, a * b]), kernel, groups=pictures.shape[1])
     mean_a, mean_b, aa, bb, ab = means.split(len(pictures))
     square_a, square_b, product = mean_a * mean_a, mean_b * mean_b, mean_a * mean_b
     variances = (aa - square_a).clamp_min(0) + (bb - square_b).clamp_min(0)
-    numerator = (2 * product + C1) * (2 * (ab - product) + C2)
-    result: Tensor = numerator / ((square_a + square_b + C1) * (variances + C2))
+    numerator = (2 * product + SSIM_C1) * (2 * (ab - product) + SSIM_C2)
+    result: Tensor = numerator / ((square_a + square_b + SSIM_C1) * (variances + SSIM_C2))
     return result
 
 

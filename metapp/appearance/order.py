@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d, pad
 
-SHORTEST_TEXELS, LONGEST_SIDES = 6.0, 0.36  # of a lattice vector: texels, and sides of the picture
-LEAST_CORRELATION = 0.08  # of a peak
-PEAKS = 40  # that bases are sought among
-LENGTH_COST = 0.0006 * 256  # what a vector's length, in sides of the picture, takes off its correlation
-LEAST_SINE = 0.4  # of the angle between two basis vectors
-LEAST_SCORE = 0.15  # of an ordered picture
-SHIFT_PX = 2  # by which a peak may move and still count as kept
+SHORTEST_VECTOR_TEXELS, LONGEST_VECTOR_SIDES = 6.0, 0.36  # of a lattice vector: texels, and sides of the picture
+MIN_PEAK_CORRELATION = 0.08  # of a peak
+MAX_PEAKS = 40  # that bases are sought among
+VECTOR_LENGTH_COST = 0.0006 * 256  # what a vector's length, in sides of the picture, takes off its correlation
+MIN_BASIS_SINE = 0.4  # of the angle between two basis vectors
+MIN_LATTICE_SCORE = 0.15  # of an ordered picture
+MAX_PEAK_SHIFT_PX = 2  # by which a peak may move and still count as kept
 
 
 class Lattice(NamedTuple):
@@ -35,19 +35,19 @@ class Lattice(NamedTuple):
     score: float
 
 
-def high_passed(image: Tensor, side: int) -> Tensor:
+def subtract_local_mean(image: Tensor, side: int) -> Tensor:
     """Images [..., C, H, W] less the mean of their surroundings, a square of `side` px, an odd number; mean 0."""
     centred = image - image.mean((-1, -2), keepdim=True)
     return centred - _around(centred, side)
 
 
-def flattened(photos: Tensor) -> Tensor:
+def even_out_brightness(photos: Tensor) -> Tensor:
     """Photos [..., C, H, W] whose light falls off, as if all places were as bright as the mean."""
     around = _around(photos, min(photos.shape[-2:]) // 4 | 1).clamp_min(0.02)
     return photos * around.mean((-1, -2), keepdim=True) / around
 
 
-def levelled(image: Tensor) -> Tensor:
+def remove_quadratic_trend(image: Tensor) -> Tensor:
     """A picture [C, H, W] without its slow change, the quadratic in x and y that fits each channel best."""
     y, x = (torch.linspace(-1, 1, side, dtype=image.dtype, device=image.device) for side in image.shape[-2:])
     y, x = y[:, None].expand(image.shape[-2:]), x.expand(image.shape[-2:])
@@ -76,7 +76,7 @@ def autocorrelation(image: Tensor) -> Tensor:
     """
     height, width = image.shape[-2:]
     size = (2 * height, 2 * width)
-    fine = high_passed(image, min(height, width) // 4 | 1)
+    fine = subtract_local_mean(image, min(height, width) // 4 | 1)
     power = torch.fft.rfft2(fine, s=size).abs().square().sum(0)
     ones = torch.fft.rfft2(torch.ones(height, width, dtype=image.dtype, device=image.device), s=size)
     overlap = torch.fft.irfft2(ones.abs().square(), s=size)
@@ -84,7 +84,7 @@ def autocorrelation(image: Tensor) -> Tensor:
     return torch.roll(shifted / shifted[0, 0].clamp_min(1e-12), (height, width), (0, 1))
 
 
-def lattice_of(image: Tensor) -> Lattice:
+def find_lattice(image: Tensor) -> Lattice:
     """The lattice of a picture [C, H, W], of at least 16 px a side."""
     image = image.double().cpu()
     correlation = autocorrelation(image)
@@ -103,16 +103,19 @@ def _refined(correlation: Tensor, y: int, x: int) -> Tensor:
     while all(abs(float(part)) * (times + 1) < 0.7 * side for part, side in zip(vector, (height, width), strict=True)):
         times += 1
         row, column = (round(float(part)) for part in vector * times + torch.tensor([height, width]))
-        near = correlation[row - SHIFT_PX : row + SHIFT_PX + 1, column - SHIFT_PX : column + SHIFT_PX + 1]
-        if float(near.max()) < LEAST_CORRELATION:
+        near = correlation[
+            row - MAX_PEAK_SHIFT_PX : row + MAX_PEAK_SHIFT_PX + 1,
+            column - MAX_PEAK_SHIFT_PX : column + MAX_PEAK_SHIFT_PX + 1,
+        ]
+        if float(near.max()) < MIN_PEAK_CORRELATION:
             break
         down, across = divmod(int(near.argmax()), near.shape[1])
-        row, column = row - SHIFT_PX + down, column - SHIFT_PX + across
+        row, column = row - MAX_PEAK_SHIFT_PX + down, column - MAX_PEAK_SHIFT_PX + across
         part = torch.stack(
             [_top(correlation[row - 1 : row + 2, column]), _top(correlation[row, column - 1 : column + 2])]
         )
         refined = (torch.tensor([row - height, column - width], dtype=vector.dtype) + part) / times
-        if float((refined - first).abs().max()) > SHIFT_PX:  # no peaks, a slope: it would lead to shift 0
+        if float((refined - first).abs().max()) > MAX_PEAK_SHIFT_PX:  # no peaks, a slope: it would lead to shift 0
             break
         vector = refined
     return vector
@@ -132,29 +135,29 @@ def _peaks(correlation: Tensor, size: torch.Size) -> list[tuple[float, int, int]
     for window in ((9, 1), (1, 9)):
         local = max_pool2d(local, window, stride=1, padding=(window[0] // 2, window[1] // 2))
     peaks = []
-    for row, column in ((correlation == local[0, 0]) & (correlation > LEAST_CORRELATION)).nonzero().tolist():
+    for row, column in ((correlation == local[0, 0]) & (correlation > MIN_PEAK_CORRELATION)).nonzero().tolist():
         y, x = row - height, column - width
-        reaches = abs(y) <= LONGEST_SIDES * height and abs(x) <= LONGEST_SIDES * width
-        if (y, x) > (0, 0) and reaches and math.hypot(y, x) >= SHORTEST_TEXELS:
+        reaches = abs(y) <= LONGEST_VECTOR_SIDES * height and abs(x) <= LONGEST_VECTOR_SIDES * width
+        if (y, x) > (0, 0) and reaches and math.hypot(y, x) >= SHORTEST_VECTOR_TEXELS:
             peaks.append((float(correlation[row, column]), y, x))
-    return sorted(peaks, reverse=True)[:PEAKS]
+    return sorted(peaks, reverse=True)[:MAX_PEAKS]
 
 
 def _basis(peaks: list[tuple[float, int, int]], side: int) -> tuple[float, list[tuple[float, int, int]]]:
     """Score and peaks of the best basis: two strong, short, independent ones, or one."""
     best: tuple[float, list[tuple[float, int, int]]] = (-1.0, [])
     for i, (height, y, x) in enumerate(peaks):
-        alone = height / 2 - LENGTH_COST * math.hypot(y, x) / side
+        alone = height / 2 - VECTOR_LENGTH_COST * math.hypot(y, x) / side
         best = max(best, (alone, [peaks[i]]))
         for other in peaks[i + 1 :]:
             lengths = math.hypot(y, x), math.hypot(*other[1:])
-            if abs(y * other[2] - x * other[1]) >= LEAST_SINE * math.prod(lengths):
-                score = (height + other[0]) / 2 - LENGTH_COST * sum(lengths) / side
+            if abs(y * other[2] - x * other[1]) >= MIN_BASIS_SINE * math.prod(lengths):
+                score = (height + other[0]) / 2 - VECTOR_LENGTH_COST * sum(lengths) / side
                 best = max(best, (score, [peaks[i], other]))
     return best
 
 
-def order_kept(exemplar: Lattice, made: Tensor) -> float:
+def kept_order_share(exemplar: Lattice, made: Tensor) -> float:
     """The share of an exemplar's order that a picture [C, H, W] of the same scale keeps.
 
     The peaks of its autocorrelation at the exemplar's lattice, which may have moved by SHIFT_PX, over the
@@ -165,6 +168,8 @@ def order_kept(exemplar: Lattice, made: Tensor) -> float:
     for vector, peak in zip(exemplar.vectors, exemplar.heights, strict=True):
         if float(peak) > 0:
             y, x = (round(float(part)) + size for part, size in zip(vector, (height, width), strict=True))
-            near = correlation[y - SHIFT_PX : y + SHIFT_PX + 1, x - SHIFT_PX : x + SHIFT_PX + 1]
+            near = correlation[
+                y - MAX_PEAK_SHIFT_PX : y + MAX_PEAK_SHIFT_PX + 1, x - MAX_PEAK_SHIFT_PX : x + MAX_PEAK_SHIFT_PX + 1
+            ]
             kept.append(max(0.0, float(near.max() / peak)))
-    return sum(kept) / len(kept) if kept and exemplar.score > LEAST_SCORE else math.nan
+    return sum(kept) / len(kept) if kept and exemplar.score > MIN_LATTICE_SCORE else math.nan

@@ -17,17 +17,26 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance import latlong, reflection
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals, texel_of
-from metapp.learning.draws import uniform
-from metapp.storage.tensor_cache import cached_tensors
+from metapp.appearance.latlong import (
+    cosine_transfer,
+    glossy_transfer,
+    luminance,
+    resample_maps,
+    sphere_normals,
+    texel_index,
+)
+from metapp.learning.draws import draw_uniform
+from metapp.storage.tensor_cache import load_or_compute_tensors
 
-ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
-MIRROR_SAMPLES = 4  # of a mirror's pixel along each side
-CACHED_SIZE = 64 * 64  # rows times px from which lobes take a tenth of a second or more: these are kept on disk
+GLOSS_ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
+MIRROR_SAMPLES_PER_SIDE = 4  # of a mirror's pixel along each side
+MIN_CACHED_ROWS_TIMES_PX = (
+    64 * 64
+)  # rows times px from which lobes take a tenth of a second or more: these are kept on disk
 _CHUNK = 16  # pixels at a time: a lobe is sampled in up to 32,768 directions, which then stay in the CPU's cache
 
 
-class Material(NamedTuple):
+class SphereMaterials(NamedTuple):
     """Materials of spheres: a diffuse body under a gloss.
 
     Attributes:
@@ -41,7 +50,7 @@ class Material(NamedTuple):
     gloss: Tensor
 
 
-class Camera(NamedTuple):
+class CameraCurves(NamedTuple):
     """The curve from radiance to display values.
 
     Attributes:
@@ -56,7 +65,7 @@ class Camera(NamedTuple):
 
 
 @torch.no_grad()
-def photograph(maps: Tensor, rng: Generator, size: int = 64) -> Tensor:
+def photograph_spheres(maps: Tensor, rng: Generator, size: int = 64) -> Tensor:
     """Photographs of spheres of random materials, each under a map, by random cameras.
 
     Args:
@@ -67,18 +76,18 @@ def photograph(maps: Tensor, rng: Generator, size: int = 64) -> Tensor:
     Returns:
         Display values in [0, 1], [T, 3, size, size]; black outside the disc.
     """
-    drawn = uniform(rng, len(maps), 11).to(maps)
-    materials = draw_material(drawn[:, :8])
+    drawn = draw_uniform(rng, len(maps), 11).to(maps)
+    materials = draw_sphere_materials(drawn[:, :8])
     kinds = materials.gloss.argmax(1)
     radiance = maps.new_zeros(len(maps), 3, size, size)
     for kind in kinds.unique().tolist():
         rows = (kinds == kind).nonzero()[:, 0]
-        some = Material(materials.albedo[rows], materials.specular[rows], maps.new_ones(len(rows), 1))
-        radiance[rows] = shade(maps[rows], some, size, ROUGHNESSES[kind : kind + 1])
-    return develop(radiance, draw_camera(drawn[:, 8:], radiance)).clamp_max(1)
+        some = SphereMaterials(materials.albedo[rows], materials.specular[rows], maps.new_ones(len(rows), 1))
+        radiance[rows] = render_material_spheres(maps[rows], some, size, GLOSS_ROUGHNESSES[kind : kind + 1])
+    return develop(radiance, draw_camera_curves(drawn[:, 8:], radiance)).clamp_max(1)
 
 
-def draw_material(drawn: Tensor) -> Material:
+def draw_sphere_materials(drawn: Tensor) -> SphereMaterials:
     """A body of albedo 0.3 to 0.95, mostly nearly gray; on three of four a gloss of up to 0.6, smooth to rough.
 
     Args:
@@ -87,11 +96,11 @@ def draw_material(drawn: Tensor) -> Material:
     tint = 1 - 0.5 * drawn[:, :1] ** 2 * drawn[:, 1:4]
     albedo = ((0.3 + 0.65 * drawn[:, 4:5]) * tint / tint.amax(1, keepdim=True)).clamp_min(0.3)
     specular = torch.where(drawn[:, 5] < 0.75, 0.6 * drawn[:, 6], 0.0)
-    kind = (drawn[:, 7] * len(ROUGHNESSES)).long()
-    return Material(albedo, specular, torch.nn.functional.one_hot(kind, len(ROUGHNESSES)).to(drawn))
+    kind = (drawn[:, 7] * len(GLOSS_ROUGHNESSES)).long()
+    return SphereMaterials(albedo, specular, torch.nn.functional.one_hot(kind, len(GLOSS_ROUGHNESSES)).to(drawn))
 
 
-def draw_camera(drawn: Tensor, radiance: Tensor) -> Camera:
+def draw_camera_curves(drawn: Tensor, radiance: Tensor) -> CameraCurves:
     """A curve around sRGB's, exposed for most of the sphere to be seen while suns clip.
 
     Args:
@@ -99,7 +108,7 @@ def draw_camera(drawn: Tensor, radiance: Tensor) -> Camera:
         radiance: of the spheres, [T, 3, S, S].
     """
     gamma, contrast = torch.exp((2 * drawn[:, 1] - 1) * math.log(1.25)), 0.5 * drawn[:, 2]
-    return Camera(exposures(radiance, 0.4 + 0.5 * drawn[:, 0]), gamma, contrast)
+    return CameraCurves(exposures(radiance, 0.4 + 0.5 * drawn[:, 0]), gamma, contrast)
 
 
 def exposures(radiance: Tensor, level: Tensor) -> Tensor:
@@ -115,7 +124,9 @@ def exposures(radiance: Tensor, level: Tensor) -> Tensor:
     return srgb_to_linear(level) / bright
 
 
-def shade(maps: Tensor, material: Material, size: int, roughnesses: Sequence[float] = ROUGHNESSES) -> Tensor:
+def render_material_spheres(
+    maps: Tensor, material: SphereMaterials, size: int, roughnesses: Sequence[float] = GLOSS_ROUGHNESSES
+) -> Tensor:
     """Radiance [T, 3, size, size] of spheres under maps [T, 3, H, W]; 0 outside the disc.
 
     Args:
@@ -133,20 +144,20 @@ def shade(maps: Tensor, material: Material, size: int, roughnesses: Sequence[flo
     return torch.lerp(body, gloss, fresnel.expand_as(body)) * mask
 
 
-def mirror(maps: Tensor, size: int) -> Tensor:
+def render_mirror_spheres(maps: Tensor, size: int) -> Tensor:
     """Radiance [T, 3, size, size] of perfect mirror spheres under maps [T, 3, H, W]; 0 outside the disc.
 
     Args:
         maps: linear radiance.
         size: side of the pictures, px.
     """
-    texels, mask = (part.to(maps.device) for part in _mirrored(size * MIRROR_SAMPLES, *maps.shape[-2:]))
+    texels, mask = (part.to(maps.device) for part in _mirrored(size * MIRROR_SAMPLES_PER_SIDE, *maps.shape[-2:]))
     seen = maps.flatten(2)[..., texels.flatten()].unflatten(2, texels.shape) * mask
-    shares = avg_pool2d(mask[None].to(maps), MIRROR_SAMPLES).clamp_min(0.5)
-    return avg_pool2d(seen, MIRROR_SAMPLES) / shares * sphere_normals(size, device=maps.device)[1]
+    shares = avg_pool2d(mask[None].to(maps), MIRROR_SAMPLES_PER_SIDE).clamp_min(0.5)
+    return avg_pool2d(seen, MIRROR_SAMPLES_PER_SIDE) / shares * sphere_normals(size, device=maps.device)[1]
 
 
-def develop(radiance: Tensor, camera: Camera) -> Tensor:
+def develop(radiance: Tensor, camera: CameraCurves) -> Tensor:
     """Display values of radiance, both [T, 3, S, S]: in [0, 1], and rising above 1 if a sensor would clip."""
     exposure, gamma, contrast = (parameter[:, None, None, None] for parameter in camera)
     linear = radiance * exposure
@@ -163,7 +174,7 @@ def _lit(transfer: Tensor, maps: Tensor) -> Tensor:
     The other quarters are that one under mirrored maps.
     """
     rows, half = math.isqrt(transfer.shape[1] // 2), math.isqrt(transfer.shape[0])
-    upright = resample(maps, rows, 2 * rows) if maps.shape[-2:] != (rows, 2 * rows) else maps
+    upright = resample_maps(maps, rows, 2 * rows) if maps.shape[-2:] != (rows, 2 * rows) else maps
     both = torch.stack([upright, upright.flip(-2)])
     mirrored = torch.stack([both, both.flip(-1)]).flatten(-2)  # [right or left, upper or lower, T, 3, 2 n^2]
     right, left = (mirrored @ transfer.to(maps).T).unflatten(-1, (half, half))
@@ -175,7 +186,9 @@ def _lit(transfer: Tensor, maps: Tensor) -> Tensor:
 def _mirrored(size: int, height: int, width: int) -> tuple[Tensor, Tensor]:
     """Which texels pixels [size, size] of a mirror sphere show, and which of them are on it."""
     normals, mask = sphere_normals(size, dtype=torch.float64)
-    return texel_of(2 * normals[2] * normals - normals.new_tensor([0.0, 0.0, 1.0])[:, None, None], height, width), mask
+    return texel_index(
+        2 * normals[2] * normals - normals.new_tensor([0.0, 0.0, 1.0])[:, None, None], height, width
+    ), mask
 
 
 def _quarter(size: int) -> Tensor:
@@ -200,7 +213,7 @@ def _glossy(size: int, roughness: float) -> Tensor:
         lobes = [glossy_transfer(part, roughness, rows, 2 * rows, samples=samples) for part in parts]
         return {"lobes": torch.cat(lobes)}
 
-    if rows * size < CACHED_SIZE:
+    if rows * size < MIN_CACHED_ROWS_TIMES_PX:
         return make()["lobes"]
     sources = (__file__, latlong.__file__, reflection.__file__)
-    return cached_tensors(f"lobes-{size}-{roughness:g}", sources, make)["lobes"]
+    return load_or_compute_tensors(f"lobes-{size}-{roughness:g}", sources, make)["lobes"]

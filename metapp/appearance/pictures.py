@@ -8,10 +8,10 @@ from torch import Tensor
 
 from metapp.learning.task import Params
 
-Kind = Literal["srgb", "data", "height", "radiance"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
-CLIPPED_VALUE = 250  # of 255, from which a photograph says no more
-REFERENCE = "reference"  # among measures of pictures: what the references are off by themselves
+PictureKind = Literal["srgb", "data", "height", "radiance"]
+PICTURE_KINDS: tuple[PictureKind, ...] = get_args(PictureKind)
+CLIPPED_8BIT_VALUE = 250  # of 255, from which a photograph says no more
+REFERENCE_ERROR_NAME = "reference"  # among measures of pictures: what the references are off by themselves
 
 
 class Picture(NamedTuple):
@@ -25,10 +25,10 @@ class Picture(NamedTuple):
     """
 
     pixels: Tensor
-    kind: Kind
+    kind: PictureKind
 
 
-class Rendered(NamedTuple):
+class ScenePictures(NamedTuple):
     """Pictures of a task's scene.
 
     Attributes:
@@ -40,7 +40,7 @@ class Rendered(NamedTuple):
     lines: list[str]
 
 
-class Compared(NamedTuple):
+class PictureComparison(NamedTuple):
     """Pictures of a fit and their references: display values [B, 3, H, W] in [0, 1].
 
     The bool `mask` [H, W] says which pixels count; None: all.
@@ -51,7 +51,7 @@ class Compared(NamedTuple):
     mask: Tensor | None = None
 
 
-def photo_error(compared: Compared) -> float:
+def photo_error_percent(compared: PictureComparison) -> float:
     """Mean difference of pictures and references in 8 bits, % of white, where the references do not clip.
 
     >>> import torch
@@ -60,14 +60,14 @@ def photo_error(compared: Compared) -> float:
     (9.803921568627452, 0.0)
     """
     pictures, references = ((each.clamp(0, 1) * 255).round() for each in compared[:2])
-    counts = (references < CLIPPED_VALUE).all(1)
+    counts = (references < CLIPPED_8BIT_VALUE).all(1)
     if compared.mask is not None:
         counts = counts & compared.mask
     apart = (pictures - references).abs().mean(1)[counts]
     return float(apart.double().mean()) * 100 / 255 if len(apart) else 0.0
 
 
-class Visible(NamedTuple):
+class VisibleData(NamedTuple):
     """The part of a task that a fit may see.
 
     Attributes:
@@ -81,7 +81,7 @@ class Visible(NamedTuple):
     encoder: int
 
 
-class Fitted(NamedTuple):
+class TimedFit(NamedTuple):
     """A fit of one task: parameters without task axis, and the seconds of inference that it took."""
 
     theta: Params

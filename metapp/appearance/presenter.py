@@ -12,18 +12,18 @@ from typing import Any, Generic, TypeVar
 
 from torch import Tensor
 
-from metapp.appearance.pictures import Compared, Fitted, Picture, Visible
+from metapp.appearance.pictures import Picture, PictureComparison, TimedFit, VisibleData
 from metapp.appearance.surface import Surface
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task, Tasks
 from metapp.names import application_of
 
-Application = TypeVar("Application", bound=App)
-Made = TypeVar("Made")
+PresentedApp = TypeVar("PresentedApp", bound=App)
+CachedValue = TypeVar("CachedValue")
 
 
 @dataclass(frozen=True)
-class Presenter(Generic[Application]):
+class Presenter(Generic[PresentedApp]):
     """What people look at of an application's fits; a subclass shows what its application has.
 
     Methods that take `theta` and `task` show one fit: `theta` holds parameters without a task axis. The defaults show
@@ -38,7 +38,7 @@ class Presenter(Generic[Application]):
     'BRDF'
     """
 
-    app: Application
+    app: PresentedApp
     size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
@@ -118,15 +118,15 @@ class Presenter(Generic[Application]):
 
     # Comparisons and doubts
 
-    def comparison(self, theta: Params, task: Task) -> Compared | None:
+    def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the pictures of a fit beside their references, which registered measures compare; None without."""
         return None
 
-    def photo_comparison(self, theta: Params, task: Task) -> Compared | None:
+    def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the fit's pictures of the photographs that it saw, beside these; None if it saw something else."""
         return None
 
-    def picture_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+    def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:
         """Return the application's own measures of pictures, by the fit's name, then by the measure's, such as SSIM.
 
         There may be further names, of pictures that are made without any fit; `pictures.REFERENCE` is of the
@@ -151,7 +151,7 @@ class Presenter(Generic[Application]):
         """
         return [[] for _ in range(len(tasks))]
 
-    def visible(self, task: Task) -> Visible | None:
+    def visible(self, task: Task) -> VisibleData | None:
         """Return how much of a task a fit may see; None if the application does not say."""
         return None
 
@@ -159,7 +159,7 @@ class Presenter(Generic[Application]):
         """Return a task sampled from the fit itself, to distil it into another network; None if there is only one."""
         return None
 
-    def cache_last(self, theta: Params, task: Task, make: Callable[[], Made]) -> Made:
+    def cache_last(self, theta: Params, task: Task, make: Callable[[], CachedValue]) -> CachedValue:
         """Return what `make` makes of a fit, made once if it is asked for several times in turn.
 
         Args:
@@ -167,7 +167,7 @@ class Presenter(Generic[Application]):
             task: the task of the fit.
             make: makes the value, such as maps at the size of files.
         """
-        last: tuple[Params, Task, Made] = self._last  # type: ignore[attr-defined]
+        last: tuple[Params, Task, CachedValue] = self._last  # type: ignore[attr-defined]
         if last[0] is not theta or last[1] is not task:
             object.__setattr__(self, "_last", (None, None, None))  # may be 0.6 GB, not to lie beside the next fit's
             last = theta, task, make()

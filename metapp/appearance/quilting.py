@@ -7,28 +7,28 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Picture = NDArray[np.floating]
-Mask = NDArray[np.bool_]
-TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more than the best one's are as good
-PHASE_PX = 1.0  # distance from a place of the same phase within which a block is in phase
+FloatImage = NDArray[np.floating]
+PixelMask = NDArray[np.bool_]
+OVERLAP_TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more than the best one's are as good
+PHASE_TOLERANCE_PX = 1.0  # distance from a place of the same phase within which a block is in phase
 
 
-def block_of(exemplar: Picture) -> tuple[int, int]:
+def choose_block_size(exemplar: FloatImage) -> tuple[int, int]:
     """Side of a block, a quarter of the exemplar [H, W, C], and of the overlap, in px."""
     block = max(2, min(exemplar.shape[:2]) // 4)
     return block, max(1, round(block / 6))
 
 
-def quilted(
-    exemplar: Picture,
+def quilt(
+    exemplar: FloatImage,
     size: tuple[int, int],
     rng: np.random.Generator,
     *,
     block: int,
     overlap: int,
     tiles: bool = False,
-    frequencies: Picture | None = None,
-) -> Picture:
+    frequencies: FloatImage | None = None,
+) -> FloatImage:
     """A picture [h, w, C] of blocks of an exemplar [H, W, C], each cut from its neighbours where both agree most.
 
     Args:
@@ -62,7 +62,7 @@ def quilted(
     return colours[result[:height, :width]]
 
 
-Sides = tuple[bool, bool, bool, bool]
+OccupiedSides = tuple[bool, bool, bool, bool]
 """True if there is something above a block, before it, below it, behind it."""
 
 
@@ -74,10 +74,10 @@ def _places(length: int, step: int, *, tiles: bool) -> list[int]:
     return [round(i * length / count) for i in range(count)]
 
 
-Find = Callable[[Picture, Mask, tuple[int, int], np.random.Generator], tuple[int, int]]
+BlockFinder = Callable[[FloatImage, PixelMask, tuple[int, int], np.random.Generator], tuple[int, int]]
 
 
-def _finder(exemplar: Picture, block: int, frequencies: Picture | None) -> Find:
+def _finder(exemplar: FloatImage, block: int, frequencies: FloatImage | None) -> BlockFinder:
     """Make the search for a block of the exemplar that agrees with the picture: its errors are correlations."""
     height, width, _ = exemplar.shape
     size = (height, width)
@@ -87,7 +87,7 @@ def _finder(exemplar: Picture, block: int, frequencies: Picture | None) -> Find:
     places = np.moveaxis(np.indices((rows, columns)), 0, 2)
     first = np.zeros(2)  # of the first block, from its place in the picture to that in the exemplar
 
-    def find(part: Picture, shared: Mask, place: tuple[int, int], rng: np.random.Generator) -> tuple[int, int]:
+    def find(part: FloatImage, shared: PixelMask, place: tuple[int, int], rng: np.random.Generator) -> tuple[int, int]:
         if not shared.any():
             found = int(rng.integers(rows)), int(rng.integers(columns))
             first[:] = np.subtract(found, place)
@@ -99,22 +99,22 @@ def _finder(exemplar: Picture, block: int, frequencies: Picture | None) -> Find:
         if frequencies is not None:
             in_phase = _in_phase(places - place - first, frequencies)
             error = np.where(in_phase, error, np.inf) if in_phase.any() else error
-        good = np.argwhere(error <= (1 + TOLERANCE) * error.min())
+        good = np.argwhere(error <= (1 + OVERLAP_TOLERANCE) * error.min())
         i, j = good[rng.integers(len(good))]
         return int(i), int(j)
 
     return find
 
 
-def _in_phase(shifts: Picture, frequencies: Picture) -> Mask:
+def _in_phase(shifts: FloatImage, frequencies: FloatImage) -> PixelMask:
     """Shifts [..., 2] that are within PHASE_PX of a lattice's."""
     cycles = shifts @ frequencies.T
     beside = (cycles - cycles.round()) / np.linalg.norm(frequencies, axis=1)
-    result: Mask = np.square(beside).sum(-1) <= PHASE_PX**2
+    result: PixelMask = np.square(beside).sum(-1) <= PHASE_TOLERANCE_PX**2
     return result
 
 
-def _shared(block: int, over: list[int], sides: Sides) -> Mask:
+def _shared(block: int, over: list[int], sides: OccupiedSides) -> PixelMask:
     """Which px [block, block] of a block are there already."""
     shared = np.zeros((block, block), bool)
     above, before, below, behind = sides
@@ -125,18 +125,18 @@ def _shared(block: int, over: list[int], sides: Sides) -> Mask:
     return shared
 
 
-def _taken(part: Picture, patch: Picture, over: list[int], sides: Sides) -> Mask:
+def _taken(part: FloatImage, patch: FloatImage, over: list[int], sides: OccupiedSides) -> PixelMask:
     """Which px [block, block] are taken from the patch: those beyond the cuts."""
     differs = np.square(part - patch).sum(2)
     mask = np.ones(differs.shape, bool)
     for there, turns, width in zip(sides, (3, 0, 1, 2), (over[0], over[1], over[0], over[1]), strict=True):
         if there:  # turned so that what is there is before the block
             turned = np.rot90(mask, -turns)
-            turned[:, :width] &= beyond_cut(np.rot90(differs, -turns)[:, :width])
+            turned[:, :width] &= cut_mask(np.rot90(differs, -turns)[:, :width])
     return mask
 
 
-def beyond_cut(cost: Picture) -> Mask:
+def cut_mask(cost: FloatImage) -> PixelMask:
     """Which entries lie on or beyond the path from top to bottom of least total cost, one entry a row, [H, W]."""
     height, width = cost.shape
     total = cost.copy()
@@ -151,5 +151,5 @@ def beyond_cut(cost: Picture) -> Mask:
     for row in range(height - 2, -1, -1):
         low = max(path[row + 1] - 1, 0)
         path[row] = low + total[row, low : path[row + 1] + 2].argmin()
-    result: Mask = np.arange(width) >= path[:, None]
+    result: PixelMask = np.arange(width) >= path[:, None]
     return result

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import geometry
-from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle, gauss_legendre
-from metapp.storage.tensor_cache import cached_tensors
+from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_rusinkiewicz, gauss_legendre
+from metapp.storage.tensor_cache import load_or_compute_tensors
 
 
 class SphereScene(NamedTuple):
@@ -92,7 +92,7 @@ def _dome(wo: Tensor, up: Tensor) -> tuple[Tensor, Tensor]:
     return wi, irradiance[..., None] * irradiance.new_tensor(_SKY)
 
 
-def environment(directions: Tensor) -> Tensor:
+def environment_radiance(directions: Tensor) -> Tensor:
     """An analytic environment map: a sky above a floor, a low sun in haze, two windows.
 
     Args:
@@ -151,9 +151,9 @@ def _studio(frame: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _surroundings(frame: Tensor) -> tuple[Tensor, Tensor]:
-    """The same of `environment`, both [P, 320, 3]."""
+    """The same of `environment_radiance`, both [P, 320, 3]."""
     wi, solid_angle = _rings(frame[:, :, 2], 16, 20)
-    return wi, environment(torch.einsum("pji,plj->pli", frame, wi)) * solid_angle[..., None]
+    return wi, environment_radiance(torch.einsum("pji,plj->pli", frame, wi)) * solid_angle[..., None]
 
 
 @functools.cache
@@ -209,7 +209,7 @@ def reference_scene(size: int = 96, *, azimuths: bool = False) -> SphereScene:
 
 @functools.cache
 def environment_scene(*, azimuths: bool = False) -> SphereScene:
-    """The sphere at 48 px under `environment` alone, 320 directions a pixel."""
+    """The sphere at 48 px under `environment_radiance` alone, 320 directions a pixel."""
     return _scene("environment-48", 48, _surroundings, azimuths)
 
 
@@ -223,8 +223,10 @@ def _scene(name: str, size: int, light: Callable[[Tensor], tuple[Tensor, Tensor]
         mask, coverage, frame = _surface(size)
         wi, irradiance = light(frame)
         weights = irradiance * wi[..., 2:].clamp_min(0) * _exposure(wi, irradiance)
-        to_angles = directions_to_four_angles if azimuths else directions_to_full_circle
+        to_angles = directions_to_four_angles if azimuths else directions_to_full_rusinkiewicz
         angles = to_angles(wi, frame[:, None, :, 2].expand_as(wi))
         return {"mask": mask, "coverage": coverage.float(), "angles": angles.float(), "weights": weights.float()}
 
-    return SphereScene(**cached_tensors(f"sphere-{name}{'-phi_h' * azimuths}", (__file__, geometry.__file__), make))
+    return SphereScene(
+        **load_or_compute_tensors(f"sphere-{name}{'-phi_h' * azimuths}", (__file__, geometry.__file__), make)
+    )

@@ -15,12 +15,19 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import Maps, expose, height_from_normal, positions, relightings, render
+from metapp.appearance.flash import (
+    Maps,
+    height_from_normal,
+    radiance_to_display,
+    relighting_positions,
+    render_maps,
+    texel_positions,
+)
 from metapp.appearance.pictures import Picture
 
-DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
-STRIP_TEXELS = 2**17  # rendered at a time
-DESCRIPTION = "material.json"  # describes the files of an asset folder
+DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of nearly all that is no metal
+PHOTOGRAPH_STRIP_TEXELS = 2**17  # rendered at a time
+DESCRIPTION_FILE = "material.json"  # describes the files of an asset folder
 
 
 class Surface(NamedTuple):
@@ -64,7 +71,7 @@ class Surface(NamedTuple):
         return maps if self.height is None else maps | {"height": self.height[0]}
 
 
-def with_relief(maps: Maps, factor: float) -> Maps:
+def scale_relief(maps: Maps, factor: float) -> Maps:
     """Maps [..., C, H, W] with the slopes of normals times a factor; 0: flat."""
     if factor == 1:
         return maps
@@ -72,9 +79,9 @@ def with_relief(maps: Maps, factor: float) -> Maps:
     return maps._replace(normal=normalize(torch.cat([factor * across, up], -3), dim=-3))
 
 
-def from_metallic(base: Tensor, metallic: Tensor) -> tuple[Tensor, Tensor]:
+def metallic_to_specular(base: Tensor, metallic: Tensor) -> tuple[Tensor, Tensor]:
     """Diffuse and specular colour [..., 3, H, W] of the workflow's maps."""
-    return base * (1 - metallic), DIELECTRIC * (1 - metallic) + base * metallic
+    return base * (1 - metallic), DIELECTRIC_F0 * (1 - metallic) + base * metallic
 
 
 @torch.no_grad()
@@ -84,7 +91,7 @@ def map_pictures(maps: Maps, height: Tensor | None = None, *, falloff: float = 0
     Args:
         maps: [C, H, W] each.
         height: [1, H, W] in texels, if a fit has it.
-        falloff: of the flash, as of `metapp.appearance.flash.render`.
+        falloff: of the flash, as of `metapp.appearance.flash.render_maps`.
     """
     pictures = {
         "diffuse": Picture(linear_to_srgb(maps.diffuse), "srgb"),
@@ -94,14 +101,20 @@ def map_pictures(maps: Maps, height: Tensor | None = None, *, falloff: float = 0
     }
     if height is not None:
         pictures["height"] = Picture(height, "height")
-    for name, (light, view) in relightings(device=maps.diffuse.device).items():
-        pictures[f"lit_from_{name}"] = Picture(photograph(maps, light, view, falloff=falloff), "srgb")
+    for name, (light, view) in relighting_positions(device=maps.diffuse.device).items():
+        pictures[f"lit_from_{name}"] = Picture(photograph_maps(maps, light, view, falloff=falloff), "srgb")
     return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
 
 
-def photograph(maps: Maps, light: Tensor, view: Tensor, *, falloff: float = 0.0) -> Tensor:
+def photograph_maps(maps: Maps, light: Tensor, view: Tensor, *, falloff: float = 0.0) -> Tensor:
     """Display values [3, H, W] of maps [C, H, W] under a flash; light and view [3]. Made by rows, for large maps."""
-    place = positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
-    rows = max(1, STRIP_TEXELS // place.shape[-1])
+    place = texel_positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
+    rows = max(1, PHOTOGRAPH_STRIP_TEXELS // place.shape[-1])
     strips = zip(*(part.split(rows, -2) for part in (*maps, place)), strict=True)
-    return torch.cat([expose(render(Maps(*strip[:4]), strip[4], light, view, falloff=falloff)) for strip in strips], 1)
+    return torch.cat(
+        [
+            radiance_to_display(render_maps(Maps(*strip[:4]), strip[4], light, view, falloff=falloff))
+            for strip in strips
+        ],
+        1,
+    )

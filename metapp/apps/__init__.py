@@ -11,8 +11,8 @@ from dataclasses import fields, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from metapp.names import application_of, protocol_of, protocols_of, recipe_entries
-from metapp.registry import load
+from metapp.names import application_of, protocol_or_default, protocols_of, recipe_entries
+from metapp.registry import load_reference
 
 if TYPE_CHECKING:
     from metapp.appearance.presenter import Presenter
@@ -50,7 +50,7 @@ def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> 
         rule: a learned rule, which may have a network of its own.
     """
     app = (recipe.training(rule).app if rule else None) or recipe.app
-    return replace(app, protocol=protocol_of(name, protocol))
+    return replace(app, protocol=protocol_or_default(name, protocol))
 
 
 def presenter_of(app: App, values: Mapping[str, object] = MappingProxyType({})) -> Presenter[Any]:
@@ -63,7 +63,7 @@ def presenter_of(app: App, values: Mapping[str, object] = MappingProxyType({})) 
     Raises:
         ValueError: files of the application cannot have the size.
     """
-    kind: type[Presenter[Any]] = load(application_of(app.name).presenter)
+    kind: type[Presenter[Any]] = load_reference(application_of(app.name).presenter)
     known = {field.name for field in fields(kind)}
     return kind(app, **{name: value for name, value in values.items() if name in known})  # type: ignore[arg-type]
 

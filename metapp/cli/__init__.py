@@ -12,11 +12,11 @@ def main() -> None:
         from metapp.cli.commands import app
 
         app(prog_name="metapp")
-    from metapp.cli.console import run
+    from metapp.cli.console import run_command
 
     def command() -> object:
         from metapp.cli.commands import app  # here, as Ctrl-C is one line from now on
 
         return app(standalone_mode=False, prog_name="metapp")
 
-    sys.exit(run(command))
+    sys.exit(run_command(command))

@@ -9,26 +9,26 @@ from typing import Annotated, Any
 import typer
 
 from metapp import __version__
-from metapp.cli.data import convert_by
-from metapp.cli.help import Command, Group
+from metapp.cli.data import make_convert_command
+from metapp.cli.help import HelpCommand, HelpGroup
 from metapp.names import app_names, did_you_mean
 from metapp.options import BadOption, Converter
 from metapp.paradigms import PARADIGMS
-from metapp.registry import SHIPPED, reason_of, registry
-from metapp.runs.options import check_name
+from metapp.registry import METAPP_PACKAGE, describe_error, registry
+from metapp.runs.options import check_app_name
 from metapp.runs.reporter import say
 
-ORDER = (  # of commands in help: first what a user does first, commands of other packages last
+COMMAND_ORDER = (  # of commands in help: first what a user does first, commands of other packages last
     *("try", "examples", *PARADIGMS, "evaluate"),
     *("view", "export", "compare", "baseline", "plan", "data", "doctor"),
     # of data, readers by the application
     *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),
     *("cornell", "join", "check", "markers", "rectify", "ball", "vgg"),
 )
-CONTEXT = {"help_option_names": ["-h", "--help"]}
+TYPER_CONTEXT = {"help_option_names": ["-h", "--help"]}
 
 
-def group(
+def make_lazy_group(
     summary: str,
     names: Callable[[], list[str]],
     command: Callable[[str], Any],
@@ -45,7 +45,7 @@ def group(
         more: arguments of typer.
     """
 
-    class Lazy(Group):
+    class Lazy(HelpGroup):
         def list_commands(self, ctx: Any) -> list[str]:
             return names()
 
@@ -81,17 +81,17 @@ def _registry_group(summary: str, under: str = "", **more: Any) -> typer.Typer:
         try:
             return _made(registry().commands[f"{under}{name}"].load(), name, bare_is_help=bool(under))
         except Exception as error:
-            owner = registry().owners.get(f"commands {under}{name}", SHIPPED)
-            if owner == SHIPPED:
+            owner = registry().owners.get(f"commands {under}{name}", METAPP_PACKAGE)
+            if owner == METAPP_PACKAGE:
                 raise
-            registry().problems[f"{under}{name} of {owner}"] = reason_of(error)
+            registry().problems[f"{under}{name} of {owner}"] = describe_error(error)
             return None
 
-    return group(summary, names, command, refuse_unknown, **more)
+    return make_lazy_group(summary, names, command, refuse_unknown, **more)
 
 
 def _place(name: str) -> int:
-    return ORDER.index(name) if name in ORDER else len(ORDER)
+    return COMMAND_ORDER.index(name) if name in COMMAND_ORDER else len(COMMAND_ORDER)
 
 
 def _made(command: Any, name: str, *, bare_is_help: bool) -> Any:
@@ -102,7 +102,7 @@ def _made(command: Any, name: str, *, bare_is_help: bool) -> Any:
     if isinstance(command, typer.Typer):
         return typer.main.get_group(command)
     if isinstance(command, type) and issubclass(command, Converter):
-        command = convert_by(name, command)
+        command = make_convert_command(name, command)
     paragraphs = inspect.cleandoc(command.__doc__ or "").split("\n\n")
     text = "\n\n".join(part if "\n  " in part else part.replace("\n", " ") for part in paragraphs)
     needs = any(each.default is each.empty for each in inspect.signature(command).parameters.values())
@@ -110,12 +110,12 @@ def _made(command: Any, name: str, *, bare_is_help: bool) -> Any:
 
 
 def _typed(function: Callable[..., object], name: str, **more: Any) -> Any:
-    typed = typer.Typer(add_completion=False, context_settings=CONTEXT)
-    typed.command(name, cls=Command, **more)(function)
+    typed = typer.Typer(add_completion=False, context_settings=TYPER_CONTEXT)
+    typed.command(name, cls=HelpCommand, **more)(function)
     return typer.main.get_command(typed)
 
 
-def app_group(function: Callable[[str], Callable[..., None]], summary: str) -> typer.Typer:
+def make_app_group(function: Callable[[str], Callable[..., None]], summary: str) -> typer.Typer:
     """A command with a subcommand for each application.
 
     Args:
@@ -130,13 +130,13 @@ def app_group(function: Callable[[str], Callable[..., None]], summary: str) -> t
         epilog = f"Commands to try: metapp examples {name}" if name in tables.examples else None
         return _typed(function(name), name, help=tables.applications[name].help, epilog=epilog)
 
-    return group(summary, app_names, command, check_name)
+    return make_lazy_group(summary, app_names, command, check_app_name)
 
 
-data = _registry_group("Make data sets from files or by drawing them, and check them.", "data ")
+data_group = _registry_group("Make data sets from files or by drawing them, and check them.", "data ")
 app = _registry_group(
     "Fit small neural networks to visual appearance: BRDFs, textures, svBRDFs, illumination, light transport.",
-    context_settings=CONTEXT,
+    context_settings=TYPER_CONTEXT,
 )
 
 
@@ -147,7 +147,7 @@ def _version(asked: bool) -> None:
 
 
 @app.callback()
-def options(
+def take_root_options(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="The version of metapp.")
     ] = False,

@@ -22,20 +22,23 @@ from collections.abc import Callable, Iterator
 from typing import IO, TYPE_CHECKING, Any
 
 from metapp.options import BadOption
-from metapp.runs.reporter import Bar, Reporter, reporting
+from metapp.runs.reporter import Bar, Reporter, use_reporter
 from metapp.storage import Document
-from metapp.storage.files import FULL, as_text
+from metapp.storage.files import DISK_FULL_ERRNOS, to_json_value
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-LONGEST = 300  # characters of an error or a warning
-LINE_SECONDS = 60.0  # between lines about long work where there is no terminal
-WAIT_SECONDS, NEXT_SECONDS = 2.0, 10.0  # before the first line about shorter work, and between further ones
-KNOWN = 0.1  # of a job, before which no estimate of the time left is shown
-STEADY = 3600.0  # seconds, whose mean speed makes the estimate
-REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
+MAX_MESSAGE_CHARACTERS = 300  # characters of an error or a warning
+LONG_JOB_LINE_SECONDS = 60.0  # between lines about long work where there is no terminal
+SHORT_JOB_WAIT_SECONDS, SHORT_JOB_LINE_SECONDS = (
+    2.0,
+    10.0,
+)  # before the first line about shorter work, and between further ones
+MIN_ESTIMATE_SHARE = 0.1  # of a job, before which no estimate of the time left is shown
+SPEED_WINDOW_SECONDS = 3600.0  # seconds, whose mean speed makes the estimate
+REPORT_REQUEST = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
 _begin = time.perf_counter()  # of the command, or of this import
 INTERRUPTED = (
     "interrupted; the same command goes on with training where it was, with --resume with fits that are not finished; "
@@ -60,29 +63,29 @@ def plain_console(*, stderr: bool = False, width: int | None = None) -> Console:
     return Console(stderr=stderr, width=width, highlight=False, markup=False, emoji=False)
 
 
-def out() -> Console:
+def standard_output() -> Console:
     """Standard output, for tables; a pipe has no width of its own."""
     return plain_console(width=None if sys.stdout.isatty() else 100)
 
 
 def print_json(document: Document) -> None:
     """Write an object as one line of standard output, at once."""
-    sys.stdout.write(json.dumps(as_text(document), allow_nan=False, default=float) + "\n")
+    sys.stdout.write(json.dumps(to_json_value(document), allow_nan=False, default=float) + "\n")
     sys.stdout.flush()
 
 
-def escaped(text: str) -> str:
+def escape_control_characters(text: str) -> str:
     """A text with control characters, also those of the direction of writing, as Python writes them."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def one_line(message: str) -> str:
+def shorten_to_line(message: str) -> str:
     """A message without control characters, its long paths cut, then its middle: the ends hold subject and remedy."""
-    text = escaped(message)
-    if len(text) > LONGEST:
+    text = escape_control_characters(message)
+    if len(text) > MAX_MESSAGE_CHARACTERS:
         text = re.sub(r"[^\s(]{60,}", lambda word: f"...{word[0][-45:]}", text)  # long paths: their ends tell most
-    half = (LONGEST - 5) // 2
-    return text if len(text) <= LONGEST else f"{text[:half]} ... {text[-half:]}"
+    half = (MAX_MESSAGE_CHARACTERS - 5) // 2
+    return text if len(text) <= MAX_MESSAGE_CHARACTERS else f"{text[:half]} ... {text[-half:]}"
 
 
 class _Bar(Bar):
@@ -148,7 +151,9 @@ class Terminal(Reporter):
         next_seconds: time between further lines about it.
     """
 
-    def __init__(self, *, wait_seconds: float = WAIT_SECONDS, next_seconds: float = NEXT_SECONDS) -> None:
+    def __init__(
+        self, *, wait_seconds: float = SHORT_JOB_WAIT_SECONDS, next_seconds: float = SHORT_JOB_LINE_SECONDS
+    ) -> None:
         self.wait_seconds, self.next_seconds = wait_seconds, next_seconds
         self._console = plain_console(stderr=True)
         self._warned: set[str] = set()
@@ -161,8 +166,8 @@ class Terminal(Reporter):
         if message.startswith("warning: "):
             self._warned.add(message)
         if message.startswith(("error: ", "warning: ", "problem: ")):
-            message = one_line(message)
-        message = "\n".join(map(escaped, message.split("\n")))
+            message = shorten_to_line(message)
+        message = "\n".join(map(escape_control_characters, message.split("\n")))
         try:
             self._console.print(message, soft_wrap=True)
         except OSError:
@@ -170,7 +175,7 @@ class Terminal(Reporter):
 
     def say_at_times(self, line: str, *, last: bool) -> None:
         """Print a line about long work, if the one before is old enough or this is the last."""
-        if last or time.monotonic() - self._last_line > LINE_SECONDS:
+        if last or time.monotonic() - self._last_line > LONG_JOB_LINE_SECONDS:
             self._last_line = time.monotonic()
             self.say(line)
 
@@ -193,7 +198,7 @@ class Terminal(Reporter):
 
         class Remaining(progress.TimeRemainingColumn):
             def render(self, task: progress.Task) -> text.Text:
-                known = task.total and task.completed >= KNOWN * task.total
+                known = task.total and task.completed >= MIN_ESTIMATE_SHARE * task.total
                 return super().render(task) if known else text.Text("")
 
         columns: tuple[progress.ProgressColumn, ...] = (
@@ -205,12 +210,12 @@ class Terminal(Reporter):
             progress.TextColumn("{task.fields[note]}", markup=False),
         )
         shown: Any = {"console": self._console, "disable": not is_terminal, "transient": True}
-        with progress.Progress(*columns, speed_estimate_period=STEADY, **shown) as bars:
+        with progress.Progress(*columns, speed_estimate_period=SPEED_WINDOW_SECONDS, **shown) as bars:
             yield _Bar(bars, title, total, done, None if is_terminal else self)
 
 
 @contextlib.contextmanager
-def importing() -> Iterator[None]:
+def pause_garbage_collection() -> Iterator[None]:
     """Import torch without garbage collection among objects of modules, which stay: a tenth of the time."""
     if "torch" in sys.modules:
         yield
@@ -223,7 +228,7 @@ def importing() -> Iterator[None]:
         gc.enable()
 
 
-def run(command: Callable[[], object], terminal: Terminal | None = None) -> int:
+def run_command(command: Callable[[], object], terminal: Terminal | None = None) -> int:
     """Run a command; an error of the user's or of the data is one line on standard error, never a traceback.
 
     Args:
@@ -252,7 +257,7 @@ def run(command: Callable[[], object], terminal: Terminal | None = None) -> int:
         signal.signal(signal.SIGTERM, _interrupt)  # by which clusters end a program; it keeps what Ctrl-C keeps
     code: object = None
     try:
-        with reporting(terminal):
+        with use_reporter(terminal):
             code = command()
         sys.stdout.flush()
     except typer.Exit as error:
@@ -261,11 +266,11 @@ def run(command: Callable[[], object], terminal: Terminal | None = None) -> int:
         code = Exit.INTERRUPTED
     except click_error as error:  # type: ignore[misc]  # a class, found at run time
         if hasattr(error, "message"):
-            error.message = one_line(str(error.message))
+            error.message = shorten_to_line(str(error.message))
         error.show()
         return Exit.USAGE if isinstance(error, usage_error) else Exit.FAILED
     except BadOption as error:
-        typer.BadParameter(one_line(str(error))).show()
+        typer.BadParameter(shorten_to_line(str(error))).show()
         return Exit.USAGE
     except (BrokenPipeError, SystemExit) as error:
         if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
@@ -274,7 +279,7 @@ def run(command: Callable[[], object], terminal: Terminal | None = None) -> int:
         _leave(sys.stdout)
         return Exit.UNREAD
     except Exception as error:
-        terminal.say(f"error: {what_failed(error)}")
+        terminal.say(f"error: {error_message(error)}")
         try:
             sys.stdout.flush()
         except OSError:
@@ -285,7 +290,7 @@ def run(command: Callable[[], object], terminal: Terminal | None = None) -> int:
     return code if isinstance(code, int) else Exit.DONE
 
 
-def seconds_so_far() -> float:
+def command_seconds() -> float:
     """The seconds since the command began, what it imports included."""
     return time.perf_counter() - _begin
 
@@ -304,7 +309,7 @@ def _open_streams() -> None:
     sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
 
 
-def what_failed(error: Exception) -> str:
+def error_message(error: Exception) -> str:
     """The message of an error: its own, if it was foreseen.
 
     Raises:
@@ -313,14 +318,14 @@ def what_failed(error: Exception) -> str:
     if os.environ.get("METAPP_TRACEBACK"):
         raise error
     # files are named by whoever writes them
-    if isinstance(error, OSError) and error.errno in FULL and error.strerror and error.filename is None:
+    if isinstance(error, OSError) and error.errno in DISK_FULL_ERRNOS and error.strerror and error.filename is None:
         return f"standard output: {error.strerror}; print to another file."
     if isinstance(error, OSError) and error.errno == errno.EBADF and error.filename is None:
         return "standard output: closed, expected an open one; print to a file or to /dev/null, or add --quiet."
     foreseen = isinstance(error, ValueError | FloatingPointError | OSError | MemoryError | ImportError)
     what = str(error) or type(error).__name__
     cut = what if len(what) < 150 else f"{what[:147]}..."  # libraries say pages
-    return what if foreseen else f"{type(error).__name__}: {cut}; {REPORT}"
+    return what if foreseen else f"{type(error).__name__}: {cut}; {REPORT_REQUEST}"
 
 
 def _interrupt(*_: object) -> None:

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metapp.cli.console import Exit, out, print_json
-from metapp.cli.options import Json, Out, Overwrite, Quiet, takes
+from metapp.cli.console import Exit, print_json, standard_output
+from metapp.cli.options import JsonFlag, Out, Overwrite, Quiet, expand_options
 from metapp.options import Converter
 from metapp.runs.reporter import say
 
 if TYPE_CHECKING:
-    from metapp.runs.inputs.convert import Converted
+    from metapp.runs.inputs.convert import ConversionResult
 
 
-def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
+def make_convert_command(name: str, converter: type[Converter]) -> Callable[..., None]:
     """The command that converts files of the format of that name, with the converter's help and options."""
 
     def command(
@@ -28,18 +28,18 @@ def convert_by(name: str, converter: type[Converter]) -> Callable[..., None]:
         folder: Out,
         overwrite: Overwrite = False,
         quiet: Quiet = False,
-        as_json: Json = False,
+        as_json: JsonFlag = False,
     ) -> None:
-        from metapp.runs.inputs.convert import convert
+        from metapp.runs.inputs.convert import convert_files
 
-        done = convert(name, paths, folder, options.split, options.arguments(), overwrite=overwrite, quiet=quiet)
-        report(done, quiet, as_json)
+        done = convert_files(name, paths, folder, options.split, options.arguments(), overwrite=overwrite, quiet=quiet)
+        print_written_tasks(done, quiet, as_json)
 
     command.__doc__ = converter.__doc__
-    return takes(converter)(command)
+    return expand_options(converter)(command)
 
 
-def report(done: Converted, quiet: bool, as_json: bool) -> None:
+def print_written_tasks(done: ConversionResult, quiet: bool, as_json: bool) -> None:
     """Print the tasks that were written, for a person and for scripts."""
     if not quiet:
         skipped = f"; {len(done.skipped)} skipped" if done.skipped else ""
@@ -53,7 +53,7 @@ def join(
     folder: Out,
     alike: Annotated[bool, typer.Option("--alike", help="Training draws as many of each, whatever they hold.")] = False,
     overwrite: Overwrite = False,
-    as_json: Json = False,
+    as_json: JsonFlag = False,
     quiet: Quiet = False,
 ) -> None:
     """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
@@ -66,12 +66,12 @@ def join(
     from metapp.runs.inputs.joining import join_data_sets
 
     done = join_data_sets(folders, folder, alike=alike, overwrite=overwrite, quiet=quiet)
-    report(done, quiet, as_json)
+    print_written_tasks(done, quiet, as_json)
 
 
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set, with its manifest.json.")],
-    as_json: Json = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Verify a data set.
 
@@ -99,9 +99,9 @@ def check(
         tasks = f"{counts['train']} train + {counts['test']} test tasks"
         lines = [f"{folder}: {checked.app}, {tasks}, {checked.bytes / 1e6:,.1f} MB"]
         lines += [f"  {key}: {unit}" for key, unit in checked.units.items()]
-        out().print("\n".join(lines), soft_wrap=True)
+        standard_output().print("\n".join(lines), soft_wrap=True)
         for problem in problems:
             say(f"problem: {problem}")
-        out().print(f"{len(problems)} problem{'s' * (len(problems) != 1)}" if problems else "no problems")
+        standard_output().print(f"{len(problems)} problem{'s' * (len(problems) != 1)}" if problems else "no problems")
     if problems:
         raise typer.Exit(Exit.FAILED)

@@ -9,13 +9,13 @@ from pathlib import Path
 import typer
 
 from data_tools.synthetic import transport
-from metapp.cli.drawing_options import SHARDS, CornellOptions
-from metapp.cli.options import check_new
+from metapp.cli.drawing_options import SHARDS_FORM, CornellOptions
+from metapp.cli.options import check_new_file
 from metapp.learning.task import Task
-from metapp.runs.inputs.convert import Converted, converted
-from metapp.runs.inputs.embedded import embedded_data, embedded_module, split_counts
+from metapp.runs.inputs.convert import ConversionResult, conversion_result
+from metapp.runs.inputs.embedded import embedded_module, make_embedded_set, split_counts
 from metapp.runs.reporter import progress
-from metapp.storage.shards import read_manifest, write_shard
+from metapp.storage.shards import read_manifest, write_data_set
 
 
 def draw_shards(
@@ -27,8 +27,8 @@ def draw_shards(
     *,
     overwrite: bool,
     quiet: bool,
-) -> Converted:
-    """Draw an embedded data set as shards, which fits read; see :func:`metapp.runs.inputs.embedded.embedded_data`.
+) -> ConversionResult:
+    """Draw an embedded data set as shards, which fits read; see :func:`metapp.runs.inputs.embedded.make_embedded_set`.
 
     Args:
         name: of the application.
@@ -42,13 +42,13 @@ def draw_shards(
     Raises:
         ValueError: the set has not one of the options; a folder that holds other data.
     """
-    made = embedded_data(name, seed, count, folder, quiet, options, overwrite=overwrite)
-    return converted(name, made, read_manifest(made).tasks)
+    made = make_embedded_set(name, seed, count, folder, quiet, options, overwrite=overwrite)
+    return conversion_result(name, made, read_manifest(made).tasks)
 
 
 def draw_files(
     name: str, form: str, folder: Path | None, count: int | None, seed: int, *, overwrite: bool, quiet: bool
-) -> Converted:
+) -> ConversionResult:
     """Draw an embedded data set and write it in another form than shards, in the folders train and test.
 
     Args:
@@ -66,13 +66,13 @@ def draw_files(
     """
     forms = getattr(embedded_module(name), "FILES", {})
     if form not in forms:
-        expected = ", ".join([SHARDS, *forms])
+        expected = ", ".join([SHARDS_FORM, *forms])
         raise typer.BadParameter(f"'{form}': expected {expected} for {name}.", param_hint="--as")
     if folder is None:
         raise typer.BadParameter(f"missing, expected a folder for the {form} files.", param_hint="--out")
     counts = split_counts(name, count)
     for split in counts:
-        check_new(folder / split, overwrite)
+        check_new_file(folder / split, overwrite)
     write, size = forms[form]
     needed = sum(counts.values()) * size
     free = shutil.disk_usage(next(part for part in (folder, *folder.absolute().parents) if part.exists())).free
@@ -89,10 +89,12 @@ def draw_files(
             for task in write(folder / split, split, number, seed):
                 names[split].append(task)
                 bar.advance(task)
-    return Converted(name, str(folder), names["train"], names["test"], [])
+    return ConversionResult(name, str(folder), names["train"], names["test"], [])
 
 
-def draw_boxes(options: CornellOptions, folder: Path, seed: int, *, overwrite: bool, quiet: bool) -> Converted:
+def draw_cornell_boxes(
+    options: CornellOptions, folder: Path, seed: int, *, overwrite: bool, quiet: bool
+) -> ConversionResult:
     """Draw Cornell boxes, trace their light paths and write them as a data set.
 
     Args:
@@ -115,5 +117,5 @@ def draw_boxes(options: CornellOptions, folder: Path, seed: int, *, overwrite: b
                 bar.advance(task.name)
 
     units, beside = transport.UNITS, transport.BESIDE
-    written = write_shard(folder, "transport", units, boxes(), notes, beside, overwrite=overwrite)
-    return converted("transport", folder, written)
+    written = write_data_set(folder, "transport", units, boxes(), notes, beside, overwrite=overwrite)
+    return conversion_result("transport", folder, written)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from metapp.options import Converter, Option
 
-SHARDS = "shards"  # the form that fits read
+SHARDS_FORM = "shards"  # the form that fits read
 
 
 @dataclass(frozen=True)

@@ -6,30 +6,32 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli.evaluation_options import ALL, Evaluation
-from metapp.cli.options import Json, Overwrite, app_words, check_new, takes
+from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
+from metapp.cli.options import JsonFlag, Overwrite, app_words, check_new_file, expand_options
 from metapp.names import did_you_mean
 from metapp.registry import registry
 
-Apps = Annotated[
+AppsArgument = Annotated[
     list[str] | None,
     typer.Argument(metavar="[APP]...", autocompletion=app_words, help="Applications; default: all there are."),
 ]
 
 
-@takes(Evaluation)
-def command(options: Evaluation, apps: Apps = None, json: Json = False, overwrite: Overwrite = False) -> None:
+@expand_options(EvaluateOptions)
+def evaluate_command(
+    options: EvaluateOptions, apps: AppsArgument = None, json: JsonFlag = False, overwrite: Overwrite = False
+) -> None:
     """Print the paper's tables of your data beside the paper's figures; run fits without a record.
 
     Example: metapp evaluate brdf --which quickft
     """
     names, which = [*registry().tables], options.which or "results"
-    if which not in (*names, ALL):
-        expected = f"expected one of {', '.join([*names, ALL])}.{did_you_mean(which, [*names, ALL])}"
+    if which not in (*names, ALL_TABLES):
+        expected = f"expected one of {', '.join([*names, ALL_TABLES])}.{did_you_mean(which, [*names, ALL_TABLES])}"
         raise typer.BadParameter(f"--which '{which}': {expected}")
     for folder in filter(None, (options.figures, options.report)):
         for file in (*folder.glob("*-*.p[nd][gf]"), *folder.glob("index.md")):
-            check_new(file, overwrite)
+            check_new_file(file, overwrite)
     from metapp.cli.evaluating import evaluate
 
     evaluate(options, apps or [], which, "json" if json else options.format)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, Quiet, check_folder, export_words
+from metapp.cli.options import FittedData, JsonFlag, Quiet, check_out_folder, export_words
 from metapp.names import app_names, exports_of
 from metapp.registry import registry
 from metapp.runs.reporter import say
@@ -26,7 +26,7 @@ def _kinds() -> str:
     return "; ".join([*lines, *(f"{words}: {', '.join(kinds)}" for words, kinds in files.items())])
 
 
-def command(
+def export_command(
     source: Annotated[
         Path,
         typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it; or one of the files below."),
@@ -43,14 +43,14 @@ def command(
     data: FittedData = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", callback=check_folder, help="Folder to write to; default: TASK/KIND, of files KIND."),
+        typer.Option("--out", callback=check_out_folder, help="Folder to write to; default: TASK/KIND, of files KIND."),
     ] = None,
     size: Annotated[str | None, typer.Option(metavar="HxW|N", help="Rows x columns of maps and textures.")] = None,
     relief: Annotated[
         float | None,
         typer.Option(metavar="FACTOR", help="Factor of the slopes of normals of svbrdf_*; default: the fit's, else 1."),
     ] = None,
-    json: Json = False,
+    json: JsonFlag = False,
     quiet: Quiet = False,
 ) -> None:
     """Write the fits of a run, or measured BRDFs and checkpoints without a fit, in another file format.

@@ -12,14 +12,21 @@ import typer
 from rich.text import Text
 
 from metapp.appearance.presenter import Presenter
-from metapp.cli.console import Exit, escaped, one_line, out, print_json, seconds_so_far
+from metapp.cli.console import (
+    Exit,
+    command_seconds,
+    escape_control_characters,
+    print_json,
+    shorten_to_line,
+    standard_output,
+)
 from metapp.registry import registry
-from metapp.runs.keeping import Outcome, Report, execute
+from metapp.runs.keeping import Outcome, RunReport, execute_run
 from metapp.runs.options import FitOptions
-from metapp.runs.reporter import number, say
+from metapp.runs.reporter import format_number, say
 from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.fits import guarded, summary
+from metapp.storage.fits import count_guarded, summary
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -27,13 +34,13 @@ if TYPE_CHECKING:
 # Mean tilt from which a relief and its inverse differ under other lights by 0.02 of display values: the median of 20
 # drawn materials; of 20 others it is 2.9.
 VISIBLE_TILT_DEGREES = 3.0
-NARROWEST = 50  # columns of a table, so that titles stay on a line
-PHOTO_ERROR = "mean |fit - photo| of display values where the photo does not clip"
-PATHS = 5  # of files of a form, of which each is named
-LISTED = 20  # tasks in the table of a run that lists what failed
+MIN_TABLE_CHARACTERS = 50  # columns of a table, so that titles stay on a line
+PHOTO_ERROR_TEXT = "mean |fit - photo| of display values where the photo does not clip"
+MAX_LISTED_PATHS = 5  # of files of a form, of which each is named
+MAX_LISTED_TASKS = 20  # tasks in the table of a run that lists what failed
 
 
-def fit(options: FitOptions, *, json: bool) -> None:
+def fit_and_print(options: FitOptions, *, json: bool) -> None:
     """Fit the inputs of options; the exit code is 1 if one was not fitted.
 
     Args:
@@ -46,11 +53,11 @@ def fit(options: FitOptions, *, json: bool) -> None:
     """
     run = Run.of(options)
     if options.train:
-        from metapp.runs.training import trained  # here: most runs train nothing
+        from metapp.runs.training import train_run  # here: most runs train nothing
 
-        report = execute(run, trained)
+        report = execute_run(run, train_run)
     else:
-        report = execute(run)
+        report = execute_run(run)
     if report is None:
         return
     _show(report, json=json)
@@ -64,16 +71,18 @@ def fit(options: FitOptions, *, json: bool) -> None:
         raise typer.Exit(Exit.FAILED)
 
 
-def _show(report: Report, *, json: bool) -> None:
+def _show(report: RunReport, *, json: bool) -> None:
     """Print the table of a run, or its object, its folder, and failures."""
     run, records, outcomes = report.run, report.records, report.outcomes
     if not run.options.quiet:
         if not json:
             if len(records) > 1:
                 rate = report.tasks_per_second
-                out().print(table_of(run.presenter, run.paradigm.name, records, rate=rate, most=LISTED))
+                standard_output().print(
+                    fits_table(run.presenter, run.paradigm.name, records, rate=rate, most=MAX_LISTED_TASKS)
+                )
             else:
-                out().print(line_of(run.presenter, records[0]), soft_wrap=True)
+                standard_output().print(fit_line(run.presenter, records[0]), soft_wrap=True)
                 for remark in _of_guard(run.paradigm.name, records):
                     say(remark)
         remarks = [remark for outcome in outcomes for remark in outcome.remarks]
@@ -93,12 +102,12 @@ def _show(report: Report, *, json: bool) -> None:
             say(f"to look at: metapp view {shlex.quote(str(report.path))}")
     for failure in report.failures:
         what = "failed" if failure.counted else "warning: skipped"
-        say(f"{what}: {one_line(failure.reason)}")
+        say(f"{what}: {shorten_to_line(failure.reason)}")
     if json:
         print_json(_document(report))
 
 
-def _document(report: Report) -> Document:
+def _document(report: RunReport) -> Document:
     """Return the object that --json prints."""
     settings, records = report.folder.settings, report.records
     stated = ("app", "observe", "paradigm", "rule", "steps", "device", "data", "precision")
@@ -106,7 +115,7 @@ def _document(report: Report) -> Document:
     return {
         **{key: settings[key] for key in (*stated, *report.run.app.conditions()) if key in settings},
         **summary(records),
-        "guarded": guarded(records),
+        "guarded": count_guarded(records),
         "tasks": [{key: record[key] for key in fields if key in record} for record in records],
         "tasks_per_second": report.tasks_per_second,
         "failures": [{"source": failure.source, "reason": failure.reason} for failure in report.failures],
@@ -135,17 +144,19 @@ def relief_lines(records: Sequence[Document], *, changed: bool = False) -> list[
     return [f"relief: {mean}"]
 
 
-def line_of(presenter: Presenter[Any], record: Document) -> str:
+def fit_line(presenter: Presenter[Any], record: Document) -> str:
     """What a fit made, its error, and the seconds of the whole command."""
     app, pictures = presenter.app, len([*Path(record["folder"]).glob("*.png")])
     if record["error"] is not None:
         error = f"error{app.error_measure.factor} {record['error']:.3f} ({app.error_measure.text})"
     elif "photo_error" in record:
-        error = f"photo error {record['photo_error']:.2f} % ({PHOTO_ERROR})"
+        error = f"photo error {record['photo_error']:.2f} % ({PHOTO_ERROR_TEXT})"
     else:
         error = presenter.caption(measured=False)
     made = [f"{pictures} picture{'s' * (pictures != 1)}"] if pictures else []
-    return f"{escaped(record['name'])}: {', '.join([*made, error, f'{seconds_so_far():.1f} s in all'])}"
+    return (
+        f"{escape_control_characters(record['name'])}: {', '.join([*made, error, f'{command_seconds():.1f} s in all'])}"
+    )
 
 
 def _of_exports(outcomes: Sequence[Outcome]) -> Iterator[str]:
@@ -155,7 +166,7 @@ def _of_exports(outcomes: Sequence[Outcome]) -> Iterator[str]:
         for form, file in outcome.exported:
             by_form.setdefault(form, []).append(file)
     for form, files in by_form.items():
-        if len(files) > PATHS:
+        if len(files) > MAX_LISTED_PATHS:
             yield f"{form}: {len(files)} of them, the first {files[0]}"
         else:
             yield from (f"{form}: {file}" for file in files)
@@ -163,7 +174,7 @@ def _of_exports(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 def _of_guard(paradigm: str, records: Sequence[Document]) -> list[str]:
     """A line about the guard of a learned rule, if it acted."""
-    count = guarded(records)
+    count = count_guarded(records)
     if not count:
         return []
     from metapp.evaluation.rows import fit_remarks  # here: it imports more than a table of fits needs
@@ -171,7 +182,7 @@ def _of_guard(paradigm: str, records: Sequence[Document]) -> list[str]:
     return fit_remarks([{"paradigm": paradigm, "tasks": len(records), "guarded": count}])
 
 
-def table_of(
+def fits_table(
     presenter: Presenter[Any],
     paradigm: str,
     records: Sequence[Document],
@@ -202,23 +213,27 @@ def table_of(
     total = summary(records)
     measured = total["error"] is not None
     if "photo_error" in total:
-        remarks.insert(0, f"photo error: {PHOTO_ERROR}")
+        remarks.insert(0, f"photo error: {PHOTO_ERROR_TEXT}")
     caption = "\n".join([presenter.caption(measured=measured), *remarks])
-    table = Table(title=f"{presenter.title}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
+    table = Table(
+        title=f"{presenter.title}: {paradigm}", show_footer=True, caption=caption, min_width=MIN_TABLE_CHARACTERS
+    )
     means = measured or "photo_error" in total
     table.add_column("task", "mean error; other columns: median" if means else "median")
     if measured:
-        table.add_column(f"error{presenter.app.error_measure.factor}", number(total["error"], ".3f"), justify="right")
+        table.add_column(
+            f"error{presenter.app.error_measure.factor}", format_number(total["error"], ".3f"), justify="right"
+        )
     if "photo_error" in total:
-        table.add_column("photo error %", number(total["photo_error"], ".2f"), justify="right")
-    table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
+        table.add_column("photo error %", format_number(total["photo_error"], ".2f"), justify="right")
+    table.add_column("seconds", format_number(total["seconds"], ".4f"), justify="right")
     pictures = {} if measured else {each["name"]: len([*Path(each["folder"]).glob("*.png")]) for each in listed}
     if any(pictures.values()):
         table.add_column("pictures", justify="right")
     for record in listed:
-        cells = [number(record["error"], ".3f")] if measured else []
-        cells += [number(record.get("photo_error"), ".2f")] if "photo_error" in total else []
-        cells.append(number(record.get("seconds"), ".4f"))
+        cells = [format_number(record["error"], ".3f")] if measured else []
+        cells += [format_number(record.get("photo_error"), ".2f")] if "photo_error" in total else []
+        cells.append(format_number(record.get("seconds"), ".4f"))
         cells += [f"{pictures[record['name']]}"] if any(pictures.values()) else []
-        table.add_row(Text(escaped(record["name"])), *cells)
+        table.add_row(Text(escape_control_characters(record["name"])), *cells)
     return table

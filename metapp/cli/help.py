@@ -10,11 +10,11 @@ from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
-from metapp.cli.options import place_of
+from metapp.cli.options import value_placeholder
 from metapp.options import BadOption
 
 
-class Command(TyperCommand):
+class HelpCommand(TyperCommand):
     """A command with this help, which takes no file for an option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -32,14 +32,14 @@ class Command(TyperCommand):
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Words after the command's name in the line of usage."""
-        return [*(place_of(param) for param in self.params if isinstance(param, TyperArgument)), "[OPTIONS]"]
+        return [*(value_placeholder(param) for param in self.params if isinstance(param, TyperArgument)), "[OPTIONS]"]
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Print usage, the text and the panels of options."""
         _print(self, ctx, [])
 
 
-class Group(TyperGroup):
+class HelpGroup(TyperGroup):
     """A group of commands with this help."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:

@@ -11,11 +11,11 @@ from rich.table import Table
 from rich.text import Text
 from typer.core import TyperArgument
 
-from metapp.cli.options import place_of
+from metapp.cli.options import value_placeholder
 from metapp.options import PANELS
 
-LABEL = 19  # columns of an option, so that texts of all panels begin at the same one
-COMMANDS, OPTIONS = "Commands", "Options"  # panels; the second is of options that name none
+LABEL_CHARACTERS = 19  # columns of an option, so that texts of all panels begin at the same one
+COMMANDS_PANEL, OPTIONS_PANEL = "Commands", "Options"  # panels; the second is of options that name none
 
 
 def print_help(command: Any, ctx: Any, commands: list[tuple[str, str]]) -> None:
@@ -30,18 +30,20 @@ def print_help(command: Any, ctx: Any, commands: list[tuple[str, str]]) -> None:
     usage = " ".join(command.collect_usage_pieces(ctx))
     console.print(Text.assemble("\n ", ("Usage:", "yellow"), " ", (ctx.command_path, "bold"), f" {usage}"))
     console.print(Padding(Text((command.help or "").replace("\b\n", "")), (1, 1, 0, 1)))
-    panels: dict[str, list[tuple[str, str, str]]] = {name: [] for name in (COMMANDS, *PANELS, OPTIONS)}
-    panels[COMMANDS] = [(name, "", text) for name, text in commands]
+    panels: dict[str, list[tuple[str, str, str]]] = {name: [] for name in (COMMANDS_PANEL, *PANELS, OPTIONS_PANEL)}
+    panels[COMMANDS_PANEL] = [(name, "", text) for name, text in commands]
     for param in sorted(command.get_params(ctx), key=lambda param: not isinstance(param, TyperArgument)):
         if isinstance(param, TyperArgument):
-            panels[param.rich_help_panel or OPTIONS].append((place_of(param), "", param.help or ""))
+            panels[param.rich_help_panel or OPTIONS_PANEL].append((value_placeholder(param), "", param.help or ""))
         elif not param.hidden and param.name != "help":
             names = ", ".join([*sorted(param.opts, key=len), *param.secondary_opts])
-            place = "" if param.is_flag else f" {place_of(param)}"
-            panels[param.rich_help_panel or OPTIONS].append((names, place, f"{param.help or ''}{_default(param)}"))
+            place = "" if param.is_flag else f" {value_placeholder(param)}"
+            panels[param.rich_help_panel or OPTIONS_PANEL].append(
+                (names, place, f"{param.help or ''}{_default(param)}")
+            )
     for title, rows in panels.items():
         grid = Table.grid(padding=(0, 2))
-        grid.add_column(min_width=LABEL, no_wrap=True)
+        grid.add_column(min_width=LABEL_CHARACTERS, no_wrap=True)
         for names, place, text in rows:
             grid.add_row(Text.assemble((names, "bold cyan"), (place, "yellow")), Text(text))
         if rows:

@@ -15,14 +15,14 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 
 from metapp.names import app_names, exports_of, protocols_of, recipe_names, rule_words
-from metapp.options import Option, declared, parse
+from metapp.options import Option, options_by_name, parse_options
 from metapp.registry import registry
 
-LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
-Words = Callable[[str], list[str]]
+COMPLETION_LINE_VARIABLES = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
+WordCompleter = Callable[[str], list[str]]
 
 
-def _words(names: Callable[[], Iterable[str]], between: str = "") -> Words:
+def _words(names: Callable[[], Iterable[str]], between: str = "") -> WordCompleter:
     """The function that typer asks for names that begin as a word does; `between` may stand between several."""
 
     def complete(incomplete: str) -> list[str]:
@@ -37,7 +37,7 @@ def _of_apps(names: Callable[[str], Iterable[str]]) -> Callable[[], Iterable[str
 
     def of_line() -> Iterable[str]:
         # by the whole line: typer parses none whose last option has no value yet
-        line, apps = " ".join(os.environ.get(name, "") for name in LINE), app_names()
+        line, apps = " ".join(os.environ.get(name, "") for name in COMPLETION_LINE_VARIABLES), app_names()
         named = [app for app in apps if re.search(rf"(?<![\w-]){app}(?![\w-])", line)]
         return (name for app in named or apps for name in names(app))
 
@@ -47,7 +47,7 @@ def _of_apps(names: Callable[[str], Iterable[str]]) -> Callable[[], Iterable[str
 app_words = _words(app_names)
 export_words = _words(lambda: (*_of_apps(exports_of)(), *registry().file_exports))
 baseline_words = _words(_of_apps(lambda app: registry().baselines.of(app)))
-COMPLETIONS = {  # of options by name
+COMPLETION_WORDS = {  # of options by name
     "observe": _words(_of_apps(protocols_of)),
     "recipe": _words(_of_apps(recipe_names)),
     "rule": _words(rule_words, "+"),
@@ -56,16 +56,16 @@ COMPLETIONS = {  # of options by name
 }
 
 
-METAVARS = {int: "N", str: "NAME", Path: "DIR"}  # of options that name none
+DEFAULT_METAVARS = {int: "N", str: "NAME", Path: "DIR"}  # of options that name none
 
 
-def check_new(path: Path | None, overwrite: bool) -> None:
+def check_new_file(path: Path | None, overwrite: bool) -> None:
     """Refuse to write a file that is there, unless it may be replaced."""
     if path and not overwrite and os.path.lexists(path):
         raise typer.BadParameter(f"{path}: is there already, expected a new file; add --overwrite to replace it.")
 
 
-def check_folder(path: Path | None) -> Path | None:
+def check_out_folder(path: Path | None) -> Path | None:
     """Refuse a folder to write to that cannot be one, before any work is done."""
     for part in (path, *path.parents) if path else ():
         if part.exists() and not part.is_dir():
@@ -75,27 +75,30 @@ def check_folder(path: Path | None) -> Path | None:
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it.")]
 FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, the last line of output.")]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object, the last line of output.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 Seed = Annotated[int, typer.Option(metavar="S", min=0, max=2**63 - 1, help="Of all random draws.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table, no messages.")]
 Out = Annotated[
-    Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
+    Path,
+    typer.Option("--out", "-o", metavar="DIR", callback=check_out_folder, help="Folder to write to; made if missing."),
 ]
 
 
-def takes(kind: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def expand_options(kind: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a command of a function whose first parameter is an instance of this dataclass of options."""
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         def command(**values: Any) -> None:
-            options = {name: values.pop(name) for name in declared(kind)}
-            function(parse(kind, options), **values)
+            options = {name: values.pop(name) for name in options_by_name(kind)}
+            function(parse_options(kind, options), **values)
 
-        own = [parameter_of(option) for option in declared(kind).values()]
+        own = [parameter_of(option) for option in options_by_name(kind).values()]
         hints = get_type_hints(function, include_extras=True)
         others = list(inspect.signature(function).parameters.values())[1:]
-        return signed(command, function, own + [parameter(one.name, hints[one.name], one.default) for one in others])
+        return set_signature(
+            command, function, own + [parameter(one.name, hints[one.name], one.default) for one in others]
+        )
 
     return decorate
 
@@ -109,13 +112,13 @@ def parameter_of(option: Option, **changes: Any) -> inspect.Parameter:
     """The parameter of a command for an option.
 
     Args:
-        option: of a dataclass, as of `declared`.
+        option: of a dataclass, as of `options_by_name`.
         changes: arguments of `typer.Option` that differ.
     """
     default = option.default or None  # 0 and "" say that an option is not given
     shown: dict[str, Any] = {"help": option.help, "show_default": bool(default)}
-    shown["metavar"] = option.metavar or METAVARS.get(option.kinds[0])
-    if words := COMPLETIONS.get(option.name, _words(lambda: option.choices) if option.choices else None):
+    shown["metavar"] = option.metavar or DEFAULT_METAVARS.get(option.kinds[0])
+    if words := COMPLETION_WORDS.get(option.name, _words(lambda: option.choices) if option.choices else None):
         shown["autocompletion"] = words
     names = [option.flag, *([f"-{option.short}"] if option.short else [])]
     kind = option.kinds[0]
@@ -127,12 +130,12 @@ def parameter_of(option: Option, **changes: Any) -> inspect.Parameter:
     return parameter(option.name, Annotated[annotation, typer.Option(*names, **shown | changes)], default)
 
 
-def place_of(param: Any) -> str:
+def value_placeholder(param: Any) -> str:
     """Return the word that stands for the value of a parameter in help."""
     return str(param.metavar or param.name.upper())
 
 
-def signed(
+def set_signature(
     command: Callable[..., None], like: Callable[..., object], parameters: list[inspect.Parameter]
 ) -> Callable[..., None]:
     """A command that typer sees with these parameters, under the name and with the help of another function."""

@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, Overwrite, Quiet, Seed, check_new
+from metapp.cli.options import JsonFlag, Overwrite, Quiet, Seed, check_new_file
 from metapp.names import did_you_mean
 from metapp.runs.reporter import progress, say
 
 
-def plan(
+def plan_measurements(
     app: Annotated[str, typer.Argument(metavar="APP", autocompletion=lambda: ["brdf"], help="brdf.")],
     samples: Annotated[int, typer.Option(min=1, max=256, help="Pairs of directions to measure.")] = 16,
     out: Annotated[
@@ -38,7 +38,7 @@ def plan(
     ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,
-    json: Json = False,
+    json: JsonFlag = False,
     quiet: Quiet = False,
 ) -> None:
     """Choose the pairs of light and detector directions that are most informative for an isotropic BRDF.
@@ -54,30 +54,34 @@ def plan(
     import torch
 
     from data_tools.readers.gonio import read_pairs, write_pairs
-    from data_tools.readers.measured_pairs import LEAST, Pairs
+    from data_tools.readers.measured_pairs import MIN_PAIRS, MeasuredPairs
     from metapp.appearance.geometry import directions_to_rusinkiewicz
-    from metapp.apps.brdf.few.design import Limits
+    from metapp.apps.brdf.few.design import InstrumentLimits
     from metapp.apps.brdf.presenter import describe_unseen_highlight
-    from metapp.evaluation.planning import directions, plan_brdf
-    from metapp.evaluation.style import save
+    from metapp.evaluation.planning import draw_directions, plan_brdf
+    from metapp.evaluation.style import save_figure
 
     if app != "brdf":
         whole = f"expected brdf; of other applications a fit takes whole pictures.{did_you_mean(app, ['brdf'])}"
         raise typer.BadParameter(f"'{app}': {whole}")
     for path in (out, out.with_suffix(".png")):
-        check_new(path, overwrite)
+        check_new_file(path, overwrite)
     detector = None if detector is None else math.radians(detector)
-    limits = Limits(math.radians(grazing), math.radians(apart), detector)
+    limits = InstrumentLimits(math.radians(grazing), math.radians(apart), detector)
     nothing = torch.zeros(0, 3, dtype=torch.float64)
-    before = read_pairs(after) if after else Pairs(nothing, nothing, nothing)
+    before = read_pairs(after) if after else MeasuredPairs(nothing, nothing, nothing)
     with progress("plan", quiet=quiet):
         wi, wo, (first, then) = plan_brdf(samples, limits, before, seed)
     write_pairs(out, wi, wo, before)
-    picture = save(directions(wi, wo, before), out.with_suffix(".png"))
+    picture = save_figure(draw_directions(wi, wo, before), out.with_suffix(".png"))
     if not quiet:
         say(f"{out}: {samples} pairs to measure; the expected error x100 falls from {first:.2f} to {then:.2f}")
         pairs = samples + len(before.wi)
-        fit = f"metapp meta brdf {out}" if pairs >= LEAST else f"plan more --after {out}; a fit takes {LEAST} pairs"
+        fit = (
+            f"metapp meta brdf {out}"
+            if pairs >= MIN_PAIRS
+            else f"plan more --after {out}; a fit takes {MIN_PAIRS} pairs"
+        )
         every = torch.cat([directions_to_rusinkiewicz(*pair) for pair in ((before.wi, before.wo), (wi, wo))])
         if unseen := describe_unseen_highlight(every):
             say(f"{unseen}; allow them by --apart and --grazing")

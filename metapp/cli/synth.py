@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli.data import report
-from metapp.cli.drawing_options import SHARDS, CornellOptions, SynthOptions
-from metapp.cli.options import Json, Out, Overwrite, Quiet, Seed, app_words, check_folder, takes
+from metapp.cli.data import print_written_tasks
+from metapp.cli.drawing_options import SHARDS_FORM, CornellOptions, SynthOptions
+from metapp.cli.options import JsonFlag, Out, Overwrite, Quiet, Seed, app_words, check_out_folder, expand_options
 from metapp.names import did_you_mean, embedded_apps
 from metapp.registry import registry
 
 
-@takes(SynthOptions)
+@expand_options(SynthOptions)
 def synth(
     options: SynthOptions,
     name: Annotated[
@@ -27,7 +27,7 @@ def synth(
             "--out",
             "-o",
             metavar="DIR",
-            callback=check_folder,
+            callback=check_out_folder,
             show_default="the user's cache",
             help="Folder to write to; made if missing.",
         ),
@@ -40,10 +40,10 @@ def synth(
             metavar="FORM",
             help="shards, what metapp reads, or merl: files in DIR/train and DIR/test.",
         ),
-    ] = SHARDS,
+    ] = SHARDS_FORM,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
-    as_json: Json = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Draw an embedded data set: synthetic tasks, the same on every machine."""
     count, own = options.count, {key: value for key, value in vars(options).items() if value and key != "count"}
@@ -53,16 +53,16 @@ def synth(
             f"'{name}' has no embedded data set, expected one of {', '.join(apps)}.{did_you_mean(name, apps)}",
             param_hint="APP",
         )
-    if form != SHARDS and own:
+    if form != SHARDS_FORM and own:
         flag = f"--{next(iter(own))}".replace("_", "-")
         raise typer.BadParameter(f"{form}: has no {flag}, expected shards with it.", param_hint="--as")
     from metapp.cli.drawing import draw_files, draw_shards
 
-    if form == SHARDS:
+    if form == SHARDS_FORM:
         done = draw_shards(name, seed, count, folder, own, overwrite=overwrite, quiet=quiet)
     else:
         done = draw_files(name, form, folder, count, seed, overwrite=overwrite, quiet=quiet)
-    report(done, quiet, as_json)
+    print_written_tasks(done, quiet, as_json)
 
 
 synth.__doc__ = "\n\n".join(
@@ -74,14 +74,14 @@ synth.__doc__ = "\n\n".join(
 )
 
 
-@takes(CornellOptions)
+@expand_options(CornellOptions)
 def cornell(
     options: CornellOptions,
     folder: Out,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
-    as_json: Json = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Draw Cornell boxes and trace their light paths.
 
@@ -93,7 +93,7 @@ def cornell(
       metapp data cornell --count 20 --seed 7 --out boxes
       metapp data cornell --count 4 --samples 288000 --split test --out boxes
     """
-    from metapp.cli.drawing import draw_boxes
+    from metapp.cli.drawing import draw_cornell_boxes
 
-    done = draw_boxes(options, folder, seed, overwrite=overwrite, quiet=quiet)
-    report(done, quiet, as_json)
+    done = draw_cornell_boxes(options, folder, seed, overwrite=overwrite, quiet=quiet)
+    print_written_tasks(done, quiet, as_json)

@@ -10,21 +10,23 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from torch import Generator, Tensor
 
-from data_tools.readers.measured_pairs import Pairs
-from metapp.appearance.geometry import directions_to_full_circle
-from metapp.apps.brdf.few.design import Limits, Posterior, expected_errors, places_of, plan
-from metapp.apps.brdf.few.network import NETWORK, linear, slope_of
-from metapp.apps.brdf.network import COUNT
-from metapp.evaluation.style import COLOURS, MUTED, STYLE, label
+from data_tools.readers.measured_pairs import MeasuredPairs
+from metapp.appearance.geometry import directions_to_full_rusinkiewicz
+from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_errors, places_at_angles, plan_directions
+from metapp.apps.brdf.few.network import FEW_NETWORK, error_slope, ridge_regression
+from metapp.apps.brdf.network import COUNT_KEY
+from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels
 from metapp.learning.task import Params
-from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.checkpoints import attach_checkpoint
 from metapp.runs.options import fit_options
 from metapp.runs.run import Run
 
-NUMBERED = 32  # pairs up to which a picture numbers each
+MAX_NUMBERED_PAIRS = 32  # pairs up to which a picture numbers each
 
 
-def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple[Tensor, Tensor, tuple[float, float]]:
+def plan_brdf(
+    count: int, limits: InstrumentLimits, before: MeasuredPairs, seed: int = 0
+) -> tuple[Tensor, Tensor, tuple[float, float]]:
     """Choose directions by the model that ships for fits of few samples.
 
     Args:
@@ -40,39 +42,43 @@ def plan_brdf(count: int, limits: Limits, before: Pairs, seed: int = 0) -> tuple
     Raises:
         ValueError: no direction is within the limits.
     """
-    run = with_checkpoint(Run.of(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
+    run = attach_checkpoint(Run.of(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
     assert run.checkpoint is not None  # or it would have been refused
     encoder = run.checkpoint.phi.encoder
-    seen = directions_to_full_circle(before.wi, before.wo)
+    seen = directions_to_full_rusinkiewicz(before.wi, before.wo)
     # before anything is measured, of the first kind: measured materials
-    theta = fitted(encoder, seen, before.reflectance) if len(seen) else NETWORK.of_kinds(encoder, torch.zeros(1).long())
-    wi, wo = plan(theta, count, limits, seen, Generator().manual_seed(seed))
-    every = torch.cat([seen.float(), directions_to_full_circle(wi, wo)])
-    posteriors = (Posterior.of(theta, places_of(angles)) for angles in (seen.float(), every))
+    theta = (
+        fit_likeliest_model(encoder, seen, before.reflectance)
+        if len(seen)
+        else FEW_NETWORK.of_kinds(encoder, torch.zeros(1).long())
+    )
+    wi, wo = plan_directions(theta, count, limits, seen, Generator().manual_seed(seed))
+    every = torch.cat([seen.float(), directions_to_full_rusinkiewicz(wi, wo)])
+    posteriors = (Posterior.of(theta, places_at_angles(angles)) for angles in (seen.float(), every))
     first, then = (100 * expected_errors(posterior)["expected"] for posterior in posteriors)
     return wi, wo, (first, then)
 
 
-def fitted(encoder: Params, angles: Tensor, reflectance: Tensor) -> Params:
+def fit_likeliest_model(encoder: Params, angles: Tensor, reflectance: Tensor) -> Params:
     """The likeliest model [1, ...] after samples: angles [N, 3] in rad and reflectance [N, 3] in 1/sr."""
-    where = places_of(angles.float())
+    where = places_at_angles(angles.float())
     target = torch.log1p(reflectance.T[None].float() * where[:, 6:])
-    batch = {"where": where, "target": target, COUNT: torch.tensor([float(len(angles))])}
-    theta = NETWORK.encode(encoder, batch)
-    fit = linear(theta, batch)
-    posterior = Posterior.of(theta, where, slope_of(reflectance.T[None].float(), where))
+    batch = {"where": where, "target": target, COUNT_KEY: torch.tensor([float(len(angles))])}
+    theta = FEW_NETWORK.encode(encoder, batch)
+    fit = ridge_regression(theta, batch)
+    posterior = Posterior.of(theta, where, error_slope(reflectance.T[None].float(), where))
     moment = (fit.residual[0] * fit.weights[0] / len(angles)) @ fit.features[0].T
     change = torch.einsum("cfg,cg->cf", posterior.covariance, moment.double())
     return theta | {"last": theta["last"] + change[None].float()}
 
 
-def directions(wi: Tensor, wo: Tensor, before: Pairs) -> Figure:
+def draw_directions(wi: Tensor, wo: Tensor, before: MeasuredPairs) -> Figure:
     """Pairs to measure, unit vectors [N, 3] to light and detector, and those measured before, seen from above."""
-    light, detector = COLOURS["meta"], COLOURS["overfit"]
-    pairs = [(*pair, MUTED, MUTED, "") for pair in zip(before.wi, before.wo, strict=True)]
+    light, detector = PARADIGM_COLOURS["meta"], PARADIGM_COLOURS["overfit"]
+    pairs = [(*pair, MUTED_COLOUR, MUTED_COLOUR, "") for pair in zip(before.wi, before.wo, strict=True)]
     for at, pair in enumerate(zip(wi, wo, strict=True), 1):
-        pairs.append((*pair, light, detector, str(at) if len(wi) <= NUMBERED else ""))
-    with rc_context(STYLE):
+        pairs.append((*pair, light, detector, str(at) if len(wi) <= MAX_NUMBERED_PAIRS else ""))
+    with rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(5.2, 5.6))
         axis = figure.add_subplot(projection="polar")
         assert isinstance(axis, PolarAxes)
@@ -92,7 +98,7 @@ def directions(wi: Tensor, wo: Tensor, before: Pairs) -> Figure:
         axis.plot([], [], "o", color=light, markersize=5, label="light")
         axis.plot([], [], "s", color=detector, markersize=4, label="detector")
         if len(before.wi):
-            axis.plot([], [], "o", color=MUTED, markersize=5, label="measured before")
+            axis.plot([], [], "o", color=MUTED_COLOUR, markersize=5, label="measured before")
         figure.legend(loc="outside lower center", ncols=3)
-        label(axis, names)
+        place_labels(axis, names)
     return figure

@@ -9,24 +9,31 @@ from collections.abc import Sequence
 from importlib import resources
 
 from metapp.apps import is_first_protocol, protocol_entry
-from metapp.evaluation.statistics import FEWEST, Errors, Paired, is_significant, paired, statistics_of
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.statistics import (
+    MIN_TASK_GROUPS,
+    ErrorsByTask,
+    PairedComparison,
+    compare_errors,
+    is_significant,
+    summarise_errors,
+)
+from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Row
 from metapp.learning.app import App
-from metapp.runs.fitting import ROSE
+from metapp.runs.fitting import LOSS_ROSE_CLAUSE
 from metapp.storage import Document
-from metapp.storage.fits import Record, guarded
+from metapp.storage.fits import Record, count_guarded
 
 
 @functools.cache
-def paper() -> Document:
+def paper_figures() -> Document:
     """The paper's figures, with their places in it."""
     result: Document = json.loads((resources.files("metapp") / "paper.json").read_text())
     return result
 
 
-def row_of(
-    subject: Subject,
+def make_row(
+    subject: EvaluationRun,
     name: str,
     records: Sequence[Record],
     entries: Row,
@@ -49,12 +56,12 @@ def row_of(
         "app": app.name,
         "paradigm": name,
         **protocol_entry(app),
-        **statistics_of(errors_of(records), groups),
+        **summarise_errors(errors_by_task(records), groups),
         "seconds": statistics.median(seconds) if seconds else None,
         "tasks": len(records),
-        "warnings": sum(some[0].startswith(ROSE) for some in clauses),
-        "doubtful": sum(not some[-1].startswith(ROSE) for some in clauses),
-        "guarded": guarded(records),
+        "warnings": sum(some[0].startswith(LOSS_ROSE_CLAUSE) for some in clauses),
+        "doubtful": sum(not some[-1].startswith(LOSS_ROSE_CLAUSE) for some in clauses),
+        "guarded": count_guarded(records),
         "threads": ", ".join(map(str, sorted({one["threads"] for one in records if one.get("threads")}))) or None,
         "paper_error": None,
         "paper_seconds": None,
@@ -63,18 +70,20 @@ def row_of(
         **app.conditions(),
     }
     for other in against:
-        theirs = errors_of(subject.records(other)) if other != name else {}
-        row[f"vs_{other}"] = paired(errors_of(records), theirs, groups, logarithmic=app.error_measure.logarithmic)
+        theirs = errors_by_task(subject.records(other)) if other != name else {}
+        row[f"vs_{other}"] = compare_errors(
+            errors_by_task(records), theirs, groups, logarithmic=app.error_measure.logarithmic
+        )
     return row
 
 
-def of_paper(app: App, name: str) -> Row:
+def paper_entries(app: App, name: str) -> Row:
     """The paper's figures of a paradigm, under the paper's protocol."""
-    figures = paper() if is_first_protocol(app) else {}
+    figures = paper_figures() if is_first_protocol(app) else {}
     return {f"paper_{key}": figures.get(key, {}).get(app.name, {}).get(name) for key in ("error", "seconds")}
 
 
-def errors_of(records: Sequence[Record]) -> Errors:
+def errors_by_task(records: Sequence[Record]) -> ErrorsByTask:
     """The errors of records, by the task's name, of those that have one."""
     return {record["name"]: record["error"] for record in records if record["error"] is not None}
 
@@ -82,12 +91,12 @@ def errors_of(records: Sequence[Record]) -> Errors:
 # Sentences
 
 
-def notes_of(rows: Sequence[Row], other: str = "quickft") -> list[str]:
+def comparison_notes(rows: Sequence[Row], other: str = "quickft") -> list[str]:
     """Notes on rows that are compared with another: comparisons, threads, fits that went wrong."""
-    return [*paired_note(rows, other), *_threads_note(rows), *fit_remarks(rows)]
+    return [*paired_columns_note(rows, other), *_threads_note(rows), *fit_remarks(rows)]
 
 
-def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
+def paired_columns_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
     """A note on the columns that compare."""
     kinds = {pair.kind: pair.level for row in rows if (pair := row[f"vs_{other}"])}
     return [
@@ -96,23 +105,23 @@ def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
     ]
 
 
-def compared_text(pair: Paired, other: str) -> str:
+def comparison_text(pair: PairedComparison, other: str) -> str:
     """A comparison in words: error ratio 0.962 [0.952, 0.972] vs quickft, lower on 15 of 20 tasks."""
     return f"error {pair.kind} {pair} vs {other}, lower on {pair.ahead} of {pair.tasks} tasks"
 
 
-def verdict(row: Row, other: str = "quickft") -> list[str]:
+def describe_winner(row: Row, other: str = "quickft") -> list[str]:
     """The winner of a row's method and another: the one of the lower error, unless chance could be the reason."""
-    pair: Paired | None = row[f"vs_{other}"]
+    pair: PairedComparison | None = row[f"vs_{other}"]
     if pair is None:
         return []
     winner = row["paradigm"] if pair.value < pair.level else other
     says = {
-        None: f"{pair.groups} different tasks, fewer than {FEWEST}, are too few to call a win",
+        None: f"{pair.groups} different tasks, fewer than {MIN_TASK_GROUPS}, are too few to call a win",
         False: "no win",
         True: f"{winner} wins",
     }
-    return [f"{row['paradigm']}: {compared_text(pair, other)}; {says[is_significant(pair)]}"]
+    return [f"{row['paradigm']}: {comparison_text(pair, other)}; {says[is_significant(pair)]}"]
 
 
 def fit_remarks(rows: Sequence[Row]) -> list[str]:
@@ -130,7 +139,7 @@ def fit_remarks(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
+def measures_note(subject: EvaluationRun, rows: Sequence[Row]) -> list[str]:
     """The means of the further errors that the application states, a line each."""
     means_by_title = {
         title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row[f"mean_{key}"] is not None]
@@ -151,14 +160,14 @@ def _threads_note(rows: Sequence[Row]) -> list[str]:
     return [f"threads: {count}" for count in by_count]
 
 
-def few_note(subject: Subject) -> list[str]:
+def subset_note(subject: EvaluationRun) -> list[str]:
     """A note on the rows that are of some of the tasks."""
     names = [name for name in subject.runs if subject.is_of_few(name)]
     count = len(subject.tasks_of(names[0])) if names else 0
     return [f"*: on {count} evenly spaced tasks; --whole measures all"] if names else []
 
 
-def carried(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
+def scale_free_figures(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
     """The two figures that carry across data sets and machines: Meta's gap closed, and its speed-up over Overfit.
 
     There is no gap to close if Overfit is no better than General.

@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-Errors = Mapping[str, float]  # by the task's name
-FEWEST = 5  # groups of tasks: the bootstrap of fewer says nothing
-DRAWS = 4000
+ErrorsByTask = Mapping[str, float]  # by the task's name
+MIN_TASK_GROUPS = 5  # groups of tasks: the bootstrap of fewer says nothing
+BOOTSTRAP_DRAWS = 4000
 
 
-def resampled(columns: Sequence[Sequence[float]], groups: Sequence[str]) -> np.ndarray:
+def bootstrap_sums(columns: Sequence[Sequence[float]], groups: Sequence[str]) -> np.ndarray:
     """Sums [K, DRAWS] of K columns of values of the same tasks, [K, N], over tasks drawn with replacement.
 
     Draws are of groups, from a fixed seed: tasks that show the same are drawn together.
@@ -24,11 +24,11 @@ def resampled(columns: Sequence[Sequence[float]], groups: Sequence[str]) -> np.n
     """
     numbers = {group: index for index, group in enumerate(dict.fromkeys(groups))}
     rows = [numbers[group] for group in groups]
-    drawn = np.random.default_rng(0).integers(len(numbers), size=(DRAWS, len(numbers)))
+    drawn = np.random.default_rng(0).integers(len(numbers), size=(BOOTSTRAP_DRAWS, len(numbers)))
     return np.stack([np.bincount(rows, values)[drawn].sum(1) for values in columns])
 
 
-def interval_of(values: np.ndarray) -> tuple[float, float]:
+def central_interval(values: np.ndarray) -> tuple[float, float]:
     """The two values between which 95 % of them lie.
 
     >>> interval_of(np.arange(101.0))
@@ -38,7 +38,7 @@ def interval_of(values: np.ndarray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def statistics_of(errors: Errors, groups: Mapping[str, str]) -> dict[str, float | None]:
+def summarise_errors(errors: ErrorsByTask, groups: Mapping[str, str]) -> dict[str, float | None]:
     """Mean `error`, `median`, `worst`, and the 95 % interval `low` to `high` of the mean over tasks; None without any.
 
     Args:
@@ -51,8 +51,8 @@ def statistics_of(errors: Errors, groups: Mapping[str, str]) -> dict[str, float 
     if not errors:
         return dict.fromkeys(("error", "median", "worst", "low", "high"))
     values = list(errors.values())
-    sums, counts = resampled([values, [1.0] * len(values)], [groups[name] for name in errors])
-    low, high = interval_of(sums / counts)
+    sums, counts = bootstrap_sums([values, [1.0] * len(values)], [groups[name] for name in errors])
+    low, high = central_interval(sums / counts)
     return {
         "error": statistics.fmean(values),
         "median": statistics.median(values),
@@ -62,7 +62,7 @@ def statistics_of(errors: Errors, groups: Mapping[str, str]) -> dict[str, float 
     }
 
 
-class Paired(NamedTuple):
+class PairedComparison(NamedTuple):
     """Two methods compared on the same tasks.
 
     Attributes:
@@ -94,7 +94,9 @@ class Paired(NamedTuple):
         return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
 
 
-def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic: bool) -> Paired | None:
+def compare_errors(
+    one: ErrorsByTask, other: ErrorsByTask, groups: Mapping[str, str], *, logarithmic: bool
+) -> PairedComparison | None:
     """Compare two methods by their errors of the same tasks.
 
     The difficulty of tasks is common to both, so that methods differ significantly whose own intervals overlap.
@@ -116,7 +118,7 @@ def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic
     if not names:
         return None
     first, second, of_tasks = [one[name] for name in names], [other[name] for name in names], [groups[n] for n in names]
-    sums, base, counts = resampled([first, second, [1.0] * len(names)], of_tasks)
+    sums, base, counts = bootstrap_sums([first, second, [1.0] * len(names)], of_tasks)
     if logarithmic:
         value, values = statistics.fmean(first) - statistics.fmean(second), (sums - base) / counts
     elif min(second) < 0 or not base.all():
@@ -125,11 +127,11 @@ def paired(one: Errors, other: Errors, groups: Mapping[str, str], *, logarithmic
         value, values = sum(first) / sum(second), sums / base
     ahead = sum(a < b for a, b in zip(first, second, strict=True))
     kind = "difference" if logarithmic else "ratio"
-    return Paired(value, *interval_of(values), ahead, len(names), len(set(of_tasks)), kind)
+    return PairedComparison(value, *central_interval(values), ahead, len(names), len(set(of_tasks)), kind)
 
 
-def is_significant(pair: Paired | None) -> bool | None:
+def is_significant(pair: PairedComparison | None) -> bool | None:
     """True if two methods differ by more than chance; None if that is not known, or on too few tasks to tell."""
-    if pair is None or pair.groups < FEWEST:
+    if pair is None or pair.groups < MIN_TASK_GROUPS:
         return None
     return not pair.low <= pair.level <= pair.high

@@ -17,18 +17,18 @@ from matplotlib.transforms import Bbox
 
 from metapp.storage.files import write_atomically
 
-COLOURS = {
+PARADIGM_COLOURS = {
     "general": "#E69F00",
     "overfit": "#0072B2",
     "finetune": "#56B4E9",
     "quickft": "#CC79A7",
     "meta": "#D55E00",
 }
-MUTED = "#666666"
-MARKER = 5  # px, half the side of a place
-REACHES = (7, 16, 26, 36)  # points from a place to its name
-ANGLES = [math.radians(degrees) for degrees in (35, -35, 145, -145, 90, -90, 0, 180)]
-STYLE: Any = {
+MUTED_COLOUR = "#666666"
+HALF_MARKER_PX = 5  # px, half the side of a place
+LABEL_DISTANCES_POINTS = (7, 16, 26, 36)  # points from a place to its name
+LABEL_ANGLES_RAD = [math.radians(degrees) for degrees in (35, -35, 145, -145, 90, -90, 0, 180)]
+FIGURE_STYLE: Any = {
     "axes.axisbelow": True,
     "axes.grid": True,
     "axes.spines.right": False,
@@ -42,15 +42,15 @@ STYLE: Any = {
 }
 
 
-def save(figure: Figure, path: Path) -> Path:
+def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure in the format of the suffix, without a date, so that files of equal figures are equal."""
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
-    with rc_context(STYLE):
+    with rc_context(FIGURE_STYLE):
         write_atomically(path, functools.partial(figure.savefig, metadata=metadata))
     return path
 
 
-def label(axis: Axes, names: Sequence[tuple[str, tuple[float, float], Mapping[str, Any]]]) -> None:
+def place_labels(axis: Axes, names: Sequence[tuple[str, tuple[float, float], Mapping[str, Any]]]) -> None:
     """Write names beside places, each as near as it covers neither a place nor another name; far ones have a line.
 
     Args:
@@ -61,11 +61,15 @@ def label(axis: Axes, names: Sequence[tuple[str, tuple[float, float], Mapping[st
     assert figure is not None
     figure.draw_without_rendering()
     centres = [axis.transData.transform(place) for _, place, _ in names]
-    taken = [Bbox.from_extents(*(centre - MARKER), *(centre + MARKER)) for centre in centres]
+    taken = [Bbox.from_extents(*(centre - HALF_MARKER_PX), *(centre + HALF_MARKER_PX)) for centre in centres]
     for name, place, look in names:
-        for reach, angle in itertools.product(REACHES, ANGLES):
+        for reach, angle in itertools.product(LABEL_DISTANCES_POINTS, LABEL_ANGLES_RAD):
             x, y = reach * math.cos(angle), reach * math.sin(angle)
-            line = {"arrowstyle": "-", "linewidth": 0.4, "color": MUTED} if reach > REACHES[0] else None
+            line = (
+                {"arrowstyle": "-", "linewidth": 0.4, "color": MUTED_COLOUR}
+                if reach > LABEL_DISTANCES_POINTS[0]
+                else None
+            )
             side = "center" if abs(x) < 1 else "left" if x > 0 else "right"
             options: Any = {"textcoords": "offset points", "ha": side, "va": "center", "arrowprops": line} | dict(look)
             note = axis.annotate(name, place, (x, y), **options)
@@ -76,5 +80,5 @@ def label(axis: Axes, names: Sequence[tuple[str, tuple[float, float], Mapping[st
                 break
             note.remove()
         else:
-            note = axis.annotate(name, place, (REACHES[0], 0), textcoords="offset points", **look)
+            note = axis.annotate(name, place, (LABEL_DISTANCES_POINTS[0], 0), textcoords="offset points", **look)
         taken.append(box)

@@ -13,24 +13,26 @@ from metapp.evaluation.table import Table
 from metapp.learning.task import Params, Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.checkpoints import attach_checkpoint
 from metapp.runs.fitting import fit_tasks
-from metapp.runs.inputs.embedded import embedded_exists
-from metapp.runs.inputs.sources import content_of, tasks_of_data
-from metapp.runs.outputs.pictures import ROWS, tiles_of, write_compared
+from metapp.runs.inputs.embedded import has_embedded_tests
+from metapp.runs.inputs.sources import read_test_tasks, task_digest
+from metapp.runs.outputs.pictures import MAX_SHEET_ROWS, tiles_of_methods, write_comparison_sheet
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import make_folder, threads
-from metapp.storage.checkpoints import digest
-from metapp.storage.fits import FIT, Record, RunFolder
+from metapp.runs.surroundings import make_folder, torch_defaults
+from metapp.storage.checkpoints import content_digest
+from metapp.storage.fits import NUMBER_ENTRIES, Record, RunFolder
 
-LONG = 30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time
-FEW = 3  # tasks of these rows, unless all are asked for
+LONG_FIT_STEPS = (
+    30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time
+)
+LONG_FIT_TASKS = 3  # tasks of these rows, unless all are asked for
 
-Measure = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
+RecordMeasurement = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 
 
-class Subject:
+class EvaluationRun:
     """An application under a protocol, on a data set, with its records.
 
     Attributes:
@@ -47,7 +49,7 @@ class Subject:
         asked: (tasks, records of these) of all that tables asked for, by its title.
     """
 
-    def __init__(self, run: Run, *, measuring: bool, whole: bool = True, few: int = FEW) -> None:
+    def __init__(self, run: Run, *, measuring: bool, whole: bool = True, few: int = LONG_FIT_TASKS) -> None:
         """Read all checkpoints, then the tasks: a missing one should not be found after an hour of fits.
 
         Args:
@@ -65,7 +67,7 @@ class Subject:
         for name in PARADIGMS:
             self.runs[name] = Run.of(replace(run.options, paradigm=name, steps=None))
             try:
-                self.runs[name] = with_checkpoint(self.runs[name])
+                self.runs[name] = attach_checkpoint(self.runs[name])
             except ValueError as error:
                 if measuring:
                     raise
@@ -74,12 +76,12 @@ class Subject:
         others = run.recipe.meta if run.options.checkpoint or not run.options.data else ()
         for rule in (rule for rule in others if rule != run.options.rule):
             with suppress(ValueError):  # there is no checkpoint of this rule
-                self.runs[f"meta:{rule}"] = with_checkpoint(Run.of(replace(run.options, paradigm="meta", rule=rule)))
+                self.runs[f"meta:{rule}"] = attach_checkpoint(Run.of(replace(run.options, paradigm="meta", rule=rule)))
         make_folder(run.options.out)
         self.tasks: list[Task] = []
         self.label = "none"
-        if measuring or run.options.data or embedded_exists(run.app.name):
-            self.tasks, self.label = tasks_of_data(run.app, run.options.data, run.options.quiet)
+        if measuring or run.options.data or has_embedded_tests(run.app.name):
+            self.tasks, self.label = read_test_tasks(run.app, run.options.data, run.options.quiet)
 
     @property
     def groups(self) -> dict[str, str]:
@@ -88,7 +90,11 @@ class Subject:
 
     def tasks_of(self, name: str) -> list[Task]:
         """The tasks of a row of the results."""
-        return self.tasks if self.whole or self.runs[name].paradigm.steps <= LONG else evenly(self.tasks, self.few)
+        return (
+            self.tasks
+            if self.whole or self.runs[name].paradigm.steps <= LONG_FIT_STEPS
+            else select_evenly(self.tasks, self.few)
+        )
 
     def is_of_few(self, name: str) -> bool:
         """True if a row of the results is of some of the tasks alone."""
@@ -97,7 +103,7 @@ class Subject:
     def table(self, name: str) -> Table:
         """The table of that name, made once."""
         if name not in self._tables:
-            make: Callable[[Subject], Table] = registry().tables[name].load()
+            make: Callable[[EvaluationRun], Table] = registry().tables[name].load()
             self._tables[name] = make(self)
         return self._tables[name]
 
@@ -129,10 +135,10 @@ class Subject:
         if run.checkpoint is None:
             return None
         path = run.path(self.label, run.paradigm.name if settings else "")
-        return RunFolder(path, run.settings(self.label) | (settings or {}), FIT)
+        return RunFolder(path, run.settings(self.label) | (settings or {}), NUMBER_ENTRIES)
 
     def measured(
-        self, title: str, folder: RunFolder | None, measure: Measure, tasks: list[Task], steps: int = 0
+        self, title: str, folder: RunFolder | None, measure: RecordMeasurement, tasks: list[Task], steps: int = 0
     ) -> list[Record]:
         """Records of tasks, in their order; missing ones are measured now, each kept as soon as its task is done.
 
@@ -151,10 +157,10 @@ class Subject:
         if folder and missing and self.measuring:
             name, each, total = f"{full_name(self.app)} {title}", steps + 1, (steps + 1) * len(missing)
             bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
-            with bars as bar, threads(single=self.app.single_threaded):
+            with bars as bar, torch_defaults(single=self.app.single_threaded):
                 bar.at(0, total, name)
                 for i, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
-                    folder.write({**record, "content": content_of(task), "origin": self.run.origin(())}, tensors)
+                    folder.write({**record, "content": task_digest(task), "origin": self.run.origin(())}, tensors)
                     bar.at(each * i, total, f"{name} {task.name}")
             records = _read(folder, tasks)
             if not self.run.options.quiet:
@@ -176,7 +182,7 @@ class Subject:
         runs = [self.runs[name] for name in rows]
         if not all(run.checkpoint for run in runs):
             return None
-        fits = {"fits": [digest(run.settings(self.label)) for run in runs]} if runs else {}
+        fits = {"fits": [content_digest(run.settings(self.label)) for run in runs]} if runs else {}
         return RunFolder(self.run.path(self.label, kind), settings | fits, entries)
 
     def draw(self, kind: str, fits: Mapping[str, list[Record]]) -> Path | None:
@@ -186,12 +192,12 @@ class Subject:
         if not by_method or not common:
             return None
         columns, path = [], self.run.path(self.label, kind)
-        with progress(f"pictures of {self.title}", len(common[:ROWS]), quiet=self.run.options.quiet) as bar:
-            for task in common[:ROWS]:
+        with progress(f"pictures of {self.title}", len(common[:MAX_SHEET_ROWS]), quiet=self.run.options.quiet) as bar:
+            for task in common[:MAX_SHEET_ROWS]:
                 shown = [(name, self.presenter, records[task.name]) for name, records in by_method.items()]
-                columns.append(tiles_of(task, shown))
+                columns.append(tiles_of_methods(task, shown))
                 bar.advance()
-        return write_compared(self.presenter, columns, path.with_name(f"{path.name}.png"))
+        return write_comparison_sheet(self.presenter, columns, path.with_name(f"{path.name}.png"))
 
 
 def _read(folder: RunFolder | None, tasks: list[Task]) -> list[Record]:
@@ -208,7 +214,7 @@ def _summary_of(records: list[Record]) -> str:
     return ", ".join([*parts, f"{len(records)} task{'s' * (len(records) != 1)}"])
 
 
-def evenly(tasks: list[Task], count: int) -> list[Task]:
+def select_evenly(tasks: list[Task], count: int) -> list[Task]:
     """Up to so many of the tasks, evenly spaced."""
     size = min(count, len(tasks))
     return [tasks[i * len(tasks) // size] for i in range(size)]

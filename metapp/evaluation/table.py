@@ -7,11 +7,11 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from metapp.evaluation.statistics import Paired
+from metapp.evaluation.statistics import PairedComparison
 from metapp.storage import Document
 from metapp.storage.fits import Record
 
-Row = Document  # all that is known of a method, whatever columns show; comparisons with another row are `Paired`
+Row = Document  # all that is known of a method, whatever columns show; comparisons with another row are `PairedComparison`
 
 
 class Column(NamedTuple):
@@ -75,7 +75,7 @@ def bytes_column(title: str, key: str) -> Column:
     return Column(title, key, text)
 
 
-def paired_columns(other: str) -> tuple[Column, Column]:
+def comparison_columns(other: str) -> tuple[Column, Column]:
     """The columns that compare rows with another one."""
     key = f"vs_{other}"
     return (
@@ -84,7 +84,7 @@ def paired_columns(other: str) -> tuple[Column, Column]:
     )
 
 
-COMMON = {
+COMMON_COLUMNS = {
     "paradigm": (Column("paradigm", "paradigm"),),
     "rule": (Column("rule", "rule"),),
     "error": (Column("error", "error", lambda row: f"{row['error']:.3f}" + "*" * bool(row.get("few"))),),
@@ -95,35 +95,35 @@ COMMON = {
     "steps": (Column("steps", "steps", "d"),),
     "median": (Column("median", "median", ".3f"),),
     "worst": (Column("worst", "worst", ".3f"),),
-    "vs quickft": paired_columns("quickft"),
-    "vs meta": paired_columns("meta"),
+    "vs quickft": comparison_columns("quickft"),
+    "vs meta": comparison_columns("meta"),
 }
 
 
 def columns(*items: str | Column) -> tuple[Column, ...]:
     """Columns from left to right, of COMMON if they are given by name."""
-    return tuple(column for item in items for column in ([item] if isinstance(item, Column) else COMMON[item]))
+    return tuple(column for item in items for column in ([item] if isinstance(item, Column) else COMMON_COLUMNS[item]))
 
 
-def flat(row: Row) -> Row:
+def flatten_row(row: Row) -> Row:
     """A row as JSON and CSV have it: `vs_<row>` is a comparison's value, `vs_<row>_low` and so on the rest of it."""
     plain: Row = {}
     for key, value in row.items():
         if key.startswith("vs_"):
-            fields = value._asdict() if value else dict.fromkeys(Paired._fields)
+            fields = value._asdict() if value else dict.fromkeys(PairedComparison._fields)
             plain |= {key if name == "value" else f"{key}_{name}": entry for name, entry in fields.items()}
         else:
             plain[key] = value
     return plain
 
 
-def key_of(row: Row) -> str:
+def app_and_protocol(row: Row) -> str:
     """The application of a row, and its protocol, if any."""
     return f"{row['app']} {row.get('observe', '')}".rstrip()
 
 
-def csv_of(rows: Sequence[Row]) -> str:
-    """Rows, as of `flat`, with all they hold, whatever columns show.
+def format_csv(rows: Sequence[Row]) -> str:
+    """Rows, as of `flatten_row`, with all they hold, whatever columns show.
 
     >>> csv_of([{"app": "brdf", "error": 0.72}, {"app": "texture", "error": None}]).splitlines()
     ['app,error', 'brdf,0.72', 'texture,']
@@ -135,12 +135,12 @@ def csv_of(rows: Sequence[Row]) -> str:
     return buffer.getvalue().rstrip("\n")
 
 
-def text_of(tables: Sequence[Table], form: str) -> str:
+def format_tables(tables: Sequence[Table], form: str) -> str:
     """The tables of several applications, of the same columns, as one in "markdown" or "latex"."""
     shown = tables[0].columns
     header = ["app", *(column.title for column in shown)]
-    body = [[key_of(row), *(column.text(row) for column in shown)] for table in tables for row in table.rows]
-    notes = [(key_of(table.rows[0]), [*table.findings, *table.notes]) for table in tables if table.rows]
+    body = [[app_and_protocol(row), *(column.text(row) for column in shown)] for table in tables for row in table.rows]
+    notes = [(app_and_protocol(table.rows[0]), [*table.findings, *table.notes]) for table in tables if table.rows]
     if form == "markdown":
         grid = [header, ["---"] * len(header), *body]
         below = [line for name, lines in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in lines))]

@@ -18,7 +18,7 @@ def assets(registry: Registry) -> None:
     for app in _MATERIALS:
         registry.exports[app, "blender"] = Export(f"{here}.pictures:write_blender", of_surface=True)
         registry.exports[app, "gltf"] = Export(f"{here}.gltf:write_gltf", of_surface=True)
-        registry.exports[app, "materialx"] = Export(f"{here}.materialx:write_materialx", of_surface=True)
+        registry.exports[app, "materialx"] = Export(f"{here}.materialx:write_openpbr", of_surface=True)
         registry.exports[app, "mitsuba"] = Export(f"{here}.mitsuba:write_mitsuba", of_surface=True)
         registry.exports[app, "usd"] = Export(f"{here}.usd:write_usd", of_surface=True, needs=("pxr", "usd-core"))
 
@@ -35,35 +35,35 @@ def baselines(registry: Registry) -> None:
     for app, names in methods.items():
         for name in names:
             registry.baselines[app, name] = Entry(f"{_HERE}.baselines.{app}:baselines")
-    registry.commands["baseline"] = Entry(f"{_HERE}.baselines.commands:baseline")
-    registry.tables["baselines"] = Entry(f"{_HERE}.baselines.table:baselines", "Methods without a network")
+    registry.commands["baseline"] = Entry(f"{_HERE}.baselines.commands:baseline_group")
+    registry.tables["baselines"] = Entry(f"{_HERE}.baselines.table:baselines_table", "Methods without a network")
 
 
 def capture(registry: Registry) -> None:
     """Light and materials captured by hand: a mirror ball in several photos, flat materials in hand-held photos."""
     here = f"{_HERE}.capture"
     registry.formats["ball"] = Format(f"{here}.ball.reading", app="illumination", inputs="LDR photos of a ball")
-    registry.merges["illumination", "shutter"] = Entry(f"{here}.ball.capture:merge")
-    registry.commands["data markers"] = Entry(f"{here}.markers.command:markers")
-    registry.commands["data rectify"] = Entry(f"{here}.markers.command:rectify")
-    registry.commands["data ball"] = Entry(f"{here}.ball.command:ball")
+    registry.merges["illumination", "shutter"] = Entry(f"{here}.ball.capture:merge_photos")
+    registry.commands["data markers"] = Entry(f"{here}.markers.command:markers_command")
+    registry.commands["data rectify"] = Entry(f"{here}.markers.command:rectify_command")
+    registry.commands["data ball"] = Entry(f"{here}.ball.command:ball_command")
 
 
 def compare(registry: Registry) -> None:
     """Two runs side by side."""
-    registry.commands["compare"] = Entry(f"{_HERE}.compare.command:command")
+    registry.commands["compare"] = Entry(f"{_HERE}.compare.command:compare_command")
 
 
 def doctor(registry: Registry) -> None:
     """A report on the installation."""
-    registry.commands["doctor"] = Entry(f"{_HERE}.doctor.commands:command")
+    registry.commands["doctor"] = Entry(f"{_HERE}.doctor.commands:doctor_command")
 
 
 def examples(registry: Registry) -> None:
     """Commands that work as they are, and the input files that they name."""
-    registry.commands["examples"] = Entry(f"{_HERE}.examples.commands:command")
+    registry.commands["examples"] = Entry(f"{_HERE}.examples.commands:examples_command")
     for app in ("brdf", "illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport"):
-        registry.examples[app] = Entry(f"{_HERE}.examples.lines:{app.upper()}")
+        registry.examples[app] = Entry(f"{_HERE}.examples.lines:{app.upper()}_EXAMPLES")
 
 
 def guided(registry: Registry) -> None:
@@ -72,7 +72,7 @@ def guided(registry: Registry) -> None:
         f"{_HERE}.guided.integrator:register_guided_path",
         help="guided_path guides all bounces and learns while it renders",
     )
-    registry.outputs["transport", "render"] = Entry(f"{_HERE}.guided.rendering:rendered")
+    registry.outputs["transport", "render"] = Entry(f"{_HERE}.guided.rendering:render_task")
 
 
 def measures(registry: Registry) -> None:
@@ -82,9 +82,13 @@ def measures(registry: Registry) -> None:
     aligned = ("brdf", "svbrdf_nonstationary", "illumination", "transport")
     flat = ("texture", "svbrdf_stationary", "svbrdf_nonstationary")
     registry.measures["CIE 2000, median"] = Entry(
-        f"{here}.pixels:MEDIAN", "CIE 2000 colour difference (D65), of which about 1 is just noticeable", ("brdf",)
+        f"{here}.pixels:MEDIAN_COLOUR_DIFFERENCE",
+        "CIE 2000 colour difference (D65), of which about 1 is just noticeable",
+        ("brdf",),
     )
-    registry.measures["CIE 2000, 95 %"] = Entry(f"{here}.pixels:HIGH", "the same, 95th percentile", ("brdf",))
+    registry.measures["CIE 2000, 95 %"] = Entry(
+        f"{here}.pixels:HIGH_COLOUR_DIFFERENCE", "the same, 95th percentile", ("brdf",)
+    )
     registry.measures["sliced Wasserstein"] = Entry(
         f"{here}.textures:WASSERSTEIN",
         "distance of the distributions of features that no fit is compared by, over their deviation",
@@ -107,12 +111,12 @@ def measures(registry: Registry) -> None:
 def mitsuba_bsdfs(registry: Registry) -> None:
     """Fits as BSDFs of Mitsuba 3."""
     registry.plugins["neural_brdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_brdf:register_neural_brdf")
-    registry.plugins["neural_svbrdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_svbrdf:register_maps_bsdf")
+    registry.plugins["neural_svbrdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_svbrdf:register_neural_svbrdf")
 
 
 def native(registry: Registry) -> None:
     """Steps of learning in C, and by torch, compiled."""
-    registry.hooks["steps"] = Entry(f"{_HERE}.native.fastest:steps")
+    registry.hooks["steps"] = Entry(f"{_HERE}.native.fastest:choose_steps")
 
 
 def onnx_files(registry: Registry) -> None:
@@ -121,7 +125,7 @@ def onnx_files(registry: Registry) -> None:
     registry.exports["brdf", "onnx"] = Export(f"{here}.brdf:write_onnx", needs=("onnxscript", "onnx and onnxscript"))
     for kind in ("onnx", "onnx-page"):
         registry.file_exports[kind] = Entry(
-            f"{here}.checkpoints:write", help="General of photos, by a checkpoint or its name"
+            f"{here}.checkpoints:write_general", help="General of photos, by a checkpoint or its name"
         )
 
 
@@ -129,13 +133,13 @@ def rgl(registry: Registry) -> None:
     """BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
     here = f"{_HERE}.rgl"
     registry.formats["bsdf"] = Format(f"{here}.rgl", app="brdf", inputs="RGL .bsdf files")
-    registry.commands["data bsdf"] = Entry(f"{here}.options:Bsdf")
+    registry.commands["data bsdf"] = Entry(f"{here}.options:BsdfConverter")
     registry.exports["brdf", "bsdf"] = Export(f"{here}.rgl:export")
     registry.exports["brdf", "bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
-    registry.exports["brdf", "mitsuba"] = Export(f"{here}.scene:export")
+    registry.exports["brdf", "mitsuba"] = Export(f"{here}.scene:write_brdf_scenes")
     for kind in ("merl", "bsdf", "bsdf-spectral"):
         registry.file_exports[kind] = Entry(
-            f"{here}.convert:write", help="MERL tables, RGL files, NBRDF networks, folders of them"
+            f"{here}.convert:write_converted", help="MERL tables, RGL files, NBRDF networks, folders of them"
         )
 
 
@@ -146,7 +150,7 @@ def scene_files(registry: Registry) -> None:
         f"{here}.reading", app="transport", inputs="Mitsuba scenes (.xml, .json) with a perspective camera"
     )
     registry.objects["transport"] = Entry(f"{here}.reading:task_of_object")
-    registry.hooks["scene"] = Entry(f"{here}.reading:stored")
+    registry.hooks["scene"] = Entry(f"{here}.reading:check_stored_scene")
 
 
 def shaders(registry: Registry) -> None:
@@ -158,16 +162,16 @@ def shaders(registry: Registry) -> None:
 
 def vgg(registry: Registry) -> None:
     """ImageNet weights of VGG-16, which losses on pictures read: found or fetched, once."""
-    registry.commands["data vgg"] = Entry(f"{_HERE}.vgg.commands:vgg")
+    registry.commands["data vgg"] = Entry(f"{_HERE}.vgg.commands:vgg_command")
 
 
 def viewer(registry: Registry) -> None:
     """Interactive HTML pages of fits."""
     here = f"{_HERE}.viewer"
-    registry.commands["view"] = Entry(f"{here}.commands:view")
-    registry.commands["try"] = Entry(f"{here}.commands:try_all")
-    registry.methods["view"] = Entry(f"{here}.viewing:view_fit")
+    registry.commands["view"] = Entry(f"{here}.commands:view_command")
+    registry.commands["try"] = Entry(f"{here}.commands:try_command")
+    registry.methods["view"] = Entry(f"{here}.viewing:write_fit_page")
     for app in ("brdf", "illumination", "transport"):
-        registry.pages[app] = Entry(f"{here}.pages.{app}:view")
+        registry.pages[app] = Entry(f"{here}.pages.{app}:make_{app}_view")
     for app in ("svbrdf_nonstationary", "svbrdf_stationary", "texture"):
-        registry.pages[app] = Entry(f"{here}.pages.flat:{app}")
+        registry.pages[app] = Entry(f"{here}.pages.flat:make_{app}_view")

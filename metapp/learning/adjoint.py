@@ -17,7 +17,7 @@ AnyBatch = Any  # its samples: tensors by name, or a tuple of such
 RuleStep = Callable[[Params, Params, Params, Params], tuple[Params, Params]]
 
 
-class Draw(NamedTuple):
+class DrawnBatch(NamedTuple):
     """A batch, and the names of the tasks whose samples it holds."""
 
     names: tuple[str, ...]
@@ -40,7 +40,7 @@ class Loss:
     ({'x': tensor([6.])}, tensor([9.]))
     """
 
-    draw: Callable[[AnyData, Any, float], Draw]
+    draw: Callable[[AnyData, Any, float], DrawnBatch]
     value: Callable[[Params, AnyBatch, Params], Tensor]
     shared: bool = False
 
@@ -84,7 +84,7 @@ def at_step(alpha: Params, i: int) -> Params:
     return {key: value[min(i, value.shape[0] - 1)] for key, value in alpha.items()}
 
 
-def loss_parameters(alpha: Params) -> Params:
+def select_loss_parameters(alpha: Params) -> Params:
     """The learned parameters of the loss among hyperparameters.
 
     >>> loss_parameters({"rate": torch.ones(1), "loss.smoothing": torch.zeros(1)})
@@ -136,7 +136,7 @@ def step_and_vjp(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Callable[
     """`step` and `vjp` of `Steps`; the only two functions that are worth compiling."""
 
     def step(alpha: Params, theta: Params, state: Params, batch: AnyBatch) -> tuple[Params, Params, Tensor, Params]:
-        grads, losses = loss.gradient(theta, batch, loss_parameters(alpha), graph=False)
+        grads, losses = loss.gradient(theta, batch, select_loss_parameters(alpha), graph=False)
         with torch.no_grad():
             moved, state = rule_step(alpha, theta, grads, state)
         return moved, state, losses, grads
@@ -152,7 +152,7 @@ def step_and_vjp(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Callable[
     ) -> tuple[Params, Params, Params]:
         alpha, theta, state = _leaves(alpha), _leaves(theta), _leaves(state)
         if order == 2:
-            grads = loss.gradient(theta, batch, loss_parameters(alpha), graph=True)[0]
+            grads = loss.gradient(theta, batch, select_loss_parameters(alpha), graph=True)[0]
         moved, after = rule_step(alpha, theta, grads, state)
         outputs = [*moved.values(), *(after[key] for key in state)]
         d_outputs = [*(d_theta[key] for key in moved), *(d_state[key] for key in state)]
@@ -207,7 +207,7 @@ class _LearnThrough(torch.autograd.Function):
         return None, None, None, None, *(d_theta[key] for key in ctx.names), *d_alpha.values()
 
 
-def learn_through(
+def learn_differentiably(
     theta: Params,
     rule: UpdateRule,
     batches: Sequence[AnyBatch],

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.task import RESERVED, Batch, LeastSquares, Params, Task, Tasks, TensorSpec
+from metapp.learning.task import RESERVED_TENSORS, Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class App(ABC):
         """
 
 
-def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:
+def stack_tasks(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:
     """Prepare tasks and put them side by side.
 
     Raises:
@@ -167,7 +167,9 @@ def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -
     """
     if not tasks:
         raise ValueError(f"{app.name}: 0 tasks, expected at least one; give input files or another data set.")
-    prepared = [app.prepare(task) | {key: task.data[key] for key in RESERVED if key in task.data} for task in tasks]
+    prepared = [
+        app.prepare(task) | {key: task.data[key] for key in RESERVED_TENSORS if key in task.data} for task in tasks
+    ]
     # a task may lack what is optional
     common = [key for key in prepared[0] if all(key in tensors for tensors in prepared)]
     for task, tensors in zip(tasks, prepared, strict=True):

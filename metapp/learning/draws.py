@@ -12,7 +12,7 @@ from metapp.learning.task import Params, Tasks
 Rng = Generator | tuple[Generator, ...]  # of tasks: one for all, or one for each
 
 
-def uniform(rng: Generator, *shape: int) -> Tensor:
+def draw_uniform(rng: Generator, *shape: int) -> Tensor:
     """Uniform numbers in [0, 1), of a shape.
 
     >>> uniform(Generator().manual_seed(0), 2)
@@ -21,7 +21,7 @@ def uniform(rng: Generator, *shape: int) -> Tensor:
     return torch.rand(shape, generator=rng, device=rng.device)
 
 
-def normal(rng: Generator, *shape: int) -> Tensor:
+def draw_normal(rng: Generator, *shape: int) -> Tensor:
     """Standard normal numbers, of a shape.
 
     >>> normal(Generator().manual_seed(0), 2)

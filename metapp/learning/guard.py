@@ -14,13 +14,13 @@ from torch import Tensor
 
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.draws import Rng, clone_rng
-from metapp.learning.learn import DescentState, check_finite, descend, final_item
+from metapp.learning.learn import DescentState, check_finite_losses, descend, final_item
 from metapp.learning.recipe import Guard
 from metapp.learning.rules import append_axes, fixed_adam
 from metapp.learning.task import Params, Tasks
 
 
-def descend_guarded(
+def descend_with_guard(
     params: Params,
     rule: UpdateRule,
     tasks: Tasks,
@@ -59,7 +59,9 @@ def descend_guarded(
             return loss.value(theta, batch, {}).nan_to_num(math.inf, math.inf, math.inf)
 
     losses: list[Tensor] = []
-    for end in check_finite(descend(params, rule, tasks, loss, steps=steps, rng=rng, steps_of=steps_of), every=0):
+    for end in check_finite_losses(
+        descend(params, rule, tasks, loss, steps=steps, rng=rng, steps_of=steps_of), every=0
+    ):
         losses += [] if end.loss is None else [end.loss]
         yield end
     first, after = visible(params), visible(end.theta)

@@ -17,17 +17,17 @@ from torch import Generator, Tensor
 from metapp.learning.adjoint import (
     AnyBatch,
     AnyData,
-    Draw,
+    DrawnBatch,
     Loss,
     StepsOf,
     UpdateRule,
     at_step,
-    learn_through,
+    learn_differentiably,
     torch_steps,
 )
 from metapp.learning.app import App
 from metapp.learning.draws import Rng, draw_per_task
-from metapp.learning.task import KIND, Params, Tasks
+from metapp.learning.task import KIND_TENSOR, Params, Tasks
 
 
 class MetaParameters(NamedTuple):
@@ -123,7 +123,7 @@ def descend(
         yield now
 
 
-def check_finite(descent: Iterator[DescentState], every: int = 50) -> Iterator[DescentState]:
+def check_finite_losses(descent: Iterator[DescentState], every: int = 50) -> Iterator[DescentState]:
     """The same descent; the losses of some steps, of the first and of the last must be finite.
 
     Args:
@@ -193,7 +193,9 @@ def learn(
     >>> learn({"x": torch.ones(1)}, sgd({"rate": torch.tensor([0.25])}), None, loss, steps=2, rng=Generator())
     {'x': tensor([0.2500])}
     """
-    return final_item(check_finite(descend(params, rule, data, loss, steps=steps, rng=rng, steps_of=steps_of))).theta
+    return final_item(
+        check_finite_losses(descend(params, rule, data, loss, steps=steps, rng=rng, steps_of=steps_of))
+    ).theta
 
 
 # Losses and the combinators that lift them
@@ -216,8 +218,8 @@ def _task_loss(app: App, batch: int, outer: bool) -> Loss:
     # not the inherited one: steps in C know `Brdf.loss` by its name
     value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
 
-    def draw(tasks: Tasks, rng: Rng, done: float) -> Draw:
-        return Draw(tasks.selected_names, draw_per_task(lambda some, own: sample(some, own, batch), tasks, rng))
+    def draw(tasks: Tasks, rng: Rng, done: float) -> DrawnBatch:
+        return DrawnBatch(tasks.selected_names, draw_per_task(lambda some, own: sample(some, own, batch), tasks, rng))
 
     return with_stages(Loss(draw, value), app.stage)
 
@@ -241,8 +243,8 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
     ('felt', 'gold')
     """
 
-    def draw(tasks: Tasks, rng: Generator, done: float) -> Draw:
-        if KIND in tasks.data:
+    def draw(tasks: Tasks, rng: Generator, done: float) -> DrawnBatch:
+        if KIND_TENSOR in tasks.data:
             rows = torch.multinomial(tasks.weights(), min(count, len(tasks)), generator=rng)
         else:
             rows = torch.randperm(len(tasks), generator=rng, device=rng.device)[:count]
@@ -252,7 +254,7 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
     return Loss(draw, loss.value, shared=True)
 
 
-class Encoding(NamedTuple):
+class EncoderPrediction(NamedTuple):
     """An encoder's prediction of initialisations.
 
     Attributes:
@@ -271,7 +273,7 @@ def after_learning(
     steps: int,
     order: int,
     clip: float = float("inf"),
-    encoding: Encoding | None = None,
+    encoding: EncoderPrediction | None = None,
     outer_loss: Loss | None = None,
     steps_of: StepsOf = torch_steps,
 ) -> Loss:
@@ -304,10 +306,10 @@ def after_learning(
     """
     last_loss = outer_loss or loss
 
-    def draw(tasks: AnyData, rng: Generator, done: float) -> Draw:
+    def draw(tasks: AnyData, rng: Generator, done: float) -> DrawnBatch:
         inner = [loss.draw(tasks, rng, i / steps).batch for i in range(steps)]
         outer = last_loss.draw(tasks, rng, 1.0)
-        return Draw(outer.names, (inner, outer.batch, encoding.condition(tasks, rng) if encoding else None))
+        return DrawnBatch(outer.names, (inner, outer.batch, encoding.condition(tasks, rng) if encoding else None))
 
     def value(phi: Params, batch: AnyBatch, _: Params) -> Tensor:
         inner, outer, condition = batch
@@ -315,20 +317,20 @@ def after_learning(
         parts = MetaParameters.unflat(phi)
         theta = encoding.encode(parts.encoder, condition) if encoding else expand_tasks(parts.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
-        theta, alpha = clip_per_task(theta, expand_tasks(parts.alpha, count, 1), clip / count)
+        theta, alpha = clip_task_gradients(theta, expand_tasks(parts.alpha, count, 1), clip / count)
         update_rule = rule(alpha)
-        final = learn_through(theta, update_rule, inner, loss, order=order, steps_of=steps_of)
+        final = learn_differentiably(theta, update_rule, inner, loss, order=order, steps_of=steps_of)
         return steps_of(update_rule, last_loss, final, 1).value(final, outer)  # in C where that is to be had
 
     return Loss(draw, value)
 
 
-def after_encoding(loss: Loss, encoding: Encoding) -> Loss:
+def after_encoding(loss: Loss, encoding: EncoderPrediction) -> Loss:
     """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
 
-    def draw(tasks: AnyData, rng: Generator, done: float) -> Draw:
+    def draw(tasks: AnyData, rng: Generator, done: float) -> DrawnBatch:
         names, batch = loss.draw(tasks, rng, done)
-        return Draw(names, (encoding.condition(tasks, rng), batch))
+        return DrawnBatch(names, (encoding.condition(tasks, rng), batch))
 
     def value(prepared: Params, batch: AnyBatch, learned: Params) -> Tensor:
         return loss.value(encoding.encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
@@ -377,7 +379,7 @@ class _ClipPerTask(torch.autograd.Function):
         return None, None, *clipped
 
 
-def clip_per_task(theta: Params, alpha: Params, limit: float) -> tuple[Params, Params]:
+def clip_task_gradients(theta: Params, alpha: Params, limit: float) -> tuple[Params, Params]:
     """The same values; on the way back each task's gradient over both trees has at most the norm `limit`.
 
     >>> x = torch.tensor([3.0, 0.1], requires_grad=True)

@@ -157,7 +157,7 @@ class Recipe:
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
 
 
-def as_published(recipe: Recipe, app: App, **changes: Any) -> Recipe:
+def paper_recipe(recipe: Recipe, app: App, **changes: Any) -> Recipe:
     """The recipe of Fischer & Ritschel 2022: MAML with Meta-SGD from a random initialisation, Overfit for 10,000 steps.
 
     Outer steps, rates and weight decay are those of the authors' code (config/*.yaml of mfischer-ucl/metappearance),
@@ -182,7 +182,7 @@ def as_published(recipe: Recipe, app: App, **changes: Any) -> Recipe:
     return replace(recipe, overfit_steps=10_000, finetune_steps=1_000, meta=meta, rule="meta-sgd", app=app)
 
 
-def decayed(published: Recipe, rate: float = 1e-3) -> Recipe:
+def long_paper_recipe(published: Recipe, rate: float = 1e-3) -> Recipe:
     """The recipe of the paper at a higher outer rate, which decays to 0 in the last quarter of the outer steps.
 
     At the published constant rate, step sizes and initialisation still move after 10^6 outer steps.

@@ -80,8 +80,8 @@ class TensorSpec(NamedTuple):
     optional: bool = False
 
 
-KIND = "kind"  # tensor of tasks of any application: the number of its kind; training draws as many of each kind
-RESERVED = {KIND: TensorSpec((1,), "uint8", optional=True)}
+KIND_TENSOR = "kind"  # tensor of tasks of any application: the number of its kind; training draws as many of each kind
+RESERVED_TENSORS = {KIND_TENSOR: TensorSpec((1,), "uint8", optional=True)}
 _KINDS = {"float": (torch.float16, torch.float32, torch.float64), "uint8": (torch.uint8,)}
 
 
@@ -99,7 +99,7 @@ def problems_of(task: Task, specs: Mapping[str, TensorSpec]) -> list[str]:
     problems = [f"tensor '{key}' is missing, expected {_expected(specs[key])}" for key in missing]
     sizes: dict[str, int] = {}
     for key, tensor in task.data.items():
-        spec = specs.get(key) or RESERVED.get(key)
+        spec = specs.get(key) or RESERVED_TENSORS.get(key)
         if tensor.is_floating_point() and tensor.dtype not in _KINDS["float"]:
             problems.append(f"tensor '{key}' is {_found(tensor)}, expected floats of 16, 32 or 64 bits")
         elif spec and (tensor.dtype not in _KINDS[spec.kind] or not _has_shape(tensor, spec.shape, sizes)):
@@ -164,9 +164,9 @@ class Tasks:
 
     def weights(self) -> Tensor:
         """The weights of the tasks of this view, [T], equal in sum for all kinds; 1 without kinds."""
-        if KIND not in self.data:
+        if KIND_TENSOR not in self.data:
             return torch.ones(len(self), device=self.rows.device)
-        kinds = self.data[KIND][self.rows, 0].long()
+        kinds = self.data[KIND_TENSOR][self.rows, 0].long()
         return 1 / kinds.bincount()[kinds]
 
     def variants(self, data: dict[str, Tensor]) -> Tasks:

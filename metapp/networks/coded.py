@@ -11,9 +11,9 @@ from torch import Generator, Tensor
 
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.networks.field import LocalField, regridded
+from metapp.networks.field import LocalField, regrid
 
-CHEAP = 64 * 64  # texels of a field that a search can afford to fit for all validation tasks
+CHEAP_TEXELS = 64 * 64  # texels of a field that a search can afford to fit for all validation tasks
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class CodedApp(App):
 
     @property
     def cheap_fits(self) -> bool:
-        return self.network.height * self.network.width <= CHEAP
+        return self.network.height * self.network.width <= CHEAP_TEXELS
 
     def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(0.3))}
@@ -49,22 +49,22 @@ class CodedApp(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of photographs, and the parameters of the field that all tasks share."""
-        return encoder_of(self.init_reader(rng), self.network.init(rng, 1), ("z",))
+        return join_encoder(self.init_reader(rng), self.network.init(rng, 1), ("z",))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"photo": tasks.data["photo"][tasks.rows]}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        own, network = self.read(reader_of(encoder), condition["photo"]), self.network
-        own["z"] = regridded(own["z"], network.rows, network.columns, periodic=network.periodic)
-        return with_decoder(own, encoder)
+        own, network = self.read(select_reader(encoder), condition["photo"]), self.network
+        own["z"] = regrid(own["z"], network.rows, network.columns, periodic=network.periodic)
+        return add_decoder(own, encoder)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task."""
         return {key: value[tasks.rows] for key, value in tasks.data.items()}
 
 
-def encoder_of(reader: Params, theta: Params, own: Collection[str]) -> Params:
+def join_encoder(reader: Params, theta: Params, own: Collection[str]) -> Params:
     """General's encoder: a reader of a task's own parameters from a condition, and the network's shared parameters.
 
     Args:
@@ -76,19 +76,19 @@ def encoder_of(reader: Params, theta: Params, own: Collection[str]) -> Params:
     return {f"encoder.{key}": value for key, value in reader.items()} | shared
 
 
-def reader_of(encoder: Params) -> Params:
+def select_reader(encoder: Params) -> Params:
     """The part of General's encoder that reads the condition, `encoder.<name>`, by name."""
     return {key.removeprefix("encoder."): value for key, value in encoder.items() if key.startswith("encoder.")}
 
 
-def with_decoder(own: Params, encoder: Params) -> Params:
+def add_decoder(own: Params, encoder: Params) -> Params:
     """Tasks' own parameters [T, ...], and those of General's decoder, the same for each."""
     shared = {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
     count = len(next(iter(own.values())))
     return own | {key: value.expand(count, *value.shape) for key, value in shared.items()}
 
 
-def norm(difference: Tensor, learned: Params) -> Tensor:
+def smooth_absolute(difference: Tensor, learned: Params) -> Tensor:
     """|d|, or sqrt(d^2 + s^2) - s if a rule has learned an s for each task: the loss's parameter `smoothing`."""
     if not learned:
         return difference.abs()

@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from metapp.learning.draws import uniform
+from metapp.learning.draws import draw_uniform
 from metapp.learning.task import Params
 
 STRIP_TEXELS = 2**17  # evaluated at a time: 16 MB of 32 channels, which the next rows get again, still mapped
@@ -53,7 +53,7 @@ class LocalField(NamedTuple):
         """Random parameters of `count` networks: each tensor [count, ...]."""
 
         def within(bound: float, *shape: int) -> Tensor:
-            return (2 * uniform(rng, count, *shape) - 1) * bound
+            return (2 * draw_uniform(rng, count, *shape) - 1) * bound
 
         theta = {"z": within(0.1 / self.gain, self.code, self.rows, self.columns)}
         for layer in range(self.layers):
@@ -98,7 +98,7 @@ class LocalField(NamedTuple):
         return result
 
 
-def regridded(values: Tensor, rows: int, columns: int, *, periodic: bool) -> Tensor:
+def regrid(values: Tensor, rows: int, columns: int, *, periodic: bool) -> Tensor:
     """Values [..., r, c] of a grid on a finer one, [..., rows, columns], linear between the cells' centres."""
     if values.shape[-2:] == (rows, columns):
         return values
@@ -125,7 +125,7 @@ def _linear(count: int, cells: int, *, periodic: bool) -> Tensor:
     return weights
 
 
-def field_by_rows(field: LocalField, theta: Params, places: Tensor, texels: int = STRIP_TEXELS) -> Iterator[Tensor]:
+def evaluate_by_rows(field: LocalField, theta: Params, places: Tensor, texels: int = STRIP_TEXELS) -> Iterator[Tensor]:
     """Yield the rows of a field's output, [T, outputs, h, width] at a time, from the top.
 
     Args:

@@ -9,10 +9,10 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv2d, interpolate
 
-from metapp.learning.draws import normal
+from metapp.learning.draws import draw_normal
 from metapp.learning.task import Params
 from metapp.networks import layers
-from metapp.networks.layers import enlarged, init_styled, styled, styled_by_rows
+from metapp.networks.layers import apply_styled, apply_styled_by_rows, enlarge_periodic, init_styled
 
 
 class UNet(NamedTuple):
@@ -63,7 +63,7 @@ class UNet(NamedTuple):
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` networks: each tensor [count, ...]."""
         theta = init_styled(rng, count, self.code, self.layers())
-        kernel = normal(rng, count, self.outputs, self.channels(0), 1, 1)
+        kernel = draw_normal(rng, count, self.outputs, self.channels(0), 1, 1)
         theta["out.kernel"] = kernel * math.sqrt(1 / self.channels(0))
         theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
@@ -82,13 +82,13 @@ class UNet(NamedTuple):
         x = noise.transpose(0, 1).reshape(batch, -1, height, width)
         skips = []
         for level in range(self.levels):
-            x = styled(theta, f"down{level}", avg_pool2d(x, 2) if level else x)
+            x = apply_styled(theta, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
         for level in reversed(range(self.levels - 1)):
             above = interpolate(x, scale_factor=2, mode="nearest")
             # channels of one task lie together, as grouped convolutions want them
             parts = [part.unflatten(1, (tasks, -1)) for part in (above, skips[level])]
-            x = styled(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
+            x = apply_styled(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
         x = conv2d(x, theta["out.kernel"].flatten(0, 1), theta["out.shift"].flatten(), groups=tasks)
         result: Tensor = x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
         return result
@@ -148,7 +148,7 @@ class Pyramid(NamedTuple):
         theta = init_styled(rng, count, self.code, self.layers())
         for level in range(self.levels):
             inputs = self.channels(level)
-            kernel = normal(rng, count, self.outputs, inputs, 1, 1)
+            kernel = draw_normal(rng, count, self.outputs, inputs, 1, 1)
             theta[f"out{level}.kernel"] = kernel * (0.5 / math.sqrt(inputs))
             theta[f"out{level}.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
@@ -176,11 +176,11 @@ class Pyramid(NamedTuple):
         for level in reversed(range(self.finest, self.levels)):
             noise = pooled[level - self.finest]
             large = noise.shape[-2] > layers.STRIP_ROWS and not torch.is_grad_enabled()
-            layer = styled_by_rows if large else styled
+            layer = apply_styled_by_rows if large else apply_styled
             x = layer(theta, f"draw{level}", layer(theta, f"join{level}", noise, x))
             kernel, shift = theta[f"out{level}.kernel"], theta[f"out{level}.shift"]
             addition = conv2d(x, kernel.flatten(0, 1), shift.flatten(), groups=tasks)
-            picture = addition if picture is None else enlarged(picture) + addition
+            picture = addition if picture is None else enlarge_periodic(picture) + addition
         assert picture is not None
         result: Tensor = picture.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
         return result

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 from metapp.options import INPUT, OUTPUT, AppOptions, Option
 
-NARROWEST_DEGREES = 0.5  # degrees of a field of view
+MIN_FOV_DEGREES = 0.5  # degrees of a field of view
 
 
-def size_of(value: object) -> tuple[int, int]:
+def parse_size(value: object) -> tuple[int, int]:
     """Height and width in px of "HxW", of "N" for a square, of a number or of a pair.
 
     Raises:
@@ -27,29 +27,29 @@ def size_of(value: object) -> tuple[int, int]:
     return int(sides[0]), int(sides[-1])
 
 
-def field_of_view(degrees: float) -> float:
+def parse_field_of_view(degrees: float) -> float:
     """A camera's field of view in degrees; 0, which is not known, stays 0.
 
     Raises:
         ValueError: narrower than a telescope's.
     """
-    if 0 < degrees < NARROWEST_DEGREES:
-        raise ValueError(f"expected 0 or {NARROWEST_DEGREES:g} to 150 degrees")
+    if 0 < degrees < MIN_FOV_DEGREES:
+        raise ValueError(f"expected 0 or {MIN_FOV_DEGREES:g} to 150 degrees")
     return float(degrees)
 
 
 def size(limits: str) -> Option:
     """The option --size of files that fits make; `limits` say how large they may be."""
-    return Option(f"Rows x columns of files: {limits}.", "HxW|N", panel=OUTPUT, parse=size_of)
+    return Option(f"Rows x columns of files: {limits}.", "HxW|N", panel=OUTPUT, parse=parse_size)
 
 
 def fov(default: str) -> Option:
     """The option --fov of photos that fits read; `default` says the meaning of 0."""
     about = f"Field of view, shorter side; default: {default}."
-    return Option(about, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=field_of_view)
+    return Option(about, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=parse_field_of_view)
 
 
-Layer = Annotated[
+LayerOption = Annotated[
     str, Option("Layer or part of EXR files that hold several; default: the picture itself, such as Combined.", "NAME")
 ]
 
@@ -58,7 +58,7 @@ Layer = Annotated[
 class PictureOptions(AppOptions):
     """The option of applications that read pictures."""
 
-    layer: Layer = ""
+    layer: LayerOption = ""
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from metapp.learning.app import App
-from metapp.learning.recipe import Recipe, as_published
+from metapp.learning.recipe import Recipe, paper_recipe
 
 
-def by_protocol(
+def recipes_by_protocol(
     quick: Recipe, photo: Recipe, *, full: Mapping[str, App], paper: Mapping[str, App]
 ) -> dict[str, dict[str, Recipe]]:
     """Return the recipes of an application whose fits see the thing itself or one photograph of it, by protocol.
@@ -19,7 +19,7 @@ def by_protocol(
         photo: of fits of photographs, of the same size.
         full, paper: the application at the size that people use and at the paper's, by "reference" and "photo".
     """
-    published = as_published(quick, paper["reference"])
+    published = paper_recipe(quick, paper["reference"])
     of_photos = replace(
         published, app=paper["photo"], overfit=photo.overfit, finetune=photo.finetune, quickft=photo.quickft
     )

@@ -10,12 +10,18 @@ from torch import Generator
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
 from metapp.learning.draws import Rng, draw_per_task
-from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, task_loss, with_stages
+from metapp.learning.learn import EncoderPrediction, MetaParameters, after_encoding, over_tasks, task_loss, with_stages
 from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.paradigm import Paradigm, Preparation
 
-TUNED = ("rate", "beta1", "beta2", "eps", "final")  # settings of QuickFT's Adam, as its checkpoints name them
+QUICKFT_ADAM_SETTINGS = (
+    "rate",
+    "beta1",
+    "beta2",
+    "eps",
+    "final",
+)  # settings of QuickFT's Adam, as its checkpoints name them
 
 
 class Overfit(Paradigm):
@@ -56,7 +62,7 @@ class General(Paradigm):
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Return the encoder's prediction."""
-        return predict(self.app, phi, tasks, rng)
+        return predict_parameters(self.app, phi, tasks, rng)
 
 
 class Finetune(General):
@@ -133,7 +139,7 @@ class GeneralPreparation(Preparation):
     def outer_loss(self, phi: MetaParameters) -> Loss:
         """Return the loss of the encoder's predictions."""
         app, training = self.paradigm.app, self.outer_loop
-        encoded = Encoding(app.condition, app.encode)
+        encoded = EncoderPrediction(app.condition, app.encode)
         loss = after_encoding(task_loss(app, self.paradigm.recipe.batch, outer=True), encoded)
         outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
         # staged before tasks are augmented: what is not seen need not be made
@@ -177,16 +183,18 @@ class QuickFTPreparation(Preparation):
 
     def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
         """Return the encoder, and an Adam's settings as alpha: scalars on the CPU."""
-        return phi._replace(alpha={key: torch.tensor(getattr(adam, key), dtype=torch.float64) for key in TUNED})
+        return phi._replace(
+            alpha={key: torch.tensor(getattr(adam, key), dtype=torch.float64) for key in QUICKFT_ADAM_SETTINGS}
+        )
 
 
-def predict(app: App, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+def predict_parameters(app: App, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """encode(I), the parameters that an encoder predicts of tasks, [T, ...]."""
     encoded = app.encode(phi.encoder, draw_per_task(app.condition, tasks, rng))
     return {key: value.detach() for key, value in encoded.items()}
 
 
-def encoding(app: App) -> Encoding:
+def encoder_prediction(app: App) -> EncoderPrediction:
     """General's prediction, with the parameters that tasks give themselves, as a function of tasks."""
 
     def condition(tasks: Tasks, rng: Generator) -> tuple[Batch, Params]:
@@ -195,4 +203,4 @@ def encoding(app: App) -> Encoding:
     def encode(encoder: Params, condition: tuple[Batch, Params]) -> Params:
         return condition[1] | app.encode(encoder, condition[0])
 
-    return Encoding(condition, encode)
+    return EncoderPrediction(condition, encode)

@@ -15,11 +15,11 @@ from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, 
 from metapp.learning.recipe import Adam, Guard, MetaTraining, Recipe
 from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms.adam import General, GeneralPreparation, encoding, predict
-from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, Preparation, fastest
+from metapp.paradigms.adam import General, GeneralPreparation, encoder_prediction, predict_parameters
+from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, Preparation, fastest_steps
 from metapp.rules import rule_of
 
-GATHERED = 32  # tasks whose gradients settle parts of a rule
+MAX_STATISTICS_TASKS = 32  # tasks whose gradients settle parts of a rule
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Meta(Paradigm):
 
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Return theta_0, which all tasks share; or the prediction of an encoder that was trained through the steps."""
-        start = predict(self.app, phi, tasks, rng) if phi.encoder else expand_tasks(phi.theta, len(tasks), 0)
+        start = predict_parameters(self.app, phi, tasks, rng) if phi.encoder else expand_tasks(phi.theta, len(tasks), 0)
         return self.app.task_parameters(tasks) | start
 
     def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
@@ -114,7 +114,7 @@ class MetaPreparation(Preparation):
         elif general and kind == "encoder":
             encoder = general.encoder
         elif general and kind == "mean":
-            theta = {key: value.mean(0) for key, value in predict(app, general, tasks, rng).items()}
+            theta = {key: value.mean(0) for key, value in predict_parameters(app, general, tasks, rng).items()}
         random = {key: value[0] for key, value in app.init(rng, 1).items()}
         alpha = self._alpha(random, self.outer_loop.first)
         phi = MetaParameters({} if encoder else theta or random, alpha, encoder)
@@ -136,9 +136,9 @@ class MetaPreparation(Preparation):
             steps=paradigm.steps,
             order=training.order,
             clip=training.clip,
-            encoding=encoding(app) if phi.encoder else None,
+            encoding=encoder_prediction(app) if phi.encoder else None,
             outer_loss=task_loss(app, paradigm.recipe.batch, outer=True),
-            steps_of=fastest(compiles=app.single_threaded),
+            steps_of=fastest_steps(compiles=app.single_threaded),
         )
         return over_tasks(lifted, count=training.tasks, augment=app.augment if training.augment else None)
 
@@ -163,7 +163,7 @@ class MetaPreparation(Preparation):
         if not learned_rule.settled:
             return phi
         total: Params = {}
-        count = min(len(tasks), GATHERED)
+        count = min(len(tasks), MAX_STATISTICS_TASKS)
         for some in torch.arange(count).split(PARALLEL_TASKS):
             part = tasks.select([int(i) * len(tasks) // count for i in some])
             theta = paradigm.initialisation(phi, part, rng)

@@ -13,8 +13,8 @@ from torch import Generator
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.app import App
 from metapp.learning.draws import Rng
-from metapp.learning.guard import descend_guarded
-from metapp.learning.learn import DescentState, MetaParameters, check_finite, descend, final_item, task_loss
+from metapp.learning.guard import descend_with_guard
+from metapp.learning.learn import DescentState, MetaParameters, check_finite_losses, descend, final_item, task_loss
 from metapp.learning.recipe import Adam, Guard, OuterLoop, Recipe
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
@@ -24,7 +24,7 @@ PARALLEL_TASKS = 8  # tasks that are fitted side by side where memory would grow
 NO_OUTER_LOOP = OuterLoop(steps=0, tasks=0, rates={})
 
 
-def fastest(*, compiles: bool = False) -> StepsOf:
+def fastest_steps(*, compiles: bool = False) -> StepsOf:
     """The steps of an extension; torch's if there is none.
 
     Args:
@@ -134,9 +134,13 @@ class Paradigm(ABC):
             return
         rule, loss, guard = self.rule(phi, theta, steps), self.loss, self.guard if guarded else None
         if guard:
-            yield from descend_guarded(theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, steps_of=fastest())
+            yield from descend_with_guard(
+                theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, steps_of=fastest_steps()
+            )
         else:
-            yield from check_finite(descend(theta, rule, tasks, loss, steps=steps, rng=rng, steps_of=fastest()))
+            yield from check_finite_losses(
+                descend(theta, rule, tasks, loss, steps=steps, rng=rng, steps_of=fastest_steps())
+            )
 
 
 @dataclass(frozen=True)

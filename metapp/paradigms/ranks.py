@@ -19,32 +19,32 @@ from torch.utils._pytree import tree_leaves, tree_map
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.task import Params
 
-TIMEOUT = timedelta(minutes=30)  # for a slower rank, before it counts as lost
-LOOPBACK = {"linux": "lo", "darwin": "lo0"}
+RANK_TIMEOUT = timedelta(minutes=30)  # for a slower rank, before it counts as lost
+LOOPBACK_INTERFACES = {"linux": "lo", "darwin": "lo0"}
 
 
-def number() -> int:
+def rank_number() -> int:
     """The rank of this process; 0 of a single one."""
     return int(os.environ.get("RANK", "0"))
 
 
-def count() -> int:
+def rank_count() -> int:
     """The number of ranks; 1 without `torchrun`."""
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
 @contextlib.contextmanager
-def joined(device: torch.device) -> Iterator[None]:
+def connect_ranks(device: torch.device) -> Iterator[None]:
     """The connection of the ranks: by nccl on GPUs, one each, by gloo on CPUs."""
-    if count() == 1:
+    if rank_count() == 1:
         yield
         return
     if device.type == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
-    elif sys.platform in LOOPBACK and os.environ.get("LOCAL_WORLD_SIZE") == os.environ["WORLD_SIZE"]:
+    elif sys.platform in LOOPBACK_INTERFACES and os.environ.get("LOCAL_WORLD_SIZE") == os.environ["WORLD_SIZE"]:
         # on one machine; gloo warns of one that cannot resolve its own name, as in containers
-        os.environ.setdefault("GLOO_SOCKET_IFNAME", LOOPBACK[sys.platform])
-    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=TIMEOUT)
+        os.environ.setdefault("GLOO_SOCKET_IFNAME", LOOPBACK_INTERFACES[sys.platform])
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=RANK_TIMEOUT)
     try:
         yield
     finally:
@@ -52,13 +52,13 @@ def joined(device: torch.device) -> Iterator[None]:
             dist.destroy_process_group()
 
 
-def wait() -> None:
+def wait_for_ranks() -> None:
     """Wait for all ranks.
 
     Raises:
         ConnectionError: one has ended.
     """
-    if count() > 1:
+    if rank_count() > 1:
         _summed(torch.zeros(1, device="cuda" if dist.get_backend() == "nccl" else "cpu")).tolist()
 
 
@@ -67,12 +67,12 @@ def _summed(value: Tensor) -> Tensor:
     try:
         dist.all_reduce(value)
     except RuntimeError as error:
-        ended = f"rank {number()} of {count()}: another rank has ended"
+        ended = f"rank {rank_number()} of {rank_count()}: another rank has ended"
         raise ConnectionError(f"{ended}; the same command goes on from the training checkpoint.") from error
     return value
 
 
-class SummedOverRanks(Loss):
+class LossOverRanks(Loss):
     """A mean over tasks, each rank's part of which is differentiated there; the same on all ranks."""
 
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
@@ -82,9 +82,9 @@ class SummedOverRanks(Loss):
             ValueError: there are more ranks than tasks.
         """
         tasks = next(leaf for leaf in tree_leaves(batch) if isinstance(leaf, Tensor)).shape[0]
-        if count() > tasks:
-            raise ValueError(f"{count()} ranks: an outer step has {tasks} tasks, expected at most as many ranks.")
-        rows = slice(number(), tasks, count())
+        if rank_count() > tasks:
+            raise ValueError(f"{rank_count()} ranks: an outer step has {tasks} tasks, expected at most as many ranks.")
+        rows = slice(rank_number(), tasks, rank_count())
 
         def part(leaf: object) -> object:
             return leaf[rows] if isinstance(leaf, Tensor) and leaf.shape[:1] == (tasks,) else leaf

@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.app import App
-from metapp.learning.learn import DescentState, MetaParameters, check_finite, descend
+from metapp.learning.learn import DescentState, MetaParameters, check_finite_losses, descend
 from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
@@ -78,7 +78,7 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
     return app.error_measure.scale * total / (seeds * float(weights.sum()))
 
 
-def prepare(
+def train_phi(
     preparation: Preparation,
     tasks: Tasks,
     rng: Generator,
@@ -141,11 +141,13 @@ def _outer_loop(
 ) -> Iterator[TrainState]:
     """Outer steps, with a validation before the first, at the end, and every so many."""
     loss, steps = preparation.outer_loss(MetaParameters.unflat(state.current)), training.steps
-    if ranks.count() > 1:
-        loss = ranks.SummedOverRanks(loss.draw, loss.value, loss.shared)
+    if ranks.rank_count() > 1:
+        loss = ranks.LossOverRanks(loss.draw, loss.value, loss.shared)
     rule, paradigm = outer_adam(training, state.current), preparation.paradigm
     since = DescentState(state.step, state.current, state.moments) if state.moments else None
-    for now in check_finite(descend(state.current, rule, to_fit, loss, steps=steps, rng=rng, since=since), every=1):
+    for now in check_finite_losses(
+        descend(state.current, rule, to_fit, loss, steps=steps, rng=rng, since=since), every=1
+    ):
         losses = state.losses
         if now.loss is not None:
             losses = torch.cat([losses.to(now.loss), now.loss.mean()[None]])
@@ -172,7 +174,7 @@ def _outer_loop(
             yield state._replace(note=note if mean is None else f"loss {mean:.3f}, {note}")
 
 
-SEARCH_TASKS = 8  # validation tasks, where a fit takes longer than an instant
+MAX_SEARCH_TASKS = 8  # validation tasks, where a fit takes longer than an instant
 
 
 def _search(
@@ -209,7 +211,7 @@ def _search_tasks(app: App, tasks: Tasks) -> Tasks:
     """All validation tasks if fits are cheap, else up to SEARCH_TASKS of them, evenly spaced."""
     if app.cheap_fits:
         return tasks
-    count = min(len(tasks), SEARCH_TASKS)
+    count = min(len(tasks), MAX_SEARCH_TASKS)
     return tasks.select([i * len(tasks) // count for i in range(count)])
 
 

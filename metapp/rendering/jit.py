@@ -10,10 +10,10 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from metapp.rendering import types as mt
-from metapp.rendering.variant import choose_kernels, choose_llvm
+from metapp.rendering.variant import choose_kernel_folder, choose_llvm
 
 with suppress(ValueError):  # there is no libLLVM: variants of GPUs need none
-    choose_kernels()
+    choose_kernel_folder()
     choose_llvm()
 
 import drjit
@@ -24,7 +24,7 @@ dr: Any = drjit
 mi: Any = mitsuba
 nn: Any = drjit.nn
 
-VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
+MITSUBA_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
 
 def register_plugin(kind: str, name: str, make: Callable[[], mt.PluginClass]) -> None:
@@ -40,12 +40,12 @@ def register_plugin(kind: str, name: str, make: Callable[[], mt.PluginClass]) ->
 
     def refuse(props: mt.Properties) -> NoReturn:
         raise ValueError(
-            f"{name}: variant {mi.variant()}, expected {' or '.join(VARIANTS)}; mi.set_variant('llvm_ad_rgb')."
+            f"{name}: variant {mi.variant()}, expected {' or '.join(MITSUBA_VARIANTS)}; mi.set_variant('llvm_ad_rgb')."
         )
 
     def register(*_: object) -> None:
         # the function is another one in each variant
-        getattr(mi, f"register_{kind}")(name, make() if mi.variant() in VARIANTS else refuse)
+        getattr(mi, f"register_{kind}")(name, make() if mi.variant() in MITSUBA_VARIANTS else refuse)
 
     mi.detail.add_variant_callback(register)
     if mi.variant():

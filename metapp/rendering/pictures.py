@@ -25,7 +25,7 @@ def square_sensor(scene: Scene, side: int) -> Sensor:
     return mi.load_dict({"type": "perspective", "fov": fov, "to_world": to_world, "film": box_film(side, side)})
 
 
-def rendered(scene: Scene, integrator: Integrator, spp: int, seed: int, sensor: Sensor | int = 0) -> Tensor:
+def render_scene(scene: Scene, integrator: Integrator, spp: int, seed: int, sensor: Sensor | int = 0) -> Tensor:
     """A picture by any integrator, linear RGB [rows, columns, 3]."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of integrators that fall back to `path`

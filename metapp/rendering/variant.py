@@ -17,7 +17,7 @@ OLDEST_LLVM = 19  # 15 and 16 abort the process at the first render, which no `e
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"  # where Dr.Jit, below Mitsuba, looks for the library
 KERNELS_VARIABLE = "DRJIT_CACHE_DIR"
 LEAST_THREADS = 2  # at least: Mitsuba hands parts of EXR files to other threads and waits for ever where there is none
-REMEDY = f"apt-get install libllvm19 libatomic1, or point {LLVM_VARIABLE} at such a library"
+LLVM_REMEDY = f"apt-get install libllvm19 libatomic1, or point {LLVM_VARIABLE} at such a library"
 # Debian and Ubuntu, Fedora, others, macOS
 _PLACES = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/lib64/llvm*/lib*", "/usr/lib",
            "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib")  # fmt: skip
@@ -39,25 +39,25 @@ def load_mitsuba() -> Mitsuba:
     on_gpu = torch.cuda.is_available()
     if not on_gpu:
         choose_llvm()
-    choose_kernels()
+    choose_kernel_folder()
     try:
         import drjit
         import mitsuba
     except (ImportError, NameError) as error:  # drjit trips over its own failure to load libatomic
         reason = str(error.__context__ or error).partition("\n")[0]
-        raise ValueError(f"mitsuba: {reason}, expected a package that can be imported; {REMEDY}.") from None
+        raise ValueError(f"mitsuba: {reason}, expected a package that can be imported; {LLVM_REMEDY}.") from None
     if not on_gpu and drjit.detail.llvm_version()[0] < OLDEST_LLVM:
         raise ValueError(
             f"mitsuba: imported before with libLLVM {drjit.detail.llvm_version()[0]}, expected {OLDEST_LLVM} or newer; "
             f"start again with {LLVM_VARIABLE}={os.environ[LLVM_VARIABLE]}."
         )
     mitsuba.set_variant("cuda_ad_rgb" if on_gpu else "llvm_ad_rgb")
-    own_plugins_only(mitsuba)
+    restrict_plugins(mitsuba)
     drjit.set_thread_count(max(LEAST_THREADS, torch.get_num_threads()))
     return mitsuba
 
 
-def own_plugins_only(mitsuba: Mitsuba) -> None:
+def restrict_plugins(mitsuba: Mitsuba) -> None:
     """Have Mitsuba load plugins, native code, from its own folder alone: it would look in the working folder first."""
     places = mitsuba.FileResolver()
     places.clear()
@@ -77,7 +77,7 @@ def choose_llvm() -> Path:
     return library
 
 
-def choose_kernels() -> None:
+def choose_kernel_folder() -> None:
     """Have Dr.Jit, when it is imported, keep compiled kernels in a folder that nobody else can write to."""
     with suppress(OSError, RuntimeError):  # no such folder can be made, or there is no home: then there are none
         folder = os.environ.get(KERNELS_VARIABLE) or Path.home() / ".drjit"
@@ -99,7 +99,7 @@ def find_llvm() -> Path:
             return path
         unfit.append(f"{path} (version {version or 'unknown'})")
     found = ", ".join(unfit) or "none"
-    raise ValueError(f"libLLVM: found {found}, expected {OLDEST_LLVM} or newer for Mitsuba; {REMEDY}.")
+    raise ValueError(f"libLLVM: found {found}, expected {OLDEST_LLVM} or newer for Mitsuba; {LLVM_REMEDY}.")
 
 
 def llvm_version(path: Path) -> int | None:

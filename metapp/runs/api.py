@@ -14,20 +14,20 @@ from torch import Tensor
 
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.runs.checkpoints import with_checkpoint
-from metapp.runs.choose import choose
+from metapp.runs.checkpoints import attach_checkpoint
+from metapp.runs.choose import choose_protocol_and_recipe
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.finding import source_of_tensors
-from metapp.runs.inputs.sources import content_of, in_memory, sources_to_fit, told_apart
+from metapp.runs.inputs.sources import are_objects, find_inputs, rename_duplicates, task_digest
 from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.outputs.recorded import read_saved, recorded_fits, tasks_as
+from metapp.runs.outputs.recorded import find_fitted_tasks, read_fit_of_file, read_run_records
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import threads
-from metapp.storage.parameters import params_of
+from metapp.runs.surroundings import torch_defaults
+from metapp.storage.parameters import read_checked_params
 
-COMMAND_LINE = ("train", "train_steps", "resume", "export")  # options of folders of fits
+COMMAND_LINE_OPTIONS = ("train", "train_steps", "resume", "export")  # options of folders of fits
 
 
 def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:
@@ -97,13 +97,15 @@ def fit_all(
         raise ValueError(f"{type(sources).__name__}: one source, expected a list of them; take metapp.fit for one.")
     if sources is not None and not (sources := list(sources)):
         raise ValueError("0 sources, expected a list of one or more; leave it out to fit a data set's test tasks.")
-    for name in COMMAND_LINE:
+    for name in COMMAND_LINE_OPTIONS:
         if options.get(name):
             raise BadOption(f"{name}: of the command line, where fits are kept in folders; leave it out.")
     try:
-        with threads(single=False):  # a default device of the program would take the tensors of what tells inputs apart
+        with torch_defaults(
+            single=False
+        ):  # a default device of the program would take the tensors of what tells inputs apart
             given = sources or []
-            if not in_memory(given):
+            if not are_objects(given):
                 given = [Path(source) for source in given]
             return _fitted(fit_options(app, paradigm, given, quiet=True, **options))
     except ValueError as error:
@@ -127,36 +129,36 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
     10
     """
     path = Path(os.fsdecode(place))
-    with threads(single=False):
-        records = [read_saved(path)] if path.is_file() else recorded_fits(path).records
+    with torch_defaults(single=False):
+        records = [read_fit_of_file(path)] if path.is_file() else read_run_records(path).records
         if len(records) != 1:
             raise ValueError(f"{path}: {len(records)} fits, expected the folder of one task; take one inside it.")
         (record,) = records
         run, name = Run.of_settings(record["settings"]), record["name"]
-        parameters = params_of(record, run.app)
-        task = tasks_as(records, run.app, [], None).get(name, Task(name, {}))
+        parameters = read_checked_params(record, run.app)
+        task = find_fitted_tasks(records, run.app, [], None).get(name, Task(name, {}))
         return Fit(run, task, record, parameters)
 
 
 def _fitted(options: FitOptions) -> list[Fit]:
     """Fits of the inputs that options name."""
     run = Run.of(options)
-    with threads(single=run.app.single_threaded):
-        sources, label = sources_to_fit(run)
+    with torch_defaults(single=run.app.single_threaded):
+        sources, label = find_inputs(run)
         if options.objects:
             tasks = [source.task() for source in sources]
             told = [source_of_tensors(options.app, task.name, task.data) for task in tasks]
-            chosen = Run.of(replace(options, observe=choose(options, told).protocol), told)
+            chosen = Run.of(replace(options, observe=choose_protocol_and_recipe(options, told).protocol), told)
             if chosen.app.read_size != run.app.read_size:
-                sources, label = sources_to_fit(chosen)
+                sources, label = find_inputs(chosen)
             run = chosen
-        run = with_checkpoint(run)
+        run = attach_checkpoint(run)
         fits, places, settings = [], [], run.settings(label)
         for source, fit in fit_sources(run, sources):
             if isinstance(fit, Fit):
                 fit.record["settings"] = settings
                 if not options.objects:
-                    found = {"source": source.place, "content": content_of(fit.task)}
+                    found = {"source": source.place, "content": task_digest(fit.task)}
                     fit.record |= found | {"origin": run.origin(source.given)}
                 fits.append(fit)
                 places.append(source.place)
@@ -166,6 +168,8 @@ def _fitted(options: FitOptions) -> list[Fit]:
                 say(f"warning: skipped {fit}")
         if not fits:
             raise ValueError(f"none of the {len(sources)} found could be read.")
-        for fit, task in zip(fits, told_apart(zip(places, [fit.task for fit in fits], strict=True)), strict=True):
+        for fit, task in zip(
+            fits, rename_duplicates(zip(places, [fit.task for fit in fits], strict=True)), strict=True
+        ):
             fit.task = task
         return fits

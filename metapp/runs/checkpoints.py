@@ -11,21 +11,21 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules.network import is_periodic
 from metapp.learning.task import Params
-from metapp.networks.field import regridded
+from metapp.networks.field import regrid
 from metapp.paradigms import PARADIGMS
-from metapp.paradigms.adam import TUNED
+from metapp.paradigms.adam import QUICKFT_ADAM_SETTINGS
 from metapp.paradigms.paradigm import Preparation
-from metapp.runs.inputs.sources import data_folder, data_label
-from metapp.runs.recipes import ships
+from metapp.runs.inputs.sources import data_label, training_data_folder
+from metapp.runs.recipes import has_shipped_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
-from metapp.storage.checkpoints import digest, load_checkpoint, tensor_digest
-from metapp.storage.folders import Kind, kind_of, refusal
-from metapp.storage.shipped import QUICK, shipped_path
+from metapp.storage.checkpoints import content_digest, load_checkpoint, tensor_digest
+from metapp.storage.folders import PathKind, path_kind, path_refusal
+from metapp.storage.shipped import QUICK_RECIPE_NAME, shipped_checkpoint_path
 
 
-def with_checkpoint(run: Run) -> Run:
+def attach_checkpoint(run: Run) -> Run:
     """The run with the checkpoint that --checkpoint names, a file or a folder of these, else with the one that ships.
 
     Raises:
@@ -39,26 +39,31 @@ def with_checkpoint(run: Run) -> Run:
     phi, header = load_checkpoint(path, run.device, _shipped(run, needed.general))
     _require_kind(path, run, needed, phi, header)
     template = needed.template(phi)
-    phi = on_own_grid(run.app, phi, template.alpha)
+    phi = resample_alpha_grids(run.app, phi, template.alpha)
     try:
-        require_fit(path, phi, template)
+        require_matching_tensors(path, phi, template)
     except ValueError as error:
-        if path.parent == shipped_path(run.app.name, needed.name).parent and options.recipe != QUICK:
-            raise ValueError(f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK}.") from None
+        if (
+            path.parent == shipped_checkpoint_path(run.app.name, needed.name).parent
+            and options.recipe != QUICK_RECIPE_NAME
+        ):
+            raise ValueError(
+                f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK_RECIPE_NAME}."
+            ) from None
         raise
     source = str(path)
     if not options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
         source = f"the checkpoint that ships{note}"
-    checkpoint = Checkpoint(phi, source, digest(path))
+    checkpoint = Checkpoint(phi, source, content_digest(path))
     for tuning in tunings:
         checkpoint = _with_tuning(run, checkpoint, tuning)
     return replace(run, checkpoint=checkpoint)
 
 
-def trained_path(run: Run, preparation: Preparation) -> Path:
+def trained_checkpoint_path(run: Run, preparation: Preparation) -> Path:
     """Return the path of a checkpoint that is trained on this data."""
-    label = data_label(data_folder(run.app, run.options.data, run.options.quiet))
+    label = data_label(training_data_folder(run.app, run.options.data, run.options.quiet))
     folder = run.options.out / run.app.name / "checkpoints" / f"{label}-{run.options.recipe}-seed{run.options.seed}"
     return folder / f"{checkpoint_name(run.app, preparation)}.safetensors"
 
@@ -81,7 +86,7 @@ def _sizes(app: App) -> tuple[object, ...]:
     return type(app.network), *(getattr(app, field.name) for field in fields(app) if field.name != "protocol")
 
 
-def has_shipped(run: Run, preparation: Preparation) -> bool:
+def has_shipped_checkpoint(run: Run, preparation: Preparation) -> bool:
     """Return whether a checkpoint ships that training may begin at.
 
     On a data set of the user's own none may: the shipped one may have seen its test tasks.
@@ -125,8 +130,8 @@ def _with_tuning(run: Run, checkpoint: Checkpoint, tuning: Preparation) -> Check
         if path.is_file():
             tuned, info = load_checkpoint(path)
             if info.get("encoder") == encoder:
-                require_tuned(path, tuned)
-                return tuned_by(checkpoint, tuned, path)
+                require_tuned_adam(path, tuned)
+                return merge_tuned_adam(checkpoint, tuned, path)
     words = ["metapp", tuning.name, app.name, "--train"]
     words += ["--observe", app.protocol] if app.protocol else []
     remedy = shlex.join(words + (["--data", str(options.data)] if options.data else []))
@@ -134,9 +139,9 @@ def _with_tuning(run: Run, checkpoint: Checkpoint, tuning: Preparation) -> Check
     return checkpoint
 
 
-def tuned_by(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoint:
+def merge_tuned_adam(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoint:
     """General's checkpoint with an Adam that was tuned for it."""
-    return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", digest(path))
+    return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", content_digest(path))
 
 
 def _checkpoint_path(run: Run, needed: Preparation) -> Path:
@@ -144,8 +149,8 @@ def _checkpoint_path(run: Run, needed: Preparation) -> Path:
     if given and given.is_dir():
         path = given / f"{checkpoint_name(run.app, needed)}.safetensors"
         if not path.is_file():
-            if kind_of(given) is not Kind.FILES:
-                raise ValueError(refusal(given, f"a folder of checkpoints with {path.name}"))
+            if path_kind(given) is not PathKind.FILES:
+                raise ValueError(path_refusal(given, f"a folder of checkpoints with {path.name}"))
             held = ", ".join(sorted(file.stem for file in given.glob("*.safetensors"))) or "no checkpoints"
             raise ValueError(
                 f"{given}: holds {held}, expected {path.name}; train it with --train, or name another one."
@@ -163,14 +168,14 @@ def _checkpoint_path(run: Run, needed: Preparation) -> Path:
 
 
 def _ships(run: Run) -> bool:
-    return ships(run.app.name, run.options.recipe)
+    return has_shipped_recipe(run.app.name, run.options.recipe)
 
 
 def _shipped(run: Run, preparation: Preparation) -> Path:
-    return shipped_path(run.app.name, checkpoint_name(run.app, preparation), run.options.recipe)
+    return shipped_checkpoint_path(run.app.name, checkpoint_name(run.app, preparation), run.options.recipe)
 
 
-def on_own_grid(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:
+def resample_alpha_grids(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:
     """Return phi whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own grid.
 
     They may have been learned on a coarser one, by another recipe of the same network.
@@ -184,11 +189,11 @@ def on_own_grid(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:
     for key, wanted in fresh.items():
         value = alpha.get(key, wanted)
         if value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0:
-            alpha[key] = regridded(value, *wanted.shape[2:], periodic=is_periodic(app))
+            alpha[key] = regrid(value, *wanted.shape[2:], periodic=is_periodic(app))
     return phi._replace(alpha={key: alpha[key] for key in phi.alpha})
 
 
-def require_fit(path: Path, phi: MetaParameters, template: MetaParameters) -> None:
+def require_matching_tensors(path: Path, phi: MetaParameters, template: MetaParameters) -> None:
     """Refuse tensors that are not this application's, or not this rule's.
 
     Args:
@@ -206,16 +211,18 @@ def require_fit(path: Path, phi: MetaParameters, template: MetaParameters) -> No
         _require(path, "encoder", phi.encoder, template.encoder)
 
 
-def require_tuned(path: Path, prepared: MetaParameters) -> None:
+def require_tuned_adam(path: Path, prepared: MetaParameters) -> None:
     """Refuse other hyperparameters than the settings of one Adam.
 
     Raises:
         ValueError: one is missing, or no number.
     """
-    if set(prepared.alpha) != set(TUNED) or any(value.numel() != 1 for value in prepared.alpha.values()):
+    if set(prepared.alpha) != set(QUICKFT_ADAM_SETTINGS) or any(
+        value.numel() != 1 for value in prepared.alpha.values()
+    ):
         raise ValueError(
             f"{path}: holds {', '.join(sorted(prepared.alpha)) or 'no settings'}, expected one number each for "
-            f"{', '.join(TUNED)}; tune again with metapp quickft APP --train."
+            f"{', '.join(QUICKFT_ADAM_SETTINGS)}; tune again with metapp quickft APP --train."
         )
 
 

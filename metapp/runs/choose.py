@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from data_tools.readers.source import DAMAGED, Facts, Source
+from data_tools.readers.source import DAMAGED_FACT, Facts, Source
 from metapp.names import protocols_of, recipe_entries
 from metapp.options import BadOption
-from metapp.registry import RecipeEntry, Wanted, load
+from metapp.registry import FactRange, RecipeEntry, load_reference
 from metapp.runs.options import FitOptions
-from metapp.runs.recipes import ships, usual_recipe
-from metapp.storage.shipped import FULL
+from metapp.runs.recipes import has_shipped_recipe, usual_recipe
+from metapp.storage.shipped import FULL_RECIPE_NAME
 
 
 class Choice(NamedTuple):
@@ -32,7 +32,7 @@ class Choice(NamedTuple):
     missing: str = ""
 
 
-def choose(options: FitOptions, sources: Sequence[Source]) -> Choice:
+def choose_protocol_and_recipe(options: FitOptions, sources: Sequence[Source]) -> Choice:
     """Choose the protocol that all sources of a fit allow, and the first recipe that suits them all.
 
     Options that name a protocol or a recipe are followed without a reason.
@@ -52,7 +52,7 @@ def choose(options: FitOptions, sources: Sequence[Source]) -> Choice:
     return Choice(options.app, recipe, protocol, tuple(filter(None, (why_protocol, why_recipe, missing))), missing)
 
 
-def suits(wanted: Mapping[str, Wanted], facts: Facts) -> bool:
+def facts_match(wanted: Mapping[str, FactRange], facts: Facts) -> bool:
     """Test whether the facts of a source have the values of a recipe's, or lie in their ranges.
 
     >>> suits({"samples": (1, 200)}, {"samples": 20, "anisotropic": False}), suits({}, {"samples": 20})
@@ -81,8 +81,8 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
     app, usual = options.app, usual_recipe(options.app)
     entries = recipe_entries(app, protocol)
     offered = {name: entry for name, entry in entries.items() if _is_offered(options, name, entry, protocol)}
-    sound = [source for source in sources if not source.facts.get(DAMAGED)]
-    suiting = [next((name for name in offered if suits(offered[name].suits, one.facts)), "") for one in sound]
+    sound = [source for source in sources if not source.facts.get(DAMAGED_FACT)]
+    suiting = [next((name for name in offered if facts_match(offered[name].suits, one.facts)), "") for one in sound]
     name = next((name for name in offered if name in suiting), "")
     if not name:
         return usual, "", ""
@@ -92,9 +92,9 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
     if other := next((source for source, its in zip(sound, suiting, strict=True) if its != name), None):
         raise BadOption(
             f"{app}: {sound[suiting.index(name)].path} has {entries[name].help}, {other.path} has not, and recipes for "
-            f"these differ; fit them by two commands, or all by --recipe {name} or --recipe {FULL}."
+            f"these differ; fit them by two commands, or all by --recipe {name} or --recipe {FULL_RECIPE_NAME}."
         )
-    if entries[name].lacks and (missing := load(entries[name].lacks)()):
+    if entries[name].lacks and (missing := load_reference(entries[name].lacks)()):
         return usual, "", f"{app}: {missing}"
     return name, f"{app}: recipe {name}, since every {_noun(options)} has {entries[name].help}", ""
 
@@ -102,7 +102,7 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
 def _is_offered(options: FitOptions, name: str, entry: RecipeEntry, protocol: str) -> bool:
     """Test whether a recipe can be chosen for a paradigm: it suits some facts, and its checkpoints ship."""
     is_for = not entry.paradigms or options.paradigm in entry.paradigms
-    return bool(entry.suits) and is_for and ships(options.app, name)
+    return bool(entry.suits) and is_for and has_shipped_recipe(options.app, name)
 
 
 def _noun(options: FitOptions) -> str:

@@ -21,18 +21,18 @@ from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.registry import registry
 from metapp.runs.options import check_export
-from metapp.runs.outputs.files import export_fit, rendered
-from metapp.runs.outputs.pictures import beside, image_of
+from metapp.runs.outputs.files import export_fit, render_outputs
+from metapp.runs.outputs.pictures import place_side_by_side, srgb_image
 from metapp.runs.run import Run
-from metapp.runs.surroundings import threads
+from metapp.runs.surroundings import torch_defaults
 from metapp.storage import Document
 from metapp.storage.files import write_bytes
-from metapp.storage.fits import packed
-from metapp.storage.images import png_address
+from metapp.storage.fits import pack_fit
+from metapp.storage.images import png_data_url
 
 # entries of records that are no errors
-NO_ERRORS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}
-NO_ERRORS |= {"source", "content", "origin", "settings", "folder", "batch"}
+NON_ERROR_RECORD_KEYS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}
+NON_ERROR_RECORD_KEYS |= {"source", "content", "origin", "settings", "folder", "batch"}
 
 
 @runtime_checkable
@@ -89,7 +89,9 @@ class Fit:
     @property
     def errors(self) -> dict[str, float]:
         """All measures, by name."""
-        return {key: value for key, value in self.record.items() if key not in NO_ERRORS and value is not None}
+        return {
+            key: value for key, value in self.record.items() if key not in NON_ERROR_RECORD_KEYS and value is not None
+        }
 
     @property
     def seconds(self) -> float:
@@ -122,7 +124,7 @@ class Fit:
         error = "no reference" if self.error is None else f"error{self.app.error_measure.factor} {self.error:.3f}"
         line = f"{self.name}: {self.run.presenter.title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
         line += f", {self.settings['steps']} steps" + (f"; warning: {self.warning}" if self.warning else "")
-        return f'<img src="{png_address(self.picture())}"><div>{escape(line)}</div>'
+        return f'<img src="{png_data_url(self.picture())}"><div>{escape(line)}</div>'
 
     def __call__(self, wi: object, wo: object) -> Tensor | np.ndarray:
         """Evaluate a fitted BRDF.
@@ -141,7 +143,7 @@ class Fit:
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
         app: object = self.app
-        with threads(single=self.app.single_threaded), torch.no_grad():
+        with torch_defaults(single=self.app.single_threaded), torch.no_grad():
             angles = directions_to_four_angles(light, viewer).float()
             values = app.reflectance(self.parameters, angles) if isinstance(app, HasReflectance) else None
         if values is None:
@@ -159,27 +161,29 @@ class Fit:
         up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
         of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
         """
-        with threads(single=self.app.single_threaded):
+        with torch_defaults(single=self.app.single_threaded):
             maps = self.run.presenter.linear_maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def preview(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        with threads(single=self.app.single_threaded):
+        with torch_defaults(single=self.app.single_threaded):
             return self.run.presenter.preview(self.parameters, self.task)
 
     @functools.cached_property
     def rendered(self) -> dict[str, np.ndarray]:
         """The outputs that options ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
-        with threads(single=self.app.single_threaded):
-            files, _ = rendered(self.run, self.task, self.parameters)
+        with torch_defaults(single=self.app.single_threaded):
+            files, _ = render_outputs(self.run, self.task, self.parameters)
         return {name: picture.pixels.numpy() for name, picture in files.items()}
 
     def picture(self) -> Image:
         """Return a picture of PIL, 8 bits of sRGB: the reference, if there is one, left and the fit right."""
         shown = self.preview()
-        with threads(single=self.app.single_threaded):
-            return beside([image_of(linear) for name, linear in shown.items() if name in ("reference", "fit")])
+        with torch_defaults(single=self.app.single_threaded):
+            return place_side_by_side(
+                [srgb_image(linear) for name, linear in shown.items() if name in ("reference", "fit")]
+            )
 
     def save(self, path: str | bytes | PathLike[str]) -> Path:
         """Write the parameters, with the record, as safetensors, whole or not at all; `metapp.load` reads them.
@@ -188,7 +192,7 @@ class Fit:
             OSError: the file cannot be written.
         """
         file = Path(os.fsdecode(path))
-        write_bytes(file, packed(self.record, self.parameters))
+        write_bytes(file, pack_fit(self.record, self.parameters))
         return file
 
     def export(self, form: str, path: str | bytes | PathLike[str]) -> None:
@@ -198,5 +202,5 @@ class Fit:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app.name)
-        with threads(single=self.app.single_threaded):
+        with torch_defaults(single=self.app.single_threaded):
             export_fit(self.run, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)

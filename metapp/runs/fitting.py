@@ -14,31 +14,31 @@ from typing import NamedTuple
 import torch
 from torch import Generator
 
-from metapp.appearance.pictures import photo_error
-from metapp.learning.app import stack
+from metapp.appearance.pictures import photo_error_percent
+from metapp.learning.app import stack_tasks
 from metapp.learning.draws import Rng, draw_per_task
 from metapp.learning.learn import DescentState, final_item
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fit import Fit
-from metapp.runs.inputs.sources import Input, content_of
+from metapp.runs.inputs.sources import Input, task_digest
 from metapp.runs.reporter import Bar, say
 from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.files import named
+from metapp.storage.files import error_about_file
 from metapp.storage.fits import RunFolder
 
-READ, FITTED = 0.2, 0.5  # shares of an input's time until it is read, and fitted, about
-WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
-NOTED = 3  # inputs of which it is said that they were cut or scaled
-ROSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
-FAILURES = (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError)  # of inputs and fits
+READ_TIME_SHARE, FITTED_TIME_SHARE = 0.2, 0.5  # shares of an input's time until it is read, and fitted, about
+WARM_UP_STEPS = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
+MAX_NOTED_INPUTS = 3  # inputs of which it is said that they were cut or scaled
+LOSS_ROSE_CLAUSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
+FIT_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError)  # of inputs and fits
 
 
 class BadInput(ValueError):
     """An input that cannot be read, with its place."""
 
 
-class Earlier(NamedTuple):
+class EarlierFit(NamedTuple):
     """An earlier fit of a task, which --resume takes for the fit of now.
 
     Attributes:
@@ -54,7 +54,7 @@ class Earlier(NamedTuple):
 
 def fit_sources(
     run: Run, sources: Sequence[Input], folder: RunFolder | None = None, bar: Bar | None = None
-) -> Iterator[tuple[Input, Fit | Earlier | Exception]]:
+) -> Iterator[tuple[Input, Fit | EarlierFit | Exception]]:
     """Fit sources, each read when its turn comes, `--batch` of them side by side; their warnings are said.
 
     Args:
@@ -71,7 +71,7 @@ def fit_sources(
 
     def fits() -> Iterator[tuple[Input, Fit | Exception]]:
         nonlocal is_warm
-        for group in of_equal_sizes(waiting):
+        for group in group_by_tensor_sizes(waiting):
             if not is_warm:
                 warm_up(run, group[0][1])
                 is_warm = True
@@ -93,25 +93,25 @@ def fit_sources(
 
 def _readable(
     run: Run, sources: Iterable[Input], folder: RunFolder | None, bar: Bar
-) -> Iterator[tuple[Input, Task | Earlier | Exception]]:
+) -> Iterator[tuple[Input, Task | EarlierFit | Exception]]:
     noted = 0
     for source in sources:
         try:
             task = source.task()
             record = folder.earlier(task.name, source.place) if folder and run.options.resume else None
-            if folder and record and folder.holds(record, content_of(task)):
-                yield source, Earlier(run, task, record)
+            if folder and record and folder.holds(record, task_digest(task)):
+                yield source, EarlierFit(run, task, record)
             else:
-                bar.name(f"{task.name}: fitting", READ)
+                bar.name(f"{task.name}: fitting", READ_TIME_SHARE)
                 check_task(run, task)
                 noted += bool(task.note)
-                if task.note and noted <= NOTED:
+                if task.note and noted <= MAX_NOTED_INPUTS:
                     say(f"{Path(source.place).name}: {task.note}")
-                elif task.note and noted == NOTED + 1:
+                elif task.note and noted == MAX_NOTED_INPUTS + 1:
                     say("further inputs are cut and scaled likewise")
                 yield source, task
         except (ValueError, OSError) as error:
-            yield source, BadInput(str(named(error, Path(source.place))))
+            yield source, BadInput(str(error_about_file(error, Path(source.place))))
 
 
 def _fit_group(run: Run, pairs: Sequence[tuple[Input, Task]]) -> Iterator[tuple[Input, Fit | Exception]]:
@@ -119,7 +119,7 @@ def _fit_group(run: Run, pairs: Sequence[tuple[Input, Task]]) -> Iterator[tuple[
     failure: Exception | None = None
     try:
         fits = fit_side_by_side(run, [task for _, task in pairs])
-    except FAILURES as error:
+    except FIT_ERRORS as error:
         failure = error.with_traceback(None)  # whose frames hold the tensors of the batch
     if failure is None:
         yield from zip([source for source, _ in pairs], fits, strict=True)
@@ -134,11 +134,11 @@ def _say_warnings(fit: Fit) -> None:
     if "note" in fit.record:
         say(f"{fit.name}: {fit.record['note']}")
     for clause in filter(None, fit.warning.split("; ")):
-        remedy = "; try another rule, more steps or another paradigm." if clause.startswith(ROSE) else ""
+        remedy = "; try another rule, more steps or another paradigm." if clause.startswith(LOSS_ROSE_CLAUSE) else ""
         say(f"warning: {fit.name}: {clause}{remedy}")
 
 
-def of_equal_sizes(pairs: Iterable[tuple[Input, Task]]) -> list[list[tuple[Input, Task]]]:
+def group_by_tensor_sizes(pairs: Iterable[tuple[Input, Task]]) -> list[list[tuple[Input, Task]]]:
     """Groups of tasks whose tensors are of equal sizes, which can be fitted side by side."""
     groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Input, Task]]] = {}
     for source, task in pairs:
@@ -181,9 +181,9 @@ def check_task(run: Run, task: Task) -> None:
 
 def warm_up(run: Run, task: Task) -> None:
     """Take a step before the first fit, as first calls load kernels."""
-    few = min(run.paradigm.steps, WARM)
+    few = min(run.paradigm.steps, WARM_UP_STEPS)
     # what a guard looks at takes longer than a step
-    stacked, paradigm = stack(run.app, [task], run.device), replace(run.paradigm, steps=few)
+    stacked, paradigm = stack_tasks(run.app, [task], run.device), replace(run.paradigm, steps=few)
     paradigm.fit(run.phi, stacked, rng_of(run, task), guarded=False)
 
 
@@ -203,7 +203,7 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
     app = run.app
     rng: Rng = tuple(rng_of(run, task) for task in tasks) if len(tasks) > 1 else rng_of(run, tasks[0])
     begin = _now(run.device)
-    stacked = stack(app, tasks, run.device)
+    stacked = stack_tasks(app, tasks, run.device)
     descent = run.paradigm.descend(run.phi, stacked, rng)
     first = next(descent)
     end = final_item(chain([first], descent))
@@ -225,7 +225,7 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
         record |= {"warning": "; ".join(clauses)} if clauses else {}
         record |= {"batch": len(tasks)} if len(tasks) > 1 else {}
         if record["error"] is None and (compared := run.presenter.photo_comparison(parameters, task)):
-            record |= {"photo_error": photo_error(compared)}
+            record |= {"photo_error": photo_error_percent(compared)}
         fits.append(Fit(run, task, record, parameters))
     return fits
 
@@ -269,7 +269,7 @@ def warnings_of(run: Run, stacked: Tasks, first: DescentState, end: DescentState
         batch = draw_per_task(lambda some, own: run.app.sample(some, own, run.recipe.batch), stacked, again)
         before, after = (run.app.loss(state.theta, batch, {}).tolist() for state in (first, end))
     return [
-        [*([] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"]), *doubt]
+        [*([] if high <= low else [f"{LOSS_ROSE_CLAUSE} from {low:.4g} to {high:.4g}"]), *doubt]
         for low, high, doubt in zip(before, after, doubts, strict=True)
     ]
 

@@ -13,23 +13,23 @@ import torch
 from metapp.apps import full_name
 from metapp.learning.task import Params, Task
 from metapp.paradigms import ranks
-from metapp.runs.checkpoints import with_checkpoint
+from metapp.runs.checkpoints import attach_checkpoint
 from metapp.runs.fit import Fit
-from metapp.runs.fitting import FITTED, BadInput, Earlier, fit_sources
-from metapp.runs.inputs.sources import Input, content_of, sources_to_fit
-from metapp.runs.outputs.files import export_fit, export_path, opened_file, rendered, write_pictures
-from metapp.runs.outputs.pictures import ROWS, Tiles, add_to_sheet, tiles_of_fit
-from metapp.runs.reporter import Bar, Reporter, progress, reporting, say
+from metapp.runs.fitting import FITTED_TIME_SHARE, BadInput, EarlierFit, fit_sources
+from metapp.runs.inputs.sources import Input, find_inputs, task_digest
+from metapp.runs.outputs.files import export_fit, export_path, file_to_open, render_outputs, write_pictures
+from metapp.runs.outputs.pictures import MAX_SHEET_ROWS, Tiles, add_to_sheet, tiles_of_fit
+from metapp.runs.reporter import Bar, Reporter, progress, say, use_reporter
 from metapp.runs.run import Run
-from metapp.runs.surroundings import make_folder, threads
+from metapp.runs.surroundings import make_folder, torch_defaults
 from metapp.storage import Document
-from metapp.storage.files import named
+from metapp.storage.files import error_about_file
 from metapp.storage.fits import RunFolder, summary
-from metapp.storage.parameters import params_of
+from metapp.storage.parameters import read_checked_params
 
-ERRORS = ("error", "photo_error")  # of a record, the first that there is
-DRAWN = 0.9  # share of an input's time until its pictures are drawn, about
-FORESEEN = (ValueError, OSError, FloatingPointError, MemoryError)  # errors of inputs and fits
+ERROR_RECORD_KEYS = ("error", "photo_error")  # of a record, the first that there is
+DRAWN_TIME_SHARE = 0.9  # share of an input's time until its pictures are drawn, about
+FORESEEN_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError)  # errors of inputs and fits
 
 
 class Failure(NamedTuple):
@@ -72,7 +72,7 @@ class Outcome(NamedTuple):
     tiles: Tiles | None = None
 
 
-class Report(NamedTuple):
+class RunReport(NamedTuple):
     """What became of all sources of a run.
 
     Attributes:
@@ -104,12 +104,12 @@ class Report(NamedTuple):
         return Path(self.records[0]["folder"]) if len(self.records) == 1 else self.folder.path
 
 
-def execute(run: Run, provide: Callable[[Run], Run] = with_checkpoint) -> Report | None:
+def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> RunReport | None:
     """Get the checkpoint of a run, then fit all inputs and keep each fit in its folder.
 
     Args:
         run: without its checkpoint.
-        provide: gives the run its checkpoint; of --train it is `metapp.runs.training.trained`, which few runs need.
+        provide: gives the run its checkpoint; of --train it is `metapp.runs.training.train_run`, which few runs need.
 
     Returns:
         What became of the inputs; None on all but the first of several ranks, which train alone.
@@ -118,14 +118,14 @@ def execute(run: Run, provide: Callable[[Run], Run] = with_checkpoint) -> Report
         ValueError: bad inputs, no checkpoint, a folder that cannot be written to; nothing could be fitted.
         FloatingPointError: training is not finite.
     """
-    with threads(single=run.app.single_threaded):
-        if ranks.number() > 0:
+    with torch_defaults(single=run.app.single_threaded):
+        if ranks.rank_number() > 0:
             if run.options.train:
-                with reporting(Reporter()):
+                with use_reporter(Reporter()):
                     provide(replace(run, options=replace(run.options, quiet=True)))
             return None
         make_folder(run.options.out)
-        sources, label = sources_to_fit(run)
+        sources, label = find_inputs(run)
         run = replace(run, checkpoint=provide(run).checkpoint)
         assert run.checkpoint is not None
         if not run.options.quiet:
@@ -138,7 +138,7 @@ def execute(run: Run, provide: Callable[[Run], Run] = with_checkpoint) -> Report
         fitted = sum(outcome.record is not None and not outcome.is_earlier for outcome in outcomes)
         rate = fitted / (time.perf_counter() - begin) if fitted else None
         order = {source.place: number for number, source in enumerate(sources)}
-        report = Report(run, folder, sorted(outcomes, key=lambda outcome: order[outcome.place]), rate)
+        report = RunReport(run, folder, sorted(outcomes, key=lambda outcome: order[outcome.place]), rate)
         if not report.records:
             several = f"none of {len(sources)} inputs could be fitted; the first: " if len(sources) > 1 else ""
             raise ValueError(f"{several}{report.failures[0].reason}")
@@ -162,12 +162,12 @@ def keep_fits(run: Run, folder: RunFolder, sources: Sequence[Input]) -> Iterator
         bar.name(f"{Path(sources[0].place).name}: reading")
         for source, fit in fit_sources(run, sources, folder, bar):
             if isinstance(fit, Exception):
-                if count == 1 and not isinstance(fit, FORESEEN):
+                if count == 1 and not isinstance(fit, FORESEEN_ERRORS):
                     raise fit
                 outcome = _failed(source, fit, bar)
             else:
                 try:
-                    outcome = _kept(folder, source, fit, bar, is_shown=drawn < ROWS)
+                    outcome = _kept(folder, source, fit, bar, is_shown=drawn < MAX_SHEET_ROWS)
                     drawn += 1
                 except ValueError as error:
                     outcome = _failed(source, error, bar)
@@ -178,10 +178,12 @@ def _failed(source: Input, error: Exception, bar: Bar) -> Outcome:
     """Return the outcome of a source that was not fitted, by its error."""
     bar.advance(f"failed: {Path(source.place).name}")
     counted = source.named or not isinstance(error, BadInput)
-    return Outcome(source.place, failures=[Failure(source.place, str(named(error, Path(source.place))), counted)])
+    return Outcome(
+        source.place, failures=[Failure(source.place, str(error_about_file(error, Path(source.place))), counted)]
+    )
 
 
-def _kept(folder: RunFolder, source: Input, fit: Fit | Earlier, bar: Bar, *, is_shown: bool) -> Outcome:
+def _kept(folder: RunFolder, source: Input, fit: Fit | EarlierFit, bar: Bar, *, is_shown: bool) -> Outcome:
     """Write the parameters, the pictures and the record of a fit, in this order, then its exports.
 
     Args:
@@ -192,26 +194,26 @@ def _kept(folder: RunFolder, source: Input, fit: Fit | Earlier, bar: Bar, *, is_
         is_shown: whether the picture of the run shows the fit.
     """
     run, task = fit.run, fit.task
-    if isinstance(fit, Earlier):
-        tiles = _tiles(run, task, params_of(fit.record, run.app), fit.record) if is_shown else None
+    if isinstance(fit, EarlierFit):
+        tiles = _tiles(run, task, read_checked_params(fit.record, run.app), fit.record) if is_shown else None
         bar.advance(f"{task.name}: fitted before")
         return Outcome(source.place, fit.record, is_earlier=True, tiles=tiles)
-    bar.name(f"{fit.name}: pictures", FITTED)
+    bar.name(f"{fit.name}: pictures", FITTED_TIME_SHARE)
     remarks: list[str] = []
 
     def draw(place: Path) -> None:
         with torch.no_grad():
-            files, lines = rendered(run, task, fit.parameters)
+            files, lines = render_outputs(run, task, fit.parameters)
             write_pictures(run.presenter.pictures(fit.parameters, task) | files, place)
             remarks.extend(f"{fit.name}: {line}" for line in lines)
 
     origin = run.origin(source.given)
-    record = fit.record | {"source": source.place, "content": content_of(task), "origin": origin}
+    record = fit.record | {"source": source.place, "content": task_digest(task), "origin": origin}
     replaces = folder.earlier(task.name, source.place) is not None
     kept = folder.write(record, fit.parameters, draw)
     tiles = _tiles(run, task, fit.parameters, kept) if is_shown else None
     exported, failures = _export(fit, kept, bar)
-    errors = [f"{key.replace('_', ' ')} {kept[key]:.3f}" for key in ERRORS if kept.get(key) is not None]
+    errors = [f"{key.replace('_', ' ')} {kept[key]:.3f}" for key in ERROR_RECORD_KEYS if kept.get(key) is not None]
     bar.advance(", ".join([kept["name"], *errors[:1], f"{kept['seconds']:.4f} s"]))
     return Outcome(source.place, kept, False, replaces, exported, remarks, failures, tiles)
 
@@ -220,12 +222,12 @@ def _export(fit: Fit, record: Document, bar: Bar) -> tuple[list[tuple[str, Path]
     """Write a fit that is kept in the forms of --export; return the files that were written, and which were not."""
     exported, failures = [], []
     for form in fit.run.options.exports:
-        bar.name(f"{fit.name}: {form}", DRAWN)
+        bar.name(f"{fit.name}: {form}", DRAWN_TIME_SHARE)
         path = export_path(record, form)
         try:
             with torch.no_grad():
                 export_fit(fit.run, fit.task, fit.parameters, path, form, record["settings"])
-            exported.append((form, opened_file(path)))
+            exported.append((form, file_to_open(path)))
         except (ValueError, OSError) as error:
             why = getattr(error, "strerror", None) or str(error).removesuffix(".")
             again = f"metapp export {record['folder']} {form}"
@@ -239,7 +241,7 @@ def _tiles(run: Run, task: Task, theta: Params, record: Document) -> Tiles:
         return tiles_of_fit(run.presenter, task, theta, record)
 
 
-def _draw(report: Report) -> None:
+def _draw(report: RunReport) -> None:
     """Write `pictures.png`: the first of these fits beside their photos or references, then fits of before."""
     app, records = report.run.app, report.records
     mean = summary(records)["error"]

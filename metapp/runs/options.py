@@ -10,12 +10,22 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from metapp.names import app_names, did_you_mean, exports_of, protocols_of, recipe_entries
-from metapp.options import FIT, INPUT, OUTPUT, AppOptions, BadOption, Option, declared, options_of, parse
+from metapp.options import (
+    FIT,
+    INPUT,
+    OUTPUT,
+    AppOptions,
+    BadOption,
+    Option,
+    app_options_class,
+    options_by_name,
+    parse_options,
+)
 from metapp.storage.files import file_name
 from metapp.storage.folders import is_data_set
 
-MOST_STEPS, MOST_SEEDS = 10**9, 2**63 - 1
-TASKS = "default: tests of --data"
+MAX_GRADIENT_STEPS, MAX_SEED = 10**9, 2**63 - 1
+DEFAULT_TASKS_HELP = "default: tests of --data"
 
 
 @dataclass(frozen=True)
@@ -41,7 +51,7 @@ class FitOptions:
     ] = ""
     steps: Annotated[
         int | None,
-        Option("Gradient steps; default: the recipe's.", low=0, high=MOST_STEPS, panel=FIT),
+        Option("Gradient steps; default: the recipe's.", low=0, high=MAX_GRADIENT_STEPS, panel=FIT),
     ] = None
     checkpoint: Annotated[
         Path | None,
@@ -50,9 +60,9 @@ class FitOptions:
     train: Annotated[bool, Option("Train first, on the training tasks of --data.", panel=FIT)] = False
     train_steps: Annotated[
         int | None,
-        Option("Outer training steps; default: the recipe's.", low=1, high=MOST_STEPS, panel=FIT),
+        Option("Outer training steps; default: the recipe's.", low=1, high=MAX_GRADIENT_STEPS, panel=FIT),
     ] = None
-    seed: Annotated[int, Option("Random seed; default: 0.", low=0, high=MOST_SEEDS, panel=FIT)] = 0
+    seed: Annotated[int, Option("Random seed; default: 0.", low=0, high=MAX_SEED, panel=FIT)] = 0
     device: Annotated[str, Option("auto, cpu, cuda; default: auto.", choices=("auto", "cpu", "cuda"), panel=FIT)] = (
         "auto"
     )
@@ -95,21 +105,23 @@ def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (),
     """
     if not isinstance(paradigm, str):
         raise BadOption(f"paradigm: {paradigm!r}, expected str.")
-    check_name(app)
-    own_kind = options_of(app)
-    own = {name: values.pop(name) for name in declared(own_kind) if name in values}
+    check_app_name(app)
+    own_kind = app_options_class(app)
+    own = {name: values.pop(name) for name in options_by_name(own_kind) if name in values}
     for name in values:
-        if name not in declared(FitOptions):
+        if name not in options_by_name(FitOptions):
             raise BadOption(_unknown(name, app))
-    options = parse(FitOptions, values, app=app, paradigm=paradigm, inputs=tuple(inputs), own=parse(own_kind, own))
-    paths, data = data_set_of(options.paths, options.data)
+    options = parse_options(
+        FitOptions, values, app=app, paradigm=paradigm, inputs=tuple(inputs), own=parse_options(own_kind, own)
+    )
+    paths, data = extract_data_set(options.paths, options.data)
     if len(paths) < len(options.paths):
         options = replace(options, inputs=(), data=data)
     _check(options)
     return options
 
 
-def data_set_of(paths: Sequence[Path], data: Path | None) -> tuple[Sequence[Path], Path | None]:
+def extract_data_set(paths: Sequence[Path], data: Path | None) -> tuple[Sequence[Path], Path | None]:
     """Take a data set among the inputs of a fit for the data set whose test tasks are fitted.
 
     Args:
@@ -135,7 +147,7 @@ def data_set_of(paths: Sequence[Path], data: Path | None) -> tuple[Sequence[Path
     return (), found
 
 
-def check_name(app: str) -> None:
+def check_app_name(app: str) -> None:
     """A usage error that lists the applications if there is none of that name."""
     if app not in app_names():
         names = app_names()
@@ -150,7 +162,7 @@ def check_protocol(protocol: str, app: str) -> None:
         raise BadOption(f"--observe '{protocol}': {app} {expected}.{did_you_mean(protocol, protocols)}")
 
 
-def check_under_protocol(options: FitOptions) -> None:
+def check_options_of_protocol(options: FitOptions) -> None:
     """A usage error about a recipe or an option that there is not under the protocol of a fit."""
     recipes = recipe_entries(options.app, options.observe)
     if options.recipe and options.recipe not in recipes:
@@ -158,7 +170,7 @@ def check_under_protocol(options: FitOptions) -> None:
             f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{did_you_mean(options.recipe, recipes)}"
         )
     for name in options.own.given():
-        option = declared(type(options.own))[name]
+        option = options_by_name(type(options.own))[name]
         if options.observe and option.protocol not in ("", options.observe):
             raise BadOption(f"{option.flag}: only with --observe {option.protocol}; add that.")
 
@@ -187,11 +199,11 @@ def check_export(name: str, app: str) -> None:
 
 def _unknown(name: str, app: str) -> str:
     """An error line about an option that an application does not have."""
-    others = [other for other in app_names() if name in declared(options_of(other))]
+    others = [other for other in app_names() if name in options_by_name(app_options_class(other))]
     if others:
         flag = f"--{name.replace('_', '-')}"
         return f"{flag}: {app} has no such option, only {', '.join(others)}; leave it out."
-    names = {**declared(FitOptions), **declared(options_of(app))}
+    names = {**options_by_name(FitOptions), **options_by_name(app_options_class(app))}
     return f"{name}: no option of a fit, expected one of {', '.join(sorted(names))}.{did_you_mean(name, names)}"
 
 
@@ -208,7 +220,7 @@ def _check(options: FitOptions) -> None:
     if options.train_steps and not options.train:
         raise BadOption("--train-steps: only with --train.")
     for name in options.own.given():
-        option = declared(type(options.own))[name]
+        option = options_by_name(type(options.own))[name]
         if option.panel == INPUT and not options.inputs:
             remedy = f"not about the data set {options.data}; leave it out" if options.data else "name what to fit"
             raise BadOption(f"{option.flag}: about INPUT alone; {remedy}.")
@@ -216,12 +228,12 @@ def _check(options: FitOptions) -> None:
             raise BadOption(f"{option.flag}: of fits; checkpoints are trained without it, leave --train out.")
 
 
-def own_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> dict[str, object]:
+def app_options_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> dict[str, object]:
     """An application's own options as a record states them; those about INPUT only with `inputs`.
 
     Options that the application does not have are left out.
     """
-    known = declared(options_of(app))
+    known = options_by_name(app_options_class(app))
     return {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in recorded.items()
@@ -229,7 +241,7 @@ def own_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> 
     }
 
 
-def name_parts(own: AppOptions) -> list[str]:
+def folder_name_parts(own: AppOptions) -> list[str]:
     """The parts of a run folder's name that state options that fits depend on: conserve, detail512."""
     recorded = {name: value for name, value in own.recorded().items() if not isinstance(value, list)}
     return [file_name(name if value is True else f"{name}{value}") for name, value in recorded.items()]

@@ -46,7 +46,7 @@ _in_force: ContextVar[Reporter] = ContextVar("reporter", default=Reporter())  # 
 
 
 @contextlib.contextmanager
-def reporting(reporter: Reporter) -> Iterator[None]:
+def use_reporter(reporter: Reporter) -> Iterator[None]:
     """Put a reporter in force."""
     token = _in_force.set(reporter)
     try:
@@ -67,7 +67,7 @@ def progress(
     return contextlib.nullcontext(Bar()) if quiet else _in_force.get().bar(title, total, done, long)
 
 
-def number(value: float | None, form: str) -> str:
+def format_number(value: float | None, form: str) -> str:
     """Write a number as tables print it, a dash if there is none.
 
     >>> number(0.12345, ".3f"), number(None, ".3f")

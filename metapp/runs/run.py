@@ -21,14 +21,20 @@ from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.paradigm import Paradigm
 from metapp.rules import rule_of
-from metapp.runs.choose import choose
+from metapp.runs.choose import choose_protocol_and_recipe
 from metapp.runs.inputs.finding import find_sources
-from metapp.runs.options import FitOptions, check_under_protocol, fit_options, name_parts, own_of_record
+from metapp.runs.options import (
+    FitOptions,
+    app_options_of_record,
+    check_options_of_protocol,
+    fit_options,
+    folder_name_parts,
+)
 from metapp.runs.recipes import usual_recipe
 from metapp.runs.reporter import say
-from metapp.runs.surroundings import find_device, versions
+from metapp.runs.surroundings import find_device, software_versions
 from metapp.storage import Document
-from metapp.storage.checkpoints import digest
+from metapp.storage.checkpoints import content_digest
 from metapp.storage.fits import RunFolder
 
 
@@ -72,12 +78,12 @@ class Run:
         """
         kind = paradigm_of(options.paradigm)
         found = tuple(find_sources(options) if sources is None else sources)
-        choice = choose(options, found)
+        choice = choose_protocol_and_recipe(options, found)
         for line in filter(None, [choice.missing] if options.quiet else choice.reasons):
             say(line)
         name = choice.recipe
         options = replace(options, observe="" if options.objects and not options.observe else choice.protocol)
-        check_under_protocol(options)
+        check_options_of_protocol(options)
         usual = recipe_of(options.app, name, options.observe)
         recipe = _adapted(options, name, usual)
         if recipe == usual:  # by options that say what it does anyway
@@ -108,7 +114,7 @@ class Run:
             ValueError: settings that are not known here.
         """
         app, inputs = settings["app"], more.pop("inputs", ())
-        own = own_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
+        own = app_options_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
         paradigm = settings.get("paradigm", FitOptions.paradigm)
         rule = settings.get("rule", "") if paradigm_of(paradigm).has_learned_rule else ""
         given = {"rule": rule, "recipe": settings["recipe"]}
@@ -162,7 +168,7 @@ class Run:
             **({"options": own} if own else {}),
             "seed": self.options.seed,
             "device": str(self.device),
-            "versions": versions(),
+            "versions": software_versions(),
             **app.conditions(self.device if paradigm.steps else None),
         }
 
@@ -180,13 +186,13 @@ class Run:
         options, app = self.options, self.app
         rule = options.rule if kind or self.paradigm.has_learned_rule else ""
         given = str(options.checkpoint.resolve()) if options.checkpoint else ""
-        origin = self.checkpoint.digest if self.checkpoint else digest(given)
+        origin = self.checkpoint.digest if self.checkpoint else content_digest(given)
         words = [
             kind or self.paradigm.name,
             label if options.data and not options.paths else "",
             options.recipe if options.recipe != usual_recipe(app.name) else "",
             rule if rule != self.recipe.rule else "",
-            *name_parts(options.own),
+            *folder_name_parts(options.own),
             "" if options.steps is None else f"{options.steps}steps",
             "" if is_first_protocol(app) else app.protocol,
             f"checkpoint-{origin[:6]}" if given and origin else "",

@@ -27,7 +27,7 @@ def find_device(name: str, app: App) -> torch.device:
     return torch.device(automatic if name == "auto" else name)
 
 
-def versions() -> dict[str, str]:
+def software_versions() -> dict[str, str]:
     """The versions that a figure depends on."""
     return {
         "metapp": metadata.version("metapp"),
@@ -51,7 +51,7 @@ def make_folder(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def threads(*, single: bool) -> Iterator[None]:
+def torch_defaults(*, single: bool) -> Iterator[None]:
     """Have torch work with one thread or with all it has, and by its own defaults; afterwards by the program's.
 
     Autocast, default dtype and device, precision of products and modes without gradients are put aside.

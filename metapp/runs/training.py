@@ -10,41 +10,41 @@ from pathlib import Path
 from torch import Generator, get_num_threads
 
 from metapp.apps import full_name, protocol_entry
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.options import BadOption
 from metapp.paradigms import ranks
 from metapp.paradigms.paradigm import Preparation
-from metapp.paradigms.training import TrainState, prepare
-from metapp.runs.checkpoints import has_shipped, trained_path, tuned_by, with_checkpoint
-from metapp.runs.inputs.sources import data_folder, data_label
+from metapp.paradigms.training import TrainState, train_phi
+from metapp.runs.checkpoints import attach_checkpoint, has_shipped_checkpoint, merge_tuned_adam, trained_checkpoint_path
+from metapp.runs.inputs.sources import data_label, training_data_folder
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Checkpoint, Run
-from metapp.runs.surroundings import make_folder, versions
+from metapp.runs.surroundings import make_folder, software_versions
 from metapp.storage import Document
 from metapp.storage.checkpoints import (
-    digest,
+    content_digest,
     load_checkpoint,
-    load_state,
+    load_training_state,
     save_checkpoint,
-    save_state,
+    save_training_state,
     tensor_digest,
 )
 from metapp.storage.files import remove_partial
-from metapp.storage.shards import fingerprint, read_shard
+from metapp.storage.shards import fingerprint, read_data_set
 
-SECONDS = 60.0  # between two training checkpoints; METAPP_CHECKPOINT_SECONDS is another number
+SAVE_INTERVAL_SECONDS = 60.0  # between two training checkpoints; METAPP_CHECKPOINT_SECONDS is another number
 
 
-def trained(run: Run) -> Run:
+def train_run(run: Run) -> Run:
     """The run with the checkpoint that is trained for it, which all ranks but the first do not read."""
-    with ranks.joined(run.device):
+    with ranks.connect_ranks(run.device):
         path, general = train_checkpoint(run)
     run = replace(run, options=replace(run.options, checkpoint=path))
     if general and run.paradigm.preparations[-1].completes_general:  # which may ship
-        return replace(run, checkpoint=tuned_by(general, load_checkpoint(path)[0], path))
-    return with_checkpoint(run) if ranks.number() == 0 else run
+        return replace(run, checkpoint=merge_tuned_adam(general, load_checkpoint(path)[0], path))
+    return attach_checkpoint(run) if ranks.rank_number() == 0 else run
 
 
 def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
@@ -59,7 +59,7 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
         ValueError: the checkpoint is neither a General that this training begins at nor one that it goes on from.
     """
     preparation, options, steps = _preparation_of(run), run.options, run.options.train_steps
-    path = trained_path(run, preparation)
+    path = trained_checkpoint_path(run, preparation)
     make_folder(options.out)
     make_folder(path.parent)
     first = _first(run, preparation)
@@ -79,20 +79,20 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
         result = {"validation_error": state.validation, "best_step": state.best_step, "curve": state.curve}
         save_checkpoint(file, phi, header | about | result, previous)
 
-    writes, seconds, saved = ranks.number() == 0, _seconds(), time.monotonic()
+    writes, seconds, saved = ranks.rank_number() == 0, _seconds(), time.monotonic()
     state = since = _since(path, settings, run)
     with progress(f"train {preparation.name}", long=True, quiet=options.quiet) as bar:
         rng, phi = Generator(run.device).manual_seed(options.seed), first and first.phi
         try:
-            for state in prepare(preparation, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
+            for state in train_phi(preparation, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
                 if writes and time.monotonic() - saved >= seconds:
-                    save_state(_training_path(path), state._asdict(), settings)
+                    save_training_state(_training_path(path), state._asdict(), settings)
                     saved = time.monotonic()
                 if state.note:
                     bar.at(state.step, state.total, state.note)
         except (KeyboardInterrupt, ConnectionError) as error:
             if writes and state:
-                save_state(_training_path(path), state._asdict(), settings)
+                save_training_state(_training_path(path), state._asdict(), settings)
             if writes and isinstance(error, KeyboardInterrupt) and state and state.curve:
                 kept = path.with_suffix(".interrupted.safetensors")
                 keep(state, kept)
@@ -102,7 +102,7 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
     if writes:
         keep(state, path, _previous(path))
         _training_path(path).unlink(missing_ok=True)
-    ranks.wait()  # until the file is there, from which all go on
+    ranks.wait_for_ranks()  # until the file is there, from which all go on
     at = f"validation error {state.validation:.3f} at step {state.best_step}"
     say(f"{preparation.name}: {at}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
     return path, general
@@ -110,29 +110,29 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
 
 def _since(path: Path, settings: Document, run: Run) -> TrainState | None:
     """The state of the training that was cut off, read by all ranks, rank 0 first: it puts a damaged file aside."""
-    if ranks.number() > 0:
-        ranks.wait()
+    if ranks.rank_number() > 0:
+        ranks.wait_for_ranks()
     else:
         for file in (path, _previous(path)):
             remove_partial(file)
     since = None
     try:
-        if fields := load_state(_training_path(path), settings, run.device):
+        if fields := load_training_state(_training_path(path), settings, run.device):
             since = TrainState(**fields)
             at = f"step {since.step:,} of {since.total:,}" if since.moments else f"{since.step} Adams of the search"
             say(f"going on from {at} (training checkpoint {_training_path(path)})")
     except ValueError as error:
         say(f"{error}; training from the beginning")
-    if ranks.number() == 0:
-        ranks.wait()
-    ranks.wait()  # until all have read it
+    if ranks.rank_number() == 0:
+        ranks.wait_for_ranks()
+    ranks.wait_for_ranks()  # until all have read it
     return since
 
 
 def _seconds() -> float:
     text = os.environ.get("METAPP_CHECKPOINT_SECONDS", "")
     try:
-        return float(text) if text else SECONDS
+        return float(text) if text else SAVE_INTERVAL_SECONDS
     except ValueError:
         raise ValueError(f"METAPP_CHECKPOINT_SECONDS: '{text}', expected a number of seconds.") from None
 
@@ -144,8 +144,8 @@ def _training_path(path: Path) -> Path:
 
 def _tasks_of(run: Run, preparation: Preparation) -> Tasks:
     """The training tasks of a data set."""
-    app, folder = run.app, data_folder(run.app, run.options.data, run.options.quiet)
-    tasks = stack(app, read_shard(folder, "train", app.name, app.tensors), run.device)
+    app, folder = run.app, training_data_folder(run.app, run.options.data, run.options.quiet)
+    tasks = stack_tasks(app, read_data_set(folder, "train", app.name, app.tensors), run.device)
     on = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
     say(f"training {full_name(app)} {preparation.name} on {on}")
     return tasks
@@ -159,7 +159,7 @@ def _first(run: Run, preparation: Preparation) -> Checkpoint | None:
         return None
     if preparation.completes_general:
         raise ValueError(f"{given}: expected the General that an Adam is searched for; name its file, or leave it out.")
-    checkpoint = with_checkpoint(run).checkpoint
+    checkpoint = attach_checkpoint(run).checkpoint
     assert checkpoint is not None
     say(f"going on from {checkpoint.source}")
     return checkpoint
@@ -182,8 +182,8 @@ def _general_of(run: Run, preparation: Preparation) -> Checkpoint:
     general = preparation.general
     options = replace(run.options, paradigm=general.paradigm.name)
     run = replace(run, options=options, paradigm=general.paradigm)
-    if not options.checkpoint and not has_shipped(run, general):
-        path, steps = trained_path(run, general), options.train_steps
+    if not options.checkpoint and not has_shipped_checkpoint(run, general):
+        path, steps = trained_checkpoint_path(run, general), options.train_steps
         if not path.is_file():
             say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
             train_checkpoint(run)
@@ -191,7 +191,7 @@ def _general_of(run: Run, preparation: Preparation) -> Checkpoint:
             found = "a General that was trained by other settings"
             raise ValueError(f"{path}: {found}; begin at it with --checkpoint {path}, or move it to train another one.")
         run = replace(run, options=replace(options, checkpoint=path))
-    checkpoint = with_checkpoint(run).checkpoint
+    checkpoint = attach_checkpoint(run).checkpoint
     assert checkpoint is not None
     say(f"General: {checkpoint.source}")
     return checkpoint
@@ -211,11 +211,11 @@ def _settings(
     run: Run, preparation: Preparation, general: MetaParameters | None = None, first: Checkpoint | None = None
 ) -> Document:
     """Return all that the result of a training depends on but for rounding: the header of its checkpoint."""
-    folder, name = data_folder(run.app, run.options.data, run.options.quiet), preparation.name
+    folder, name = training_data_folder(run.app, run.options.data, run.options.quiet), preparation.name
     return (
         {"app": run.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}
-        | {"recipe": run.options.recipe, "recipe_digest": digest(repr(run.recipe)), "seed": run.options.seed}
-        | {"steps": run.options.train_steps, "versions": versions()}
+        | {"recipe": run.options.recipe, "recipe_digest": content_digest(repr(run.recipe)), "seed": run.options.seed}
+        | {"steps": run.options.train_steps, "versions": software_versions()}
         | ({} if preparation.shared_by_protocols else protocol_entry(run.app))
         | run.app.conditions(run.device)
         | ({"encoder": tensor_digest(general.encoder)} if general else {})

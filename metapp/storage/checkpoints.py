@@ -18,16 +18,16 @@ from torch import Tensor
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.files import opened_tensors, read_bytes, remove_partial, write_bytes
+from metapp.storage.files import open_tensors, read_bytes, remove_partial, write_bytes
 
-SCHEMA, STATE_SCHEMA = 1, 3
-FLOATS = (torch.half, torch.float32, torch.float64)
+CHECKPOINT_SCHEMA, STATE_SCHEMA = 1, 3
+FLOAT_TYPES = (torch.half, torch.float32, torch.float64)
 
 
 def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
     """Write a checkpoint with its description, as safetensors; `previous` names the one it replaces."""
     tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
-    metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
+    metadata = {"metapp": json.dumps({**info, "schema": CHECKPOINT_SCHEMA})}
     # bytes: save_file writes under a name of its own, which a kill would leave behind
     write_bytes(path, save(tensors, metadata), previous)
 
@@ -54,7 +54,7 @@ def load_checkpoint(
     if not path.is_file():
         raise ValueError(f"{path}: no such checkpoint; give --checkpoint an existing .safetensors file, or train one.")
     try:
-        with opened_tensors(path, str(device)) as file:
+        with open_tensors(path, str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
             if not isinstance(info, dict) or type(info["schema"]) is not int:
                 raise KeyError(path)
@@ -62,9 +62,9 @@ def load_checkpoint(
         tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
         if "start" in info:  # as most files that ship name themselves; writing them anew would double their history
             info["checkpoint"] = info.pop("start")
-        if info["schema"] > SCHEMA:
-            raise ValueError(f"{path}: schema {info['schema']}, expected at most {SCHEMA}; update metapp.")
-        if not all(value.dtype in FLOATS for value in tensors.values()):
+        if info["schema"] > CHECKPOINT_SCHEMA:
+            raise ValueError(f"{path}: schema {info['schema']}, expected at most {CHECKPOINT_SCHEMA}; update metapp.")
+        if not all(value.dtype in FLOAT_TYPES for value in tensors.values()):
             raise KeyError(path)
         if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
             raise KeyError(path)
@@ -96,7 +96,7 @@ def _with_general(
     )
 
 
-def digest(document: object) -> str:
+def content_digest(document: object) -> str:
     """12 hex digits that change with a JSON-ready document, or, given a path, with a file's bytes.
 
     >>> digest({"seed": 0, "steps": 10}) == digest({"steps": 10, "seed": 0})
@@ -118,7 +118,7 @@ def tensor_digest(params: Params) -> str:
     return total.hexdigest()[:12]
 
 
-def save_state(path: Path, fields: Mapping[str, Any], settings: Document) -> None:
+def save_training_state(path: Path, fields: Mapping[str, Any], settings: Document) -> None:
     """Write the state of a training, from which the same command goes on; after a failure, a warning, the last stays.
 
     On the CPU a training that goes on from it ends bit for bit as one that was never cut off.
@@ -148,8 +148,8 @@ def save_state(path: Path, fields: Mapping[str, Any], settings: Document) -> Non
         warnings.warn(f"no training checkpoint: {error}", stacklevel=2)
 
 
-def load_state(path: Path, settings: Document, device: torch.device | str = "cpu") -> dict[str, Any] | None:
-    """Read the fields of a state that `save_state` wrote with equal settings; None if there is no file.
+def load_training_state(path: Path, settings: Document, device: torch.device | str = "cpu") -> dict[str, Any] | None:
+    """Read the fields of a state that `save_training_state` wrote with equal settings; None if there is no file.
 
     Floats are on the device, integers on the CPU.
 
@@ -161,7 +161,7 @@ def load_state(path: Path, settings: Document, device: torch.device | str = "cpu
         return None
     aside, now = path.with_suffix(".aside.safetensors"), json.loads(json.dumps(settings))
     try:
-        with opened_tensors(path) as file:
+        with open_tensors(path) as file:
             text, written = (file.metadata()[key] for key in ("training", "digest"))
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         document = json.loads(text)
@@ -183,7 +183,7 @@ def load_state(path: Path, settings: Document, device: torch.device | str = "cpu
 
 
 def _digest(text: str, tensors: Params) -> str:
-    return digest(text) + tensor_digest(tensors)
+    return content_digest(text) + tensor_digest(tensors)
 
 
 def _tuples(value: Any) -> Any:

@@ -6,7 +6,7 @@ import http.client
 import urllib.request
 from collections.abc import Callable
 
-SECONDS, BLOCK = 30.0, 1 << 20  # until a silent server is given up; bytes that are read at a time
+TIMEOUT_SECONDS, BLOCK_BYTES = 30.0, 1 << 20  # until a silent server is given up; bytes that are read at a time
 
 
 def download(url: str, report: Callable[[int, int | None], None]) -> bytes:
@@ -21,9 +21,9 @@ def download(url: str, report: Callable[[int, int | None], None]) -> bytes:
     """
     content = bytearray()
     try:
-        with urllib.request.urlopen(url, timeout=SECONDS) as response:
+        with urllib.request.urlopen(url, timeout=TIMEOUT_SECONDS) as response:
             total = int(response.headers.get("Content-Length") or 0) or None
-            while block := response.read(BLOCK):
+            while block := response.read(BLOCK_BYTES):
                 content += block
                 report(len(content), total)
     except (OSError, http.client.HTTPException) as error:

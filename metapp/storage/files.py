@@ -33,8 +33,8 @@ from metapp.storage.placeholders import START_BYTES, placeholder_of
 if TYPE_CHECKING:
     from torch import Tensor
 
-PARTIAL = ".partial-"  # what the name of an unfinished file begins with
-NAME_BYTES = 100  # of a name at most; file systems take 255, of which suffixes and temporary names need some
+PARTIAL_PREFIX = ".partial-"  # what the name of an unfinished file begins with
+MAX_NAME_BYTES = 100  # of a name at most; file systems take 255, of which suffixes and temporary names need some
 _PROGRAM = os.urandom(3).hex()  # programs on two machines of a cluster may have the same process id
 
 
@@ -95,7 +95,7 @@ def read_text(path: str | Path) -> str:
 
 
 @contextlib.contextmanager
-def opened_tensors(path: str | Path, device: str = "cpu") -> Iterator[Any]:
+def open_tensors(path: str | Path, device: str = "cpu") -> Iterator[Any]:
     """A file as `safetensors.safe_open` gives it.
 
     Raises:
@@ -114,9 +114,9 @@ def read_tensors(path: str | Path) -> dict[str, Tensor]:
     """All tensors of a file, on the CPU.
 
     Raises:
-        OSError, SafetensorError: as `opened_tensors`.
+        OSError, SafetensorError: as `open_tensors`.
     """
-    with opened_tensors(path) as stored:
+    with open_tensors(path) as stored:
         return {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118  (not a mapping)
 
 
@@ -163,7 +163,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_path(path)
     try:
-        with naming(path):
+        with name_file_in_errors(path):
             partial.unlink(missing_ok=True)
             write(partial)
             _sync(partial, os.O_RDWR)  # as Windows needs it
@@ -184,7 +184,7 @@ def write_bytes(path: str | Path, content: bytes, previous: Path | None = None) 
 
 
 @contextlib.contextmanager
-def naming(path: Path) -> Iterator[None]:
+def name_file_in_errors(path: Path) -> Iterator[None]:
     """Errors of writing a file name it and its folder, which those of the system often do not.
 
     Raises:
@@ -194,15 +194,17 @@ def naming(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         place = Path(str(error.filename or path)).parent
-        if not error.errno or (place != path.parent and not place.name.startswith(PARTIAL)):
+        if not error.errno or (place != path.parent and not place.name.startswith(PARTIAL_PREFIX)):
             raise
-        room = "free some space or choose another folder" if error.errno in FULL else "choose another folder"
-        named = OSError(f"{path.parent}: {os.strerror(error.errno)}; {path.name} was not written; {room}.")
-        named.errno = error.errno
-        raise named from error
+        room = (
+            "free some space or choose another folder" if error.errno in DISK_FULL_ERRNOS else "choose another folder"
+        )
+        error_about_file = OSError(f"{path.parent}: {os.strerror(error.errno)}; {path.name} was not written; {room}.")
+        error_about_file.errno = error.errno
+        raise error_about_file from error
 
 
-FULL = (errno.ENOSPC, errno.EDQUOT)
+DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
 
 
 def _sync(path: Path, mode: int) -> None:
@@ -214,7 +216,7 @@ def _sync(path: Path, mode: int) -> None:
         os.close(handle)
 
 
-def suffixed(path: Path, suffix: str) -> Path:
+def add_suffix(path: Path, suffix: str) -> Path:
     """A path with this suffix, such as ".glb", added unless it is there: other dots may be part of a name.
 
     >>> suffixed(Path("stone-v1.2"), ".glb").name
@@ -226,13 +228,13 @@ def suffixed(path: Path, suffix: str) -> Path:
 def partial_path(path: Path) -> Path:
     """The temporary name of a file that is being written: in the same folder, with the same suffix."""
     # The suffix stays, since image writers choose the format by it; the rest keeps two programs apart.
-    return path.with_name(f"{PARTIAL}{os.getpid()}-{_PROGRAM}-{path.name}")
+    return path.with_name(f"{PARTIAL_PREFIX}{os.getpid()}-{_PROGRAM}-{path.name}")
 
 
 def remove_partial(path: Path) -> None:
     """Remove unfinished files and folders of this name by programs that were killed; those of running ones stay."""
-    for left in path.parent.glob(f"{PARTIAL}*-{glob.escape(path.name)}"):
-        number = left.name.removeprefix(PARTIAL).split("-")[0]
+    for left in path.parent.glob(f"{PARTIAL_PREFIX}*-{glob.escape(path.name)}"):
+        number = left.name.removeprefix(PARTIAL_PREFIX).split("-")[0]
         if number.isdigit() and int(number) != os.getpid() and not _runs(int(number)):
             shutil.rmtree(left) if left.is_dir() else left.unlink(missing_ok=True)
 
@@ -247,17 +249,17 @@ def _runs(process: int) -> bool:
     return True
 
 
-def named(error: Exception, source: Path) -> ValueError:
+def error_about_file(error: Exception, source: Path) -> ValueError:
     """An error that a reader met, with the file named.
 
-    >>> named(ValueError("12 bytes, expected 16"), Path("brdfs/gold.binary"))
+    >>> error_about_file(ValueError("12 bytes, expected 16"), Path("brdfs/gold.binary"))
     ValueError('brdfs/gold.binary: 12 bytes, expected 16')
     """
     text = str(error) or type(error).__name__
     return ValueError(text if source.name in text else f"{source}: {text}")
 
 
-def entry_of(document: object, key: str, kind: type, where: str, remedy: str, absent: object = None) -> Any:
+def get_json_entry(document: object, key: str, kind: type, where: str, remedy: str, absent: object = None) -> Any:
     """An entry of a JSON object; `absent` if there is none.
 
     Raises:
@@ -276,7 +278,7 @@ def entry_of(document: object, key: str, kind: type, where: str, remedy: str, ab
 _KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}
 
 
-def as_text(value: Any) -> Any:
+def to_json_value(value: Any) -> Any:
     r"""A text, or a document, as JSON holds it: lone surrogates escaped, as \udcff, None for numbers not finite.
 
     >>> as_text({"error": float("nan"), "seconds": (0.5, 1.0)})
@@ -285,19 +287,19 @@ def as_text(value: Any) -> Any:
     if isinstance(value, str):
         return value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, dict):
-        return {as_text(key): as_text(item) for key, item in value.items()}
+        return {to_json_value(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [as_text(item) for item in value]
+        return [to_json_value(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def path_of(text: str) -> Path:
-    """The path that `as_text` made a text of, if it is there; else that of the text itself."""
+def path_from_json_text(text: str) -> Path:
+    """The path that `to_json_value` made a text of, if it is there; else that of the text itself."""
     path = Path(re.sub(r"\\udc([89a-f][0-9a-f])", lambda escaped: chr(0xDC00 + int(escaped[1], 16)), text))
     return path if os.path.lexists(path) else Path(text)
 
 
-def safe_name(name: str) -> str:
+def printable_name(name: str) -> str:
     """A name that can be printed and drawn, of NAME_BYTES bytes at most; others get a digest of the whole.
 
     Control characters, line ends and bytes that are no text (lone surrogates) become underscores.
@@ -321,7 +323,7 @@ def file_name(task: str) -> str:
 
 def _marked(safe: str, name: str) -> str:
     """`safe` if it is the name itself and short, else with a digest of the name."""
-    if safe == name and len(safe.encode()) <= NAME_BYTES:
+    if safe == name and len(safe.encode()) <= MAX_NAME_BYTES:
         return safe
     mark = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:6]
-    return f"{safe.encode()[: NAME_BYTES - 7].decode(errors='ignore')}-{mark}"
+    return f"{safe.encode()[: MAX_NAME_BYTES - 7].decode(errors='ignore')}-{mark}"

@@ -24,22 +24,22 @@ from safetensors.torch import save
 from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import (
-    PARTIAL,
-    as_text,
+    PARTIAL_PREFIX,
     file_name,
-    naming,
-    opened_tensors,
+    name_file_in_errors,
+    open_tensors,
     partial_path,
     read_bytes,
     read_tensors,
+    to_json_value,
     write_bytes,
 )
 from metapp.storage.folders import PARAMS as PARAMS
 from metapp.storage.folders import RECORD as RECORD
 
 Record = Document  # of a task
-FIT = ("error", "seconds")  # entries of a fit's record, beside its name
-TEXTS = ("name", "source", "content")  # entries that are texts, where a record has them
+NUMBER_ENTRIES = ("error", "seconds")  # entries of a fit's record, beside its name
+TEXT_ENTRIES = ("name", "source", "content")  # entries that are texts, where a record has them
 
 
 def write_fit(
@@ -73,7 +73,7 @@ def write_fit(
     earlier = _fit_in(folders, record["source"])
     folder = Path(earlier["folder"]) if earlier else partial_path(plain)
     try:
-        with naming(plain):
+        with name_file_in_errors(plain):
             folder.mkdir(parents=True, exist_ok=True)
             if theta is not None:
                 content = save({key: value.detach().cpu().contiguous() for key, value in theta.items()})
@@ -95,7 +95,7 @@ def write_fit(
 
 def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Document:
     """Write a record into a folder, which is then renamed; OSError if the target is another fit's."""
-    kept: Document = as_text(record) | ({"name": marked.name} if target == marked else {})
+    kept: Document = to_json_value(record) | ({"name": marked.name} if target == marked else {})
     write_bytes(folder / RECORD, json.dumps(kept, allow_nan=False, indent=1).encode())
     if folder != target:
         os.rename(folder, target)
@@ -105,21 +105,21 @@ def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Do
 def _fit_in(folders: Iterable[Path], source: str) -> Document | None:
     for folder in folders:
         try:
-            record = read_fit(folder) if folder.is_dir() and not folder.is_symlink() else None
+            record = read_fit_record(folder) if folder.is_dir() and not folder.is_symlink() else None
         except ValueError:
             continue
-        if record and record.get("source") == as_text(source):
+        if record and record.get("source") == to_json_value(source):
             return record
     return None
 
 
 def _folders(run_folder: Path, name: str, source: str) -> tuple[Path, Path]:
     """The folders that a fit may be in: that of the task's name, and that with a digest of its input."""
-    plain, digest = file_name(as_text(name)), hashlib.sha256(as_text(source).encode()).hexdigest()[:6]
+    plain, digest = file_name(to_json_value(name)), hashlib.sha256(to_json_value(source).encode()).hexdigest()[:6]
     return run_folder / plain, run_folder / file_name(f"{plain}-{digest}")
 
 
-def marked_name(name: str, source: str) -> str:
+def name_with_digest(name: str, source: str) -> str:
     """The name of a task, as a file name, with a digest of its input, for a second input of that name.
 
     >>> marked_name("gold", "/brdfs/second/gold.binary")
@@ -128,7 +128,7 @@ def marked_name(name: str, source: str) -> str:
     return _folders(Path(), name, source)[1].name
 
 
-def read_fit(folder: Path, entries: Collection[str] = ()) -> Document | None:
+def read_fit_record(folder: Path, entries: Collection[str] = ()) -> Document | None:
     """The record in a task's folder, with the `folder`; None if there is none.
 
     Args:
@@ -141,7 +141,7 @@ def read_fit(folder: Path, entries: Collection[str] = ()) -> Document | None:
     file = folder / RECORD
     try:
         stored = json.loads(read_bytes(file))
-        record = as_text(stored) if is_record(stored, entries) else None
+        record = to_json_value(stored) if is_record(stored, entries) else None
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (ValueError, RecursionError, OSError):
@@ -156,12 +156,12 @@ def _shown(record: Document) -> Document:
     return {**record, "name": "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])}
 
 
-def read_fits(run_folder: Path, entries: Collection[str] = ()) -> list[Document]:
-    """The records in a run's folder, by name, as `read_fit` gives them; one warning names the first that is none."""
+def read_fit_records(run_folder: Path, entries: Collection[str] = ()) -> list[Document]:
+    """The records in a run's folder, by name, as `read_fit_record` gives them; one warning names the first that is none."""
     records, damaged = [], []
     for folder in sorted(run_folder.iterdir()) if run_folder.is_dir() else ():
         try:
-            record = None if folder.name.startswith(PARTIAL) else read_fit(folder, entries)
+            record = None if folder.name.startswith(PARTIAL_PREFIX) else read_fit_record(folder, entries)
         except ValueError as error:
             damaged.append(str(error))
         else:
@@ -180,16 +180,16 @@ def is_record(value: object, entries: Collection[str] = ()) -> bool:
     """
     if not isinstance(value, dict) or not value.keys() >= {"name", *entries}:
         return False
-    numbers = [value[key] for key in FIT if key in value and (key, value[key]) != ("error", None)]
+    numbers = [value[key] for key in NUMBER_ENTRIES if key in value and (key, value[key]) != ("error", None)]
     return (
-        all(isinstance(value.get(key, ""), str) for key in TEXTS)
+        all(isinstance(value.get(key, ""), str) for key in TEXT_ENTRIES)
         and all(type(each) in (int, float) and abs(each) <= sys.float_info.max for each in numbers)
         and isinstance(value.get("settings", {}), dict)
     )
 
 
 def read_params(folder: str | Path) -> Params:
-    """The parameters in a task's folder, or in a file of `packed`.
+    """The parameters in a task's folder, or in a file of `pack_fit`.
 
     Raises:
         ValueError: their file is missing or damaged.
@@ -202,14 +202,14 @@ def read_params(folder: str | Path) -> Params:
         raise ValueError(f"{path}: fitted parameters not readable ({error}); remove {folder} {again}.") from None
 
 
-def packed(record: Document, theta: Params) -> bytes:
-    """A fit as one file of safetensors, whose header holds the record; `read_packed` reads that."""
-    text = json.dumps(as_text(record), allow_nan=False)
+def pack_fit(record: Document, theta: Params) -> bytes:
+    """A fit as one file of safetensors, whose header holds the record; `read_packed_record` reads that."""
+    text = json.dumps(to_json_value(record), allow_nan=False)
     return save({key: value.detach().cpu().contiguous() for key, value in theta.items()}, {RECORD: text})
 
 
-def read_packed(path: Path, entries: Collection[str] = ()) -> Document:
-    """The record in a file of one fit, as `packed` makes it, with the file as its `folder`.
+def read_packed_record(path: Path, entries: Collection[str] = ()) -> Document:
+    """The record in a file of one fit, as `pack_fit` makes it, with the file as its `folder`.
 
     Args:
         path: of the file.
@@ -226,8 +226,8 @@ def read_packed(path: Path, entries: Collection[str] = ()) -> Document:
     (1.5, {'weight': tensor([0., 0.])})
     """
     try:
-        with opened_tensors(path) as stored:
-            record = as_text(json.loads((stored.metadata() or {})[RECORD]))
+        with open_tensors(path) as stored:
+            record = to_json_value(json.loads((stored.metadata() or {})[RECORD]))
     except (SafetensorError, OSError, ValueError, KeyError, RecursionError):
         record = None
     if not is_record(record, entries):
@@ -274,12 +274,12 @@ class RunFolder(NamedTuple):
 
     def holds(self, record: Document, content: str | None = None) -> bool:
         """Return whether a record is of these settings, and, if a digest is given, of an input of this content."""
-        is_same = bool(record.get("settings") == as_text(self.settings))
+        is_same = bool(record.get("settings") == to_json_value(self.settings))
         return is_same and (content is None or record.get("content") == content)
 
     def records(self) -> dict[str, Document]:
         """Return the records of these settings, by their sources; none of fits whose seconds are a batch's shares."""
-        records = read_fits(self.path, ("source", "settings", *self.entries))
+        records = read_fit_records(self.path, ("source", "settings", *self.entries))
         alone = [record for record in records if record.get("batch", 1) == 1 and self.holds(record)]
         return {record["source"]: record | {"name": record["source"]} for record in alone}
 
@@ -302,7 +302,7 @@ def summary(records: Sequence[Document]) -> dict[str, float | None]:
     }
 
 
-def guarded(records: Sequence[Document]) -> int | None:
+def count_guarded(records: Sequence[Document]) -> int | None:
     """On how many tasks the guard of a learned rule acted; None if fits have none.
 
     >>> guarded([{"guarded": True}, {"guarded": False}]), guarded([{}])

@@ -16,19 +16,26 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from metapp.storage.files import PARTIAL, read_bytes
+from metapp.storage.files import PARTIAL_PREFIX, read_bytes
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
 
-MANIFEST, SHARD = "manifest.json", ".safetensors"  # of data sets: the list of tasks, and the suffix of a task's file
+MANIFEST, SHARD_SUFFIX = (
+    "manifest.json",
+    ".safetensors",
+)  # of data sets: the list of tasks, and the suffix of a task's file
 RECORD, PARAMS = "record.json", "params.safetensors"  # of fits
 CAMERA_TEXT, LIGHT_TEXT = "camera_pos.txt", "light_pos.txt"  # of rectified photographs, either of them
-FOUND = "found"  # the folder, in a data set or beside rectified photographs, of pictures that show what was found
-FAILED = ".failed.png"  # what the name of a picture ends with that shows photographs which metapp could not use
+DIAGNOSTIC_FOLDER = (
+    "found"  # the folder, in a data set or beside rectified photographs, of pictures that show what was found
+)
+FAILED_PICTURE_SUFFIX = (
+    ".failed.png"  # what the name of a picture ends with that shows photographs which metapp could not use
+)
 
 
-class Kind(enum.Enum):
+class PathKind(enum.Enum):
     """The kinds of paths; each value says in words what such a path is."""
 
     DATA_SET = "a data set"
@@ -43,14 +50,14 @@ class Kind(enum.Enum):
 
 
 # kinds that metapp writes and that are no user's files
-WRITTEN = (Kind.DATA_SET, Kind.FIT, Kind.RUN_FOLDER, Kind.DIAGNOSTIC)
-HOLDS_FITS = (Kind.FIT, Kind.RUN_FOLDER, Kind.RUN_FOLDERS)
+WRITTEN_KINDS = (PathKind.DATA_SET, PathKind.FIT, PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC)
+KINDS_WITH_FITS = (PathKind.FIT, PathKind.RUN_FOLDER, PathKind.RUN_FOLDERS)
 
 _LOOKS: ContextVar[dict[tuple[Any, ...], Any] | None] = ContextVar("looks", default=None)
 
 
 @contextlib.contextmanager
-def listed_once() -> Iterator[None]:
+def cache_lookups() -> Iterator[None]:
     """Look at each folder and file once while this is in force: what comes or goes meanwhile is not seen.
 
     Several readers look for their files in one folder, which may hold 50,000.
@@ -65,8 +72,8 @@ def listed_once() -> Iterator[None]:
         _LOOKS.reset(token)
 
 
-def looks_once(function: Callable[P, Result]) -> Callable[P, Result]:
-    """Make a function look at folders or files once within `listed_once`, and each time outside of it.
+def cached_lookup(function: Callable[P, Result]) -> Callable[P, Result]:
+    """Make a function look at folders or files once within `cache_lookups`, and each time outside of it.
 
     Its arguments are hashable, and nobody changes its result.
     """
@@ -85,14 +92,14 @@ def looks_once(function: Callable[P, Result]) -> Callable[P, Result]:
     return look
 
 
-@looks_once
-def entries_of(folder: str) -> list[os.DirEntry[str]]:
+@cached_lookup
+def list_folder(folder: str) -> list[os.DirEntry[str]]:
     """List a folder, in the order of the file system."""
     with os.scandir(folder) as entries:
         return list(entries)
 
 
-def kind_of(path: str | Path) -> Kind:
+def path_kind(path: str | Path) -> PathKind:
     """Return what a path is.
 
     A file is diagnostic if it lies directly in the folder of a run, such as `pictures.png`, or in a folder of
@@ -103,37 +110,37 @@ def kind_of(path: str | Path) -> Kind:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = Path(folder, CAMERA_TEXT).write_text("0,0,16")
     ...     kind_of(folder), kind_of(Path(folder, "none"))
-    (<Kind.RECTIFIED: 'a folder of rectified photos'>, <Kind.NOTHING: 'no such file or folder'>)
+    (<PathKind.RECTIFIED: 'a folder of rectified photos'>, <PathKind.NOTHING: 'no such file or folder'>)
     """
     place = os.path.abspath(path)
     if not os.path.isdir(place):
         if not os.path.lexists(place):
-            return Kind.NOTHING
-        if place.endswith(FAILED):
-            return Kind.DIAGNOSTIC
+            return PathKind.NOTHING
+        if place.endswith(FAILED_PICTURE_SUFFIX):
+            return PathKind.DIAGNOSTIC
         above = _kind_without_runs(os.path.dirname(place))
-        return Kind.DIAGNOSTIC if above in (Kind.RUN_FOLDER, Kind.DIAGNOSTIC) else Kind.FILE
+        return PathKind.DIAGNOSTIC if above in (PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC) else PathKind.FILE
     kind = _kind_without_runs(place)
-    return Kind.RUN_FOLDERS if kind is Kind.FILES and records_below(Path(path), "*/*/", "*/*/*/") else kind
+    return PathKind.RUN_FOLDERS if kind is PathKind.FILES and find_record_files(Path(path), "*/*/", "*/*/*/") else kind
 
 
 def holds_files_of_users(folder: str) -> tuple[bool, bool]:
     """Tell a walk through folders whether a folder's files, and those in folders below it, are a user's."""
     kind = _kind_without_runs(os.path.abspath(folder))
-    return kind not in WRITTEN, kind not in WRITTEN or kind is Kind.RUN_FOLDER
+    return kind not in WRITTEN_KINDS, kind not in WRITTEN_KINDS or kind is PathKind.RUN_FOLDER
 
 
-def refusal(path: Path, expected: str) -> str:
+def path_refusal(path: Path, expected: str) -> str:
     """Return the line that refuses a path: what it is, what was expected, and which command takes it."""
-    kind = kind_of(path)
-    if kind is Kind.DATA_SET:
+    kind = path_kind(path)
+    if kind is PathKind.DATA_SET:
         app = _manifest_app(path)
         remedy = f"fit its test tasks by metapp meta {app} {path}, or check it by metapp data check {path}"
-    elif kind in HOLDS_FITS:
+    elif kind in KINDS_WITH_FITS:
         remedy = f"metapp view, metapp export and metapp compare take it: metapp view {path}"
-    elif kind is Kind.DIAGNOSTIC:
+    elif kind is PathKind.DIAGNOSTIC:
         remedy = "give the photos or files themselves"
-    elif kind is Kind.RECTIFIED:
+    elif kind is PathKind.RECTIFIED:
         remedy = f"fit it by metapp meta svbrdf_nonstationary {path}"
     else:
         remedy = "check the path"
@@ -153,16 +160,16 @@ def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -
     """
     place = os.path.abspath(path)
     # whether a folder holds runs, which no kind of WRITTEN is, takes a longer look
-    kind = _kind_without_runs(place) if os.path.isdir(place) else kind_of(path)
-    if kind in WRITTEN and not (data_sets and kind is Kind.DATA_SET):
-        raise ValueError(refusal(path, expected))
+    kind = _kind_without_runs(place) if os.path.isdir(place) else path_kind(path)
+    if kind in WRITTEN_KINDS and not (data_sets and kind is PathKind.DATA_SET):
+        raise ValueError(path_refusal(path, expected))
 
 
-def records_below(folder: Path, *places: str) -> list[Path]:
+def find_record_files(folder: Path, *places: str) -> list[Path]:
     """Return the records of fits in a folder, whose folders the patterns `places` name; not those behind links."""
     found = [file for place in places for file in folder.glob(f"{place}{RECORD}")]
     found = [file for file in found if file.resolve() == folder.resolve() / file.relative_to(folder)]
-    return [file for file in found if not file.parent.name.startswith(PARTIAL) and _is_fit(str(file.parent))]
+    return [file for file in found if not file.parent.name.startswith(PARTIAL_PREFIX) and _is_fit(str(file.parent))]
 
 
 def is_data_set(path: Path) -> bool:
@@ -170,19 +177,19 @@ def is_data_set(path: Path) -> bool:
     return _is_data_set(os.path.abspath(path))
 
 
-@looks_once
-def _kind_without_runs(folder: str) -> Kind:
+@cached_lookup
+def _kind_without_runs(folder: str) -> PathKind:
     """Return the kind of a folder by its absolute path, FILES of a folder of runs, which takes a longer look."""
     if _is_data_set(folder):
-        return Kind.DATA_SET
+        return PathKind.DATA_SET
     if _is_fit(folder):
-        return Kind.FIT
+        return PathKind.FIT
     above = os.path.dirname(folder)
-    if os.path.basename(folder) == FOUND and (_is_data_set(above) or _is_rectified(above)):
-        return Kind.DIAGNOSTIC
+    if os.path.basename(folder) == DIAGNOSTIC_FOLDER and (_is_data_set(above) or _is_rectified(above)):
+        return PathKind.DIAGNOSTIC
     if _is_run(folder):
-        return Kind.RUN_FOLDER
-    return Kind.RECTIFIED if _is_rectified(folder) else Kind.FILES
+        return PathKind.RUN_FOLDER
+    return PathKind.RECTIFIED if _is_rectified(folder) else PathKind.FILES
 
 
 def _is_data_set(folder: str) -> bool:
@@ -193,7 +200,7 @@ def _is_data_set(folder: str) -> bool:
     manifest = _json_of(file)
     if isinstance(manifest, dict) and manifest.keys() >= {"app", "tasks"}:
         return True
-    return any(name.endswith(SHARD) for name in os.listdir(folder))
+    return any(name.endswith(SHARD_SUFFIX) for name in os.listdir(folder))
 
 
 def _is_fit(folder: str) -> bool:
@@ -210,7 +217,7 @@ def _is_run(folder: str) -> bool:
     try:
         return any(
             entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".") and _is_fit(entry.path)
-            for entry in entries_of(folder)
+            for entry in list_folder(folder)
         )
     except OSError:  # that cannot be read, which whoever reads it says
         return False

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from metapp.storage.files import write_atomically
 
-LEVEL = 2  # of 9, of deflation
-AVERAGE = 64  # libpng's filter by the average of the pixels left and above
+PNG_COMPRESSION_LEVEL = 2  # of 9, of deflation
+PNG_AVERAGE_FILTER = 64  # libpng's filter by the average of the pixels left and above
 
 
 def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 8) -> None:
@@ -35,8 +35,8 @@ def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 
         # whoever honours a PNG's colour space would decode roughness and normals wrongly
         "oiio:ColorSpace": "data" if texts["encoding"] == "linear" else "sRGB",
         # the library's own take twice the time, for files of noisy pictures 2 % smaller
-        "png:compressionLevel": LEVEL,
-        "png:filter": AVERAGE,
+        "png:compressionLevel": PNG_COMPRESSION_LEVEL,
+        "png:filter": PNG_AVERAGE_FILTER,
         **texts,
     }
     _write(levels.astype(np.uint8 if bits == 8 else np.uint16), attributes, f"uint{bits}", path)
@@ -73,7 +73,7 @@ def _write(values: np.ndarray, attributes: Mapping[str, str | int], form: str, p
     write_atomically(path, write)
 
 
-def in_8_bits(display: np.ndarray) -> Image:
+def to_8_bit_image(display: np.ndarray) -> Image:
     """Display values [H, W, 1, 3 or 4], clamped to [0, 1], as a picture of PIL.
 
     >>> in_8_bits(np.full((2, 3, 3), 0.5)).getpixel((0, 0))
@@ -83,7 +83,7 @@ def in_8_bits(display: np.ndarray) -> Image:
     return pil.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels)
 
 
-def png_address(image: Image) -> str:
+def png_data_url(image: Image) -> str:
     """The address of a picture that is part of a page, as PNG."""
     buffer = io.BytesIO()
     image.save(buffer, "PNG")

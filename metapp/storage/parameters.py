@@ -11,7 +11,7 @@ from metapp.storage import Document
 from metapp.storage.fits import read_params
 
 
-def params_of(record: Document, app: App) -> Params:
+def read_checked_params(record: Document, app: App) -> Params:
     """The parameters of a fit of an application, checked.
 
     Raises:

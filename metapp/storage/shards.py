@@ -22,8 +22,8 @@ from safetensors.torch import save
 from metapp.learning.task import Task, TensorSpec, problems_of
 from metapp.storage import Document
 from metapp.storage.files import (
-    entry_of,
-    naming,
+    get_json_entry,
+    name_file_in_errors,
     open_regular,
     partial_path,
     read_bytes,
@@ -32,14 +32,14 @@ from metapp.storage.files import (
     write_bytes,
 )
 from metapp.storage.folders import MANIFEST as MANIFEST
-from metapp.storage.folders import SHARD, Kind, kind_of, refusal
+from metapp.storage.folders import SHARD_SUFFIX, PathKind, path_kind, path_refusal
 
-SCHEMA = 1
+MANIFEST_SCHEMA = 1
 SPLITS = ("train", "test")
-AUTO = "auto"  # the split of `split_auto`
+AUTO_SPLIT = "auto"  # the split of `split_auto`
 
 
-class Entry(NamedTuple):
+class ManifestEntry(NamedTuple):
     """One task of a manifest, whose file may be still to write.
 
     Attributes:
@@ -71,10 +71,10 @@ class Manifest(NamedTuple):
     """
 
     app: str
-    tasks: tuple[Entry, ...]
+    tasks: tuple[ManifestEntry, ...]
     units: dict[str, str]
     notes: Document
-    schema: int = SCHEMA
+    schema: int = MANIFEST_SCHEMA
 
 
 def read_manifest(folder: str | Path) -> Manifest:
@@ -90,8 +90,8 @@ def read_manifest(folder: str | Path) -> Manifest:
         state = "a file" if folder.exists() else "no such folder"
         raise ValueError(f"{folder}: {state}, expected the folder of a data set; make one with `metapp data`.")
     if not path.is_file():
-        if kind_of(folder) is not Kind.FILES:
-            raise ValueError(refusal(folder, "the folder of a data set"))
+        if path_kind(folder) is not PathKind.FILES:
+            raise ValueError(path_refusal(folder, "the folder of a data set"))
         raise ValueError(
             f"{folder}: no {MANIFEST}, expected one beside the tasks; this is not a data set, or its conversion was "
             "interrupted: convert again with `metapp data`."
@@ -120,22 +120,22 @@ def _from_json(raw: object, path: Path) -> Manifest:
     """Check every field, since anybody may have written the file."""
 
     def field(record: object, key: str, kind: type, where: str = "") -> Any:
-        return entry_of(record, key, kind, f"{path}: {where}", "convert the data again")
+        return get_json_entry(record, key, kind, f"{path}: {where}", "convert the data again")
 
     schema = field(raw, "schema", int)
-    if schema != SCHEMA:
-        newer = schema > SCHEMA
+    if schema != MANIFEST_SCHEMA:
+        newer = schema > MANIFEST_SCHEMA
         remedy = "update metapp" if newer else "convert the data again"
         raise ValueError(
-            f"{path}: schema {schema}{', written by a newer metapp' if newer else ''}, expected {SCHEMA}; {remedy}."
+            f"{path}: schema {schema}{', written by a newer metapp' if newer else ''}, expected {MANIFEST_SCHEMA}; {remedy}."
         )
-    entries: list[Entry] = []
+    entries: list[ManifestEntry] = []
     for index, record in enumerate(field(raw, "tasks", list)):
         where = f"task {index + 1}: "
-        entry = Entry(**{key: field(record, key, str, where) for key in Entry._fields})
-        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SHARD):
+        entry = ManifestEntry(**{key: field(record, key, str, where) for key in ManifestEntry._fields})
+        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SHARD_SUFFIX):
             raise ValueError(
-                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SHARD} file in the "
+                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SHARD_SUFFIX} file in the "
                 "same folder; convert the data again."
             )
         if entry.split not in SPLITS:
@@ -162,7 +162,7 @@ def split_auto(in_line: Iterable[str]) -> dict[str, str]:
     return {name: "test" if index % 5 == 4 else "train" for index, name in enumerate(dict.fromkeys(in_line))}
 
 
-def write_shard(
+def write_data_set(
     folder: str | Path,
     app: str,
     units: Mapping[str, str],
@@ -171,7 +171,7 @@ def write_shard(
     beside: tuple[str, str] | None = None,
     *,
     overwrite: bool = False,
-) -> list[Entry]:
+) -> list[ManifestEntry]:
     """Write a data set, all or nothing.
 
     Files are written into a folder with a temporary name; only at the end do they move, and the manifest comes last.
@@ -215,9 +215,11 @@ def write_shard(
     partial = partial_path(folder / "tasks")
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     partial.mkdir(parents=True)
-    entries: list[Entry] = []
+    entries: list[ManifestEntry] = []
     held: set[str] = set()  # names of tensors
-    taken = {MANIFEST.replace(".json", SHARD)} if beside else set()  # its text would take the name of the manifest
+    taken = (
+        {MANIFEST.replace(".json", SHARD_SUFFIX)} if beside else set()
+    )  # its text would take the name of the manifest
     try:
         for task, split, source in tasks:
             _check_task(task, split, units, entries, source or folder)
@@ -227,18 +229,19 @@ def write_shard(
             content = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
             file = _file_name(task.name, taken)
             taken.add(file.lower())
-            with naming(folder / file):
+            with name_file_in_errors(folder / file):
                 (partial / file).write_bytes(content)
                 if beside:
                     text = task.data[beside[0]].cpu().numpy().tobytes().rstrip() + b"\n"
                     (partial / file).with_suffix(beside[1]).write_bytes(text)
             base = re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
-            entries.append(Entry(task.name, file, split, base, hashlib.sha256(content).hexdigest(), task.group))
+            entries.append(ManifestEntry(task.name, file, split, base, hashlib.sha256(content).hexdigest(), task.group))
         if not entries:
             raise ValueError(f"{folder}: 0 tasks to write, expected at least one.")
-        auto = split_auto(sorted(entry.group or entry.name for entry in entries if entry.split == AUTO))
+        auto = split_auto(sorted(entry.group or entry.name for entry in entries if entry.split == AUTO_SPLIT))
         entries = [
-            entry._replace(split=auto[entry.group or entry.name]) if entry.split == AUTO else entry for entry in entries
+            entry._replace(split=auto[entry.group or entry.name]) if entry.split == AUTO_SPLIT else entry
+            for entry in entries
         ]
         manifest = Manifest(app, tuple(entries), {key: unit for key, unit in units.items() if key in held}, notes)
         _publish(folder, partial, manifest, _replaced(folder, app, overwrite), beside)
@@ -253,8 +256,10 @@ def write_shard(
     return entries
 
 
-def _check_task(task: Task, split: str, units: Mapping[str, str], before: Sequence[Entry], subject: str | Path) -> None:
-    if split not in (*SPLITS, AUTO):
+def _check_task(
+    task: Task, split: str, units: Mapping[str, str], before: Sequence[ManifestEntry], subject: str | Path
+) -> None:
+    if split not in (*SPLITS, AUTO_SPLIT):
         raise ValueError(f"{task.name}: split '{split}', expected 'train', 'test' or 'auto'.")
     if not task.name.strip():
         raise ValueError(f"{subject}: a task with an empty name; give it one.")
@@ -295,7 +300,7 @@ def _publish(
     raw = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
     (folder / MANIFEST).unlink(missing_ok=True)
     for entry in before.tasks if before else ():
-        for suffix in (SHARD, beside[1] if beside else SHARD):
+        for suffix in (SHARD_SUFFIX, beside[1] if beside else SHARD_SUFFIX):
             (folder / entry.file).with_suffix(suffix).unlink(missing_ok=True)
     for file in sorted(partial.iterdir()):
         os.replace(file, folder / file.name)
@@ -303,7 +308,7 @@ def _publish(
     write_bytes(folder / MANIFEST, json.dumps(raw, indent=1, allow_nan=False).encode("ascii") + b"\n")
 
 
-def read_shard(
+def read_data_set(
     folder: str | Path, split: str | None = None, app: str | None = None, holds: Mapping[str, TensorSpec] | None = None
 ) -> list[Task]:
     """Read the tasks of a data set; the tensors are mapped from disk and loaded when they are used.
@@ -316,7 +321,7 @@ def read_shard(
 
     Returns:
         The tasks in the manifest's order; an empty list if the split has none. Hashes are not compared: see
-        `check_shard`.
+        `list_data_set_problems`.
 
     Raises:
         ValueError: as `read_manifest`; another application's tasks; a file that is missing or damaged, or lacks
@@ -340,7 +345,7 @@ def read_shard(
     return tasks
 
 
-def check_shard(folder: str | Path, holds: Mapping[str, TensorSpec] | None = None) -> list[str]:
+def list_data_set_problems(folder: str | Path, holds: Mapping[str, TensorSpec] | None = None) -> list[str]:
     """Check a data set against its manifest, and its tasks against the tensors that the application asks for.
 
     Returns:
@@ -369,7 +374,7 @@ def check_shard(folder: str | Path, holds: Mapping[str, TensorSpec] | None = Non
         problems += [f"{path}: {problem}; convert the data again." for problem in problems_of(task, holds or {})]
     beside = manifest.notes.get("files")  # what else its command wrote there
     listed = {MANIFEST, *(map(str, beside) if isinstance(beside, list) else ())}
-    stems = {entry.file.removesuffix(SHARD) for entry in manifest.tasks}  # a task's text has its name
+    stems = {entry.file.removesuffix(SHARD_SUFFIX) for entry in manifest.tasks}  # a task's text has its name
     problems += [
         f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
         for path in sorted(folder.iterdir())
@@ -381,14 +386,14 @@ def check_shard(folder: str | Path, holds: Mapping[str, TensorSpec] | None = Non
 def _file_name(name: str, taken: Collection[str]) -> str:
     """A file name that every file system takes, and that differs from those taken even if case does not count."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
-    file, count = stem + SHARD, 1
+    file, count = stem + SHARD_SUFFIX, 1
     while file.lower() in taken:
         count += 1
-        file = f"{stem}-{count}{SHARD}"
+        file = f"{stem}-{count}{SHARD_SUFFIX}"
     return file
 
 
-def _read_task(folder: Path, entry: Entry) -> Task:
+def _read_task(folder: Path, entry: ManifestEntry) -> Task:
     path = folder / entry.file
     if not path.is_file():
         raise ValueError(f"{path}: missing, expected a file as {MANIFEST} lists it; convert the data again.")

@@ -13,10 +13,12 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import opened_tensors, write_bytes
+from metapp.storage.files import open_tensors, write_bytes
 
 
-def cached_tensors(name: str, sources: Sequence[str], make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+def load_or_compute_tensors(
+    name: str, sources: Sequence[str], make: Callable[[], dict[str, Tensor]]
+) -> dict[str, Tensor]:
     """Return tensors of the cache if the same code made them; else make them, and keep them there if that can be.
 
     Args:
@@ -25,7 +27,7 @@ def cached_tensors(name: str, sources: Sequence[str], make: Callable[[], dict[st
         make: makes them.
     """
     path, maker = cache_folder() / f"{name}.safetensors", {"maker": _maker(sources)}
-    with contextlib.suppress(OSError, SafetensorError), opened_tensors(path) as stored:
+    with contextlib.suppress(OSError, SafetensorError), open_tensors(path) as stored:
         if stored.metadata() == maker:
             return {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118  (not a mapping)
     tensors = {key: value.contiguous() for key, value in make().items()}

@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.colorimetry import colour_difference, colour_science
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched, tone_map
+from metapp.appearance.colorimetry import colour_difference, import_colour_science
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretch_to_unit_range, tone_map
 from metapp.appearance.metrics import dssim, mape, smape, ssim
 
 
@@ -22,10 +22,10 @@ def test_tone_map_keeps_order_and_any_radiance_displays() -> None:
 
 def test_stretched_values_come_back_and_a_plane_is_black() -> None:
     values = torch.randn(7, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 30 - 4
-    shown, low, high = stretched(values)
+    shown, low, high = stretch_to_unit_range(values)
     assert (shown.min(), shown.max()) == (0, 1)
     torch.testing.assert_close(low + shown * (high - low), values)
-    shown, low, high = stretched(torch.full((2, 2), -3.0))
+    shown, low, high = stretch_to_unit_range(torch.full((2, 2), -3.0))
     assert (shown.tolist(), low, high) == ([[0, 0], [0, 0]], -3, -3)
 
 
@@ -97,7 +97,7 @@ SHARMA = """
 
 def test_colour_differences_are_those_of_the_published_pairs() -> None:
     """Also as display values in D65, but for two pairs that lie at a jump; black and white differ by 100."""
-    colour, table = colour_science(), np.array(SHARMA.split(), float).reshape(-1, 7)
+    colour, table = import_colour_science(), np.array(SHARMA.split(), float).reshape(-1, 7)
     np.testing.assert_allclose(colour.delta_E(table[:, :3], table[:, 3:6], method="CIE 2000"), table[:, 6], atol=1e-4)
     table = np.delete(table, (3, 4), 0)
     one, other = (colour.XYZ_to_sRGB(colour.Lab_to_XYZ(table[:, at : at + 3])).reshape(2, 5, 3) for at in (0, 3))
@@ -107,7 +107,7 @@ def test_colour_differences_are_those_of_the_published_pairs() -> None:
 
 def test_srgb_of_tensors_is_that_of_colour_science() -> None:
     """Its transfer functions of IEC 61966-2-1, though it takes longer to import than a fit takes."""
-    values, colour = np.linspace(0, 1, 1001), colour_science()
+    values, colour = np.linspace(0, 1, 1001), import_colour_science()
     pairs = ((srgb_to_linear, colour.models.eotf_sRGB), (linear_to_srgb, colour.models.eotf_inverse_sRGB))
     for ours, theirs in pairs:
         np.testing.assert_allclose(ours(torch.from_numpy(values)).numpy(), theirs(values), rtol=1e-7, atol=1e-9)

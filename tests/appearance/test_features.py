@@ -17,17 +17,17 @@ from metapp.appearance import features
 from metapp.appearance.features import (
     IMAGENET_DEVIATION,
     IMAGENET_MEAN,
-    RANDOM_FILTERS,
+    RANDOM_FILTER_COUNT,
     VGG_BLOCKS,
-    amplitudes,
-    channels_of,
+    amplitude_spectrum,
     describe_features,
-    detail,
-    distance,
+    detail_statistics,
     feature_conditions,
     gram,
     load_features,
     moments,
+    statistics_distance,
+    tap_channels,
 )
 
 DOUBLE = torch.zeros((), dtype=torch.float64)
@@ -61,16 +61,18 @@ def test_gram_matrices_are_twice_differentiable(
 
 def test_distances(rand: Callable[..., Tensor]) -> None:
     target = [rand(2, 3, 3), rand(2, 5, 5)]
-    assert distance(target, target).tolist() == [0, 0]
-    torch.testing.assert_close(distance([0 * t for t in target], target), torch.ones(2, dtype=torch.float64))
-    torch.testing.assert_close(distance([1.5 * t for t in target], target), torch.full((2,), 0.5).double())
+    assert statistics_distance(target, target).tolist() == [0, 0]
+    torch.testing.assert_close(statistics_distance([0 * t for t in target], target), torch.ones(2, dtype=torch.float64))
+    torch.testing.assert_close(statistics_distance([1.5 * t for t in target], target), torch.full((2,), 0.5).double())
     found = [rand(2, 3, 3), rand(2, 5, 5)]
-    plain = distance(found, target)
+    plain = statistics_distance(found, target)
     # neither brightness nor contrast of one tap outweighs the other
-    torch.testing.assert_close(distance([100 * found[0], found[1]], [100 * target[0], target[1]]), plain)
-    torch.testing.assert_close((distance(found[:1], target[:1]) + distance(found[1:], target[1:])) / 2, plain)
+    torch.testing.assert_close(statistics_distance([100 * found[0], found[1]], [100 * target[0], target[1]]), plain)
+    torch.testing.assert_close(
+        (statistics_distance(found[:1], target[:1]) + statistics_distance(found[1:], target[1:])) / 2, plain
+    )
     black = [torch.zeros(1, 3, 3, dtype=torch.float64)]
-    assert distance(black, black).tolist() == [0]
+    assert statistics_distance(black, black).tolist() == [0]
 
 
 def test_moments_are_means_and_root_mean_squares(rand: Callable[..., Tensor]) -> None:
@@ -90,7 +92,7 @@ def sines(rows: int, columns: int, size: int = 32) -> Tensor:
 
 @pytest.mark.parametrize(("rows", "columns"), [(0, 6), (6, 0), (4, 9), (-4, 9), (0, 12)])
 def test_a_wave_peaks_at_its_frequency(rows: int, columns: int) -> None:
-    found = amplitudes(sines(rows, columns))[0]
+    found = amplitude_spectrum(sines(rows, columns))[0]
     assert found.shape == (32, 17)
     row, column = divmod(int(found.argmax()), 17)
     assert column == columns
@@ -102,22 +104,22 @@ def test_a_wave_peaks_at_its_frequency(rows: int, columns: int) -> None:
 def test_amplitudes_are_amplitudes_wherever_waves_are(rand: Callable[..., Tensor]) -> None:
     """Twice the contrast is twice the amplitude; brightness does not count; channels add their power."""
     maps = rand(2, 3, 16, 16)
-    found = amplitudes(maps)
-    torch.testing.assert_close(amplitudes(2 * maps), 2 * found, rtol=1e-4, atol=1e-4)
-    torch.testing.assert_close(amplitudes(maps + 5), found)
-    power = sum(amplitudes(maps[:, i : i + 1]) ** 2 for i in range(3))
+    found = amplitude_spectrum(maps)
+    torch.testing.assert_close(amplitude_spectrum(2 * maps), 2 * found, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(amplitude_spectrum(maps + 5), found)
+    power = sum(amplitude_spectrum(maps[:, i : i + 1]) ** 2 for i in range(3))
     torch.testing.assert_close(found**2, power, rtol=1e-6, atol=1e-7)
-    assert amplitudes(torch.ones(1, 2, 8, 8)).max() < 1e-3
+    assert amplitude_spectrum(torch.ones(1, 2, 8, 8)).max() < 1e-3
     first, other = sines(5, 3), sines(5, 3).roll((7, 11), (-2, -1))
-    assert distance([amplitudes(first)], [amplitudes(other)]) < 0.05
-    assert distance([amplitudes(first)], [amplitudes(sines(3, 5))]) > 0.8
+    assert statistics_distance([amplitude_spectrum(first)], [amplitude_spectrum(other)]) < 0.05
+    assert statistics_distance([amplitude_spectrum(first)], [amplitude_spectrum(sines(3, 5))]) > 0.8
 
 
 def test_many_channels_add_their_power_about(rng: Generator) -> None:
     """Of 128 unlike channels the sum by random signs is that of all, within what 8 such sums scatter."""
     maps = torch.randn(1, 128, 32, 32, generator=rng, dtype=torch.float64)
-    power = sum(amplitudes(maps[:, i : i + 1]) ** 2 for i in range(128))
-    found = amplitudes(maps) ** 2
+    power = sum(amplitude_spectrum(maps[:, i : i + 1]) ** 2 for i in range(128))
+    found = amplitude_spectrum(maps) ** 2
     assert float(found.sum() / power.sum()) == pytest.approx(1, abs=0.1)  # type: ignore[union-attr]
     assert float((found / power).log().abs().mean()) < 0.3
 
@@ -126,9 +128,9 @@ def test_many_channels_add_their_power_about(rng: Generator) -> None:
 def test_gradients_stay_finite_where_there_is_nothing(value: float) -> None:
     """Of a black picture, a uniform one, and one that equals the exemplar."""
     maps = torch.full((1, 2, 8, 8), value, dtype=torch.float64, requires_grad=True)
-    for statistic, target in itertools.product((gram, amplitudes), (0.0, value, 1.0)):
+    for statistic, target in itertools.product((gram, amplitude_spectrum), (0.0, value, 1.0)):
         wanted = statistic(torch.full_like(maps, target))
-        (slope,) = torch.autograd.grad(distance([statistic(maps)], [wanted]).sum(), maps)
+        (slope,) = torch.autograd.grad(statistics_distance([statistic(maps)], [wanted]).sum(), maps)
         assert slope.isfinite().all()
 
 
@@ -138,7 +140,7 @@ def test_gradients_stay_finite_where_there_is_nothing(value: float) -> None:
 def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> None:
     image = rand(2, 3, 16, 16).float()
     first = load_features(TAPS, image)(image)
-    assert [tuple(each.shape) for each in first] == [(2, RANDOM_FILTERS, size, size) for size in (16, 8, 4, 2)]
+    assert [tuple(each.shape) for each in first] == [(2, RANDOM_FILTER_COUNT, size, size) for size in (16, 8, 4, 2)]
     torch.manual_seed(99)
     features._load.cache_clear()
     again = load_features(TAPS, image)(image)
@@ -196,7 +198,7 @@ def test_vgg_is_what_its_paper_lists(
     assert len(maps) == len(taps)
     for tap, each in zip(taps, maps, strict=True):
         torch.testing.assert_close(each, expected[tap])
-    assert channels_of(taps) == [each.shape[1] for each in maps]
+    assert tap_channels(taps) == [each.shape[1] for each in maps]
     features._load.cache_clear()  # 60 MB each
 
 
@@ -214,7 +216,7 @@ def whole_vgg_in_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPa
     """Made-up weights, and a CPU that is said to be made for bfloat16: torch computes it on any."""
     os.link(vgg16, cache / "vgg16.safetensors")
     monkeypatch.setattr(features, "has_bfloat16", lambda: True)
-    monkeypatch.delenv(features.FLOAT32)
+    monkeypatch.delenv(features.FLOAT32_VARIABLE)
     yield
     features._load.cache_clear()
 
@@ -224,7 +226,7 @@ def whole_vgg_in_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPa
 def test_bfloat16_statistics_and_gradients_are_float32s(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     pictures = torch.rand(2, 3, 64, 64, generator=rng)
     found, slopes = gradient_of(pictures)
-    monkeypatch.setenv(features.FLOAT32, "1")
+    monkeypatch.setenv(features.FLOAT32_VARIABLE, "1")
     expected, exact = gradient_of(pictures)
     for one, other in zip(found, expected, strict=True):
         assert one.dtype == torch.float32
@@ -324,7 +326,7 @@ def waves(kind: str, size: int = 64) -> torch.Tensor:
 @pytest.mark.parametrize(("kind", "place"), [("rows", 0), ("columns", 1), ("checkerboard", 2)])
 def test_waves_of_two_pixels_are_one_number_each(kind: str, place: int) -> None:
     """Equal phase everywhere: the window of 8 px sums all of it, the others nothing."""
-    found = detail(waves(kind))[0, 0, COSINES:]
+    found = detail_statistics(waves(kind))[0, 0, COSINES:]
     expected = torch.full((3,), 1e-5, dtype=torch.float64)
     expected[place] = math.sqrt(8)
     torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-9)
@@ -334,14 +336,14 @@ def test_cosine_waves_hold_all_power_but_that_of_means(rng: Generator) -> None:
     """Parseval: 16 times the variance in squares of 4 px, the mean over squares."""
     picture = torch.rand(2, 3, 12, 16, generator=rng, dtype=torch.float64)
     variances = picture.unfold(-2, 4, 3).unfold(-2, 4, 3).var((-1, -2), unbiased=False).mean((-1, -2))
-    power = detail(picture)[..., :COSINES].square().sum(-1)
+    power = detail_statistics(picture)[..., :COSINES].square().sum(-1)
     torch.testing.assert_close(power, 16 * variances, atol=1e-6, rtol=1e-6)
 
 
 def test_gradients_are_finite_differences_and_finite_of_nothing(rng: Generator) -> None:
     picture = torch.rand(1, 2, 16, 16, generator=rng, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(detail, picture)
+    assert torch.autograd.gradcheck(detail_statistics, picture)
     grey = torch.full((1, 1, 16, 16), 0.5, requires_grad=True)
-    detail(grey).sum().backward()
+    detail_statistics(grey).sum().backward()
     assert grey.grad is not None
     assert bool(grey.grad.isfinite().all())

@@ -10,26 +10,26 @@ from torch import Tensor
 
 from metapp.appearance.flash import (
     Maps,
-    brdf,
-    camera,
     camera_distance,
-    expose,
-    flash_position,
+    camera_position,
+    estimate_flash_position,
+    evaluate_brdf,
     height_from_normal,
+    map_statistics,
     normal_from_height,
-    positions,
-    render,
-    statistics,
+    radiance_to_display,
+    render_maps,
+    texel_positions,
 )
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.appearance.highlight import (
-    F0_BOUND,
-    clipped_highlight,
+    F0_BOUND_CLAUSE,
+    clipped_highlight_warnings,
+    estimate_gloss,
     fill_clipped,
     find_clipped,
     find_white,
-    gloss,
-    unlit,
+    remove_flash_falloff,
 )
 from tests import surfaces
 from tests.surfaces import normal_of, waves
@@ -66,7 +66,7 @@ def at(x: float, y: float, z: float = camera_distance()) -> Tensor:
 
 
 def grid(height: int, width: int) -> Tensor:
-    return positions(height, width, dtype=torch.float64)
+    return texel_positions(height, width, dtype=torch.float64)
 
 
 # Places and normals
@@ -80,7 +80,7 @@ def test_texels_fill_the_patch_and_row_0_is_on_top() -> None:
     torch.testing.assert_close(wide[:, :, 2:6], grid(4, 4))  # the square in the middle of a photo is the patch
     # the camera sees exactly the patch
     assert math.atan(1 / camera_distance()) == pytest.approx(math.pi / 8)
-    assert camera().tolist() == pytest.approx([0, 0, camera_distance()])
+    assert camera_position().tolist() == pytest.approx([0, 0, camera_distance()])
 
 
 def test_normals_of_a_slope() -> None:
@@ -95,7 +95,7 @@ def test_statistics_of_halves() -> None:
     """Half of the patch bright, shiny and level, half dark, dull and tilted by 30 degrees."""
     bright = flat(1.0, 1.0, 0.9)
     dark = flat(0.25, 0.25, 0.5, normal=(0.0, -0.5, math.sqrt(0.75)))
-    found = statistics(Maps(*(torch.cat(pair, -1) for pair in zip(bright, dark, strict=True))))
+    found = map_statistics(Maps(*(torch.cat(pair, -1) for pair in zip(bright, dark, strict=True))))
     low = 0.25 ** (1 / 2.2)
     shown = ((1 + low) / 2, (1 - low) / 2)
     expected = torch.tensor([[shown[0]] * 4 + [0.7, 0.25], [shown[1]] * 4 + [0.2, 0.25]], dtype=torch.float64)
@@ -107,21 +107,21 @@ def test_statistics_of_halves() -> None:
 
 def test_a_tilted_texel_is_brightest_where_it_faces_the_flash() -> None:
     centre, tilted = torch.zeros(2, 1, 1, dtype=torch.float64), flat(0.5, normal=(0.6, 0, 0.8))  # to the right
-    towards = render(tilted, centre, at(1.5, 0, 2), at(0, 0))  # face to face, 2.5 away
+    towards = render_maps(tilted, centre, at(1.5, 0, 2), at(0, 0))  # face to face, 2.5 away
     assert towards[0].item() == pytest.approx(0.5 * (camera_distance() / 2.5) ** 2, rel=1e-3)
-    assert (towards > render(tilted, centre, at(0, 0, 2.5), at(0, 0))).all()
+    assert (towards > render_maps(tilted, centre, at(0, 0, 2.5), at(0, 0))).all()
     steep = flat(1, 0.5, normal=(0.96, 0, 0.28))
-    assert (render(steep, centre, at(-1, 0, 0.2), at(0, 0)) == 0).all()
+    assert (render_maps(steep, centre, at(-1, 0, 0.2), at(0, 0)) == 0).all()
 
 
 def test_intensity_and_falloff_may_differ_by_picture() -> None:
     maps, place = flat(0.7, size=(4, 4)), grid(4, 4)
     colour = torch.tensor([[1.0, 0.5, 0.25], [2.0, 2.0, 2.0]], dtype=torch.float64)
     power = torch.tensor([0.0, 2.0], dtype=torch.float64)
-    both = render(maps, place, at(0, 0), at(0, 0), intensity=colour, falloff=power)
-    white = render(maps, place, at(0, 0), at(0, 0))
+    both = render_maps(maps, place, at(0, 0), at(0, 0), intensity=colour, falloff=power)
+    white = render_maps(maps, place, at(0, 0), at(0, 0))
     torch.testing.assert_close(both[0], white * colour[0][:, None, None])
-    torch.testing.assert_close(both[1], 2 * render(maps, place, at(0, 0), at(0, 0), falloff=2.0))
+    torch.testing.assert_close(both[1], 2 * render_maps(maps, place, at(0, 0), at(0, 0), falloff=2.0))
 
 
 # Reflection
@@ -135,7 +135,7 @@ def channels_first(*vectors: Tensor) -> list[Tensor]:
 def test_very_smooth_materials_stay_finite() -> None:
     maps = flat(0.5, 0.04, 0.0, size=(3, 3))
     roughness = maps.roughness.clone().requires_grad_()
-    image = render(maps._replace(roughness=roughness), grid(3, 3), at(0, 0), at(0, 0))
+    image = render_maps(maps._replace(roughness=roughness), grid(3, 3), at(0, 0), at(0, 0))
     assert image.isfinite().all()
     image.sum().backward()
     assert roughness.grad is not None
@@ -165,13 +165,15 @@ def test_reflection_agrees_with_mitsuba(
     tilted = normal.T[..., None]
 
     mirror = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": roughness**2}
-    value = brdf(flat(0.3, 1, roughness)._replace(normal=tilted), *turned)  # F0 = 1 leaves no light for the body
+    value = evaluate_brdf(
+        flat(0.3, 1, roughness)._replace(normal=tilted), *turned
+    )  # F0 = 1 leaves no light for the body
     torch.testing.assert_close(value[..., 0].T, mitsuba_brdf(mirror, wi, wo), rtol=1e-4, atol=1e-6)
 
-    value = brdf(flat(0.3, 0, roughness)._replace(normal=tilted), *turned)
+    value = evaluate_brdf(flat(0.3, 0, roughness)._replace(normal=tilted), *turned)
     matte = {"type": "diffuse", "reflectance": 0.3}
     # Schlick's reflectance of F0 = 0 rises near grazing; only what is left without it is the body.
-    lobe = brdf(flat(0, 0, roughness)._replace(normal=tilted), *turned)
+    lobe = evaluate_brdf(flat(0, 0, roughness)._replace(normal=tilted), *turned)
     torch.testing.assert_close((value - lobe)[..., 0].T, mitsuba_brdf(matte, wi, wo), rtol=1e-5, atol=0)
 
 
@@ -191,7 +193,7 @@ def test_a_photo_of_a_texture_agrees_with_mitsuba(photograph: Callable[..., Tens
         return {"type": "diffuse", "reflectance": texture}
 
     photo = photograph(bsdf, at(*LIGHT), 16, 16)
-    image = render(flat(size=(16, 16))._replace(diffuse=diffuse), grid(16, 16), at(*LIGHT), at(0, 0))
+    image = render_maps(flat(size=(16, 16))._replace(diffuse=diffuse), grid(16, 16), at(*LIGHT), at(0, 0))
     torch.testing.assert_close(image, photo, rtol=5e-3, atol=0)
 
 
@@ -201,22 +203,22 @@ def test_a_photo_of_a_texture_agrees_with_mitsuba(photograph: Callable[..., Tens
 def test_a_crop_is_lit_as_its_place_in_the_photo(rng: torch.Generator) -> None:
     maps, place = rough(rng, 2), grid(6, 5)
     light, view = at(0.2, 0.1), at(0, 0)
-    whole = render(maps, place, light, view)
+    whole = render_maps(maps, place, light, view)
     crop = Maps(*(each[..., 1:4, 2:5] for each in maps))
-    torch.testing.assert_close(render(crop, place[:, 1:4, 2:5], light, view), whole[..., 1:4, 2:5])
+    torch.testing.assert_close(render_maps(crop, place[:, 1:4, 2:5], light, view), whole[..., 1:4, 2:5])
     other = torch.stack([place[:, 1:4, 2:5], place[:, :3, :3]])  # each of the batch from a place of its own
-    there = render(Maps(*(each[1:, ..., 1:4, 2:5] for each in maps)), place[:, :3, :3], light, view)
-    torch.testing.assert_close(render(crop, other, light, view)[1:], there)
+    there = render_maps(Maps(*(each[1:, ..., 1:4, 2:5] for each in maps)), place[:, :3, :3], light, view)
+    torch.testing.assert_close(render_maps(crop, other, light, view)[1:], there)
 
 
 def test_a_batch_is_what_its_members_are(rng: torch.Generator) -> None:
     maps, place = rough(rng, 3, colours=1), grid(6, 5)
     light, view = torch.stack([at(0, 0), at(0.3, 0, 2), at(0, 1)]), torch.stack([at(0, 0), at(0, 0.5), at(1, 0, 3)])
-    together = render(maps, place, light, view)
+    together = render_maps(maps, place, light, view)
     assert together.shape == (3, 3, 6, 5)
-    alone = [render(Maps(*(each[i] for each in maps)), place, light[i], view[i]) for i in range(3)]
+    alone = [render_maps(Maps(*(each[i] for each in maps)), place, light[i], view[i]) for i in range(3)]
     torch.testing.assert_close(together, torch.stack(alone))
-    mapped = torch.func.vmap(lambda maps, light, view: render(maps, place, light, view))(maps, light, view)
+    mapped = torch.func.vmap(lambda maps, light, view: render_maps(maps, place, light, view))(maps, light, view)
     torch.testing.assert_close(together, mapped)
 
 
@@ -224,9 +226,11 @@ def test_a_batch_is_what_its_members_are(rng: torch.Generator) -> None:
 def test_single_precision_is_enough(rng: torch.Generator, roughness: float) -> None:
     maps = rough(rng, size=(64, 64))
     maps = maps._replace(roughness=torch.full_like(maps.roughness, roughness), normal=flat(size=(64, 64)).normal)
-    single = render(Maps(*(each.float() for each in maps)), positions(64, 64), camera(), camera())
+    single = render_maps(
+        Maps(*(each.float() for each in maps)), texel_positions(64, 64), camera_position(), camera_position()
+    )
     assert single.dtype == torch.float32
-    double = render(maps, grid(64, 64), at(0, 0), at(0, 0))
+    double = render_maps(maps, grid(64, 64), at(0, 0), at(0, 0))
     # At the floor of roughness alpha squared is 2.6e-6, and 1 - cos is known to 6e-8.
     torch.testing.assert_close(single.double(), double, rtol=0.1 if roughness == 0 else 1e-3, atol=1e-6)
 
@@ -236,7 +240,7 @@ def test_single_precision_is_enough(rng: torch.Generator, roughness: float) -> N
 
 def test_exposure_is_a_clamp_and_a_root_with_finite_gradients() -> None:
     radiance = torch.tensor([-1.0, 0.0, 1e-6, 0.25, 1.0, 1.5], dtype=torch.float64, requires_grad=True)
-    shown = expose(radiance)
+    shown = radiance_to_display(radiance)
     assert shown[-2:].tolist() == [1, 1]
     assert shown[3].item() == pytest.approx(0.25 ** (1 / 2.2))
     assert shown[1].item() < 0.5 / 255
@@ -244,7 +248,9 @@ def test_exposure_is_a_clamp_and_a_root_with_finite_gradients() -> None:
     assert slope.isfinite().all()
     assert slope[[0, 1, 5]].tolist() == [0, 0, 0]
     assert slope.max() < 1000
-    assert torch.autograd.gradcheck(expose, (torch.linspace(0.01, 0.99, 9, dtype=torch.float64).requires_grad_(),))
+    assert torch.autograd.gradcheck(
+        radiance_to_display, (torch.linspace(0.01, 0.99, 9, dtype=torch.float64).requires_grad_(),)
+    )
 
 
 # Where the flash was
@@ -280,24 +286,26 @@ def test_the_flash_is_found(
 ) -> None:
     maps = textured(rng, specular, roughness, contrast, blob)
     for x, y in PLACES:
-        above = camera() + torch.tensor([x, y, 0])
-        photo = expose(render(maps, positions(128, 128), above, above, intensity=1.2))
-        assert (flash_position(photo)[0] - above[:2]).norm() < tolerance
+        above = camera_position() + torch.tensor([x, y, 0])
+        photo = radiance_to_display(render_maps(maps, texel_positions(128, 128), above, above, intensity=1.2))
+        assert (estimate_flash_position(photo)[0] - above[:2]).norm() < tolerance
 
 
 def test_flash_positions_of_wide_photos_and_of_batches(rng: torch.Generator) -> None:
     maps = textured(rng, 0.04, 0.3, 0.2)
-    lights = camera() + torch.tensor([[0.2, -0.1, 0.0], [-0.3, 0.3, 0.0]])
-    photos = expose(render(maps, positions(128, 128), lights, lights))
-    found = flash_position(photos)
+    lights = camera_position() + torch.tensor([[0.2, -0.1, 0.0], [-0.3, 0.3, 0.0]])
+    photos = radiance_to_display(render_maps(maps, texel_positions(128, 128), lights, lights))
+    found = estimate_flash_position(photos)
     assert found.shape == (2, 2)
-    torch.testing.assert_close(found, torch.stack([flash_position(photo) for photo in photos]))
-    wide = expose(render(Maps(*(torch.cat([m, m], -1) for m in maps)), positions(128, 256), lights, lights))
-    torch.testing.assert_close(flash_position(wide), lights[:, :2], rtol=0, atol=0.05)
+    torch.testing.assert_close(found, torch.stack([estimate_flash_position(photo) for photo in photos]))
+    wide = radiance_to_display(
+        render_maps(Maps(*(torch.cat([m, m], -1) for m in maps)), texel_positions(128, 256), lights, lights)
+    )
+    torch.testing.assert_close(estimate_flash_position(wide), lights[:, :2], rtol=0, atol=0.05)
 
 
 def test_an_unclear_flash_is_taken_to_be_central(rng: torch.Generator) -> None:
-    x, y = positions(96, 96)
+    x, y = texel_positions(96, 96)
     noise = torch.rand(96, 96, generator=rng)
     photos = {
         "noise": noise,
@@ -308,17 +316,17 @@ def test_an_unclear_flash_is_taken_to_be_central(rng: torch.Generator) -> None:
         "frame": torch.where(x.abs() > 0.9, 1.0, 0.2 + 0.1 * noise),
     }
     for kind, photo in photos.items():
-        assert flash_position(photo.expand(1, 3, -1, -1))[0].norm() < 0.05, kind
+        assert estimate_flash_position(photo.expand(1, 3, -1, -1))[0].norm() < 0.05, kind
 
 
 def test_the_flash_is_at_most_half_way_to_the_edge(rng: torch.Generator) -> None:
-    light = camera() + torch.tensor([0.9, 0.0, 0.0])
+    light = camera_position() + torch.tensor([0.9, 0.0, 0.0])
     maps = Maps(*(each.float() for each in flat(0.5, size=(64, 64))))
-    found = flash_position(expose(render(maps, positions(64, 64), light, light)))
+    found = estimate_flash_position(radiance_to_display(render_maps(maps, texel_positions(64, 64), light, light)))
     assert found.norm() <= 0.5 + 1e-6
-    x, y = positions(64, 64)
+    x, y = texel_positions(64, 64)
     corner = torch.where((x > 0.8) & (y > 0.8), 1.0, 0.2 + 0.1 * torch.rand(64, 64, generator=rng))
-    assert flash_position(corner.expand(3, -1, -1)).norm() <= 0.5 + 1e-6  # a sticker, say
+    assert estimate_flash_position(corner.expand(3, -1, -1)).norm() <= 0.5 + 1e-6  # a sticker, say
 
 
 # Highlights
@@ -328,7 +336,7 @@ SIZE = 128
 
 
 def above(x: float, y: float) -> Tensor:
-    return (camera() + torch.tensor([x, y, 0.0]))[None]
+    return (camera_position() + torch.tensor([x, y, 0.0]))[None]
 
 
 def photo(
@@ -338,14 +346,14 @@ def photo(
     one = torch.ones(1, 1, SIZE, SIZE)
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, SIZE, SIZE)
     maps = Maps(torch.tensor(diffuse)[:, None, None] * one, specular * one, roughness * one, up)
-    return expose(render(maps, positions(SIZE, SIZE), light, light, falloff=1.0))
+    return radiance_to_display(render_maps(maps, texel_positions(SIZE, SIZE), light, light, falloff=1.0))
 
 
 @pytest.mark.parametrize(("roughness", "within"), [(0.16, 0.25), (0.25, 0.12), (0.4, 0.12), (0.6, 0.12)])
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.2, -0.3)])
 def test_gloss_of_flat_even_materials_is_found(roughness: float, within: float, place: tuple[float, float]) -> None:
     light = above(*place)
-    found = gloss(photo(roughness, 0.04, light), light)
+    found = estimate_gloss(photo(roughness, 0.04, light), light)
     assert float(found.roughness) == pytest.approx(roughness, rel=within)
     assert float(found.specular) == pytest.approx(0.04, rel=0.5)
     torch.testing.assert_close(found.diffuse, torch.tensor([[0.3, 0.2, 0.1]]), rtol=0.08, atol=0)
@@ -364,9 +372,9 @@ def glossy(seed: int, size: int) -> Maps:
 def photographed(maps: Maps, clipped: float) -> Tensor:
     """A photo [3, H, W] of 8 bits, with a little noise, of whose px such a share clips in all channels."""
     size = maps.roughness.shape[-1]
-    radiance = render(maps, positions(size, size), above(0.1, 0.0), above(0.1, 0.0))[0]
+    radiance = render_maps(maps, texel_positions(size, size), above(0.1, 0.0), above(0.1, 0.0))[0]
     level = radiance.amin(0).flatten().sort().values[round((1 - clipped) * (size * size - 1))]
-    display = expose(radiance / level * (1.02 if clipped else 0.8))
+    display = radiance_to_display(radiance / level * (1.02 if clipped else 0.8))
     noise = torch.randn(display.shape, generator=torch.Generator().manual_seed(0))
     return (255 * (display + 0.005 * noise)).round().clamp(0, 255) / 255
 
@@ -376,10 +384,10 @@ def test_highlights_are_doubted_if_white_is_clipped(seed: int) -> None:
     """Exposures of which 0.5 to 5 % clip are said, others, of which less than 0.1 % does, are not."""
     maps = glossy(seed, 64)
     share = 0.005 * 10 ** (seed / 19)
-    (clause,) = clipped_highlight(photographed(maps, share), F0_BOUND)
+    (clause,) = clipped_highlight_warnings(photographed(maps, share), F0_BOUND_CLAUSE)
     assert clause.endswith("% of the photo is clipped, so F0 is a lower bound (a darker exposure shows more)")
     assert 0.9 * share < float(clause.split()[0]) / 100 < 2.5 * share  # with what all but clips
-    assert clipped_highlight(photographed(maps, 0.0), F0_BOUND) == []
+    assert clipped_highlight_warnings(photographed(maps, 0.0), F0_BOUND_CLAUSE) == []
 
 
 @pytest.mark.parametrize("paint", [(255, 120, 80), (255, 252, 190), (229, 229, 229)])
@@ -453,26 +461,26 @@ def test_clipped_highlights_still_say_how_wide_they_are() -> None:
     light = above(0.0, 0.0)
     picture = photo(0.25, 0.1, light)
     assert (picture > 0.99).float().mean() > 0.005
-    assert float(gloss(picture, light).roughness) == pytest.approx(0.25, rel=0.2)
+    assert float(estimate_gloss(picture, light).roughness) == pytest.approx(0.25, rel=0.2)
 
 
 def test_contrast_tells_varnish_from_cloth_and_share_metal() -> None:
     light = above(0.0, 0.0)
-    shiny, matte = (float(gloss(photo(*each, light), light).contrast) for each in ((0.2, 0.04), (0.8, 0.02)))
+    shiny, matte = (float(estimate_gloss(photo(*each, light), light).contrast) for each in ((0.2, 0.04), (0.8, 0.02)))
     assert matte < 0.3 < 0.8 < shiny
     bodies = ((0.2, (0.0, 0.0, 0.0)), (0.02, (0.4, 0.4, 0.4)))
-    metal, cloth = (float(gloss(photo(0.5, f0, light, diffuse=body), light).share) for f0, body in bodies)
+    metal, cloth = (float(estimate_gloss(photo(0.5, f0, light, diffuse=body), light).share) for f0, body in bodies)
     assert cloth < 0.15 < 0.9 < metal
 
 
 def test_photos_without_their_light_are_as_bright_in_all_rings() -> None:
     light = above(0.1, 0.0)
     picture = photo(0.3, 0.05, light)
-    even = unlit(picture, light)
+    even = remove_flash_falloff(picture, light)
     assert float(even.std((2, 3)).max()) < 0.1 * float(picture.std((2, 3)).max())
     torch.testing.assert_close(even.mean((2, 3)), picture.mean((2, 3)), rtol=0.05, atol=0)
     stains = 1 + 0.2 * (torch.rand(SIZE, SIZE, generator=torch.Generator().manual_seed(0)) < 0.5)
-    stained = unlit(picture * stains, light)
+    stained = remove_flash_falloff(picture * stains, light)
     assert float((stained / even / stains).std()) < 0.05
 
 

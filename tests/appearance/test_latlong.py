@@ -12,14 +12,14 @@ from torch.nn.functional import normalize
 
 from metapp.appearance.latlong import (
     cosine_transfer,
-    directions,
     glossy_transfer,
     luminance,
     mean_luminance,
-    resample,
+    resample_maps,
     solid_angles,
     sphere_normals,
-    texel_of,
+    texel_directions,
+    texel_index,
 )
 
 SIZES = [(2, 4), (5, 10), (16, 32), (64, 128), (64, 96)]
@@ -62,7 +62,7 @@ def test_rows_and_columns_lie_where_mitsuba_has_them(mitsuba: Any, rng: torch.Ge
         pixels = np.ascontiguousarray(maps.float().permute(1, 2, 0).numpy())
         emitter: Any = mitsuba.load_dict({"type": "envmap", "bitmap": mitsuba.Bitmap(pixels)})
         seen = []
-        for direction in directions(6, 12, dtype=torch.float64).flatten(1).T.tolist():
+        for direction in texel_directions(6, 12, dtype=torch.float64).flatten(1).T.tolist():
             interaction = mitsuba.SurfaceInteraction3f()
             interaction.wi = -mitsuba.Vector3f(direction)
             seen.append(list(emitter.eval(interaction)))
@@ -99,10 +99,10 @@ def test_luminance() -> None:
 @pytest.mark.parametrize("target", [(4, 8), (5, 9), (16, 32), (32, 64), (23, 50)])
 def test_resampling_keeps_energy(source: tuple[int, int], target: tuple[int, int], rng: torch.Generator) -> None:
     maps = draw_maps(rng, *source, 2)
-    other = resample(maps, *target)
+    other = resample_maps(maps, *target)
     assert other.shape == (2, 3, *target)
     torch.testing.assert_close(energy(other), energy(maps))
-    torch.testing.assert_close(resample(torch.ones_like(maps), *target), torch.ones_like(other))
+    torch.testing.assert_close(resample_maps(torch.ones_like(maps), *target), torch.ones_like(other))
     assert other.min() >= maps.min() - 1e-12
     assert other.max() <= maps.max() + 1e-12
 
@@ -134,7 +134,7 @@ def harmonics(at: Tensor) -> dict[int, Tensor]:
 def cosine_error(height: int, normals: Tensor) -> float:
     """Greatest deviation of diffuse light of spherical harmonics from the closed form."""
     width = 2 * height
-    maps = harmonics(directions(height, width, dtype=torch.float64).permute(1, 2, 0))
+    maps = harmonics(texel_directions(height, width, dtype=torch.float64).permute(1, 2, 0))
     transfer = cosine_transfer(normals, height, width)
     # Ramamoorthi and Hanrahan 2001, "An Efficient Representation for Irradiance Environment Maps", over pi
     factors = {0: 1.0, 1: 2 / 3, 2: 1 / 4, 3: 0.0}
@@ -153,7 +153,7 @@ def test_diffuse_light_of_spherical_harmonics(rng: torch.Generator) -> None:
 @pytest.mark.parametrize("roughness", [0.25, 0.7])
 def test_the_lobe_is_mitsubas(roughness: float, mitsuba_brdf: Callable, rng: torch.Generator) -> None:
     normals = draw_normals(rng, 6, facing=True)
-    to_light = directions(8, 16, dtype=torch.float64).flatten(1).T
+    to_light = texel_directions(8, 16, dtype=torch.float64).flatten(1).T
     weights = solid_angles(8, 16, dtype=torch.float64).expand(8, 16).flatten()
     plugin = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": roughness**2}
     for normal, row in zip(normals, glossy_transfer(normals, roughness, 8, 16), strict=True):
@@ -167,7 +167,7 @@ def test_the_lobe_is_mitsubas(roughness: float, mitsuba_brdf: Callable, rng: tor
 
 def test_samples_within_a_texel_are_texels_of_a_finer_map(rng: torch.Generator) -> None:
     normals, maps = draw_normals(rng, facing=True), draw_maps(rng, 8, 16)
-    finer = shine(glossy_transfer(normals, 0.3, 24, 48), resample(maps, 24, 48))
+    finer = shine(glossy_transfer(normals, 0.3, 24, 48), resample_maps(maps, 24, 48))
     torch.testing.assert_close(shine(glossy_transfer(normals, 0.3, 8, 16, samples=3), maps), finer)
 
 
@@ -175,6 +175,6 @@ def test_samples_within_a_texel_are_texels_of_a_finer_map(rng: torch.Generator) 
 
 
 def test_a_direction_lies_in_the_texel_that_it_is_the_centre_of() -> None:
-    found = texel_of(directions(8, 16), 8, 16)
+    found = texel_index(texel_directions(8, 16), 8, 16)
     assert torch.equal(found, torch.arange(8 * 16).reshape(8, 16))
-    assert int(texel_of(torch.tensor([0.0, -1.0, 0.0]), 8, 16)) // 16 == 7  # the pole below
+    assert int(texel_index(torch.tensor([0.0, -1.0, 0.0]), 8, 16)) // 16 == 7  # the pole below

@@ -11,9 +11,9 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, interpolate
 
 from data_tools.synthetic.texture import synthetic_tasks
-from metapp.appearance.lines import MOST_ADDED, SMALLEST_PX, compare_lines
-from metapp.appearance.quilting import quilted
-from metapp.apps.texture.presenter import LEAST_LINES
+from metapp.appearance.lines import SEAM_STRENGTH_RATIO, SMALLEST_SIDE_PX, compare_lines
+from metapp.appearance.quilting import quilt
+from metapp.apps.texture.presenter import MIN_LINE_STRENGTH
 
 SIDE = 256
 
@@ -136,7 +136,7 @@ LIKE = ("planks", "cells", "knit", "spots")  # whose parts are alike; threads an
 def speaks(exemplar: Tensor, made: Tensor) -> bool:
     """Return True if fits would say that a texture breaks lines or shows seams."""
     lines = compare_lines(exemplar, made)
-    return lines.kept < LEAST_LINES or lines.added > MOST_ADDED
+    return lines.kept < MIN_LINE_STRENGTH or lines.added > SEAM_STRENGTH_RATIO
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -158,7 +158,7 @@ def test_a_texture_that_is_moved_and_repeated_is_intact(name: str, seed: int) ->
 @pytest.mark.parametrize("name", LINES)
 def test_lines_in_pieces_are_told(name: str, seed: int) -> None:
     exemplar, _ = drawn(name, seed)
-    assert compare_lines(exemplar, chopped(exemplar, Generator().manual_seed(seed))).kept < LEAST_LINES
+    assert compare_lines(exemplar, chopped(exemplar, Generator().manual_seed(seed))).kept < MIN_LINE_STRENGTH
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -166,7 +166,7 @@ def test_lines_in_pieces_are_told(name: str, seed: int) -> None:
 def test_noise_of_the_same_spectrum_is_told(name: str, seed: int) -> None:
     """Joints, cracks and scratches become noise, though no wave is stronger or weaker."""
     exemplar, _ = drawn(name, seed)
-    assert compare_lines(exemplar, scattered(exemplar, Generator().manual_seed(seed))).kept < LEAST_LINES
+    assert compare_lines(exemplar, scattered(exemplar, Generator().manual_seed(seed))).kept < MIN_LINE_STRENGTH
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -182,8 +182,8 @@ def test_seams_of_a_quilt_under_uneven_light_are_told(seed: int) -> None:
     uneven = exemplar + torch.linspace(-0.2, 0.2, SIDE)[:, None]
     for photo, seams in ((exemplar, False), (uneven, True)):
         numbers, pixels = np.random.default_rng(seed), photo.movedim(0, -1).numpy()
-        made = quilted(pixels, (SIDE, SIDE), numbers, block=64, overlap=10, tiles=True)
-        assert (compare_lines(photo, torch.from_numpy(made).movedim(-1, 0)).added > MOST_ADDED) == seams
+        made = quilt(pixels, (SIDE, SIDE), numbers, block=64, overlap=10, tiles=True)
+        assert (compare_lines(photo, torch.from_numpy(made).movedim(-1, 0)).added > SEAM_STRENGTH_RATIO) == seams
 
 
 @pytest.mark.parametrize("change", [chopped, scattered])
@@ -203,8 +203,8 @@ def test_synthetic_photographs_are_intact_as_they_are_and_broken_in_pieces() -> 
 
 def test_nothing_is_said_of_small_pictures_and_of_flat_exemplars() -> None:
     exemplar, other = drawn("planks")
-    small = other[:, : SMALLEST_PX - 1]
+    small = other[:, : SMALLEST_SIDE_PX - 1]
     flat = torch.full_like(exemplar, 0.4)
     for pair in ((exemplar, small), (small, exemplar), (flat, exemplar), (flat, flat)):
         assert all(math.isnan(value) for value in compare_lines(*pair))
-    assert compare_lines(exemplar, flat).kept < LEAST_LINES
+    assert compare_lines(exemplar, flat).kept < MIN_LINE_STRENGTH

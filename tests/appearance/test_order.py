@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import order
-from metapp.appearance.quilting import PHASE_PX, quilted
+from metapp.appearance.quilting import PHASE_TOLERANCE_PX, quilt
 
 SIZE = 128
 Vectors = tuple[tuple[float, float], tuple[float, float]]
@@ -37,7 +37,7 @@ def periodic(vectors: Vectors, generator: torch.Generator, offset: tuple[float, 
     ],
 )
 def test_lattice_of_a_periodic_picture_is_found(vectors: Vectors) -> None:
-    found = order.lattice_of(periodic(vectors, torch.Generator().manual_seed(3)))
+    found = order.find_lattice(periodic(vectors, torch.Generator().manual_seed(3)))
     assert found.score > 0.4
     known = torch.tensor(vectors, dtype=torch.float64)
     times = torch.linalg.solve(known.T, found.vectors.T)  # whole numbers of periods
@@ -50,25 +50,25 @@ def test_pictures_without_order_have_none() -> None:
     for blurred in (0, 3, 9):
         noise = torch.rand(3, SIZE, SIZE, generator=generator)
         noise = torch.nn.functional.avg_pool2d(noise, 2 * blurred + 1, 1, blurred, count_include_pad=False)
-        assert order.lattice_of(noise).score < order.LEAST_SCORE
-    assert order.lattice_of(torch.full((3, SIZE, SIZE), 0.4)).score < 0
+        assert order.find_lattice(noise).score < order.MIN_LATTICE_SCORE
+    assert order.find_lattice(torch.full((3, SIZE, SIZE), 0.4)).score < 0
 
 
 def test_order_kept_is_one_for_as_much_order_and_none_for_noise() -> None:
     generator = torch.Generator().manual_seed(5)
     vectors = ((16.0, 0.0), (5.0, 21.0))
-    exemplar = order.lattice_of(periodic(vectors, generator))
-    assert order.order_kept(exemplar, periodic(vectors, generator, (7.3, 14.6))) == pytest.approx(1, abs=0.1)
-    assert order.order_kept(exemplar, torch.rand(3, SIZE, SIZE, generator=generator)) < 0.15
+    exemplar = order.find_lattice(periodic(vectors, generator))
+    assert order.kept_order_share(exemplar, periodic(vectors, generator, (7.3, 14.6))) == pytest.approx(1, abs=0.1)
+    assert order.kept_order_share(exemplar, torch.rand(3, SIZE, SIZE, generator=generator)) < 0.15
     half = (periodic(vectors, generator) + torch.rand(3, SIZE, SIZE, generator=generator)) / 2
-    assert 0.15 < order.order_kept(exemplar, half) < 0.9
-    nothing = order.lattice_of(torch.rand(3, SIZE, SIZE, generator=generator))
-    assert math.isnan(order.order_kept(nothing, periodic(vectors, generator)))
+    assert 0.15 < order.kept_order_share(exemplar, half) < 0.9
+    nothing = order.find_lattice(torch.rand(3, SIZE, SIZE, generator=generator))
+    assert math.isnan(order.kept_order_share(nothing, periodic(vectors, generator)))
 
 
 def test_flattened_photos_have_one_brightness() -> None:
     ramp = torch.linspace(0.2, 0.8, SIZE).expand(3, SIZE, SIZE)
-    flat = order.flattened(ramp)
+    flat = order.even_out_brightness(ramp)
     assert float(flat[..., 32:-32].std()) < 0.02 < float(ramp[..., 32:-32].std())
     assert float(flat.mean()) == pytest.approx(0.5, abs=0.03)
 
@@ -78,13 +78,13 @@ def test_levelled_pictures_lose_slow_changes_alone() -> None:
     slow = torch.stack([0.2 * x, 0.1 * y * y - 0.1 * x, 0.3 * x * y])
     waves = torch.sin(2 * math.pi * torch.arange(SIZE) / 8).expand(3, SIZE, SIZE)
     torch.testing.assert_close(
-        order.levelled(0.5 + slow + waves),
-        order.levelled(0.5 + waves) + slow.mean((1, 2))[:, None, None],
+        order.remove_quadratic_trend(0.5 + slow + waves),
+        order.remove_quadratic_trend(0.5 + waves) + slow.mean((1, 2))[:, None, None],
         atol=1e-5,
         rtol=0,
     )
-    torch.testing.assert_close(order.levelled(waves), waves, atol=0.1, rtol=0)
-    assert float(order.levelled(0.5 + slow).std((1, 2)).max()) < 1e-5
+    torch.testing.assert_close(order.remove_quadratic_trend(waves), waves, atol=0.1, rtol=0)
+    assert float(order.remove_quadratic_trend(0.5 + slow).std((1, 2)).max()) < 1e-5
 
 
 def test_a_slope_without_peaks_ends_the_search_of_a_vector() -> None:
@@ -92,7 +92,7 @@ def test_a_slope_without_peaks_ends_the_search_of_a_vector() -> None:
     y, x = torch.meshgrid(torch.arange(-SIZE, SIZE), torch.arange(-SIZE, SIZE), indexing="ij")
     cone = torch.exp(-(y * y + x * x).double().sqrt() / 100)
     vector = order._refined(cone, 0, 8)
-    assert float((vector - torch.tensor([0.0, 8.0])).abs().max()) <= order.SHIFT_PX
+    assert float((vector - torch.tensor([0.0, 8.0])).abs().max()) <= order.MAX_PEAK_SHIFT_PX
 
 
 # Image quilting
@@ -113,7 +113,7 @@ def steepest(picture: np.ndarray) -> float:
 @pytest.mark.parametrize("tiles", [False, True])
 def test_a_picture_is_made_of_pixels_of_the_exemplar(tiles: bool) -> None:
     exemplar = np.random.default_rng(1).random((20, 24, 3)).astype(np.float32)
-    made = quilted(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2, tiles=tiles)
+    made = quilt(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2, tiles=tiles)
     assert made.shape == (33, 41, 3)
     assert made.dtype == np.float32
     assert {*map(tuple, made.reshape(-1, 3).tolist())} <= {*map(tuple, exemplar.reshape(-1, 3).tolist())}
@@ -123,7 +123,7 @@ def test_a_picture_is_made_of_pixels_of_the_exemplar(tiles: bool) -> None:
 def test_what_repeats_is_quilted_without_seams(size: tuple[int, int]) -> None:
     """Of sizes that its period divides; across the edges where it tiles."""
     exemplar = waves()
-    made = quilted(exemplar, size, np.random.default_rng(0), block=12, overlap=4, tiles=True)
+    made = quilt(exemplar, size, np.random.default_rng(0), block=12, overlap=4, tiles=True)
     assert steepest(made) <= 1.01 * steepest(exemplar)
 
 
@@ -132,13 +132,13 @@ def test_blocks_are_in_phase_with_the_lattice() -> None:
     side, period = 48, 8.0
     places = np.stack([*np.indices((side, side)), np.zeros((side, side))], 2).astype(float)
     frequencies = np.array([[1 / period, 0.0], [0.0, 1 / period]])
-    made = quilted(places, (64, 64), np.random.default_rng(0), block=16, overlap=4, frequencies=frequencies)
+    made = quilt(places, (64, 64), np.random.default_rng(0), block=16, overlap=4, frequencies=frequencies)
     shifts = made[..., :2] - places_of(64)
     beside = (shifts - shifts[0, 0]) / period
-    assert float(np.hypot(*np.moveaxis(beside - beside.round(), 2, 0)).max()) * period <= PHASE_PX
-    free = quilted(places, (64, 64), np.random.default_rng(0), block=16, overlap=4)[..., :2] - places_of(64)
+    assert float(np.hypot(*np.moveaxis(beside - beside.round(), 2, 0)).max()) * period <= PHASE_TOLERANCE_PX
+    free = quilt(places, (64, 64), np.random.default_rng(0), block=16, overlap=4)[..., :2] - places_of(64)
     beside = (free - free[0, 0]) / period
-    assert float(np.hypot(*np.moveaxis(beside - beside.round(), 2, 0)).max()) * period > PHASE_PX
+    assert float(np.hypot(*np.moveaxis(beside - beside.round(), 2, 0)).max()) * period > PHASE_TOLERANCE_PX
 
 
 def places_of(side: int) -> np.ndarray:

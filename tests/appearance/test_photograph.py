@@ -10,38 +10,38 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.latlong import directions, glossy_transfer, sphere_normals
+from metapp.appearance.latlong import glossy_transfer, sphere_normals, texel_directions
 from metapp.appearance.photograph import (
-    ROUGHNESSES,
-    Camera,
-    Material,
+    GLOSS_ROUGHNESSES,
+    CameraCurves,
+    SphereMaterials,
     develop,
-    draw_camera,
+    draw_camera_curves,
     exposures,
-    mirror,
-    photograph,
+    photograph_spheres,
+    render_mirror_spheres,
 )
-from metapp.appearance.photograph import shade as shade_all
+from metapp.appearance.photograph import render_material_spheres as shade_all
 
 WHITE = torch.ones(3)
 
 
-def material(albedo: Tensor, specular: float, roughness: float) -> Material:
+def material(albedo: Tensor, specular: float, roughness: float) -> SphereMaterials:
     """One of gloss of one roughness."""
-    parts = torch.tensor([[float(each == roughness) for each in ROUGHNESSES]])
-    return Material(albedo[None], torch.tensor([specular]), parts)
+    parts = torch.tensor([[float(each == roughness) for each in GLOSS_ROUGHNESSES]])
+    return SphereMaterials(albedo[None], torch.tensor([specular]), parts)
 
 
-def gloss(roughness: float) -> Material:
+def gloss(roughness: float) -> SphereMaterials:
     """No body, all gloss."""
     return material(torch.zeros(3), 1.0, roughness)
 
 
-def shade(light: Tensor, of: Material, size: int) -> Tensor:
+def render_material_spheres(light: Tensor, of: SphereMaterials, size: int) -> Tensor:
     """One picture [3, size, size], by the one roughness that the gloss has."""
     kind = int(of.gloss.argmax())
     single = of._replace(gloss=of.gloss[:, kind : kind + 1])
-    return shade_all(light[None], single, size, ROUGHNESSES[kind : kind + 1])[0]
+    return shade_all(light[None], single, size, GLOSS_ROUGHNESSES[kind : kind + 1])[0]
 
 
 def seeded(seed: int) -> torch.Generator:
@@ -50,7 +50,7 @@ def seeded(seed: int) -> torch.Generator:
 
 def photographs(light: Tensor, seed: int, count: int = 4, size: int = 16) -> Tensor:
     """Some of one map, uint8."""
-    return (photograph(light.expand(count, -1, -1, -1), seeded(seed), size) * 255).round().to(torch.uint8)
+    return (photograph_spheres(light.expand(count, -1, -1, -1), seeded(seed), size) * 255).round().to(torch.uint8)
 
 
 def draw_map(rng: torch.Generator, height: int = 64) -> Tensor:
@@ -59,7 +59,7 @@ def draw_map(rng: torch.Generator, height: int = 64) -> Tensor:
 
 def sky(height: int, width: int) -> Tensor:
     """A smooth map without any symmetry, [3, height, width], of directions alone."""
-    return smooth(directions(height, width))
+    return smooth(texel_directions(height, width))
 
 
 def smooth(towards: Tensor) -> Tensor:
@@ -70,32 +70,32 @@ def smooth(towards: Tensor) -> Tensor:
 # What a sphere sends to the camera
 
 
-@pytest.mark.parametrize("roughness", ROUGHNESSES)
+@pytest.mark.parametrize("roughness", GLOSS_ROUGHNESSES)
 def test_furnace(roughness: float) -> None:
-    picture = shade(torch.ones(3, 64, 128), material(WHITE, 0.3, roughness), 16)
+    picture = render_material_spheres(torch.ones(3, 64, 128), material(WHITE, 0.3, roughness), 16)
     mask = sphere_normals(16)[1]
     torch.testing.assert_close(picture, mask.expand(3, 16, 16).float(), atol=1e-5, rtol=0)
     with pytest.raises(ValueError, match="15 px, expected an even number"):
-        shade(torch.ones(3, 64, 128), material(WHITE, 0.3, roughness), 15)
+        render_material_spheres(torch.ones(3, 64, 128), material(WHITE, 0.3, roughness), 15)
 
 
 @pytest.mark.parametrize("specular", [0.0, 0.04, 0.5])
 def test_gloss_rises_to_the_rim_by_schlick(specular: float) -> None:
     """Under light of 1 from everywhere, a black body shows the share of its gloss alone: F + (1 - F) (1 - cos)^5."""
     normals, mask = sphere_normals(32)
-    picture = shade(torch.ones(3, 64, 128), material(torch.zeros(3), specular, 0.54), 32)
+    picture = render_material_spheres(torch.ones(3, 64, 128), material(torch.zeros(3), specular, 0.54), 32)
     expected = (specular + (1 - specular) * (1 - normals[2].double()) ** 5) * mask * (specular > 0)
     torch.testing.assert_close(picture.double(), expected.expand(3, -1, -1), atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("roughness", ROUGHNESSES)
+@pytest.mark.parametrize("roughness", GLOSS_ROUGHNESSES)
 def test_the_matrices_are_fine_enough(roughness: float) -> None:
     # Against all texels of the map, each looked at in 9 places.
     normals, mask = sphere_normals(16)
     some = mask & (torch.arange(256).reshape(16, 16) % 9 == 0)
     light = sky(64, 128)
     lobe = glossy_transfer(normals[:, some].T, roughness, 64, 128, samples=3)
-    fine, coarse = light.flatten(1) @ lobe.T, shade(light, gloss(roughness), 16)[:, some]
+    fine, coarse = light.flatten(1) @ lobe.T, render_material_spheres(light, gloss(roughness), 16)[:, some]
     assert (coarse - fine).abs().max() < 0.02 * fine.max()
 
 
@@ -135,7 +135,8 @@ def test_the_picture_is_mitsubas(mitsuba_sphere: Callable) -> None:
     inside = normals[2] > 0.7  # a pixel is nearly what its centre is, and masking loses little
     for name, (bsdf, of) in bodies.items():
         ours, theirs = (
-            each[:, inside] for each in (shade(sky(64, 128), of, 16), mitsuba_sphere({"type": name, **bsdf}, 16))
+            each[:, inside]
+            for each in (render_material_spheres(sky(64, 128), of, 16), mitsuba_sphere({"type": name, **bsdf}, 16))
         )
         assert (ours - theirs).abs().mean() < 0.06 * theirs.mean(), name  # noise
         torch.testing.assert_close(ours.mean(-1), theirs.mean(-1), rtol=0.02, atol=0)
@@ -147,8 +148,8 @@ def test_the_picture_is_mitsubas(mitsuba_sphere: Callable) -> None:
 @pytest.mark.parametrize("level", [0.4, 0.9])
 def test_nine_tenths_of_the_sphere_are_exposed_below_the_level(level: float, rng: torch.Generator) -> None:
     light = draw_map(rng).mean(0, keepdim=True).expand(3, -1, -1)
-    radiance = shade(light, material(WHITE, 0.0, 0.54), 32)[None]
-    camera = Camera(exposures(radiance, torch.tensor([level])), torch.ones(1), torch.zeros(1))
+    radiance = render_material_spheres(light, material(WHITE, 0.0, 0.54), 32)[None]
+    camera = CameraCurves(exposures(radiance, torch.tensor([level])), torch.ones(1), torch.zeros(1))
     display = develop(radiance, camera)[0].clamp_max(1)  # by sRGB's curve
     mask = sphere_normals(32)[1]
     linear = srgb_to_linear(display[0, mask])
@@ -159,7 +160,7 @@ def test_nine_tenths_of_the_sphere_are_exposed_below_the_level(level: float, rng
 def test_curves_rise_from_black_and_go_on_above_white(rng: torch.Generator) -> None:
     """What a picture clips, a gradient still pulls down."""
     ramp = (torch.linspace(0, 1, 32 * 32) ** 20).reshape(1, 32, 32).expand(20, 3, -1, -1).clone().requires_grad_()
-    display = develop(ramp, draw_camera(torch.rand(20, 3, generator=rng), ramp.detach()))
+    display = develop(ramp, draw_camera_curves(torch.rand(20, 3, generator=rng), ramp.detach()))
     curves = display[:, 0].flatten(1)
     assert (curves[:, 0] == 0).all()
     assert (curves.diff() >= -1e-6).all()
@@ -193,12 +194,12 @@ def test_draws_and_that_the_scale_of_a_map_does_not_matter(rng: torch.Generator)
 
 
 def test_a_mirror_shows_the_map_where_it_reflects_the_view() -> None:
-    towards = directions(256, 512)
-    seen = mirror((towards + 1)[None], 32)[0] - 1
+    towards = texel_directions(256, 512)
+    seen = render_mirror_spheres((towards + 1)[None], 32)[0] - 1
     normals, mask = sphere_normals(32)
     inside = normals[2] > 0.4
     reflected = 2 * normals[2] * normals - torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     assert (seen - reflected)[:, inside].abs().max() < 0.02  # texels, and curvature within a pixel
     assert (seen[:, ~mask] == -1).all()
-    assert torch.equal(mirror(torch.ones(1, 3, 16, 32), 16)[0, 0] > 0, sphere_normals(16)[1])
-    torch.testing.assert_close(mirror(torch.ones(1, 3, 16, 32), 16).amax(), torch.ones(()))
+    assert torch.equal(render_mirror_spheres(torch.ones(1, 3, 16, 32), 16)[0, 0] > 0, sphere_normals(16)[1])
+    torch.testing.assert_close(render_mirror_spheres(torch.ones(1, 3, 16, 32), 16).amax(), torch.ones(()))

@@ -15,7 +15,7 @@ from data_tools.synthetic.interfaces import (
     rough_transmittance,
     smith_masking,
 )
-from metapp.appearance.geometry import above_horizon, direction_cosines, gauss_legendre, rusinkiewicz_to_directions
+from metapp.appearance.geometry import direction_cosines, gauss_legendre, is_above_horizon, rusinkiewicz_to_directions
 from metapp.appearance.reflection import (
     Fresnel,
     MicrofacetKind,
@@ -136,7 +136,7 @@ def test_microfacets_agree_with_mitsuba(
 ) -> None:
     angles = random_angles(500)
     angles[::2, 0] *= 0.2  # half of them near the peak
-    wi, wo = rusinkiewicz_to_directions(angles[above_horizon(angles)])
+    wi, wo = rusinkiewicz_to_directions(angles[is_above_horizon(angles)])
     metal = {"type": "roughconductor", "eta": 0.4, "k": 2.4}
     coat = {"type": "roughplastic", "int_ior": 1.5, "ext_ior": 1.0, "diffuse_reflectance": 0.0}
     for plugin, fresnel in ((metal, lambda cos: fresnel_conductor(cos, 0.4, 2.4)), (coat, glass)):

@@ -10,14 +10,14 @@ from torch import Tensor
 
 from data_tools.synthetic.interfaces import rough_reflectance
 from metapp.appearance.geometry import (
-    above_horizon,
-    cosines,
+    angle_cosines,
     directions_to_rusinkiewicz,
-    half_difference,
+    half_difference_vectors,
+    is_above_horizon,
     rusinkiewicz_to_directions,
 )
 from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe
-from metapp.appearance.sphere import SphereScene, environment, environment_scene, reference_scene, shade_sphere
+from metapp.appearance.sphere import SphereScene, environment_radiance, environment_scene, reference_scene, shade_sphere
 from metapp.storage import cache as cache_files
 
 KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
@@ -32,14 +32,16 @@ def scene() -> SphereScene:
 def test_only_light_above_the_horizon_counts(scene: SphereScene) -> None:
     lit = scene.weights.amax(-1) > 0
     assert (scene.weights >= 0).all()
-    assert above_horizon(scene.angles[lit]).all()
+    assert is_above_horizon(scene.angles[lit]).all()
     assert scene.angles.shape[1] == 103
     assert scene.angles.isfinite().all()
 
 
 def test_shading_is_the_weighted_sum_in_chunks_of_any_size(scene: SphereScene) -> None:
     def glossy(angles: Tensor) -> Tensor:
-        return microfacet_lobe(cosines(angles), 0.2, lambda cos: fresnel_schlick(cos, cos.new_tensor([0.9, 0.6, 0.3])))
+        return microfacet_lobe(
+            angle_cosines(angles), 0.2, lambda cos: fresnel_schlick(cos, cos.new_tensor([0.9, 0.6, 0.3]))
+        )
 
     image = shade_sphere(scene, glossy, chunk=1001)
     direct = (scene.weights * glossy(scene.angles)).sum(1) * scene.coverage[scene.mask][:, None]
@@ -53,7 +55,7 @@ def test_the_sky_integrates_lobes_of_any_width() -> None:
     angles, weights = (part[centre, -42:].double() for part in (scene.angles, scene.weights))
     levels = []
     for kind, alpha in [(kind, alpha) for kind in KINDS for alpha in ALPHAS]:
-        lobe = microfacet_lobe(cosines(angles), alpha, torch.ones_like, kind)
+        lobe = microfacet_lobe(angle_cosines(angles), alpha, torch.ones_like, kind)
         albedo = rough_reflectance(torch.ones(1, dtype=torch.float64), alpha, torch.ones_like, kind)
         levels.append((weights * lobe).sum() / albedo.sum())
     assert max(levels) < 1.1 * min(levels)
@@ -67,7 +69,7 @@ def test_the_environments_irradiance_is_that_of_a_fine_grid() -> None:
         indexing="ij",
     )
     grid = torch.stack([theta.sin() * phi.sin(), theta.cos(), -theta.sin() * phi.cos()], -1).reshape(-1, 3)
-    light = environment(grid) * (theta.sin() * (math.pi / 90) * (math.tau / 180)).reshape(-1, 1)
+    light = environment_radiance(grid) * (theta.sin() * (math.pi / 90) * (math.tau / 180)).reshape(-1, 1)
     scene = environment_scene()
     y, x = scene.mask.nonzero().T.double() + 0.5
     normal = torch.stack([x / 24 - 1, 1 - y / 24], -1) / 0.96
@@ -128,8 +130,8 @@ def test_angles_survive_the_way_to_directions_and_back(random_angles: RandomAngl
     angles = random_angles(above=False)
     wi, wo = rusinkiewicz_to_directions(angles)
     torch.testing.assert_close(directions_to_rusinkiewicz(wi, wo), angles, rtol=0, atol=1e-10)
-    assert torch.equal(above_horizon(angles), (wi[:, 2] > 0) & (wo[:, 2] > 0))
-    assert not above_horizon(angles).all()
+    assert torch.equal(is_above_horizon(angles), (wi[:, 2] > 0) & (wo[:, 2] > 0))
+    assert not is_above_horizon(angles).all()
 
 
 def test_swapping_or_turning_the_directions_changes_no_angle(rng: torch.Generator) -> None:
@@ -145,12 +147,12 @@ def test_swapping_or_turning_the_directions_changes_no_angle(rng: torch.Generato
 def test_half_and_difference_vectors_are_what_their_names_say(random_angles: RandomAngles) -> None:
     angles = random_angles()
     wi, wo = rusinkiewicz_to_directions(angles)
-    half, difference = half_difference(angles).split(3, -1)
+    half, difference = half_difference_vectors(angles).split(3, -1)
     torch.testing.assert_close(half, torch.nn.functional.normalize(wi + wo, dim=-1), rtol=0, atol=1e-10)
     torch.testing.assert_close((wi * half).sum(-1), angles[:, 1].cos())
     torch.testing.assert_close((wo * half).sum(-1), angles[:, 1].cos())
     torch.testing.assert_close(difference.norm(dim=-1), torch.ones(len(angles), dtype=torch.float64))
-    at = cosines(angles)
+    at = angle_cosines(angles)
     torch.testing.assert_close(at.incident, wi[:, 2], rtol=0, atol=1e-12)
     torch.testing.assert_close(at.outgoing, wo[:, 2], rtol=0, atol=1e-12)
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.appearance.uniform import collapsed_fit, uniform_input
+from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
 
 SEEDS = range(20)
 BLACK, SAME = "the fit is black", "the fit is the same everywhere"
@@ -53,22 +53,22 @@ COLLAPSED: dict[str, tuple[Callable[[int], tuple[Tensor, Tensor]], str]] = {
 
 @pytest.mark.parametrize("name", SOUND)
 def test_nothing_is_said_of_sound_fits(name: str) -> None:
-    assert [collapsed_fit(*SOUND[name](seed)) for seed in SEEDS] == [[]] * len(SEEDS)
+    assert [collapsed_fit_warnings(*SOUND[name](seed)) for seed in SEEDS] == [[]] * len(SEEDS)
 
 
 @pytest.mark.parametrize("name", COLLAPSED)
 def test_a_collapsed_fit_is_said(name: str) -> None:
     make, said = COLLAPSED[name]
     for seed in SEEDS:
-        (clause,) = collapsed_fit(*make(seed))
+        (clause,) = collapsed_fit_warnings(*make(seed))
         assert clause.startswith(said)
         assert ";" not in clause  # which parts the clauses of a record
 
 
 def test_an_input_of_one_value_is_a_fact() -> None:
     for seed in SEEDS:
-        (clause,) = uniform_input(plain(seed).expand(3, 256), "reflectance in 1/sr")
+        (clause,) = uniform_input_remarks(plain(seed).expand(3, 256), "reflectance in 1/sr")
         assert clause.startswith("the input is one reflectance in 1/sr everywhere: 0.")
-        assert uniform_input(plain(seed, 0.02), "reflectance") == []
-        assert uniform_input(varied(seed, 1e-4), "reflectance") == []
-    assert uniform_input(torch.zeros(3, 9), "reflectance") == []  # which readers say
+        assert uniform_input_remarks(plain(seed, 0.02), "reflectance") == []
+        assert uniform_input_remarks(varied(seed, 1e-4), "reflectance") == []
+    assert uniform_input_remarks(torch.zeros(3, 9), "reflectance") == []  # which readers say

@@ -8,14 +8,14 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.nbrdf import export, nbrdf_evaluate, read_nbrdf
+from data_tools.readers.brdf_task import make_brdf_task
+from data_tools.readers.nbrdf import evaluate_nbrdf, export, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
-from metapp.appearance.geometry import cosines
+from metapp.appearance.geometry import angle_cosines
 from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.nbrdf import KNOTS
-from metapp.learning.app import stack
+from metapp.apps.brdf.nbrdf import WEIGHT_KNOTS
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Batch, Params, Task, Tasks
 
 APP = Brdf()
@@ -25,12 +25,12 @@ SAMPLES = 512
 
 @pytest.fixture(scope="module")
 def materials() -> list[Task]:
-    return [brdf_task(each.name, each.evaluate, samples=SAMPLES) for each in synthetic_materials("train", 4)]
+    return [make_brdf_task(each.name, each.evaluate, samples=SAMPLES) for each in synthetic_materials("train", 4)]
 
 
 @pytest.fixture(scope="module")
 def tasks(materials: list[Task]) -> Tasks:
-    return stack(APP, materials)
+    return stack_tasks(APP, materials)
 
 
 @pytest.fixture
@@ -77,9 +77,9 @@ def test_init_of_the_papers_recipe() -> None:
 
 def test_losses_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
     """Plain, smoothed, and of weighted samples."""
-    rounding, knots = torch.tensor([0.3, 0.1, 0.01, 1.0]), torch.randn(4, KNOTS, generator=rng)
+    rounding, knots = torch.tensor([0.3, 0.1, 0.01, 1.0]), torch.randn(4, WEIGHT_KNOTS, generator=rng)
     loss = APP.loss(theta, batch, {})
-    smooth = APP.loss(theta, batch, {"smoothing": rounding.log(), "weights": torch.zeros(4, KNOTS)})
+    smooth = APP.loss(theta, batch, {"smoothing": rounding.log(), "weights": torch.zeros(4, WEIGHT_KNOTS)})
     weighted = APP.loss(theta, batch, {"smoothing": torch.full((4,), -20.0), "weights": knots})
     assert loss.shape == (4,)
     assert (smooth < loss).all()
@@ -88,7 +88,7 @@ def test_losses_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
         np.testing.assert_allclose(float(loss[task]), d.mean(), rtol=1e-5)
         np.testing.assert_allclose(float(smooth[task]), (np.sqrt(d * d + s * s) - s).mean(), rtol=1e-4)
         theta_h = np.arccos(batch["where"][task, 2].clamp(-1, 1).numpy())
-        weight = np.exp(np.interp(theta_h, np.linspace(0, math.pi / 2, KNOTS), knots[task].numpy()))
+        weight = np.exp(np.interp(theta_h, np.linspace(0, math.pi / 2, WEIGHT_KNOTS), knots[task].numpy()))
         np.testing.assert_allclose(float(weighted[task]), (d * weight).mean(), rtol=1e-4)
 
 
@@ -99,9 +99,9 @@ def test_same_as_the_published_network(theta: Params, materials: list[Task], tas
     for task, material in enumerate(materials):
         one = {key: value[task] for key, value in theta.items()}
         export(APP, one, tmp_path / material.name)
-        published = nbrdf_evaluate(read_nbrdf(tmp_path / material.name), angles)
+        published = evaluate_nbrdf(read_nbrdf(tmp_path / material.name), angles)
         torch.testing.assert_close(APP.reflectance(one, angles), published, rtol=1e-5, atol=1e-5)
-        cosine, truth = cosines(angles).incident[held_out, None], material.data["reflectance"][held_out]
+        cosine, truth = angle_cosines(angles).incident[held_out, None], material.data["reflectance"][held_out]
         error = (torch.log1p(published[held_out] * cosine) - torch.log1p(truth * cosine)).abs().mean()
         torch.testing.assert_close(error, errors[task], rtol=1e-4, atol=1e-7)
 

@@ -9,21 +9,21 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.brdf_objects import task_of_object
-from data_tools.readers.brdf_task import brdf_task, is_anisotropic
+from data_tools.readers.brdf_task import depends_on_phi_h, make_brdf_task
 from data_tools.readers.measured_pairs import task_of_pairs
 from data_tools.synthetic.brdf import synthetic_materials
-from data_tools.synthetic.brdf_anisotropic import UNSEEN, anisotropic_materials
-from data_tools.synthetic.brdf_anisotropic_models import albedo
+from data_tools.synthetic.brdf_anisotropic import TEST_ONLY_FAMILIES, anisotropic_materials
+from data_tools.synthetic.brdf_anisotropic_models import anisotropic_directional_albedo
 from metapp.appearance.geometry import (
     directions_to_four_angles,
-    directions_to_full_circle,
-    half_difference,
+    directions_to_full_rusinkiewicz,
+    half_difference_vectors,
+    rotate_about_normal,
     rusinkiewicz_to_directions,
-    turned_about_normal,
 )
-from metapp.apps.brdf.anisotropic import axes_of, inputs_of
+from metapp.apps.brdf.anisotropic import anisotropic_inputs, find_axes
 from metapp.apps.brdf.app import Brdf
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from tests import anisotropic
 from tests.anisotropic import APP, TURN, brushed, brushed_directions, directions, measured
@@ -36,9 +36,9 @@ def test_four_angles_give_the_directions_back() -> None:
     angles = directions_to_four_angles(wi, wo)
     for found, expected in zip(rusinkiewicz_to_directions(angles), (wi, wo), strict=True):
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
-    torch.testing.assert_close(angles[:, :3], directions_to_full_circle(wi, wo))
+    torch.testing.assert_close(angles[:, :3], directions_to_full_rusinkiewicz(wi, wo))
     total = wi + wo
-    torch.testing.assert_close(half_difference(angles)[:, :3], total / total.norm(dim=1, keepdim=True))
+    torch.testing.assert_close(half_difference_vectors(angles)[:, :3], total / total.norm(dim=1, keepdim=True))
     up = torch.tensor([[0.0, 0.0, 1.0]])
     assert directions_to_four_angles(up, up)[0, 3] == 0
 
@@ -49,11 +49,11 @@ def test_inputs_are_reciprocal_and_turn_with_the_material() -> None:
         APP.prepare(task_at(directions_to_four_angles(*pair)))["where"] for pair in ((wi, wo), (wo, wi))
     )
     turn, none = torch.full((1, 1), 0.4), torch.zeros(1, 1)
-    first = inputs_of(where.T[None], none)
-    torch.testing.assert_close(first, inputs_of(exchanged.T[None], none), rtol=1e-3, atol=1e-4)
-    around = torch.cat([turned_about_normal(where[:, :3], turn[0]), where[:, 3:]], 1).T[None]
-    torch.testing.assert_close(first, inputs_of(around, turn), rtol=1e-3, atol=1e-4)
-    assert float((first - inputs_of(around, none)).abs().max()) > 0.1
+    first = anisotropic_inputs(where.T[None], none)
+    torch.testing.assert_close(first, anisotropic_inputs(exchanged.T[None], none), rtol=1e-3, atol=1e-4)
+    around = torch.cat([rotate_about_normal(where[:, :3], turn[0]), where[:, 3:]], 1).T[None]
+    torch.testing.assert_close(first, anisotropic_inputs(around, turn), rtol=1e-3, atol=1e-4)
+    assert float((first - anisotropic_inputs(around, none)).abs().max()) > 0.1
 
 
 def task_at(angles: Tensor) -> Task:
@@ -64,8 +64,8 @@ def task_at(angles: Tensor) -> Task:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_axes_are_found_in_samples(seed: int) -> None:
-    batch = APP.sample(stack(APP, [anisotropic.task()]), torch.Generator().manual_seed(seed), 1024)
-    assert float(axes_of(batch)) == pytest.approx(TURN, abs=0.05)
+    batch = APP.sample(stack_tasks(APP, [anisotropic.task()]), torch.Generator().manual_seed(seed), 1024)
+    assert float(find_axes(batch)) == pytest.approx(TURN, abs=0.05)
 
 
 def test_a_fit_is_reciprocal_and_nearer_than_an_isotropic_one() -> None:
@@ -74,11 +74,11 @@ def test_a_fit_is_reciprocal_and_nearer_than_an_isotropic_one() -> None:
     torch.testing.assert_close(there, back, rtol=1e-3, atol=1e-4)
     assert there.isfinite().all()
     with torch.no_grad():
-        own = albedo(
+        own = anisotropic_directional_albedo(
             lambda *pair: APP.reflectance(theta, directions_to_four_angles(*pair).float()).double(), wi[:4], 24
         )
     assert own.max() < 1
-    tasks = stack(APP, [anisotropic.task()])
+    tasks = stack_tasks(APP, [anisotropic.task()])
     error = float(APP.errors({key: value[None] for key, value in theta.items()}, tasks)["error"])
     where, target = tasks.data["where"][0], tasks.data["target"][0]
     # the mean over phi_h is about the best that is isotropic: what remains is how far samples are from it
@@ -96,11 +96,11 @@ def test_synthetic_materials_are_reciprocal_and_lose_energy() -> None:
 
         torch.testing.assert_close(value(wi, wo), value(wo, wi), rtol=1e-6, atol=1e-9)
         assert value(wi, wo).min() >= 0
-        assert albedo(value, wi[:3], 64).max() < 1.01
-        assert is_anisotropic(material.evaluate)
+        assert anisotropic_directional_albedo(value, wi[:3], 64).max() < 1.01
+        assert depends_on_phi_h(material.evaluate)
     names = [{each.name.split("-")[0] for each in anisotropic_materials(split, 14)} for split in ("train", "test")]
-    assert names[1] - names[0] == set(UNSEEN)
-    assert not any(is_anisotropic(each.evaluate) for each in synthetic_materials("test", 8))
+    assert names[1] - names[0] == set(TEST_ONLY_FAMILIES)
+    assert not any(depends_on_phi_h(each.evaluate) for each in synthetic_materials("test", 8))
 
 
 def test_objects_say_by_themselves_whether_phi_h_counts() -> None:
@@ -137,7 +137,7 @@ def test_forms_without_phi_h_are_refused_in_one_line(metapp: Callable, tmp_path:
 
 
 def test_isotropic_tasks_are_fitted_at_random_azimuths() -> None:
-    task = brdf_task("plain", lambda angles: 0.1 + 0 * angles[..., :3], 256)
+    task = make_brdf_task("plain", lambda angles: 0.1 + 0 * angles[..., :3], 256)
     where = APP.prepare(task)["where"]
     assert float(where[:, 1].abs().max()) > 0.1
     torch.testing.assert_close(where[:, 6], Brdf().prepare(task)["where"][:, 6], rtol=0, atol=1e-5)

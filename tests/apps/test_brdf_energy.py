@@ -9,11 +9,11 @@ import torch
 from torch import Generator, Tensor
 
 import metapp
-from metapp.appearance.geometry import cosines, rusinkiewicz_to_directions, spread_angles
+from metapp.appearance.geometry import angle_cosines, quasirandom_angles, rusinkiewicz_to_directions
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.energy import albedo, conserving, quadrature
-from metapp.apps.brdf.nbrdf import NBRDF
-from metapp.apps.brdf.network import network_of
+from metapp.apps.brdf.energy import albedo, conserve_energy, quadrature
+from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
+from metapp.apps.brdf.network import find_network
 from metapp.apps.brdf.presenter import MIRROR_DEGREES, BrdfPresenter
 from metapp.learning.task import Task
 
@@ -32,7 +32,7 @@ def test_narrow_lobes_reflect_all(power: float) -> None:
     """Half vectors with the density cos^n theta_h (n + 1) / (2 pi), in normal light."""
 
     def lobe(angles: Tensor) -> Tensor:
-        c = cosines(angles.double())
+        c = angle_cosines(angles.double())
         density = (power + 1) / (2 * math.pi) * c.half**power
         return grey(density / (4 * c.difference * torch.minimum(c.incident, c.outgoing).clamp_min(1e-6)))
 
@@ -42,14 +42,14 @@ def test_narrow_lobes_reflect_all(power: float) -> None:
 def test_only_what_is_too_bright_changes() -> None:
     """A diffuse layer that is twice as bright as white, and one below: with what rises towards grazing angles."""
     angles, _ = quadrature()
-    c = cosines(angles)
+    c = angle_cosines(angles)
     steep = torch.minimum(c.incident, c.outgoing).arccos().flatten()
     features = torch.stack([torch.ones_like(steep), (steep / 1.5) ** 4, (steep / 1.5) ** 8])
     diffuse = math.log1p(0.9 / math.pi)
     dark = torch.tensor([[diffuse, 0.0, 0.0]] * 3)
-    assert torch.equal(conserving(features, dark), dark)
+    assert torch.equal(conserve_energy(features, dark), dark)
     rising = torch.tensor([[diffuse, 0.0, 2.0], [diffuse / 2, 0.0, 0.0], [0.1, 0.0, 0.0]])
-    limited = conserving(features, rising)
+    limited = conserve_energy(features, rising)
 
     def shares(layer: Tensor) -> Tensor:
         values = torch.expm1(layer.double() @ features).T.unflatten(0, angles.shape[:2])
@@ -62,7 +62,7 @@ def test_only_what_is_too_bright_changes() -> None:
 @pytest.fixture
 def bright() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of directions and a diffuse reflectance of 1.3 under a gloss."""
-    angles = spread_angles(4096).double()
+    angles = quasirandom_angles(4096).double()
     wi, wo = rusinkiewicz_to_directions(angles)
     values = 1.3 / math.pi + 0.5 * torch.exp(-((angles[:, 0] / 0.2) ** 2))
     return wi.numpy(), wo.numpy(), grey(values).numpy()
@@ -73,7 +73,7 @@ def test_fits_conserve_energy_where_asked(bright: tuple, paradigm: str, recipe: 
     options = {"paradigm": paradigm, "recipe": recipe} | ({"steps": 200} if paradigm == "overfit" else {})
     fits = [metapp.fit("brdf", bright, conserve=conserve, **options) for conserve in (False, True)]
     most = [
-        float(albedo(functools.partial(network_of(fit.parameters).evaluate, fit.parameters)).amax()) for fit in fits
+        float(albedo(functools.partial(find_network(fit.parameters).evaluate, fit.parameters)).amax()) for fit in fits
     ]
     assert most[0] > 1.2
     assert 0.9 < most[1] <= 1.001
@@ -87,7 +87,7 @@ MEASURED, BEYOND = 60, (65, 82)  # degrees
 
 def plastic(angles: Tensor, roughness: float, colour: tuple[float, float, float]) -> Tensor:
     """A colour under a clear coat: GGX with height-correlated masking, Fresnel after Schlick, F0 .04."""
-    c = cosines(angles)
+    c = angle_cosines(angles)
     alpha = roughness**2
     density = alpha**2 / (math.pi * (c.half**2 * (alpha**2 - 1) + 1) ** 2)
     masked = [((1 + alpha**2 * (1 / z**2 - 1)).sqrt() - 1) / 2 for z in (c.incident, c.outgoing)]
@@ -99,8 +99,8 @@ def plastic(angles: Tensor, roughness: float, colour: tuple[float, float, float]
 @pytest.mark.parametrize("colour", [(0.4, 0.2, 0.1), (0.05, 0.3, 0.1)])
 def test_colours_go_on_beyond_what_was_measured(roughness: float, colour: tuple[float, float, float]) -> None:
     """Fits trained on complete materials alone are off by .3 to 1.1 in the channels' log ratios, green rims."""
-    angles = spread_angles(16_000).double()
-    c = cosines(angles)
+    angles = quasirandom_angles(16_000).double()
+    c = angle_cosines(angles)
     steepest = torch.minimum(c.incident, c.outgoing).clamp(-1, 1).arccos().rad2deg()
     values = plastic(angles, roughness, colour)
     wi, wo = rusinkiewicz_to_directions(angles)
@@ -116,7 +116,7 @@ def test_colours_go_on_beyond_what_was_measured(roughness: float, colour: tuple[
     ("bias", "words"), [(0.5, "reflects 2.04 of the light"), (50.0, "reflects more than 100 times the light")]
 )
 def test_a_fit_that_reflects_too_much_says_so(bias: float, words: str) -> None:
-    presenter = BrdfPresenter(Brdf(NBRDF))
+    presenter = BrdfPresenter(Brdf(NBRDF_NETWORK))
     shapes = {"w1": (21, 6), "w2": (21, 21), "w3": (3, 21), "b1": (21, 1), "b2": (21, 1), "b3": (3, 1)}
     theta = {key: torch.zeros(shape) for key, shape in shapes.items()} | {"b3": torch.full((3, 1), bias)}
     task = Task("hot", {"angles": torch.rand(8, 3), "reflectance": torch.ones(8, 3)})
@@ -134,8 +134,8 @@ def test_a_highlight_that_no_sample_shows_is_said_so(seed: int) -> None:
     near = far.clone()
     one, share = int(torch.randint(count, (), generator=rng)), float(torch.rand((), generator=rng))
     near[one, 0] = math.radians(MIRROR_DEGREES) * share
-    presenter = BrdfPresenter(Brdf(NBRDF))
-    theta = {key: value[0] for key, value in NBRDF.init(rng, 1).items()}
+    presenter = BrdfPresenter(Brdf(NBRDF_NETWORK))
+    theta = {key: value[0] for key, value in NBRDF_NETWORK.init(rng, 1).items()}
 
     def note(angles: Tensor) -> str:
         task = Task("paint", {"angles": angles, "reflectance": torch.ones(2 * count, 3)})

@@ -6,20 +6,20 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.readers.brdf_task import brdf_task
-from metapp.appearance.geometry import cosines, half_difference, half_difference_incident
+from data_tools.readers.brdf_task import make_brdf_task
+from metapp.appearance.geometry import angle_cosines, half_difference_and_cosine, half_difference_vectors
 from metapp.apps.brdf.app import MANY_SAMPLES, Brdf
 from metapp.apps.brdf.augmentation import (
     FEWEST_SAMPLES,
-    MEASURED_RAD,
-    densities_of_samples,
+    MAX_MEASURED_RAD,
     draw_measurements,
-    within_reach,
+    is_reachable,
+    sample_densities,
 )
-from metapp.apps.brdf.featured import Featured, inputs_of
-from metapp.apps.brdf.network import COUNT, BrdfNetwork, network_of, shapes_of
+from metapp.apps.brdf.featured import Featured, isotropic_inputs
+from metapp.apps.brdf.network import COUNT_KEY, BrdfNetwork, find_network, parameter_shapes
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params, Tasks
@@ -47,12 +47,12 @@ def where() -> torch.Tensor:
     angles = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi]) * torch.rand(
         500, 3, generator=Generator().manual_seed(2)
     )
-    return torch.cat([half_difference(angles), cosines(angles).incident[:, None]], 1).T[None]
+    return torch.cat([half_difference_vectors(angles), angle_cosines(angles).incident[:, None]], 1).T[None]
 
 
 def tasks_of(theta: Params) -> Tasks:
     one = {key: value[0] for key, value in theta.items()}
-    return stack(APP, [brdf_task("made", lambda angles: APP.reflectance(one, angles), samples=4096)])
+    return stack_tasks(APP, [make_brdf_task("made", lambda angles: APP.reflectance(one, angles), samples=4096)])
 
 
 def test_inputs_are_reciprocal_and_mirror_images_alike(rng: Generator) -> None:
@@ -60,7 +60,7 @@ def test_inputs_are_reciprocal_and_mirror_images_alike(rng: Generator) -> None:
     angles = torch.rand(2000, 3, generator=rng, dtype=torch.float64) * torch.tensor([1.5, 1.5, math.tau])
 
     def inputs(angles: Tensor) -> Tensor:
-        return inputs_of(half_difference_incident(angles).T[None])
+        return isotropic_inputs(half_difference_and_cosine(angles).T[None])
 
     theta_h, theta_d, phi_d = angles.unbind(-1)
     for same in (-phi_d, phi_d + math.pi, math.pi - phi_d):
@@ -127,7 +127,7 @@ def test_few_samples_and_samples_that_are_missed_count_less(theta: Params) -> No
     few, missed = 0.8, 0.6
     learned["evidence"] = torch.tensor([[few, missed]])
     for count in (100.0, float(MANY_SAMPLES), 10.0 * MANY_SAMPLES):
-        weighted = APP.least_squares(changed, batch | {COUNT: torch.tensor([count])}, learned)
+        weighted = APP.least_squares(changed, batch | {COUNT_KEY: torch.tensor([count])}, learned)
         factor = (min(count, MANY_SAMPLES) / MANY_SAMPLES) ** few * (1 + plain.losses / 0.02) ** -missed
         torch.testing.assert_close(weighted.weights, plain.weights * factor[:, None])
         torch.testing.assert_close(weighted.losses, plain.losses)
@@ -144,10 +144,10 @@ def data() -> Params:
     rng = Generator().manual_seed(5)
     high = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
     angles = torch.rand(40 * HALF, 3, generator=rng, dtype=torch.float64) * high
-    at = cosines(angles)
+    at = angle_cosines(angles)
     kept = torch.minimum(at.incident, at.outgoing) > 0.01
     angles = angles[kept][: 2 * HALF]
-    where = torch.cat([half_difference(angles), cosines(angles).incident[:, None]], 1).float()
+    where = torch.cat([half_difference_vectors(angles), angle_cosines(angles).incident[:, None]], 1).float()
     target = torch.log1p(0.3 * where[:, 6:]).expand(-1, 3)
     return {"where": where.expand(MATERIALS, -1, -1), "target": target.expand(MATERIALS, -1, -1)}
 
@@ -160,12 +160,12 @@ def lower(where: Tensor) -> Tensor:
 
 def test_some_materials_lack_grazing_samples(data: Params, rng: Generator) -> None:
     where = data["where"]
-    reached = within_reach(where, rng)
+    reached = is_reachable(where, rng)
     least = lower(where).where(reached, 1.0).amin(1)
     cut = ~reached.all(1)
     assert 0.2 < float(cut.float().mean()) < 0.47
-    assert float(least[cut].min()) > math.cos(MEASURED_RAD[1]) - 1e-6
-    assert float(least.max()) < math.cos(MEASURED_RAD[0]) + 0.02
+    assert float(least[cut].min()) > math.cos(MAX_MEASURED_RAD[1]) - 1e-6
+    assert float(least.max()) < math.cos(MAX_MEASURED_RAD[0]) + 0.02
 
 
 def test_samples_as_measured_are_as_many_as_they_say(data: Params, rng: Generator) -> None:
@@ -175,9 +175,9 @@ def test_samples_as_measured_are_as_many_as_they_say(data: Params, rng: Generato
     assert torch.equal(data["where"], given)
     assert torch.equal(drawn["where"][:, HALF:], given[:, HALF:])  # what judges stays
     assert torch.equal(drawn["target"][:, HALF:], data["target"][:, HALF:])
-    dense = drawn[COUNT] == HALF
+    dense = drawn[COUNT_KEY] == HALF
     assert 0.55 < float(dense.float().mean()) < 0.78
-    assert FEWEST_SAMPLES <= float(drawn[COUNT].min()) < 2 * FEWEST_SAMPLES
+    assert FEWEST_SAMPLES <= float(drawn[COUNT_KEY].min()) < 2 * FEWEST_SAMPLES
     kept = (drawn["where"][:, :HALF] == given[:, :HALF]).all(2).float().mean(1)
     assert float(kept[dense].median()) == 1
     noise = (drawn["target"][:, :HALF] / torch.log1p(0.3 * drawn["where"][:, :HALF, 6:]) - 1).abs().amax((1, 2))
@@ -186,9 +186,9 @@ def test_samples_as_measured_are_as_many_as_they_say(data: Params, rng: Generato
 
     tasks = Tasks(tuple(map(str, range(MATERIALS))), drawn, torch.arange(MATERIALS))
     batch = Brdf(SIZE).sample(tasks, rng, 64)
-    assert torch.equal(batch[COUNT], drawn[COUNT])
-    few = int(drawn[COUNT].argmin())
-    seen = {tuple(row) for row in drawn["where"][few, : int(drawn[COUNT][few])].tolist()}
+    assert torch.equal(batch[COUNT_KEY], drawn[COUNT_KEY])
+    few = int(drawn[COUNT_KEY].argmin())
+    seen = {tuple(row) for row in drawn["where"][few, : int(drawn[COUNT_KEY][few])].tolist()}
     assert {tuple(row) for row in batch["where"][few].T.tolist()} <= seen
 
 
@@ -197,10 +197,10 @@ def test_scattered_samples_are_as_dense_as_random_pairs_of_directions() -> None:
     rng = Generator().manual_seed(7)
     highest = torch.tensor([math.pi / 2, math.pi / 2, math.tau])
     angles = torch.rand(400_000, 3, generator=rng, dtype=torch.float64) * highest
-    at = cosines(angles)
+    at = angle_cosines(angles)
     angles = angles[torch.minimum(at.incident, at.outgoing) > 0]
-    where = torch.cat([half_difference(angles), cosines(angles).incident[:, None]], 1).float()
-    density = densities_of_samples(where[None])[1][0].double()
+    where = torch.cat([half_difference_vectors(angles), angle_cosines(angles).incident[:, None]], 1).float()
+    density = sample_densities(where[None])[1][0].double()
     draws = torch.rand(200_000, 4, generator=rng, dtype=torch.float64)
     light, viewer = (
         torch.stack([r.sqrt() * (math.tau * u).cos(), r.sqrt() * (math.tau * u).sin(), (1 - r).sqrt()], -1)
@@ -230,12 +230,12 @@ each_network = pytest.mark.parametrize("network", registry().loaded("networks", 
 @each_network
 def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
     theta = {key: value[0] for key, value in network.init(Generator().manual_seed(1), 2).items()}
-    assert network_of(theta) is network
-    assert {key: tuple(value.shape) for key, value in theta.items()} == shapes_of(network)
+    assert find_network(theta) is network
+    assert {key: tuple(value.shape) for key, value in theta.items()} == parameter_shapes(network)
     assert set(network.unshared_parameters) <= set(theta)
     assert network.linear_parameter in ("", *theta)
     with pytest.raises(ValueError, match=r"^parameters .*, expected those of a BRDF fit"):
-        network_of({key: value for key, value in theta.items() if key != "w1"})
+        find_network({key: value for key, value in theta.items() if key != "w1"})
 
 
 @each_network

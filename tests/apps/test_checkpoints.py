@@ -13,25 +13,25 @@ from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.recipes import ships
+from metapp.runs.recipes import has_shipped_recipe
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest
-from metapp.storage.shipped import FULL, QUICK, shipped_path
+from metapp.storage.shipped import FULL_RECIPE_NAME, QUICK_RECIPE_NAME, shipped_checkpoint_path
 from tests.quick import app_by
 
-PACKAGE = shipped_path("brdf", "general").parent.parent
-FULL_ONES = [name for name in app_names() if (PACKAGE / name / FULL).is_dir()]
+PACKAGE = shipped_checkpoint_path("brdf", "general").parent.parent
+FULL_ONES = [name for name in app_names() if (PACKAGE / name / FULL_RECIPE_NAME).is_dir()]
 FEATURES = {"texture": "VGG-16 features (ImageNet)", "svbrdf_stationary": "VGG-16 features (ImageNet)"}
 OBSERVED = ("illumination", "svbrdf_nonstationary")
 
 
 def files_of(name: str, recipe: str) -> dict[str, Path]:
     """What ships for a recipe, by the file's name without suffix."""
-    folder = PACKAGE / name / (recipe if recipe == FULL else "")
+    folder = PACKAGE / name / (recipe if recipe == FULL_RECIPE_NAME else "")
     return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
 
 
-def start_of(name: str, each: str, recipe: str = QUICK) -> MetaParameters:
-    return load_checkpoint(shipped_path(name, each, recipe))[0]
+def start_of(name: str, each: str, recipe: str = QUICK_RECIPE_NAME) -> MetaParameters:
+    return load_checkpoint(shipped_checkpoint_path(name, each, recipe))[0]
 
 
 # What they are
@@ -46,10 +46,10 @@ def expected_of(name: str, recipe: str) -> set[str]:
 
     There, a protocol with a network of its own has its own General and rule.
     """
-    if recipe == FULL and protocols_of(name):
+    if recipe == FULL_RECIPE_NAME and protocols_of(name):
         names = set()
         for protocol in protocols_of(name):
-            app, of = app_by(name, FULL, protocol), recipes_of(name, protocol)[FULL]
+            app, of = app_by(name, FULL_RECIPE_NAME, protocol), recipes_of(name, protocol)[FULL_RECIPE_NAME]
             (general, adam), rule = names_of(QuickFT.of(app, of)), names_of(Meta.of(app, of))
             names |= {adam, *((general, *rule) if general != "general" else ())}
         return names
@@ -63,7 +63,8 @@ def expected_of(name: str, recipe: str) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("name", "recipe"), [*((name, QUICK) for name in app_names()), *((name, FULL) for name in FULL_ONES)]
+    ("name", "recipe"),
+    [*((name, QUICK_RECIPE_NAME) for name in app_names()), *((name, FULL_RECIPE_NAME) for name in FULL_ONES)],
 )
 def test_they_say_what_they_are(name: str, recipe: str) -> None:
     files = files_of(name, recipe)
@@ -75,7 +76,7 @@ def test_they_say_what_they_are(name: str, recipe: str) -> None:
         assert (info["app"], info["checkpoint"], info["recipe"]) == (name, stem.removesuffix("-photo"), recipe), stem
         assert info.get("features") == FEATURES.get(name), stem
         assert info["validation_error"] > 0 or name == "transport", stem
-        if recipe == QUICK and name != "brdf":
+        if recipe == QUICK_RECIPE_NAME and name != "brdf":
             assert info["data"].startswith(name), stem  # the embedded set alone
         if stem.startswith("general"):
             continue
@@ -89,7 +90,7 @@ def test_they_say_what_they_are(name: str, recipe: str) -> None:
 
 def test_they_are_small() -> None:
     for name in app_names():
-        for path in files_of(name, QUICK).values():
+        for path in files_of(name, QUICK_RECIPE_NAME).values():
             assert path.stat().st_size < {"brdf": 2e6, "transport": 2e6, "svbrdf_nonstationary": 5e6}.get(name, 4e6)
     sizes = {path: path.stat().st_size for path in PACKAGE.rglob("*.safetensors")}
     of_default_recipes = {
@@ -102,9 +103,9 @@ def test_they_are_small() -> None:
 def test_recipes_of_another_size_ship_with_a_folder() -> None:
     for name in app_names():
         recipes = recipes_of(name)
-        if FULL in recipes:
-            same = recipes[FULL].app == recipes[QUICK].app
-            assert ships(name, FULL) == (same or name in FULL_ONES)
+        if FULL_RECIPE_NAME in recipes:
+            same = recipes[FULL_RECIPE_NAME].app == recipes[QUICK_RECIPE_NAME].app
+            assert has_shipped_recipe(name, FULL_RECIPE_NAME) == (same or name in FULL_ONES)
     assert FULL_ONES == ["illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture"]
 
 
@@ -120,7 +121,7 @@ def test_the_command_finds_them(metapp: Callable, tmp_path: Path) -> None:
     assert result.document["error"] < 2
     trained = tmp_path / "brdf/checkpoints" / f"{result.document['data']}-quick-seed0/meta-curvature.safetensors"
     trained.parent.mkdir(parents=True)
-    shutil.copy(shipped_path("brdf", "meta-curvature"), trained)
+    shutil.copy(shipped_checkpoint_path("brdf", "meta-curvature"), trained)
     again = ("meta", "brdf", "--data", data, "--out", tmp_path, "--recipe", "quick")
     assert "the checkpoint that ships" in metapp(*again).err
     assert f"from {trained}" in metapp(*again, "--checkpoint", trained).err

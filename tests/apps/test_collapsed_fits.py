@@ -3,11 +3,11 @@
 import torch
 from torch import Tensor
 
-from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.brdf_task import make_brdf_task
 from metapp.appearance.flash import Maps
 from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task
 from tests.quick import app_by
 
@@ -17,14 +17,14 @@ def test_a_network_of_zeros_is_black_where_the_material_is_not() -> None:
     presenter = presenter_of(app)
     theta = app.init(torch.Generator().manual_seed(0), 1)
     zeros = {key: torch.zeros_like(value) for key, value in theta.items()}
-    gloss = brdf_task(
+    gloss = make_brdf_task(
         "gloss", lambda angles: 0.1 + (-50 * angles[..., :1] ** 2).exp().expand(*angles.shape[:-1], 3), 64
     )
-    black = brdf_task("black", lambda angles: torch.zeros(*angles.shape[:-1], 3), 64)
-    chalk = brdf_task("chalk", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3), 64)
+    black = make_brdf_task("black", lambda angles: torch.zeros(*angles.shape[:-1], 3), 64)
+    chalk = make_brdf_task("chalk", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3), 64)
     tasks = [gloss, black, chalk]
     one = {key: value[0] for key, value in zeros.items()}
-    said = [presenter.quality_warnings(zeros, stack(app, [task], "cpu"))[0] for task in tasks]
+    said = [presenter.quality_warnings(zeros, stack_tasks(app, [task], "cpu"))[0] for task in tasks]
     assert [[clause.partition(",")[0] for clause in clauses] for clauses in said] == [
         ["the fit is black"], [], ["the fit is black"]
     ]  # fmt: skip
@@ -46,7 +46,7 @@ def test_black_maps_are_said() -> None:
     app = app_by("svbrdf_nonstationary", protocol="photo")
     theta = app.init(torch.Generator().manual_seed(0), 1)
     photo = torch.randint(40, 200, (3, 64, 64), dtype=torch.uint8)
-    tasks = stack(app, [Task("stone", {"photo": photo})], "cpu")
+    tasks = stack_tasks(app, [Task("stone", {"photo": photo})], "cpu")
     plane = torch.ones(1, 1, 8, 8)
     for albedo, said in (0.0, True), (0.01, False), (0.5, False):
         maps = Maps(albedo * plane.expand(1, 3, 8, 8), 0 * plane, plane, plane.expand(1, 3, 8, 8))

@@ -10,22 +10,22 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.features import FAINTEST_WAVE, detail
-from metapp.appearance.lines import MOST_ADDED, LinesKept
+from metapp.appearance.features import NOISE_DISPLAY_VALUE, detail_statistics
+from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison
 from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.presenter import LEAST_ORDER, ExemplarPresenter
-from metapp.apps.exemplar.statistics import SOFTNESS
+from metapp.apps.exemplar.presenter import MIN_ORDER_SHARE, ExemplarPresenter
+from metapp.apps.exemplar.statistics import SOFTNESS_WEIGHT
 from metapp.apps.texture.app import Texture
-from metapp.learning.app import App, stack
+from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
-from metapp.networks.layers import enlarged
-from metapp.networks.layout import as_input, astray, layouts
+from metapp.networks.layers import enlarge_periodic
+from metapp.networks.layout import layout_deviation, move_layouts, normalise_layouts
 from metapp.paradigms.adam import Overfit
 from metapp.registry import registry
 
@@ -62,7 +62,7 @@ TEXTURE, MATERIAL = (pytest.mark.parametrize("app", [each], indirect=True) for e
 def tasks(app: ExemplarApp) -> Tasks:
     """Exemplars of white noise, the same each time."""
     images = torch.randint(256, (3, 3, 64, 64), generator=Generator().manual_seed(0), dtype=torch.uint8)
-    return stack(app, [Task(f"noise {i}", {"image": image}) for i, image in enumerate(images)])
+    return stack_tasks(app, [Task(f"noise {i}", {"image": image}) for i, image in enumerate(images)])
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
     tiles = 60 + 130 * ((at[:, None] % 16 < 6) | (at % 16 < 6)).to(torch.uint8).expand(3, -1, -1)
     ordered = Task("tiles", {"image": tiles})
     noise = Task("noise", {"image": tasks.data["image"][0]})
-    both = stack(app, [noise, ordered])
+    both = stack_tasks(app, [noise, ordered])
     theta = app.init(Generator().manual_seed(0), 2)
     unordered, (clause, *_) = warnings_of(app, theta, both)
     assert not any("regular structure" in other for other in unordered)
@@ -96,7 +96,7 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
     instead = rf"`metapp baseline {app.name} INPUT --method (\w+) --size {size}` copies it"
     kept = re.fullmatch(rf"keeps (\S+) of the photo's regular structure \({instead}\)", clause)
     assert kept
-    assert 0 <= float(kept[1]) < LEAST_ORDER
+    assert 0 <= float(kept[1]) < MIN_ORDER_SHARE
     assert kept[2] in registry().baselines.of(app.name)
     alone = {key: value[1:] for key, value in theta.items()}
     assert warnings_of(app, alone, both.select([1]))[0][0] == clause
@@ -127,7 +127,9 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
 ) -> None:
     """Under a flash alone lines that are added say nothing: they are of its highlight."""
     theta, size = app.init(Generator().manual_seed(0), 3), "x".join(map(str, shown(app).picture_size))
-    found = iter([LinesKept(0.4, 1.0), LinesKept(1.0, MOST_ADDED + 0.3), LinesKept(math.nan, math.nan)])
+    found = iter(
+        [LineComparison(0.4, 1.0), LineComparison(1.0, SEAM_STRENGTH_RATIO + 0.3), LineComparison(math.nan, math.nan)]
+    )
     monkeypatch.setattr("metapp.apps.exemplar.presenter.compare_lines", lambda *_: next(found))
     broken, seams, unknown = warnings_of(app, theta, tasks)
     assert len(broken) == 1
@@ -163,8 +165,12 @@ def test_softness_counts_at_the_finest_octave_by_exemplar(app: ExemplarApp, task
     batch = app.sample(tasks, Generator().manual_seed(0), 1)
     torch.testing.assert_close(app.statistics.softness(exemplars[:, None], batch), torch.zeros(3))
     half = 0.5 + (exemplars - 0.5) / 2
-    ratio = (detail(exemplars) + FAINTEST_WAVE) / (detail(exemplars) / 2 + FAINTEST_WAVE)
-    torch.testing.assert_close(app.statistics.softness(half[:, None], batch), SOFTNESS * ratio.log().mean((1, 2)))
+    ratio = (detail_statistics(exemplars) + NOISE_DISPLAY_VALUE) / (
+        detail_statistics(exemplars) / 2 + NOISE_DISPLAY_VALUE
+    )
+    torch.testing.assert_close(
+        app.statistics.softness(half[:, None], batch), SOFTNESS_WEIGHT * ratio.log().mean((1, 2))
+    )
     mixed = torch.stack([exemplars[0], half[1], exemplars[2]])[:, None]
     assert (app.statistics.softness(mixed, batch) > 0.05).tolist() == [False, True, False]
     coarse = app.sample(app.stage(tasks, 0.0), Generator().manual_seed(0), 1)
@@ -223,7 +229,7 @@ def test_relief_keeps_its_slopes(app: Any) -> None:
     noise = torch.randn(1, 1, 8, 64, 64, generator=rng)
     small = avg_pool2d(noise[0], 2)[None] * 2
     height, low = app.maps(silent, noise)[1], app.maps(silent, small, 1)[1]
-    torch.testing.assert_close(height[0], 2 * enlarged(low[0]))
+    torch.testing.assert_close(height[0], 2 * enlarge_periodic(low[0]))
 
 
 # Layouts: a coarse picture of what to make
@@ -236,7 +242,7 @@ def paved(app: ExemplarApp) -> Tasks:
     stones = torch.where(((at[:, None] // 8 + at // 16) % 2).bool(), 200, 60).expand(3, -1, -1)
     noise = torch.randint(256, (3, 64, 64), generator=Generator().manual_seed(0))
     images = {"paved": stones.to(torch.uint8), "noise": noise.to(torch.uint8)}
-    return stack(app, [Task(name, {"image": image}) for name, image in images.items()])
+    return stack_tasks(app, [Task(name, {"image": image}) for name, image in images.items()])
 
 
 def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp, paved: Tasks) -> None:
@@ -254,12 +260,12 @@ def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp,
 def test_layouts_move_with_noise_and_are_quilted_for_sizes(app: ExemplarApp, paved: Tasks) -> None:
     rng, (height, width) = Generator().manual_seed(0), app.octaves.layout_size
     layout = paved.data["layout"]
-    moved = layouts(layout, torch.randn(2, 2, 8, 2 * height, 2 * width, generator=rng), 2)
+    moved = move_layouts(layout, torch.randn(2, 2, 8, 2 * height, 2 * width, generator=rng), 2)
     assert moved.shape == (2, 2, 3, height, width)
     assert not torch.equal(moved[0, 0], moved[0, 1])
     rolls = [layout[0].roll((y, x), (1, 2)) for y in range(height) for x in range(width)]
     assert any(torch.equal(roll, moved[0, 1]) for roll in rolls)
-    other = layouts(layout, torch.randn(2, 1, 8, 4 * height, 6 * width, generator=rng), 2)
+    other = move_layouts(layout, torch.randn(2, 1, 8, 4 * height, 6 * width, generator=rng), 2)
     assert other.shape == (2, 1, 3, 2 * height, 3 * width)
     assert layout[0].min() - 1e-5 <= other[0].min() <= other[0].max() <= layout[0].max() + 1e-5
     torch.testing.assert_close(other.mean((-1, -2)), layout.mean((-1, -2))[:, None], atol=0.05, rtol=0)
@@ -268,10 +274,10 @@ def test_layouts_move_with_noise_and_are_quilted_for_sizes(app: ExemplarApp, pav
 def test_networks_read_layouts_without_mean_and_of_one_contrast(app: ExemplarApp, paved: Tasks) -> None:
     noise = torch.randn(2, 1, 8, *(2 * side for side in app.octaves.layout_size))
     layout = paved.data["layout"][:, None]
-    read = as_input(layout, noise)
+    read = normalise_layouts(layout, noise)
     assert read.shape == (2, 1, 3, *noise.shape[-2:])
     torch.testing.assert_close(read.mean((-1, -2)), torch.zeros(2, 1, 3), atol=1e-5, rtol=0)
-    torch.testing.assert_close(as_input(0.3 + 0.5 * layout, noise), read)
+    torch.testing.assert_close(normalise_layouts(0.3 + 0.5 * layout, noise), read)
 
 
 def test_what_is_made_follows_its_layout(app: ExemplarApp, paved: Tasks) -> None:
@@ -281,7 +287,7 @@ def test_what_is_made_follows_its_layout(app: ExemplarApp, paved: Tasks) -> None
     theta = app.init(rng, 2) | app.task_parameters(paved)
     other = theta | {"layout": theta["layout"].flip(0)}
     assert not torch.equal(generate_raw(app, theta, noise), generate_raw(app, other, noise))
-    coarse = layouts(theta["layout"], noise, 2)
+    coarse = move_layouts(theta["layout"], noise, 2)
     exact = coarse.repeat_interleave(2, -1).repeat_interleave(2, -2)
-    assert astray(theta, noise, exact, 2).abs().max() < 1e-6
-    assert astray(theta, noise, torch.full_like(exact, 0.5), 2)[0] > 0.05
+    assert layout_deviation(theta, noise, exact, 2).abs().max() < 1e-6
+    assert layout_deviation(theta, noise, torch.full_like(exact, 0.5), 2)[0] > 0.05

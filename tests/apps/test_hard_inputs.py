@@ -12,14 +12,14 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.draws import stream
-from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.latlong import map_task
-from data_tools.readers.svbrdf_task import svbrdf_task
-from metapp.appearance.flash import Maps, pack
-from metapp.appearance.latlong import directions, solid_angles, sphere_normals
+from data_tools.draws import random_stream
+from data_tools.readers.brdf_task import make_brdf_task
+from data_tools.readers.latlong import make_map_task
+from data_tools.readers.svbrdf_task import make_svbrdf_task
+from metapp.appearance.flash import Maps, pack_maps
+from metapp.appearance.latlong import solid_angles, sphere_normals, texel_directions
 from metapp.apps import recipes_of
-from metapp.learning.app import App, stack
+from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import DescentState, MetaParameters, final_item
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms.adam import QuickFT
@@ -27,7 +27,7 @@ from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.shipped import shipped_path
+from metapp.storage.shipped import shipped_checkpoint_path
 from tests.marked import long
 from tests.quick import app_by
 
@@ -47,11 +47,11 @@ class Found(NamedTuple):
 def fitted(app: App, sources: Iterable[Task]) -> Found:
     """Fits by what ships, with the same draws."""
     recipe = recipes_of(app.name, app.protocol)["quick"]
-    meta, quickft, tasks = Meta.of(app, recipe), QuickFT.of(app, recipe), stack(app, list(sources))
+    meta, quickft, tasks = Meta.of(app, recipe), QuickFT.of(app, recipe), stack_tasks(app, list(sources))
 
     def shipped(paradigm: Paradigm) -> list[MetaParameters]:
         names = [checkpoint_name(app, preparation) for preparation in paradigm.preparations]
-        return [load_checkpoint(shipped_path(app.name, name))[0] for name in names]
+        return [load_checkpoint(shipped_checkpoint_path(app.name, name))[0] for name in names]
 
     (learned,), (general, adam) = shipped(meta), shipped(quickft)
     tuned = general._replace(alpha=adam.alpha)
@@ -120,7 +120,7 @@ MATERIALS: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 def test_materials() -> None:
-    sources = [brdf_task(name, evaluate, samples=8192) for name, evaluate in MATERIALS.items()]
+    sources = [make_brdf_task(name, evaluate, samples=8192) for name, evaluate in MATERIALS.items()]
     found = check(app_by("brdf"), sources)
     acted = dict(zip(found.tasks.names, found.guarded.guarded.tolist(), strict=True))
     assert acted["saturated"]
@@ -133,7 +133,7 @@ def test_materials() -> None:
 
 
 def map_of(name: str, light: Tensor) -> Task:
-    return map_task(name, light, stream(0))
+    return make_map_task(name, light, random_stream(0))
 
 
 def sun(row: int, column: int, size: int, share: float, ground: Tensor) -> Tensor:
@@ -145,7 +145,7 @@ def sun(row: int, column: int, size: int, share: float, ground: Tensor) -> Tenso
 
 
 def sky() -> Tensor:
-    up = directions(64, 128)[1]
+    up = texel_directions(64, 128)[1]
     return torch.where(up > 0, (0.6 + 0.4 * up) * torch.tensor([0.6, 0.8, 1.0])[:, None, None], 0.15)
 
 
@@ -220,7 +220,7 @@ def test_flat_materials(protocol: str) -> None:
         flat = torch.ones(1, 128, 128)
         normal = torch.cat([0 * flat, 0 * flat, flat])
         maps = Maps(diffuse * flat.expand(3, -1, -1), specular * flat, roughness * flat, normal)
-        return svbrdf_task(name, pack(maps))
+        return make_svbrdf_task(name, pack_maps(maps))
 
     check(app, [material("black", 0, 0, 1), material("white", 1, 0, 1), material("mirror", 0, 1, 0.1)])
 

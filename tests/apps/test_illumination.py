@@ -4,14 +4,14 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.latlong import directions, mean_luminance
-from metapp.appearance.photograph import develop, photograph, shade
+from metapp.appearance.latlong import mean_luminance, texel_directions
+from metapp.appearance.photograph import develop, photograph_spheres, render_material_spheres
 from metapp.apps import presenter_of
-from metapp.apps.illumination.app import BODY, BODY_GAIN, GLOSSES, Illumination, body_of
-from metapp.apps.illumination.encoder import unwrapped
-from metapp.apps.illumination.mirror import LOST_LIGHT
-from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
-from metapp.learning.app import stack
+from metapp.apps.illumination.app import BODY_GAIN, BODY_NUMBERS, BODY_ROUGHNESSES, Illumination, decode_body
+from metapp.apps.illumination.encoder import unwrap_photos
+from metapp.apps.illumination.mirror import CLIPPED_LIGHT_FACTOR
+from metapp.apps.illumination.variants import LAMP_COUNT, add_lamps, mix_maps, regrade_maps, tint_maps, turn_maps
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField
 from metapp.rendering.second_scene.relighting import relight
@@ -26,13 +26,13 @@ def lamps(seed: int, height: int = 64) -> Tensor:
     generator = Generator().manual_seed(seed)
     towards = torch.nn.functional.normalize(torch.randn(3, 3, generator=generator), dim=1)
     colours = torch.rand(3, 3, generator=generator)
-    near = torch.einsum("lc,chw->lhw", towards, directions(height, 2 * height))
+    near = torch.einsum("lc,chw->lhw", towards, texel_directions(height, 2 * height))
     light = 0.2 + torch.einsum("lhw,lc->chw", (4 * (near - 0.5)).exp(), colours)
     return light / mean_luminance(light)
 
 
 def task_of(light: Tensor, name: str = "lamps") -> Task:
-    photos = photograph(light.expand(2, -1, -1, -1), Generator().manual_seed(1))
+    photos = photograph_spheres(light.expand(2, -1, -1, -1), Generator().manual_seed(1))
     photos = (photos * 255).round().to(torch.uint8)
     return Task(name, {"map": light, "scale": torch.tensor(3.0), "photos": photos})
 
@@ -44,7 +44,7 @@ def app() -> Illumination:
 
 @pytest.fixture
 def tasks(app: Illumination) -> Tasks:
-    return stack(app, [task_of(lamps(seed), f"lamps-{seed}") for seed in range(4)])
+    return stack_tasks(app, [task_of(lamps(seed), f"lamps-{seed}") for seed in range(4)])
 
 
 def fitted(app: Illumination, maps: Tensor) -> Illumination:
@@ -72,14 +72,14 @@ def test_a_ball_is_unwrapped_to_what_it_mirrors_and_faces() -> None:
     x, y = centre.expand(size, size), -centre[:, None].expand(size, size)
     z = (1 - x * x - y * y).clamp_min(0).sqrt()
     reflected = torch.stack([2 * z * x, 2 * z * y, 2 * z * z - 1])
-    seen = unwrapped(0.5 * reflected[None] + 0.5, 16, 32)[0, :3] * 2  # [-1, 1], as 0.5 is taken off
-    towards = directions(16, 32)
+    seen = unwrap_photos(0.5 * reflected[None] + 0.5, 16, 32)[0, :3] * 2  # [-1, 1], as 0.5 is taken off
+    towards = texel_directions(16, 32)
     front = towards[2] > -0.6
     assert (seen - towards)[:, front].abs().max() < 0.12
     assert (seen - towards)[:, front].abs().mean() < 0.03  # it looks 3 % inside of where that is
     # what faces is looked up where it faces
     normals = torch.stack([x, y, torch.zeros(size, size)])
-    seen = unwrapped(0.5 * normals[None] + 0.5, 16, 32)[0, 3:6] * 2
+    seen = unwrap_photos(0.5 * normals[None] + 0.5, 16, 32)[0, 3:6] * 2
     front = towards[2] > 0.1
     assert (seen - towards)[:2, front].abs().max() < 0.05
 
@@ -98,12 +98,12 @@ def test_the_true_map_has_no_loss(app: Illumination, tasks: Tasks) -> None:
 
 def test_the_true_map_sphere_and_camera_look_like_the_photo(tasks: Tasks, rng: Generator) -> None:
     photo, theta = exact(PHOTO, tasks)
-    theta |= {"body": 0.5 / BODY_GAIN * torch.randn(4, BODY, generator=rng)}
-    material, camera = body_of(BODY_GAIN * theta["body"])
-    seen = develop(shade(tasks.data["map"], material, 64, GLOSSES), camera).clamp_max(1)
+    theta |= {"body": 0.5 / BODY_GAIN * torch.randn(4, BODY_NUMBERS, generator=rng)}
+    material, camera = decode_body(BODY_GAIN * theta["body"])
+    seen = develop(render_material_spheres(tasks.data["map"], material, 64, BODY_ROUGHNESSES), camera).clamp_max(1)
     batch = {"photo": (seen * 255).round()}  # black around the sphere
     assert photo.loss(theta, batch, {}).max() < 0.005  # rounding, and means of display values
-    darker = {**theta, "body": theta["body"] - torch.eye(BODY)[7] / BODY_GAIN}
+    darker = {**theta, "body": theta["body"] - torch.eye(BODY_NUMBERS)[7] / BODY_GAIN}
     assert photo.loss(darker, batch, {}).min() > 0.05
 
 
@@ -111,9 +111,9 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
     photo = PHOTO
     theta = photo.init(Generator().manual_seed(0), 4)
     batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
-    bright = {**theta, "body": theta["body"] + 12 / BODY_GAIN * torch.eye(BODY)[7]}
+    bright = {**theta, "body": theta["body"] + 12 / BODY_GAIN * torch.eye(BODY_NUMBERS)[7]}
     assert photo.loss(bright, batch, {}).max() < 1e-4
-    dark = {**theta, "body": theta["body"] - 4 / BODY_GAIN * torch.eye(BODY)[7]}
+    dark = {**theta, "body": theta["body"] - 4 / BODY_GAIN * torch.eye(BODY_NUMBERS)[7]}
     assert photo.loss(dark, batch, {}).min() > 0.05
 
 
@@ -125,7 +125,11 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
         torch.testing.assert_close(app.loss(small, {**batch, unseen: batch[unseen] * 0}, {}), before)
         assert not torch.allclose(app.loss(small, {**batch, seen: batch[seen] * 0}, {}), before)
     torch.testing.assert_close(mean_luminance(photo.answer(small, {})), torch.ones(4))
-    brighter = {**small, "out.shift": small["out.shift"] + 1, "body": small["body"] - torch.eye(BODY)[7] / BODY_GAIN}
+    brighter = {
+        **small,
+        "out.shift": small["out.shift"] + 1,
+        "body": small["body"] - torch.eye(BODY_NUMBERS)[7] / BODY_GAIN,
+    }
     torch.testing.assert_close(
         photo.outer_loss(brighter, batch, {}), photo.outer_loss(small, batch, {})
     )  # nobody could tell
@@ -137,7 +141,7 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
 
 def mirrored(light: Tensor, clip: float = 1e9) -> Task:
     """A task whose mirror shows the front half of the sphere, up to a radiance, at twice the map's scale."""
-    task, towards = task_of(light), directions(*light.shape[1:])
+    task, towards = task_of(light), texel_directions(*light.shape[1:])
     front, clips = (towards[2] > 0).float(), (light.amax(0) > clip).float()
     shares = torch.stack([front * (1 - clips), front * clips])
     return task._replace(data=task.data | {"seen": 2 * light.clamp(max=clip), "certain": shares})
@@ -145,8 +149,8 @@ def mirrored(light: Tensor, clip: float = 1e9) -> Task:
 
 def test_a_mirror_is_taken_as_it_is_and_fits_in_its_unit(rng: Generator) -> None:
     app, light = PHOTO, lamps(2)
-    tasks = stack(app, [mirrored(light)])
-    theta, front = app.init(rng, 1), directions(8, 16)[2] > 0
+    tasks = stack_tasks(app, [mirrored(light)])
+    theta, front = app.init(rng, 1), texel_directions(8, 16)[2] > 0
     made, target = app.answer(theta, tasks.data)[0], tasks.data["map"][0]
     # the rest is the network's, but for its scale
     for ratio in ((made / target)[:, front], (made / app.radiance_of(theta)[0])[:, ~front]):
@@ -160,7 +164,7 @@ def test_what_clips_in_a_mirror_is_as_bright_or_brighter(rng: Generator) -> None
     app, light = PHOTO, torch.ones(3, 64, 128)
     light[:, :, 64:72] = 20.0  # the texels of a column of the field's
     light /= mean_luminance(light)
-    tasks = stack(app, [mirrored(light, clip=2.0)])
+    tasks = stack_tasks(app, [mirrored(light, clip=2.0)])
     target, batch = tasks.data["map"], app.sample(tasks, rng, 1)
     app, theta = exact(app, tasks)
     torch.testing.assert_close(app.answer(theta, tasks.data), target)  # though it was seen as 2
@@ -168,7 +172,9 @@ def test_what_clips_in_a_mirror_is_as_bright_or_brighter(rng: Generator) -> None
     app = fitted(app, target.clamp(max=1.0))
     assert app.loss(theta, batch, {}).min() > 0.01
     made = app.answer(theta, tasks.data)[0, 0]
-    torch.testing.assert_close(made[4, 8] / made[4, 6], LOST_LIGHT * 2 / light[0, 0, 0])  # what is lost usually
+    torch.testing.assert_close(
+        made[4, 8] / made[4, 6], CLIPPED_LIGHT_FACTOR * 2 / light[0, 0, 0]
+    )  # what is lost usually
 
 
 # Made-up tasks
@@ -176,22 +182,22 @@ def test_what_clips_in_a_mirror_is_as_bright_or_brighter(rng: Generator) -> None
 
 def test_variants_are_the_maps_turned_and_mirrored_and_tinted(tasks: Tasks, rng: Generator) -> None:
     maps = tasks.data["map"]
-    for found, original in zip(turned(maps, Generator().manual_seed(5)), maps, strict=True):
+    for found, original in zip(turn_maps(maps, Generator().manual_seed(5)), maps, strict=True):
         candidates = [each.roll(turn, -1) for turn in range(16) for each in (original, original.flip(-1))]
         distances = [float((each - found).abs().mean()) for each in candidates]
         assert min(distances) == 0 < sorted(distances)[len(distances) // 2]
     # and tinted
-    ratio = (tinted(maps, rng) / maps).flatten(2)
+    ratio = (tint_maps(maps, rng) / maps).flatten(2)
     torch.testing.assert_close(ratio, ratio[..., :1].expand_as(ratio))
     assert ratio[..., 0].std(1).min() > 0
 
 
 def test_some_variants_are_regraded_or_mixed(tasks: Tasks, rng: Generator) -> None:
     maps = tasks.data["map"].repeat(8, 1, 1, 1)
-    power = (regraded(maps, rng).log() / maps.log()).flatten(1).median(1).values
+    power = (regrade_maps(maps, rng).log() / maps.log()).flatten(1).median(1).values
     assert 6 < (power != 1).sum() < 26
     assert 0.7 < power.min() < power.max() < 1.4
-    found = mixed(maps, rng)
+    found = mix_maps(maps, rng)
     own, other = ((found - each).flatten(1).norm(dim=1) for each in (maps, maps.roll(1, 0)))
     torch.testing.assert_close(own + other, (maps - maps.roll(1, 0)).flatten(1).norm(dim=1))  # in between
     assert 4 < (own > 0).sum() < 20
@@ -199,13 +205,13 @@ def test_some_variants_are_regraded_or_mixed(tasks: Tasks, rng: Generator) -> No
 
 def test_some_variants_get_lamps(rng: Generator) -> None:
     dark = torch.zeros(64, 3, 16, 32)
-    added = lit(dark, rng)
+    added = add_lamps(dark, rng)
     bright = (added.amax(1) > 0).flatten(1).sum(1)
     assert 10 < (bright > 0).sum() < 33  # about a third
-    assert bright.max() <= 4 * LAMPS  # each lies between four texels at most
+    assert bright.max() <= 4 * LAMP_COUNT  # each lies between four texels at most
     assert added.amin() == 0
     assert torch.isfinite(added).all()
-    columns = torch.cat([lit(dark, rng) for _ in range(8)]).amax((1, 2)) > 0
+    columns = torch.cat([add_lamps(dark, rng) for _ in range(8)]).amax((1, 2)) > 0
     assert columns.any(0).all()  # at the seam, too
 
 

@@ -7,11 +7,18 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import sphere_normals
-from metapp.appearance.metrics import rgb_angle, si_rmse
+from metapp.appearance.metrics import rgb_angle_degrees, si_rmse
 from metapp.appearance.reflection import fresnel_schlick
-from metapp.apps.illumination.spheres import GAMMA, MEDIAN, METAL, SPHERE_PX, SPHERES, sphere_errors
+from metapp.apps.illumination.spheres import (
+    METAL_REFLECTANCE,
+    SPHERE_NAMES,
+    SPHERE_PX,
+    TONE_GAMMA,
+    TONE_MEDIAN,
+    sphere_errors,
+)
 
-KEYS = {f"{name}_{kind}" for name in SPHERES for kind in ("rmse", "angle")}
+KEYS = {f"{name}_{kind}" for name in SPHERE_NAMES for kind in ("rmse", "angle")}
 WARM = torch.tensor([1.0, 0.6, 0.3])
 
 
@@ -51,19 +58,19 @@ def test_the_scale_of_maps_does_not_count(scale: float) -> None:
 def test_a_tinted_map_is_off_by_the_angle_of_its_tint() -> None:
     # a power of a product is a product of powers, and all reflectances are gray
     errors = sphere_errors(WARM[:, None, None] * gray(0), gray(0))
-    known = degrees(WARM ** (1 / GAMMA), torch.ones(3))
-    for name in SPHERES:
+    known = degrees(WARM ** (1 / TONE_GAMMA), torch.ones(3))
+    for name in SPHERE_NAMES:
         torch.testing.assert_close(errors[f"{name}_angle"], torch.full((2,), known), rtol=1e-4, atol=1e-3)
 
 
 def test_errors_of_even_light_of_another_colour() -> None:
     even = torch.ones(1, 3, 16, 32)
     errors = sphere_errors(WARM[:, None, None] * even, even)
-    known = math.radians(degrees(WARM ** (1 / GAMMA), torch.ones(3)))
+    known = math.radians(degrees(WARM ** (1 / TONE_GAMMA), torch.ones(3)))
     normals, mask = sphere_normals(SPHERE_PX)
     # of gray of 0.5 what is across the colour of the estimate stays, whatever that is scaled by
-    across = math.sqrt(3) * MEDIAN * math.sin(known)
-    reflectance = fresnel_schlick(normals[2], METAL)[mask].square().mean().sqrt()
+    across = math.sqrt(3) * TONE_MEDIAN * math.sin(known)
+    reflectance = fresnel_schlick(normals[2], METAL_REFLECTANCE)[mask].square().mean().sqrt()
     torch.testing.assert_close(errors["mirror_rmse"], (across * reflectance)[None], rtol=1e-4, atol=0)
     torch.testing.assert_close(errors["silver_rmse"], (across * reflectance)[None], rtol=1e-4, atol=0)
     white = 0.8 + 0.2 * fresnel_schlick(normals[2], 0.04)[mask]
@@ -88,7 +95,7 @@ def test_measures_of_pictures_in_closed_form() -> None:
     one[0, 0], one[0, 1, 0, 0] = 2.0, 2.0
     other = torch.zeros(1, 3, 2, 2)
     other[0, 0], other[0, 2, 1, 1] = 1.0, 99.0  # the latter is masked
-    torch.testing.assert_close(rgb_angle(one, other, mask), torch.tensor([45 / 3]))
+    torch.testing.assert_close(rgb_angle_degrees(one, other, mask), torch.tensor([45 / 3]))
     # the nearest multiple is 6 / 16 of it
     nearest, wanted = 0.375 * one[..., mask], other[..., mask]
     torch.testing.assert_close(si_rmse(one, other, mask), ((nearest - wanted) ** 2).sum().div(3).sqrt()[None])

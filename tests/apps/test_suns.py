@@ -7,13 +7,13 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
-from metapp.appearance.latlong import directions, mean_luminance, solid_angles
+from metapp.appearance.latlong import mean_luminance, solid_angles, texel_directions
 from metapp.apps.illumination.app import Illumination
-from metapp.apps.illumination.suns import SUNS, WIDEST_RAD, joined, parted, suns_of, with_suns
-from metapp.learning.app import stack
+from metapp.apps.illumination.suns import MAX_SUN_RAD, SUN_COUNT, add_suns, find_suns, join_suns, split_suns
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
-from metapp.paradigms.adam import encoding
+from metapp.paradigms.adam import encoder_prediction
 
 pytestmark = pytest.mark.usefixtures("scene")
 HEIGHT, WIDTH = 64, 128
@@ -21,7 +21,7 @@ HEIGHT, WIDTH = 64, 128
 
 def sky(*lights: tuple[Tensor, float, float]) -> Tensor:
     """A smooth sky with lights: direction, share of all light, standard deviation along one axis (rad)."""
-    towards, area = directions(HEIGHT, WIDTH), solid_angles(HEIGHT, WIDTH)
+    towards, area = texel_directions(HEIGHT, WIDTH), solid_angles(HEIGHT, WIDTH)
     light = 0.3 + 0.1 * towards
     for direction, share, deviation in lights:
         lobe = ((torch.einsum("c,chw->hw", direction, towards) - 1) / deviation**2).exp()
@@ -36,7 +36,7 @@ def towards(x: float, y: float, z: float) -> Tensor:
 @pytest.mark.parametrize("direction", [(0.3, 0.5, 0.8), (0.02, 0.4, -0.9), (-0.2, -0.1, 0.4)])
 def test_a_sun_is_found_where_it_is_as_wide_as_it_is(direction: tuple[float, float, float]) -> None:
     at = towards(*direction)
-    (found,) = suns_of(sky((at, 8.0, 0.03))[None])
+    (found,) = find_suns(sky((at, 8.0, 0.03))[None])
     assert (found[:, 3] > 0).tolist() == [True, False, False]
     assert float(found[0, :3] @ at) > math.cos(math.radians(0.3))
     assert float((found[0, 6] / 2).sqrt()) == pytest.approx(0.03, rel=0.15)  # its dim border is the network's
@@ -48,37 +48,37 @@ def test_a_sun_of_one_texel_is_exact(row: int, column: int) -> None:
     light = sky()
     light[:, row, column] = torch.tensor([2000.0, 1600.0, 1200.0])
     light /= mean_luminance(light)
-    suns = suns_of(light[None])
-    made = with_suns(torch.rand(1, 3, HEIGHT, WIDTH), suns)[0]
+    suns = find_suns(light[None])
+    made = add_suns(torch.rand(1, 3, HEIGHT, WIDTH), suns)[0]
     torch.testing.assert_close(made[:, row, column], light[:, row, column], rtol=1e-3, atol=0)
     # the network counts all round it
     network = light.clone()
     network[:, row, column] = 0
-    torch.testing.assert_close(with_suns(network[None], suns)[0], light, rtol=2e-3, atol=1e-3)
+    torch.testing.assert_close(add_suns(network[None], suns)[0], light, rtol=2e-3, atol=1e-3)
 
 
 def test_all_light_stays_whatever_the_network_has_there() -> None:
     light = sky((towards(0.3, 0.5, 0.8), 0.4, 0.02), (towards(-0.6, 0.3, -0.5), 0.2, 0.03))
-    suns, area = suns_of(light[None]), solid_angles(HEIGHT, WIDTH)
+    suns, area = find_suns(light[None]), solid_angles(HEIGHT, WIDTH)
     assert (suns[0, :, 3] > 0).sum() == 2
     lights, without = suns[0, :, 3:6].sum(0), torch.tensor([1.0, 1, 1, 0, 0, 0, 1, 1, 1, 1])
     for network in (torch.zeros_like(light), light):
-        around = with_suns(network[None], suns)[0] - with_suns(network[None], suns * without)[0]
+        around = add_suns(network[None], suns)[0] - add_suns(network[None], suns * without)[0]
         torch.testing.assert_close((around * area).sum((1, 2)), lights, rtol=1e-3, atol=0)
 
 
 def test_wide_and_dim_lights_are_the_networks() -> None:
-    assert not suns_of(sky((towards(0, 1, 1), 0.9, 1.5 * WIDEST_RAD))[None]).any()
-    assert not suns_of(sky((towards(0, 1, 1), 0.01, 0.05))[None]).any()
+    assert not find_suns(sky((towards(0, 1, 1), 0.9, 1.5 * MAX_SUN_RAD))[None]).any()
+    assert not find_suns(sky((towards(0, 1, 1), 0.01, 0.05))[None]).any()
     light = sky()[None]
-    torch.testing.assert_close(with_suns(light, suns_of(light)), light)
+    torch.testing.assert_close(add_suns(light, find_suns(light)), light)
 
 
 def test_there_are_as_many_as_count_the_brightest() -> None:
     corners = [towards(x, 0.4, z) for x, z in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
     shares = [0.1, 0.25, 0.15, 0.2]
-    (found,) = suns_of(sky(*((at, share, 0.02) for at, share in zip(corners, shares, strict=True)))[None])
-    assert SUNS == 3
+    (found,) = find_suns(sky(*((at, share, 0.02) for at, share in zip(corners, shares, strict=True)))[None])
+    assert SUN_COUNT == 3
     for sun, at in zip(found, (corners[1], corners[3], corners[2]), strict=True):
         assert float(sun[:3] @ at) > 0.999
 
@@ -88,12 +88,12 @@ def test_fits_of_maps_see_suns_that_no_step_moves(rng: Generator) -> None:
     light = sky((towards(0.3, 0.5, 0.8), 0.5, 0.02))
     task = Task("sky", {"map": light, "photos": torch.full((1, 3, 64, 64), 99, dtype=torch.uint8)})
     app = Illumination(field, protocol="reference")
-    tasks = stack(app, [task])
-    how, encoder = encoding(app), app.init_encoder(rng)
+    tasks = stack_tasks(app, [task])
+    how, encoder = encoder_prediction(app), app.init_encoder(rng)
     predicted, theta = (each.encode(encoder, each.condition(tasks, rng)) for each in (app, how))
     assert not [key for key in predicted if key.startswith("suns")]  # General sees the photograph alone
-    torch.testing.assert_close(joined(theta), tasks.data["suns"])
-    assert theta.keys() - predicted.keys() == app.task_parameters(tasks).keys() == parted(tasks.data["suns"]).keys()
+    torch.testing.assert_close(join_suns(theta), tasks.data["suns"])
+    assert theta.keys() - predicted.keys() == app.task_parameters(tasks).keys() == split_suns(tasks.data["suns"]).keys()
     leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}
     loss = app.loss(leaves, app.sample(tasks, rng, 1), {}).sum()
     grads = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
@@ -104,5 +104,5 @@ def test_fits_of_maps_see_suns_that_no_step_moves(rng: Generator) -> None:
     at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_of(theta)))
     assert at[0] == pytest.approx(at[1], rel=0.05)
     photo = Illumination(field, protocol="photo")
-    condition = encoding(photo).condition(stack(photo, [task]), rng)
-    assert not [key for key in encoding(photo).encode(encoder, condition) if key.startswith("suns")]
+    condition = encoder_prediction(photo).condition(stack_tasks(photo, [task]), rng)
+    assert not [key for key in encoder_prediction(photo).encode(encoder, condition) if key.startswith("suns")]

@@ -8,9 +8,9 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, normalize
 
-from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
+from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack, positions, unpack
+from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack_maps, texel_positions, unpack_maps
 from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.app import JUDGED_LIGHTS, SvbrdfNonstationary, fixed_pairs
 from metapp.apps.svbrdf_nonstationary.coded_maps import (
@@ -39,7 +39,7 @@ from metapp.apps.svbrdf_nonstationary.variants import (
     recolour,
     restyle,
 )
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Tasks
 
 SIDE = 16
@@ -52,7 +52,7 @@ def material(seed: int, size: int = 32) -> Tensor:
     coarse = torch.rand(1, 8, 4, 4, generator=Generator().manual_seed(seed))
     smooth = interpolate(coarse, (size, size), mode="bilinear")[0]
     normal = normal_from_height(4 * smooth[:1], periodic=False)
-    return pack(Maps(0.1 + 0.7 * smooth[1:4], 0.4 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal))
+    return pack_maps(Maps(0.1 + 0.7 * smooth[1:4], 0.4 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal))
 
 
 @pytest.fixture
@@ -62,13 +62,13 @@ def app() -> SvbrdfNonstationary:
 
 @pytest.fixture
 def tasks(app: SvbrdfNonstationary) -> Tasks:
-    return stack(app, [svbrdf_task(f"material-{seed}", material(seed)) for seed in range(4)])
+    return stack_tasks(app, [make_svbrdf_task(f"material-{seed}", material(seed)) for seed in range(4)])
 
 
 @pytest.fixture
 def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
     """Parameters whose field gives the tasks' maps."""
-    truth = unpack(tasks.data["maps"])
+    truth = unpack_maps(tasks.data["maps"])
     monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: truth)
     return REFERENCE.init(Generator().manual_seed(0), 4)
 
@@ -77,7 +77,7 @@ def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
 
 
 def test_contrasts_say_where_it_gets_brighter() -> None:
-    x, y = positions(64, 64, dtype=torch.float64)
+    x, y = texel_positions(64, 64, dtype=torch.float64)
     photo = torch.exp(0.5 * x + 0.25 * y).expand(1, 3, -1, -1) - 0.02
     known, even = pixel_inputs(photo)[0, :, 1:-1, 1:-1], pixel_inputs(torch.full((1, 3, 16, 16), 0.3))
     texel = 2 / 64
@@ -148,17 +148,19 @@ def test_what_fits_see_is_not_what_they_are_judged_by(app: SvbrdfNonstationary) 
 
 def test_a_flash_described_by_zeros_is_the_camera_s() -> None:
     maps = material(0)[None]
-    photo = render_photo(unpack(maps), decode_flash(torch.zeros(1, FLASH_NUMBERS)))
-    wanted = srgb_to_linear(flash_photo(maps[0]).float() / 255)
+    photo = render_photo(unpack_maps(maps), decode_flash(torch.zeros(1, FLASH_NUMBERS)))
+    wanted = srgb_to_linear(render_flash_photo(maps[0]).float() / 255)
     torch.testing.assert_close(photo[0].clamp(0, 1), wanted, atol=0.01, rtol=0.01)  # 8 bits
 
 
 def test_white_below_a_flash_is_as_bright_at_any_height() -> None:
-    white = pack(Maps(torch.ones(3, 33, 33), torch.zeros(3, 33, 33), torch.ones(1, 33, 33), torch.zeros(3, 33, 33)))
+    white = pack_maps(
+        Maps(torch.ones(3, 33, 33), torch.zeros(3, 33, 33), torch.ones(1, 33, 33), torch.zeros(3, 33, 33))
+    )
     white[2] = 1
     for higher in (-2.0, 0.0, 2.0):
         flash = decode_flash(torch.tensor([[0.0, 0.0, higher, 0.0], [0.0, 0.0, higher, 1.0]]))
-        below = render_photo(unpack(white[None]), flash)[:, :, 16, 16]
+        below = render_photo(unpack_maps(white[None]), flash)[:, :, 16, 16]
         torch.testing.assert_close(below, torch.tensor([1.0, math.exp(0.3)])[:, None].expand(2, 3), atol=1e-3, rtol=0)
         assert flash.place[0, 2] == pytest.approx(camera_distance() * math.exp(0.2 * higher))
 
@@ -168,10 +170,10 @@ def test_white_below_a_flash_is_as_bright_at_any_height() -> None:
 
 def test_turned_materials_look_like_turned_photos() -> None:
     maps, rng, found = material(0), Generator().manual_seed(0), set()
-    photo = flash_photo(maps).int()
+    photo = render_flash_photo(maps).int()
     for _ in range(60):
         turned = _turn(maps, rng)
-        after = flash_photo(turned).int()
+        after = render_flash_photo(turned).int()
         ways = [[torch.rot90(each, k, (1, 2)) for each in (a, a.flip(2)) for k in range(4)] for a in (photo, maps)]
         off = [int((candidate - after).abs().max()) for candidate in ways[0]]
         assert min(off) <= 1
@@ -208,10 +210,10 @@ def test_variants_show_relief_that_is_finer_than_their_maps(app: SvbrdfNonstatio
     slopes = torch.where(torch.arange(size) % 2 == 0, 1.0, -1.0).expand(1, size, size)
     normal = normalize(torch.cat([slopes, torch.zeros_like(slopes), torch.ones_like(slopes)]), dim=0)
     even = torch.ones(3, size, size)
-    ridges = pack(Maps(0.5 * even, 0.04 * even, 0.9 * even[:1], normal))
-    variants = app.augment(stack(app, [svbrdf_task(f"ridges-{i}", ridges) for i in range(16)]), rng)
+    ridges = pack_maps(Maps(0.5 * even, 0.04 * even, 0.9 * even[:1], normal))
+    variants = app.augment(stack_tasks(app, [make_svbrdf_task(f"ridges-{i}", ridges) for i in range(16)]), rng)
     assert variants.data["maps"][:, 2].amin() > 0.9  # even, as far as these know
-    flat = render_photo(unpack(variants.data["maps"]), decode_flash(torch.zeros(16, FLASH_NUMBERS)))
+    flat = render_photo(unpack_maps(variants.data["maps"]), decode_flash(torch.zeros(16, FLASH_NUMBERS)))
     darker = variants.data["photo"].mean((1, 2, 3)) / flat.clamp(0, 1).mean((1, 2, 3))
     assert float(darker.median()) < 0.85  # about cos 45 degrees
 
@@ -233,7 +235,7 @@ def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, m
     flat = tasks.data["maps"].clone()
     flat[:, :3] = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     angle = math.radians(10)
-    tilted = unpack(flat)._replace(normal=torch.tensor([math.sin(angle), 0.0, math.cos(angle)])[:, None, None])
+    tilted = unpack_maps(flat)._replace(normal=torch.tensor([math.sin(angle), 0.0, math.cos(angle)])[:, None, None])
     tilted = tilted._replace(normal=tilted.normal.expand(4, -1, SIDE, SIDE))
     monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: tilted)
     judged = replace(tasks, data=tasks.data | {"maps": flat})
@@ -255,7 +257,7 @@ def test_maps_are_filled_where_photos_clip_losses_are_not(
     people = replace(PHOTO, encoder_size=SIDE)
     clipped = tasks.data["photo"].clamp_max(0.5).clone()
     clipped[0, :, 4:10, 4:10] = 1
-    wrong = unpack(tasks.data["maps"].clone())
+    wrong = unpack_maps(tasks.data["maps"].clone())
     wrong.diffuse[0, :, 4:10, 4:10] = 0
     monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: wrong)
     filled = people.final_maps(exact, clipped)
@@ -290,7 +292,7 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
 
 def test_blots_and_relief_are_measured(app: SvbrdfNonstationary, tasks: Tasks) -> None:
     """Diffuse colours are off in one corner, which alone clips in the photograph; all normals are upright."""
-    maps = unpack(tasks.data["maps"])
+    maps = unpack_maps(tasks.data["maps"])
     off = torch.zeros_like(maps.diffuse)
     off[..., :2, :2] = 1
     photo = tasks.data["photo"].clamp_max(0.5).clone()
@@ -315,7 +317,7 @@ def test_outer_losses_count_flat_normals_and_blots(
     batch = app.sample(tasks, rng, 1)
     batch["photo"] = batch["photo"].clamp_max(0.9).clone()
     batch["photo"][..., :4] = 1
-    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: unpack(half))
+    monkeypatch.setattr(CodedMaps, "maps_of", lambda app, theta, photo: unpack_maps(half))
     whole = app.outer_loss(exact, batch, {})
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.coded_maps.STEEPNESS_WEIGHT", 0.0)
     without_steep = app.outer_loss(exact, batch, {})

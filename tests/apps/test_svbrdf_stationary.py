@@ -8,30 +8,30 @@ from torch import Generator, Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import (
-    GAMMA,
+    DISPLAY_GAMMA,
     Maps,
-    camera,
-    expose,
+    camera_position,
+    map_statistics,
     normal_from_height,
-    positions,
-    relightings,
-    render,
-    statistics,
+    radiance_to_display,
+    relighting_positions,
+    render_maps,
+    texel_positions,
 )
 from metapp.apps import presenter_of
 from metapp.apps.exemplar.app import draw_noise
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.presenter import TILED
+from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES
 from metapp.apps.svbrdf_stationary.app import (
-    GLOSS,
-    OF_ROUGHNESS,
-    TRUTH,
+    GLOSS_WEIGHT,
+    ROUGHNESS_WEIGHT,
+    TRUTH_WEIGHT,
     SvbrdfStationary,
 )
-from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR, QUICK
-from metapp.apps.svbrdf_stationary.statistics import FALLOFF, FlashStatistics, raw_gloss
-from metapp.apps.svbrdf_stationary.windows import GRID, grams_in_windows
-from metapp.learning.app import stack
+from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR_WEIGHT, QUICK
+from metapp.apps.svbrdf_stationary.statistics import FLASH_FALLOFF, FlashStatistics, encode_gloss
+from metapp.apps.svbrdf_stationary.windows import WINDOWS_PER_SIDE, grams_in_windows
+from metapp.learning.app import stack_tasks
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
@@ -41,7 +41,7 @@ from metapp.networks.generators import UNet
 SIZE = 32
 TINY = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIZE, SIZE, ("relu1_1",)))
 KEPT = replace(TINY, prior=2.0)
-WINDOWS = range(GRID * GRID)
+WINDOWS = range(WINDOWS_PER_SIDE * WINDOWS_PER_SIDE)
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -59,8 +59,10 @@ def glossy(seed: int, size: int = SIZE) -> Maps:
 
 def photo_of(maps: Maps, place: tuple[float, float]) -> Tensor:
     """uint8 [3, size, size], with light and camera above a place of the patch."""
-    above = camera() + torch.tensor([*place, 0.0])
-    shown = expose(render(maps, positions(*maps.diffuse.shape[-2:]), above, above, falloff=FALLOFF))
+    above = camera_position() + torch.tensor([*place, 0.0])
+    shown = radiance_to_display(
+        render_maps(maps, texel_positions(*maps.diffuse.shape[-2:]), above, above, falloff=FLASH_FALLOFF)
+    )
     return (255 * shown[0]).round().to(torch.uint8)
 
 
@@ -74,7 +76,7 @@ def sources() -> list[Task]:
 
 @pytest.fixture(scope="module")
 def tasks(sources: list[Task]) -> Tasks:
-    return stack(TINY, sources)
+    return stack_tasks(TINY, sources)
 
 
 def flat(app: SvbrdfStationary, *raw: float, count: int = 1) -> Params:
@@ -97,7 +99,7 @@ def test_windows_cover_the_picture_and_fade_towards_their_edges() -> None:
     assert (weights.amax(0) > 0).all()
     torch.testing.assert_close(weights.sum((1, 2)), torch.ones(9, dtype=torch.float64))
     for window, weight in enumerate(weights):
-        row, column = divmod(window, GRID)
+        row, column = divmod(window, WINDOWS_PER_SIDE)
         inside = torch.zeros(16, 24, dtype=torch.bool)
         inside[4 * row : 4 * row + 8, 6 * column : 6 * column + 12] = True
         assert torch.equal(weight > 0, inside)
@@ -149,7 +151,7 @@ def test_the_light_is_where_the_highlight_is(sources: list[Task], tasks: Tasks) 
     """Found in the photo, and put there, above the camera's plane, whenever a fit is compared with it or shown."""
     lights = tasks.data["light"]
     torch.testing.assert_close(lights[:, :2], torch.tensor(PLACES), rtol=0, atol=0.1)
-    torch.testing.assert_close(lights[:, 2], camera()[2].expand(3))
+    torch.testing.assert_close(lights[:, 2], camera_position()[2].expand(3))
     used = []
 
     class NotedStatistics(FlashStatistics):
@@ -190,7 +192,7 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
     assert 0.1 <= maps.roughness.min() <= maps.roughness.max() <= 1
     torch.testing.assert_close(maps.normal.norm(dim=2), torch.ones(*leading, SIZE, SIZE))
     assert (maps.normal[:, :, 2] > 0).all()
-    picture = app.statistics.photograph(maps, camera(), camera())
+    picture = app.statistics.photograph(maps, camera_position(), camera_position())
     assert picture.isfinite().all()
     assert 0 <= picture.min() <= picture.max() <= 1
     if scale == 0:
@@ -207,8 +209,8 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
     made = presenter_of(app).pictures(theta, sources[0])
     files = {name: picture.pixels for name, picture in made.items()}
     names = ["diffuse", "specular", "roughness", "normal", "height"]
-    assert list(files) == [*names, *(f"lit_from_{name}" for name in relightings())]
-    side = TILED * SIZE
+    assert list(files) == [*names, *(f"lit_from_{name}" for name in relighting_positions())]
+    side = FILE_SIDE_TIMES * SIZE
     channels = {"specular": 1, "roughness": 1, "height": 1}
     assert {name: tuple(picture.shape) for name, picture in files.items()} == {
         name: (side, side, channels.get(name, 3)) for name in files
@@ -224,7 +226,7 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
         files["roughness"].permute(2, 0, 1),
         normal,
     )
-    for name, (light, view) in relightings().items():
+    for name, (light, view) in relighting_positions().items():
         shown = app.statistics.photograph(maps, light, view).permute(1, 2, 0)
         torch.testing.assert_close(files[f"lit_from_{name}"], shown, rtol=0, atol=2e-3)
     # maps tile, also normals, which look at their neighbours
@@ -247,7 +249,7 @@ def test_slopes_and_heights_are_shown_times_a_factor(sources: list[Task], factor
     torch.testing.assert_close(shown, after["normal"] * 0.5 + 0.5)
     fits = [each.preview(theta, sources[0]) for each in (plain, steeper)]
     same = {name for name, picture in fits[0].items() if torch.equal(picture, fits[1][name])}
-    moved = {"normal", "height", *(f"lit_from_{name}" for name in relightings())}
+    moved = {"normal", "height", *(f"lit_from_{name}" for name in relighting_positions())}
     assert same >= fits[0].keys() - moved
     assert ("normal" in same) == (factor == 1)
     assert steeper.remarks(theta, sources[0]) == plain.remarks(theta, sources[0]) != {"mean_tilt_degrees": 0}
@@ -260,9 +262,9 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     made = presenter_of(app).pictures(theta, sources[0])
     files = {name: picture.pixels for name, picture in made.items()}
     assert files["height"].max() == 0
-    places = positions(TILED * SIZE, TILED * SIZE).flatten(1)
+    places = texel_positions(FILE_SIDE_TIMES * SIZE, FILE_SIDE_TIMES * SIZE).flatten(1)
     found = {}
-    for name, (light, view) in relightings().items():
+    for name, (light, view) in relighting_positions().items():
         picture = files[f"lit_from_{name}"].mean(2).flatten()
         assert picture.max() < 1
         found[name] = places[:, picture.argmax()]
@@ -275,71 +277,71 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
 def test_references_under_other_lights_are_compared(sources: list[Task]) -> None:
     app = TINY
     theta = flat(app, 0.5, -0.5, 0.0, 0.5, -1.0, 0.0)
-    (maps, _), place = app.maps(theta, draw_noise(app, seeded(), 1, 1)), camera()
+    (maps, _), place = app.maps(theta, draw_noise(app, seeded(), 1, 1)), camera_position()
     whole = Maps(*(part[0] for part in maps))
 
     def as_bytes(light: Tensor, view: Tensor) -> Tensor:
         return (255 * app.statistics.photograph(whole, light, view)[0]).round().to(torch.uint8)
 
     image = as_bytes(place, place)
-    relit = torch.stack([as_bytes(light, view) for light, view in relightings().values()])
+    relit = torch.stack([as_bytes(light, view) for light, view in relighting_positions().values()])
     task = Task("flat", {"image": image, "relit": relit})
-    found = app.errors(theta, stack(app, [task]))
+    found = app.errors(theta, stack_tasks(app, [task]))
     assert found["relit"].shape == (1,)
     assert found["relit"] < 0.02
-    other = app.errors(flat(app, 0.5, -0.5, 0.0, 2.5, 1.0, 0.0), stack(app, [task]))
+    other = app.errors(flat(app, 0.5, -0.5, 0.0, 2.5, 1.0, 0.0), stack_tasks(app, [task]))
     assert other["relit"] > 0.1
-    assert "relit" not in app.errors(theta, stack(app, sources[:1]))
-    assert "relit" not in app.augment(stack(app, [task]), seeded()).data
+    assert "relit" not in app.errors(theta, stack_tasks(app, sources[:1]))
+    assert "relit" not in app.augment(stack_tasks(app, [task]), seeded()).data
 
 
 def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task]) -> None:
     app = TINY
     theta = app.init(seeded(), 1)
     noise = draw_noise(app, seeded(), 1, 1)
-    own = statistics(app.maps(theta, noise)[0])[0]
+    own = map_statistics(app.maps(theta, noise)[0])[0]
     image = sources[0].data["image"]
 
     def loss_of(truth: Tensor) -> Tensor:
-        tasks = stack(app, [Task("known", {"image": image, "truth": truth})])
+        tasks = stack_tasks(app, [Task("known", {"image": image, "truth": truth})])
         return app.outer_loss(theta, app.sample(tasks, seeded(), 1) | {"noise": noise}, {})
 
     unequal = torch.cat([own.expand(2, -1, -1) + 0.5, own])  # of other sizes than the network's
     others = torch.full((2, 6), 0.1)
     others[0, 3:5] = 0  # mean specular and roughness, which count by their logits, too
     there, off = loss_of(unequal), loss_of(unequal + others)
-    torch.testing.assert_close(off - there, torch.tensor([0.1 * TRUTH * 10 / 12]))
-    for channel, share in ((3, lambda shown: shown**GAMMA), (4, lambda roughness: (roughness - 0.1) / 0.9)):
+    torch.testing.assert_close(off - there, torch.tensor([0.1 * TRUTH_WEIGHT * 10 / 12]))
+    for channel, share in ((3, lambda shown: shown**DISPLAY_GAMMA), (4, lambda roughness: (roughness - 0.1) / 0.9)):
         more = torch.zeros(2, 6)
         more[0, channel] = 0.1
         logits = [torch.logit(share(truth[-1, 0, channel])) for truth in (unequal, unequal + more)]
-        expected = 0.1 * TRUTH / 12 + GLOSS * (logits[1] - logits[0]).abs()
+        expected = 0.1 * TRUTH_WEIGHT / 12 + GLOSS_WEIGHT * (logits[1] - logits[0]).abs()
         found = loss_of(unequal + more) - there
         torch.testing.assert_close(found, expected[None], atol=0.01, rtol=0)  # maps vary a little
 
 
 def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
     """Maps of one value each: its part of the loss is the mean square of what is off, and quick fits have none."""
-    tasks = stack(KEPT, sources[:1])
+    tasks = stack_tasks(KEPT, sources[:1])
     found = []
     for specular, roughness in ((0.0, 0.0), (0.5, 0.0), (0.0, -1.5)):
         theta = flat(KEPT, 0.5, -0.5, 0.0, specular, roughness, 0.0)
         batch = KEPT.sample(tasks, seeded(), 1)
         found.append(KEPT.loss(theta, batch, {}) - TINY.loss(theta, batch, {}))
-    torch.testing.assert_close(torch.cat(found), torch.tensor([0.0, 2 * 0.25, 2 * OF_ROUGHNESS * 2.25]))
-    assert (QUICK.app.prior, PAPER.app.prior, FULL.app.prior) == (0, 0, PRIOR)
+    torch.testing.assert_close(torch.cat(found), torch.tensor([0.0, 2 * 0.25, 2 * ROUGHNESS_WEIGHT * 2.25]))
+    assert (QUICK.app.prior, PAPER.app.prior, FULL.app.prior) == (0, 0, PRIOR_WEIGHT)
 
 
 def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
     truth = torch.arange(36.0).view(3, 2, 6) / 36
-    tasks = stack(TINY, [Task("known", {"image": sources[0].data["image"], "truth": truth})])
+    tasks = stack_tasks(TINY, [Task("known", {"image": sources[0].data["image"], "truth": truth})])
     found = TINY.carried(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
     torch.testing.assert_close(found, truth[..., [2, 0, 1, 3, 4, 5]])
     assert TINY.augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
     # photographs without it go beside those with it
     known = Task("known", {**sources[0].data, "truth": truth})
     for both in ([known, sources[1]], [sources[1], known]):
-        assert "truth" not in stack(TINY, both).data
+        assert "truth" not in stack_tasks(TINY, both).data
 
 
 def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
@@ -358,7 +360,7 @@ def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
 
 def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> None:
     """Uniform maps of any gloss are as expected where General made them, and no step moves what is expected."""
-    tasks, rng = stack(KEPT, sources[:1]), seeded()
+    tasks, rng = stack_tasks(KEPT, sources[:1]), seeded()
     predicted = flat(KEPT, 0.5, -0.5, 0.0, 0.5, -1.5, 0.0)
     encoder = KEPT.init_encoder(rng)
     assert "decoder.gloss" not in encoder
@@ -382,7 +384,7 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: 
         photo_of(Maps(0.2 * one.expand(1, 3, -1, -1), specular * one, roughness * one, up), (0.0, 0.0))
         for specular, roughness in ((0.04, 0.25), (0.04, 0.8))
     ]
-    tasks = stack(KEPT, [Task(str(i), {"image": each}) for i, each in enumerate(photos)])
+    tasks = stack_tasks(KEPT, [Task(str(i), {"image": each}) for i, each in enumerate(photos)])
     encoder = KEPT.init_encoder(seeded())
     predicted = flat(KEPT, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
@@ -393,6 +395,6 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: 
     assert cloth == pytest.approx(0.1 + 0.9 * float(torch.sigmoid(torch.tensor(-1.5))))
     assert float(maps.specular[0].mean()) == pytest.approx(0.04, rel=0.5)
     again = theta["gloss"] - torch.stack(
-        [each.mean((1, 2, 3, 4)) for each in raw_gloss(maps.specular, maps.roughness)], -1
+        [each.mean((1, 2, 3, 4)) for each in encode_gloss(maps.specular, maps.roughness)], -1
     )
     assert float(again.abs().max()) < 1e-3

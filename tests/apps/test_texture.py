@@ -8,12 +8,12 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate, pad
 
 from metapp.appearance.picture_measures import measure_pictures
-from metapp.appearance.pictures import Fitted
+from metapp.appearance.pictures import TimedFit
 from metapp.apps import presenter_of
 from metapp.apps.exemplar.app import JUDGED_PICTURES, draw_noise
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.texture.app import SMALLEST_CROP, GramStatistics, Texture
-from metapp.learning.app import stack
+from metapp.apps.texture.app import MIN_CROP_SHARE, GramStatistics, Texture
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import UNet
 
@@ -54,7 +54,7 @@ def sources() -> list[Task]:
 
 @pytest.fixture(scope="module")
 def tasks(sources: list[Task]) -> Tasks:
-    return stack(TINY, sources)
+    return stack_tasks(TINY, sources)
 
 
 # What is compared
@@ -92,7 +92,7 @@ def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tenso
     """Variants [count, 3, 16, 16] of an image [3, S, S]."""
     some = app(TINY.network, replace(TINY.octaves, height=16, width=16))
     task = Task("a", {"image": (255 * image).round().to(torch.uint8)})
-    tasks = stack(some, [task]).select([0] * count)
+    tasks = stack_tasks(some, [task]).select([0] * count)
     return some.augment(tasks, seeded()).data["exemplar"]
 
 
@@ -133,7 +133,7 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
         assert torch.equal(part, image[:, top : top + side, left : left + side])
         sides.append(side)
         corners.append((left, top, 64 - left - side, 64 - top - side))
-    assert min(sides) in range(round(SMALLEST_CROP * 64), round(SMALLEST_CROP * 64) + 3)
+    assert min(sides) in range(round(MIN_CROP_SHARE * 64), round(MIN_CROP_SHARE * 64) + 3)
     assert max(sides) >= 62
     assert torch.tensor(corners).amin(0).tolist() == [0, 0, 0, 0]
     assert torch.tensor(corners).amax(0).min() > 20
@@ -153,7 +153,7 @@ def test_order_is_measured_where_the_exemplar_has_some() -> None:
 
         return Shown(**vars(app))
 
-    fits = {"a": Fitted({"z": torch.zeros(8)}, 0.0)}
+    fits = {"a": TimedFit({"z": torch.zeros(8)}, 0.0)}
     paving = paved().repeat(1, 2, 2)[:, :64, :64]
     for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):
         task = Task("paving", {"image": (255 * paving).to(torch.uint8)})

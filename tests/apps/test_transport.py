@@ -12,8 +12,8 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.apps.transport import spline
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.guide import table_of
-from metapp.learning.app import stack
+from metapp.apps.transport.guide import make_guide_table
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.paths.path_space import Tracer
 
@@ -26,7 +26,7 @@ def rng(seed: int = 0) -> Generator:
 
 def numbers(bins: int, count: int, scale: float = 1.5, seed: int = 0) -> Tensor:
     """Of `count` splines, float64 [3 K + 1, count]."""
-    return scale * torch.randn(spline.size(bins), count, generator=rng(seed), dtype=torch.float64)
+    return scale * torch.randn(spline.count_numbers(bins), count, generator=rng(seed), dtype=torch.float64)
 
 
 def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
@@ -48,7 +48,7 @@ def test_a_spline_goes_up_from_0_to_1() -> None:
     places = torch.linspace(0, 1, 2001, dtype=torch.float64)
     for seed in range(5):
         one = numbers(6, 1, scale=3.0, seed=seed)
-        masses = spline.cumulative(spline.splines_of(one), places)
+        masses = spline.cumulative_mass(spline.decode_splines(one), places)
         assert float(masses[0]) == pytest.approx(0, abs=1e-12)
         assert float(masses[-1]) == pytest.approx(1, abs=1e-12)
         assert (masses.diff() > 0).all()
@@ -89,7 +89,9 @@ def test_the_density_is_the_jacobian_of_the_chain() -> None:
         trunk = flow.trunk(theta, places[:, 0], places[:, 1])
         chain = [flow.numbers(theta, i, trunk, places[:, 2 : 2 + i]) for i in range(2)]
         chain = [*flow.film(theta, places[:, 0]), *chain]
-        return torch.cat([spline.cumulative(spline.splines_of(each), places[:, i])[0] for i, each in enumerate(chain)])
+        return torch.cat(
+            [spline.cumulative_mass(spline.decode_splines(each), places[:, i])[0] for i, each in enumerate(chain)]
+        )
 
     for seed in range(4):
         point = torch.rand(4, generator=rng(seed), dtype=torch.float64)
@@ -105,7 +107,7 @@ def test_the_density_is_the_jacobian_of_the_chain() -> None:
 
 def test_a_table_is_the_flow_in_cells() -> None:
     theta = {key: value[0].float() for key, value in bent(FLOW, scale=0.2).items()}
-    table = table_of(FLOW, theta, places=8, cells=32, power=1.0)
+    table = make_guide_table(FLOW, theta, places=8, cells=32, power=1.0)
     torch.testing.assert_close(table.masses.sum(1), torch.ones(64), atol=1e-5, rtol=0)
     place = torch.tensor([5.5 / 8, 2.5 / 8])
     square = middles(32).float()
@@ -113,7 +115,7 @@ def test_a_table_is_the_flow_in_cells() -> None:
     _, directions = FLOW.log_density(one, torch.cat([place[None, :, None].expand(1, 2, 1024), square], 1))
     found = table.density(place.expand(1024, 2), square[0].T)
     assert float((found - directions[0].exp()).abs().mean()) < 0.02
-    root = table_of(FLOW, theta, places=8, cells=32, power=0.5)
+    root = make_guide_table(FLOW, theta, places=8, cells=32, power=0.5)
     torch.testing.assert_close(root.masses.sum(1), torch.ones(64), atol=1e-5, rtol=0)
     ratio = root.masses.square() / table.masses
     torch.testing.assert_close(ratio, ratio[:, :1].expand_as(ratio), rtol=1e-3, atol=0)
@@ -125,7 +127,7 @@ def test_what_a_table_draws_has_the_density_that_it_says() -> None:
     So a guide leaves means over draws, over their density, as they are.
     """
     theta = {key: value[0].float() for key, value in bent(FLOW).items()}
-    table = table_of(FLOW, theta, places=4, cells=8)
+    table = make_guide_table(FLOW, theta, places=4, cells=8)
     torch.manual_seed(0)
     count = 200_000
     for x, y in ((0.6, 0.3), (0.1, 0.9)):
@@ -172,7 +174,7 @@ def app() -> Transport:
 
 @pytest.fixture
 def tasks(app: Transport) -> Tasks:
-    return stack(app, [room(seed) for seed in range(4)])
+    return stack_tasks(app, [room(seed) for seed in range(4)])
 
 
 def test_errors_are_of_held_out_samples_and_add_up(app: Transport, tasks: Tasks) -> None:

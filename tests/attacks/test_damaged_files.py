@@ -9,8 +9,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save, save_file
 
-from metapp.storage.checkpoints import SCHEMA, load_checkpoint, save_checkpoint
-from metapp.storage.fits import FIT, RECORD, read_fits, write_fit
+from metapp.storage.checkpoints import CHECKPOINT_SCHEMA, load_checkpoint, save_checkpoint
+from metapp.storage.fits import NUMBER_ENTRIES, RECORD, read_fit_records, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -46,10 +46,10 @@ def test_a_bad_record_is_passed_over_with_a_warning(tmp_path: Path, change: Any)
     text = change if isinstance(change, str) else json.dumps({**json.loads(file.read_text()), **change})
     file.write_text(text, errors="surrogateescape")
     with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task; passed over"):
-        assert [record["name"] for record in read_fits(tmp_path, FIT)] == ["tin"]
+        assert [record["name"] for record in read_fit_records(tmp_path, NUMBER_ENTRIES)] == ["tin"]
     again = fitted(tmp_path, "gold")  # whose the folder is cannot be said
     with pytest.warns(UserWarning, match="no record"):
-        assert [record["name"] for record in read_fits(tmp_path, FIT)] == [again.name, "tin"]
+        assert [record["name"] for record in read_fit_records(tmp_path, NUMBER_ENTRIES)] == [again.name, "tin"]
 
 
 DAMAGED = {
@@ -76,12 +76,14 @@ def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, ne
 # Checkpoints
 
 PART = {"theta.x": torch.ones(1)}
-WHOLE = save(PART, {"metapp": json.dumps({"schema": SCHEMA})})
+WHOLE = save(PART, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA})})
 NO_CHECKPOINTS = {  # tests/fuzz tries any bytes
     "bare": save(PART, None),
-    "other part": save({"other.x": torch.ones(1)}, {"metapp": json.dumps({"schema": SCHEMA})}),
+    "other part": save({"other.x": torch.ones(1)}, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA})}),
     **{f"header {header[:20]}": save(PART, {"metapp": header}) for header in ("[]", '{"schema": true}', NESTED)},
-    "integers": save({"theta.x": torch.ones(2, dtype=torch.int64)}, {"metapp": json.dumps({"schema": SCHEMA})}),
+    "integers": save(
+        {"theta.x": torch.ones(2, dtype=torch.int64)}, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA})}
+    ),
     "cut": WHOLE[:-1],
     "pickle": b"\x80\x04N.",
 }

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.extensions.native import compiler as module
-from metapp.extensions.native.compiler import compiler, load
+from metapp.extensions.native import find_compiler as module
+from metapp.extensions.native.compiler import find_compiler, load_library
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import (
     check_readable,
@@ -17,7 +17,7 @@ from metapp.storage.files import (
     read_bytes,
     read_text,
 )
-from metapp.storage.fits import PARAMS, RECORD, read_fits, write_fit
+from metapp.storage.fits import PARAMS, RECORD, read_fit_records, write_fit
 
 KEYS = "first\nlast"
 GOLD = {"name": "gold", "error": 1.0, "seconds": 1.0}
@@ -52,7 +52,7 @@ def test_a_linked_record_does_not_cut_another_file(sent: Path, keys: Path, name:
     kept = write_fit(sent, GOLD | {"error": 2.0}, THETA)
     assert (kept["folder"], file.is_symlink(), file.stat().st_nlink) == (str(sent / "gold"), False, 1)
     assert keys.read_bytes() == before
-    assert [record["error"] for record in read_fits(sent)] == [2.0]
+    assert [record["error"] for record in read_fit_records(sent)] == [2.0]
 
 
 def test_nothing_is_written_into_a_linked_folder(sent: Path, keys: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_pipe_among_inputs_does_not_hang(metapp: Callable, sent: Path, app: st
 ATTACKS = ("a folder of another user", "a linked folder", "a folder that all could write to")
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
+@pytest.mark.skipif(find_compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_a_library_of_others_is_not_run(
     attack: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -128,7 +128,7 @@ def test_a_library_of_others_is_not_run(
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("default")
         assert compiled(source, "seven") == 7
-        assert load.__wrapped__(source, "seven") is not None
+        assert load_library.__wrapped__(source, "seven") is not None
     assert [str(each.message).partition(":")[0] for each in said] == [str(native)]
     assert "code is compiled for this run alone" in str(said[0].message)
 
@@ -137,7 +137,7 @@ def compiled(source: Path, name: str) -> int:
     """The result of a function, in a process of its own."""
     reading, writing = os.pipe()
     if (child := os.fork()) == 0:
-        functions = load.__wrapped__(source, name)
+        functions = load_library.__wrapped__(source, name)
         os.write(writing, str(functions and getattr(functions, name)()).encode())
         os._exit(0)
     os.close(writing)

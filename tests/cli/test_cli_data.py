@@ -23,9 +23,9 @@ from data_tools.synthetic.stationary.families import Split
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.learning.task import Task
 from metapp.registry import registry
-from metapp.rendering.scenes.stored_text import scene_of
-from metapp.runs.inputs.embedded import embedded_data, split_counts
-from metapp.storage.shards import check_shard, read_manifest, read_shard
+from metapp.rendering.scenes.stored_text import decode_scene
+from metapp.runs.inputs.embedded import make_embedded_set, split_counts
+from metapp.storage.shards import list_data_set_problems, read_data_set, read_manifest
 from tests.conftest import Result
 from tests.needs_mitsuba import needs_mitsuba
 from tests.small_spheres import run_small
@@ -54,11 +54,11 @@ def network_at(network: Path) -> Callable[..., Path]:
 def test_merl_files_become_a_data_set(metapp: Callable, gold: Path) -> None:
     result = metapp("data", "merl", gold, "--out", "out", *FEW)
     assert result == (0, "", "brdf: 1 train + 0 test tasks in out\n")
-    (task,) = read_shard(Path("out"), "train", "brdf")
+    (task,) = read_data_set(Path("out"), "train", "brdf")
     assert task.name == "gold"
     assert task.data["angles"].shape == (64, 3)
     assert task.data["reflectance"][0].tolist() == pytest.approx([0.2, 0.23, 0.332])
-    assert check_shard(Path("out")) == []
+    assert list_data_set_problems(Path("out")) == []
     assert read_manifest(Path("out")).notes == {"made_by": "metapp data merl", "samples": 64, "split": "auto"}
 
 
@@ -155,11 +155,11 @@ def test_join_keeps_each_task_in_its_split(metapp: Callable, network_at: Callabl
 
     document = join("train", "test").done
     assert (document["train"], document["test"]) == (["tin"], ["ink"])
-    assert [task.name for task in read_shard(Path("joint"), "test", "brdf")] == ["ink"]
-    assert check_shard(Path("joint")) == []
+    assert [task.name for task in read_data_set(Path("joint"), "test", "brdf")] == ["ink"]
+    assert list_data_set_problems(Path("joint")) == []
     assert join("train", "test", "--alike").done["train"] == ["tin"]
-    assert {task.name: task.data["kind"].tolist() for task in read_shard(Path("joint"))} == {"tin": [0], "ink": [1]}
-    assert check_shard(Path("joint")) == []
+    assert {task.name: task.data["kind"].tolist() for task in read_data_set(Path("joint"))} == {"tin": [0], "ink": [1]}
+    assert list_data_set_problems(Path("joint")) == []
     assert "two tasks of this name" in join("train", "train").error
     assert join("joint", "test").error
     assert join("none").error
@@ -288,13 +288,13 @@ def test_synth_makes_a_set_once(metapp: Callable, cache: Path) -> None:
     assert folder.is_relative_to(cache)
     assert len(result.document["train"]) == 4
     assert len(result.document["test"]) == 1
-    assert check_shard(folder) == []
+    assert list_data_set_problems(folder) == []
     before = (folder / "manifest.json").stat().st_mtime_ns
-    assert embedded_data("brdf", count=5, quiet=True) == folder
+    assert make_embedded_set("brdf", count=5, quiet=True) == folder
     assert (folder / "manifest.json").stat().st_mtime_ns == before
     next(folder.glob("*.safetensors")).unlink()  # damaged: made again
-    assert embedded_data("brdf", count=5, quiet=True) == folder
-    assert check_shard(folder) == []
+    assert make_embedded_set("brdf", count=5, quiet=True) == folder
+    assert list_data_set_problems(folder) == []
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
 
 
@@ -333,7 +333,7 @@ def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.Mo
     stale.mkdir(parents=True)
     os.utime(stale, (time.time() - 7200,) * 2)
     with pytest.raises(KeyboardInterrupt):
-        embedded_data("brdf", quiet=True)
+        make_embedded_set("brdf", quiet=True)
     assert list((cache / "data").iterdir()) == []
 
 
@@ -356,20 +356,20 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
     document = metapp("data", "cornell", "--count", "5", "--seed", "7", *FEW_PATHS, "--out", "a", "--json").done
     assert document["train"] == [f"cornell-7-00{index}" for index in range(4)]
     assert document["test"] == ["cornell-7-004"]
-    assert check_shard(Path("a")) == []
-    tasks = read_shard(Path("a"), app="transport")
+    assert list_data_set_problems(Path("a")) == []
+    tasks = read_data_set(Path("a"), app="transport")
     for task in tasks:
         assert task.data["samples"].shape == (200, 4)
         assert task.data["held"].shape == (50, 4)
         scene = json.loads(Path(f"a/{task.name}.json").read_text())
-        assert scene == scene_of(task.data["scene"])
+        assert scene == decode_scene(task.data["scene"])
     # fewer take the place of all, scenes included
     for count in ("2", "1"):
         again = ("--count", count, "--seed", "7", *FEW_PATHS, "-o", "b", "-q", "--overwrite")
         assert metapp("data", "cornell", *again).code == 0
     files = {"manifest.json", "cornell-7-000.json", "cornell-7-000.safetensors"}
     assert {path.name for path in Path("b").iterdir()} == files
-    (box,) = read_shard(Path("b"))
+    (box,) = read_data_set(Path("b"))
     assert all(torch.equal(box.data[key], tasks[0].data[key]) for key in box.data)
 
 
@@ -377,10 +377,10 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
 @needs_mitsuba
 def test_the_embedded_set_is_made_of_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     embed(monkeypatch, "transport", "OF_FEW_SAMPLES")
-    folder = embedded_data("transport", count=3, quiet=True)
+    folder = make_embedded_set("transport", count=3, quiet=True)
     assert [task.name for task in read_manifest(folder).tasks] == ["box-000", "box-001", "box-t000"]
-    assert check_shard(folder) == []
+    assert list_data_set_problems(folder) == []
     assert (folder / "box-t000.json").is_file()
-    first, _, test = read_shard(folder)
-    others = [scene_of(task.data["scene"]) for task in (first, test, next(cornell_tasks(1, samples=10, held=10)))]
+    first, _, test = read_data_set(folder)
+    others = [decode_scene(task.data["scene"]) for task in (first, test, next(cornell_tasks(1, samples=10, held=10)))]
     assert all(others[i] != others[j] for i, j in ((0, 1), (0, 2), (1, 2)))

@@ -14,11 +14,11 @@ from torch import Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.cli.console import LONGEST, one_line
+from metapp.cli.console import MAX_MESSAGE_CHARACTERS, shorten_to_line
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.runs import fitting
-from metapp.storage.fits import PARAMS, RECORD, read_fits
+from metapp.storage.fits import PARAMS, RECORD, read_fit_records
 from tests.conftest import Result
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -29,7 +29,7 @@ def one(result: Result) -> str:
     assert result.code == 1
     (line,) = result.err.splitlines()
     assert line.startswith("error: ")
-    assert len(line) <= LONGEST
+    assert len(line) <= MAX_MESSAGE_CHARACTERS
     return line
 
 
@@ -90,7 +90,7 @@ def test_files_of_any_name_are_fitted(fit: Callable, network: Path, name: str) -
     (task,) = result.document["tasks"]
     assert task["name"].isprintable()
     folder = Path(result.document["out"])
-    assert [record["name"] for record in read_fits(folder)] == [task["name"]]
+    assert [record["name"] for record in read_fit_records(folder)] == [task["name"]]
     assert (folder / "pictures.png").is_file()
     place = Path(task["folder"])
     assert (place / PARAMS).is_file()
@@ -101,9 +101,9 @@ def test_messages_are_one_short_line(metapp: Callable) -> None:
     for words in (("data", "check", "a\nb\x1b[31m"), ("data", "check", "/".join(["x" * 200] * 10))):
         assert one(metapp(*words))
     assert one(metapp("overfit", "brdf", "y" * 5000))
-    assert one_line("a\nb\t\x1b\udce9") == "a\\nb\\t\\x1b\\udce9"
-    long = one_line("gold.binary: " + "x" * 5000 + "; download it again.")
-    assert len(long) <= LONGEST
+    assert shorten_to_line("a\nb\t\x1b\udce9") == "a\\nb\\t\\x1b\\udce9"
+    long = shorten_to_line("gold.binary: " + "x" * 5000 + "; download it again.")
+    assert len(long) <= MAX_MESSAGE_CHARACTERS
     assert long.startswith("gold.binary: ")
     assert long.endswith("; download it again.")
 
@@ -131,7 +131,7 @@ def test_records_state_threads_and_fits_that_end_worse(
 ) -> None:
     def record(*words: str) -> tuple[Result, dict[str, Any]]:
         result = fit("overfit", network, "--steps", "2", "--json", *words)
-        return result, read_fits(Path(result.done["out"]))[-1]
+        return result, read_fit_records(Path(result.done["out"]))[-1]
 
     _, whole = record()
     assert whole["threads"] == 1  # BRDFs are fitted by one thread

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from metapp.names import exports_of
-from metapp.storage.fits import PARAMS, RECORD, read_fits
+from metapp.storage.fits import PARAMS, RECORD, read_fit_records
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -112,7 +112,7 @@ def test_a_run_behind_a_link_is_not_the_newest(metapp: Callable, run: Path) -> N
 def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
     (run / "m0" / PARAMS).write_bytes(b"hello")
     assert "m0/params.safetensors: fitted parameters not readable" in metapp("export", run, "merl").error
-    record = read_fits(run)[0]
+    record = read_fit_records(run)[0]
     record["settings"]["recipe"] = "other"
     (run / "m0" / RECORD).write_text(json.dumps(record))
     assert "a fit of other settings than are known" in metapp("export", run, "merl").error

@@ -19,8 +19,8 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
-from metapp.storage.checkpoints import digest, load_checkpoint
-from metapp.storage.fits import RECORD, read_fits, read_params
+from metapp.storage.checkpoints import content_digest, load_checkpoint
+from metapp.storage.fits import RECORD, read_fit_records, read_params
 from tests.conftest import Result
 
 STEPS = ("--train", "--train-steps", "3")
@@ -81,7 +81,7 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
         assert read_params(folder / name)
     assert "error: 2 exports were not written; all fits are kept." in said
     assert "inputs were not fitted" not in said
-    assert [record["name"] for record in read_fits(folder)] == ["m4", "m9"]
+    assert [record["name"] for record in read_fit_records(folder)] == ["m4", "m9"]
 
 
 def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
@@ -94,7 +94,7 @@ def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:
     assert folder.name.startswith("overfit-materials-")
     assert f"fits: {folder}" in result.err
     assert f"to look at: metapp view {folder}" in result.err
-    records = read_fits(folder)
+    records = read_fit_records(folder)
     assert [record["name"] for record in records] == ["m4", "m9"]
     assert all(record["settings"]["adam"]["rate"] > 0 for record in records)
     assert records[0]["settings"]["steps"] == 40
@@ -111,7 +111,7 @@ def test_one_input_prints_a_line_and_the_files_that_were_asked_for(metapp: Calla
     error, seconds = re.fullmatch(
         rf"m1: error x100 (\d+\.\d{{3}}) \({re.escape(Brdf().error_measure.text)}\), (\d+\.\d) s in all\n", result.out
     ).groups()
-    (record,) = read_fits(Path("runs/brdf/general-quick"))
+    (record,) = read_fit_records(Path("runs/brdf/general-quick"))
     assert error == f"{record['error']:.3f}"
     assert float(seconds) + 0.05 >= record["seconds"]
     folder = "runs/brdf/general-quick/m1"
@@ -202,7 +202,7 @@ def test_a_training_goes_on_from_a_checkpoint(fit: Callable, paradigm: str, rule
     assert "going on from mine.safetensors" in more.err
     (path,) = Path("runs/brdf/checkpoints").rglob(f"{rule}.safetensors")
     (_, then), (_, info) = load_checkpoint(kept), load_checkpoint(path)
-    assert info["first"] == digest(kept)
+    assert info["first"] == content_digest(kept)
     assert info["curve"][0][2] == pytest.approx(then["validation_error"], rel=1e-4)
     assert info["validation_error"] <= then["validation_error"]
     assert str(path) in more.err
@@ -232,7 +232,7 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     assert errors_of(fit("quickft", "--checkpoint", general.parent, "--json")) == errors_of(tuned)
     assert tuned.code == 0
     assert "tuned Adam" in tuned.err
-    record = read_fits(Path(tuned.document["out"]))[-1]
+    record = read_fit_records(Path(tuned.document["out"]))[-1]
     assert record["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
 
 
@@ -251,14 +251,14 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     assert result.code == 130
     assert "the same command goes on with training where it was, with --resume with fits" in result.err
     (run,) = (file.parents[1] for file in Path("runs").rglob(RECORD))
-    (kept,) = read_fits(run)
+    (kept,) = read_fit_records(run)
     assert "1 of 2 inputs have such a fit already, and are skipped" in fit("overfit", "--resume").err
-    first, second = read_fits(run)
+    first, second = read_fit_records(run)
     assert first == kept
     assert second["name"] == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
     assert fit("overfit").code == 130  # run again, without --resume
-    assert read_fits(run) == [first, second]
+    assert read_fit_records(run) == [first, second]
     assert "2 of 2 fits, and their pictures, replace earlier ones; --resume keeps these" in fit("overfit").err
 
 
@@ -409,7 +409,7 @@ def test_a_fit_imports_no_library_of_figures_and_ends_quietly() -> None:
 def test_records_say_what_brdfs_reflect(fit: Callable) -> None:
     done = fit("meta", "--conserve", "--json")
     assert done.code == 0, done.err
-    record = read_fits(Path(done.document["out"]))[0]
+    record = read_fit_records(Path(done.document["out"]))[0]
     assert len(record["albedo"]) == 16
     assert max(record["albedo"]) <= 1
     assert "-conserve" in done.document["out"]

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from metapp.learning.task import Task
-from metapp.storage.fits import read_fits, write_fit
-from metapp.storage.shards import write_shard
+from metapp.storage.fits import read_fit_records, write_fit
+from metapp.storage.shards import write_data_set
 from tests.extensions.capture.ball_photos import detailed, written
 from tests.extensions.capture.ball_photos import photograph as photograph_of_ball
 from tests.pictures import photograph
@@ -62,7 +62,7 @@ def folders(tmp_path: Path) -> Path:
     """Write a folder of each kind, of textures."""
     for name in ("set", "other"):
         tasks = [(Task(f"{name}-bark", {"image": torch.randint(256, (3, 64, 64), dtype=torch.uint8)}), "test", "")]
-        write_shard(tmp_path / name, "texture", {"image": "sRGB"}, tasks, {"files": ["found"]})
+        write_data_set(tmp_path / name, "texture", {"image": "sRGB"}, tasks, {"files": ["found"]})
     (tmp_path / "set/found").mkdir()
     photograph(tmp_path / "set/found/0060.png")
     settings = {"app": "texture", "paradigm": "meta", "rule": "basis", "recipe": "quick", "data": "files"}
@@ -114,7 +114,7 @@ def test_a_data_set_as_input_is_fitted_as_by_its_option(
     by_input = metapp("meta", "brdf", "set", *given).done
     assert [task["error"] for task in by_input["tasks"]] == [task["error"] for task in by_option["tasks"]]
     assert Path(by_input["out"]).name == Path(by_option["out"]).name == f"meta-{by_input['data']}-quick"
-    (one, other) = (read_fits(Path(done["out"])) for done in (by_input, by_option))
+    (one, other) = (read_fit_records(Path(done["out"])) for done in (by_input, by_option))
     assert [record["origin"] for record in one] == [record["origin"] for record in other]
     # and where it has moved, a page, an export and a comparison find it as --data or as an input
     Path("moved").mkdir()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from metapp.storage.shards import check_shard, read_manifest, read_shard
+from metapp.storage.shards import list_data_set_problems, read_data_set, read_manifest
 from tests.pictures import environment, noise, photograph, text, write
 
 IN, OUT = Path("in"), Path("out")
@@ -112,11 +112,13 @@ def test_files_become_a_data_set(name: str, metapp: Callable) -> None:
     *lines, last = result.err.splitlines()
     assert last.startswith(f"{case.app}: {len(train)} train + {len(test)} test tasks in out")
     assert all(name in line for name, line in zip(case.skipped, lines, strict=True))
-    assert check_shard(OUT) == []
+    assert list_data_set_problems(OUT) == []
     manifest = read_manifest(OUT)
     assert {entry.name: entry.split for entry in manifest.tasks} == train | test
     assert manifest.notes == {"made_by": f"metapp data {name}", **case.notes, "split": "auto"}
-    shapes = [{key: tuple(value.shape) for key, value in task.data.items()} for task in read_shard(OUT, app=case.app)]
+    shapes = [
+        {key: tuple(value.shape) for key, value in task.data.items()} for task in read_data_set(OUT, app=case.app)
+    ]
     assert shapes == [case.shapes] * len(manifest.tasks)
     groups = [next(entry.group for entry in manifest.tasks if entry.name == name) for name in case.related]
     assert [group == groups[0] for group in groups] == [True, True, False][: len(groups)]
@@ -132,7 +134,7 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     assert "in/2;a;0.png: of/2_N.png: no such file" in done.err
     assert [entry.name for entry in read_manifest(OUT).tasks] == ["1_a_0"]  # what is not predicted is left out
     assert read_manifest(OUT).notes["predicted"] == "of"
-    (task,) = read_shard(OUT, "test", "svbrdf_nonstationary")
+    (task,) = read_data_set(OUT, "test", "svbrdf_nonstationary")
     assert {tuple(value.shape) for value in task.data.values()} == {(10, 36, 36), (3, 36, 36)}
     call = ("baseline", "svbrdf_nonstationary", "--observe", "photo", "--method", "predicted", "--data", OUT)
     judged = metapp(*call, "--recipe", "quick", "--json").done

@@ -14,7 +14,7 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.task import Params, Tasks
 from metapp.runs import fitting
 from metapp.runs.inputs.sources import Input
-from metapp.storage.fits import marked_name, read_fits
+from metapp.storage.fits import name_with_digest, read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NAMES = [f"m{i}" for i in range(5)]
@@ -59,7 +59,7 @@ def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted: list[l
     assert together["tasks_per_second"] > 0
     assert together["failures"] == []
     folder = Path(together["out"])
-    assert [record.get("batch") for record in read_fits(folder)] == [2, 2, 2, 2, None]  # seconds are shares
+    assert [record.get("batch") for record in read_fit_records(folder)] == [2, 2, 2, 2, None]  # seconds are shares
     assert folder == Path(alone["out"])
     assert (folder / "pictures.png").is_file()
     assert (folder / "m3" / "params.safetensors").is_file()
@@ -126,7 +126,7 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
     assert sorted(errors(result.document)) == ["m0", "m2", "m3", "m4"]
     assert "not finite" in result.document["failures"][0]["reason"]
     assert fitted == [["m0", "m1", "m2", "m3"], ["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
-    records = read_fits(Path(result.document["out"]))
+    records = read_fit_records(Path(result.document["out"]))
     assert [record["name"] for record in records] == ["m0", "m2", "m3", "m4"]
     assert not any("batch" in record for record in records)
 
@@ -152,7 +152,7 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     """Each has its folder again when it is fitted again."""
     task = Input.task
     monkeypatch.setattr(Input, "task", lambda self: task(self)._replace(name="one"))
-    names = ["one", *(marked_name("one", str((materials / name).resolve())) for name in NAMES[1:])]
+    names = ["one", *(name_with_digest("one", str((materials / name).resolve())) for name in NAMES[1:])]
     first = errors(fit("--batch", "8").document)
     assert list(first) == names
     assert "5 of 5 fits, and their pictures, replace earlier ones" in (again := fit()).err

@@ -16,29 +16,29 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from data_tools.readers.latlong import read_map
-from data_tools.readers.svbrdf_task import flash_photo
+from data_tools.readers.svbrdf_task import render_flash_photo
 from metapp.appearance.colour import tone_map
-from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
-from metapp.appearance.latlong import directions, mean_luminance
-from metapp.appearance.photograph import photograph
+from metapp.appearance.flash import Maps, normal_from_height, pack_maps, unpack_maps
+from metapp.appearance.latlong import mean_luminance, texel_directions
+from metapp.appearance.photograph import photograph_spheres
 from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.cli.console import Terminal
-from metapp.cli.evaluating import subjects_of
-from metapp.cli.evaluation_options import Evaluation
+from metapp.cli.evaluating import evaluation_runs_of
+from metapp.cli.evaluation_options import EvaluateOptions
 from metapp.cli.fitting import VISIBLE_TILT_DEGREES
-from metapp.evaluation.tables.results import closing
+from metapp.evaluation.tables.results import describe_gap
 from metapp.names import exports_of
 from metapp.networks.field import LocalField
 from metapp.registry import registry
-from metapp.runs.keeping import execute
+from metapp.runs.keeping import execute_run
 from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import recorded_fits, tasks_as
-from metapp.runs.reporter import Bar, reporting
+from metapp.runs.outputs.recorded import find_fitted_tasks, read_run_records
+from metapp.runs.reporter import Bar, use_reporter
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.fits import PARAMS, RECORD, read_fits
+from metapp.storage.fits import PARAMS, RECORD, read_fit_records
 from tests.marked import long
 from tests.pictures import write_planes
 from tests.quick import app_by
@@ -58,28 +58,30 @@ class Inputs(NamedTuple):
 
 def lamp() -> Tensor:
     """A map [3, 32, 64] of mean luminance 5 with one lamp."""
-    light = 0.2 + (20 * (directions(32, 64)[1] - 0.9)).exp() * torch.tensor([1.0, 0.8, 0.6])[:, None, None]
+    light = 0.2 + (20 * (texel_directions(32, 64)[1] - 0.9)).exp() * torch.tensor([1.0, 0.8, 0.6])[:, None, None]
     return 5 * light / mean_luminance(light)
 
 
 def ball(folder: Path) -> Path:
-    (photo,) = photograph(lamp()[None], torch.Generator().manual_seed(0))
+    (photo,) = photograph_spheres(lamp()[None], torch.Generator().manual_seed(0))
     return write_planes(folder / "photo.png", photo)
 
 
 def material(size: int = 64) -> Tensor:
     coarse = torch.rand(1, 8, 4, 4, generator=torch.Generator().manual_seed(0))
     smooth = interpolate(coarse, (size, size), mode="bilinear")[0]
-    return pack(Maps(0.7 * smooth[1:4], 0.3 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal_from_height(4 * smooth[:1])))
+    return pack_maps(
+        Maps(0.7 * smooth[1:4], 0.3 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal_from_height(4 * smooth[:1]))
+    )
 
 
 def flash(folder: Path) -> Path:
-    return write_planes(folder / "photo.png", flash_photo(material(80)) / 255)
+    return write_planes(folder / "photo.png", render_flash_photo(material(80)) / 255)
 
 
 def strip(folder: Path) -> Path:
-    maps = unpack(material())
-    photo = flash_photo(material()).float() / 255
+    maps = unpack_maps(material())
+    photo = render_flash_photo(material()).float() / 255
     tiles = [photo, maps.normal / 2 + 0.5, maps.diffuse, maps.roughness.expand(3, -1, -1), maps.specular]
     return write_planes(folder / "reference.png", torch.cat(tiles, 2).clamp(0, 1))
 
@@ -155,7 +157,7 @@ def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo
     assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
     assert 0 < document["photo_error"] == document["tasks"][0]["photo_error"] < 30
     assert document["out"].endswith("-photo")
-    assert read_fits(Path(document["out"]))[0]["settings"]["observe"] == "photo"
+    assert read_fit_records(Path(document["out"]))[0]["settings"]["observe"] == "photo"
     made = Path(document["out"]) / "photo"
     assert {path.name for path in made.iterdir()} == APPS[app].files | {PARAMS, RECORD}
     assert Path(document["out"], "pictures.png").is_file()
@@ -172,7 +174,7 @@ def test_inputs_choose_the_protocol(app: str, photo: Path, reference: Path, caps
     """The first that all of them hold; a path that is not there is refused by whatever reads it."""
 
     def chosen(*inputs: Path, **more: Any) -> tuple[str, str]:
-        with reporting(Terminal()):
+        with use_reporter(Terminal()):
             run = Run.of(fit_options(app, "general", inputs, recipe="quick", **more))
         return run.app.protocol, capsys.readouterr().err.strip()
 
@@ -229,8 +231,8 @@ def test_what_is_cut_is_said_and_the_bar_moves(shot: Path, capsys: Any) -> None:
             bar.name = lambda note, share=0.0: shown.append((share, note))  # type: ignore[method-assign]
             return nullcontext(bar)
 
-    with reporting(Shown()):
-        execute(Run.of(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16")))
+    with use_reporter(Shown()):
+        execute_run(Run.of(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16")))
     lines = capsys.readouterr().err.splitlines()
     notes = [f"wide{number}.png: 96 x 64 px: the central 64 x 64 px, scaled to 256 x 256" for number in range(2)]
     assert [line for line in lines if "px" in line][1:] == notes
@@ -295,8 +297,10 @@ def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
     common = ("overfit", SVBRDF, shot, "--steps", "1", "--json")
     fits = {stops: metapp(*common, "--stops", stops).document for stops in ("0", "-1")}
     assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
-    runs = [recorded_fits(Path(fit["out"])).records for fit in fits.values()]
-    (one,), (other,) = (tasks_as(run, Run.of_settings(run[0]["settings"]).app, [], None).values() for run in runs)
+    runs = [read_run_records(Path(fit["out"])).records for fit in fits.values()]
+    (one,), (other,) = (
+        find_fitted_tasks(run, Run.of_settings(run[0]["settings"]).app, [], None).values() for run in runs
+    )
     assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
     misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--stops", "1").misuse
     assert "--stops: only with --observe photo; add that." in misuse
@@ -354,7 +358,7 @@ def test_the_option_reaches_those_that_have_the_protocol() -> None:
     """The first protocol is the default, where fits see what the paper's do; the whole evaluation has all."""
     both = [(SVBRDF, "reference"), (SVBRDF, "photo")]
     for more, expected in (({"observe": "photo"}, both[1:]), ({}, both[:1]), ({"whole": True}, both)):
-        subjects = subjects_of(Evaluation(recipe="quick", no_run=True, **more), ["texture", SVBRDF])
+        subjects = evaluation_runs_of(EvaluateOptions(recipe="quick", no_run=True, **more), ["texture", SVBRDF])
         found = [(subject.app.name, subject.app.protocol) for subject in subjects]
         assert found == [("texture", ""), *expected]
 
@@ -366,7 +370,7 @@ def test_meta_is_compared_where_overfit_is_no_floor() -> None:
         | {"rule": "tied", "paper_error": None, "paper_seconds": None}
         for name, error in errors.items()
     ]
-    assert "gap closed 0.24" in closing(app_by(SVBRDF), rows)
-    said = closing(app_by(SVBRDF, protocol="photo"), rows)
+    assert "gap closed 0.24" in describe_gap(app_by(SVBRDF), rows)
+    said = describe_gap(app_by(SVBRDF, protocol="photo"), rows)
     assert said.startswith("Meta's error is 12 % below General's, 10 % below QuickFT's; Overfit sees the photo alone")
     assert "gap" not in said

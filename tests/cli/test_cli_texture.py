@@ -13,13 +13,13 @@ from safetensors.torch import load_file, save_file
 from data_tools.readers.material_maps import read_task
 from metapp.appearance import features
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.features import weights_path
-from metapp.appearance.flash import normal_from_height, unpack
+from metapp.appearance.features import vgg_weights_path
+from metapp.appearance.flash import normal_from_height, unpack_maps
 from metapp.apps import presenter_of
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
-from metapp.registry import load
-from metapp.storage.fits import read_fits
+from metapp.registry import load_reference
+from metapp.storage.fits import read_fit_records
 from tests.appearance.test_features import made_up
 from tests.pictures import photograph
 from tests.quick import app_by
@@ -47,7 +47,7 @@ def wall() -> Path:
 @pytest.fixture(params=APPS)
 def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The applications, at a size that takes no time, with a search of two looks."""
-    recipes = load(f"metapp.apps.{request.param}.recipes:RECIPES")
+    recipes = load_reference(f"metapp.apps.{request.param}.recipes:RECIPES")
     quick = recipes["quick"]
     outputs = quick.app.network.outputs
     network = UNet(4, levels=2, noise=2, code=4, outputs=outputs)
@@ -98,9 +98,9 @@ def test_fits_in_bfloat16_are_runs_of_their_own(
 
     short = fit("short")
     with monkeypatch.context() as patch:
-        patch.setenv(features.FLOAT32, "1")
+        patch.setenv(features.FLOAT32_VARIABLE, "1")
         long = fit("long")
-    (one,), (other,) = (read_fits(run) for run in (short, long))
+    (one,), (other,) = (read_fit_records(run) for run in (short, long))
     if app == "svbrdf_stationary":  # whose fits gain less by it
         assert (one["settings"], one["error"]) == (other["settings"], other["error"])
         return
@@ -124,7 +124,7 @@ def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, 
     made, theta = run / "wall", load_file(run / "wall" / "params.safetensors")
     files = presenter_of(app_by(app)).pictures(theta, Task("wall", {}))
     wanted = {name: torch.movedim(each.pixels, -1, 0) for name, each in files.items()}
-    found = unpack(read_task(made / "diffuse.png", 64).data["maps"].float()[None])
+    found = unpack_maps(read_task(made / "diffuse.png", 64).data["maps"].float()[None])
     for name, space in (("diffuse", srgb_to_linear), ("specular", srgb_to_linear), ("roughness", torch.clone)):
         side_by_side = getattr(found, name)[0], space(wanted[name]).expand_as(getattr(found, name)[0])
         torch.testing.assert_close(*side_by_side, rtol=0, atol=0.006)  # 8 bits
@@ -144,7 +144,7 @@ def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, 
 def test_other_features_than_the_encoder_reads_are_refused(app: str, data: str, metapp: Callable) -> None:
     common = (app, "--data", data)
     assert metapp("meta", *common, "--rule", "meta-sgd", "--train", "--quiet").code == 0
-    save_file(made_up(), weights_path())
+    save_file(made_up(), vgg_weights_path())
     (folder,) = Path("runs", app, "checkpoints").iterdir()
     assert "its encoder reads random filters" in metapp("general", *common, "--checkpoint", folder).refusal
     meta = metapp("meta", *common, "--rule", "meta-sgd", "--quiet", "--checkpoint", folder)

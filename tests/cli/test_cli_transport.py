@@ -12,13 +12,13 @@ import pytest
 import torch
 
 from data_tools.synthetic.cornell import random_scene
-from data_tools.synthetic.transport_task import transport_task
-from metapp.appearance.pictures import Fitted
+from data_tools.synthetic.transport_task import make_transport_task
+from metapp.appearance.pictures import TimedFit
 from metapp.apps import presenter_of
 from metapp.apps.transport import images
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.guide import table_of
+from metapp.apps.transport.guide import make_guide_table
 from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.scene_files import reading
 from metapp.learning.task import Params, Task
@@ -29,7 +29,7 @@ from tests.quick import app_by
 @pytest.fixture(scope="module")
 def box() -> Task:
     """A Cornell box of few samples."""
-    return transport_task("box", random_scene(0), 0, samples=2048, held=512, batch_paths=2**16)
+    return make_transport_task("box", random_scene(0), 0, samples=2048, held=512, batch_paths=2**16)
 
 
 def uniform(app: Transport) -> Params:
@@ -42,20 +42,20 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
     app = Transport(Flow(code=3, hidden=8, bins=4), spp=64, reference_spp=16, shown_spp=4, overview_spp=1)
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, app=app))
-    monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
+    monkeypatch.setattr(images, "make_guide_table", functools.partial(make_guide_table, places=8, cells=8))
 
 
 @pytest.mark.long
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None:
     task, app = box, app_by("transport")
     presenter, theta = presenter_of(app), uniform(app)
-    found = presenter.picture_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
-    with_nee = [images.REGULAR_NEE, *map(images.row_of, images.integrators())]
+    found = presenter.picture_errors({"instant": TimedFit(theta, 0.0), "endless": TimedFit(theta, 1e9)}, task)
+    with_nee = [images.REGULAR_NEE, *map(images.row_title, images.extension_integrators())]
     assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
     for name, each in list(found.items())[1:]:
-        assert set(each) - {images.EQUAL_TIME} == measures | {"PSNR", "time", images.FIXED}
+        assert set(each) - {images.EQUAL_TIME} == measures | {"PSNR", "time", images.FIXED_TIME}
         assert all(0 < value < 2 for key, value in each.items() if key in measures)
         # the start's density is uniform, as Regular's is: the same picture but for noise
         same = all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures)
@@ -64,21 +64,21 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None
         assert each["time"] > 0
     assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
     assert images.EQUAL_TIME not in found["endless"]
-    assert found["endless"][images.FIXED] > 1e6 * found["instant"][images.FIXED] > 0
-    assert presenter.picture_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
+    assert found["endless"][images.FIXED_TIME] > 1e6 * found["instant"][images.FIXED_TIME] > 0
+    assert presenter.picture_errors({"instant": TimedFit(theta, 0.0)}, task._replace(data={})) == {}
 
 
 @pytest.mark.long
 def test_pictures_with_nee_come_in_waves(box: Task) -> None:
     asked: list[tuple[int, int]] = []
 
-    class Noted(images.Studio):
-        def _by(self, integrator: str, spp: int, seed: int) -> images.Shot:
+    class Noted(images.SceneRenderer):
+        def _by(self, integrator: str, spp: int, seed: int) -> images.TimedPicture:
             asked.append((spp, seed))
             return super()._by(integrator, spp, seed)
 
     scene = box.data["scene"].numpy().tobytes()
-    studio = images.Studio(scene, size=8)
+    studio = images.SceneRenderer(scene, size=8)
     whole = studio.path(4096).picture
     assert torch.equal(whole, studio.path(4096).picture)
     waves = Noted(scene, size=8, wave_paths=1500 * 8 * 8).path(4096, seed=1).picture
@@ -93,23 +93,26 @@ def test_pictures_with_nee_come_in_waves(box: Task) -> None:
 def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task) -> None:
     app, sampled = app_by("transport"), []
 
-    class Slow(images.Studio):
+    class Slow(images.SceneRenderer):
         def sampling(self, samples: torch.Tensor) -> float:
             sampled.append(tuple(samples.shape))
             return 1e9
 
     studio = Slow(box.data["scene"].numpy().tobytes(), size=64, spp=64, reference_spp=16)
-    found = images.picture_errors(studio, app.network, {"instant": Fitted(uniform(app), 0.0)}, box)
+    found = images.picture_errors(studio, app.network, {"instant": TimedFit(uniform(app), 0.0)}, box)
     assert sampled == [(2048, 4)]  # what fits may see, without what is held out
     assert images.EQUAL_TIME not in found["instant"]
-    assert found["instant"][images.FIXED] > 1e6
-    assert found["regular"][images.FIXED] == 0
+    assert found["instant"][images.FIXED_TIME] > 1e6
+    assert found["regular"][images.FIXED_TIME] == 0
 
 
 @pytest.mark.long
 def test_a_reference_knows_its_own_error(box: Task) -> None:
-    studio = images.Studio(box.data["scene"].numpy().tobytes(), size=8, reference_spp=images.REFERENCE_SPP // 4)
-    told, wanted = studio.reference_error, path_space.reference(studio.tracer, 8, 4 * images.REFERENCE_SPP, seed=9)
+    studio = images.SceneRenderer(box.data["scene"].numpy().tobytes(), size=8, reference_spp=images.REFERENCE_SPP // 4)
+    told, wanted = (
+        studio.reference_error,
+        path_space.render_reference(studio.tracer, 8, 4 * images.REFERENCE_SPP, seed=9),
+    )
     found = float(images.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
     assert studio.sampling(box.data["samples"]) > 0

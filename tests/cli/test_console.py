@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.commands import ORDER
-from metapp.cli.console import Terminal, run
+from metapp.cli.commands import COMMAND_ORDER
+from metapp.cli.console import Terminal, run_command
 from metapp.registry import Entry, registry
 
 # names are printed as they are, whatever they look like: markup, emoji codes
@@ -40,7 +40,7 @@ def test_a_reader_that_goes_away_ends_a_command_quietly(capsys: pytest.CaptureFi
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "w") as pipe, contextlib.redirect_stdout(pipe):
-        assert run(lambda: print("a line")) == 141
+        assert run_command(lambda: print("a line")) == 141
     assert capsys.readouterr().err == ""
 
 
@@ -48,7 +48,7 @@ def test_a_reader_that_goes_away_ends_a_command_quietly(capsys: pytest.CaptureFi
 @pytest.mark.parametrize("flush", [False, True])
 def test_a_full_standard_output_is_named(flush: bool, capsys: pytest.CaptureFixture[str]) -> None:
     with open("/dev/full", "w") as full, contextlib.redirect_stdout(full):
-        assert run(lambda: print("a line", flush=flush)) == 1
+        assert run_command(lambda: print("a line", flush=flush)) == 1
     assert capsys.readouterr().err == "error: standard output: No space left on device; print to another file.\n"
 
 
@@ -70,14 +70,14 @@ def test_closed_streams_are_one_line_and_no_file_gets_their_numbers(streams: str
 def test_a_program_that_ends_itself_keeps_its_exit_code() -> None:
     """As --show-completion does; only a broken pipe counts as output that nobody read."""
     with pytest.raises(SystemExit) as ended:
-        run(lambda: sys.exit(0))
+        run_command(lambda: sys.exit(0))
     assert ended.value.code == 0
 
 
 def test_help_lists_commands_in_the_order_of_their_use(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     listed = [re.findall(r"^│ ([a-z][a-z-]*)", metapp(*words, "--help").out, re.MULTILINE) for words in ([], ["data"])]
     names = [*listed[0], *listed[1]]
-    assert names == [*ORDER]
+    assert names == [*COMMAND_ORDER]
     assert (len(listed[0]), len(listed[1]), listed[1][0]) == (15, 18, "synth")
     monkeypatch.setitem(registry().commands, "mine", Entry("os:getcwd"))
     assert re.findall(r"^│ ([a-z][a-z-]*)", metapp("--help").out, re.MULTILINE)[-1] == "mine"
@@ -85,8 +85,13 @@ def test_help_lists_commands_in_the_order_of_their_use(metapp: Callable, monkeyp
 
 def test_help_of_every_command_fits_a_screen(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    data = ORDER.index("synth")
-    for words in ([], ["data"], *([name] for name in ORDER[:data]), *(["data", name] for name in ORDER[data:])):
+    data = COMMAND_ORDER.index("synth")
+    for words in (
+        [],
+        ["data"],
+        *([name] for name in COMMAND_ORDER[:data]),
+        *(["data", name] for name in COMMAND_ORDER[data:]),
+    ):
         shown = metapp(*words, "--help").out.strip("\n")
         assert len(shown.splitlines()) <= 40, words
     assert "Of all random draws. Default: 0." in metapp("data", "cornell", "--help").out

@@ -11,9 +11,9 @@ import torch
 
 from data_tools.readers.gonio import read_pairs
 from data_tools.readers.measured_pairs import task_of_pairs
-from metapp.appearance.geometry import cosines, directions_to_full_circle
+from metapp.appearance.geometry import angle_cosines, directions_to_full_rusinkiewicz
 from metapp.appearance.reflection import microfacet_lobe
-from metapp.storage.fits import read_fits
+from metapp.storage.fits import read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -27,7 +27,7 @@ def fill_in(file: Path) -> None:
             torch.tensor([[math.sin(t) * math.cos(p), math.sin(t) * math.sin(p), math.cos(t)]]).double()
             for t, p in ((theta_i, phi_i), (theta_o, phi_o))
         )
-        at = cosines(directions_to_full_circle(wi, wo))
+        at = angle_cosines(directions_to_full_rusinkiewicz(wi, wo))
         gloss = float(microfacet_lobe(at, 0.3, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5)[0])
         row[4:] = [f"{albedo / math.pi + gloss:.6g}" for albedo in (0.4, 0.1, 0.05)]
     file.write_text("\n".join(",".join(row) for row in rows) + "\n")
@@ -48,7 +48,7 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     assert "all 12 samples are fitted, none is held out" in fitted.err
     run = Path(fitted.document["out"])
     assert fitted.document["error"] < 0.5
-    (record,) = read_fits(run)
+    (record,) = read_fit_records(run)
     assert 0 < record["expected"] < expected["before"]
     more = tmp_path / "more.csv"  # its first rows are those that were measured
     then = metapp("plan", "brdf", "--samples", 3, "--after", file, "--out", more, "--json", "-q").document

@@ -5,8 +5,8 @@ import re
 import pytest
 import torch
 
-from metapp.appearance.flash import Maps, mean_tilt_degrees, normal_from_height, relightings
-from metapp.appearance.surface import photograph, with_relief
+from metapp.appearance.flash import Maps, mean_tilt_degrees, normal_from_height, relighting_positions
+from metapp.appearance.surface import photograph_maps, scale_relief
 from metapp.cli.fitting import VISIBLE_TILT_DEGREES, relief_lines
 
 SIDE = 48  # px
@@ -33,13 +33,16 @@ def tilted(maps: Maps, degrees: float) -> Maps:
     low, high = 1e-3, 1e3
     for _ in range(40):
         factor = (low * high) ** 0.5
-        low, high = (factor, high) if mean_tilt_degrees(with_relief(maps, factor).normal) < degrees else (low, factor)
-    return with_relief(maps, low)
+        low, high = (factor, high) if mean_tilt_degrees(scale_relief(maps, factor).normal) < degrees else (low, factor)
+    return scale_relief(maps, low)
 
 
 def difference_of_readings(maps: Maps) -> float:
     """Return the mean difference of display values of a relief and of its inverse under other lights."""
-    pairs = [(photograph(maps, *at), photograph(with_relief(maps, -1.0), *at)) for at in relightings().values()]
+    pairs = [
+        (photograph_maps(maps, *at), photograph_maps(scale_relief(maps, -1.0), *at))
+        for at in relighting_positions().values()
+    ]
     return sum(float((relief - inverse).abs().mean()) for relief, inverse in pairs) / len(pairs)
 
 

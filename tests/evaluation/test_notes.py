@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
-from metapp.evaluation.rows import carried, paired_note, paper, verdict
-from metapp.evaluation.statistics import Paired
-from metapp.evaluation.table import flat
-from metapp.evaluation.tables.convergence import FURTHER, near, steps_needed
-from metapp.evaluation.tables.results import change
+from metapp.evaluation.rows import describe_winner, paired_columns_note, paper_figures, scale_free_figures
+from metapp.evaluation.statistics import PairedComparison
+from metapp.evaluation.table import flatten_row
+from metapp.evaluation.tables.convergence import FURTHER_STEPS, further_steps_needed, is_near
+from metapp.evaluation.tables.results import describe_error_change
 
 
 def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:
@@ -18,42 +18,45 @@ def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, A
 @pytest.mark.parametrize(
     ("found", "said"),
     [
-        (Paired(0.95, 0.94, 0.96, 12, 12, 12, "ratio"), "lower on 12 of 12 tasks; meta wins"),
-        (Paired(1.05, 1.04, 1.06, 0, 12, 12, "ratio"), "lower on 0 of 12 tasks; quickft wins"),
-        (Paired(1.0, 0.9, 1.1, 6, 12, 12, "ratio"), "; no win"),
-        (Paired(-0.1, -0.2, -0.05, 9, 9, 5, "difference"), "meta wins"),
-        (Paired(0.9, 0.8, 0.95, 9, 12, 4, "ratio"), "4 different tasks, fewer than 5, are too few to call a win"),
+        (PairedComparison(0.95, 0.94, 0.96, 12, 12, 12, "ratio"), "lower on 12 of 12 tasks; meta wins"),
+        (PairedComparison(1.05, 1.04, 1.06, 0, 12, 12, "ratio"), "lower on 0 of 12 tasks; quickft wins"),
+        (PairedComparison(1.0, 0.9, 1.1, 6, 12, 12, "ratio"), "; no win"),
+        (PairedComparison(-0.1, -0.2, -0.05, 9, 9, 5, "difference"), "meta wins"),
+        (
+            PairedComparison(0.9, 0.8, 0.95, 9, 12, 4, "ratio"),
+            "4 different tasks, fewer than 5, are too few to call a win",
+        ),
         (None, ""),
     ],
 )
-def test_a_verdict_says_who_wins(found: Paired | None, said: str) -> None:
+def test_a_verdict_says_who_wins(found: PairedComparison | None, said: str) -> None:
     compared = row("meta", 1.0) | {"vs_quickft": found}
-    lines = verdict(compared)
+    lines = describe_winner(compared)
     assert len(lines) == bool(found)
     assert all(line.endswith(said) for line in lines)
-    notes = paired_note([compared])
+    notes = paired_columns_note([compared])
     assert notes == [] if found is None else f"below {found.kind == 'ratio':d}: a lower error" in notes[0]
-    written = flat(compared)
-    assert set(written) == {*compared, *(f"vs_quickft_{field}" for field in Paired._fields[1:])}
+    written = flatten_row(compared)
+    assert set(written) == {*compared, *(f"vs_quickft_{field}" for field in PairedComparison._fields[1:])}
     assert [written[key] for key in ("vs_quickft", "vs_quickft_low")] == ([*found[:2]] if found else [None, None])
 
 
 def test_changes_are_of_the_size_of_the_other_error() -> None:
-    assert change(row("meta", 0.75), row("quickft", 1.0)) == "25 % below"
-    assert change(row("meta", -5.0), row("quickft", -4.0)) == "25 % below"  # likelihoods are negative
-    assert change(row("meta", 5.0), row("quickft", 4.0)) == "25 % above"
-    assert change(row("meta", None), row("quickft", 4.0)) == ""
+    assert describe_error_change(row("meta", 0.75), row("quickft", 1.0)) == "25 % below"
+    assert describe_error_change(row("meta", -5.0), row("quickft", -4.0)) == "25 % below"  # likelihoods are negative
+    assert describe_error_change(row("meta", 5.0), row("quickft", 4.0)) == "25 % above"
+    assert describe_error_change(row("meta", None), row("quickft", 4.0)) == ""
 
 
 def test_there_is_no_gap_to_close_where_overfit_is_no_better() -> None:
     rows = [row("general", 2.0), row("overfit", 1.0, 30.0), row("meta", 1.25, 2.0)]
-    assert carried(rows, "error", "seconds") == (0.75, 15.0)
+    assert scale_free_figures(rows, "error", "seconds") == (0.75, 15.0)
     rows[1] |= {"error": 2.5}
-    assert carried(rows, "error", "seconds") == (None, 15.0)
+    assert scale_free_figures(rows, "error", "seconds") == (None, 15.0)
 
 
 def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:
-    known = paper()
+    known = paper_figures()
     assert set(known["sources"]) == set(known) - {"source", "sources", "titles"}
     for kind in ("error", "seconds"):
         assert set(known[kind]) == set(known["titles"])
@@ -61,7 +64,7 @@ def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:
     for app in known["titles"]:
         names = ("general", "overfit", "meta")
         rows = [{"paradigm": name, **{key: known[key][app][name] for key in ("error", "seconds")}} for name in names]
-        gaps[app], _ = carried(rows, "error", "seconds")
+        gaps[app], _ = scale_free_figures(rows, "error", "seconds")
     # as the design brief prints them
     expected = (0.80, 0.93, 0.60, 0.78, 0.97, 0.77)
     assert [round(gap, 2) for gap in gaps.values()] == list(expected)
@@ -74,8 +77,8 @@ def test_further_steps_are_counted_until_one_is_near() -> None:
     for overfit, further, expected in (
         (1.0, [(0, 1.005)], 0),
         (1.0, [(0, 2.0), (8, 1.2), (16, 1.009)], 16),
-        (1.0, [(0, 2.0), (FURTHER[-1], 1.02)], None),
+        (1.0, [(0, 2.0), (FURTHER_STEPS[-1], 1.02)], None),
     ):
-        assert steps_needed({"curves": {"overfit": [[0, 9.0], [40, overfit]]}, "further": further}) == expected
+        assert further_steps_needed({"curves": {"overfit": [[0, 9.0], [40, overfit]]}, "further": further}) == expected
     # lower is better, also below 0
-    assert [near(error, -4.0) for error in (-3.97, -3.95, -4.5)] == [True, False, True]
+    assert [is_near(error, -4.0) for error in (-3.97, -3.95, -4.5)] == [True, False, True]

@@ -5,7 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from metapp.evaluation.statistics import Paired, interval_of, is_significant, paired, statistics_of
+from metapp.evaluation.statistics import (
+    PairedComparison,
+    central_interval,
+    compare_errors,
+    is_significant,
+    summarise_errors,
+)
 
 HARD = [0.1 * 1.6**i for i in range(12)]  # errors of tasks that differ by a factor of 170
 
@@ -16,7 +22,7 @@ def by_name(values: Sequence[float] | np.ndarray) -> dict[str, float]:
 
 def interval(values: Sequence[float]) -> tuple[float, float, float]:
     errors = by_name(values)
-    found = statistics_of(errors, {name: name for name in errors})
+    found = summarise_errors(errors, {name: name for name in errors})
     assert found["low"] is not None
     assert found["error"] is not None
     assert found["high"] is not None
@@ -25,27 +31,29 @@ def interval(values: Sequence[float]) -> tuple[float, float, float]:
 
 def compared(
     one: Sequence[float], other: Sequence[float], groups: str | None = None, *, logarithmic: bool = False
-) -> Paired | None:
+) -> PairedComparison | None:
     names = by_name(one)
-    return paired(names, by_name(other), dict(zip(names, groups or names, strict=True)), logarithmic=logarithmic)
+    return compare_errors(
+        names, by_name(other), dict(zip(names, groups or names, strict=True)), logarithmic=logarithmic
+    )
 
 
-def some(found: Paired | None) -> Paired:
+def some(found: PairedComparison | None) -> PairedComparison:
     assert found
     return found
 
 
 def test_statistics_of_tasks() -> None:
-    found = statistics_of({"a": 1.0, "b": 2.0, "c": 6.0}, {name: name for name in "abc"})
+    found = summarise_errors({"a": 1.0, "b": 2.0, "c": 6.0}, {name: name for name in "abc"})
     assert (found["error"], found["median"], found["worst"]) == (3.0, 2.0, 6.0)
     low, mean, high = interval([1.0, 2.0, 6.0])
     assert 1.0 <= low < mean < high <= 6.0
-    assert set(statistics_of({}, {}).values()) == {None}
+    assert set(summarise_errors({}, {}).values()) == {None}
 
 
 def test_an_interval_holds_95_percent_of_the_values() -> None:
     values = np.random.default_rng(0).permutation(np.linspace(0, 1, 2001))
-    assert interval_of(values) == (pytest.approx(0.025), pytest.approx(0.975))
+    assert central_interval(values) == (pytest.approx(0.025), pytest.approx(0.975))
 
 
 def test_a_little_better_on_every_task_is_significant() -> None:
@@ -89,7 +97,7 @@ def test_there_is_no_ratio_to_zero_or_without_common_tasks() -> None:
     assert compared([1.0] * 6, [0.0] * 6) is None
     assert compared([1.0] * 6, [-1.0] * 6) is None
     assert some(compared([1.0] * 12, [0.0, *[1.0] * 11])).value == pytest.approx(12 / 11)
-    assert paired({"a": 1.0}, {"b": 1.0}, {"a": "a", "b": "b"}, logarithmic=False) is None
+    assert compare_errors({"a": 1.0}, {"b": 1.0}, {"a": "a", "b": "b"}, logarithmic=False) is None
     assert is_significant(None) is None
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from metapp.names import app_names
-from metapp.registry import GROUP, WITHOUT, registry
+from metapp.registry import ENTRY_POINT_GROUP, WITHOUT_VARIABLE, registry
 from tests import forks
 
 NETWORKS = 1
@@ -17,10 +17,10 @@ pytestmark = pytest.mark.usefixtures("compiled")
 def call_all(*lines: list[str]) -> None:
     """Be the `metapp` command for each line of words, and print its exit code before them."""
     from metapp.cli.commands import app
-    from metapp.cli.console import run
+    from metapp.cli.console import run_command
 
     for words in lines:
-        code = run(lambda words=words: app(words, standalone_mode=False, prog_name="metapp"))
+        code = run_command(lambda words=words: app(words, standalone_mode=False, prog_name="metapp"))
         print(f"\n== {json.dumps([int(code), *words])}", flush=True)
 
 
@@ -38,12 +38,12 @@ def test_without_extensions_the_core_works_and_their_commands_are_refused(
         ["evaluate", "brdf", "--data", "set", "--no-run", "--quiet"],
         ["data", "check", "set"],
     ]
-    names = [each.name for each in entry_points(group=GROUP) if each.value.startswith("metapp.extensions.")]
+    names = [each.name for each in entry_points(group=ENTRY_POINT_GROUP) if each.value.startswith("metapp.extensions.")]
     commands = list(registry().commands)
-    monkeypatch.setenv(WITHOUT, ",".join(names))
+    monkeypatch.setenv(WITHOUT_VARIABLE, ",".join(names))
     theirs = [words.split() for words in commands if words not in registry().commands]
     assert theirs
-    environment = {"COLUMNS": "150", WITHOUT: ",".join(names)}
+    environment = {"COLUMNS": "150", WITHOUT_VARIABLE: ",".join(names)}
     code, out, errors = forks.start(call_all, *core, *theirs, said=tmp_path / "said", more=environment).end()
     assert code == 0, errors
     assert "Traceback" not in errors

@@ -151,12 +151,12 @@ def merl() -> list[Files]:
 
 
 def networks() -> list[Files]:
-    from data_tools.readers.nbrdf import SHAPES
+    from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES
 
     rng, found = np.random.default_rng(0), []
     for prefix, kind in (("", "<f4"), ("gold_", "<f8")):
         files = {}
-        for part, shape in SHAPES.items():
+        for part, shape in NBRDF_ARRAY_SHAPES.items():
             stream = io.BytesIO()
             np.save(stream, (rng.standard_normal(shape) * 0.1).astype(kind))
             files[f"{prefix}{part}.npy"] = stream.getvalue()
@@ -219,21 +219,21 @@ def meshes() -> list[Files]:
 
 
 def shards() -> list[Files]:
-    from data_tools.readers.brdf_task import UNITS, brdf_task
-    from metapp.storage.shards import write_shard
+    from data_tools.readers.brdf_task import UNITS, make_brdf_task
+    from metapp.storage.shards import write_data_set
 
     with tempfile.TemporaryDirectory() as folder:
-        tasks = [brdf_task(f"task{i}", lambda angles, i=i: angles * 0 + 0.1 + i, samples=64) for i in range(2)]
+        tasks = [make_brdf_task(f"task{i}", lambda angles, i=i: angles * 0 + 0.1 + i, samples=64) for i in range(2)]
         pairs = zip(tasks, ("train", "test"), "xx", strict=True)
-        write_shard(folder, "brdf", UNITS, pairs, {"made_by": "a test"})
+        write_data_set(folder, "brdf", UNITS, pairs, {"made_by": "a test"})
         return [{file.name: file.read_bytes() for file in sorted(Path(folder).iterdir())}]
 
 
 def checkpoints() -> list[Files]:
-    from metapp.storage.shipped import shipped_path
+    from metapp.storage.shipped import shipped_checkpoint_path
 
     names = ("meta-sgd", "meta-curvature")
-    return [{f"{name}.safetensors": shipped_path("brdf", name).read_bytes()} for name in names]
+    return [{f"{name}.safetensors": shipped_checkpoint_path("brdf", name).read_bytes()} for name in names]
 
 
 def records() -> list[Files]:

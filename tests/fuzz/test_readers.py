@@ -21,7 +21,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from data_tools.readers.merl import FILE_BYTES
-from metapp.names import inputs_of
+from metapp.names import input_formats
 from tests.fuzz import files
 from tests.fuzz.mutations import damaged
 from tests.needs_mitsuba import MISSING
@@ -46,7 +46,7 @@ def read_input(app: str, folder: Path, file: Path, **options: str) -> None:
     if file.suffix == ".binary" and file.stat().st_size > 64:  # a whole one takes 35 MB
         os.truncate(file, FILE_BYTES)
     place = folder if file.suffix == ".npy" else file
-    for reader in (form.load() for form in inputs_of(app).values()):
+    for reader in (form.load() for form in input_formats(app).values()):
         read = reader.read_task
         few = {"samples": 64, "size": 32, **options}
         for source in reader.find(place)[0] if reader.recognises(place) else ():
@@ -73,35 +73,35 @@ def read_scene(folder: Path, file: Path) -> None:
 
 def read_shard(folder: Path, file: Path) -> None:
     from metapp.apps.brdf.app import Brdf
-    from metapp.learning.app import stack
-    from metapp.runs.inputs.sources import tasks_of_data
-    from metapp.storage.shards import check_shard, fingerprint
+    from metapp.learning.app import stack_tasks
+    from metapp.runs.inputs.sources import read_test_tasks
+    from metapp.storage.shards import fingerprint, list_data_set_problems
 
     fingerprint(folder)
-    check_shard(folder)
-    tasks = tasks_of_data(Brdf(), folder, True)[0]
+    list_data_set_problems(folder)
+    tasks = read_test_tasks(Brdf(), folder, True)[0]
     for task in tasks:
         finite(task)
-    stack(Brdf(), tasks)
+    stack_tasks(Brdf(), tasks)
 
 
 @functools.cache
 def small_tasks() -> Any:
-    from data_tools.readers.brdf_task import brdf_task
+    from data_tools.readers.brdf_task import make_brdf_task
     from metapp.apps.brdf.app import Brdf
-    from metapp.learning.app import stack
+    from metapp.learning.app import stack_tasks
 
-    return stack(Brdf(), [brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])
+    return stack_tasks(Brdf(), [make_brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])
 
 
 def read_checkpoint(folder: Path, file: Path) -> None:
     """As --checkpoint, and one step of a fit."""
-    from metapp.runs.checkpoints import with_checkpoint
+    from metapp.runs.checkpoints import attach_checkpoint
     from metapp.runs.options import fit_options
     from metapp.runs.run import Run
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
-    by = with_checkpoint(Run.of(fit_options("brdf", **options, device="cpu", quiet=True)))
+    by = attach_checkpoint(Run.of(fit_options("brdf", **options, device="cpu", quiet=True)))
     try:
         theta = by.paradigm.fit(by.phi, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged
@@ -111,12 +111,12 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 def read_records(folder: Path, file: Path) -> None:
     """As a table, which shows all finished tasks."""
-    from metapp.storage.fits import FIT, RunFolder, summary
+    from metapp.storage.fits import NUMBER_ENTRIES, RunFolder, summary
 
     place = folder / "fits" / "a"  # of a run's folder
     place.mkdir(parents=True, exist_ok=True)
     shutil.copy(file, place)
-    records = RunFolder(folder / "fits", {"app": "brdf", "steps": 10}, FIT).records()
+    records = RunFolder(folder / "fits", {"app": "brdf", "steps": 10}, NUMBER_ENTRIES).records()
     for record in records.values():
         numbers = [record["seconds"], *([] if record["error"] is None else [record["error"]])]
         assert all(math.isfinite(number) for number in numbers)

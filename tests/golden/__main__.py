@@ -15,7 +15,7 @@ from tests.golden.test_golden import FILE
 if __name__ == "__main__":
     import os
 
-    os.environ[features.FLOAT32] = "1"
+    os.environ[features.FLOAT32_VARIABLE] = "1"
     torch.set_num_threads(1)
     values = json.loads(FILE.read_text()) if FILE.exists() else {}
     for part in sys.argv[1:] or PARTS:

@@ -15,7 +15,7 @@ import OpenImageIO as oiio
 import torch
 from torch import Tensor
 
-from data_tools.readers.nbrdf import SHAPES
+from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES
 from metapp.cli import console
 from metapp.cli.commands import app as commands
 from metapp.runs.api import fit_all
@@ -34,7 +34,7 @@ Values = dict[str, list[float]]
 
 def run(*words: object) -> None:
     """A command that must succeed."""
-    code = console.run(lambda: commands([str(word) for word in words], standalone_mode=False))
+    code = console.run_command(lambda: commands([str(word) for word in words], standalone_mode=False))
     assert int(code) == 0, words
 
 
@@ -96,7 +96,7 @@ def files(folder: Path) -> Iterator[tuple[str, Path, dict[str, object]]]:
     table = sorted((folder / "merl").rglob("*.binary"))[0]
     yield "brdf", table, {}
     (folder / "network").mkdir()
-    for index, (part, shape) in enumerate(SHAPES.items()):
+    for index, (part, shape) in enumerate(NBRDF_ARRAY_SHAPES.items()):
         weights = 0.3 * np.cos(np.arange(np.prod(shape)) * (index + 1.0)).reshape(shape)
         np.save(folder / "network" / f"{part}.npy", weights.astype(np.float32))
     yield "brdf", folder / "network", {}

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from metapp.appearance.features import weights_path
+from metapp.appearance.features import vgg_weights_path
 from tests.golden.measured import PARTS
 
 FILE = Path(__file__).with_name("values.json")
 GOLDEN = json.loads(FILE.read_text(encoding="utf-8"))
-VGG = weights_path()  # of the user: tests have a cache of their own
+VGG = vgg_weights_path()  # of the user: tests have a cache of their own
 NEEDS_VGG = ("texture", "svbrdf_stationary", "read", "best")
 OF_FITS = (
     "file brdf network.bsdf ",

@@ -9,13 +9,13 @@ from torch import Generator, Tensor
 from torch.utils._pytree import tree_map
 
 from metapp.apps.brdf.app import Brdf
-from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_through, torch_steps
-from metapp.learning.app import stack
+from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_differentiably, torch_steps
+from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
-from metapp.paradigms.adam import encoding
+from metapp.paradigms.adam import encoder_prediction
 from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 from tests.paradigms.small import FEATURED, SMALL, applicable, small_app
@@ -143,10 +143,10 @@ def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., T
 @pytest.mark.parametrize(("kind", "rule", "encoded"), [*(("brdf", rule, False) for rule in ON_MATRICES), *OTHERS])
 def test_derivatives_are_finite_differences(kind: str, rule: str, encoded: bool, randn: Callable[..., Tensor]) -> None:
     """Through the steps of every rule, in float64, along a random direction of each parameter of phi."""
-    app, learned, start = small_app(kind), rule_of(rule), encoding(small_app(kind)) if encoded else None
+    app, learned, start = small_app(kind), rule_of(rule), encoder_prediction(small_app(kind)) if encoded else None
     inner = learned.loss(app, task_loss(app, 16))
     loss = after_learning(inner, learned.rule, steps=3, order=2, encoding=start)
-    drawn = loss.draw(stack(app, SMALL[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
+    drawn = loss.draw(stack_tasks(app, SMALL[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
     batch = tree_map(lambda leaf: leaf.double() if isinstance(leaf, Tensor) else leaf, drawn)
     theta = {key: value[0].double() for key, value in app.init(Generator().manual_seed(2), 1).items()}
     encoder = {key: value.double() for key, value in app.init_encoder(Generator().manual_seed(3)).items()}
@@ -194,7 +194,7 @@ def test_no_graph_is_kept_between_steps(order: int, evaluations: int, randn: Cal
     batches = [{"c": randn(TASKS, 3, 50)} for _ in range(12)]
     theta = {"x": randn(TASKS, 3).requires_grad_()}
     rule = sgd({"rate": torch.full((1, TASKS), 0.1).double().requires_grad_()})
-    final = learn_through(theta, rule, batches, Loss(unused, value), order=order)["x"]
+    final = learn_differentiably(theta, rule, batches, Loss(unused, value), order=order)["x"]
     kept = [weakref.ref(each["c"]) for each in batches]
     del batches
     assert sum(each() is not None for each in kept) == (12 if order == 2 else 0)
@@ -216,7 +216,7 @@ def test_a_rule_that_all_tasks_share(order: int, randn: Callable[..., Tensor]) -
         rule = adam._replace(alpha=alpha | {"beta1": leaves["beta1"]})
         return descend({"x": leaves["x"]}, rule, batches, PARABOLA, order=order)["x"].square().sum()
 
-    found = value_and_grads(lambda leaves: final(leaves, learn_through), start)
+    found = value_and_grads(lambda leaves: final(leaves, learn_differentiably), start)
     assert_alike(found, value_and_grads(lambda leaves: final(leaves, unrolled), start))
     assert found[1]["beta1"].any()
 
@@ -226,7 +226,7 @@ def test_what_is_not_used_gets_no_gradient(randn: Callable[..., Tensor]) -> None
     batches = parabolas(randn, 3)
     theta = {"x": randn(TASKS, 3).requires_grad_(), "unseen": randn(TASKS, 2).requires_grad_()}
     rule = sgd({"rate": torch.full((1, TASKS), 0.1).double()})
-    final = learn_through(theta, rule, batches, PARABOLA, order=2)
+    final = learn_differentiably(theta, rule, batches, PARABOLA, order=2)
     assert torch.equal(final["unseen"], theta["unseen"])
     x, unseen = torch.autograd.grad(final["x"].sum(), list(theta.values()), allow_unused=True, materialize_grads=True)
     assert x.any()
@@ -239,7 +239,7 @@ def test_a_second_derivation_gives_the_same(steps: int, randn: Callable[..., Ten
     batch = {"A": symmetric(randn(1, 3, 3)), "c": randn(1, 3)}
     theta = {"x": randn(1, 3).requires_grad_()}
     rule = sgd({"rate": torch.full((1, 1), 0.1).double()})
-    final = learn_through(theta, rule, [batch] * steps, PARABOLA, order=2)["x"].sum()
+    final = learn_differentiably(theta, rule, [batch] * steps, PARABOLA, order=2)["x"].sum()
     (first,) = torch.autograd.grad(final, theta["x"], retain_graph=True)
     (second,) = torch.autograd.grad(final, theta["x"])
     torch.testing.assert_close(first, second)

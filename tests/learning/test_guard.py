@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, UpdateRule
-from metapp.learning.guard import descend_guarded
+from metapp.learning.guard import descend_with_guard
 from metapp.learning.learn import DescentState, descend, expand_tasks, final_item, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, sgd
@@ -60,7 +60,7 @@ def fit(
 def guarded_descent(
     start: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Generator, guard: Guard
 ) -> Iterator[DescentState]:
-    return descend_guarded(start, rule, tasks, loss, rng=rng, guard=guard, steps=STEPS)
+    return descend_with_guard(start, rule, tasks, loss, rng=rng, guard=guard, steps=STEPS)
 
 
 def test_where_it_does_not_act_nothing_changes(start: Params, tasks: Tasks) -> None:

@@ -11,16 +11,16 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
-from metapp.learning.adjoint import Draw
-from metapp.learning.app import stack
+from metapp.learning.adjoint import DrawnBatch
+from metapp.learning.app import stack_tasks
 from metapp.learning.learn import (
     DescentState,
-    Encoding,
+    EncoderPrediction,
     MetaParameters,
     after_encoding,
     after_learning,
-    check_finite,
-    clip_per_task,
+    check_finite_losses,
+    clip_task_gradients,
     descend,
     expand_tasks,
     final_item,
@@ -139,7 +139,7 @@ def test_which_steps_are_checked(every: int, expected: list[int]) -> None:
         ]
         message = rf"^felt: the loss is not finite at step {bad}; lower the learning rate or clip earlier\.$"
         with pytest.raises(FloatingPointError, match=message) if bad in expected else nullcontext():
-            final_item(check_finite(iter(descent), every))
+            final_item(check_finite_losses(iter(descent), every))
 
 
 # Combinators
@@ -202,7 +202,7 @@ def test_inner_steps_draw_by_the_share_of_inner_steps(tasks: Tasks, rng: Generat
     """And the outer loss draws from all of the data, however far the outer loop is."""
     shares: list[float] = []
 
-    def draw(tasks: Tasks, rng: Generator, done: float) -> Draw:
+    def draw(tasks: Tasks, rng: Generator, done: float) -> DrawnBatch:
         shares.append(done)
         return EXACT.draw(tasks, rng, done)
 
@@ -227,7 +227,7 @@ def test_after_encoding(tasks: Tasks, rng: Generator) -> None:
     def encode(encoder: Params, observed: Any) -> Params:
         return {"x": observed["seen"] @ encoder["w"]}
 
-    loss = over_tasks(after_encoding(EXACT, Encoding(condition, encode)), count=5)
+    loss = over_tasks(after_encoding(EXACT, EncoderPrediction(condition, encode)), count=5)
     phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flat()
     trained = learn(phi, fixed_adam(Adam(0.05, final=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
     torch.testing.assert_close(trained["encoder.w"], torch.eye(3).double(), rtol=0, atol=1e-3)
@@ -243,11 +243,11 @@ def test_flat_and_unflat_are_inverse() -> None:
 def test_stacked_tasks_keep_what_they_show_and_their_kinds() -> None:
     """A task without a group is a group of its own; of two kinds, each task of the rarer one counts more."""
     data = {"angles": torch.rand(8, 3), "reflectance": torch.rand(8, 3)}
-    stacked = stack(Plain(), [Task("a", data, "wood"), Task("b", data, "wood"), Task("c", data)])
+    stacked = stack_tasks(Plain(), [Task("a", data, "wood"), Task("b", data, "wood"), Task("c", data)])
     assert (stacked.names, stacked.groups) == (("a", "b", "c"), ("wood", "wood", "c"))
     assert stacked.weights().tolist() == [1, 1, 1]
     kinds = [torch.tensor([kind], dtype=torch.uint8) for kind in (0, 3, 0, 0)]
-    stacked = stack(Plain(), [Task(str(i), data | {"kind": kind}) for i, kind in enumerate(kinds)])
+    stacked = stack_tasks(Plain(), [Task(str(i), data | {"kind": kind}) for i, kind in enumerate(kinds)])
     assert stacked.weights().tolist() == pytest.approx([1 / 3, 1, 1 / 3, 1 / 3])
     assert stacked.select([0, 2]).weights().tolist() == [0.5, 0.5]
 
@@ -259,7 +259,7 @@ def pulled(slope_theta: Tensor, slope_alpha: Tensor, limit: float) -> Tensor:
     """Clipped gradients, for each task, of a function that is linear in theta [T, 4] and alpha [K, T, 2]; [T, ...]."""
     theta = {"x": torch.zeros_like(slope_theta, requires_grad=True)}
     alpha = {"rate": torch.zeros_like(slope_alpha, requires_grad=True)}
-    same_theta, same_alpha = clip_per_task(theta, alpha, limit)
+    same_theta, same_alpha = clip_task_gradients(theta, alpha, limit)
     assert torch.equal(same_theta["x"], theta["x"])
     assert torch.equal(same_alpha["rate"], alpha["rate"])
     total = (same_theta["x"] * slope_theta).sum() + (same_alpha["rate"] * slope_alpha).sum()

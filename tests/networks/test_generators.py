@@ -10,13 +10,13 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.order import lattice_of, order_kept
+from metapp.appearance.order import find_lattice, kept_order_share
 from metapp.learning.task import Params
 from metapp.networks import layers
-from metapp.networks.field import LocalField, field_by_rows, regridded
+from metapp.networks.field import LocalField, evaluate_by_rows, regrid
 from metapp.networks.generators import Pyramid, UNet
-from metapp.networks.layers import enlarged
-from metapp.networks.layout import as_tile, quilted_layout, requilted
+from metapp.networks.layers import enlarge_periodic
+from metapp.networks.layout import quilt_layout, requilt_layout, stretch_to_tile
 
 UNET, PYRAMID = UNet(4, levels=3, noise=2, code=5), Pyramid(4, levels=3, noise=2, code=5)
 
@@ -132,7 +132,7 @@ def test_a_coarse_level_makes_what_the_finer_ones_correct(theta: Params, noise: 
     silent = theta | {key: torch.zeros_like(theta[key]) for key in ("out0.kernel", "out0.shift")}
     small = PYRAMID._replace(finest=1)(theta, 2 * avg_pool2d(noise.flatten(0, 1), 2).unflatten(0, (3, 2)))
     assert small.shape == (3, 2, 3, 8, 12)
-    torch.testing.assert_close(PYRAMID(silent, noise)[0], enlarged(small[0]))
+    torch.testing.assert_close(PYRAMID(silent, noise)[0], enlarge_periodic(small[0]))
 
 
 @pytest.mark.parametrize("network", [PYRAMID], indirect=True)
@@ -151,8 +151,8 @@ def test_maps_above_are_convolved_as_if_enlarged(rng: Generator) -> None:
     above, x, kernel = draw(2, 3 * 4, 5, 6), draw(2, 3 * 2, 10, 12), draw(3, 7, 6, 3, 3)
     some = {"z": draw(3, 5), "a.kernel": kernel, "a.style": draw(3, 14, 5), "a.shift": draw(3, 14)}
     leaves = [each.requires_grad_() for each in (above, x, kernel)]
-    joined = torch.cat([part.unflatten(1, (3, -1)) for part in (enlarged(above), x)], 2).flatten(1, 2)
-    expected, made = layers.styled(some, "a", joined), layers.styled(some, "a", x, above)
+    joined = torch.cat([part.unflatten(1, (3, -1)) for part in (enlarge_periodic(above), x)], 2).flatten(1, 2)
+    expected, made = layers.apply_styled(some, "a", joined), layers.apply_styled(some, "a", x, above)
     torch.testing.assert_close(made, expected)
     pull = draw(*made.shape)
     for one, other in zip(*(torch.autograd.grad(of, leaves, pull) for of in (made, expected)), strict=True):
@@ -165,7 +165,7 @@ def test_maps_above_are_convolved_as_if_enlarged(rng: Generator) -> None:
 def test_enlarged(rng: Generator) -> None:
     """Means of neighbours by 3 to 1, also across the edges; the mean of the map stays."""
     x = torch.randn(1, 2, 4, 6, generator=rng, dtype=torch.float64)
-    made = enlarged(x)
+    made = enlarge_periodic(x)
     across = torch.stack([0.25 * x.roll(1, -1) + 0.75 * x, 0.75 * x + 0.25 * x.roll(-1, -1)], -1).flatten(-2)
     down = torch.stack([0.25 * across.roll(1, -2) + 0.75 * across, 0.75 * across + 0.25 * across.roll(-1, -2)], -2)
     torch.testing.assert_close(made, down.flatten(-3, -2))
@@ -200,7 +200,7 @@ def test_a_large_field_is_made_by_rows(rng: Generator) -> None:
     field = FIELD._replace(height=21, width=16)
     theta, seen = double(field.init(rng, 2)), places(2, field).double()
     whole = field(theta, seen)
-    rows = list(field_by_rows(field, theta, seen, texels=5 * 16))
+    rows = list(evaluate_by_rows(field, theta, seen, texels=5 * 16))
     assert [part.shape[-2] for part in rows] == [5, 5, 5, 5, 1]
     torch.testing.assert_close(torch.cat(rows, -2), whole)
 
@@ -228,13 +228,13 @@ def test_a_cell_of_the_code_reaches_its_neighbourhood_only(rng: Generator) -> No
 def test_values_on_a_finer_grid(rng: Generator) -> None:
     """Linear between centres, also across the edges of a periodic grid; the same grid is left alone."""
     values = torch.randn(1, 2, 4, 8, generator=rng)
-    assert regridded(values, 4, 8, periodic=True) is values
-    fine, turned = (regridded(each, 8, 16, periodic=True) for each in (values, values.roll(3, -1)))
+    assert regrid(values, 4, 8, periodic=True) is values
+    fine, turned = (regrid(each, 8, 16, periodic=True) for each in (values, values.roll(3, -1)))
     torch.testing.assert_close(fine.roll(6, -1), turned)
     for periodic in (True, False):
-        constant = regridded(torch.full((1, 2, 3, 5), 0.7), 12, 20, periodic=periodic)
+        constant = regrid(torch.full((1, 2, 3, 5), 0.7), 12, 20, periodic=periodic)
         torch.testing.assert_close(constant, torch.full((1, 2, 12, 20), 0.7))
-    fine = regridded(torch.arange(4.0).expand(1, 1, 3, 4), 3, 8, periodic=False)
+    fine = regrid(torch.arange(4.0).expand(1, 1, 3, 4), 3, 8, periodic=False)
     torch.testing.assert_close(fine[0, 0, 1], torch.tensor([0, 0.25, 0.75, 1.25, 1.75, 2.25, 2.75, 3]))
 
 
@@ -262,25 +262,25 @@ def across_edges(picture: Tensor) -> float:
 
 @pytest.mark.parametrize(("down", "across"), [(17.3, 22.7), (19.0, 13.1), (14.6, 27.2)])
 def test_regular_patterns_alone_are_stretched_until_they_tile(down: float, across: float) -> None:
-    tiling, frequencies = as_tile(pattern(down, across), (SIZE, SIZE))
+    tiling, frequencies = stretch_to_tile(pattern(down, across), (SIZE, SIZE))
     torch.testing.assert_close(frequencies * SIZE, (frequencies * SIZE).round())
     assert all(0.85 * SIZE <= side <= SIZE for side in tiling.shape[1:])
-    whole = [SIZE / float(period) for vector in lattice_of(tiling).vectors if (period := vector.norm())]
+    whole = [SIZE / float(period) for vector in find_lattice(tiling).vectors if (period := vector.norm())]
     assert all(abs(count - round(count)) < 0.1 for count in whole)
     noise = torch.rand(3, SIZE, SIZE, generator=Generator().manual_seed(1))
-    unchanged, frequencies = as_tile(noise, (SIZE, SIZE))
+    unchanged, frequencies = stretch_to_tile(noise, (SIZE, SIZE))
     assert unchanged is noise
     assert not len(frequencies)
 
 
 def test_layouts_of_regular_patterns_repeat_without_a_seam() -> None:
-    layout = quilted_layout(pattern(17.3, 22.7), (32, 32))
+    layout = quilt_layout(pattern(17.3, 22.7), (32, 32))
     assert layout.shape == (3, 32, 32)
     assert across_edges(layout) < 1.5
-    larger = requilted(layout, (64, 96))
+    larger = requilt_layout(layout, (64, 96))
     assert larger.shape == (3, 64, 96)
     assert across_edges(larger) < 1.5
-    assert torch.equal(layout, quilted_layout(pattern(17.3, 22.7), (32, 32)))
+    assert torch.equal(layout, quilt_layout(pattern(17.3, 22.7), (32, 32)))
 
 
 def checkers(side: int, turned: float) -> Tensor:
@@ -296,7 +296,7 @@ def checkers(side: int, turned: float) -> Tensor:
 def test_layouts_keep_the_order_of_a_checkerboard(side: int, turned: float) -> None:
     """At their own size and at twice that: there a single quilt of blocks of any phase keeps 0.2 to 0.5."""
     exemplar = checkers(side, turned)
-    lattice = lattice_of(exemplar)
-    layout = quilted_layout(exemplar, (SIZE, SIZE))
-    assert order_kept(lattice, layout) > 0.6
-    assert order_kept(lattice, requilted(layout, (2 * SIZE, 2 * SIZE))) > 0.7
+    lattice = find_lattice(exemplar)
+    layout = quilt_layout(exemplar, (SIZE, SIZE))
+    assert kept_order_share(lattice, layout) > 0.6
+    assert kept_order_share(lattice, requilt_layout(layout, (2 * SIZE, 2 * SIZE))) > 0.7

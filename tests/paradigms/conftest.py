@@ -4,7 +4,7 @@ import functools
 
 import pytest
 
-from metapp.learning.app import App, stack
+from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task, Tasks
 from metapp.paradigms.paradigm import Paradigm
 from tests.paradigms.small import KINDS, SMALL, fits_of, small_app, small_recipe
@@ -30,7 +30,7 @@ def sources_of(name: str) -> list[Task]:
 
 @functools.cache
 def tasks_of(name: str) -> Tasks:
-    return stack(small_app(name), sources_of(name))
+    return stack_tasks(small_app(name), sources_of(name))
 
 
 @pytest.fixture(scope="session")

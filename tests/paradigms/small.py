@@ -8,17 +8,17 @@ import pytest
 import torch
 from torch import Generator
 
-from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.svbrdf_task import svbrdf_task
+from data_tools.readers.brdf_task import make_brdf_task
+from data_tools.readers.svbrdf_task import make_svbrdf_task
 from data_tools.synthetic.brdf import synthetic_materials
 from data_tools.synthetic.texture import synthetic_tasks
-from metapp.appearance.flash import Maps, normal_from_height, pack
-from metapp.appearance.latlong import directions, mean_luminance
-from metapp.appearance.photograph import photograph
+from metapp.appearance.flash import Maps, normal_from_height, pack_maps
+from metapp.appearance.latlong import mean_luminance, texel_directions
+from metapp.appearance.photograph import photograph_spheres
 from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.nbrdf import NBRDF
+from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, field_of
@@ -61,7 +61,7 @@ class Small(NamedTuple):
 def brdf_tasks() -> list[Task]:
     with pytest.MonkeyPatch.context() as patch:
         shrink_spheres(patch)
-        return [brdf_task(each.name, each.evaluate, samples=512) for each in synthetic_materials("train", COUNT)]
+        return [make_brdf_task(each.name, each.evaluate, samples=512) for each in synthetic_materials("train", COUNT)]
 
 
 def picture_tasks() -> list[Task]:
@@ -70,13 +70,13 @@ def picture_tasks() -> list[Task]:
 
 def map_tasks() -> list[Task]:
     """Maps of one lamp each, all around, and a photograph."""
-    generator, towards, tasks = rng(7), directions(16, 32), []
+    generator, towards, tasks = rng(7), texel_directions(16, 32), []
     for i in range(COUNT):
         lamp = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
         colour = 0.3 + torch.rand(3, 1, 1, generator=generator)
         light = 0.3 + colour * (6 * (torch.einsum("c,chw->hw", lamp, towards) - 0.6)).exp()
         light = light / mean_luminance(light)
-        photos = (photograph(light[None], generator) * 255).round().to(torch.uint8)
+        photos = (photograph_spheres(light[None], generator) * 255).round().to(torch.uint8)
         tasks.append(Task(f"lamp-{i}", {"map": light, "scale": torch.tensor(2.0), "photos": photos}))
     return tasks
 
@@ -89,7 +89,7 @@ def material_tasks() -> list[Task]:
         smooth = torch.nn.functional.interpolate(coarse, (16, 16), mode="bilinear")[0]
         normal = normal_from_height(3 * smooth[:1])
         maps = Maps(0.8 * smooth[1:4], 0.1 + 0.4 * smooth[4:7], 0.2 + 0.6 * smooth[7:], normal)
-        tasks.append(svbrdf_task(f"material-{i}", pack(maps)))
+        tasks.append(make_svbrdf_task(f"material-{i}", pack_maps(maps)))
     return tasks
 
 
@@ -110,7 +110,7 @@ def path_tasks() -> list[Task]:
 
 SMALL_OCTAVES = Octaves(16, 16, ("relu1_1",))
 SMALL: dict[str, Small] = {
-    "brdf": Small(brdf_tasks, Brdf(NBRDF)),
+    "brdf": Small(brdf_tasks, Brdf(NBRDF_NETWORK)),
     "illumination": Small(map_tasks, Illumination(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))),
     "svbrdf_nonstationary": Small(material_tasks, FromMaps(field_of(16, hidden=8)._replace(code=3), encoder_width=2)),
     "svbrdf_stationary": Small(
@@ -190,5 +190,5 @@ def prepared_for(paradigm: Paradigm) -> MetaParameters:
 # each application with its own rule, and each other rule on the fastest application, instead of all with all
 PAIRS = [
     *OWN_RULES.items(),
-    *(("brdf", rule) for rule in applicable(Brdf(NBRDF)) if rule not in OWN_RULES.values()),
+    *(("brdf", rule) for rule in applicable(Brdf(NBRDF_NETWORK)) if rule not in OWN_RULES.values()),
 ]

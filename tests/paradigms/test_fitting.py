@@ -14,8 +14,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from metapp.apps import app_of, recipes_of
 from metapp.learning import learn as learning
-from metapp.learning.app import App, stack
-from metapp.learning.learn import MetaParameters, check_finite, descend, final_item, task_loss
+from metapp.learning.app import App, stack_tasks
+from metapp.learning.learn import MetaParameters, check_finite_losses, descend, final_item, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.task import Batch, Tasks
 from metapp.names import app_names, protocols_of
@@ -272,7 +272,7 @@ def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: 
     """But for the check that the first loss is finite."""
     app = replace(small_app(kind), protocol=protocol)
     meta = Meta.of(app, small_recipe(app), OWN_RULES[kind])
-    tasks = stack(app, SMALL[app.name].tasks()[:2])
+    tasks = stack_tasks(app, SMALL[app.name].tasks()[:2])
     prepared = prepared_for(meta)
     loss = meta.loss
 
@@ -280,7 +280,7 @@ def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: 
         theta = meta.initialisation(prepared, tasks, rng())
         rule, draws = meta.rule(prepared, theta, STEPS), rng()
         with where:
-            final_item(check_finite(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
+            final_item(check_finite_losses(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
 
     fit(nullcontext())  # constants are made at their first use
     monkeypatch.setattr(learning, "_require_finite", lambda *args: None)

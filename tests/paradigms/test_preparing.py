@@ -12,7 +12,7 @@ from torch import Tensor
 
 from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.nbrdf import NBRDF
+from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import ADAM_SEARCH, Adam
@@ -20,7 +20,7 @@ from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.training import TrainState, prepare, split_validation, validation_error
+from metapp.paradigms.training import TrainState, split_validation, train_phi, validation_error
 from metapp.rules import rule_of
 from tests.marked import long
 from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, fits_of, prepared_for, result, rng, small_recipe
@@ -57,7 +57,7 @@ def test_trainings_follow_the_outer_loss(name: str, app: App, tasks: Tasks) -> N
         def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
             return 0 * self.loss(theta, batch, learned) + 7
 
-    judged = Judged(NBRDF)
+    judged = Judged(NBRDF_NETWORK)
     (preparation,) = fits_of(judged, small_recipe(judged))[name].preparations
     phi = preparation.first_phi(None, tasks, rng())
     loss = preparation.outer_loss(phi)
@@ -92,7 +92,7 @@ def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
 
 
 def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> TrainState:
-    return result(prepare(paradigm.preparations[-1], tasks, rng(3), **options))
+    return result(train_phi(paradigm.preparations[-1], tasks, rng(3), **options))
 
 
 @EVERY
@@ -117,7 +117,7 @@ def test_augmented_variants_of_validation_tasks_may_validate(app: App, tasks: Ta
     recipe = small_recipe(app)
     changed = replace(recipe.training(recipe.rule), steps=2, validation_variants=2, initialisation="random")
     meta = Meta.of(app, replace(recipe, meta={recipe.rule: changed}), recipe.rule)
-    *_, state = prepare(meta.preparations[-1], tasks, rng())
+    *_, state = train_phi(meta.preparations[-1], tasks, rng())
     validation = split_validation(tasks)[1]
     variants = app.augment(validation.select([*range(len(validation))] * 2), rng(0))
     assert state.validation == pytest.approx(validation_error(meta, state.phi, variants), rel=1e-6)
@@ -237,7 +237,7 @@ class Search:
             return error(self.looked[-1])
 
         (*_, preparation) = self.quickft.preparations
-        self.path = list(prepare(preparation, TASKS, rng(), general=GENERAL, validate=told))
+        self.path = list(train_phi(preparation, TASKS, rng(), general=GENERAL, validate=told))
         self.tuned = result(self.path)
         self.found = self.quickft.adam(self.tuned.phi)
 
@@ -297,7 +297,7 @@ def test_searches_use_all_validation_tasks_if_fits_are_cheap(name: str, count: i
         return 1.0
 
     data = Tasks(names, {}, torch.arange(240))
-    states = prepare(quickft.preparations[-1], data, rng(), general=GENERAL, steps=3, validate=told)
+    states = train_phi(quickft.preparations[-1], data, rng(), general=GENERAL, steps=3, validate=told)
     assert len(list(states)) == 3
     assert looked == [count] * 3
 
@@ -314,7 +314,7 @@ def test_a_rule_is_tuned_as_quickft_is(
     tuned = replace(recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
     meta = Meta.of(app, replace(recipe, meta={rule: tuned}), rule)
     encoder = MetaParameters(encoder=app.init_encoder(rng()))
-    made = result(prepare(meta.preparations[-1], tasks, rng(), general=encoder))
+    made = result(train_phi(meta.preparations[-1], tasks, rng(), general=encoder))
     plain = rule_of(rule).alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, tuned.first)
     assert made.phi.alpha.keys() == plain.keys()
     assert not made.phi.theta

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from metapp.appearance.picture_measures import measure_pictures
-from metapp.appearance.pictures import KINDS, Fitted
+from metapp.appearance.pictures import PICTURE_KINDS, TimedFit
 from metapp.appearance.presenter import Presenter
 from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.learning.app import App
@@ -85,7 +85,7 @@ def test_files_are_what_their_kind_says(presenter: Presenter[Any], fitted: Param
     """With names for every file system, also those that do not tell upper from lower case."""
     made = presenter.pictures(fitted, sources[0])
     for name, (pixels, kind) in made.items():
-        assert kind in KINDS, name
+        assert kind in PICTURE_KINDS, name
         assert pixels.ndim == 3, name
         assert pixels.shape[2] in {"srgb": (1, 3), "data": (1, 3), "height": (1,), "radiance": (3,)}[kind], name
         assert pixels.isfinite().all(), name
@@ -102,7 +102,7 @@ def test_files_are_what_their_kind_says(presenter: Presenter[Any], fitted: Param
 def test_measures_of_pictures_are_said_where_there_are_any(
     presenter: Presenter[Any], fitted: Params, sources: list[Task]
 ) -> None:
-    measured = measure_pictures(presenter, {"meta": Fitted(fitted, 0.1)}, sources[0])
+    measured = measure_pictures(presenter, {"meta": TimedFit(fitted, 0.1)}, sources[0])
     assert presenter.picture_measure or not measured
     for name, measures in measured.items():
         assert measures, name

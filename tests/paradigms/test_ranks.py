@@ -91,6 +91,6 @@ def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[forks.Running]]
 
 def test_more_ranks_than_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WORLD_SIZE", "8")
-    loss = ranks.SummedOverRanks(EXACT.draw, EXACT.value, shared=True)
+    loss = ranks.LossOverRanks(EXACT.draw, EXACT.value, shared=True)
     with pytest.raises(ValueError, match="8 ranks: an outer step has 4 tasks, expected at most as many ranks"):
         loss.gradient({"x": torch.zeros(4, 3)}, {"c": torch.zeros(4, 3)}, {}, graph=False)

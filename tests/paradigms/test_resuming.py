@@ -16,8 +16,8 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.training import TrainState, prepare
-from metapp.storage.checkpoints import load_state, save_checkpoint, save_state
+from metapp.paradigms.training import TrainState, train_phi
+from metapp.storage.checkpoints import load_training_state, save_checkpoint, save_training_state
 from tests.marked import long
 from tests.paradigms.small import OWN_RULES, rng, untrained
 
@@ -45,11 +45,11 @@ def trained(kind: str, fits: dict[str, Paradigm]) -> Paradigm:
 def run(paradigm: Paradigm, tasks: Tasks, path: Path | None = None, most: float = math.inf) -> TrainState:
     """Train, from the training checkpoint `path` if there is one, and write that each time; `most` yields kill it."""
     general = None if paradigm.name == "general" else MetaParameters(encoder=untrained(paradigm).encoder)
-    fields = load_state(path, SETTINGS) if path else None
+    fields = load_training_state(path, SETTINGS) if path else None
     since = TrainState(**fields) if fields else None
-    for count, state in enumerate(prepare(paradigm.preparations[-1], tasks, rng(3), general=general, since=since), 1):
+    for count, state in enumerate(train_phi(paradigm.preparations[-1], tasks, rng(3), general=general, since=since), 1):
         if path:
-            save_state(path, state._asdict(), SETTINGS)
+            save_training_state(path, state._asdict(), SETTINGS)
         if count >= most:
             raise Cut(state)
     return state
@@ -119,7 +119,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
                 made = run(trained, tasks, path)
                 break
             except KeyboardInterrupt:
-                if fields := load_state(path, SETTINGS):
+                if fields := load_training_state(path, SETTINGS):
                     reached.append((bool(fields["moments"]), fields["step"]))
     assert as_file(made, tmp_path / "made.safetensors") == expected
     assert len(reached) > 1  # it was cut off
@@ -137,13 +137,13 @@ def cut(fits: dict[str, Paradigm], tasks: Tasks, tmp_path: Path) -> Path:
 
 @ONE_APP
 def test_layouts_and_types_are_kept(cut: Path) -> None:
-    fields = load_state(cut, SETTINGS)
+    fields = load_training_state(cut, SETTINGS)
     assert fields is not None
     turned = torch.arange(6.0).reshape(2, 3).T
     current = {"b": turned, "a": torch.ones(2, dtype=torch.float64)}
     state = TrainState(**fields)._replace(searched=(0.5, math.inf), current=current)
-    save_state(cut, state._asdict(), SETTINGS)
-    again = load_state(cut, SETTINGS)
+    save_training_state(cut, state._asdict(), SETTINGS)
+    again = load_training_state(cut, SETTINGS)
     assert again is not None
     assert again.keys() == fields.keys()
     found = again["current"]
@@ -159,9 +159,9 @@ def test_layouts_and_types_are_kept(cut: Path) -> None:
 def test_a_checkpoint_of_other_settings_is_put_aside(cut: Path) -> None:
     before, others = cut.read_bytes(), {**SETTINGS, "seed": 4, "more": 1}
     with pytest.raises(ValueError, match=r"other settings \(more, seed\), put aside as general.training.aside"):
-        load_state(cut, others)
+        load_training_state(cut, others)
     assert cut.with_name("general.training.aside.safetensors").read_bytes() == before
-    assert load_state(cut, others) is None
+    assert load_training_state(cut, others) is None
 
 
 def damaged(raw: bytes) -> list[bytes]:
@@ -178,9 +178,9 @@ def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
     for each in damaged(raw):
         cut.write_bytes(each)
         with pytest.raises(ValueError, match="a damaged training checkpoint, put aside"):
-            load_state(cut, SETTINGS)
+            load_training_state(cut, SETTINGS)
     cut.write_bytes(raw)
-    assert load_state(cut, SETTINGS) is not None
+    assert load_training_state(cut, SETTINGS) is not None
 
 
 @ONE_APP

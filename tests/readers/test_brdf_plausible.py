@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from torch import Tensor
 
-from data_tools.readers.brdf_task import measured_task
-from data_tools.readers.nbrdf import SHAPES, nbrdf_evaluate
-from metapp.appearance.geometry import cosines
+from data_tools.readers.brdf_task import make_measured_task
+from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES, evaluate_nbrdf
+from metapp.appearance.geometry import angle_cosines
 
 SAMPLES = 4096
 Evaluate = Callable[[Tensor], Tensor]
@@ -20,7 +20,7 @@ def microfacets(alpha: float, f0: float = 0.9, diffuse: float = 0.0, *, shadowed
     """GGX with Smith's shadowing and Schlick's Fresnel term; without shadowing it has no limit at the horizon."""
 
     def evaluate(angles: Tensor) -> Tensor:
-        incident, outgoing, half, difference = (cos.clamp_min(1e-6) for cos in cosines(angles.double()))
+        incident, outgoing, half, difference = (cos.clamp_min(1e-6) for cos in angle_cosines(angles.double()))
         ndf = alpha**2 / (math.pi * (half**2 * (alpha**2 - 1) + 1) ** 2)
         fresnel = f0 + (1 - f0) * (1 - difference) ** 5
         smith = [cos + (alpha**2 + (1 - alpha**2) * cos**2).sqrt() for cos in (incident, outgoing)]
@@ -32,34 +32,36 @@ def microfacets(alpha: float, f0: float = 0.9, diffuse: float = 0.0, *, shadowed
 
 def velvet(gain: float) -> Evaluate:
     """A dark material that is bright at grazing angles alone."""
-    return lambda angles: (gain / (1e-3 + cosines(angles).outgoing.clamp_min(0)))[..., None].expand(
+    return lambda angles: (gain / (1e-3 + angle_cosines(angles).outgoing.clamp_min(0)))[..., None].expand(
         *angles.shape[:-1], 3
     )
 
 
 def network(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    return {part: rng.normal(0, 0.3, shape).astype(np.float32) for part, shape in SHAPES.items()}
+    return {part: rng.normal(0, 0.3, shape).astype(np.float32) for part, shape in NBRDF_ARRAY_SHAPES.items()}
 
 
 def swapped(seed: int) -> Evaluate:
     """A network whose bytes were read in the other order."""
     weights = network(np.random.default_rng(seed))
-    return lambda angles: nbrdf_evaluate({part: array.byteswap() for part, array in weights.items()}, angles)
+    return lambda angles: evaluate_nbrdf({part: array.byteswap() for part, array in weights.items()}, angles)
 
 
 def noise(seed: int) -> Evaluate:
     """A network of random bytes."""
     rng = np.random.default_rng(seed)
-    weights = {part: rng.integers(2**32, size=shape, dtype=np.uint32).view("f4") for part, shape in SHAPES.items()}
-    return lambda angles: nbrdf_evaluate(weights, angles)
+    weights = {
+        part: rng.integers(2**32, size=shape, dtype=np.uint32).view("f4") for part, shape in NBRDF_ARRAY_SHAPES.items()
+    }
+    return lambda angles: evaluate_nbrdf(weights, angles)
 
 
 def shifted(seed: int) -> Evaluate:
     """A network whose numbers stand one place further, in files that begin with a value in the thousands."""
     weights = network(np.random.default_rng(seed))
     first = {part: np.concatenate([[3000.0], array.flatten()[:-1]]) for part, array in weights.items()}
-    moved = {part: first[part].reshape(shape).astype(np.float32) for part, shape in SHAPES.items()}
-    return lambda angles: nbrdf_evaluate(moved, angles)
+    moved = {part: first[part].reshape(shape).astype(np.float32) for part, shape in NBRDF_ARRAY_SHAPES.items()}
+    return lambda angles: evaluate_nbrdf(moved, angles)
 
 
 def times(factor: float, evaluate: Evaluate) -> Evaluate:
@@ -74,7 +76,7 @@ SOUND = {
     "black": microfacets(0.5, 0.02, 0.001),
     "velvet": velvet(0.01),
     "darker velvet": velvet(1e-4),
-    "a random network": lambda angles: nbrdf_evaluate(network(np.random.default_rng(3)), angles).clamp_max(0.6),
+    "a random network": lambda angles: evaluate_nbrdf(network(np.random.default_rng(3)), angles).clamp_max(0.6),
 }
 DAMAGED = {
     **{f"byte order {seed}": swapped(seed) for seed in range(4)},
@@ -92,7 +94,7 @@ def said_of(evaluate: Evaluate) -> list[str]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            measured_task("x", evaluate, SAMPLES, "x")
+            make_measured_task("x", evaluate, SAMPLES, "x")
         except ValueError as error:
             return [str(error)]
     return [str(each.message) for each in caught if issubclass(each.category, UserWarning)]

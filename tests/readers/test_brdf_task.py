@@ -11,12 +11,19 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers.brdf_task import UNITS, brdf_task
-from data_tools.readers.merl import SCALE, merl_centres, merl_index, merl_valid, tabulate, task_of_table
-from data_tools.readers.nbrdf import SHAPES, write_nbrdf
+from data_tools.readers.brdf_task import UNITS, make_brdf_task
+from data_tools.readers.merl import (
+    CHANNEL_SCALES,
+    merl_centres,
+    merl_index,
+    merl_valid_mask,
+    tabulate_merl,
+    task_of_table,
+)
+from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES, write_nbrdf
 from data_tools.readers.nbrdf import read_task as read_network
-from metapp.appearance.geometry import above_horizon
-from metapp.storage.shards import check_shard, write_shard
+from metapp.appearance.geometry import is_above_horizon
+from metapp.storage.shards import list_data_set_problems, write_data_set
 
 
 def evaluate(angles: Tensor) -> Tensor:
@@ -25,8 +32,8 @@ def evaluate(angles: Tensor) -> Tensor:
 
 @pytest.fixture(scope="module")
 def table() -> np.ndarray:
-    table = tabulate(evaluate)
-    table[np.random.default_rng(0).random(table.shape[:3]) < 0.2] = -SCALE
+    table = tabulate_merl(evaluate)
+    table[np.random.default_rng(0).random(table.shape[:3]) < 0.2] = -CHANNEL_SCALES
     return table
 
 
@@ -39,7 +46,7 @@ def discrepancy(angles: Tensor, cells: int) -> float:
 
 
 def test_an_analytic_task(tmp_path: Path) -> None:
-    task = brdf_task("paint", evaluate, samples=4096)
+    task = make_brdf_task("paint", evaluate, samples=4096)
     assert task.name == "paint"
     assert {key: (tuple(value.shape), value.dtype) for key, value in task.data.items()} == {
         "angles": ((4096, 3), torch.float32),
@@ -48,7 +55,7 @@ def test_an_analytic_task(tmp_path: Path) -> None:
         "environment": ((48, 48, 4), torch.float32),
     }
     angles = task.data["angles"]
-    assert above_horizon(angles).all()
+    assert is_above_horizon(angles).all()
     assert (angles >= 0).all()
     assert (angles <= torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])).all()
     for half in angles.split(2048):  # seen and held out
@@ -57,21 +64,21 @@ def test_an_analytic_task(tmp_path: Path) -> None:
     assert task.data["render"][48, 48, 3] == 1
     assert task.data["render"][0, 0].tolist() == [0, 0, 0, 0]
     assert (task.data["render"][48, 48, :3] > 0).all()
-    write_shard(tmp_path, "brdf", UNITS, [(brdf_task("a", evaluate, samples=64), "train", "")])
-    assert check_shard(tmp_path) == []
+    write_data_set(tmp_path, "brdf", UNITS, [(make_brdf_task("a", evaluate, samples=64), "train", "")])
+    assert list_data_set_problems(tmp_path) == []
 
 
 def test_the_same_samples_for_all_materials_of_a_seed() -> None:
-    first = brdf_task("a", evaluate, samples=1000).data["angles"]
+    first = make_brdf_task("a", evaluate, samples=1000).data["angles"]
     first_copy = first.clone()
     first.zero_()  # tasks share nothing
-    second = brdf_task("b", lambda angles: 2 * evaluate(angles), samples=1000).data["angles"]
+    second = make_brdf_task("b", lambda angles: 2 * evaluate(angles), samples=1000).data["angles"]
     assert torch.equal(first_copy, second)
-    assert not torch.equal(second, brdf_task("a", evaluate, samples=1000, seed=1).data["angles"])
+    assert not torch.equal(second, make_brdf_task("a", evaluate, samples=1000, seed=1).data["angles"])
 
 
 def test_both_halves_and_prefixes_are_well_spread() -> None:
-    angles = brdf_task("a", evaluate, samples=16384).data["angles"]
+    angles = make_brdf_task("a", evaluate, samples=16384).data["angles"]
     for part in (angles[:8192], angles[8192:], angles):
         # Independent draws deviate by sqrt(cells / draws) = 0.35 (whole: 0.25) here; stratified ones by much less.
         assert discrepancy(part, 8) < 0.75 * math.sqrt(8**3 / (0.4 * len(part)))
@@ -90,8 +97,8 @@ def test_table_samples_are_measured_values(table: np.ndarray) -> None:
     turned = data["angles"][:, 2] > math.pi  # the value of phi_d - pi, by reciprocity
     torch.testing.assert_close(data["angles"], centres + turned[:, None] * torch.tensor([0, 0, math.pi]))
     assert float(turned.float().mean()) == pytest.approx(0.5, abs=0.02)
-    assert above_horizon(data["angles"]).all()
-    assert merl_valid(table).reshape(-1)[bins.numpy()].all()
+    assert is_above_horizon(data["angles"]).all()
+    assert merl_valid_mask(table).reshape(-1)[bins.numpy()].all()
     assert torch.equal(data["reflectance"], torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float())
     again = task_of_table("measured", table, 8192, "").data
     assert all(torch.equal(data[key], again[key]) for key in data)
@@ -99,7 +106,7 @@ def test_table_samples_are_measured_values(table: np.ndarray) -> None:
 
 def invalid_but(*bins: slice | int) -> np.ndarray:
     """A table of which these bins alone are valid."""
-    table = np.broadcast_to(-SCALE, (90, 90, 180, 3)).copy()
+    table = np.broadcast_to(-CHANNEL_SCALES, (90, 90, 180, 3)).copy()
     table[bins] = 1.0
     return table
 
@@ -116,13 +123,13 @@ def invalid_but(*bins: slice | int) -> np.ndarray:
     ],
 )
 def test_what_gives_no_samples_is_one_line(material: Any, samples: int, message: str) -> None:
-    make = task_of_table if isinstance(material, np.ndarray) else brdf_task
+    make = task_of_table if isinstance(material, np.ndarray) else make_brdf_task
     with pytest.raises(ValueError, match=message):
         make("x", material, samples=samples, source="x")
 
 
 def constant_network(folder: Path, reflectance: float) -> Path:
-    weights = {part: np.zeros(shape, dtype=np.float32) for part, shape in SHAPES.items()}
+    weights = {part: np.zeros(shape, dtype=np.float32) for part, shape in NBRDF_ARRAY_SHAPES.items()}
     write_nbrdf(folder, weights | {"b3": np.full(3, math.log1p(reflectance), dtype=np.float32)})
     return folder
 

@@ -14,7 +14,7 @@ from PIL import Image
 from data_tools.readers.colours import states_primaries
 from data_tools.readers.latlong import read_map
 from data_tools.readers.photos import read_photo
-from metapp.appearance.colorimetry import colour_science
+from metapp.appearance.colorimetry import import_colour_science
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from tests.pictures import planes, png_with, profile, write
 
@@ -38,12 +38,12 @@ def picture(kind: str) -> np.ndarray:
 
 
 def space_of(name: str) -> Any:
-    return colour_science().RGB_COLOURSPACES[SPACES[name][0]]
+    return import_colour_science().RGB_COLOURSPACES[SPACES[name][0]]
 
 
 def light_of(name: str, values: np.ndarray) -> np.ndarray:
     """Stored colours of a space as linear Rec.709."""
-    colour = colour_science()
+    colour = import_colour_science()
     matrix = colour.matrix_RGB_to_RGB(space_of(name), colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
     return (values / ENDS[values.dtype.name]) ** SPACES[name][1] @ matrix.T
 
@@ -55,7 +55,7 @@ def off(path: Path, light: np.ndarray) -> torch.Tensor:
 
 def icc(name: str, description: str = "any name") -> bytes:
     """The ICC profile of a space."""
-    colour, space = colour_science(), space_of(name)
+    colour, space = import_colour_science(), space_of(name)
     white, d50 = colour.xy_to_XYZ(space.whitepoint), np.array([0.9642, 1, 0.8249])
     adapted = colour.adaptation.matrix_chromatic_adaptation_VonKries(white, d50, "Bradford")
     return profile(adapted @ space.matrix_RGB_to_XYZ, SPACES[name][1], description)
@@ -161,7 +161,7 @@ def test_primaries_of_known_spaces_are_stated(name: str) -> None:
 
 
 def test_code_points_of_png_are_heeded(tmp_path: Path) -> None:
-    colour, values, path = colour_science(), picture("uint8"), tmp_path / "a.png"
+    colour, values, path = import_colour_science(), picture("uint8"), tmp_path / "a.png"
     Image.fromarray(values).save(path)
     plain = path.read_bytes()
     encoded = {
@@ -182,7 +182,7 @@ def test_code_points_of_png_are_heeded(tmp_path: Path) -> None:
 def test_hybrid_log_gamma_is_light_whose_white_is_three_quarters(
     tmp_path: Path, code: int, name: str, kind: str
 ) -> None:
-    colour, values, path = colour_science(), picture(kind), tmp_path / "a.png"
+    colour, values, path = import_colour_science(), picture(kind), tmp_path / "a.png"
     write(path, values)
     path.write_bytes(png_with(path.read_bytes(), {b"cICP": bytes((code, 18, 0, 1))}))
     decode, rec709 = colour.models.oetf_inverse_BT2100_HLG, colour.RGB_COLOURSPACES["ITU-R BT.709"]

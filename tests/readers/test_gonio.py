@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import gonio, measured_pairs
-from data_tools.readers.measured_pairs import Pairs
-from metapp.appearance.colorimetry import colour_science, spectra_to_rgb
-from metapp.appearance.geometry import above_horizon, directions_to_full_circle, rusinkiewicz_to_directions
-from metapp.registry import load
+from data_tools.readers.measured_pairs import MeasuredPairs
+from metapp.appearance.colorimetry import import_colour_science, spectrum_to_rgb_matrix
+from metapp.appearance.geometry import directions_to_full_rusinkiewicz, is_above_horizon, rusinkiewicz_to_directions
+from metapp.registry import load_reference
 from metapp.runs import api
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -32,7 +32,7 @@ def material(angles: Tensor) -> Tensor:
 def measured(file: Path) -> tuple[Tensor, Tensor]:
     """Angles [N, 3] and reflectance of a file."""
     pairs = gonio.read_pairs(file)
-    return directions_to_full_circle(pairs.wi, pairs.wo), pairs.reflectance
+    return directions_to_full_rusinkiewicz(pairs.wi, pairs.wo), pairs.reflectance
 
 
 def spherical(directions: Tensor) -> tuple[Tensor, Tensor]:
@@ -43,7 +43,7 @@ def spherical(directions: Tensor) -> tuple[Tensor, Tensor]:
 def angles() -> Tensor:
     draws = torch.rand(3000, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     draws = 0.02 + draws * torch.tensor([1.5, 1.5, 6.2])
-    return draws[above_horizon(draws)]
+    return draws[is_above_horizon(draws)]
 
 
 @pytest.fixture
@@ -144,7 +144,7 @@ def test_a_table_is_parsed_once(write: Callable[..., Path], monkeypatch: pytest.
 
 
 def test_tables_of_a_large_folder_are_not_kept(write: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gonio, "KEPT_BYTES", 100)
+    monkeypatch.setattr(gonio, "MAX_KEPT_TABLE_BYTES", 100)
     (source,), _ = gonio.find(write())
     assert source.content is None
     assert source.facts["samples"] > 0
@@ -171,7 +171,7 @@ def test_what_a_plan_writes_is_read_back_when_it_is_filled_in(tmp_path: Path, an
     wi, wo = rusinkiewicz_to_directions(angles[:30])
     file = tmp_path / "plan.csv"
     nothing = torch.zeros(0, 3).double()
-    gonio.write_pairs(file, wi, wo, Pairs(nothing, nothing, nothing))
+    gonio.write_pairs(file, wi, wo, MeasuredPairs(nothing, nothing, nothing))
     with pytest.raises(ValueError, match=r"line 4: r nan, expected .* fill in what a plan asks for"):
         gonio.read_pairs(file)
     colours = material(angles[:30])
@@ -193,7 +193,7 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
     """White is white, steps of wavelength do not matter, and a long-wave reflector is red."""
     for step in (5, 10, 20):
         nanometres = np.arange(380.0, 741, step)
-        matrix = spectra_to_rgb(nanometres)
+        matrix = spectrum_to_rgb_matrix(nanometres)
         np.testing.assert_allclose(matrix.sum(0), 1, atol=1e-12)
         red = 1 / (1 + np.exp(-(nanometres - 600) / 15))
         assert (red @ matrix) == pytest.approx([0.82, 0.06, 0.0], abs=0.08)
@@ -201,19 +201,19 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(f"{HEAD[:-6]},{names}\n30,0,30,180,0.2,0.2,0.2,0.2\n")
     _, reflectance = measured(tmp_path / "a.csv")
     torch.testing.assert_close(reflectance, torch.full((1, 3), 0.2, dtype=torch.float64))
-    colour, nanometres = colour_science(), np.arange(360.0, 781, 5)
+    colour, nanometres = import_colour_science(), np.arange(360.0, 781, 5)
     values = 0.2 + 0.5 * np.exp(-(((nanometres - 530) / 60) ** 2))
     spectrum = colour.SpectralDistribution(dict(zip(nanometres, values, strict=True)))
     tables = (colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"], colour.SDS_ILLUMINANTS["D65"])
     xyz = colour.sd_to_XYZ(spectrum, *(table.copy().align(colour.SpectralShape(360, 780, 5)) for table in tables)) / 100
     expected = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB @ xyz
-    np.testing.assert_allclose(values @ spectra_to_rgb(nanometres), expected, atol=2e-3)
+    np.testing.assert_allclose(values @ spectrum_to_rgb_matrix(nanometres), expected, atol=2e-3)
 
 
 def test_a_file_that_is_too_large_says_how_many_rows_to_keep(tmp_path: Path) -> None:
     file = tmp_path / "large.csv"
     file.touch()
-    os.truncate(file, 5 * gonio.LONGEST // 2)
+    os.truncate(file, 5 * gonio.MAX_TABLE_BYTES // 2)
     with pytest.raises(ValueError, match=r"large\.csv: 671,088,640 bytes, .* 6 million rows; keep one row in 3\.$"):
         gonio.read_pairs(file)
 
@@ -289,6 +289,6 @@ def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_p
     compared = metapp("compare", *runs, "--json").done
     assert all(run["measures"] == {} for run in compared["runs"])
     assert compared["picture"]
-    view = load("metapp.extensions.viewer.pages.brdf:view")
+    view = load_reference("metapp.extensions.viewer.pages.brdf:make_brdf_view")
     assert "residual" not in view(fit.app, fit.parameters, fit.task).arrays
     assert "samples" in view(fit.app, fit.parameters, fit.task).arrays

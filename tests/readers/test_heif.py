@@ -62,7 +62,7 @@ def test_a_damaged_or_small_one_is_one_line(tmp_path: Path) -> None:
 
 def test_without_the_library_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "a.heic", gradients())
-    monkeypatch.setattr(image_files, "can_read", lambda: False)
+    monkeypatch.setattr(image_files, "can_read_heif", lambda: False)
     with pytest.raises(
         ValueError, match=r'export it as JPEG or PNG, or read it as it is: pip install "metapp\[heic\]"'
     ):

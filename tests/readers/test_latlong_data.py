@@ -12,7 +12,7 @@ from torch import Tensor
 
 from data_tools.readers import latlong
 from data_tools.readers.latlong import find, read_map, read_task
-from metapp.appearance.latlong import mean_luminance, resample, solid_angles
+from metapp.appearance.latlong import mean_luminance, resample_maps, solid_angles
 from metapp.storage.images import write_exr
 from tests.pictures import check_refused, planes, truncated, write
 from tests.sources import paths_of
@@ -58,7 +58,7 @@ def test_other_sizes_keep_their_light(tmp_path: Path, size: tuple[int, int]) -> 
         return (maps.double() * solid_angles(*maps.shape[-2:], dtype=torch.float64)).sum((-2, -1))
 
     torch.testing.assert_close(energy(read), energy(planes(values)), rtol=1e-5, atol=0)
-    torch.testing.assert_close(read, resample(planes(values), 64, 128))
+    torch.testing.assert_close(read, resample_maps(planes(values), 64, 128))
 
 
 LAYOUTS: dict[str, tuple[tuple[str, ...], list[int]]] = {

@@ -11,8 +11,8 @@ from PIL.TiffImagePlugin import IFDRational
 
 from data_tools.readers.flash import read_task
 from data_tools.readers.image_files import pixels_of_pil, read_pixels
-from data_tools.readers.lenses import FRAME_MM, Lens, lens_of
-from data_tools.readers.photos import field_of_view
+from data_tools.readers.lenses import FILM_DIAGONAL_MM, ExifLens, lens_of_exif
+from data_tools.readers.photos import field_of_view_rad
 from tests.pictures import noise
 
 FILM, FOCAL, ACROSS, DOWN, UNIT, WIDTH, HEIGHT = 0xA405, 0x920A, 0xA20E, 0xA20F, 0xA210, 0xA002, 0xA003
@@ -21,7 +21,7 @@ CAMERA = {
     FOCAL: IFDRational(18), ACROSS: IFDRational(5184000, 905), DOWN: IFDRational(3456000, 595), UNIT: 2, WIDTH: 5184,
     HEIGHT: 3456,
 }  # fmt: skip
-EXPECTED_MM = 18 * FRAME_MM / math.hypot(0.905 * 25.4, 0.595 * 25.4)
+EXPECTED_MM = 18 * FILM_DIAGONAL_MM / math.hypot(0.905 * 25.4, 0.595 * 25.4)
 
 
 def photo(path: Path, tags: dict[int, Any]) -> Path:
@@ -48,7 +48,7 @@ def test_the_sensor_tells_the_field_of_view(tmp_path: Path, suffix: str) -> None
     with Image.open(path) as image:
         assert pixels_of_pil(image, "a").focal_mm == pytest.approx(EXPECTED_MM, rel=1e-5)
     side, (line,) = side_and_lines(path)
-    share = math.tan(math.radians(22.5)) / math.tan(field_of_view(EXPECTED_MM, 300, 450) / 2)
+    share = math.tan(math.radians(22.5)) / math.tan(field_of_view_rad(EXPECTED_MM, 300, 450) / 2)
     assert side == round(300 * share)
     sensor = "18 mm on a sensor of 23.0 x 15.1 mm: 28 mm as of 35 mm film"
     assert line == f"{path}: {sensor}; --fov sets another field of view."
@@ -77,7 +77,7 @@ def test_nothing_is_said_where_the_user_states_it(tmp_path: Path) -> None:
      ((12.5 * 25.4, 12.5 * 25.4), 0, (300, 450))],
 )  # fmt: skip
 def test_units_of_the_sensor(resolution: tuple[float, float], unit: int, size: tuple[int, int]) -> None:
-    assert lens_of(0, 50, resolution, unit, size).focal_mm == pytest.approx(50)
+    assert lens_of_exif(0, 50, resolution, unit, size).focal_mm == pytest.approx(50)
 
 
 @pytest.mark.parametrize(
@@ -87,5 +87,5 @@ def test_units_of_the_sensor(resolution: tuple[float, float], unit: int, size: t
      ((12.5, 12.5), 4, (0, 0))],
 )  # fmt: skip
 def test_sensors_that_cannot_be_are_unknown(resolution: tuple[float, float], unit: int, size: tuple[int, int]) -> None:
-    assert lens_of(0, 50, resolution, unit, size) == Lens(0.0, "50 mm on a sensor of unknown size")
-    assert lens_of(0, math.nan, resolution, unit, size) == Lens()
+    assert lens_of_exif(0, 50, resolution, unit, size) == ExifLens(0.0, "50 mm on a sensor of unknown size")
+    assert lens_of_exif(0, math.nan, resolution, unit, size) == ExifLens()

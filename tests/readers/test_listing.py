@@ -35,7 +35,7 @@ def test_folders_within_each_other(tmp_path: Path) -> None:
 
 
 def test_foreign_files_are_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("data_tools.readers.photos.opens", lambda file: pytest.fail(f"opened {file}"))
+    monkeypatch.setattr("data_tools.readers.photos.is_readable_image", lambda file: pytest.fail(f"opened {file}"))
     for name in ("a.jpg", "b.txt", "c.dat"):
         (tmp_path / name).touch()
     files, skipped = paths_of(find, tmp_path)

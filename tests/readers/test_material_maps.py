@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import material_maps, svbrdf_inputs
-from data_tools.readers.map_names import map_name
-from data_tools.readers.material_maps import entries, find, mixed_slopes, read_task
-from data_tools.readers.svbrdf_task import flash_photo
+from data_tools.readers.map_names import parse_map_name
+from data_tools.readers.material_maps import entries, find, mixed_slope_correlation, read_task
+from data_tools.readers.svbrdf_task import render_flash_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import normal_from_height
 from tests.pictures import check_refused, write_planes
@@ -109,7 +109,7 @@ def test_a_task_is_photographed_by_the_renderer(tmp_path: Path) -> None:
     assert task.name == "rock"
     assert list(task.data) == list(material_maps.UNITS)
     assert task.data["maps"].shape == (10, 48, 48)
-    assert (task.data["photo"].int() - flash_photo(task.data["maps"]).int()).abs().max() <= 1  # maps are halves
+    assert (task.data["photo"].int() - render_flash_photo(task.data["maps"]).int()).abs().max() <= 1  # maps are halves
     assert read_task(source).data["photo"].shape == (3, 256, 256)
 
 
@@ -168,7 +168,7 @@ NAMES: dict[str, tuple[str, str, str | None]] = {  # name, mark, role
 
 
 def test_the_role_is_in_the_name() -> None:
-    assert {stem: map_name(stem) for stem in NAMES} == NAMES
+    assert {stem: parse_map_name(stem) for stem in NAMES} == NAMES
 
 
 PACKED = {  # a colour whose channels are 0.2, 0.6 and 1 (and alpha 0.7): roughness and metallic
@@ -271,8 +271,8 @@ def turned(stored: Tensor) -> Tensor:
 @pytest.mark.parametrize("size", [64, 200])
 def test_the_green_of_a_height_field_is_told(tmp_path: Path, seed: int, size: int) -> None:
     stored = bumps(size, seed)
-    assert mixed_slopes(stored * 2 - 1) > 0.8
-    assert mixed_slopes(turned(stored) * 2 - 1) < -0.8
+    assert mixed_slope_correlation(stored * 2 - 1) > 0.8
+    assert mixed_slope_correlation(turned(stored) * 2 - 1) < -0.8
     up = maps_of(folder(tmp_path / "up", normal=stored))[:3]
     down = maps_of(folder(tmp_path / "down", normal=turned(stored)))[:3]
     torch.testing.assert_close(up, down, atol=0.02, rtol=0)
@@ -283,7 +283,7 @@ def test_the_green_of_a_height_field_is_told(tmp_path: Path, seed: int, size: in
 def test_green_points_up_where_nothing_says_otherwise(tmp_path: Path) -> None:
     ridges = bumps()[:, :1].expand(3, 96, 96).clone()
     ridges[1] = 0.7  # the same slope everywhere
-    assert mixed_slopes(ridges * 2 - 1) == pytest.approx(0, abs=0.1)
+    assert mixed_slope_correlation(ridges * 2 - 1) == pytest.approx(0, abs=0.1)
     assert maps_of(folder(tmp_path, normal=ridges))[1].mean() > 0.2
 
 

@@ -8,18 +8,18 @@ import pytest
 import torch
 
 from data_tools.readers.merl import (
+    CHANNEL_SCALES,
     FILE_BYTES,
-    SCALE,
+    evaluate_merl,
     find,
     merl_centres,
-    merl_evaluate,
     merl_index,
-    merl_valid,
+    merl_valid_mask,
     read_merl,
-    tabulate,
+    tabulate_merl,
     write_merl,
 )
-from metapp.appearance.geometry import above_horizon
+from metapp.appearance.geometry import is_above_horizon
 from tests.sources import paths_of
 
 
@@ -43,10 +43,10 @@ def test_read_known_values(merl_file: Path) -> None:
     assert table.shape == (90, 90, 180, 3)
     assert table.dtype == np.float64
     np.testing.assert_allclose(table[0, 0, 1], [1.0, 2.3, 4.98], rtol=1e-15)
-    np.testing.assert_array_equal(table[1, 2, 3], np.array([7.0, 8.0, 9.0]) * SCALE)
+    np.testing.assert_array_equal(table[1, 2, 3], np.array([7.0, 8.0, 9.0]) * CHANNEL_SCALES)
     # red of (1, 2, 3) lies at phi_d + 180 * (theta_d + 90 * theta_h) doubles behind the header
     assert struct.unpack_from("<d", merl_file.read_bytes(), 12 + 8 * (3 + 180 * (2 + 90)))[0] == 7.0
-    valid = merl_valid(table)
+    valid = merl_valid_mask(table)
     assert not valid[0, 0, 0]
     assert valid[0, 0, 2]
     assert (table[~valid] < 0).all()
@@ -94,37 +94,37 @@ def test_evaluate_interpolates_wraps_phi_and_holds_the_ends() -> None:
     unit = torch.rand(5000, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     low, high = merl_centres()[0, 0, 0].double(), merl_centres()[-1, -1, -1].double()
     angles = low + unit * (high - low)
-    torch.testing.assert_close(merl_evaluate(table, angles), angles @ slopes + 0.4, rtol=0, atol=1e-6)
-    torch.testing.assert_close(merl_evaluate(table, angles.float()), (angles @ slopes + 0.4).float(), rtol=0, atol=1e-5)
+    torch.testing.assert_close(evaluate_merl(table, angles), angles @ slopes + 0.4, rtol=0, atol=1e-6)
+    torch.testing.assert_close(evaluate_merl(table, angles.float()), (angles @ slopes + 0.4).float(), rtol=0, atol=1e-5)
     table = np.zeros((90, 90, 180, 3))
     table[0, 0, 0], table[0, 0, 179] = 1.0, 3.0
     angles = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, math.pi], [0.0, 0.0, math.pi / 360]], dtype=torch.float64)
-    torch.testing.assert_close(merl_evaluate(table, angles)[:, 0], torch.tensor([2.0, 2.0, 1.0], dtype=torch.float64))
+    torch.testing.assert_close(evaluate_merl(table, angles)[:, 0], torch.tensor([2.0, 2.0, 1.0], dtype=torch.float64))
 
 
 def test_evaluate_ignores_invalid_entries() -> None:
-    table = np.full((90, 90, 180, 3), -1.0) * SCALE
+    table = np.full((90, 90, 180, 3), -1.0) * CHANNEL_SCALES
     table[10, 10, 10] = 5.0
     table[20, 20, 20] = 0.5, -0.1, 0.5  # noise in one channel: valid, and read as 0
     centres = merl_centres()
     near = torch.lerp(centres[10, 10, 10], centres[11, 11, 11], 0.3)
     far = centres[50, 50, 50]
-    result = merl_evaluate(table, torch.stack([near, far, centres[20, 20, 20]]))
+    result = evaluate_merl(table, torch.stack([near, far, centres[20, 20, 20]]))
     torch.testing.assert_close(result, torch.tensor([[5.0] * 3, [0.0] * 3, [0.5, 0.0, 0.5]]))
-    assert merl_evaluate(np.ones((90, 90, 180, 3)), torch.zeros(2, 4, 3)).shape == (2, 4, 3)
+    assert evaluate_merl(np.ones((90, 90, 180, 3)), torch.zeros(2, 4, 3)).shape == (2, 4, 3)
 
 
 def test_tabulate(tmp_path: Path) -> None:
-    table = tabulate(lambda angles: angles + 1)
-    centres, above = merl_centres(), above_horizon(merl_centres()).numpy()
-    np.testing.assert_array_equal(merl_valid(table), above)
+    table = tabulate_merl(lambda angles: angles + 1)
+    centres, above = merl_centres(), is_above_horizon(merl_centres()).numpy()
+    np.testing.assert_array_equal(merl_valid_mask(table), above)
     np.testing.assert_allclose(table[above], centres.numpy()[above] + 1, rtol=1e-6)
     write_merl(tmp_path / "a.binary", table)
     planes = planes_of(tmp_path / "a.binary")
     assert (planes[:, ~above] == -1.0).all()
-    assert tabulate(lambda angles: -angles).max() == 0.0
+    assert tabulate_merl(lambda angles: -angles).max() == 0.0
     with pytest.raises(ValueError, match=r"a\.binary: [0-9,]+ values are NaN or infinite"):
-        write_merl(tmp_path / "a.binary", tabulate(lambda angles: angles * math.nan))
+        write_merl(tmp_path / "a.binary", tabulate_merl(lambda angles: angles * math.nan))
 
 
 def test_what_is_no_table_is_one_line(merl_file: Path, tmp_path: Path) -> None:

@@ -12,13 +12,21 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers.nbrdf import SHAPES, find, nbrdf_evaluate, read_nbrdf, read_task, recognises, write_nbrdf
+from data_tools.readers.nbrdf import (
+    NBRDF_ARRAY_SHAPES,
+    evaluate_nbrdf,
+    find,
+    read_nbrdf,
+    read_task,
+    recognises,
+    write_nbrdf,
+)
 from tests.sources import paths_of
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
-    return {part: rng.normal(0, 0.5, shape).astype(np.float32) for part, shape in SHAPES.items()}
+    return {part: rng.normal(0, 0.5, shape).astype(np.float32) for part, shape in NBRDF_ARRAY_SHAPES.items()}
 
 
 def make_network(folder: Path, prefix: str = "", seed: int = 0) -> Path:
@@ -39,7 +47,7 @@ def test_files_are_c_ordered_little_endian_float32_and_read_back(tmp_path: Path,
     }[kind]
     write_nbrdf(tmp_path, {part: change(array) if array.ndim == 2 else array for part, array in plain.items()})
     read = read_nbrdf(tmp_path)
-    assert list(read) == list(SHAPES)
+    assert list(read) == list(NBRDF_ARRAY_SHAPES)
     for part, array in plain.items():
         np.testing.assert_array_equal(read[part], array)
         content = (tmp_path / f"{part}.npy").read_bytes()
@@ -57,7 +65,7 @@ def test_files_are_c_ordered_little_endian_float32_and_read_back(tmp_path: Path,
 
 
 def test_evaluate_worked_value_and_gradients() -> None:
-    weights = {part: np.zeros(shape, np.float32) for part, shape in SHAPES.items()}
+    weights = {part: np.zeros(shape, np.float32) for part, shape in NBRDF_ARRAY_SHAPES.items()}
     weights["fc1"][2, 0] = 1  # cos theta_h
     weights["fc1"][3, 1] = 1  # x of the difference vector
     weights["fc1"][5, 2] = -1  # -cos theta_d: the ReLU drops it
@@ -65,11 +73,11 @@ def test_evaluate_worked_value_and_gradients() -> None:
     weights["fc3"][0, 0], weights["fc3"][1, 1], weights["fc3"][2, 2] = 1, 2, 1
     weights["b3"][:] = 0.25, 0, -1
     theta_h, theta_d, phi_d = 0.4, 0.7, 0.3
-    result = nbrdf_evaluate(weights, torch.tensor([[[theta_h, theta_d, phi_d]]], dtype=torch.float64))
+    result = evaluate_nbrdf(weights, torch.tensor([[[theta_h, theta_d, phi_d]]], dtype=torch.float64))
     expected = [math.exp(math.cos(theta_h) + 0.25) - 1, math.exp(2 * math.sin(theta_d) * math.cos(phi_d)) - 1, 0]
     torch.testing.assert_close(result, torch.tensor([[expected]], dtype=torch.float64))
     tensors = {part: torch.from_numpy(array).requires_grad_() for part, array in make_weights().items()}
-    nbrdf_evaluate(tensors, torch.rand(64, 3)).sum().backward()
+    evaluate_nbrdf(tensors, torch.rand(64, 3)).sum().backward()
     assert all(tensor.grad is not None for tensor in tensors.values())
 
 

@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 from data_tools.readers import brdf_objects, flash, latlong, photos, svbrdf_inputs
-from data_tools.readers.numbers import LARGEST_SIZE, array_of
+from data_tools.readers.numbers import MAX_ARRAY_VALUES, array_of
 from metapp.extensions.capture.ball import reading
 from metapp.learning.task import Task
 from tests.pictures import noise, write
@@ -174,7 +174,7 @@ UNIT = RGB / 255
         (array, np.broadcast_to(np.float32(0.5), (60000, 60000, 3)), "object: 10,800,000,000 values, expected"),
         (array, np.array([["a"]]), "object: an array of <U1, expected"),
         # more rows than the function was asked for: nothing of 3e9 values is copied
-        (function, lambda wi, wo: np.broadcast_to(0.5, (10**9, 3)), rf"values, expected {LARGEST_SIZE:,} or fewer"),
+        (function, lambda wi, wo: np.broadcast_to(0.5, (10**9, 3)), rf"values, expected {MAX_ARRAY_VALUES:,} or fewer"),
         (light, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
     ],
 )

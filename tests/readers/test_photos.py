@@ -19,13 +19,13 @@ import torch
 from PIL import Image
 
 from data_tools.readers import flash, photos, svbrdf_inputs
-from data_tools.readers.flash import shown
+from data_tools.readers.flash import entry_of_photo
 from data_tools.readers.image_files import Pixels, pixels_of_pil
-from data_tools.readers.photos import field_of_view, find, flash_view, is_photo, read_photo, recognises
+from data_tools.readers.photos import field_of_view_rad, find, flash_view, is_photo, read_photo, recognises
 from data_tools.readers.svbrdf_inputs import read_task
-from data_tools.readers.svbrdf_task import encoded, rightly_exposed
+from data_tools.readers.svbrdf_task import correct_exposure, encode_srgb
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.storage.shards import Entry, split_auto
+from metapp.storage.shards import ManifestEntry, split_auto
 from tests.pictures import STORED, check_refused, noise, planes, text, truncated, write, write_exr
 from tests.sources import paths_of
 
@@ -356,7 +356,7 @@ PLACES = {
 def test_the_material_follows_from_name_and_place(tmp_path: Path, file: str, named: str | None) -> None:
     where = () if named is None else (tmp_path / named,)
     name, group, split = PLACES[file, named]
-    assert shown(tmp_path / file, *where) == Entry(name, group=group, split=split)
+    assert entry_of_photo(tmp_path / file, *where) == ManifestEntry(name, group=group, split=split)
 
 
 @pytest.mark.parametrize(
@@ -403,7 +403,7 @@ def photo(path: Path, focal: int = 0, height: int = 96, width: int = 128) -> Pat
 def test_fields_of_view_of_known_lenses() -> None:
     """50 mm and 24 mm on film, 24 mm along the shorter side; a phone's main and wide lens, of pictures 4:3."""
     lenses = {(50, 24, 36): 26.99, (24, 36, 24): 53.13, (26, 3024, 4032): 53.07, (13, 3024, 4032): 89.91}
-    found = {lens: math.degrees(field_of_view(*lens)) for lens in lenses}
+    found = {lens: math.degrees(field_of_view_rad(*lens)) for lens in lenses}
     assert found == pytest.approx(lenses, abs=0.05)
     whole = Pixels(np.zeros((1000, 1200, 3), np.uint8), "", False)
     sides = {degrees: len(flash_view(whole, math.radians(degrees)).values) for degrees in (0, 30, 45, 90)}
@@ -413,7 +413,7 @@ def test_fields_of_view_of_known_lenses() -> None:
 @pytest.mark.parametrize("suffix", ["jpg", "tif", "png"])
 def test_of_a_wide_lens_fits_see_what_their_camera_does(tmp_path: Path, suffix: str) -> None:
     path = photo(tmp_path / f"a.{suffix}", focal=26)
-    share = math.tan(math.radians(22.5)) / math.tan(field_of_view(26, 96, 128) / 2)
+    share = math.tan(math.radians(22.5)) / math.tan(field_of_view_rad(26, 96, 128) / 2)
     side = round(96 * share)
     assert 76 < side < 82
     found = flash.read_task(path, side).data["image"].float()
@@ -453,8 +453,8 @@ def linear(photo: torch.Tensor) -> torch.Tensor:
 
 @pytest.mark.parametrize("stops", [-2.0, -1.0, -0.3, 0.5, 1.0, 2.0])
 def test_a_photo_is_exposed_anew_but_where_it_clips(stops: float) -> None:
-    photo = encoded(RADIANCE * 2**stops)
-    found, clips = rightly_exposed(photo, stops), (linear(photo) > 0.95).any(0)
+    photo = encode_srgb(RADIANCE * 2**stops)
+    found, clips = correct_exposure(photo, stops), (linear(photo) > 0.95).any(0)
     assert clips.any() == (stops > 0)
     assert not clips.all()
     assert torch.equal(found[:, clips], photo[:, clips])
@@ -465,9 +465,9 @@ def test_a_photo_is_exposed_anew_but_where_it_clips(stops: float) -> None:
 
 def test_a_file_is_read_so(tmp_path: Path) -> None:
     path = tmp_path / "wall.png"
-    pixels = encoded(RADIANCE / 2).permute(1, 2, 0).contiguous().numpy()
+    pixels = encode_srgb(RADIANCE / 2).permute(1, 2, 0).contiguous().numpy()
     image = oiio.ImageBuf(pixels)
     assert image.write(str(path))
     photos = [read_task(path, 32, stops=stops).data["photo"] for stops in (0.0, -1.0)]
-    assert torch.equal(photos[1], rightly_exposed(photos[0], -1.0))
+    assert torch.equal(photos[1], correct_exposure(photos[0], -1.0))
     assert float(linear(photos[1]).mean() / linear(photos[0]).mean()) == pytest.approx(2, rel=0.01)

@@ -17,19 +17,19 @@ from data_tools.readers.photos import SIZE_TEXT
 from data_tools.readers.source import Source
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.apps import recipes_of
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from metapp.names import inputs_of
+from metapp.names import input_formats
 from metapp.options import BadOption
-from metapp.runs.checkpoints import with_checkpoint
-from metapp.runs.choose import choose
+from metapp.runs.checkpoints import attach_checkpoint
+from metapp.runs.choose import choose_protocol_and_recipe
 from metapp.runs.inputs.finding import find_sources, source_of_tensors
 from metapp.runs.options import fit_options
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint, tensor_digest
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
-from metapp.storage.shards import write_shard
-from metapp.storage.shipped import checkpoint_folder, shipped_path
+from metapp.storage.shards import write_data_set
+from metapp.storage.shipped import checkpoint_folder, shipped_checkpoint_path
 
 APP = "svbrdf_nonstationary"
 
@@ -78,7 +78,7 @@ def test_texts_that_windows_wrote_are_those_of_unix(folder: Path, encoding: str)
 
 def found(path: Path) -> list[tuple[str, Path]]:
     """What each format of the application finds in a path that it recognises."""
-    modules = {name: form.load() for name, form in inputs_of(APP).items()}
+    modules = {name: form.load() for name, form in input_formats(APP).items()}
     readers = {name: module for name, module in modules.items() if module.recognises(path)}
     return [(name, source.path) for name, module in readers.items() for source in module.find(path)[0]]
 
@@ -117,11 +117,11 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: s
 
 def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tmp_path: Path, lacking: str) -> None:
     task = photos.read_task(folder)
-    write_shard(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), [(task, "test", "")])
+    write_data_set(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), [(task, "test", "")])
     options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
 
     def recipe(source: Source) -> str:
-        return choose(options, [source]).recipe
+        return choose_protocol_and_recipe(options, [source]).recipe
 
     assert recipe(*find_sources(options)) == recipe(source_of_tensors(APP, "leaf", task.data)) == "several"
     one = source_of_tensors(APP, "one", {"photo": task.data["photo"]})
@@ -210,7 +210,7 @@ def test_its_general_ships_with_the_adam_and_the_rule_for_it() -> None:
     folder = checkpoint_folder(APP, "several")
     names = ("gauss-newton-photo", "general-photo", "quickft-photo")
     assert sorted(path.stem for path in folder.glob("*.safetensors")) == list(names)
-    rule, general, quickft = (shipped_path(APP, name, "several") for name in names)
+    rule, general, quickft = (shipped_checkpoint_path(APP, name, "several") for name in names)
     others = (rule, quickft)
     assert [path.parent for path in (general, *others)] == [folder] * 3
     encoder = load_checkpoint(general)[0].encoder
@@ -228,10 +228,10 @@ def test_five_photos_say_more_than_one_by_default() -> None:
     tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
     errors = {}
     for recipe, paradigm in (("full", "meta"), ("several", "general"), ("several", "quickft"), ("several", "meta")):
-        by = with_checkpoint(Run.of(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
+        by = attach_checkpoint(Run.of(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
         of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
-        theta = [by.paradigm.fit(by.phi, stack(by.app, [task]), Generator()) for task in of]
-        found = [by.app.errors(each, stack(by.app, [t])) for each, t in zip(theta, of, strict=True)]
+        theta = [by.paradigm.fit(by.phi, stack_tasks(by.app, [task]), Generator()) for task in of]
+        found = [by.app.errors(each, stack_tasks(by.app, [t])) for each, t in zip(theta, of, strict=True)]
         errors[recipe, paradigm] = {
             key: sum(float(each[key]) for each in found) / len(found) for key in ("error", "normal")
         }

@@ -11,7 +11,7 @@ from PIL import Image
 
 from data_tools.readers import material_maps, photos
 from data_tools.readers.camera_raws import is_raw
-from data_tools.readers.image_files import NAMED, SUFFIXES, read_pixels, shape_of
+from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, IMAGE_SUFFIXES, read_pixels, shape_of
 from tests.pictures import noise, write
 from tests.sources import paths_of
 
@@ -109,7 +109,7 @@ def test_folders_know_every_suffix_that_the_library_reads() -> None:
     kinds = [kind.partition(":") for kind in oiio.get_string_attribute("extension_list").split(";")]
     suffixes = {f".{suffix}" for kind, _, some in kinds if kind not in ("ffmpeg", "openvdb", "raw", "ptex", "heif",
                 "dicom", "r3d") for suffix in some.split(",")}  # fmt: skip
-    assert suffixes - AMBIGUOUS <= set(SUFFIXES) <= set(NAMED)
+    assert suffixes - AMBIGUOUS <= set(IMAGE_SUFFIXES) <= set(ALL_PICTURE_SUFFIXES)
 
 
 @pytest.mark.parametrize(("written", "suffix"), [("tif", "tx"), ("tga", "targa"), ("jp2", "j2k"), ("tif", "env"),
@@ -122,5 +122,5 @@ def test_what_is_read_by_name_is_found_in_folders(tmp_path: Path, written: str, 
         path.parent.rmdir()
     assert paths_of(photos.find, tmp_path) == (sorted(files), [])
     assert photos.read_task(files[0]).data["image"].shape == (3, 256, 256)
-    (material,), _ = material_maps.materials_in(tmp_path)
+    (material,), _ = material_maps.list_materials(tmp_path)
     assert material.name == "rock"

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import strips, svbrdf_inputs
-from data_tools.readers.strips import blend, group_strips, split_strips
-from data_tools.readers.svbrdf_task import encoded, flash_photo
+from data_tools.readers.strips import blended_materials, group_strips, split_strips
+from data_tools.readers.svbrdf_task import encode_srgb, render_flash_photo
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
+from metapp.appearance.flash import Maps, normal_from_height, pack_maps, unpack_maps
 from tests.pictures import check_refused
 from tests.pictures import write_planes as write
 from tests.sources import paths_of
@@ -25,12 +25,12 @@ def material(size: int = 64) -> Tensor:
     smooth = torch.nn.functional.interpolate(torch.rand(1, 8, 8, 8, generator=rng), (size, size), mode="bicubic")[0]
     smooth = smooth.clamp(0.05, 1)
     normal = normal_from_height(smooth[:1] * size / 16)
-    return pack(Maps(0.8 * smooth[1:4], 0.5 * smooth[4:7], smooth[7:], normal))
+    return pack_maps(Maps(0.8 * smooth[1:4], 0.5 * smooth[4:7], smooth[7:], normal))
 
 
 def strip(maps: Tensor, photo: Tensor, gamma: float = 1.0) -> Tensor:
     """The five tiles [3, S, 5 S]."""
-    at = unpack(maps)
+    at = unpack_maps(maps)
     tiles = [photo, at.normal / 2 + 0.5, at.diffuse, at.roughness.expand(3, -1, -1), at.specular]
     return torch.cat([tile if index == 1 else tile ** (1 / gamma) for index, tile in enumerate(tiles)], -1)
 
@@ -52,12 +52,12 @@ def test_a_strip_holds_its_maps(tmp_path: Path, kind: str, suffix: str, toleranc
     assert task.data["maps"].dtype == torch.float16
     torch.testing.assert_close(task.data["maps"].float(), maps, atol=tolerance * gamma * 1.3, rtol=0)
     torch.testing.assert_close(task.data["maps"][:3].float().norm(dim=0), torch.ones(64, 64), atol=1e-3, rtol=0)
-    difference = task.data["photo"].int() - encoded(photo).int()
+    difference = task.data["photo"].int() - encode_srgb(photo).int()
     assert difference.abs().max() <= (1 if tolerance < 1e-3 else 13)  # sRGB is steep near black
     assert difference.abs().float().mean() < 0.5
 
 
-@pytest.mark.parametrize("white", [0.8, strips.WHITE, 3.0])
+@pytest.mark.parametrize("white", [0.8, strips.WHITE_RADIANCE, 3.0])
 def test_photographs_are_exposed_anew_but_where_they_clip(tmp_path: Path, white: float) -> None:
     maps, photo = material(), 1.2 * torch.rand(3, 64, 64)
     photo[(photo > 0.99) & (photo < 1)] = 1
@@ -71,7 +71,7 @@ def test_photographs_are_exposed_anew_but_where_they_clip(tmp_path: Path, white:
 @pytest.mark.parametrize("size", [32, 48, 64, 96])
 def test_other_sizes_keep_means_and_unit_normals(tmp_path: Path, size: int) -> None:
     maps = material()
-    read = strips.read_task(write(tmp_path / "a.exr", strip(maps, flash_photo(maps) / 255), "float"), size)
+    read = strips.read_task(write(tmp_path / "a.exr", strip(maps, render_flash_photo(maps) / 255), "float"), size)
     assert read.data["maps"].shape == (10, size, size)
     assert read.data["photo"].shape == (3, size, size)
     got = read.data["maps"].float()
@@ -82,7 +82,7 @@ def test_other_sizes_keep_means_and_unit_normals(tmp_path: Path, size: int) -> N
 
 def predictions(folder: Path, name: str, maps: Tensor) -> Path:
     """Maps [10, S, S] as another method's files."""
-    at = unpack(maps)
+    at = unpack_maps(maps)
     images = {"N": at.normal / 2 + 0.5, "D": at.diffuse ** (1 / 2.2), "R": at.roughness.expand(3, -1, -1)}
     for letter, values in (images | {"S": at.specular ** (1 / 2.2)}).items():
         write(folder / f"{name}_{letter}.png", values, "uint16")
@@ -144,7 +144,7 @@ BLENDS = {
 
 
 def test_what_a_strip_is_made_of() -> None:
-    assert {name: blend(Path("in") / f"{name}.png") for name in BLENDS} == BLENDS
+    assert {name: blended_materials(Path("in") / f"{name}.png") for name in BLENDS} == BLENDS
 
 
 def named(*kinds: tuple[str, str], count: int = 1) -> list[Path]:
@@ -160,7 +160,7 @@ def sides_of(paths: list[Path], by: str) -> dict[str, set[str]]:
     field = 0 if by == "material" else 1
     found: dict[str, set[str]] = {"train": set(), "test": set()}
     for path, side in sides.items():
-        found[side] |= blend(path)[field]
+        found[side] |= blended_materials(path)[field]
     assert not found["train"] & found["test"]
     return found
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.storage.shards import read_shard
+from metapp.storage.shards import read_data_set
 from tests.readers.test_material_maps import folder
 
 APP = "svbrdf_nonstationary"
@@ -26,7 +26,7 @@ APP = "svbrdf_nonstationary"
 def test_what_a_set_lacks_is_known(metapp: Callable, tmp_path: Path, maps: dict, known: list[float]) -> None:
     given = folder(tmp_path / "rock", **maps)
     assert metapp("data", "materials", given, "--size", "32", "--split", "train", "--out", tmp_path / "set").code == 0
-    (task,) = read_shard(tmp_path / "set", "train")
+    (task,) = read_data_set(tmp_path / "set", "train")
     torch.testing.assert_close(task.data["known"], torch.tensor(known))
     assert task.data["kind"].tolist() == [1]
     assert task.data["maps"].shape == (10, 32, 32)
@@ -41,7 +41,7 @@ def test_maps_that_are_smaller_are_repeated(metapp: Callable, tmp_path: Path, rn
     for side in (64, size):
         words = ("data", "materials", given, "--size", side, "--split", "train", "--out", tmp_path / f"{side}")
         assert metapp(*words).code == 0
-    own, made = (read_shard(tmp_path / f"{side}", "train")[0].data for side in (64, size))
+    own, made = (read_data_set(tmp_path / f"{side}", "train")[0].data for side in (64, size))
     assert made["photo"].shape[-1] == made["maps"].shape[-1] == size
     if size > 64:
         assert torch.equal(made["maps"], own["maps"].repeat(1, 3, 3)[:, :size, :size])
@@ -55,8 +55,8 @@ def test_drawn_materials_stay_as_they_are(metapp: Callable, tmp_path: Path) -> N
     assert metapp("data", "synth", APP, "--count", "4", "--size", "32", "--out", tmp_path / "drawn").code == 0
     words = ("data", "materials", scan, tmp_path / "drawn", "--size")
     assert metapp(*words, "32", "--out", tmp_path / "set").code == 0
-    drawn = {task.name: task.data for task in read_shard(tmp_path / "drawn", "train")}
-    mixed = {task.name: task.data for task in read_shard(tmp_path / "set")}
+    drawn = {task.name: task.data for task in read_data_set(tmp_path / "drawn", "train")}
+    mixed = {task.name: task.data for task in read_data_set(tmp_path / "set")}
     assert mixed.keys() > drawn.keys()
     for name, data in drawn.items():
         assert all(torch.equal(mixed[name][key], value) for key, value in data.items())

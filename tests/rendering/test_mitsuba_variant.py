@@ -13,7 +13,7 @@ from metapp.rendering.variant import (
     KERNELS_VARIABLE,
     LLVM_VARIABLE,
     OLDEST_LLVM,
-    choose_kernels,
+    choose_kernel_folder,
     find_llvm,
     llvm_version,
 )
@@ -119,7 +119,7 @@ def test_kernels_of_others_are_not_run(tmp_path: Path, monkeypatch: pytest.Monke
     folder = tmp_path / ".drjit"
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv(KERNELS_VARIABLE, "")
-    choose_kernels()
+    choose_kernel_folder()
     assert os.environ[KERNELS_VARIABLE] == str(folder)
     shared = tmp_path / "shared"
     shared.mkdir()
@@ -127,6 +127,6 @@ def test_kernels_of_others_are_not_run(tmp_path: Path, monkeypatch: pytest.Monke
     shared.chmod(0o777)
     monkeypatch.setenv(KERNELS_VARIABLE, str(shared))
     with pytest.warns(UserWarning, match=rf"shared: .* open to others, .* {KERNELS_VARIABLE} name another place\.$"):
-        choose_kernels()
+        choose_kernel_folder()
     assert not any(Path(os.environ[KERNELS_VARIABLE]).glob("*.bin"))
     assert stat.S_IMODE(Path(os.environ[KERNELS_VARIABLE]).stat().st_mode) == 0o700

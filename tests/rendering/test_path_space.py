@@ -8,13 +8,21 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.synthetic.cornell import random_scene, rgb
+from data_tools.synthetic.cornell import random_scene, rgb_entry
 from metapp.rendering.paths import path_space
-from metapp.rendering.paths.path_space import IMAGE_PX, FewPaths, Guide, Tracer, path_samples, reference, render
-from metapp.rendering.paths.resampling import draw_samples, resampled
-from metapp.rendering.scenes.loading import brightness, load_scene
+from metapp.rendering.paths.path_space import (
+    SAMPLE_IMAGE_PX,
+    Guide,
+    TooFewPathsError,
+    Tracer,
+    render_paths,
+    render_reference,
+    sample_by_rejection,
+)
+from metapp.rendering.paths.resampling import draw_path_samples, sample_by_resampling
+from metapp.rendering.scenes.loading import colour_luminance, load_scene
 from metapp.rendering.scenes.rules import box_film
-from metapp.rendering.scenes.stored_text import scene_bytes, scene_of
+from metapp.rendering.scenes.stored_text import decode_scene, encode_scene
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -29,7 +37,7 @@ def cell_means(tracer: Tracer, count: int, dimensions: int) -> tuple[Tensor, Ten
     """Mean luminance of cells of the film [8, 8], row by row, and its standard errors."""
     rng = seeded()
     points = torch.rand(count, dimensions, generator=rng)
-    values = brightness(tracer.contributions(points, rng)).double()
+    values = colour_luminance(tracer.contributions(points, rng)).double()
     cell = (points[:, 1] * CELLS).long() * CELLS + (points[:, 0] * CELLS).long()
     hits, first, second = (torch.bincount(cell, values**power, CELLS**2) for power in (0, 1, 2))
     mean = first / hits
@@ -42,7 +50,7 @@ def mitsuba_means(scene: dict[str, Any], depth: int, runs: int = 16) -> tuple[Te
     mi = loaded.mitsuba
     path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 100})
     pictures = [mi.render(loaded.scene, integrator=path, spp=128, seed=seed).numpy() for seed in range(runs)]
-    values = torch.stack([brightness(torch.from_numpy(each).reshape(-1, 3)) for each in pictures]).double()
+    values = torch.stack([colour_luminance(torch.from_numpy(each).reshape(-1, 3)) for each in pictures]).double()
     return values.mean(0).view(CELLS, CELLS), (values.std(0) / math.sqrt(runs)).view(CELLS, CELLS)
 
 
@@ -76,7 +84,7 @@ def test_all_is_as_bright_as_its_surroundings() -> None:
     rng = seeded()
     carried = tracer.contributions(torch.rand(4096, 4, generator=rng), rng)
     torch.testing.assert_close(carried, torch.tensor([0.5, 0.5, 0.375]).expand(4096, -1))
-    assert tracer.brightest == pytest.approx(float(brightness(torch.tensor([[1.0, 2.0, 3.0]]))))
+    assert tracer.brightest == pytest.approx(float(colour_luminance(torch.tensor([[1.0, 2.0, 3.0]]))))
 
 
 @needs_mitsuba
@@ -110,17 +118,17 @@ class _Sloped:
 
 @pytest.mark.parametrize("brightest", [0.0, 1.3, 2.0, 5.0])
 def test_a_bound_that_is_exceeded_is_raised(brightest: float) -> None:
-    points, image = path_samples(_Sloped(brightest), 100_000, seeded())  # type: ignore[arg-type]
+    points, image = sample_by_rejection(_Sloped(brightest), 100_000, seeded())  # type: ignore[arg-type]
     # of a density 2 x the cumulative distribution is x^2; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()
     assert float((place**2 - torch.arange(len(place)) / len(place)).abs().max()) < 2 / math.sqrt(len(place))
-    assert image.shape == (3, IMAGE_PX, IMAGE_PX)
+    assert image.shape == (3, SAMPLE_IMAGE_PX, SAMPLE_IMAGE_PX)
     assert float(image.mean()) == pytest.approx(1, abs=0.02)
 
 
 def test_scenes_without_light_in_view_are_refused() -> None:
     with pytest.raises(ValueError, match=r"0 of [\d,]+ paths meet a light, expected 0.02% or more; point the camera"):
-        path_samples(_Sloped(1.0, most=0.0), 100, seeded())  # type: ignore[arg-type]
+        sample_by_rejection(_Sloped(1.0, most=0.0), 100, seeded())  # type: ignore[arg-type]
 
 
 @needs_mitsuba
@@ -164,7 +172,7 @@ def sloped(dimensions: int = 2) -> Guide:
 
 def means(tracer: Tracer, guide: Guide | None, runs: int = RUNS) -> Tensor:
     """Of the lower halves of several pictures, where the light itself is not seen, [runs]."""
-    pictures = [render(tracer, SPP, SIZE, seed, guide)[:, SIZE // 2 :] for seed in range(runs)]
+    pictures = [render_paths(tracer, SPP, SIZE, seed, guide)[:, SIZE // 2 :] for seed in range(runs)]
     return torch.stack([picture.mean() for picture in pictures]).double()
 
 
@@ -204,8 +212,8 @@ def test_a_guide_away_from_light_biases_only_with_wrong_density() -> None:
 @needs_mitsuba
 def test_the_reference_is_what_pictures_tend_to() -> None:
     tracer = Tracer(random_scene(3))
-    ours = torch.stack([render(tracer, 256, SIZE, seed) for seed in range(RUNS)]).double()
-    theirs = torch.stack([reference(tracer, SIZE, 128, seed) for seed in range(RUNS)]).double()
+    ours = torch.stack([render_paths(tracer, 256, SIZE, seed) for seed in range(RUNS)]).double()
+    theirs = torch.stack([render_reference(tracer, SIZE, 128, seed) for seed in range(RUNS)]).double()
     assert abs(deviation(ours.mean((1, 2, 3)), theirs.mean((1, 2, 3)))) < 3
     errors = (ours.var(0) / RUNS + theirs.var(0) / RUNS).sqrt()
     assert float(((ours - theirs).mean(0) / errors).abs().median()) < 1.2  # pixel by pixel
@@ -219,21 +227,21 @@ def test_a_picture_depends_on_the_seed_alone() -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
-    first = render(Tracer(scene), 4, 16, 7, sloped())
+    first = render_paths(Tracer(scene), 4, 16, 7, sloped())
     assert torch.equal(torch.rand(3), expected)  # of others
     assert first.shape == (3, 16, 16)
     assert first.dtype is torch.float32
-    assert torch.equal(first, render(Tracer(scene_of(scene_bytes(scene))), 4, 16, 7, sloped()))
-    assert not torch.equal(first, render(Tracer(scene), 4, 16, 8, sloped()))
+    assert torch.equal(first, render_paths(Tracer(decode_scene(encode_scene(scene))), 4, 16, 7, sloped()))
+    assert not torch.equal(first, render_paths(Tracer(scene), 4, 16, 8, sloped()))
     for spp, size in ((0, 8), (1, 0)):
         with pytest.raises(ValueError, match="expected 1 or more of both"):
-            render(Tracer(scene), spp, size)
+            render_paths(Tracer(scene), spp, size)
 
 
 @needs_mitsuba
 def test_pixels_are_where_they_belong() -> None:
     # the light hangs below the ceiling, in the upper half; a picture in pieces is the picture
-    picture = render(Tracer(random_scene(1)), 16, 32, 0)
+    picture = render_paths(Tracer(random_scene(1)), 16, 32, 0)
     brightest = int(picture.sum(0).argmax())
     assert brightest // 32 < 12
     light = torch.tensor(random_scene(1)["light"]["to_world"])[:3, 3]
@@ -264,14 +272,14 @@ def small_lamp(seed: int, times: float) -> Scene:
     lamp = scene["light"]
     lamp["to_world"] = [[*(value / times for value in row[:2]), *row[2:]] for row in lamp["to_world"]]
     radiance = lamp["emitter"]["radiance"]["value"]
-    lamp["emitter"]["radiance"] = rgb([times**2 * value for value in radiance])
+    lamp["emitter"]["radiance"] = rgb_entry([times**2 * value for value in radiance])
     return scene
 
 
 def bulb(seed: int, **more: Any) -> Scene:
     """A Cornell box with a point light instead of its lamp."""
     scene = {key: value for key, value in random_scene(seed).items() if key != "light"}
-    return {**scene, "bulb": {"type": "point", "position": [0.1, 0.7, 0.0], "intensity": rgb([1.0] * 3)}, **more}
+    return {**scene, "bulb": {"type": "point", "position": [0.1, 0.7, 0.0], "intensity": rgb_entry([1.0] * 3)}, **more}
 
 
 class _Steep:
@@ -285,7 +293,7 @@ class _Steep:
 
 
 def test_moves_leave_the_density_of_a_noisy_function_as_it_is() -> None:
-    points, image = resampled(_Steep(), 20_000, Generator().manual_seed(0))  # type: ignore[arg-type]
+    points, image = sample_by_resampling(_Steep(), 20_000, Generator().manual_seed(0))  # type: ignore[arg-type]
     # of a density 3 x^2 the cumulative distribution is x^3; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()
     assert float((place**3 - torch.arange(len(place)) / len(place)).abs().max()) < 2 / math.sqrt(len(place))
@@ -296,13 +304,13 @@ def test_moves_leave_the_density_of_a_noisy_function_as_it_is() -> None:
 @needs_mitsuba
 def test_samples_are_resampled_only_if_few_paths_meet_a_light() -> None:
     plain, small = (Tracer(scene, batch_paths=2**16) for scene in (random_scene(0), small_lamp(0, 12)))
-    expected = path_samples(plain, 500, Generator().manual_seed(3))
-    found = draw_samples(plain, 500, Generator().manual_seed(3))
+    expected = sample_by_rejection(plain, 500, Generator().manual_seed(3))
+    found = draw_path_samples(plain, 500, Generator().manual_seed(3))
     assert not plain.next_event
     assert all(map(torch.equal, expected, found))  # bit for bit
-    with pytest.raises(FewPaths, match="meet a light"):
-        path_samples(small, 500, Generator())
-    points, _ = draw_samples(small, 500, Generator())
+    with pytest.raises(TooFewPathsError, match="meet a light"):
+        sample_by_rejection(small, 500, Generator())
+    points, _ = draw_path_samples(small, 500, Generator())
     assert small.next_event
     assert points.shape == (500, 4)
 
@@ -312,9 +320,9 @@ def test_samples_are_resampled_only_if_few_paths_meet_a_light() -> None:
 def test_pictures_are_those_of_the_reference(scene: Scene) -> None:
     tracer = Tracer(scene, next_event=True)
     guide = corner(16.0)
-    wanted = float(reference(tracer, 8, 8192)[:, 4:].mean())  # the lower half, without the lamp
+    wanted = float(render_reference(tracer, 8, 8192)[:, 4:].mean())  # the lower half, without the lamp
     for each in (None, guide):
-        shots = torch.stack([render(tracer, 512, 8, seed, each)[:, 4:].mean() for seed in range(8)]).double()
+        shots = torch.stack([render_paths(tracer, 512, 8, seed, each)[:, 4:].mean() for seed in range(8)]).double()
         error = float(shots.std() / len(shots) ** 0.5)
         assert abs(float(shots.mean()) - wanted) < 3.5 * error + 0.003 * wanted
         assert error < 0.1 * wanted

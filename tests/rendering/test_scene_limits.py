@@ -10,20 +10,20 @@ import torch
 
 from metapp.rendering.scenes import rules
 from metapp.rendering.scenes.rules import (
-    MOST_CHARACTERS,
-    MOST_NESTED,
-    MOST_VALUES,
-    CheckedDict,
-    Files,
+    MAX_NESTED_LEVELS,
+    MAX_SCENE_VALUES,
+    MAX_VALUE_CHARACTERS,
+    SceneChecker,
+    SceneFiles,
     box_film,
 )
-from metapp.rendering.scenes.stored_text import TEXT_BYTES, scene_bytes, scene_of
+from metapp.rendering.scenes.stored_text import TEXT_BLOCK_BYTES, decode_scene, encode_scene
 from tests.needs_mitsuba import needs_mitsuba
 
 
-def checked(most_values: int = MOST_VALUES, **parts: Any) -> dict[str, Any]:
+def checked(most_values: int = MAX_SCENE_VALUES, **parts: Any) -> dict[str, Any]:
     """A scene of these, after its check."""
-    return CheckedDict(Files(), most_values).object({"type": "scene", **parts})
+    return SceneChecker(SceneFiles(), most_values).object({"type": "scene", **parts})
 
 
 def nested(depth: int) -> dict[str, Any]:
@@ -42,9 +42,9 @@ BAD: dict[str, tuple[dict[str, Any], ...]] = {
     "expected 1 to 255 characters, none of them a point":
         tuple({key: {"type": "sphere"}} for key in ("a" * 256, "", "a.b", "a\nb")),
     "expected up to 256 printable characters": ({"id": "n" * 257}, {"id": "a\tb"}),
-    f"{MOST_NESTED} deep, expected fewer": ({"below": nested(MOST_NESTED)},),
+    f"{MAX_NESTED_LEVELS} deep, expected fewer": ({"below": nested(MAX_NESTED_LEVELS)},),
     "expected plain text, no path":
-        tuple({"note": text} for text in ("x" * (MOST_CHARACTERS + 1), "ö", "a\nb", "a/b", "a\\b", "a$b", "a..b")),
+        tuple({"note": text} for text in ("x" * (MAX_VALUE_CHARACTERS + 1), "ö", "a\nb", "a/b", "a\\b", "a$b", "a..b")),
     "names the file 'x.png', expected none": ({"filename": "x.png"}, {"normal_filename": "x.png"}),
     "expected one of Mitsuba's own": ({"material": "unobtainium"},),
     "expected a finite number, text, true, false, three":
@@ -82,17 +82,17 @@ def test_the_number_of_values_is_limited() -> None:
 
 
 def test_a_scene_is_what_its_text_says() -> None:
-    for scene in (box_film(7, 5), {"name": "ö" * TEXT_BYTES}):
-        text = scene_bytes(scene)
-        assert len(text) % TEXT_BYTES == 0
-        assert len(text) - TEXT_BYTES < len(json.dumps(scene)) <= len(text)
-        assert scene_of(text) == scene
+    for scene in (box_film(7, 5), {"name": "ö" * TEXT_BLOCK_BYTES}):
+        text = encode_scene(scene)
+        assert len(text) % TEXT_BLOCK_BYTES == 0
+        assert len(text) - TEXT_BLOCK_BYTES < len(json.dumps(scene)) <= len(text)
+        assert decode_scene(text) == scene
     for raw in (b"{", b"[" * 100_000, b"\xff"):
         with pytest.raises(ValueError, match=r"a stored scene is no JSON .*; make the data anew"):
-            scene_of(torch.frombuffer(bytearray(raw), dtype=torch.uint8))
+            decode_scene(torch.frombuffer(bytearray(raw), dtype=torch.uint8))
 
 
 def test_without_mitsuba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"mitsuba: not installed, .*; pip install mitsuba"):
-        rules.own_folder()
+        rules.mitsuba_folder()

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from metapp.appearance import latlong
 from metapp.rendering.second_scene import geometry, relighting
-from metapp.rendering.second_scene.geometry import scene_dict
-from metapp.rendering.second_scene.relighting import relight, transfer
+from metapp.rendering.second_scene.geometry import second_scene_dict
+from metapp.rendering.second_scene.relighting import relight, transfer_matrix
 from metapp.rendering.variant import load_mitsuba
 from tests.marked import long
 from tests.needs_mitsuba import skip_without_mitsuba
@@ -26,7 +26,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("METAPP_CACHE", str(folder))
         patch.setattr(relighting, "SAMPLES", 4096)
-        transfer(ROWS, COLUMNS)
+        transfer_matrix(ROWS, COLUMNS)
     return folder
 
 
@@ -34,7 +34,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def matrix(built: Path, monkeypatch: pytest.MonkeyPatch) -> Tensor:
     """[64, 96, 16, 32]; `relight` finds it too."""
     monkeypatch.setenv("METAPP_CACHE", str(built))
-    return transfer(ROWS, COLUMNS).view(geometry.HEIGHT, geometry.WIDTH, ROWS, COLUMNS)
+    return transfer_matrix(ROWS, COLUMNS).view(geometry.PICTURE_HEIGHT_PX, geometry.PICTURE_WIDTH_PX, ROWS, COLUMNS)
 
 
 def sun(row: int, column: int) -> Tensor:
@@ -49,7 +49,7 @@ def direct(illumination: Tensor, spp: int) -> Tensor:
     mi = load_mitsuba()
     texels = illumination.repeat_interleave(FINER, -2).repeat_interleave(FINER, -1)
     bitmap = mi.Bitmap(texels.movedim(0, -1).float().cpu().contiguous().numpy())
-    scene = mi.load_dict({**scene_dict(mi), "light": {"type": "envmap", "bitmap": bitmap}})
+    scene = mi.load_dict({**second_scene_dict(mi), "light": {"type": "envmap", "bitmap": bitmap}})
     return torch.from_numpy(mi.render(scene, spp=spp).numpy()).movedim(-1, 0)
 
 
@@ -70,7 +70,12 @@ def test_maps_of_any_size_give_the_same_picture(matrix: Tensor, rng: torch.Gener
     maps = torch.rand(1, 3, ROWS, COLUMNS, generator=rng)
     larger = maps.repeat_interleave(2, -2).repeat_interleave(2, -1)
     # a texel's halves above and below differ in solid angle, but not in radiance
-    assert relight(larger, height=ROWS, width=COLUMNS).shape == (1, 3, geometry.HEIGHT, geometry.WIDTH)
+    assert relight(larger, height=ROWS, width=COLUMNS).shape == (
+        1,
+        3,
+        geometry.PICTURE_HEIGHT_PX,
+        geometry.PICTURE_WIDTH_PX,
+    )
     torch.testing.assert_close(*(relight(each, height=ROWS, width=COLUMNS) for each in (maps, larger)))
 
 
@@ -84,7 +89,7 @@ def test_a_furnace_shows_the_albedo_of_the_open_floor(matrix: Tensor) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize(("illumination", "spp", "within"), [("soft", 256, 0.05), long("sunny", 1024, 0.1)])
 def test_pictures_agree_with_mitsubas_path_tracer(matrix: Tensor, illumination: str, spp: int, within: float) -> None:
-    soft = 1 + 0.5 * latlong.directions(ROWS, COLUMNS)
+    soft = 1 + 0.5 * latlong.texel_directions(ROWS, COLUMNS)
     light = soft if illumination == "soft" else sun(3, 12) * soft
     expected = direct(light, spp)
     (picture,) = relight(light[None], height=ROWS, width=COLUMNS)
@@ -97,16 +102,16 @@ def test_the_matrix_is_built_once_and_again_if_damaged(cache: Path, monkeypatch:
     made = torch.rand(6, 8)
     monkeypatch.setattr(relighting, "_build", lambda height, width: calls.append((height, width)) or made)
     for size in ((2, 4), (2, 4), (4, 2)):
-        assert torch.equal(transfer(*size), made)
+        assert torch.equal(transfer_matrix(*size), made)
     assert calls == [(2, 4), (4, 2)]
     assert len(list(cache.iterdir())) == 2  # and no unfinished file
     (file,) = cache.glob("*-2x4-*")
     file.write_bytes(b"damaged")
-    assert torch.equal(transfer(2, 4), made)
+    assert torch.equal(transfer_matrix(2, 4), made)
     assert len(calls) == 3
 
 
 @pytest.mark.parametrize(("height", "width"), [(3, 6), (0, 4), (2, 0)])
 def test_maps_that_the_horizon_cuts_are_refused(height: int, width: int) -> None:
     with pytest.raises(ValueError, match="even number of rows"):
-        transfer(height, width)
+        transfer_matrix(height, width)

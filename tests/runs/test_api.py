@@ -21,8 +21,8 @@ import metapp as api
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.rendering.variant import load_mitsuba
 from metapp.runs.outputs.pictures import to_srgb
-from metapp.storage.files import as_text, read_tensors
-from metapp.storage.fits import packed, write_fit
+from metapp.storage.files import read_tensors, to_json_value
+from metapp.storage.fits import pack_fit, write_fit
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba
 from tests.scene_files import OBJ
@@ -70,7 +70,7 @@ def test_a_saved_fit_is_loaded_again(network: Path, tmp_path: Path, general: api
         again = api.load(fit.save(tmp_path / "a.safetensors"))
         assert (again.name, again.errors, again.seconds, again.settings) == (
             *(fit.name, fit.errors, fit.seconds),
-            as_text(fit.settings),
+            to_json_value(fit.settings),
         )
         assert all(torch.equal(again.parameters[key], value) for key, value in fit.parameters.items())
         assert again.task.data.keys() == keys
@@ -112,7 +112,7 @@ def test_parameters_of_another_network_are_refused(
 ) -> None:
     """In Python, and by all commands that read fits."""
     theta = damaged(general.parameters, how)
-    (tmp_path / "a.safetensors").write_bytes(packed(general.record, theta))
+    (tmp_path / "a.safetensors").write_bytes(pack_fit(general.record, theta))
     folder = tmp_path / "run" / "a"
     write_fit(folder.parent, {**general.record, "name": "a"}, theta)
     for place in (folder, tmp_path / "a.safetensors"):
@@ -128,7 +128,7 @@ def test_parameters_of_another_network_are_refused(
 )
 def test_settings_of_another_kind_are_refused(general: api.Fit, tmp_path: Path, key: str, value: object) -> None:
     record = {**general.record, "settings": {**general.settings, key: value}}
-    (tmp_path / "a.safetensors").write_bytes(packed(record, general.parameters))
+    (tmp_path / "a.safetensors").write_bytes(pack_fit(record, general.parameters))
     with pytest.raises(ValueError, match=f"'{key}' is .*, expected .*; fit again"):
         api.load(tmp_path / "a.safetensors")
 

@@ -18,14 +18,14 @@ from metapp.extensions.rgl.tensor_file import write_tensor_file
 from metapp.learning.task import Task
 from metapp.options import BadOption
 from metapp.registry import registry
-from metapp.runs.choose import choose
+from metapp.runs.choose import choose_protocol_and_recipe
 from metapp.runs.inputs.finding import source_of_tensors
-from metapp.runs.inputs.sources import sources_to_fit
+from metapp.runs.inputs.sources import find_inputs
 from metapp.runs.options import fit_options
-from metapp.runs.reporter import Reporter, reporting
+from metapp.runs.reporter import Reporter, use_reporter
 from metapp.runs.run import Run
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
-from metapp.storage.shards import write_shard
+from metapp.storage.shards import write_data_set
 from tests.anisotropic import measured
 from tests.pictures import write_planes
 
@@ -58,7 +58,7 @@ def picture(path: Path, seed: int, width: int = 48, kind: str = "uint8") -> Path
 
 def data_set(folder: Path, app: str, *tasks: Task) -> None:
     units = dict.fromkeys({key for task in tasks for key in task.data}, "-")
-    write_shard(folder, app, units, [(task, "test", "") for task in tasks])
+    write_data_set(folder, app, units, [(task, "test", "") for task in tasks])
 
 
 @pytest.fixture(scope="module")
@@ -225,7 +225,7 @@ class Heard(Reporter):
 
 def chosen(app: str, paths: Sequence[Path], **options: Any) -> tuple[str, str, tuple[str, ...]]:
     """Recipe, protocol and the lines that are said of inputs that are paths, or of a data set."""
-    with reporting(heard := Heard()):
+    with use_reporter(heard := Heard()):
         run = Run.of(fit_options(app, options.pop("paradigm", "meta"), paths, **options))
     return run.options.recipe, run.app.protocol, tuple(heard.lines)
 
@@ -260,7 +260,7 @@ def test_a_folder_is_listed_once(app: str, folder: str, inputs: Path, monkeypatc
 
         monkeypatch.setattr(os, name, count)
     run = Run.of(fit_options(app, "general", [inputs / folder], quiet=True))
-    assert sources_to_fit(run)[0]
+    assert find_inputs(run)[0]
     assert listed.count(str(inputs / folder)) == 1
 
 
@@ -302,7 +302,7 @@ def test_objects_in_memory_choose(name: str, monkeypatch: pytest.MonkeyPatch) ->
     app, objects, recipe, protocol = OBJECTS[name]
     made = objects()
     sources = [source_of_tensors(app, task.name, task.data) for task in tasks_of(app, *made)]
-    choice = choose(fit_options(app, "meta", made), sources)
+    choice = choose_protocol_and_recipe(fit_options(app, "meta", made), sources)
     assert (choice.recipe, choice.protocol) == (recipe, protocol)
     reasons = [of_inputs(app, recipe, WORDS[recipe])] if recipe in WORDS else []
     assert list(choice.reasons)[1 if protocol else 0 :] == reasons
@@ -312,5 +312,5 @@ def test_objects_that_no_recipe_suits_together_are_refused() -> None:
     sources = [source_of_tensors("brdf", task.name, task.data) for task in tasks_of("brdf", pairs(20), pairs(500))]
     line = f"brdf: object0 has {FEW}, object1 has not, {OTHER_COMMANDS}few or --recipe full."
     with pytest.raises(BadOption, match=re.escape(line)):
-        choose(fit_options("brdf", "meta", [0, 1]), sources)
-    assert choose(fit_options("brdf", "meta", [0, 1], recipe="full"), sources).recipe == "full"
+        choose_protocol_and_recipe(fit_options("brdf", "meta", [0, 1]), sources)
+    assert choose_protocol_and_recipe(fit_options("brdf", "meta", [0, 1], recipe="full"), sources).recipe == "full"

@@ -14,20 +14,20 @@ import torch
 
 from data_tools.synthetic import brdf, illumination, texture
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.fits import training_folder
+from metapp.extensions.baselines.fits import find_training_folder
 from metapp.learning.task import Task
 from metapp.runs.inputs.embedded import (
-    embedded_data,
-    embedded_exists,
     embedded_folders,
-    embedded_has_training,
-    embedded_tests,
+    has_embedded_tests,
+    has_embedded_training,
+    make_embedded_set,
+    make_embedded_test_set,
 )
-from metapp.runs.inputs.sources import data_label, tasks_of_data
+from metapp.runs.inputs.sources import data_label, read_test_tasks
 from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import tasks_as
+from metapp.runs.outputs.recorded import find_fitted_tasks
 from metapp.runs.run import Run
-from metapp.storage.shards import check_shard, read_manifest
+from metapp.storage.shards import list_data_set_problems, read_manifest
 from tests import forks
 from tests.quick import app_by
 
@@ -62,45 +62,45 @@ def test_test_tasks_drawn_alone_are_those_of_the_whole_set(
     app: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     splits = count_draws(monkeypatch, MODULES[app])
-    alone = embedded_tests(app, quiet=True)
+    alone = make_embedded_test_set(app, quiet=True)
     assert splits == ["test"] * COUNTS["test"]
-    whole = embedded_data(app, out=tmp_path / "whole", quiet=True)
+    whole = make_embedded_set(app, out=tmp_path / "whole", quiet=True)
     tests = tuple(entry for entry in read_manifest(whole).tasks if entry.split == "test")
     assert read_manifest(alone).tasks == tests  # with the hashes of all bytes
     assert read_manifest(alone).units == read_manifest(whole).units
-    assert check_shard(alone) == []
+    assert list_data_set_problems(alone) == []
 
 
 def test_a_fit_draws_no_training_tasks(metapp: Callable, splits: list[str], tmp_path: Path) -> None:
     assert metapp("general", "brdf", "--out", tmp_path / "runs", "-q").code == 0
     assert splits == ["test"] * COUNTS["test"]
-    assert not embedded_has_training("brdf")
+    assert not has_embedded_training("brdf")
 
 
 def test_a_table_draws_no_training_tasks(metapp: Callable, splits: list[str], tmp_path: Path) -> None:
-    assert not embedded_exists("brdf")
+    assert not has_embedded_tests("brdf")
     metapp("evaluate", "brdf", "--no-run", "--out", tmp_path / "runs", "-q")
     assert splits == []
-    assert not embedded_exists("brdf")
-    embedded_tests("brdf", quiet=True)
+    assert not has_embedded_tests("brdf")
+    make_embedded_test_set("brdf", quiet=True)
     metapp("evaluate", "brdf", "--no-run", "--which", "baselines", "--out", tmp_path / "runs", "-q")
     assert splits == ["test"] * COUNTS["test"]
 
 
 @pytest.mark.usefixtures("splits")
 def test_the_whole_set_that_is_made_later_changes_no_label() -> None:
-    tasks, label = tasks_of_data(app_by("brdf"), None, quiet=True)
-    whole = embedded_data("brdf", quiet=True)
-    later, label_later = tasks_of_data(app_by("brdf"), None, quiet=True)
+    tasks, label = read_test_tasks(app_by("brdf"), None, quiet=True)
+    whole = make_embedded_set("brdf", quiet=True)
+    later, label_later = read_test_tasks(app_by("brdf"), None, quiet=True)
     assert label_later == label != data_label(whole)
     assert [task.name for task in later] == [task.name for task in tasks]
-    assert embedded_folders("brdf") == [embedded_tests("brdf"), whole]
+    assert embedded_folders("brdf") == [make_embedded_test_set("brdf"), whole]
 
 
 def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
-    whole = embedded_data("brdf", quiet=True)
+    whole = make_embedded_set("brdf", quiet=True)
     splits.clear()
-    tasks, label = tasks_of_data(app_by("brdf"), None, quiet=True)
+    tasks, label = read_test_tasks(app_by("brdf"), None, quiet=True)
     assert (len(tasks), label) == (COUNTS["test"], data_label(whole))
     assert splits == []
 
@@ -109,10 +109,10 @@ def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
 def test_fits_of_either_folder_find_their_tasks(metapp: Callable, tmp_path: Path) -> None:
     def tasks_of_record(document: dict[str, Any]) -> dict[str, Task]:
         records = [json.loads(Path(task["folder"], "record.json").read_text()) for task in document["tasks"]]
-        return tasks_as(records, app_by("brdf"), [], None)
+        return find_fitted_tasks(records, app_by("brdf"), [], None)
 
     words = ("general", "brdf", "-q", "--json", "--out")
-    embedded_data("brdf", quiet=True)
+    make_embedded_set("brdf", quiet=True)
     of_whole = metapp(*words, tmp_path / "whole").done
     alone = embedded_folders("brdf")[0].with_name(f"{embedded_folders('brdf')[0].name}-test")
     embedded_folders("brdf")[0].rename(tmp_path / "aside")
@@ -124,10 +124,10 @@ def test_fits_of_either_folder_find_their_tasks(metapp: Callable, tmp_path: Path
 
 
 def test_a_damaged_folder_of_test_tasks_is_made_again(splits: list[str]) -> None:
-    folder = embedded_tests("brdf", quiet=True)
+    folder = make_embedded_test_set("brdf", quiet=True)
     next(folder.glob("*.safetensors")).unlink()
-    assert embedded_tests("brdf", quiet=True) == folder
-    assert check_shard(folder) == []
+    assert make_embedded_test_set("brdf", quiet=True) == folder
+    assert list_data_set_problems(folder) == []
     assert splits == ["test"] * 2 * COUNTS["test"]
 
 
@@ -136,12 +136,16 @@ def test_baselines_that_learn_have_training_tasks_drawn_where_they_are_measured(
     learning, other = (
         next(each for each in baselines_of(plan.app) if bool(each.learns) is kind) for kind in (True, False)
     )
-    assert training_folder(plan, learning) is None
-    assert training_folder(plan, other, make=True) is None
+    assert find_training_folder(plan, learning) is None
+    assert find_training_folder(plan, other, make=True) is None
     of_file = Run.of(fit_options("brdf", "general", inputs=[Path("gold.binary")], quiet=True))
-    assert training_folder(of_file, learning, make=True) is None  # as a file is fitted
+    assert find_training_folder(of_file, learning, make=True) is None  # as a file is fitted
     assert splits == []
-    assert training_folder(plan, learning, make=True) == training_folder(of_file, learning) == embedded_data("brdf")
+    assert (
+        find_training_folder(plan, learning, make=True)
+        == find_training_folder(of_file, learning)
+        == make_embedded_set("brdf")
+    )
     assert splits == ["train"] * COUNTS["train"] + ["test"] * COUNTS["test"]
 
 
@@ -162,8 +166,8 @@ def make_tests(start: Path, others: int) -> None:
             yield from draw(*arguments)
 
         patch.setattr(brdf, "synthetic_tasks", together)
-        folder = embedded_tests("brdf", quiet=True)
-        assert check_shard(folder) == []
+        folder = make_embedded_test_set("brdf", quiet=True)
+        assert list_data_set_problems(folder) == []
         print(data_label(folder))
 
 
@@ -175,4 +179,4 @@ def test_programs_that_make_the_same_test_tasks_at_once(cache: Path, tmp_path: P
     assert codes == (0, 0), errors
     assert labels[0] == labels[1]
     (folder,) = (cache / "data").iterdir()  # nothing is left over
-    assert check_shard(folder) == []
+    assert list_data_set_problems(folder) == []

@@ -16,22 +16,22 @@ from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.cli.commands import app as cli
 from metapp.learning.task import Task
 from metapp.names import app_names, protocols_of
-from metapp.options import BadOption, declared, options_of
+from metapp.options import BadOption, app_options_class, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoints import with_checkpoint
-from metapp.runs.inputs.sources import sources_to_fit
+from metapp.runs.checkpoints import attach_checkpoint
+from metapp.runs.inputs.sources import find_inputs
 from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.recipes import ships
+from metapp.runs.recipes import has_shipped_recipe
 from metapp.runs.run import Run
 from metapp.storage.checkpoints import load_checkpoint, save_checkpoint
-from metapp.storage.shipped import shipped_path
+from metapp.storage.shipped import shipped_checkpoint_path
 
 
 @pytest.mark.parametrize("name", app_names())
 def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert {"quick", "full", "paper"} <= set(recipes_of(name))
-    assert ships(name, "full")
+    assert has_shipped_recipe(name, "full")
     for more in ({}, {"paradigm": "general"}, {"inputs": [Path("a")]}, {"data": Path("data")}, {"train": True}):
         assert Run.of(fit_options(name, **more)).options.recipe == "full", more
     assert Run.of(fit_options(name, recipe="quick")).options.recipe == "quick"
@@ -63,7 +63,7 @@ def test_help_fits_a_screen_and_shows_the_options_that_are_used(paradigm: str, n
     assert len(shown.splitlines()) <= 43
     assert re.findall(r"╭─ (\w+)", shown) == ["Input", "Fit", "Output"]
     options = set(re.findall(r"^│ (?:-q, )?--([a-z-]+)", shown, re.MULTILINE))
-    every = {option.flag.removeprefix("--") for option in declared(FitOptions).values()} | SHOWN[name] | {"json"}
+    every = {option.flag.removeprefix("--") for option in options_by_name(FitOptions).values()} | SHOWN[name] | {"json"}
     assert options == every - (OWN - SHOWN[name]) - UNUSED[paradigm]
     assert ("MERL" in shown) == (name == "brdf")  # the inputs are those of the application, too
 
@@ -114,7 +114,7 @@ def test_an_application_has_what_its_entry_says(name: str) -> None:
     assert all(recipes_of(name, protocol) for protocol in protocols or ("",))
     app = app_of(name, recipes_of(name)["quick"], (protocols or ("",))[0])
     sized = type(presenter_of(app)).size_refusal is not Presenter.size_refusal
-    assert hasattr(options_of(name), "size") is sized
+    assert hasattr(app_options_class(name), "size") is sized
 
 
 @pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
@@ -139,7 +139,7 @@ def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
     first.write_text("")
     link.symlink_to(first)
     planned = Run.of(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True))
-    (source,) = sources_to_fit(planned)[0]
+    (source,) = find_inputs(planned)[0]
     assert planned.origin(source.given) == {"inputs": [str(link)]}
     assert source.place == str(first)
 
@@ -147,7 +147,7 @@ def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
 def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
     for app, side in (("illumination", 128), ("texture", 256)):
         planned = Run.of(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
-        (source,) = sources_to_fit(planned)[0]
+        (source,) = find_inputs(planned)[0]
         assert planned.app.read_size in (0, side)
         assert side in source.task().data["map" if app == "illumination" else "image"].shape
 
@@ -165,7 +165,7 @@ NO_FIGURE = {
 
 
 def test_records_state_all_options_that_figures_depend_on() -> None:
-    run = with_checkpoint(Run.of(fit_options("illumination", recipe="quick", observe="photo")))
+    run = attach_checkpoint(Run.of(fit_options("illumination", recipe="quick", observe="photo")))
     named = {"options" if field.name == "own" else field.name for field in fields(FitOptions)} - NO_FIGURE
     run = replace(run, options=replace(run.options, own=replace(run.options.own, fov=60.0)))
     assert named <= run.settings("none").keys()
@@ -192,25 +192,25 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
 def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
     planned = Run.of(fit_options(name, observe=observe, recipe="full", out=tmp_path))
     assert planned.app == replace(planned.recipe.app, protocol=observe)
-    prepared = with_checkpoint(planned).phi
+    prepared = attach_checkpoint(planned).phi
     field = planned.app.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
     file = f"{planned.recipe.rule}{'-photo' if observe == 'photo' else ''}"
-    learned = load_checkpoint(shipped_path(name, file, "full"))[0].alpha
+    learned = load_checkpoint(shipped_checkpoint_path(name, file, "full"))[0].alpha
     assert float(prepared.alpha["rate.z"].mean()) == pytest.approx(float(learned["rate.z"].mean()), rel=1e-4)
     assert all(torch.equal(prepared.alpha[key], learned[key]) for key in learned if learned[key].ndim < 4)
 
 
 def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
-    start, info = load_checkpoint(shipped_path("illumination", "meta-lgd"))
+    start, info = load_checkpoint(shipped_checkpoint_path("illumination", "meta-lgd"))
     bad = start._replace(alpha=start.alpha | {"rate.z": torch.zeros(1, 7, 16, 32)})
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
     options = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        with_checkpoint(Run.of(options))
+        attach_checkpoint(Run.of(options))
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.runs.checkpoints._require_kind", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
-        with_checkpoint(Run.of(fit_options("texture", rule="meta-basis", out=tmp_path)))
+        attach_checkpoint(Run.of(fit_options("texture", rule="meta-basis", out=tmp_path)))

@@ -11,7 +11,7 @@ import torch
 
 import metapp
 from data_tools.synthetic.examples import write_example
-from metapp.runs.surroundings import threads
+from metapp.runs.surroundings import torch_defaults
 
 
 @pytest.fixture(autouse=True)
@@ -90,12 +90,12 @@ def test_a_file_is_fitted_shown_and_kept_within_another_default_device(tmp_path:
 
 
 def test_work_within_work_and_what_fails_have_their_threads() -> None:
-    with threads(single=False):
-        with threads(single=True):
+    with torch_defaults(single=False):
+        with torch_defaults(single=True):
             assert torch.get_num_threads() == 1
-            with threads(single=False):
+            with torch_defaults(single=False):
                 assert torch.get_num_threads() == 1
         assert torch.get_num_threads() == 2
-    with pytest.raises(ZeroDivisionError), threads(single=True):
+    with pytest.raises(ZeroDivisionError), torch_defaults(single=True):
         raise ZeroDivisionError
     assert torch.get_num_threads() == 2

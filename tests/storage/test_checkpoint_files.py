@@ -8,7 +8,13 @@ import torch
 from safetensors.torch import save
 
 from metapp.learning.learn import MetaParameters
-from metapp.storage.checkpoints import SCHEMA, digest, load_checkpoint, save_checkpoint, tensor_digest
+from metapp.storage.checkpoints import (
+    CHECKPOINT_SCHEMA,
+    content_digest,
+    load_checkpoint,
+    save_checkpoint,
+    tensor_digest,
+)
 
 START = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},
@@ -24,7 +30,7 @@ def test_checkpoint_round_trip(tmp_path: Path) -> None:
     )
     save_checkpoint(path, START, info)
     start, said = load_checkpoint(path)
-    assert said == {**info, "schema": SCHEMA}
+    assert said == {**info, "schema": CHECKPOINT_SCHEMA}
     for part, expected in zip(start, START, strict=True):
         torch.testing.assert_close(part, dict(expected), rtol=0, atol=0)  # of the same keys and types
     assert [file.name for file in path.parent.iterdir()] == ["start.safetensors"]
@@ -41,8 +47,10 @@ def test_missing_and_newer_checkpoints_say_so(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no such checkpoint"):
         load_checkpoint(tmp_path)
     path = tmp_path / "start.safetensors"
-    path.write_bytes(save({"theta.x": torch.ones(1)}, {"metapp": json.dumps({"schema": SCHEMA + 1})}))
-    with pytest.raises(ValueError, match=rf"schema {SCHEMA + 1}, expected at most {SCHEMA}; update metapp"):
+    path.write_bytes(save({"theta.x": torch.ones(1)}, {"metapp": json.dumps({"schema": CHECKPOINT_SCHEMA + 1})}))
+    with pytest.raises(
+        ValueError, match=rf"schema {CHECKPOINT_SCHEMA + 1}, expected at most {CHECKPOINT_SCHEMA}; update metapp"
+    ):
         load_checkpoint(path)
 
 
@@ -73,10 +81,10 @@ def test_a_checkpoint_takes_the_general_of_its_protocol(tmp_path: Path) -> None:
 
 
 def test_digest(tmp_path: Path) -> None:
-    assert digest({"a": 1, "b": [2]}) == digest({"b": [2], "a": 1})
-    assert digest({"a": 1}) != digest({"a": 2})
-    assert len(digest({})) == 12
+    assert content_digest({"a": 1, "b": [2]}) == content_digest({"b": [2], "a": 1})
+    assert content_digest({"a": 1}) != content_digest({"a": 2})
+    assert len(content_digest({})) == 12
     (tmp_path / "x").write_bytes(b"1")
-    before = digest(tmp_path / "x")
+    before = content_digest(tmp_path / "x")
     (tmp_path / "x").write_bytes(b"2")
-    assert digest(tmp_path / "x") != before
+    assert content_digest(tmp_path / "x") != before

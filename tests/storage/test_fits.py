@@ -16,14 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.torch import load_file
 
-from metapp.storage.files import as_text, file_name, read_text, remove_partial, safe_name, write_atomically
+from metapp.storage.files import file_name, printable_name, read_text, remove_partial, to_json_value, write_atomically
 from metapp.storage.fits import (
-    FIT,
+    NUMBER_ENTRIES,
     PARAMS,
     RECORD,
     RunFolder,
-    marked_name,
-    read_fits,
+    name_with_digest,
+    read_fit_records,
     read_params,
     write_fit,
 )
@@ -145,7 +145,7 @@ APART = ["gold", "a b", "a_b", "a/b", "a\\b", "..", ".", "", "/", ".hidden", "hi
 @settings(max_examples=200, derandomize=True, database=None, deadline=None)
 @given(st.text(ANY, max_size=150))
 def test_names_of_files_and_tasks_are_safe_and_short(name: str) -> None:
-    for make in (safe_name, file_name):
+    for make in (printable_name, file_name):
         safe = make(name)
         assert len(safe.encode()) <= 100
         assert safe.isprintable()
@@ -157,9 +157,9 @@ def test_names_of_files_and_tasks_are_safe_and_short(name: str) -> None:
 def test_other_names_are_other_files_and_good_names_stay() -> None:
     assert len({file_name(name) for name in APART}) == len(APART)
     assert file_name("gold-1.5_x") == "gold-1.5_x"
-    assert safe_name("x" * 101) != safe_name("x" * 102)
+    assert printable_name("x" * 101) != printable_name("x" * 102)
     for name in ("gold", "red felt/2", "größe", "x" * 100, ""):
-        assert safe_name(name) == name
+        assert printable_name(name) == name
 
 
 # Fits, a folder each
@@ -173,18 +173,18 @@ def record(name: str, source: str = "", **more: Any) -> dict[str, Any]:
 
 
 def names(run: Path) -> list[str]:
-    return [each["name"] for each in read_fits(run)]
+    return [each["name"] for each in read_fit_records(run)]
 
 
 def test_a_fit_is_a_folder(tmp_path: Path) -> None:
-    fits = RunFolder(tmp_path / "run", {"steps": 10}, FIT)
+    fits = RunFolder(tmp_path / "run", {"steps": 10}, NUMBER_ENTRIES)
     assert fits.records() == {}
     theta = {"w": torch.ones(2, 3, requires_grad=True).T}
     kept = fits.write(record("red felt/2", note="größe\u2028\nx"), theta, lambda at: (at / "a.png").write_text("a"))
     folder = tmp_path / "run" / file_name("red felt/2")
     own = {"settings": {"steps": 10}, "folder": str(folder)}
     assert kept == record("red felt/2", note="größe\u2028\nx") | own
-    assert read_fits(tmp_path / "run") == [kept]
+    assert read_fit_records(tmp_path / "run") == [kept]
     assert sorted(file.name for file in folder.iterdir()) == ["a.png", PARAMS, RECORD]
     assert torch.equal(load_file(folder / PARAMS)["w"], torch.ones(3, 2))
     assert [place.name for place in (tmp_path / "run").iterdir()] == [folder.name]
@@ -204,15 +204,15 @@ def test_the_record_is_last_and_a_failed_fit_leaves_nothing(tmp_path: Path) -> N
     write_fit(tmp_path, record("gold", error=7.0), THETA)
     with pytest.raises(OSError, match="No space left"):
         write_fit(tmp_path, record("gold"), THETA, draw)
-    assert [each["error"] for each in read_fits(tmp_path)] == [7.0]
+    assert [each["error"] for each in read_fit_records(tmp_path)] == [7.0]
 
 
 def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
     nan = {"ssim": float("nan"), "curve": [(1, float("inf"))]}  # JSON has no such numbers
     for source, error in (("/a/wall.jpg", 1.0), ("/b/wall.jpg", 2.0), ("/a/wall.jpg", 3.0), ("/b/wall.jpg", 4.0)):
         write_fit(tmp_path, record("wall", source, error=error, **nan), {"w": torch.tensor([error])})
-    marked = marked_name("wall", "/b/wall.jpg")
-    assert {each["name"]: each["error"] for each in read_fits(tmp_path)} == {"wall": 3.0, marked: 4.0}
+    marked = name_with_digest("wall", "/b/wall.jpg")
+    assert {each["name"]: each["error"] for each in read_fit_records(tmp_path)} == {"wall": 3.0, marked: 4.0}
     assert {each.name for each in tmp_path.iterdir()} == {"wall", marked}
     assert read_params(tmp_path / marked)["w"] == 4.0
     found = RunFolder(tmp_path, {}).earlier("wall", "/b/wall.jpg")
@@ -236,10 +236,10 @@ def test_fits_of_other_settings_and_batches_do_not_count(tmp_path: Path) -> None
 @pytest.mark.parametrize("name", ODD)
 def test_a_name_of_any_kind_has_a_folder(tmp_path: Path, name: str) -> None:
     kept = write_fit(tmp_path, record(name, name), THETA)
-    assert kept["name"] == as_text(name)
+    assert kept["name"] == to_json_value(name)
     assert torch.equal(read_params(kept["folder"])["w"], THETA["w"])
     assert write_fit(tmp_path, record(name, name), THETA) == kept
-    assert names(tmp_path) == [as_text(name)]
+    assert names(tmp_path) == [to_json_value(name)]
 
 
 def test_names_in_records_of_others_turn_no_text(tmp_path: Path) -> None:
@@ -293,7 +293,7 @@ def write_the_same(run: Path, number: int) -> None:
 
 def test_ten_programs_write_at_once_and_lose_nothing(tmp_path: Path) -> None:
     at_once(write_four, tmp_path)
-    records = read_fits(tmp_path, FIT)
+    records = read_fit_records(tmp_path, NUMBER_ENTRIES)
     assert {each["source"] for each in records} == {f"/{i}/{k}/x.jpg" for i in range(10) for k in range(4)}
     assert len({each["name"] for each in records}) == len(records) == 40
     for each in records:

@@ -8,40 +8,40 @@ import pytest
 from data_tools.readers.listing import files_below
 from metapp.storage.folders import (
     CAMERA_TEXT,
-    FOUND,
+    DIAGNOSTIC_FOLDER,
     LIGHT_TEXT,
     MANIFEST,
     PARAMS,
     RECORD,
-    Kind,
+    PathKind,
     check_files_of_user,
-    kind_of,
-    refusal,
+    path_kind,
+    path_refusal,
 )
 
 SET = json.dumps({"app": "texture", "schema": 1, "tasks": [], "units": {}, "notes": {}})
 FIT = json.dumps({"name": "gold", "error": None, "settings": {}})
 
 
-FOLDERS: dict[str, tuple[Kind, dict[str, str]]] = {
-    "a manifest": (Kind.DATA_SET, {MANIFEST: SET, "bark.png": ""}),
-    "a damaged manifest beside tasks": (Kind.DATA_SET, {MANIFEST: "{", "gold.safetensors": ""}),
-    "another program's manifest": (Kind.FILES, {MANIFEST: '{"name": "an app"}', "bark.png": ""}),
-    "a text called manifest": (Kind.FILES, {MANIFEST: "", "bark.png": ""}),
-    "a manifest that is a list": (Kind.FILES, {MANIFEST: "[]"}),
-    "a record": (Kind.FIT, {RECORD: FIT, "fit.png": ""}),
-    "a damaged record beside parameters": (Kind.FIT, {RECORD: "{", PARAMS: ""}),
-    "another program's record": (Kind.FILES, {RECORD: '{"track": 7}', "bark.png": ""}),
-    "fits": (Kind.RUN_FOLDER, {f"gold/{RECORD}": FIT, f"tin/{RECORD}": FIT, "pictures.png": ""}),
-    "runs of an application": (Kind.RUN_FOLDERS, {f"meta/gold/{RECORD}": FIT}),
-    "runs": (Kind.RUN_FOLDERS, {f"brdf/meta/gold/{RECORD}": FIT}),
-    "photos beside all runs": (Kind.FILES, {f"runs/brdf/meta/gold/{RECORD}": FIT, "bark.png": ""}),
-    "an unfinished fit": (Kind.FILES, {f".partial-1-gold/{RECORD}": FIT}),
-    "cameras": (Kind.RECTIFIED, {CAMERA_TEXT: "0,0,1", "00.png": ""}),
-    "flashes": (Kind.RECTIFIED, {LIGHT_TEXT: "0,0,1", "00.png": ""}),
-    "a name that ends alike": (Kind.FILES, {f"my_{CAMERA_TEXT}": "0,0,1"}),
-    "photos": (Kind.FILES, {"bark.png": ""}),
-    "nothing": (Kind.FILES, {}),
+FOLDERS: dict[str, tuple[PathKind, dict[str, str]]] = {
+    "a manifest": (PathKind.DATA_SET, {MANIFEST: SET, "bark.png": ""}),
+    "a damaged manifest beside tasks": (PathKind.DATA_SET, {MANIFEST: "{", "gold.safetensors": ""}),
+    "another program's manifest": (PathKind.FILES, {MANIFEST: '{"name": "an app"}', "bark.png": ""}),
+    "a text called manifest": (PathKind.FILES, {MANIFEST: "", "bark.png": ""}),
+    "a manifest that is a list": (PathKind.FILES, {MANIFEST: "[]"}),
+    "a record": (PathKind.FIT, {RECORD: FIT, "fit.png": ""}),
+    "a damaged record beside parameters": (PathKind.FIT, {RECORD: "{", PARAMS: ""}),
+    "another program's record": (PathKind.FILES, {RECORD: '{"track": 7}', "bark.png": ""}),
+    "fits": (PathKind.RUN_FOLDER, {f"gold/{RECORD}": FIT, f"tin/{RECORD}": FIT, "pictures.png": ""}),
+    "runs of an application": (PathKind.RUN_FOLDERS, {f"meta/gold/{RECORD}": FIT}),
+    "runs": (PathKind.RUN_FOLDERS, {f"brdf/meta/gold/{RECORD}": FIT}),
+    "photos beside all runs": (PathKind.FILES, {f"runs/brdf/meta/gold/{RECORD}": FIT, "bark.png": ""}),
+    "an unfinished fit": (PathKind.FILES, {f".partial-1-gold/{RECORD}": FIT}),
+    "cameras": (PathKind.RECTIFIED, {CAMERA_TEXT: "0,0,1", "00.png": ""}),
+    "flashes": (PathKind.RECTIFIED, {LIGHT_TEXT: "0,0,1", "00.png": ""}),
+    "a name that ends alike": (PathKind.FILES, {f"my_{CAMERA_TEXT}": "0,0,1"}),
+    "photos": (PathKind.FILES, {"bark.png": ""}),
+    "nothing": (PathKind.FILES, {}),
 }
 
 
@@ -56,7 +56,7 @@ def written(folder: Path, files: dict[str, str]) -> Path:
 @pytest.mark.parametrize("name", FOLDERS)
 def test_a_folder_is_one_thing(tmp_path: Path, name: str) -> None:
     kind, files = FOLDERS[name]
-    assert kind_of(written(tmp_path / "folder", files)) is kind
+    assert path_kind(written(tmp_path / "folder", files)) is kind
 
 
 @pytest.mark.parametrize("relative", [False, True])
@@ -67,16 +67,16 @@ def test_pictures_that_show_results_are_told_by_their_place(
     base = Path() if relative else tmp_path
     for above, is_ours in ({MANIFEST: SET}, True), ({CAMERA_TEXT: "0,0,1"}, True), ({"a.txt": ""}, False):
         place = f"{len(list(tmp_path.iterdir()))}"
-        written(tmp_path / place, above | {f"{FOUND}/00.png": ""})
-        kinds = [kind_of(base / place / FOUND), kind_of(base / place / FOUND / "00.png")]
-        assert kinds == ([Kind.DIAGNOSTIC] * 2 if is_ours else [Kind.FILES, Kind.FILE])
+        written(tmp_path / place, above | {f"{DIAGNOSTIC_FOLDER}/00.png": ""})
+        kinds = [path_kind(base / place / DIAGNOSTIC_FOLDER), path_kind(base / place / DIAGNOSTIC_FOLDER / "00.png")]
+        assert kinds == ([PathKind.DIAGNOSTIC] * 2 if is_ours else [PathKind.FILES, PathKind.FILE])
     written(tmp_path / "run", {f"gold/{RECORD}": FIT, "pictures.png": "", "gold/fit.png": ""})
-    assert kind_of(base / "run/pictures.png") is Kind.DIAGNOSTIC
-    assert kind_of(base / "run/gold/fit.png") is Kind.FILE  # which may be an input, where it is named
-    assert kind_of(base / "none") is Kind.NOTHING
+    assert path_kind(base / "run/pictures.png") is PathKind.DIAGNOSTIC
+    assert path_kind(base / "run/gold/fit.png") is PathKind.FILE  # which may be an input, where it is named
+    assert path_kind(base / "none") is PathKind.NOTHING
     written(tmp_path / "photos", {"leaf.failed.png": "", "failed.png": ""})
-    assert kind_of(base / "photos/leaf.failed.png") is Kind.DIAGNOSTIC
-    assert kind_of(base / "photos/failed.png") is Kind.FILE
+    assert path_kind(base / "photos/leaf.failed.png") is PathKind.DIAGNOSTIC
+    assert path_kind(base / "photos/failed.png") is PathKind.FILE
 
 
 def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_a_refusal_says_what_it_is_and_which_command_takes_it(
     tmp_path: Path, name: str, words: str, command: str
 ) -> None:
     folder = written(tmp_path / "folder", FOLDERS[name][1])
-    line = refusal(folder, "maps")
+    line = path_refusal(folder, "maps")
     assert line.startswith(f"{folder}: {words}; ")
     assert command.format(folder) in line
 

@@ -10,14 +10,14 @@ import torch
 
 from metapp.learning.task import Task
 from metapp.storage.shards import (
-    Entry,
     Manifest,
-    check_shard,
+    ManifestEntry,
     fingerprint,
+    list_data_set_problems,
+    read_data_set,
     read_manifest,
-    read_shard,
     split_auto,
-    write_shard,
+    write_data_set,
 )
 
 UNITS = {"angles": "rad", "reflectance": "1/sr"}
@@ -34,7 +34,7 @@ def make_shard(
         (make_task(name, index), "test" if index else "train", f"/somewhere/{name}.binary")
         for index, name in enumerate(names)
     ]
-    write_shard(folder, app, UNITS, tasks, {"seed": 7}, overwrite=overwrite)
+    write_data_set(folder, app, UNITS, tasks, {"seed": 7}, overwrite=overwrite)
     return folder
 
 
@@ -50,21 +50,21 @@ def tamper_task(folder: Path, **changes: object) -> None:
 
 def test_round_trip_of_all_and_of_one_split(tmp_path: Path) -> None:
     folder = make_shard(tmp_path / "\udcff" / "data")
-    tasks = read_shard(folder, app="brdf")
+    tasks = read_data_set(folder, app="brdf")
     assert [task.name for task in tasks] == ["gold", "silver"]
     assert torch.equal(tasks[1].data["angles"], torch.ones(4, 3))
     assert torch.equal(tasks[0].data["reflectance"], torch.arange(12.0).reshape(4, 3))
     manifest = read_manifest(folder)
     assert (manifest.app, manifest.units, manifest.notes) == ("brdf", UNITS, {"seed": 7})
     assert manifest.tasks[0].source == "gold.binary"
-    assert check_shard(folder) == []
+    assert list_data_set_problems(folder) == []
     assert {path.name for path in folder.iterdir()} == {"gold.safetensors", "manifest.json", "silver.safetensors"}
-    assert [task.name for task in read_shard(folder, "train")] == ["gold"]
-    assert [task.name for task in read_shard(folder, "test")] == ["silver"]
+    assert [task.name for task in read_data_set(folder, "train")] == ["gold"]
+    assert [task.name for task in read_data_set(folder, "test")] == ["silver"]
     with pytest.raises(ValueError, match="split 'valid', expected 'train' or 'test'"):
-        read_shard(folder, "valid")
-    read_shard(folder)[0].data["angles"].fill_(5)
-    assert check_shard(folder) == []
+        read_data_set(folder, "valid")
+    read_data_set(folder)[0].data["angles"].fill_(5)
+    assert list_data_set_problems(folder) == []
 
 
 def test_texts_are_files_beside(tmp_path: Path) -> None:
@@ -73,14 +73,14 @@ def test_texts_are_files_beside(tmp_path: Path) -> None:
 
     def make(*names: str) -> None:
         tasks = [(text(name), "train", "") for name in names]
-        write_shard(tmp_path, "brdf", {"text": "UTF-8"}, tasks, beside=("text", ".json"), overwrite=True)
+        write_data_set(tmp_path, "brdf", {"text": "UTF-8"}, tasks, beside=("text", ".json"), overwrite=True)
 
     make("gold", "manifest")
     assert {path.name for path in tmp_path.iterdir()} == {
         "gold.safetensors", "gold.json", "manifest-2.safetensors", "manifest-2.json", "manifest.json"
     }  # fmt: skip
     assert (tmp_path / "gold.json").read_bytes() == b"['gold']\n"
-    assert check_shard(tmp_path) == []
+    assert list_data_set_problems(tmp_path) == []
     make("silver")
     assert {path.name for path in tmp_path.iterdir()} == {"silver.safetensors", "silver.json", "manifest.json"}
 
@@ -88,12 +88,12 @@ def test_texts_are_files_beside(tmp_path: Path) -> None:
 def test_names_become_safe_file_names(tmp_path: Path) -> None:
     names = ("../../escape", "a b", "a/b", "A_B", "..", "rost\udcff")
     folder = make_shard(tmp_path / "data", names)
-    assert [task.name for task in read_shard(folder)] == list(names)
+    assert [task.name for task in read_data_set(folder)] == list(names)
     files = [entry.file.removesuffix(".safetensors") for entry in read_manifest(folder).tasks]
     assert files == ["_.._escape", "a_b", "a_b-2", "A_B-3", "_", "rost_"]
     assert all((folder / f"{file}.safetensors").is_file() for file in files)
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
-    assert check_shard(folder) == []
+    assert list_data_set_problems(folder) == []
 
 
 @pytest.mark.parametrize(
@@ -117,16 +117,16 @@ def test_refused_tasks_leave_nothing(tmp_path: Path, task: Task, split: str, mes
             ended.append(True)
 
     with pytest.raises(ValueError, match=message) as caught:
-        write_shard(tmp_path / "new" / "data", "brdf", UNITS, tasks())
+        write_data_set(tmp_path / "new" / "data", "brdf", UNITS, tasks())
     assert ended, caught  # before the error is shown
     assert list(tmp_path.iterdir()) == []
 
 
 def test_refused_notes_and_empty_sets(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="notes hold Object of type Tensor"):
-        write_shard(tmp_path, "brdf", UNITS, [], {"seed": torch.ones(1)})
+        write_data_set(tmp_path, "brdf", UNITS, [], {"seed": torch.ones(1)})
     with pytest.raises(ValueError, match="0 tasks to write"):
-        write_shard(tmp_path, "brdf", UNITS, [])
+        write_data_set(tmp_path, "brdf", UNITS, [])
 
 
 def test_an_interruption_leaves_what_was_there(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_an_interruption_leaves_what_was_there(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_shard(folder, "brdf", UNITS, interrupted(), overwrite=True)
+        write_data_set(folder, "brdf", UNITS, interrupted(), overwrite=True)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
@@ -165,10 +165,10 @@ def test_a_new_data_set_replaces_the_old_one(tmp_path: Path) -> None:
     (folder / f".partial-{2**22 + 1}-x-tasks").mkdir()  # a number above the largest process id of Linux
     with pytest.raises(ValueError, match="holds a data set of 2 tasks, expected a new folder; add --overwrite"):
         make_shard(folder, ("gold", "tin"))
-    assert check_shard(folder) != []  # what is not its own
+    assert list_data_set_problems(folder) != []  # what is not its own
     make_shard(folder, ("gold", "tin"), overwrite=True)
-    assert [task.name for task in read_shard(folder)] == ["gold", "tin"]
-    assert check_shard(folder) == []
+    assert [task.name for task in read_data_set(folder)] == ["gold", "tin"]
+    assert list_data_set_problems(folder) == []
     with pytest.raises(ValueError, match=r"holds tasks of 'brdf', expected an empty folder or tasks of 'texture'"):
         make_shard(folder, app="texture")
 
@@ -178,23 +178,23 @@ def test_missing_parts_files_for_folders_and_links_out(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="a file, expected a folder"):
         make_shard(tmp_path / "data")
     with pytest.raises(ValueError, match="a file, expected the folder"):
-        read_shard(tmp_path / "data")
+        read_data_set(tmp_path / "data")
     with pytest.raises(ValueError, match="no such folder, expected the folder of a data set"):
-        read_shard(tmp_path / "none")
+        read_data_set(tmp_path / "none")
     with pytest.raises(ValueError, match=r"no manifest.json, expected one beside the tasks"):
-        read_shard(tmp_path)
+        read_data_set(tmp_path)
     folder = make_shard(tmp_path / "set")
     with pytest.raises(ValueError, match="holds tasks of 'brdf', expected 'texture'"):
-        read_shard(folder, app="texture")
+        read_data_set(folder, app="texture")
     (folder / "silver.safetensors").unlink()
     with pytest.raises(ValueError, match=r"silver.safetensors: missing"):
-        read_shard(folder)
-    assert len(check_shard(folder)) == 1
+        read_data_set(folder)
+    assert len(list_data_set_problems(folder)) == 1
     folder = make_shard(tmp_path / "linked")
     (folder / "gold.safetensors").rename(tmp_path / "gold.safetensors")
     (folder / "gold.safetensors").symlink_to(tmp_path / "gold.safetensors")
     with pytest.raises(ValueError, match="a link that leads out"):
-        read_shard(folder)
+        read_data_set(folder)
 
 
 def test_check_finds_tampering(tmp_path: Path) -> None:
@@ -204,18 +204,18 @@ def test_check_finds_tampering(tmp_path: Path) -> None:
     (folder / "gold.safetensors").write_bytes(payload)
     (folder / "silver.safetensors").write_bytes(b"junk")
     (folder / "extra.txt").write_bytes(b"")
-    problems = check_shard(folder)
+    problems = list_data_set_problems(folder)
     assert len(problems) == 4
     assert "gold.safetensors: SHA-256" in problems[0]
     assert "gold.safetensors: tensor 'reflectance' holds NaN" in problems[1]
     assert "silver.safetensors: not readable as safetensors" in problems[2]
     assert "extra.txt: not listed" in problems[3]
     tamper_task(make_shard(tmp_path / "other"), sha256="0" * 64)
-    assert "expected 000000000000" in check_shard(tmp_path / "other")[0]
+    assert "expected 000000000000" in list_data_set_problems(tmp_path / "other")[0]
     tamper(folder, schema=2)  # the one problem
-    assert len(check_shard(folder)) == 1
+    assert len(list_data_set_problems(folder)) == 1
     with pytest.raises(ValueError, match="schema 2"):
-        read_shard(folder)
+        read_data_set(folder)
 
 
 def test_fingerprint_is_of_the_content(tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def test_splits_follow_the_rule(tmp_path: Path) -> None:
     assert [name for name, part in split.items() if part == "test"][:3] == ["04", "09", "14"]
     assert split_auto("abcda") == dict.fromkeys("abcd", "train")
     tasks = [(make_task(name), "auto", "") for name in "gfedcb"] + [(make_task("a"), "test", "")]
-    splits = {entry.name: entry.split for entry in write_shard(tmp_path, "brdf", UNITS, tasks)}
+    splits = {entry.name: entry.split for entry in write_data_set(tmp_path, "brdf", UNITS, tasks)}
     assert splits == {**split_auto("bcdefg"), "a": "test"}
     assert [entry.split for entry in read_manifest(tmp_path).tasks] == list(splits.values())
     assert [name for name, split in splits.items() if split == "test"] == ["f", "a"]
@@ -244,8 +244,8 @@ def test_splits_follow_the_rule(tmp_path: Path) -> None:
 # Manifests that anybody may have written
 
 
-GOLD = Entry("gold", "gold.safetensors", "train", "gold.binary", "0" * 64)
-SILVER = Entry("silver", "silver.safetensors", "test", "", "1" * 64)
+GOLD = ManifestEntry("gold", "gold.safetensors", "train", "gold.binary", "0" * 64)
+SILVER = ManifestEntry("silver", "silver.safetensors", "test", "", "1" * 64)
 MANIFEST = Manifest("brdf", (GOLD, SILVER), {"angles": "rad"}, {"seed": 7})
 
 

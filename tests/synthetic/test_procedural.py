@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.draws import stream
+from data_tools.draws import random_stream
 from data_tools.synthetic.draws import Field
 from data_tools.synthetic.environments.backdrop import open_ground
-from data_tools.synthetic.environments.light import render, sun_disc
+from data_tools.synthetic.environments.light import render_environment, sun_disc
 from data_tools.synthetic.environments.patterns import direction, vector
-from data_tools.synthetic.environments.scene import Backdrop, Box, Finish, Lamp, Scene, Window, view
-from data_tools.synthetic.environments.sky import Sky, black_sky, clear_sky, cloudy, sun_irradiance
-from data_tools.synthetic.patterns.fields import slopes
+from data_tools.synthetic.environments.scene import Backdrop, Box, EnvironmentScene, Finish, Lamp, Window, view_rays
+from data_tools.synthetic.environments.sky import Sky, add_clouds, black_sky, clear_sky, sun_irradiance
+from data_tools.synthetic.patterns.fields import height_slopes
 from data_tools.synthetic.stationary.families import FAMILIES, Maps
 from metapp.appearance.latlong import cosine_transfer
 
@@ -25,7 +25,7 @@ BOUNDS = {"diffuse": (0.0, 1.0), "specular": (0.02, 0.9), "roughness": (0.05, 1.
 @pytest.fixture(scope="module", params=FAMILIES)
 def draws(request: pytest.FixtureRequest) -> list[Maps]:
     """Eight draws of a family."""
-    return [FAMILIES[request.param](stream(7, member), SIZE) for member in range(8)]
+    return [FAMILIES[request.param](random_stream(7, member), SIZE) for member in range(8)]
 
 
 def border_jump(field: Field, axis: int) -> float:
@@ -45,7 +45,7 @@ def test_maps_have_their_shapes_and_ranges(draws: list[Maps]) -> None:
             assert values.max() <= high + 1e-6, name
         assert maps.diffuse.std() > 1e-3
         assert maps.diffuse.mean() > 0.01
-        steepness = np.sqrt(sum(slope**2 for slope in slopes(maps.height[0])).mean())
+        steepness = np.sqrt(sum(slope**2 for slope in height_slopes(maps.height[0])).mean())
         assert 1e-3 < steepness < 1.5
 
 
@@ -64,17 +64,19 @@ BRIGHT = DARK._replace(radiance=np.ones_like)  # radiance 1 from everywhere
 WHITE = vector(1, 1, 1)
 
 
-def room(albedo: float = 0.5, backdrop: Backdrop = DARK) -> Scene:
+def room(albedo: float = 0.5, backdrop: Backdrop = DARK) -> EnvironmentScene:
     """5 m wide, 2.7 m high, 5 m deep."""
     finish = Finish(WHITE * np.float32(albedo))
-    return Scene(vector(-2, -1.5, -3), vector(3, 1.2, 2), [finish] * 6, backdrop)
+    return EnvironmentScene(vector(-2, -1.5, -3), vector(3, 1.2, 2), [finish] * 6, backdrop)
 
 
-def plain(sky: Sky, albedo: float = 0.2) -> Scene:
+def plain(sky: Sky, albedo: float = 0.2) -> EnvironmentScene:
     """Open ground, 1.5 m below the eye."""
     finish = Finish(WHITE * np.float32(albedo))
     low = vector(-np.inf, -1.5, -np.inf)
-    return Scene(low, np.full(3, np.inf, np.float32), [finish] * 6, open_ground(sky, finish.colour), closed=0.0)
+    return EnvironmentScene(
+        low, np.full(3, np.inf, np.float32), [finish] * 6, open_ground(sky, finish.colour), closed=0.0
+    )
 
 
 def clear(elevation_deg: float, azimuth_deg: float = 40.0, turbidity: float = 3.0) -> Sky:
@@ -89,7 +91,7 @@ def clear(elevation_deg: float, azimuth_deg: float = 40.0, turbidity: float = 3.
 @pytest.mark.parametrize("supersampling", [1, 2, 3])
 def test_the_sun_keeps_its_energy_and_its_place(supersampling: int, elevation_deg: float) -> None:
     sky = clear(elevation_deg, azimuth_deg=123)
-    rays, angles = view(supersampling)
+    rays, angles = view_rays(supersampling)
     disc = sun_disc(sky, rays, angles)
     np.testing.assert_allclose(disc @ angles, sky.sunlight, rtol=1e-4)
     mean = rays @ (disc[1] * angles)
@@ -102,15 +104,17 @@ def test_the_sun_keeps_its_energy_and_its_place(supersampling: int, elevation_de
 
 @pytest.mark.parametrize(("elevation_deg", "seed"), [(15, None), (60, None), (40, 1), (25, 4)])
 def test_ground_is_lit_by_all_that_is_above_it(elevation_deg: float, seed: int | None) -> None:
-    sky = clear(elevation_deg) if seed is None else cloudy(stream(seed), clear(elevation_deg), 0.5)
-    light = render(plain(sky, 0.2), 0.0)
+    sky = clear(elevation_deg) if seed is None else add_clouds(random_stream(seed), clear(elevation_deg), 0.5)
+    light = render_environment(plain(sky, 0.2), 0.0)
     above = light.copy()
     above[:, 32:] = 0
     up = cosine_transfer(torch.tensor([[0.0, 1.0, 0.0]]), 64, 128)[0].numpy()
     np.testing.assert_allclose(light[:, 36:].mean((1, 2)), 0.2 * above.reshape(3, -1) @ up, rtol=0.02)
 
 
-def mitsuba_room(mitsuba: Any, scene: Scene, emitter: dict[str, Any], target: tuple[float, float, float]) -> Field:
+def mitsuba_room(
+    mitsuba: Any, scene: EnvironmentScene, emitter: dict[str, Any], target: tuple[float, float, float]
+) -> Field:
     """Green radiance [16, 16] that a path tracer sees, 80 degrees wide around a direction."""
     at, transform = [0.0, 0.0, 0.0], mitsuba.ScalarTransform4f
     gray = float(scene.sides[0].colour[1])
@@ -158,7 +162,7 @@ def test_rooms_are_lit_as_by_a_path_tracer(mitsuba: Any, lit_by: str) -> None:
         radiance = 1.0
     emitter = {"type": "rectangle", "to_world": placed,
                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}}}  # fmt: skip
-    light = render(scene, 0.0)
+    light = render_environment(scene, 0.0)
     for target in ((0.0, -1.0, 0.02), (0.0, 1.0, 0.02), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)):
         theirs, ours = mitsuba_room(mitsuba, scene, emitter, target), seen_in(light, target)
         walls = theirs < radiance / 3

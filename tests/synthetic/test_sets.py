@@ -14,19 +14,27 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.draws import stream
+from data_tools.draws import random_stream
 from data_tools.synthetic import brdf, svbrdf_nonstationary
 from data_tools.synthetic.cornell import random_scene, to_xml
 from data_tools.synthetic.examples import EXAMPLES, write_example
-from data_tools.synthetic.illumination import white_balance
+from data_tools.synthetic.illumination import draw_white_balance
 from data_tools.synthetic.stationary import families
-from data_tools.synthetic.svbrdf_stationary import FLAT, flash_photographs
+from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES, take_flash_photos
 from data_tools.synthetic.texture import synthetic_tasks
-from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, render, unpack
+from metapp.appearance.flash import (
+    Maps,
+    camera_position,
+    normal_from_height,
+    radiance_to_display,
+    render_maps,
+    texel_positions,
+    unpack_maps,
+)
 from metapp.appearance.latlong import luminance, mean_luminance
 from metapp.learning.task import Task
 from metapp.names import app_names
-from metapp.runs.inputs.embedded import embedded_data
+from metapp.runs.inputs.embedded import make_embedded_set
 from metapp.storage.shards import read_manifest
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -124,7 +132,7 @@ def test_counts_names_and_tensors(app: str, data: Drawn) -> None:
     names = [task.name for task in data.tasks]
     assert len(set(names)) == len(names) == len(data.train) + counts[1]
     assert {place: names[place] for place in some} == some
-    families = FLAT if app == "svbrdf_stationary" else data.source.FAMILIES
+    families = FLAT_FAMILIES if app == "svbrdf_stationary" else data.source.FAMILIES
     for split in (names[: len(families)], names[len(data.train) :]):
         assert {name.split("-")[0] for name in split} == set(families) or len(split) < len(families)
     for task in data.tasks:
@@ -158,7 +166,7 @@ def test_draws_are_the_same_everywhere_and_no_two_are_alike(app: str, data: Draw
 
 
 def test_the_embedded_set_has_all_units(app: str, tmp_path: Path) -> None:
-    manifest = read_manifest(embedded_data(app, count=5, out=tmp_path / "set", quiet=True))
+    manifest = read_manifest(make_embedded_set(app, count=5, out=tmp_path / "set", quiet=True))
     assert (manifest.app, manifest.units) == (app, source_of(app).UNITS)
     assert [entry.split for entry in manifest.tasks].count("test") >= 1
 
@@ -208,7 +216,7 @@ def test_maps_are_finite_lit_everywhere_and_of_mean_luminance_1() -> None:
 def test_cameras_take_away_strong_casts() -> None:
     red = torch.tensor([8.0, 1.0, 0.25]).expand(64, 128, 3).permute(2, 0, 1).numpy()
     for seed in range(50):
-        gains = torch.from_numpy(white_balance(red, stream(seed)))
+        gains = torch.from_numpy(draw_white_balance(red, random_stream(seed)))
         seen = gains * torch.tensor([8.0, 1.0, 0.25])
         assert 0.4 < seen[0] / seen[2] < 2 ** (1.2 + 0.6) * 1.01
 
@@ -221,12 +229,12 @@ def test_another_size(tmp_path: Path) -> None:
     assert large.shape == (3, 96, 96)
     assert torch.equal(large, again)
     assert not torch.equal(large, next(synthetic_tasks("train", 1, seed=1, size=96)).data["image"])
-    folder = embedded_data("texture", count=2, out=tmp_path / "large", quiet=True, options={"size": 64})
+    folder = make_embedded_set("texture", count=2, out=tmp_path / "large", quiet=True, options={"size": 64})
     assert read_manifest(folder).notes["size"] == 64
     with pytest.raises(
         ValueError, match=r"^brdf: size 64, but its embedded set has no such option; leave --size out\.$"
     ):
-        embedded_data("brdf", count=2, out=tmp_path / "no", quiet=True, options={"size": 64})
+        make_embedded_set("brdf", count=2, out=tmp_path / "no", quiet=True, options={"size": 64})
 
 
 # Under a flash
@@ -236,7 +244,7 @@ def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
     """Maps of one value each: a photograph of those that the statistics tell is the one that they belong to."""
     size, one = 64, np.ones((1, 64, 64), np.float32)
     plain = families.Maps(0.3 * np.repeat(one, 3, 0), 0.06 * one, 0.5 * one, 0 * one)
-    photo, _, truth = flash_photographs(plain, stream(3))
+    photo, _, truth = take_flash_photos(plain, random_stream(3))
     means, deviations = truth[:, 0], truth[:, 1]
     assert truth.shape == (3, 2, 6)
     assert means[:, :3].std() < 1e-4
@@ -246,7 +254,9 @@ def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
     torch.testing.assert_close(specular / albedo, torch.tensor(0.06 / 0.3))
     square = torch.ones(1, size, size)
     maps = Maps(albedo * square.expand(3, -1, -1), specular * square, 0.5 * square, normal_from_height(0 * square))
-    again = expose(render(maps, positions(size, size), camera(), camera(), falloff=1.0))
+    again = radiance_to_display(
+        render_maps(maps, texel_positions(size, size), camera_position(), camera_position(), falloff=1.0)
+    )
     assert (again - photo / 255).abs().mean() < 0.02  # but for the flash's exact place and cone
 
 
@@ -256,7 +266,7 @@ def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
 @pytest.fixture(scope="module")
 def maps() -> Maps:
     """Each [64, C, 128, 128]."""
-    return unpack(torch.stack([task.data["maps"] for task in drawn("svbrdf_nonstationary").tasks]).float())
+    return unpack_maps(torch.stack([task.data["maps"] for task in drawn("svbrdf_nonstationary").tasks]).float())
 
 
 def metal(maps: Maps) -> Tensor:

@@ -11,10 +11,10 @@ from torch import Tensor
 from data_tools.synthetic.brdf import Material, colour_name, roughness_name, synthetic_materials
 from data_tools.synthetic.brdf_models import CONDUCTORS, conductor, diffuse
 from metapp.appearance.geometry import (
-    above_horizon,
-    cosines,
+    angle_cosines,
     directions_to_rusinkiewicz,
     gauss_legendre,
+    is_above_horizon,
     rusinkiewicz_to_directions,
 )
 
@@ -67,7 +67,7 @@ def test_reciprocal_non_negative_and_dark_below_the_horizon(
     angles = random_angles(2000, above=False)
     swapped = directions_to_rusinkiewicz(*reversed(rusinkiewicz_to_directions(angles)))
     other_half = angles + torch.tensor([0.0, 0.0, math.pi], dtype=torch.float64)  # swapped, but not folded back
-    above = above_horizon(angles)
+    above = is_above_horizon(angles)
     for material in materials:
         value = material.evaluate(angles)
         assert value.shape == angles.shape
@@ -92,7 +92,7 @@ def test_no_material_reflects_more_than_it_receives(materials: list[Material]) -
     wo = 2 * cos_d * half - wi
     angles = directions_to_rusinkiewicz(wi.expand_as(wo), wo)
     measure = (4 * cos_d.clamp_min(0) * wo[..., 2:].clamp_min(0)) * solid_angle[..., None]
-    unit = (diffuse((1.0, 1.0, 1.0))(cosines(angles)) * measure).sum((1, 2))
+    unit = (diffuse((1.0, 1.0, 1.0))(angle_cosines(angles)) * measure).sum((1, 2))
     torch.testing.assert_close(unit, torch.ones_like(unit), rtol=0, atol=0.02)  # the quadrature itself
     albedos = torch.stack([(material.evaluate(angles) * measure).sum((1, 2)) for material in materials])
     assert albedos.max() <= 1.02
@@ -104,5 +104,5 @@ def test_no_material_reflects_more_than_it_receives(materials: list[Material]) -
 def test_metals_agree_with_mitsubas_presets(mitsuba_brdf: MitsubaBrdf, metal: str, random_angles: RandomAngles) -> None:
     angles = random_angles(200)
     preset = {"type": "roughconductor", "material": SHIPPED[metal], "alpha": 0.2, "distribution": "ggx"}
-    value = conductor(*CONDUCTORS[metal], 0.2, "ggx")(cosines(angles))
+    value = conductor(*CONDUCTORS[metal], 0.2, "ggx")(angle_cosines(angles))
     torch.testing.assert_close(value, mitsuba_brdf(preset, *rusinkiewicz_to_directions(angles)), rtol=1e-4, atol=1e-6)

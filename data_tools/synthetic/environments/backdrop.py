@@ -8,10 +8,10 @@ import numpy as np
 
 from data_tools.draws import Rng
 from data_tools.synthetic.draws import Field, between, log_between, uniforms
-from data_tools.synthetic.environments.patterns import BLACK, look_up, scrambled, vector
+from data_tools.synthetic.environments.patterns import BLACK, hash_numbers, look_up_noise, vector
 from data_tools.synthetic.environments.scene import Backdrop, Mask
 from data_tools.synthetic.environments.sky import Sky
-from metapp.appearance.latlong import directions, solid_angles
+from metapp.appearance.latlong import solid_angles, texel_directions
 
 _GRID = (16, 32)
 _PANES = 400.0  # columns of windows around the horizon
@@ -25,7 +25,7 @@ _HAZE = {"hills": 0.35, "woods": 0.08, "town": 0.08}  # at most
 def sky_irradiance(sky: Sky) -> Field:
     """Irradiance [3] in klx of the sky, without its sun, on level ground."""
     height, width = _GRID
-    rays = directions(height, width)[:, : height // 2].flatten(1).numpy()
+    rays = texel_directions(height, width)[:, : height // 2].flatten(1).numpy()
     angles = solid_angles(height, width)[: height // 2].expand(-1, width).flatten().numpy()
     result: Field = sky.radiance(rays) @ (rays[1] * angles)
     return result
@@ -66,14 +66,14 @@ def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float, lit: Fi
     def hidden(rays: Field) -> Mask:
         angle = turn(rays)
         if kind == "town":
-            result: Mask = height * (0.25 + 0.75 * scrambled(np.floor(angle * houses), place)) > rays[1]
+            result: Mask = height * (0.25 + 0.75 * hash_numbers(np.floor(angle * houses), place)) > rays[1]
             return result
-        coarse = look_up("soft", angle, place)
+        coarse = look_up_noise("soft", angle, place)
         if kind == "hills":
             result = height * (0.6 + 0.35 * coarse) > rays[1]
             return result
-        above = height * (0.75 + 0.25 * coarse + 0.12 * look_up("leaves", angle, place)) - rays[1]
-        leaves = look_up("leaves", 3 * angle, rays[1] + np.float32(place))
+        above = height * (0.75 + 0.25 * coarse + 0.12 * look_up_noise("leaves", angle, place)) - rays[1]
+        leaves = look_up_noise("leaves", 3 * angle, rays[1] + np.float32(place))
         result = (above > 0) & (leaves > 1.2 - above * np.float32(7 / height))
         return result
 
@@ -81,8 +81,8 @@ def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float, lit: Fi
         """How light houses are, and which windows are lit, both [N]."""
         row, column = np.floor(up / storey), np.floor(angle * _PANES)
         pane = (np.abs(up / storey - row - 0.5) < 0.3) & (np.abs(angle * _PANES - column - 0.5) < 0.3)
-        lightness = scrambled(np.floor(angle * houses), place + 0.3) * np.where(pane, np.float32(0.1), np.float32(1))
-        return lightness, pane & (scrambled(row * 1009 + column, place) > 0.6)
+        lightness = hash_numbers(np.floor(angle * houses), place + 0.3) * np.where(pane, np.float32(0.1), np.float32(1))
+        return lightness, pane & (hash_numbers(row * 1009 + column, place) > 0.6)
 
     def radiance(rays: Field) -> Field:
         result = plain.radiance(rays)
@@ -91,7 +91,7 @@ def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float, lit: Fi
         if kind == "town":
             lightness, windows = town(angle, up)
         else:
-            texture = look_up("leaves" if kind == "woods" else "rough", 3 * angle, 3 * up)
+            texture = look_up_noise("leaves" if kind == "woods" else "rough", 3 * angle, 3 * up)
             lightness, windows = np.clip(0.5 + 0.35 * texture, 0, 1), np.zeros(up.shape, np.bool_)
         facing = np.maximum(-(sky.sun[[0, 2]] @ rays[:, seen][[0, 2]]), 0) + np.float32(0.05)
         light = sky.sunlight[:, None] * facing + np.float32(0.5) * around

@@ -7,20 +7,20 @@ import math
 import numpy as np
 
 from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, between, chance, log_between, pick, uniforms, whole
-from data_tools.synthetic.environments.patterns import direction, glowing, vector
-from data_tools.synthetic.environments.scene import PLANE, Backdrop, Box, Finish, Lamp, Scene, Window
+from data_tools.synthetic.draws import Field, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.synthetic.environments.patterns import black_body_rgb, direction, vector
+from data_tools.synthetic.environments.scene import PLANE_AXES, Backdrop, Box, EnvironmentScene, Finish, Lamp, Window
 from data_tools.synthetic.stationary.maps import Range
 
-WALLS = (0, 1, 4, 5)  # numbers of a room's sides
+WALL_SIDES = (0, 1, 4, 5)  # numbers of a room's sides
 
 
-def tone(rng: Rng, strength: float) -> Field:
+def draw_near_white(rng: Rng, strength: float) -> Field:
     """A colour [3] near white: 1 but for so much."""
     return 1 + (uniforms(rng, 3) - np.float32(0.5)) * np.float32(2 * strength)
 
 
-def room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, rough: bool = False) -> Scene:
+def draw_room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, rough: bool = False) -> EnvironmentScene:
     """An empty room around the eye.
 
     Args:
@@ -33,7 +33,9 @@ def room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, rough:
     eye = vector(between(rng, 0.2, 0.8), 0, between(rng, 0.2, 0.8)) * size
     eye[1] = min(between(rng, 1.1, 1.8), float(size[1]) - 0.8)
     warm = vector(1.06, 1, 0.9) if chance(rng, 0.5) else vector(1, 1, 1)
-    wall = Finish(warm * tone(rng, 0.05) * np.float32(between(rng, 0.15, 0.55) if rough else between(rng, 0.3, 0.78)))
+    wall = Finish(
+        warm * draw_near_white(rng, 0.05) * np.float32(between(rng, 0.15, 0.55) if rough else between(rng, 0.3, 0.78))
+    )
     if rough or chance(rng, 0.2):
         wall = _two_toned(rng, wall, ("cloud", "stripes", "tiles", "patches"), (1, 8))
     ceiling = Finish(warm * np.float32(between(rng, 0.1, 0.5) if rough else between(rng, 0.5, 0.85)))
@@ -41,8 +43,10 @@ def room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, rough:
         ceiling = _two_toned(rng, ceiling, ("tiles", "stripes"), (0.6, 3))
     sides = [wall, wall, _floor(rng, rough), ceiling, wall, wall]
     if chance(rng, 0.35):
-        sides[pick(rng, WALLS)] = Finish(tone(rng, pick(rng, (0.2, 0.4, 0.8))) * np.float32(between(rng, 0.15, 0.5)))
-    return Scene(-eye, size - eye, sides, backdrop)
+        sides[pick(rng, WALL_SIDES)] = Finish(
+            draw_near_white(rng, pick(rng, (0.2, 0.4, 0.8))) * np.float32(between(rng, 0.15, 0.5))
+        )
+    return EnvironmentScene(-eye, size - eye, sides, backdrop)
 
 
 def _two_toned(rng: Rng, finish: Finish, patterns: tuple[str, ...], size: Range) -> Finish:
@@ -53,21 +57,21 @@ def _two_toned(rng: Rng, finish: Finish, patterns: tuple[str, ...], size: Range)
 def _floor(rng: Rng, rough: bool) -> Finish:
     gloss = pick(rng, (0.0, 0.0, 0.01, 0.02, 0.04))
     if rough:
-        colour: Field = vector(0.3, 0.29, 0.27) * tone(rng, 0.06) * np.float32(log_between(rng, 0.4, 1.6))
+        colour: Field = vector(0.3, 0.29, 0.27) * draw_near_white(rng, 0.06) * np.float32(log_between(rng, 0.4, 1.6))
         if chance(rng, 0.3):
             colour = vector(*pick(rng, ((0.06, 0.2, 0.08), (0.3, 0.1, 0.06), (0.1, 0.14, 0.25))))
         return _two_toned(rng, Finish(colour, gloss=gloss), ("rough", "cloud", "tiles"), (2, 9))
     if chance(rng, 0.5):
-        wood = vector(0.38, 0.23, 0.12) * tone(rng, 0.15) * np.float32(log_between(rng, 0.3, 1.4))
+        wood = vector(0.38, 0.23, 0.12) * draw_near_white(rng, 0.15) * np.float32(log_between(rng, 0.3, 1.4))
         return _two_toned(rng, Finish(wood, gloss=gloss), ("planks",), (1.5, 4))
     if chance(rng, 0.5):
-        tile = tone(rng, 0.1) * np.float32(log_between(rng, 0.1, 0.75))
+        tile = draw_near_white(rng, 0.1) * np.float32(log_between(rng, 0.1, 0.75))
         return _two_toned(rng, Finish(tile, gloss=gloss), ("tiles", "chequers"), (0.4, 1.2))
-    carpet = tone(rng, 0.3) * np.float32(log_between(rng, 0.06, 0.4))
+    carpet = draw_near_white(rng, 0.3) * np.float32(log_between(rng, 0.06, 0.4))
     return _two_toned(rng, Finish(carpet), ("rough",), (1, 4))
 
 
-def windows(rng: Rng, scene: Scene, side: int, count: int, sill: Range, share: Range) -> None:
+def add_windows(rng: Rng, scene: EnvironmentScene, side: int, count: int, sill: Range, share: Range) -> None:
     """Windows in a row.
 
     Args:
@@ -78,31 +82,39 @@ def windows(rng: Rng, scene: Scene, side: int, count: int, sill: Range, share: R
         sill: range of the height of their lower edge above the floor, m.
         share: range of the share of the wall's width that they take.
     """
-    across = PLANE[side // 2][0]
+    across = PLANE_AXES[side // 2][0]
     left, width = float(scene.low[across]), float(scene.high[across] - scene.low[across]) / count
     part, bottom = between(rng, *share), float(scene.low[1]) + between(rng, *sill)
     head = bottom + (float(scene.high[1]) - 0.1 - bottom) * between(rng, 0.6, 1)
-    glass = tone(rng, 0.04) * np.float32(between(rng, 0.5, 0.92))
+    glass = draw_near_white(rng, 0.04) * np.float32(between(rng, 0.5, 0.92))
     if chance(rng, 0.2):
         glass = glass * np.float32(0.25)  # curtains
-    shift, bars = between(rng, -0.5, 0.5) * (1 - part), (whole(rng, 1, 2), pick(rng, (1, 1, 2)))
+    shift, bars = between(rng, -0.5, 0.5) * (1 - part), (integer_between(rng, 1, 2), pick(rng, (1, 1, 2)))
     for number in range(count):
         middle, half = left + (number + 0.5 + shift) * width, part * width / 2
         scene.windows.append(Window(side, (middle - half, bottom), (middle + half, head), glass, bars))
 
 
-def skylights(rng: Rng, scene: Scene) -> None:
+def add_skylights(rng: Rng, scene: EnvironmentScene) -> None:
     """Strips of glass in the ceiling."""
-    count, glass = whole(rng, 1, 4), vector(1, 1, 1) * np.float32(between(rng, 0.2, 0.8))
+    count, glass = integer_between(rng, 1, 4), vector(1, 1, 1) * np.float32(between(rng, 0.2, 0.8))
     width, length = (float(scene.high[axis] - scene.low[axis]) for axis in (0, 2))
     half, z = between(rng, 0.05, 0.25) * width / count, float(scene.low[2]) + 0.1 * length
     for number in range(count):
         x = float(scene.low[0]) + (number + 0.5) / count * width
-        scene.windows.append(Window(3, (x - half, z), (x + half, z + 0.8 * length), glass, (1, whole(rng, 1, 6))))
+        scene.windows.append(
+            Window(3, (x - half, z), (x + half, z + 0.8 * length), glass, (1, integer_between(rng, 1, 6)))
+        )
 
 
-def ceiling_lamps(
-    rng: Rng, scene: Scene, grid: tuple[int, int], halves: Range, flux: Range, kelvin: float, shape: str = "panel"
+def add_ceiling_lamps(
+    rng: Rng,
+    scene: EnvironmentScene,
+    grid: tuple[int, int],
+    halves: Range,
+    flux: Range,
+    kelvin: float,
+    shape: str = "panel",
 ) -> None:
     """Lamps under the ceiling that shine downwards.
 
@@ -116,7 +128,7 @@ def ceiling_lamps(
         shape: "panel" or "disc".
     """
     area = 4 * math.prod(halves) * (1 if shape == "panel" else math.pi / 4)
-    radiance = glowing(kelvin) * np.float32(log_between(rng, *flux) / (math.pi * area))
+    radiance = black_body_rgb(kelvin) * np.float32(log_between(rng, *flux) / (math.pi * area))
     hung = between(rng, 0, 0.25) * float(scene.high[1]) if chance(rng, 0.3) else 0.0
     out = between(rng, 0, 0.4) if chance(rng, 0.3) else 0.0
     for column in range(grid[0]):
@@ -127,23 +139,25 @@ def ceiling_lamps(
                 scene.lamps.append(Lamp(centre, vector(halves[0], 0, 0), vector(0, 0, halves[1]), radiance, shape))
 
 
-def downlights(rng: Rng, scene: Scene, columns: int, rows: int, radius: Range, flux: Range, kelvin: float) -> None:
+def add_downlights(
+    rng: Rng, scene: EnvironmentScene, columns: int, rows: int, radius: Range, flux: Range, kelvin: float
+) -> None:
     """Round ceiling lamps with a radius in m and a flux in klm from the ranges."""
     half = log_between(rng, *radius)
-    ceiling_lamps(rng, scene, (columns, rows), (half, half), flux, kelvin, "disc")
+    add_ceiling_lamps(rng, scene, (columns, rows), (half, half), flux, kelvin, "disc")
 
 
-def bulb(rng: Rng, scene: Scene, flux: Range, radius: Range, kelvin: float) -> None:
+def add_bulb(rng: Rng, scene: EnvironmentScene, flux: Range, radius: Range, kelvin: float) -> None:
     """A lamp that shines to all sides, anywhere in the room: on the floor, a table, a wall, or hanging."""
     half = log_between(rng, *radius)
     centre = scene.low + (scene.high - scene.low) * (np.float32(0.06) + np.float32(0.88) * uniforms(rng, 3))
     centre = centre * np.float32(max(1.0, (1 + half) / float(np.linalg.norm(centre))))
     centre = np.clip(centre, scene.low + 0.05, scene.high - 0.05)
-    radiance = glowing(kelvin) * np.float32(log_between(rng, *flux) / (2 * math.pi * half) ** 2)
+    radiance = black_body_rgb(kelvin) * np.float32(log_between(rng, *flux) / (2 * math.pi * half) ** 2)
     scene.lamps.append(Lamp(centre, vector(half, 0, 0), vector(0, half, 0), radiance, "ball"))
 
 
-def softbox(rng: Rng, scene: Scene, kelvin: float) -> None:
+def add_softbox(rng: Rng, scene: EnvironmentScene, kelvin: float) -> None:
     """A large lamp that points to the middle, from anywhere but below; one in four is coloured."""
     centre = direction(between(rng, -0.15, 1.35), between(rng, 0, math.tau)) * np.float32(between(rng, 1.2, 4))
     centre = np.clip(centre, scene.low + 0.2, scene.high - 0.2)
@@ -156,38 +170,43 @@ def softbox(rng: Rng, scene: Scene, kelvin: float) -> None:
     right, up = (
         axis * np.float32(scale * half / np.linalg.norm(axis)) for axis, half in zip((right, up), halves, strict=True)
     )
-    colour = glowing(kelvin) if chance(rng, 0.75) else np.clip(uniforms(rng, 3), 0.05, 1)
+    colour = black_body_rgb(kelvin) if chance(rng, 0.75) else np.clip(uniforms(rng, 3), 0.05, 1)
     radiance = colour * np.float32(log_between(rng, 1, 30) / (math.prod(halves) * scale**2))
     scene.lamps.append(Lamp(centre, -right, up, radiance, pick(rng, ("panel", "panel", "disc"))))
 
 
-def beams(rng: Rng, scene: Scene) -> None:
+def add_beams(rng: Rng, scene: EnvironmentScene) -> None:
     """Girders under the ceiling, and posts."""
-    finish = Finish(tone(rng, 0.2) * np.float32(log_between(rng, 0.05, 0.4)))
+    finish = Finish(draw_near_white(rng, 0.2) * np.float32(log_between(rng, 0.05, 0.4)))
     top, depth, middle = float(scene.high[1]), between(rng, 0.3, 0.9), float(scene.low[0] + scene.high[0]) / 2
     first, last = float(scene.low[2]) + 1, float(scene.high[2]) - 1
-    for z in np.linspace(first, last, whole(rng, 2, 7)).tolist():
+    for z in np.linspace(first, last, integer_between(rng, 2, 7)).tolist():
         low, high = vector(scene.low[0], top - depth, z - 0.12), vector(scene.high[0], top, z + 0.12)
         scene.boxes.append(Box(low, high, finish))
-    for z in np.linspace(first, last, whole(rng, 0, 4)).tolist():
-        put(scene, Box(vector(middle - 0.2, scene.low[1], z - 0.2), vector(middle + 0.2, top, z + 0.2), finish))
+    for z in np.linspace(first, last, integer_between(rng, 0, 4)).tolist():
+        add_indoor_box(
+            scene, Box(vector(middle - 0.2, scene.low[1], z - 0.2), vector(middle + 0.2, top, z + 0.2), finish)
+        )
 
 
-def doors(rng: Rng, scene: Scene, count: int) -> None:
+def add_doors(rng: Rng, scene: EnvironmentScene, count: int) -> None:
     """Doors, pictures, boards and cupboards at the walls."""
     for _ in range(count):
-        finish, side = _painted(rng, tone(rng, 0.4) * np.float32(log_between(rng, 0.05, 0.7))), pick(rng, WALLS)
+        finish, side = (
+            _painted(rng, draw_near_white(rng, 0.4) * np.float32(log_between(rng, 0.05, 0.7))),
+            pick(rng, WALL_SIDES),
+        )
         size, bottom = (between(rng, 0.4, 2), between(rng, 0.3, 1.2), 0.05), between(rng, -0.5, 0.4)
         if chance(rng, 0.4):
             size, bottom = (between(rng, 0.8, 1.2), 2.0, 0.04), float(scene.low[1])
-        against(scene, side, between(rng, 0.1, 0.9), bottom, size, finish)
+        add_box_at_wall(scene, side, between(rng, 0.1, 0.9), bottom, size, finish)
 
 
-def against(
-    scene: Scene, side: int, share: float, bottom: float, size: tuple[float, float, float], finish: Finish
+def add_box_at_wall(
+    scene: EnvironmentScene, side: int, share: float, bottom: float, size: tuple[float, float, float], finish: Finish
 ) -> None:
     """A box at a wall: its middle at this share of the wall's width; its width, height and depth in m."""
-    axis, across = side // 2, PLANE[side // 2][0]
+    axis, across = side // 2, PLANE_AXES[side // 2][0]
     low, high = scene.low.copy(), scene.high.copy()
     middle = float(scene.low[across] + share * (scene.high[across] - scene.low[across]))
     low[across], high[across] = middle - size[0] / 2, middle + size[0] / 2
@@ -196,36 +215,36 @@ def against(
         low[axis] = scene.high[axis] - size[2]
     else:
         high[axis] = scene.low[axis] + size[2]
-    put(scene, Box(np.maximum(low, scene.low), np.minimum(high, scene.high), finish))
+    add_indoor_box(scene, Box(np.maximum(low, scene.low), np.minimum(high, scene.high), finish))
 
 
-def furniture(rng: Rng, scene: Scene, count: int, height: Range, colourful: bool = False) -> None:
+def add_furniture(rng: Rng, scene: EnvironmentScene, count: int, height: Range, colourful: bool = False) -> None:
     """Boxes on the floor with heights from the range, most of them at the walls."""
     for _ in range(count):
-        colour: Field = vector(0.4, 0.3, 0.2) ** np.float32(between(rng, 0.2, 2)) * tone(rng, 0.2)
+        colour: Field = vector(0.4, 0.3, 0.2) ** np.float32(between(rng, 0.2, 2)) * draw_near_white(rng, 0.2)
         if colourful and chance(rng, 0.5):
             colour = uniforms(rng, 3) ** 2 * np.float32(0.7)
         finish = _painted(rng, colour * np.float32(between(rng, 0.4, 1)))
         size = (log_between(rng, 0.5, 3), log_between(rng, *height), between(rng, 0.4, 1.4))
         if chance(rng, 0.6):
-            against(scene, pick(rng, WALLS), between(rng, 0.1, 0.9), float(scene.low[1]), size, finish)
+            add_box_at_wall(scene, pick(rng, WALL_SIDES), between(rng, 0.1, 0.9), float(scene.low[1]), size, finish)
             continue
         middle = scene.low + (scene.high - scene.low) * uniforms(rng, 3)
         half = vector(size[0], 0, size[2]) / 2 if chance(rng, 0.5) else vector(size[2], 0, size[0]) / 2
         low, high = np.maximum(middle - half, scene.low), np.minimum(middle + half, scene.high)
         low[1], high[1] = scene.low[1], min(float(scene.low[1]) + size[1], float(scene.high[1]) - 0.1)
-        put(scene, Box(low, high, finish))
+        add_indoor_box(scene, Box(low, high, finish))
 
 
 def _painted(rng: Rng, colour: Field) -> Finish:
     """Often of two colours, as drawers, books, machines and pictures are."""
-    other = colour * tone(rng, 0.5) * np.float32(log_between(rng, 0.1, 3))
+    other = colour * draw_near_white(rng, 0.5) * np.float32(log_between(rng, 0.1, 3))
     kind = pick(rng, ("plain", "plain", "patches", "patches", "stripes"))
     finish = Finish(np.clip(colour, 0.02, 0.85), np.clip(other, 0.02, 0.85), kind, log_between(rng, 0.8, 4))
     return finish._replace(other=None) if kind == "plain" else finish
 
 
-def put(scene: Scene, box: Box) -> None:
+def add_indoor_box(scene: EnvironmentScene, box: Box) -> None:
     """Put a box there unless the eye would be in it or close by."""
     if (np.maximum(box.low, -box.high)[[0, 2]] > 0.5).any():
         scene.boxes.append(box)

@@ -13,27 +13,27 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from data_tools.readers.latlong import HEIGHT, WIDTH
+from data_tools.readers.latlong import MAP_HEIGHT_PX, MAP_WIDTH_PX
 from data_tools.synthetic.draws import Field, Ids
-from data_tools.synthetic.environments.patterns import look_up
+from data_tools.synthetic.environments.patterns import look_up_noise
 from data_tools.synthetic.environments.scene import (
-    BEYOND,
-    PLANE,
-    SIDES,
+    NO_SURFACE,
+    PLANE_AXES,
+    ROOM_SIDES,
     Box,
+    EnvironmentScene,
     Hits,
-    Scene,
-    cast,
-    inside,
-    inverse,
-    slab,
-    turned,
-    view,
+    cast_rays,
+    intersect_box,
+    invert_components,
+    lies_in_glass,
+    rotate_about_vertical,
+    view_rays,
 )
-from data_tools.synthetic.environments.sky import Sky, from_sun
-from data_tools.synthetic.environments.sources import Sources, sources
-from data_tools.synthetic.environments.surfaces import surfaces
-from metapp.appearance.latlong import resample, solid_angles
+from data_tools.synthetic.environments.sky import Sky, angles_between
+from data_tools.synthetic.environments.sources import Emitters, list_emitters
+from data_tools.synthetic.environments.surfaces import surface_properties
+from metapp.appearance.latlong import resample_maps, solid_angles
 
 _Number = TypeVar("_Number", bound=np.generic)
 
@@ -45,7 +45,9 @@ _PARTS = 8
 _SHADE = np.float32(0.85)  # share of light that a tree's crown takes away
 
 
-def render(scene: Scene, turn_rad: float, supersampling: int = 2, rows: int = HEIGHT) -> Field:
+def render_environment(
+    scene: EnvironmentScene, turn_rad: float, supersampling: int = 2, rows: int = MAP_HEIGHT_PX
+) -> Field:
     """The map of a scene.
 
     Args:
@@ -57,21 +59,21 @@ def render(scene: Scene, turn_rad: float, supersampling: int = 2, rows: int = HE
     Returns:
         Radiance [3, rows, 2 * rows], kcd/m^2.
     """
-    rays, angles = view(supersampling)
-    rays = turned(rays, turn_rad)
-    hits = cast(scene, rays)
-    albedo, gloss, glow = surfaces(scene, hits, rays)
-    sun = sunlight(scene, hits.place, hits.normal)
+    rays, angles = view_rays(supersampling)
+    rays = rotate_about_vertical(rays, turn_rad)
+    hits = cast_rays(scene, rays)
+    albedo, gloss, glow = surface_properties(scene, hits, rays)
+    sun = direct_sun_irradiance(scene, hits.place, hits.normal)
     scattered = _scattered(scene, hits, albedo, glow, sun, supersampling)
     radiance = albedo * (sun + scattered) * np.float32(1 / math.pi) + glow
-    beyond = np.flatnonzero(hits.surface == BEYOND)
+    beyond = np.flatnonzero(hits.surface == NO_SURFACE)
     seen = scene.backdrop.radiance(rays[:, beyond])
     radiance[:, beyond] = seen if hits.glass is None else seen * hits.glass[:, beyond]
     radiance += sun_disc(scene.backdrop.sky, rays, angles) * _sun_seen(scene)[:, None]
     if gloss.any():
         radiance += _mirrored(radiance, rays, hits.normal, gloss, turn_rad)
-    fine = torch.from_numpy(radiance).unflatten(1, (HEIGHT * supersampling, WIDTH * supersampling))
-    result: Field = np.maximum(resample(fine, rows, 2 * rows).numpy(), 0)
+    fine = torch.from_numpy(radiance).unflatten(1, (MAP_HEIGHT_PX * supersampling, MAP_WIDTH_PX * supersampling))
+    result: Field = np.maximum(resample_maps(fine, rows, 2 * rows).numpy(), 0)
     return result
 
 
@@ -87,23 +89,23 @@ def sun_disc(sky: Sky, rays: Field, angles: Field) -> Field:
         return np.zeros_like(rays)
     spacing = math.sqrt(float(angles.max()))
     radius = max(_SUN_RADIUS, 0.75 * spacing)  # no smaller than the grid can hold
-    weight = np.clip((radius - from_sun(sky.sun, rays)) / np.float32(spacing) + np.float32(0.5), 0, 1)
+    weight = np.clip((radius - angles_between(sky.sun, rays)) / np.float32(spacing) + np.float32(0.5), 0, 1)
     result: Field = sky.sunlight[:, None] * (weight / np.float32(weight @ angles))
     return result
 
 
-def _sun_seen(scene: Scene) -> Field:
+def _sun_seen(scene: EnvironmentScene) -> Field:
     """Share [3] of the sun's disc that the eye sees: mean of a ray to its middle and four to its rim."""
     offsets = np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1], [0, 0.5, 0.5, 0, 0]], np.float32)
     rays = scene.backdrop.sky.sun[:, None] + np.float32(_SUN_RADIUS) * offsets
     rays /= np.linalg.norm(rays, axis=0)
-    hits = cast(scene, rays)
-    share = (hits.surface == BEYOND) * scene.backdrop.clearness(rays)
+    hits = cast_rays(scene, rays)
+    share = (hits.surface == NO_SURFACE) * scene.backdrop.clearness(rays)
     result: Field = (share * (np.ones_like(rays) if hits.glass is None else hits.glass)).mean(1)
     return result
 
 
-def visibility(scene: Scene, place: Field, way: Field, reach: Field | float, soft: float) -> Field:
+def visibility(scene: EnvironmentScene, place: Field, way: Field, reach: Field | float, soft: float) -> Field:
     """How much of a distant point is seen from places, past boxes and crowns.
 
     Args:
@@ -116,15 +118,15 @@ def visibility(scene: Scene, place: Field, way: Field, reach: Field | float, sof
     Returns:
         [N] in [0, 1].
     """
-    over = inverse(way)
+    over = invert_components(way)
     free = np.ones(place.shape[1], np.float32)
-    for box in casters(scene):
-        near, far = slab(box.low[:, None] - place, box.high[:, None] - place, over)
+    for box in shadow_casters(scene):
+        near, far = intersect_box(box.low[:, None] - place, box.high[:, None] - place, over)
         near = np.maximum(near, 0)
         free *= 1 - np.clip((np.minimum(far, reach) - near) / (soft * near + np.float32(0.02)), 0, 1)
     holes: Field | float = 0.0
     if scene.crowns and soft < 0.1:  # the sun shines through, in spots
-        holes = look_up("leaves", place[0] * np.float32(0.12), place[2] * np.float32(0.12))
+        holes = look_up_noise("leaves", place[0] * np.float32(0.12), place[2] * np.float32(0.12))
     for crown in scene.crowns:
         offset = crown.centre[:, None] - place
         middle = (way * offset).sum(0)
@@ -134,7 +136,7 @@ def visibility(scene: Scene, place: Field, way: Field, reach: Field | float, sof
     return free
 
 
-def casters(scene: Scene) -> list[Box]:
+def shadow_casters(scene: EnvironmentScene) -> list[Box]:
     """The boxes that cast shadows: those that look largest from the eye."""
 
     def apparent(box: Box) -> float:
@@ -144,7 +146,7 @@ def casters(scene: Scene) -> list[Box]:
     return sorted((box for box in scene.boxes if box.high[1] - box.low[1] > _FLAT), key=apparent)[:_CASTERS]
 
 
-def sunlight(scene: Scene, place: Field, normal: Field) -> Field:
+def direct_sun_irradiance(scene: EnvironmentScene, place: Field, normal: Field) -> Field:
     """Irradiance [3, N] by the sun at places, past all that is in its way; in a room only through windows."""
     sky = scene.backdrop.sky
     facing = np.maximum(sky.sun @ normal, 0)
@@ -158,22 +160,22 @@ def sunlight(scene: Scene, place: Field, normal: Field) -> Field:
     return result
 
 
-def _through_windows(scene: Scene, place: Field, way: Field) -> Field:
+def _through_windows(scene: EnvironmentScene, place: Field, way: Field) -> Field:
     """Which share [3, N] of light from this direction reaches places in a room."""
     share = np.zeros_like(place)
-    over = inverse(way)[:, None]
+    over = invert_components(way)[:, None]
     ends = (np.where(over > 0, scene.high[:, None], scene.low[:, None]) - place) * over
     axis = ends.argmin(0)
     leaving = place + way[:, None] * ends.min(0)
     for window in scene.windows:
         across = window.side // 2
         if (way[across] > 0) == window.side % 2:
-            first, second = PLANE[across]
-            share += window.glass[:, None] * (inside(window, leaving[first], leaving[second]) & (axis == across))
+            first, second = PLANE_AXES[across]
+            share += window.glass[:, None] * (lies_in_glass(window, leaving[first], leaving[second]) & (axis == across))
     return share
 
 
-def irradiance(scene: Scene, lights: list[Sources], place: Field, normal: Field) -> Field:
+def emitter_irradiance(scene: EnvironmentScene, lights: list[Emitters], place: Field, normal: Field) -> Field:
     """Irradiance [3, N] straight from sources at places [3, N] on surfaces with these normals [3, N]."""
     total = np.zeros_like(place)
     for light in lights:
@@ -197,35 +199,39 @@ def irradiance(scene: Scene, lights: list[Sources], place: Field, normal: Field)
     return total
 
 
-def _scattered(scene: Scene, hits: Hits, albedo: Field, glow: Field, sun: Field, supersampling: int) -> Field:
+def _scattered(
+    scene: EnvironmentScene, hits: Hits, albedo: Field, glow: Field, sun: Field, supersampling: int
+) -> Field:
     """Irradiance [3, N] by everything but the sun, at the hits of a grid: reckoned on the maps' coarser grid."""
-    fine = (HEIGHT, supersampling, WIDTH, supersampling)
+    fine = (MAP_HEIGHT_PX, supersampling, MAP_WIDTH_PX, supersampling)
 
     def coarse(values: Field) -> Field:
-        return values.reshape(-1, *fine)[:, :, 0, :, 0].reshape(-1, HEIGHT * WIDTH)
+        return values.reshape(-1, *fine)[:, :, 0, :, 0].reshape(-1, MAP_HEIGHT_PX * MAP_WIDTH_PX)
 
     surface = hits.surface.reshape(fine)[:, 0, :, 0]
-    place, normal, solid = coarse(hits.place), coarse(hits.normal), surface.ravel() != BEYOND
-    straight = irradiance(scene, sources(scene), place + normal * np.float32(0.03), normal)
-    first_lamp = len(SIDES) + len(scene.boxes) + len(scene.crowns)  # lamps are among the sources already
+    place, normal, solid = coarse(hits.place), coarse(hits.normal), surface.ravel() != NO_SURFACE
+    straight = emitter_irradiance(scene, list_emitters(scene), place + normal * np.float32(0.03), normal)
+    first_lamp = len(ROOM_SIDES) + len(scene.boxes) + len(scene.crowns)  # lamps are among the sources already
     leaving = coarse(albedo) * (straight + coarse(sun)) * np.float32(1 / math.pi)
     leaving += coarse(glow) * (surface.ravel() < first_lamp)
     bounced = _bounced(scene, leaving * solid, place, normal, solid)
-    weights = solid_angles(HEIGHT, WIDTH).expand(HEIGHT, WIDTH).flatten().numpy() / np.float32(4 * math.pi)
+    weights = solid_angles(MAP_HEIGHT_PX, MAP_WIDTH_PX).expand(
+        MAP_HEIGHT_PX, MAP_WIDTH_PX
+    ).flatten().numpy() / np.float32(4 * math.pi)
     again = scene.closed * (coarse(albedo) @ weights)
     mean = (bounced * solid) @ weights / max(float(solid @ weights), 1e-3)
     total = straight + bounced + (mean * again / (1 - again))[:, None]
-    return _spread(total.reshape(3, HEIGHT, WIDTH), surface, hits.surface, supersampling)
+    return _spread(total.reshape(3, MAP_HEIGHT_PX, MAP_WIDTH_PX), surface, hits.surface, supersampling)
 
 
-def _bounced(scene: Scene, leaving: Field, place: Field, normal: Field, solid: Field) -> Field:
+def _bounced(scene: EnvironmentScene, leaving: Field, place: Field, normal: Field, solid: Field) -> Field:
     """Irradiance [3, N] at places from the radiance that leaves all that is seen, without shadows.
 
     The visible surfaces are cut into cells of directions; each sends its mean radiance from one of its points.
     """
     rows, columns = _CELLS
-    grid = (rows, HEIGHT // rows, columns, WIDTH // columns)
-    middle = np.arange(HEIGHT * WIDTH).reshape(grid)[:, grid[1] // 2, :, grid[3] // 2].ravel()
+    grid = (rows, MAP_HEIGHT_PX // rows, columns, MAP_WIDTH_PX // columns)
+    middle = np.arange(MAP_HEIGHT_PX * MAP_WIDTH_PX).reshape(grid)[:, grid[1] // 2, :, grid[3] // 2].ravel()
     mean = leaving.reshape(3, *grid).mean((2, 4)).reshape(3, -1)
     origin, axis = place[:, middle], normal[:, middle]
     distance2 = (origin**2).sum(0)
@@ -255,7 +261,7 @@ def _spread(coarse: Field, surface: Ids, fine_surface: Ids, supersampling: int) 
     def enlarged(values: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
         return values.repeat(supersampling, -2).repeat(supersampling, -1)
 
-    fine = fine_surface.reshape(HEIGHT * supersampling, WIDTH * supersampling)
+    fine = fine_surface.reshape(MAP_HEIGHT_PX * supersampling, MAP_WIDTH_PX * supersampling)
     result = enlarged(coarse)
     missing = enlarged(surface) != fine
     for shift in ((0, -1), (-1, 0), (0, 1), (1, 0)):
@@ -270,7 +276,7 @@ def _mirrored(radiance: Field, rays: Field, normal: Field, gloss: Field, turn_ra
     height = math.isqrt(rays.shape[1] // 2)
     members = np.flatnonzero(gloss)
     cosine = (rays[:, members] * normal[:, members]).sum(0)
-    way = turned(rays[:, members] - 2 * cosine * normal[:, members], -turn_rad)
+    way = rotate_about_vertical(rays[:, members] - 2 * cosine * normal[:, members], -turn_rad)
     row = np.arccos(np.clip(way[1], -1, 1)) * np.float32(height / math.pi)
     column = np.arctan2(way[0], -way[2]) * np.float32(height / math.pi) + 2 * height
     texel = np.minimum(row.astype(np.int64), height - 1) * 2 * height + column.astype(np.int64) % (2 * height)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from data_tools.draws import stream
+from data_tools.draws import random_stream
 from data_tools.synthetic.draws import Field
 from data_tools.synthetic.patterns.fields import fbm
 
@@ -32,12 +32,12 @@ def direction(elevation_rad: float, azimuth_rad: float) -> Field:
     return vector(across * math.cos(azimuth_rad), math.sin(elevation_rad), across * math.sin(azimuth_rad))
 
 
-def luminance(rgb: Field) -> Field:
+def luminance(xyy_to_rgb: Field) -> Field:
     """Luminance [...] of linear RGB [3, ...]."""
-    return np.tensordot(_LUMINANCE, rgb, 1)
+    return np.tensordot(_LUMINANCE, xyy_to_rgb, 1)
 
 
-def rgb(luminances: Field, x: Field, y: Field) -> Field:
+def xyy_to_rgb(luminances: Field, x: Field, y: Field) -> Field:
     """Linear RGB [3, N] > 0 of luminances and CIE 1931 chromaticities [N]."""
     over_y = luminances / y
     found = _XYZ_TO_RGB @ np.stack([x * over_y, luminances, (1 - x - y) * over_y])
@@ -45,7 +45,7 @@ def rgb(luminances: Field, x: Field, y: Field) -> Field:
     return result
 
 
-def glowing(kelvin: float) -> Field:
+def black_body_rgb(kelvin: float) -> Field:
     """Linear RGB [3] of luminance 1 of a black body, 1700 to 20000 K: the Planckian locus' fit by Kim et al. (2002)."""
     inverse = 1e3 / kelvin
     if kelvin < 4000:
@@ -58,13 +58,13 @@ def glowing(kelvin: float) -> Field:
         y = ((-0.9549476 * x - 1.37418593) * x + 2.09137015) * x - 0.16748867
     else:
         y = ((3.0817580 * x - 5.87338670) * x + 3.75112997) * x - 0.37001483
-    return rgb(vector(1), vector(x), vector(y))[:, 0]
+    return xyy_to_rgb(vector(1), vector(x), vector(y))[:, 0]
 
 
 @functools.lru_cache(maxsize=1)
-def noises() -> dict[str, Field]:
+def shared_noises() -> dict[str, Field]:
     """Periodic noises [256, 256] that all maps look into, at places of their own; mean 0, variance 1."""
-    rng = stream(8)
+    rng = random_stream(8)
     fields = {
         "soft": fbm(rng, _SIZE, 3, 2.6),
         "cloud": fbm(rng, _SIZE, 2.5, 1.9),
@@ -77,15 +77,15 @@ def noises() -> dict[str, Field]:
     return fields
 
 
-def look_up(noise: str, across: Field, along: Field | float) -> Field:
+def look_up_noise(noise: str, across: Field, along: Field | float) -> Field:
     """Values of a noise at places [N] in tiles: those of the nearest texel."""
     columns = np.floor(across * np.float32(_SIZE)).astype(np.int64) & (_SIZE - 1)
     rows = np.floor(along * np.float32(_SIZE)).astype(np.int64) & (_SIZE - 1)
-    found: Field = noises()[noise].ravel()[rows * _SIZE + columns]
+    found: Field = shared_noises()[noise].ravel()[rows * _SIZE + columns]
     return found
 
 
-def scrambled(numbers: Field, key: float) -> Field:
+def hash_numbers(numbers: Field, key: float) -> Field:
     """A number in [0, 1) for each whole number [N], without order."""
     mixed = (numbers.astype(np.int64) + int(key * 65536)) * 0x9E3779B1 & 0xFFFFFFFF
     mixed = (mixed ^ (mixed >> 15)) * 0x85EBCA6B & 0xFFFFFFFF

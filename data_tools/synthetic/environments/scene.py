@@ -15,15 +15,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from data_tools.readers.latlong import HEIGHT, WIDTH
+from data_tools.readers.latlong import MAP_HEIGHT_PX, MAP_WIDTH_PX
 from data_tools.synthetic.draws import Field, Ids
-from data_tools.synthetic.environments.patterns import BLACK, look_up, vector
+from data_tools.synthetic.environments.patterns import BLACK, look_up_noise, vector
 from data_tools.synthetic.environments.sky import Sky
-from metapp.appearance.latlong import directions, solid_angles
+from metapp.appearance.latlong import solid_angles, texel_directions
 
-SIDES = ("-x", "+x", "floor", "ceiling", "-z", "+z")  # of a room, in the order of their numbers
-BEYOND = -1  # the number of what no surface hides
-PLANE = ((2, 1), (0, 2), (0, 1))  # axes along a surface whose normal is this axis: across and along
+ROOM_SIDES = ("-x", "+x", "floor", "ceiling", "-z", "+z")  # of a room, in the order of their numbers
+NO_SURFACE = -1  # the number of what no surface hides
+PLANE_AXES = ((2, 1), (0, 2), (0, 1))  # axes along a surface whose normal is this axis: across and along
 
 _FAR = 1e4  # m
 _NARROWEST = 0.02  # rad; smaller lamps are seen this large, and so much darker
@@ -131,7 +131,7 @@ class Backdrop(NamedTuple):
 
 
 @dataclass
-class Scene:
+class EnvironmentScene:
     """All that is around the eye.
 
     Attributes:
@@ -168,27 +168,27 @@ class Hits(NamedTuple):
 
 
 @functools.lru_cache(maxsize=2)
-def view(supersampling: int) -> tuple[Field, Field]:
+def view_rays(supersampling: int) -> tuple[Field, Field]:
     """Rays [3, N] of a grid so many times finer than the maps, row by row, and their solid angles [N]."""
-    height, width = HEIGHT * supersampling, WIDTH * supersampling
-    rays = directions(height, width).flatten(1).numpy()
+    height, width = MAP_HEIGHT_PX * supersampling, MAP_WIDTH_PX * supersampling
+    rays = texel_directions(height, width).flatten(1).numpy()
     angles = solid_angles(height, width).expand(height, width).flatten().numpy()
     return rays, angles
 
 
-def turned(rays: Field, angle_rad: float) -> Field:
+def rotate_about_vertical(rays: Field, angle_rad: float) -> Field:
     """Directions [3, N] turned about the vertical."""
     cos, sin = np.float32(math.cos(angle_rad)), np.float32(math.sin(angle_rad))
     return np.stack([rays[0] * cos - rays[2] * sin, rays[1], rays[0] * sin + rays[2] * cos])
 
 
-def inverse(rays: Field) -> Field:
+def invert_components(rays: Field) -> Field:
     """1 over each component, which is kept off zero."""
     result: Field = 1 / np.copysign(np.maximum(np.abs(rays), np.float32(1e-6)), rays)
     return result
 
 
-def slab(low: Field, high: Field, over: Field) -> tuple[Field, Field]:
+def intersect_box(low: Field, high: Field, over: Field) -> tuple[Field, Field]:
     """Distances at which rays enter and leave a box, or would.
 
     Args:
@@ -207,21 +207,21 @@ def slab(low: Field, high: Field, over: Field) -> tuple[Field, Field]:
     return near, far
 
 
-def cast(scene: Scene, rays: Field) -> Hits:
+def cast_rays(scene: EnvironmentScene, rays: Field) -> Hits:
     """The first intersections of rays [3, N] from the eye."""
-    over = inverse(rays)
+    over = invert_components(rays)
     ends = np.where(over > 0, scene.high[:, None], scene.low[:, None]) * over
     axis = ends.argmin(0)
     columns = np.arange(rays.shape[1])
     distance = np.minimum(ends[axis, columns], np.float32(_FAR))
-    surface = np.where(distance < _FAR, 2 * axis + (over[axis, columns] > 0), BEYOND)
+    surface = np.where(distance < _FAR, 2 * axis + (over[axis, columns] > 0), NO_SURFACE)
     place = rays * distance
     glass = _open_windows(scene, surface, place)
     normal = np.zeros_like(rays)
     normal[axis, columns] = -np.sign(rays[axis, columns])
-    number = len(SIDES)
+    number = len(ROOM_SIDES)
     for box in scene.boxes:
-        near, far = slab(box.low, box.high, over)
+        near, far = intersect_box(box.low, box.high, over)
         seen = np.flatnonzero((near < far) & (near > 0) & (near < distance))
         distance[seen], surface[seen] = near[seen], number
         side = np.minimum(box.low[:, None] * over[:, seen], box.high[:, None] * over[:, seen]).argmax(0)
@@ -240,21 +240,21 @@ def cast(scene: Scene, rays: Field) -> Hits:
     return Hits(surface, distance, rays * distance, normal, glass)
 
 
-def _open_windows(scene: Scene, surface: Ids, place: Field) -> Field | None:
+def _open_windows(scene: EnvironmentScene, surface: Ids, place: Field) -> Field | None:
     """Rays that leave through a window go BEYOND: changes `surface`, returns the glass that they pass."""
     if not scene.windows:
         return None
     glass = np.ones_like(place)
     for window in scene.windows:
         on_side = np.flatnonzero(surface == window.side)
-        across, along = (place[axis, on_side] for axis in PLANE[window.side // 2])
-        through = on_side[inside(window, across, along)]
-        surface[through] = BEYOND
+        across, along = (place[axis, on_side] for axis in PLANE_AXES[window.side // 2])
+        through = on_side[lies_in_glass(window, across, along)]
+        surface[through] = NO_SURFACE
         glass[:, through] = window.glass[:, None]
     return glass
 
 
-def inside(window: Window, across: Field, along: Field) -> Mask:
+def lies_in_glass(window: Window, across: Field, along: Field) -> Mask:
     """Whether places on the window's side [N] are in its glass."""
     open_here = np.ones(across.shape, np.bool_)
     for values, low, high, panes in zip((across, along), window.low, window.high, window.bars, strict=True):
@@ -272,8 +272,8 @@ def _crown(crown: Crown, rays: Field, before: Field) -> tuple[Ids, Field]:
     seen = np.flatnonzero((apart < 1) & (middle > 0) & (middle < before + crown.radius))
     depth = np.sqrt(1 - apart[seen])
     turn = np.arctan2(rays[2, seen], rays[0, seen]) * np.float32(0.5 / math.pi) * 3
-    leaves = look_up("leaves", turn + crown.radius, rays[1, seen])
-    clumps = look_up("rough", turn + crown.radius, rays[1, seen])
+    leaves = look_up_noise("leaves", turn + crown.radius, rays[1, seen])
+    clumps = look_up_noise("rough", turn + crown.radius, rays[1, seen])
     dense = 0.6 * leaves + 1.1 * clumps > 1.9 - 4.5 * depth
     near = middle[seen] - crown.radius * depth
     dense &= (near > 0.3) & (near < before[seen])
@@ -290,7 +290,7 @@ def _lamp(lamp: Lamp, rays: Field, before: Field) -> tuple[Ids, Field]:
         normal = np.cross(right, up)
     if normal @ lamp.centre >= 0:  # seen from behind
         return np.zeros(0, np.int64), np.zeros(0, np.float32)
-    distance = float(normal @ lamp.centre) * inverse(normal @ rays)
+    distance = float(normal @ lamp.centre) * invert_components(normal @ rays)
     apart = []
     for axis, half in zip((right, up), lamp.seen_halves, strict=True):
         axis = axis / np.float32(np.linalg.norm(axis) * half)

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, between, chance, log_between, pick, uniforms, whole
+from data_tools.synthetic.draws import Field, between, chance, integer_between, log_between, pick, uniforms
 from data_tools.synthetic.environments.backdrop import open_ground, skyline
 from data_tools.synthetic.environments.patterns import BLACK, direction, vector
-from data_tools.synthetic.environments.scene import Box, Crown, Finish, Scene
+from data_tools.synthetic.environments.scene import Box, Crown, EnvironmentScene, Finish
 from data_tools.synthetic.environments.sky import Sky
 from data_tools.synthetic.stationary.maps import Range
 
@@ -33,13 +33,13 @@ _WALLS: tuple[_Colours, ...] = (  # brick, plaster, concrete, wood
 )
 _HEDGE = Finish(vector(0.05, 0.08, 0.02), vector(0.12, 0.15, 0.05), "leaves", 6)
 
-NATURAL = ("grass", "grass", "grass", "meadow", "meadow", "dirt", "dirt", "sand", "snow", "gravel")
-BUILT = ("asphalt", "asphalt", "concrete", "concrete", "gravel")
+NATURAL_GROUNDS = ("grass", "grass", "grass", "meadow", "meadow", "dirt", "dirt", "sand", "snow", "gravel")
+PAVED_GROUNDS = ("asphalt", "asphalt", "concrete", "concrete", "gravel")
 
 
-def open_scene(
+def draw_open_scene(
     rng: Rng, sky: Sky, grounds: tuple[str, ...], far: tuple[str, ...], height: Range, lit: Field = BLACK
-) -> Scene:
+) -> EnvironmentScene:
     """Level ground to the horizon, and the distance behind it.
 
     Args:
@@ -59,7 +59,7 @@ def open_scene(
     if beyond != "none":
         backdrop = skyline(rng, sky, mean, beyond, log_between(rng, *height), lit)
     low = vector(-np.inf, -between(rng, 1.2, 2.2), -np.inf)
-    return Scene(low, np.full(3, np.inf, np.float32), [ground] * 6, backdrop, closed=0.3)
+    return EnvironmentScene(low, np.full(3, np.inf, np.float32), [ground] * 6, backdrop, closed=0.3)
 
 
 def _between_colours(colours: _Colours, share: float) -> Field:
@@ -67,20 +67,20 @@ def _between_colours(colours: _Colours, share: float) -> Field:
     return dark + (light - dark) * np.float32(share)
 
 
-def wall(rng: Rng) -> Finish:
+def draw_wall_finish(rng: Rng) -> Finish:
     """Brick, plaster, concrete or wood."""
     colour = _between_colours(pick(rng, _WALLS), float(rng.random()))
     pattern = pick(rng, ("rough", "cloud"))
     return Finish(colour, colour * np.float32(between(rng, 0.5, 0.9)), pattern, between(rng, 3, 12))
 
 
-def facade(rng: Rng, lit: Field = BLACK) -> Finish:
+def draw_facade_finish(rng: Rng, lit: Field = BLACK) -> Finish:
     """A wall with rows of windows; `lit` is the radiance [3] of those behind which there is light."""
     glazed = (between(rng, 0.4, 0.9), between(rng, 0.3, 0.95))
-    return wall(rng)._replace(panes=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)), glazed=glazed, lit=lit)
+    return draw_wall_finish(rng)._replace(panes=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)), glazed=glazed, lit=lit)
 
 
-def canyon(rng: Rng, scene: Scene, lit: Field) -> None:
+def add_street_houses(rng: Rng, scene: EnvironmentScene, lit: Field) -> None:
     """Houses on both sides of a street along the z axis."""
     bottom, height = float(scene.low[1]), log_between(rng, 5, 24)
     for sign in (-1, 1):
@@ -90,34 +90,34 @@ def canyon(rng: Rng, scene: Scene, lit: Field) -> None:
         x = sorted((sign * near, sign * (near + 14)))
         while start < 60:
             end, top = start + between(rng, 9, 30), bottom + height * between(rng, 0.6, 1.4)
-            scene.boxes.append(Box(vector(x[0], bottom, start), vector(x[1], top, end), facade(rng, lit)))
+            scene.boxes.append(Box(vector(x[0], bottom, start), vector(x[1], top, end), draw_facade_finish(rng, lit)))
             start = end + (between(rng, 4, 12) if gaps and chance(rng, 0.4) else 0)
         if chance(rng, 0.4):
             for place in range(-2, 3):
                 _tree(rng, scene, sign * (near - 2), place * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
-    vehicles(rng, scene, whole(rng, 0, 6), (2.5, 20), along=True)
+    add_vehicles(rng, scene, integer_between(rng, 0, 6), (2.5, 20), along=True)
     scene.closed = 0.7
 
 
-def ring(rng: Rng, scene: Scene, away: float, lit: Field) -> None:
+def add_surrounding_houses(rng: Rng, scene: EnvironmentScene, away: float, lit: Field) -> None:
     """Houses all around, so many metres away."""
-    bottom, count, height = float(scene.low[1]), whole(rng, 4, 10), away * between(rng, 0.3, 1.0)
+    bottom, count, height = float(scene.low[1]), integer_between(rng, 4, 10), away * between(rng, 0.3, 1.0)
     for place in range(count):
         angle = (place + between(rng, -0.3, 0.3)) * math.tau / count
         centre = direction(0, angle) * np.float32(away * between(rng, 1, 1.6))
         half = vector(*(away * between(rng, 0.12, 0.35) for _ in range(3)))
         low, high = centre - half, centre + half
         low[1], high[1] = bottom, bottom + height * between(rng, 0.4, 1.4)
-        add(scene, Box(low, high, facade(rng, lit)))
-    trees(rng, scene, whole(rng, 0, 6), (6, away))
-    walls(rng, scene, whole(rng, 0, 2))
-    bushes(rng, scene, whole(rng, 0, 3), (4, away))
-    vehicles(rng, scene, whole(rng, 0, 6), (4, away))
+        add_outdoor_box(scene, Box(low, high, draw_facade_finish(rng, lit)))
+    add_trees(rng, scene, integer_between(rng, 0, 6), (6, away))
+    add_garden_walls(rng, scene, integer_between(rng, 0, 2))
+    add_bushes(rng, scene, integer_between(rng, 0, 3), (4, away))
+    add_vehicles(rng, scene, integer_between(rng, 0, 6), (4, away))
 
 
-def yard(rng: Rng, scene: Scene) -> None:
+def add_courtyard_walls(rng: Rng, scene: EnvironmentScene) -> None:
     """Houses or walls close by, on up to four sides."""
-    plain, height, bottom = wall(rng), between(rng, 2.5, 9), float(scene.low[1])
+    plain, height, bottom = draw_wall_finish(rng), between(rng, 2.5, 9), float(scene.low[1])
     for axis, sign in ((0, -1), (0, 1), (2, -1), (2, 1)):
         if chance(rng, 0.15):
             continue
@@ -130,21 +130,23 @@ def yard(rng: Rng, scene: Scene) -> None:
     scene.closed = 0.8
 
 
-def porch(rng: Rng, scene: Scene) -> None:
+def add_porch(rng: Rng, scene: EnvironmentScene) -> None:
     """A roof or a bridge over the eye, on posts, sometimes with a wall."""
-    under, bottom, finish = between(rng, 0.8, 2.5), float(scene.low[1]), wall(rng)
+    under, bottom, finish = between(rng, 0.8, 2.5), float(scene.low[1]), draw_wall_finish(rng)
     wide = 20.0 if chance(rng, 0.3) else 7.0
     x, z = (sorted(log_between(rng, 1.2, wide) * sign for sign in (-1, 1)) for _ in range(2))
     scene.boxes.append(Box(vector(x[0], under, z[0]), vector(x[1], under + 0.3, z[1]), finish))
-    for place in np.linspace(z[0] + 0.2, z[1] - 0.2, whole(rng, 2, 5)).tolist():
+    for place in np.linspace(z[0] + 0.2, z[1] - 0.2, integer_between(rng, 2, 5)).tolist():
         for edge in x if chance(rng, 0.5) else x[:1]:
             low, high = vector(edge - 0.15, bottom, place - 0.15), vector(edge + 0.15, under, place + 0.15)
-            add(scene, Box(low, high, finish))
+            add_outdoor_box(scene, Box(low, high, finish))
     if chance(rng, 0.5):
-        add(scene, Box(vector(x[0] - 0.4, bottom, z[0]), vector(x[0] - 0.1, under, z[1]), wall(rng)))
+        add_outdoor_box(
+            scene, Box(vector(x[0] - 0.4, bottom, z[0]), vector(x[0] - 0.1, under, z[1]), draw_wall_finish(rng))
+        )
 
 
-def vehicles(rng: Rng, scene: Scene, count: int, away: Range, along: bool = False) -> None:
+def add_vehicles(rng: Rng, scene: EnvironmentScene, count: int, away: Range, along: bool = False) -> None:
     """Boxes as large as cars and bins, at a distance from the range, or along the sides of a street."""
     for _ in range(count):
         bright = uniforms(rng, 3) if chance(rng, 0.3) else 1 + uniforms(rng, 3) * np.float32(0.15)
@@ -156,10 +158,10 @@ def vehicles(rng: Rng, scene: Scene, count: int, away: Range, along: bool = Fals
         elif chance(rng, 0.5):
             half = half[[2, 1, 0]]
         centre[1] = scene.low[1] + half[1]
-        add(scene, Box(centre - half, centre + half, Finish(colour, gloss=0.05)))
+        add_outdoor_box(scene, Box(centre - half, centre + half, Finish(colour, gloss=0.05)))
 
 
-def walls(rng: Rng, scene: Scene, count: int) -> None:
+def add_garden_walls(rng: Rng, scene: EnvironmentScene, count: int) -> None:
     """Garden walls, fences, hedges and sheds, straight, at some distance."""
     bottom = float(scene.low[1])
     for _ in range(count):
@@ -172,18 +174,18 @@ def walls(rng: Rng, scene: Scene, count: int) -> None:
         high[1] = bottom + log_between(rng, 0.6, 3.5)
         if chance(rng, 0.5):
             low, high = low[[2, 1, 0]], high[[2, 1, 0]]
-        finish = wall(rng) if chance(rng, 0.7) else _HEDGE
+        finish = draw_wall_finish(rng) if chance(rng, 0.7) else _HEDGE
         if chance(rng, 0.4):
             pattern, size = pick(rng, ("stripes", "patches")), log_between(rng, 0.6, 6)
             finish = finish._replace(other=finish.colour * np.float32(0.2), pattern=pattern, size=size)
-        add(scene, Box(low, high, finish))
+        add_outdoor_box(scene, Box(low, high, finish))
 
 
-def paths(rng: Rng, scene: Scene, count: int) -> None:
+def add_paths(rng: Rng, scene: EnvironmentScene, count: int) -> None:
     """Straight roads, paths or strips of another ground, flat."""
     bottom = float(scene.low[1])
     for _ in range(count):
-        colours = _GROUNDS[pick(rng, (*BUILT, "dirt", "meadow"))]
+        colours = _GROUNDS[pick(rng, (*PAVED_GROUNDS, "dirt", "meadow"))]
         finish = Finish(_between_colours(colours, between(rng, 0, 0.6)), vector(*colours[0]), size=between(rng, 3, 10))
         start, width = between(rng, -15, 12), log_between(rng, 1, 9)
         low, high = vector(start, bottom - 1, -500), vector(start + width, bottom + 0.02, 500)
@@ -192,23 +194,23 @@ def paths(rng: Rng, scene: Scene, count: int) -> None:
         scene.boxes.append(Box(low, high, finish))
 
 
-def trees(rng: Rng, scene: Scene, count: int, away: Range, radius: Range = (1.2, 3.5)) -> None:
+def add_trees(rng: Rng, scene: EnvironmentScene, count: int, away: Range, radius: Range = (1.2, 3.5)) -> None:
     """Trees at distances from the range, with crowns of radii from the range."""
     for _ in range(count):
         x, _, z = (direction(0, between(rng, 0, math.tau)) * np.float32(log_between(rng, *away))).tolist()
         _tree(rng, scene, x, z, between(rng, *radius))
 
 
-def _tree(rng: Rng, scene: Scene, x: float, z: float, radius: float) -> None:
+def _tree(rng: Rng, scene: EnvironmentScene, x: float, z: float, radius: float) -> None:
     radius = min(radius, 0.6 * math.hypot(x, z))
     top = float(scene.low[1]) + radius * between(rng, 1.2, 2.6)
     scene.crowns.append(Crown(vector(x, top, z), radius, _leaves(rng)))
     trunk = vector(0.06, 0, 0.06) * np.float32(1 + radius)
     bark = Finish(vector(0.09, 0.07, 0.05) * np.float32(between(rng, 0.5, 2)))
-    add(scene, Box(vector(x, scene.low[1], z) - trunk, vector(x, top, z) + trunk, bark))
+    add_outdoor_box(scene, Box(vector(x, scene.low[1], z) - trunk, vector(x, top, z) + trunk, bark))
 
 
-def bushes(rng: Rng, scene: Scene, count: int, away: Range) -> None:
+def add_bushes(rng: Rng, scene: EnvironmentScene, count: int, away: Range) -> None:
     """Bushes at distances from the range."""
     for _ in range(count):
         far = log_between(rng, *away)
@@ -222,7 +224,7 @@ def _leaves(rng: Rng) -> Field:
     return vector(between(rng, 0.45, 1.0), 1, between(rng, 0.15, 0.5)) * np.float32(between(rng, 0.05, 0.14))
 
 
-def add(scene: Scene, box: Box) -> None:
+def add_outdoor_box(scene: EnvironmentScene, box: Box) -> None:
     """Put a box there unless the eye would be in it or close by."""
     if (np.maximum(box.low, -box.high)[[0, 2]] > 0.4).any():
         scene.boxes.append(box)

@@ -13,8 +13,15 @@ import numpy as np
 
 from data_tools.draws import Rng
 from data_tools.synthetic.draws import Field, between, chance, log_between, pick
-from data_tools.synthetic.environments.patterns import BLACK, direction, glowing, look_up, rgb, vector
-from data_tools.synthetic.patterns.fields import step
+from data_tools.synthetic.environments.patterns import (
+    BLACK,
+    black_body_rgb,
+    direction,
+    look_up_noise,
+    vector,
+    xyy_to_rgb,
+)
+from data_tools.synthetic.patterns.fields import smoothstep
 
 # Perez' coefficients A to E: of luminance, of very clear air (turbidity 2) and from 5 on (the CIE's clear sky, type
 # 12); of the chromaticities x and y, slope over turbidity and offset (Preetham, Shirley & Smits 1999).
@@ -60,7 +67,7 @@ class Sky:
     radiance: Callable[[Field], Field]
 
 
-def from_sun(sun: Field, rays: Field) -> Field:
+def angles_between(sun: Field, rays: Field) -> Field:
     """Angles [N] in rad between a direction [3] and others [3, N]."""
     return np.arccos(np.clip(sun @ rays, -1, 1))
 
@@ -100,13 +107,15 @@ def clear_sky(sun: Field, turbidity: float) -> Callable[[Field], Field]:
 
     def radiance(rays: Field) -> Field:
         inverse = 1 / np.maximum(rays[1], np.float32(0.02))
-        gamma, values = from_sun(sun, rays), {}
+        gamma, values = angles_between(sun, rays), {}
         nearness = np.cos(gamma)
         for name, (a, b, c, d, e) in perez.items():
             to_zenith = (1 + a * math.exp(b)) * (1 + c * math.exp(d * theta) + e * math.cos(theta) ** 2)
             shape = (1 + a * np.exp(b * inverse)) * (1 + c * np.exp(d * gamma) + e * nearness**2)
             values[name] = shape * (zenith[name] / to_zenith)
-        return rgb(np.maximum(values["Y"], 1e-3), np.clip(values["x"], 0.2, 0.55), np.clip(values["y"], 0.2, 0.5))
+        return xyy_to_rgb(
+            np.maximum(values["Y"], 1e-3), np.clip(values["x"], 0.2, 0.55), np.clip(values["y"], 0.2, 0.5)
+        )
 
     return radiance
 
@@ -120,14 +129,14 @@ def day_sky(rng: Rng, elevation_rad: tuple[float, float] = (0.12, 1.25), clear_s
     halo = sunlight * np.float32(glare / (math.tau * width**2))
 
     def radiance(rays: Field) -> Field:
-        result: Field = behind(rays) + halo[:, None] * np.exp(from_sun(sun, rays) * np.float32(-1 / width))
+        result: Field = behind(rays) + halo[:, None] * np.exp(angles_between(sun, rays) * np.float32(-1 / width))
         return result
 
     sky = Sky(sun, sunlight, radiance)
-    return sky if chance(rng, clear_share) else cloudy(rng, sky, between(rng, 0.05, 0.75))
+    return sky if chance(rng, clear_share) else add_clouds(rng, sky, between(rng, 0.05, 0.75))
 
 
-def cloudy(rng: Rng, sky: Sky, cover: float) -> Sky:
+def add_clouds(rng: Rng, sky: Sky, cover: float) -> Sky:
     """A sky with broken clouds before it, lit by its sun, which they may hide.
 
     Args:
@@ -142,8 +151,8 @@ def cloudy(rng: Rng, sky: Sky, cover: float) -> Sky:
 
     def density(across: Field, along: Field) -> Field:
         u, v = (across * cos + along * sin) / size, (along * cos - across * sin) * (stretch / size)
-        fine = look_up("rough", 2.3 * u + second, 2.3 * v + first)
-        return step(look_up("cloud", u + first, v + second) + np.float32(0.35) * fine, low, low + soft)
+        fine = look_up_noise("rough", 2.3 * u + second, 2.3 * v + first)
+        return smoothstep(look_up_noise("cloud", u + first, v + second) + np.float32(0.35) * fine, low, low + soft)
 
     def above(rays: Field) -> tuple[Field, Field]:
         height = np.maximum(rays[1], 0) + np.float32(0.09)  # the earth is round
@@ -157,7 +166,7 @@ def cloudy(rng: Rng, sky: Sky, cover: float) -> Sky:
         across, along = above(rays)
         here, sunwards = density(across, along), density(across + shift[0], along + shift[1])
         lit = np.exp(-0.8 * depth * np.maximum(sunwards - 0.3 * here, 0))
-        thin, gamma = np.exp(-0.5 * depth * here), from_sun(sky.sun, rays)
+        thin, gamma = np.exp(-0.5 * depth * here), angles_between(sky.sun, rays)
         phase = 0.12 + 0.08 * gamma + 0.5 * thin * np.exp(-4 * gamma)
         cloud = sky.sunlight[:, None] * (phase * (0.25 + 0.75 * lit) * (0.4 + 0.6 * thin))
         cloud += ambient * (0.55 + 0.45 * thin)
@@ -169,11 +178,11 @@ def cloudy(rng: Rng, sky: Sky, cover: float) -> Sky:
     return Sky(sky.sun, sky.sunlight * np.float32(math.exp(-1.5 * depth * in_front)), radiance)
 
 
-def overcast(rng: Rng) -> Sky:
+def overcast_sky(rng: Rng) -> Sky:
     """Closed clouds or fog: no disc, brighter to the zenith (the CIE's overcast sky) or even, and to the sun."""
     sun = direction(between(rng, 0.15, 1.1), between(rng, 0, math.tau))
     zenith = log_between(rng, 1.0, 12.0) * float(sun[1]) ** 0.8
-    colour = glowing(log_between(rng, 5800, 8500))[:, None] * np.float32(zenith)
+    colour = black_body_rgb(log_between(rng, 5800, 8500))[:, None] * np.float32(zenith)
     grade, contrast = pick(rng, (2.0, 2.0, 1.0, 0.2)), between(rng, 0.0, 0.45)
     glow, width = (0.0 if chance(rng, 0.3) else log_between(rng, 0.3, 4.0)), between(rng, 0.2, 0.6)
     size, first, second = log_between(rng, 3, 10), float(rng.random()), float(rng.random())
@@ -181,8 +190,12 @@ def overcast(rng: Rng) -> Sky:
     def radiance(rays: Field) -> Field:
         height = np.maximum(rays[1], 0)
         across, along = (rays[axis] / (height + np.float32(0.15)) / size for axis in (0, 2))
-        clouds = look_up("cloud", across + first, along + second) * (contrast * height / (height + np.float32(0.25)))
-        level = (1 + grade * height) / (1 + grade) * (1 + glow * np.exp(from_sun(sun, rays) * np.float32(-1 / width)))
+        clouds = look_up_noise("cloud", across + first, along + second) * (
+            contrast * height / (height + np.float32(0.25))
+        )
+        level = (
+            (1 + grade * height) / (1 + grade) * (1 + glow * np.exp(angles_between(sun, rays) * np.float32(-1 / width)))
+        )
         result: Field = colour * (level * np.exp(clouds))
         return result
 
@@ -191,8 +204,8 @@ def overcast(rng: Rng) -> Sky:
 
 def night_sky(rng: Rng) -> Sky:
     """The sky over a town at night, brighter at the horizon."""
-    town = glowing(log_between(rng, 2000, 5000))[:, None] * np.float32(log_between(rng, 1e-4, 4e-3))
-    zenith = glowing(log_between(rng, 7000, 16000))[:, None] * np.float32(log_between(rng, 5e-5, 2e-3))
+    town = black_body_rgb(log_between(rng, 2000, 5000))[:, None] * np.float32(log_between(rng, 1e-4, 4e-3))
+    zenith = black_body_rgb(log_between(rng, 7000, 16000))[:, None] * np.float32(log_between(rng, 5e-5, 2e-3))
 
     def radiance(rays: Field) -> Field:
         result: Field = zenith + town * np.exp(np.float32(-5) * np.maximum(rays[1], 0))

@@ -9,8 +9,8 @@ import numpy as np
 
 from data_tools.synthetic.draws import Field
 from data_tools.synthetic.environments.patterns import luminance
-from data_tools.synthetic.environments.scene import PLANE, Backdrop, Lamp, Scene, Window
-from metapp.appearance.latlong import directions, solid_angles
+from data_tools.synthetic.environments.scene import PLANE_AXES, Backdrop, EnvironmentScene, Lamp, Window
+from metapp.appearance.latlong import solid_angles, texel_directions
 
 _WIDEST = 1.5  # m; larger lamps are cut into parts, at most 3 by 3
 _WIDEST_PANE = 2.2  # m; the same of windows
@@ -19,7 +19,7 @@ _GRID = (16, 32)  # directions in which the backdrop is summed up
 _CELLS = (2, 8)  # parts of the sky, in height and around, that cast shadows of their own
 
 
-class Sources(NamedTuple):
+class Emitters(NamedTuple):
     """K points, or directions, that send light.
 
     Attributes:
@@ -42,35 +42,35 @@ class Sources(NamedTuple):
 _Row = tuple[Field, Field, Field, Field, float]
 
 
-def sources(scene: Scene) -> list[Sources]:
+def list_emitters(scene: EnvironmentScene) -> list[Emitters]:
     """All that sends light, but the sun: lamps, and the sky or the windows."""
     rows = [[row for lamp in scene.lamps for row in _lamp(lamp)], _windows(scene) if scene.windows else []]
     found = [_collected(each) for each in rows if each]
-    return found if scene.is_room else [sky_sources(scene.backdrop), *found]
+    return found if scene.is_room else [sky_emitters(scene.backdrop), *found]
 
 
-def _collected(rows: list[_Row]) -> Sources:
+def _collected(rows: list[_Row]) -> Emitters:
     places, normals, power, power_up, areas = (np.array(column, np.float32) for column in zip(*rows, strict=True))
     step = -(-len(rows) // _MOST)
     kept = slice(step // 2, None, step)
     scale = power.sum(0) / np.maximum(power[kept].sum(0), np.float32(1e-9))
-    return Sources(places[kept], normals[kept], power[kept] * scale, power_up[kept] * scale, areas[kept] * step)
+    return Emitters(places[kept], normals[kept], power[kept] * scale, power_up[kept] * scale, areas[kept] * step)
 
 
-def sky_sources(backdrop: Backdrop) -> Sources:
+def sky_emitters(backdrop: Backdrop) -> Emitters:
     """Parts of the view above the horizon, each a direction, in its middle by luminance.
 
     Level ground gets the irradiance of the whole sky.
     """
     (height, width), (bands, around) = _GRID, _CELLS
-    rays = directions(height, width)[:, : height // 2].numpy()
+    rays = texel_directions(height, width)[:, : height // 2].numpy()
     angles = solid_angles(height, width)[: height // 2].numpy()
     light = backdrop.radiance(rays.reshape(3, -1)).reshape(rays.shape) * angles
     cells = (3, bands, height // 2 // bands, around, width // around)
     weights = luminance(light) + np.float32(1e-12)
     places = ((rays * weights).reshape(cells).sum((2, 4)) / weights.reshape(cells[1:]).sum((1, 3))).reshape(3, -1).T
     power = (light * rays[1]).reshape(cells).sum((2, 4)).reshape(3, -1).T / places[:, 1:2]
-    return Sources(places, np.zeros_like(places), power, power, np.ones(len(places), np.float32), far=True)
+    return Emitters(places, np.zeros_like(places), power, power, np.ones(len(places), np.float32), far=True)
 
 
 def _cut(sizes: tuple[float, float], widest: float) -> list[tuple[float, float]]:
@@ -89,14 +89,14 @@ def _lamp(lamp: Lamp) -> list[_Row]:
     return [(lamp.centre + lamp.right * x + lamp.up * y, normal, power, power, area) for x, y in parts]
 
 
-def _windows(scene: Scene) -> list[_Row]:
-    rays = directions(*_GRID).flatten(1).numpy()
+def _windows(scene: EnvironmentScene) -> list[_Row]:
+    rays = texel_directions(*_GRID).flatten(1).numpy()
     angles = solid_angles(*_GRID).expand(*_GRID).flatten().numpy()
     light = scene.backdrop.radiance(rays)
     return [row for window in scene.windows for row in _window(scene, window, rays, light, angles)]
 
 
-def _window(scene: Scene, window: Window, rays: Field, light: Field, angles: Field) -> list[_Row]:
+def _window(scene: EnvironmentScene, window: Window, rays: Field, light: Field, angles: Field) -> list[_Row]:
     """Parts of a window, which send the mean of the view above the horizon downwards, of that below upwards."""
     axis, sign = window.side // 2, 1 if window.side % 2 else -1
     weights = np.maximum(sign * rays[axis], 0) * angles
@@ -112,7 +112,7 @@ def _window(scene: Scene, window: Window, rays: Field, light: Field, angles: Fie
     rows = []
     for x, y in parts:
         place = (scene.high if sign > 0 else scene.low).copy()
-        place[list(PLANE[axis])] = [
+        place[list(PLANE_AXES[axis])] = [
             low + (at + 1) / 2 * size for low, at, size in zip(window.low, (x, y), sizes, strict=True)
         ]
         rows.append((place, normal, above * np.float32(area), below * np.float32(area), area))

@@ -7,14 +7,14 @@ import math
 import numpy as np
 
 from data_tools.synthetic.draws import Field, Ids
-from data_tools.synthetic.environments.patterns import look_up, scrambled
-from data_tools.synthetic.environments.scene import BEYOND, PLANE, Finish, Hits, Mask, Scene
+from data_tools.synthetic.environments.patterns import hash_numbers, look_up_noise
+from data_tools.synthetic.environments.scene import NO_SURFACE, PLANE_AXES, EnvironmentScene, Finish, Hits, Mask
 
 _TEXEL_RAD = 0.03  # about how far rays are apart
 _PANE_ALBEDO, _PANE_GLOSS = np.float32(0.03), np.float32(0.12)  # of a facade's windows
 
 
-def surfaces(scene: Scene, hits: Hits, rays: Field) -> tuple[Field, Field, Field]:
+def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tuple[Field, Field, Field]:
     """Albedo [3, N], the share [N] that is mirrored straight ahead, and radiance of its own [3, N]; 0 beyond."""
     albedo, gloss, glow = np.zeros_like(rays), np.zeros(rays.shape[1], np.float32), np.zeros_like(rays)
     finishes = [*scene.sides, *(box.finish for box in scene.boxes)]
@@ -22,7 +22,7 @@ def surfaces(scene: Scene, hits: Hits, rays: Field) -> tuple[Field, Field, Field
     numbers, starts = np.unique(hits.surface[order], return_index=True)
     for number, members in zip(numbers.tolist(), np.split(order, starts[1:]), strict=True):
         crown, lamp = number - len(finishes), number - len(finishes) - len(scene.crowns)
-        if number == BEYOND:
+        if number == NO_SURFACE:
             continue
         if crown < 0:
             finish = finishes[number]
@@ -31,7 +31,7 @@ def surfaces(scene: Scene, hits: Hits, rays: Field) -> tuple[Field, Field, Field
             glow[:, members] = finish.lit[:, None] * lit
         elif lamp < 0:
             turn = np.arctan2(rays[2, members], rays[0, members]) * np.float32(2 / math.pi)
-            leaves = look_up("rough", turn + scene.crowns[crown].radius, 2 * rays[1, members])
+            leaves = look_up_noise("rough", turn + scene.crowns[crown].radius, 2 * rays[1, members])
             albedo[:, members] = scene.crowns[crown].colour[:, None] * np.exp(np.float32(0.4) * leaves)
         else:
             glow[:, members] = scene.lamps[lamp].seen_radiance[:, None]
@@ -42,7 +42,7 @@ def _finished(finish: Finish, hits: Hits, rays: Field, members: Ids) -> tuple[Fi
     """Albedo [3, M] of one surface's hits, which are windows, and which are lit, both [M]."""
     place, normal = hits.place[:, members], hits.normal[:, members]
     axis, columns = np.abs(normal).argmax(0), np.arange(len(members))
-    across, along = (place[np.array(PLANE)[axis, which], columns] for which in (0, 1))
+    across, along = (place[np.array(PLANE_AXES)[axis, which], columns] for which in (0, 1))
     albedo = np.repeat(finish.colour[:, None], len(members), 1)
     if finish.other is not None:
         facing = np.maximum(np.abs((rays[:, members] * normal).sum(0)), np.float32(0.1))
@@ -57,7 +57,7 @@ def _finished(finish: Finish, hits: Hits, rays: Field, members: Ids) -> tuple[Fi
         *(np.abs(at % 1 - 0.5) / (share / 2) for at, share in zip((row, column), finish.glazed, strict=True))
     )
     panes = (apart < 1) & (axis != 1)
-    lit = panes & (scrambled(np.floor(row) * 1009 + np.floor(column), 0.5) < 0.3)
+    lit = panes & (hash_numbers(np.floor(row) * 1009 + np.floor(column), 0.5) < 0.3)
     return np.where(panes, _PANE_ALBEDO, albedo), panes, lit
 
 
@@ -72,6 +72,6 @@ def _pattern(finish: Finish, across: Field, along: Field) -> Field:
     if finish.pattern == "stripes":
         return (across % 1 > 0.5).astype(np.float32)
     if finish.pattern == "patches":
-        return scrambled(np.floor(8 * across) * 1009 + np.floor(8 * along), 0.5)
-    result = np.clip(np.float32(0.5) + np.float32(0.3) * look_up(finish.pattern, across, along), 0, 1)
+        return hash_numbers(np.floor(8 * across) * 1009 + np.floor(8 * along), 0.5)
+    result = np.clip(np.float32(0.5) + np.float32(0.3) * look_up_noise(finish.pattern, across, along), 0, 1)
     return result

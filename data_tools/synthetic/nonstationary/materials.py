@@ -9,14 +9,14 @@ import numpy as np
 
 from data_tools.draws import Rng
 from data_tools.synthetic.draws import Field, Ids, between, chance, log_between, pick, uniforms
-from data_tools.synthetic.nonstationary.surface import Surface, cloud
+from data_tools.synthetic.nonstationary.surface import PatchSurface, cloud_noise
 from data_tools.synthetic.patterns.cells import isotropic_cells
 from data_tools.synthetic.patterns.fields import band_noise, texel_centres
 from data_tools.synthetic.stationary.families import FAMILIES
-from data_tools.synthetic.stationary.maps import any_colours, flat, palette, shaded
+from data_tools.synthetic.stationary.maps import draw_dye_colours, draw_palette, uniform_colour, vary_albedo
 
 # Reflectance at normal incidence, linear RGB.
-METALS: dict[str, tuple[float, float, float]] = {
+METAL_REFLECTANCES: dict[str, tuple[float, float, float]] = {
     "steel": (0.56, 0.57, 0.58),
     "aluminium": (0.91, 0.92, 0.92),
     "gold": (1.0, 0.77, 0.34),
@@ -28,16 +28,16 @@ METALS: dict[str, tuple[float, float, float]] = {
 }
 _PAINTS = "f2f0ea e8dcc0 c03028 d9a017 2f6f9f 6fa8b8 3f7f4f e07a2f b8bcc0 7a8a90 1c1d20 d8b8b0"
 
-WARM = ("gold", "copper", "brass", "bronze")
-GRAY = ("steel", "aluminium", "titanium", "silver")
+WARM_METALS = ("gold", "copper", "brass", "bronze")
+GRAY_METALS = ("steel", "aluminium", "titanium", "silver")
 
-STONES = ("marble", "granite", "terrazzo", "grain", "marble")
-WOODS = ("wood",)
-CLOTHS = ("weave", "knit", "stripes", "weave")
-GROUNDS = ("gravel", "cracks", "grain", "bricks", "granite", "tiles", "shingles")
+STONE_FAMILIES = ("marble", "granite", "terrazzo", "grain", "marble")
+WOOD_FAMILIES = ("wood",)
+CLOTH_FAMILIES = ("weave", "knit", "stripes", "weave")
+GROUND_FAMILIES = ("gravel", "cracks", "grain", "bricks", "granite", "tiles", "shingles")
 
 
-def piece(rng: Rng, size: int, names: Sequence[str], zoom: tuple[float, float] = (0.5, 1.0)) -> Surface:
+def procedural_piece(rng: Rng, size: int, names: Sequence[str], zoom: tuple[float, float] = (0.5, 1.0)) -> PatchSurface:
     """A piece of one of the procedural materials, at any place and angle, enlarged by up to 1 / zoom."""
     maps = FAMILIES[pick(rng, names)](rng, size)
     share = log_between(rng, *zoom)
@@ -48,9 +48,9 @@ def piece(rng: Rng, size: int, names: Sequence[str], zoom: tuple[float, float] =
         np.concatenate(maps), x * cos - y * sin + between(rng, 0, size), x * sin + y * cos + between(rng, 0, size)
     )
     shown = np.clip(found[4], 0.1, 0.95)
-    # Reflectances are of dielectrics: what is metal is made of `metal`.
+    # Reflectances are of dielectrics: what is metal is made of `bare_metal`.
     specular = np.broadcast_to(np.clip(found[3], 0.03, 0.08), (3, size, size))
-    return Surface(found[:3], specular, shown, (found[5] - found[5].mean()) / np.float32(share))
+    return PatchSurface(found[:3], specular, shown, (found[5] - found[5].mean()) / np.float32(share))
 
 
 def _read(planes: Field, x: Field, y: Field) -> Field:
@@ -66,7 +66,7 @@ def _read(planes: Field, x: Field, y: Field) -> Field:
     return (upper * (1 - fy) + lower * fy).astype(np.float32)
 
 
-def cut_up(rng: Rng, surface: Surface, cell: Ids, total: int) -> Surface:
+def shuffle_cells(rng: Rng, surface: PatchSurface, cell: Ids, total: int) -> PatchSurface:
     """Each cell [S, S] of 0 .. total - 1 shows another part of a surface, half of them turned upside down."""
     size = cell.shape[-1]
     draws = uniforms(rng, 3, total)
@@ -77,18 +77,18 @@ def cut_up(rng: Rng, surface: Surface, cell: Ids, total: int) -> Surface:
     y = np.where(flip, -rows, rows) + (draws[1] * size).astype(np.int64)[cell]
     # Mirrored beyond its borders, as a patch need not repeat.
     i, j = (size - 1 - np.abs(each % (2 * size) - size + (each % (2 * size) < size)) for each in (x, y))
-    return Surface(*(field[..., j, i] for field in surface))
+    return PatchSurface(*(field[..., j, i] for field in surface))
 
 
-def metal(
-    rng: Rng, size: int, names: Sequence[str] = tuple(METALS), roughness: tuple[float, float] = (0.15, 0.5)
-) -> Surface:
+def bare_metal(
+    rng: Rng, size: int, names: Sequence[str] = tuple(METAL_REFLECTANCES), roughness: tuple[float, float] = (0.15, 0.5)
+) -> PatchSurface:
     """A bare metal: polished, brushed, hammered, cast, or spun about a point."""
-    tint = np.array(METALS[pick(rng, names)], np.float32) * np.float32(between(rng, 0.75, 1.0))
+    tint = np.array(METAL_REFLECTANCES[pick(rng, names)], np.float32) * np.float32(between(rng, 0.75, 1.0))
     kind = pick(rng, ("polished", "brushed", "brushed", "hammered", "cast", "spun"))
-    rough, tarnish = between(rng, *roughness), cloud(rng, size, log_between(rng, 1.5, 6), between(rng, 1.2, 2.2))
+    rough, tarnish = between(rng, *roughness), cloud_noise(rng, size, log_between(rng, 1.5, 6), between(rng, 1.2, 2.2))
     shine = rough + 0.05 * tarnish
-    height = 0.03 * cloud(rng, size, 12, 1.0)
+    height = 0.03 * cloud_noise(rng, size, 12, 1.0)
     if kind == "brushed":
         lines = band_noise(rng, size, log_between(rng, 25, 60), 0.7, log_between(rng, 8, 60), between(rng, 0, math.pi))
         height, shine = between(rng, 0.03, 0.12) * lines, shine + 0.05 * lines + 0.05
@@ -96,52 +96,58 @@ def metal(
         dents = isotropic_cells(rng, size, log_between(rng, 4, 11), 0.8)
         height = np.minimum(dents.nearest**2, 0.7) * np.float32(between(rng, 0.4, 1.3))
     elif kind == "cast":
-        lumps = cloud(rng, size, log_between(rng, 10, 30), 0.9)
+        lumps = cloud_noise(rng, size, log_between(rng, 10, 30), 0.9)
         height, shine = between(rng, 0.08, 0.3) * lumps, shine + 0.2 - 0.03 * lumps
     elif kind == "spun":
         x, y = texel_centres(size)
         reach = np.hypot(x - between(rng, -0.2, 1.2), y - between(rng, -0.2, 1.2)) * size / 2
         ring = uniforms(rng, 2 * size)[reach.astype(np.int64)] - 0.5
         height, shine = between(rng, 0.08, 0.25) * ring, shine + 0.12 * ring
-    specular = flat(tint, size) * np.exp(np.float32(-0.06) * np.clip(tarnish, -1, 3))
-    return Surface(flat(tint * np.float32(0.02), size), np.minimum(specular, 1), shine, height)
+    specular = uniform_colour(tint, size) * np.exp(np.float32(-0.06) * np.clip(tarnish, -1, 3))
+    return PatchSurface(uniform_colour(tint * np.float32(0.02), size), np.minimum(specular, 1), shine, height)
 
 
-def paint(rng: Rng, size: int, colour: Field | None = None, roughness: tuple[float, float] = (0.12, 0.6)) -> Surface:
+def paint_coat(
+    rng: Rng, size: int, colour: Field | None = None, roughness: tuple[float, float] = (0.12, 0.6)
+) -> PatchSurface:
     """A coat of paint, lacquer or enamel: smooth, or with the skin of an orange, or brushed on."""
     tint = colour
     if tint is None:
-        tint = any_colours(rng, 1)[0] if chance(rng, 0.3) else palette(rng, _PAINTS, 1, 0.1)[0]
-    bumps = cloud(rng, size, log_between(rng, 8, 25), 2.0)
+        tint = draw_dye_colours(rng, 1)[0] if chance(rng, 0.3) else draw_palette(rng, _PAINTS, 1, 0.1)[0]
+    bumps = cloud_noise(rng, size, log_between(rng, 8, 25), 2.0)
     if chance(rng, 0.25):
         bumps = bumps + 2 * band_noise(rng, size, log_between(rng, 15, 40), 0.5, 12, between(rng, 0, math.pi))
-    worn = cloud(rng, size, log_between(rng, 1.2, 4), 1.8)
-    diffuse = shaded(flat(np.clip(tint, 0.02, 0.8), size), worn, between(rng, 0.01, 0.08))
+    worn = cloud_noise(rng, size, log_between(rng, 1.2, 4), 1.8)
+    diffuse = vary_albedo(uniform_colour(np.clip(tint, 0.02, 0.8), size), worn, between(rng, 0.01, 0.08))
     specular = np.full((3, size, size), between(rng, 0.035, 0.06), np.float32)
-    return Surface(diffuse, specular, between(rng, *roughness) + 0.04 * worn, between(rng, 0.01, 0.15) * bumps)
+    return PatchSurface(diffuse, specular, between(rng, *roughness) + 0.04 * worn, between(rng, 0.01, 0.15) * bumps)
 
 
-def plain(rng: Rng, size: int, hexes: str, roughness: tuple[float, float], relief: float = 0.1) -> Surface:
+def plain_material(
+    rng: Rng, size: int, hexes: str, roughness: tuple[float, float], relief: float = 0.1
+) -> PatchSurface:
     """Something of one colour about that of a palette, matt or shiny, of a relief in texels: earth, dust, mortar."""
-    fine, broad = cloud(rng, size, 20, 0.8), cloud(rng, size, log_between(rng, 1.5, 5), 1.6)
-    diffuse = shaded(flat(palette(rng, hexes, 1, 0.05)[0], size), 0.7 * fine + 0.7 * broad, between(rng, 0.05, 0.2))
+    fine, broad = cloud_noise(rng, size, 20, 0.8), cloud_noise(rng, size, log_between(rng, 1.5, 5), 1.6)
+    diffuse = vary_albedo(
+        uniform_colour(draw_palette(rng, hexes, 1, 0.05)[0], size), 0.7 * fine + 0.7 * broad, between(rng, 0.05, 0.2)
+    )
     specular = np.full((3, size, size), between(rng, 0.03, 0.05), np.float32)
     rough = between(rng, *roughness) + 0.03 * fine + 0.03 * broad
-    return Surface(diffuse, specular, rough, relief * (0.7 * fine + broad))
+    return PatchSurface(diffuse, specular, rough, relief * (0.7 * fine + broad))
 
 
-def polished(surface: Surface, roughness: float, flatness: float = 1.0) -> Surface:
+def varnish_surface(surface: PatchSurface, roughness: float, flatness: float = 1.0) -> PatchSurface:
     """The same under a clear varnish of some roughness, its relief filled up by a share."""
     rough = np.full_like(surface.roughness, roughness) + 0.25 * (surface.roughness - surface.roughness.mean())
     return surface._replace(roughness=rough, height=surface.height * np.float32(1 - flatness))
 
 
-def solid(rng: Rng, size: int) -> Surface:
+def hard_material(rng: Rng, size: int) -> PatchSurface:
     """Any hard material, a metal in one of three."""
     kind = pick(rng, ("metal", "metal", "stone", "stone", "wood", "paint"))
     if kind == "metal":
-        return metal(rng, size)
+        return bare_metal(rng, size)
     if kind == "paint":
-        return paint(rng, size)
-    found = piece(rng, size, STONES if kind == "stone" else WOODS)
-    return polished(found, between(rng, 0.12, 0.5), between(rng, 0, 0.9)) if chance(rng, 0.5) else found
+        return paint_coat(rng, size)
+    found = procedural_piece(rng, size, STONE_FAMILIES if kind == "stone" else WOOD_FAMILIES)
+    return varnish_surface(found, between(rng, 0.12, 0.5), between(rng, 0, 0.9)) if chance(rng, 0.5) else found

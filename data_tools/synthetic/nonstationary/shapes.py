@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, Ids, between, chance, log_between, pick, uniforms, whole
+from data_tools.synthetic.draws import Field, Ids, between, chance, integer_between, log_between, pick, uniforms
 from data_tools.synthetic.patterns.fields import texel_centres
 
 # Strokes of capital letters and digits over the keys of a number pad, 7 8 9 on top.
@@ -23,49 +23,51 @@ _LETTERS = (
 _GLYPHS = tuple(_LETTERS.split())
 
 
-class Place(NamedTuple):
+class PatchCoordinates(NamedTuple):
     """Coordinates x and y [S, S], whose unit is so many texels long."""
 
     x: Field
     y: Field
     unit: float
 
-    def moved(self, x: float, y: float, angle_rad: float = 0.0, zoom: float = 1.0) -> Place:
+    def moved(self, x: float, y: float, angle_rad: float = 0.0, zoom: float = 1.0) -> PatchCoordinates:
         """The place whose origin lies at (x, y) here, turned by an angle, its unit `zoom` of the units here."""
         cos, sin = math.cos(angle_rad) / zoom, math.sin(angle_rad) / zoom
         dx, dy = self.x - np.float32(x), self.y - np.float32(y)
-        return Place(dx * cos + dy * sin, dy * cos - dx * sin, self.unit * zoom)
+        return PatchCoordinates(dx * cos + dy * sin, dy * cos - dx * sin, self.unit * zoom)
 
 
-def centred(size: int) -> Place:
+def patch_coordinates(size: int) -> PatchCoordinates:
     """The patch itself: from -1 to 1, y downwards."""
     x, y = texel_centres(size)
-    return Place(2 * x - 1, 2 * y - 1, size / 2)
+    return PatchCoordinates(2 * x - 1, 2 * y - 1, size / 2)
 
 
-def anywhere(rng: Rng, size: int, reach: float = 0.6, upright: float = 0.3, zoom: float = 1.0) -> Place:
+def random_coordinates(
+    rng: Rng, size: int, reach: float = 0.6, upright: float = 0.3, zoom: float = 1.0
+) -> PatchCoordinates:
     """A place about the patch's middle or up to `reach` half sides from it, at any angle but in `upright` of draws."""
     angle = pick(rng, (0.0, math.pi / 2, -math.pi / 2, math.pi)) if chance(rng, upright) else between(rng, 0, math.tau)
-    return centred(size).moved(between(rng, -reach, reach), between(rng, -reach, reach), angle, zoom)
+    return patch_coordinates(size).moved(between(rng, -reach, reach), between(rng, -reach, reach), angle, zoom)
 
 
-def disc(place: Place, radius: float) -> Field:
+def disc_distance(place: PatchCoordinates, radius: float) -> Field:
     """A disc about the origin."""
     return radius - np.hypot(place.x, place.y)
 
 
-def box(place: Place, half_width: float, half_height: float, corner: float = 0.0) -> Field:
+def box_distance(place: PatchCoordinates, half_width: float, half_height: float, corner: float = 0.0) -> Field:
     """A rectangle about the origin, its corners rounded."""
     dx, dy = np.abs(place.x) - (half_width - corner), np.abs(place.y) - (half_height - corner)
     return corner - np.hypot(np.maximum(dx, 0), np.maximum(dy, 0)) - np.minimum(np.maximum(dx, dy), 0)
 
 
-def outline(inside: Field, half_width: float) -> Field:
+def outline_distance(inside: Field, half_width: float) -> Field:
     """A band on both sides of an outline."""
     return half_width - np.abs(inside)
 
 
-def segment(place: Place, start: tuple[float, float], end: tuple[float, float]) -> Field:
+def segment_distance(place: PatchCoordinates, start: tuple[float, float], end: tuple[float, float]) -> Field:
     """Distance to a straight line between two points, >= 0 everywhere."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     px, py = place.x - np.float32(start[0]), place.y - np.float32(start[1])
@@ -73,7 +75,7 @@ def segment(place: Place, start: tuple[float, float], end: tuple[float, float]) 
     return np.hypot(px - along * dx, py - along * dy)
 
 
-def star(place: Place, points: int, radius: float, depth: float, round_off: float = 0.0) -> Field:
+def star_distance(place: PatchCoordinates, points: int, radius: float, depth: float, round_off: float = 0.0) -> Field:
     """A star (depth up to 0.7), a polygon (depth 0) or a flower (round_off 1) of so many points; about its distance."""
     angle, reach = np.arctan2(place.y, place.x), np.hypot(place.x, place.y)
     turn = np.abs(((angle * points / math.tau) % 1) - 0.5) * 2  # 0 at a point, 1 between two
@@ -87,45 +89,59 @@ def star(place: Place, points: int, radius: float, depth: float, round_off: floa
     return straight + (petal - straight) * np.float32(round_off)
 
 
-def motif(rng: Rng, place: Place) -> Field:
+def motif_distance(rng: Rng, place: PatchCoordinates) -> Field:
     """One of many ornaments within about a unit of the origin: distance, positive inside."""
     kind = pick(rng, ("rosette", "rosette", "star", "rings", "letter", "letter", "lozenges", "spiral", "cross"))
     if kind == "letter":
-        return letter(place.moved(0, 0, 0, 0.8), whole(rng, 0, len(_GLYPHS) - 1), between(rng, 0.12, 0.3)) * 0.8
+        return (
+            letter_distance(
+                place.moved(0, 0, 0, 0.8), integer_between(rng, 0, len(_GLYPHS) - 1), between(rng, 0.12, 0.3)
+            )
+            * 0.8
+        )
     if kind == "spiral":
         turns, reach = between(rng, 2.0, 3.5), np.hypot(place.x, place.y)
         arm = (reach * turns - np.arctan2(place.y, place.x) / math.tau) % 1
         result: Field = np.minimum((between(rng, 0.2, 0.32) - np.abs(arm - 0.5)) / turns, 1 - reach)
         return result
     if kind == "cross":
-        arms = np.maximum(box(place, 0.95, between(rng, 0.12, 0.3)), box(place, between(rng, 0.12, 0.3), 0.95))
-        return np.maximum(arms, outline(disc(place, 0.6), 0.1)) if chance(rng, 0.6) else arms
+        arms = np.maximum(
+            box_distance(place, 0.95, between(rng, 0.12, 0.3)), box_distance(place, between(rng, 0.12, 0.3), 0.95)
+        )
+        return np.maximum(arms, outline_distance(disc_distance(place, 0.6), 0.1)) if chance(rng, 0.6) else arms
     if kind == "lozenges":
         rhombs = [0.5 - np.abs(place.x - np.float32(0.5 * i)) * 1.2 - np.abs(place.y) * 0.7 for i in (-1, 0, 1)]
         result = np.maximum.reduce(rhombs) / 1.4
         return result
     if kind == "rings":
         radius = between(rng, 0.3, 0.6)
-        return np.maximum(outline(disc(place, 0.85), 0.1), outline(disc(place, radius), between(rng, 0.05, 0.18)))
-    points, depth = whole(rng, 4, 12), between(rng, 0.25, 0.6)
-    body = star(place, points, 0.95, depth, float(kind == "rosette"))
+        return np.maximum(
+            outline_distance(disc_distance(place, 0.85), 0.1),
+            outline_distance(disc_distance(place, radius), between(rng, 0.05, 0.18)),
+        )
+    points, depth = integer_between(rng, 4, 12), between(rng, 0.25, 0.6)
+    body = star_distance(place, points, 0.95, depth, float(kind == "rosette"))
     if chance(rng, 0.6):  # a ring let in, and a heart
         radius = between(rng, 0.2, 0.35)
-        body = np.maximum(np.minimum(body, np.abs(disc(place, radius)) - 0.05), disc(place, radius * 0.6))
+        body = np.maximum(
+            np.minimum(body, np.abs(disc_distance(place, radius)) - 0.05), disc_distance(place, radius * 0.6)
+        )
     return body
 
 
-def letter(place: Place, number: int, half_width: float = 0.15) -> Field:
+def letter_distance(place: PatchCoordinates, number: int, half_width: float = 0.15) -> Field:
     """A capital letter within about a unit of the origin, its lines so wide."""
     nearest = np.full(place.x.shape, 9, np.float32)
     for line in _GLYPHS[number % len(_GLYPHS)].split(","):
         points = [((int(key) - 1) % 3 * 0.6 - 0.6, 0.9 - (int(key) - 1) // 3 * 0.9) for key in line]
         for start, end in itertools.pairwise(points):
-            nearest = np.minimum(nearest, segment(place, start, end))
+            nearest = np.minimum(nearest, segment_distance(place, start, end))
     return half_width - nearest
 
 
-def text(rng: Rng, place: Place, half_width: float, half_height: float, rows: float, weight: float = 0.15) -> Field:
+def text_distance(
+    rng: Rng, place: PatchCoordinates, half_width: float, half_height: float, rows: float, weight: float = 0.15
+) -> Field:
     """Ragged lines of letters in a box about the origin.
 
     Args:
@@ -139,8 +155,8 @@ def text(rng: Rng, place: Place, half_width: float, half_height: float, rows: fl
     pitch = 2 * half_height / rows
     row = np.floor((place.y + half_height) / pitch)
     column = np.floor((place.x + half_width) / (pitch * 0.6))
-    kinds = whole(rng, 6, 12)
-    start = whole(rng, 0, len(_GLYPHS) - 1)
+    kinds = integer_between(rng, 6, 12)
+    start = integer_between(rng, 0, len(_GLYPHS) - 1)
     count = max(1, int(2 * half_width / (pitch * 0.6)))
     lines = max(1, int(rows))
     lengths = (count * (1 - between(rng, 0, 0.6) * uniforms(rng, lines))).astype(np.int64)
@@ -154,11 +170,11 @@ def text(rng: Rng, place: Place, half_width: float, half_height: float, rows: fl
     inside = np.full(place.x.shape, -1, np.float32)
     for number in range(kinds):
         here = which == number
-        inside[here] = letter(Place(px[here], py[here], 1), start + number, weight)
+        inside[here] = letter_distance(PatchCoordinates(px[here], py[here], 1), start + number, weight)
     return inside * np.float32(scale)
 
 
-class Grid(NamedTuple):
+class PanelGrid(NamedTuple):
     """Panels in rows.
 
     Attributes:
@@ -178,20 +194,24 @@ class Grid(NamedTuple):
     total: int
 
 
-def grid(place: Place, width: float, height: float, shift: float = 0.0, corner: float = 0.0) -> Grid:
+def panel_grid(
+    place: PatchCoordinates, width: float, height: float, shift: float = 0.0, corner: float = 0.0
+) -> PanelGrid:
     """Panels of this width and height all over, each row shifted against the one before by a share of the width."""
     row = np.floor(place.y / height).astype(np.int64)
     along = place.x / width + np.float32(shift) * row
     column = np.floor(along).astype(np.int64)
     u = ((along - column - 0.5) * width).astype(np.float32)
     v = ((place.y / height - row - 0.5) * height).astype(np.float32)
-    inside = box(Place(u, v, place.unit), width / 2, height / 2, corner)
+    inside = box_distance(PatchCoordinates(u, v, place.unit), width / 2, height / 2, corner)
     i, j = column - column.min(), row - row.min()
     wide = int(i.max()) + 1
-    return Grid(column, row, u, v, inside, j * wide + i, wide * (int(j.max()) + 1))
+    return PanelGrid(column, row, u, v, inside, j * wide + i, wide * (int(j.max()) + 1))
 
 
-def random_grid(rng: Rng, place: Place, width: tuple[float, float], aspect: tuple[float, float]) -> Grid:
+def random_panel_grid(
+    rng: Rng, place: PatchCoordinates, width: tuple[float, float], aspect: tuple[float, float]
+) -> PanelGrid:
     """A grid in one of the common bonds, its origin anywhere."""
     wide = log_between(rng, *width)
-    return grid(place, wide, wide / log_between(rng, *aspect), pick(rng, (0.0, 0.0, 0.5, 0.33)))
+    return panel_grid(place, wide, wide / log_between(rng, *aspect), pick(rng, (0.0, 0.0, 0.5, 0.33)))

@@ -13,7 +13,7 @@ from data_tools.synthetic.draws import Field, Ids, uniforms
 from data_tools.synthetic.patterns.fields import texel_centres
 
 
-class Lattice:
+class CellLattice:
     """Rows of cells that repeat after one tile, whatever their angle.
 
     The vectors that turn tile coordinates into columns and rows are whole numbers: one tile further is a whole number
@@ -105,7 +105,7 @@ def _whole_vectors(
     return found
 
 
-class Worley(NamedTuple):
+class WorleyNoise(NamedTuple):
     """Distances to the feature points of cells, in widths of a mean cell.
 
     Attributes:
@@ -126,7 +126,7 @@ class Worley(NamedTuple):
     across_y: Field
 
 
-def worley(rng: Rng, lattice: Lattice, jitter: float = 0.85) -> Worley:
+def worley_noise(rng: Rng, lattice: CellLattice, jitter: float = 0.85) -> WorleyNoise:
     """Worley noise with one feature point in each cell of a lattice.
 
     Args:
@@ -156,22 +156,22 @@ def worley(rng: Rng, lattice: Lattice, jitter: float = 0.85) -> Worley:
         cell = np.where(nearer, identity, cell)
     apart = np.hypot(far[0] - near[0], far[1] - near[1])
     edge = (second - first) / np.maximum(2 * apart, np.float32(1e-6))
-    return Worley(np.sqrt(first), np.sqrt(second), edge, cell, lattice.count, -near[0], -near[1])
+    return WorleyNoise(np.sqrt(first), np.sqrt(second), edge, cell, lattice.count, -near[0], -near[1])
 
 
 def isotropic_cells(
     rng: Rng, size: int, cells: float, jitter: float = 0.85, warp: tuple[Field, Field] | None = None, aspect: float = 1
-) -> Worley:
+) -> WorleyNoise:
     """Worley noise of about `cells` cells per tile side, on a lattice at a random angle.
 
     Args:
         rng: of angle and points.
         size: S.
         cells: per tile side.
-        jitter: as for `worley`.
+        jitter: as for `worley_noise`.
         warp: displacement [S, S] along and across, in cells.
         aspect: length of a cell over its width.
     """
     stretch = math.sqrt(aspect)
-    lattice = Lattice(size, cells / stretch, cells * stretch, float(rng.random()) * math.pi, warp=warp)
-    return worley(rng, lattice, jitter)
+    lattice = CellLattice(size, cells / stretch, cells * stretch, float(rng.random()) * math.pi, warp=warp)
+    return worley_noise(rng, lattice, jitter)

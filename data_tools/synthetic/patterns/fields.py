@@ -90,7 +90,7 @@ def fbm(
     return _shaped_noise(rng, size, low_cut * (1 + radius**2) ** np.float32(-slope / 2))
 
 
-def wobble(rng: Rng, size: int, frequency: float, amount: float) -> tuple[Field, Field]:
+def smooth_displacement(rng: Rng, size: int, frequency: float, amount: float) -> tuple[Field, Field]:
     """A smooth displacement along and across, two fields [S, S] of standard deviation `amount`."""
     along, across = fbm(rng, size, frequency, 3.2), fbm(rng, size, frequency, 3.2)
     return along * np.float32(amount), across * np.float32(amount)
@@ -102,13 +102,13 @@ def ridges(field: Field, width: float) -> Field:
     return result
 
 
-def share_below(field: Field) -> Field:
+def normal_to_uniform(field: Field) -> Field:
     """A noise of variance 1 mapped to (0, 1), roughly evenly (the logistic nearest to the normal distribution)."""
     result: Field = 1 / (1 + np.exp(np.float32(-1.702) * np.clip(field, -8, 8)))
     return result
 
 
-def step(field: Field, low: float | Field, high: float | Field) -> Field:
+def smoothstep(field: Field, low: float | Field, high: float | Field) -> Field:
     """0 below low, 1 above high, smooth between; falling if high < low."""
     t = np.clip((field - low) / (high - low), 0, 1).astype(np.float32)
     return t * t * (3 - 2 * t)
@@ -119,7 +119,7 @@ def mix(first: Field, second: Field, weight: Field | float) -> Field:
     return first + (second - first) * np.asarray(weight, dtype=np.float32)
 
 
-def blur(field: Field, sigma: float) -> Field:
+def blur_periodic(field: Field, sigma: float) -> Field:
     """A Gaussian blur, sigma in tiles."""
     size = field.shape[-1]
     fx, fy = _frequencies(size)
@@ -127,14 +127,14 @@ def blur(field: Field, sigma: float) -> Field:
     return np.fft.irfft2(np.fft.rfft2(field) * kernel, s=(size, size)).astype(np.float32)
 
 
-def slopes(height: Field) -> tuple[Field, Field]:
+def height_slopes(height: Field) -> tuple[Field, Field]:
     """Slope of a height [S, S] along x and y, by periodic central differences; height in texels gives true slopes."""
     along_x = (np.roll(height, -1, 1) - np.roll(height, 1, 1)) / 2
     along_y = (np.roll(height, -1, 0) - np.roll(height, 1, 0)) / 2
     return along_x, along_y
 
 
-def ramp(values: Field, colours: Field) -> Field:
+def colour_ramp(values: Field, colours: Field) -> Field:
     """Colours [K, 3], K >= 1, spread over [0, 1] and interpolated at values [S, S]: [3, S, S]."""
     places = np.clip(values, 0, 1) * (len(colours) - 1)
     lower = np.minimum(places.astype(np.int64), max(len(colours) - 2, 0))

@@ -37,7 +37,7 @@ class Strokes(NamedTuple):
         return np.where(self.stroke >= 0, values[self.stroke], 0).astype(np.float32)
 
 
-def strokes(
+def scatter_strokes(
     rng: Rng,
     size: int,
     count: int,

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Literal
 
-from data_tools.draws import Rng, stream
+from data_tools.draws import Rng, random_stream
 from data_tools.synthetic.stationary.built import bricks, metal, shingles, tiles, wood
-from data_tools.synthetic.stationary.maps import Maps as Maps
+from data_tools.synthetic.stationary.maps import PeriodicMaps
 from data_tools.synthetic.stationary.nature import camouflage, dots, foliage, grass, rust
 from data_tools.synthetic.stationary.stone import cracks, grain, granite, gravel, marble, terrazzo
 from data_tools.synthetic.stationary.textile import knit, leather, stripes, weave
 
 Split = Literal["train", "test"]
-Family = Callable[[Rng, int], Maps]
+Family = Callable[[Rng, int], PeriodicMaps]
 
 FAMILIES: dict[str, Family] = {
     "bricks": bricks,
@@ -42,7 +42,7 @@ FAMILIES: dict[str, Family] = {
 }
 
 
-def turns(
+def split_draws(
     noun: str, families: Iterable[str], counts: Mapping[Split, int], split: Split, count: int, seed: int, *more: int
 ) -> Iterator[tuple[str, str, Rng]]:
     """The draws of one split of an embedded set, whose families take turns.
@@ -71,4 +71,4 @@ def turns(
     for index in range(count):
         turn, place = divmod(index, len(names))
         name = f"{names[place]}-{'t' if split == 'test' else ''}{index:03d}"
-        yield names[place], name, stream(seed, list(counts).index(split), place, turn, *more)
+        yield names[place], name, random_stream(seed, list(counts).index(split), place, turn, *more)

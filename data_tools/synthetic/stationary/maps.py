@@ -9,12 +9,12 @@ import numpy as np
 
 from data_tools.draws import Rng
 from data_tools.synthetic.draws import Field, between, chance, log_between
-from data_tools.synthetic.patterns.fields import slopes
+from data_tools.synthetic.patterns.fields import height_slopes
 
 Range = tuple[float, float]
 
 
-class Maps(NamedTuple):
+class PeriodicMaps(NamedTuple):
     """A stationary, periodic material, all float32.
 
     Attributes:
@@ -30,14 +30,14 @@ class Maps(NamedTuple):
     height: Field
 
 
-def material(
+def assemble_maps(
     rng: Rng,
     diffuse: Field,
     height: Field,
     slope: Range,
     specular: Field | Range = (0.03, 0.06),
     roughness: Field | Range = (0.5, 0.95),
-) -> Maps:
+) -> PeriodicMaps:
     """Put a material together.
 
     Args:
@@ -48,7 +48,7 @@ def material(
         specular: F0 [S, S], or the range of a constant.
         roughness: [S, S], or the range of a constant.
     """
-    along_x, along_y = slopes(height)
+    along_x, along_y = height_slopes(height)
     steepness = float(np.sqrt((along_x**2 + along_y**2).mean()))
     height = (height - height.mean()) * np.float32(log_between(rng, *slope) / max(steepness, 1e-9))
 
@@ -57,7 +57,7 @@ def material(
             values = np.full(height.shape, between(rng, *values), np.float32)
         return np.clip(values, low, high)[None].astype(np.float32)
 
-    return Maps(
+    return PeriodicMaps(
         np.clip(diffuse, 0.01, 0.95).astype(np.float32),
         plane(specular, 0.02, 0.9),
         plane(roughness, 0.05, 1.0),
@@ -65,7 +65,7 @@ def material(
     )
 
 
-def palette(rng: Rng, hexes: str, count: int, strange: float = 0.25) -> Field:
+def draw_palette(rng: Rng, hexes: str, count: int, strange: float = 0.25) -> Field:
     """Colours that go together: some of the given ones, moved together in hue, saturation and lightness.
 
     Args:
@@ -93,7 +93,7 @@ def palette(rng: Rng, hexes: str, count: int, strange: float = 0.25) -> Field:
     return np.array(colours, np.float32)
 
 
-def any_colours(rng: Rng, count: int, saturation: Range = (0.2, 0.95)) -> Field:
+def draw_dye_colours(rng: Rng, count: int, saturation: Range = (0.2, 0.95)) -> Field:
     """Colours of any hue, as dyes and paints have: linear RGB [count, 3], neighbours unlike in lightness or hue."""
     hue, spread = float(rng.random()), between(rng, 0.0, 0.5)
     values = np.linspace(between(rng, 0.1, 0.5), between(rng, 0.65, 1.0), count)
@@ -106,12 +106,12 @@ def any_colours(rng: Rng, count: int, saturation: Range = (0.2, 0.95)) -> Field:
     return np.array(colours, np.float32)
 
 
-def flat(colour: Field, size: int) -> Field:
+def uniform_colour(colour: Field, size: int) -> Field:
     """One colour [3] everywhere: [3, S, S]."""
     return np.broadcast_to(colour[:, None, None], (3, size, size)).astype(np.float32)
 
 
-def shaded(diffuse: Field, field: Field, amount: float) -> Field:
+def vary_albedo(diffuse: Field, field: Field, amount: float) -> Field:
     """An albedo made lighter and darker by a field of variance 1; amount 0.1 is barely, 0.5 strongly visible."""
     result: Field = diffuse * np.exp(np.float32(amount) * np.clip(field, -3, 3))
     return result

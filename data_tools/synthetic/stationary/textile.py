@@ -7,10 +7,26 @@ import math
 import numpy as np
 
 from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, Ids, between, chance, log_between, pick, uniforms, whole
-from data_tools.synthetic.patterns.cells import Lattice, isotropic_cells
-from data_tools.synthetic.patterns.fields import band_noise, fbm, mix, ramp, ridges, share_below, step, wobble
-from data_tools.synthetic.stationary.maps import Maps, any_colours, flat, material, palette, shaded
+from data_tools.synthetic.draws import Field, Ids, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.synthetic.patterns.cells import CellLattice, isotropic_cells
+from data_tools.synthetic.patterns.fields import (
+    band_noise,
+    colour_ramp,
+    fbm,
+    mix,
+    normal_to_uniform,
+    ridges,
+    smooth_displacement,
+    smoothstep,
+)
+from data_tools.synthetic.stationary.maps import (
+    PeriodicMaps,
+    assemble_maps,
+    draw_dye_colours,
+    draw_palette,
+    uniform_colour,
+    vary_albedo,
+)
 
 _CLOTHS = "24365c 3b5998 8c2f39 c8b89a e9e4d8 2b2b2b 5e6b4a 7b4b2a a67c52 9a9a9a d4a017 61304b 1f4e4a"
 
@@ -21,25 +37,25 @@ _DRAFTS: tuple[tuple[str, int], ...] = (
 
 
 def _dyes(rng: Rng, count: int) -> Field:
-    return any_colours(rng, count) if chance(rng, 0.4) else palette(rng, _CLOTHS, count, 0.3)
+    return draw_dye_colours(rng, count) if chance(rng, 0.4) else draw_palette(rng, _CLOTHS, count, 0.3)
 
 
 def _sequence(rng: Rng, period: int, colours: int) -> Ids:
     """Which of the colours each yarn of a repeat has: bands of one or more yarns."""
     places: list[int] = []
     while len(places) < period:
-        places += [whole(rng, 0, colours - 1)] * whole(rng, 1, max(1, period // 2))
+        places += [integer_between(rng, 0, colours - 1)] * integer_between(rng, 1, max(1, period // 2))
     return np.array(places[:period], np.int64)
 
 
-def weave(rng: Rng, size: int) -> Maps:
+def weave(rng: Rng, size: int) -> PeriodicMaps:
     """Plain weaves, baskets, twills, denim, satin, herringbone, checks."""
     draft, shift = pick(rng, _DRAFTS)
     yarns = log_between(rng, 12, 48)
     repeat = len(draft) * (pick(rng, (1, 1, 2, 4)) if yarns > 24 else 1)
     angle = between(rng, 0, math.pi) if repeat <= 6 else pick(rng, (0.0, math.pi / 4, math.pi / 2))
-    bend = wobble(rng, size, 6, between(rng, 0.0, 0.005) * yarns)
-    lattice = Lattice(size, yarns, yarns * log_between(rng, 0.7, 1.4), angle, 0, repeat, repeat, bend)
+    bend = smooth_displacement(rng, size, 6, between(rng, 0.0, 0.005) * yarns)
+    lattice = CellLattice(size, yarns, yarns * log_between(rng, 0.7, 1.4), angle, 0, repeat, repeat, bend)
     column, row = lattice.column, lattice.row
     if len(draft) > 2 and chance(rng, 0.3) and repeat % (2 * len(draft)) == 0:  # herringbone
         turned = row % (2 * len(draft)) >= len(draft)
@@ -60,19 +76,19 @@ def weave(rng: Rng, size: int) -> Maps:
         index = np.where(over, of_warp[column % repeat], of_weft[row % repeat])
         colour = np.moveaxis(dyes[index], -1, 0)
     uneven = np.where(over, uniforms(rng, repeat)[column % repeat], uniforms(rng, repeat)[row % repeat])
-    colour = shaded(colour, 2 * uneven - 1 + 0.5 * fbm(rng, size, yarns, 0.8), between(rng, 0.05, 0.3))
-    gaps = step(np.where(over, warp_round, weft_round), 0.0, between(rng, 0.1, 0.6))
+    colour = vary_albedo(colour, 2 * uneven - 1 + 0.5 * fbm(rng, size, yarns, 0.8), between(rng, 0.05, 0.3))
+    gaps = smoothstep(np.where(over, warp_round, weft_round), 0.0, between(rng, 0.1, 0.6))
     colour = colour * (np.float32(between(rng, 0.25, 0.7)) * (1 - gaps) + gaps)
-    return material(rng, colour, height, (0.15, 0.6), (0.03, 0.06), (0.6, 1))
+    return assemble_maps(rng, colour, height, (0.15, 0.6), (0.03, 0.06), (0.6, 1))
 
 
-def knit(rng: Rng, size: int) -> Maps:
+def knit(rng: Rng, size: int) -> PeriodicMaps:
     """Stockinette, ribs, with stripes or a motif in it."""
     columns = log_between(rng, 8, 24)
     motif = pick(rng, (1, 1, 2, 4, 6))
     angle = between(rng, 0, math.pi) if motif < 4 else pick(rng, (0.0, math.pi / 2, math.pi / 4))
-    bend = wobble(rng, size, 8, between(rng, 0, 0.004) * columns)
-    lattice = Lattice(size, columns, columns * between(rng, 1.0, 1.5), angle, 0, motif, motif, bend)
+    bend = smooth_displacement(rng, size, 8, between(rng, 0, 0.004) * columns)
+    lattice = CellLattice(size, columns, columns * between(rng, 1.0, 1.5), angle, 0, motif, motif, bend)
     lean, slim = between(rng, 0.45, 0.9), between(rng, 0.22, 0.36)
     side = np.abs(2 * lattice.u - 1)  # 0 in the middle of a stitch, 1 at its border
     height, stitch = np.zeros((size, size), np.float32), np.zeros((size, size), np.int64)
@@ -89,62 +105,64 @@ def knit(rng: Rng, size: int) -> Maps:
     tone = _sequence(rng, motif * motif, 3).reshape(motif, motif)[stitch % motif, lattice.column % motif]
     colour = np.moveaxis(dyes[tone], -1, 0)
     wool = fbm(rng, size, columns * 2, 0.7)
-    colour = shaded(colour, 0.6 * wool + 0.5 * twist, between(rng, 0.05, 0.25)) * (0.3 + 0.7 * step(height, 0, 0.6))
+    colour = vary_albedo(colour, 0.6 * wool + 0.5 * twist, between(rng, 0.05, 0.25)) * (
+        0.3 + 0.7 * smoothstep(height, 0, 0.6)
+    )
     rib = 0.8 * (lattice.column % 2) if motif % 2 == 0 and chance(rng, 0.5) else 0
-    return material(rng, colour, height + rib + 0.08 * twist + 0.12 * wool, (0.3, 0.9), (0.03, 0.05), (0.7, 1))
+    return assemble_maps(rng, colour, height + rib + 0.08 * twist + 0.12 * wool, (0.3, 0.9), (0.03, 0.05), (0.7, 1))
 
 
-def stripes(rng: Rng, size: int) -> Maps:
+def stripes(rng: Rng, size: int) -> PeriodicMaps:
     """Stripes, corduroy, checks, zigzags, waves."""
     period = pick(rng, (1, 2, 2, 3, 4))
     bands = log_between(rng, 8, 30)
     angle = between(rng, 0, math.pi)
     kind = pick(rng, ("plain", "plain", "corduroy", "zigzag", "waves", "checks"))
-    lattice = Lattice(size, bands, bands, angle, 0, period, period)
+    lattice = CellLattice(size, bands, bands, angle, 0, period, period)
     if kind in ("zigzag", "waves"):
         reach, length = between(rng, 0.4, 1.6), log_between(rng, 1.5, 4)
-        along = Lattice(size, bands / length, bands / length, angle)
+        along = CellLattice(size, bands / length, bands / length, angle)
         turn = np.abs(2 * along.u - 1) if kind == "zigzag" else 0.5 + 0.5 * np.sin(2 * np.pi * along.u)
         offset = (turn * np.float32(reach * 2)).astype(np.float32)
     else:
-        offset = wobble(rng, size, 5, between(rng, 0, 0.008) * bands)[0]
-    lattice = Lattice(size, bands, bands, angle, 0, period, period, (offset, offset))
+        offset = smooth_displacement(rng, size, 5, between(rng, 0, 0.008) * bands)[0]
+    lattice = CellLattice(size, bands, bands, angle, 0, period, period, (offset, offset))
     shares = np.sort(uniforms(rng, period)) * 0.6 + 0.2
     soft = between(rng, 0.02, 0.15)
     share = shares[lattice.row % period]
-    band = step(lattice.v, 0, soft) * step(lattice.v, share + soft, share)
+    band = smoothstep(lattice.v, 0, soft) * smoothstep(lattice.v, share + soft, share)
     dyes = _dyes(rng, period + 1)
-    colour = mix(flat(dyes[0], size), np.moveaxis(dyes[1 + lattice.row % period], -1, 0), band)
+    colour = mix(uniform_colour(dyes[0], size), np.moveaxis(dyes[1 + lattice.row % period], -1, 0), band)
     if kind == "checks":
-        other = step(lattice.u, 0, soft) * step(lattice.u, share + soft, share)
+        other = smoothstep(lattice.u, 0, soft) * smoothstep(lattice.u, share + soft, share)
         colour = mix(colour, np.moveaxis(dyes[(1 + lattice.column) % (period + 1)], -1, 0), other * 0.5)
     threads = band_noise(rng, size, log_between(rng, 40, 90), 0.4, between(rng, 1, 12), angle)
-    colour = shaded(colour, threads, between(rng, 0.02, 0.2))
+    colour = vary_albedo(colour, threads, between(rng, 0.02, 0.2))
     if kind == "corduroy":
         wale = np.sqrt(np.clip(1 - (2 * lattice.v - 1) ** 2, 0, 1))
-        colour = shaded(flat(dyes[0], size), threads + 2 * wale - 1.5, between(rng, 0.1, 0.35))
-        return material(rng, colour, wale + 0.08 * threads, (0.2, 0.7), roughness=(0.7, 1))
-    return material(rng, colour, threads + between(rng, 0, 3) * band, (0.03, 0.3), roughness=(0.4, 1))
+        colour = vary_albedo(uniform_colour(dyes[0], size), threads + 2 * wale - 1.5, between(rng, 0.1, 0.35))
+        return assemble_maps(rng, colour, wale + 0.08 * threads, (0.2, 0.7), roughness=(0.7, 1))
+    return assemble_maps(rng, colour, threads + between(rng, 0, 3) * band, (0.03, 0.3), roughness=(0.4, 1))
 
 
-def leather(rng: Rng, size: int) -> Maps:
+def leather(rng: Rng, size: int) -> PeriodicMaps:
     """Grained, creased or scaly hide."""
-    colours = palette(rng, "5a3218 7b4a26 2a1c14 8c5a3c a67b5b 1c1c1e 6b2020 d2b48c 3b4a5a 4a5240 e0d6c8", 2, 0.25)
+    colours = draw_palette(rng, "5a3218 7b4a26 2a1c14 8c5a3c a67b5b 1c1c1e 6b2020 d2b48c 3b4a5a 4a5240 e0d6c8", 2, 0.25)
     cells = log_between(rng, 9, 36)
-    warp = wobble(rng, size, cells / 2, between(rng, 0.05, 0.25))
+    warp = smooth_displacement(rng, size, cells / 2, between(rng, 0.05, 0.25))
     grain = isotropic_cells(rng, size, cells, between(rng, 0.5, 0.95), warp, log_between(rng, 1, 2.5))
-    pad = step(grain.edge, -0.02, between(rng, 0.1, 0.35))
+    pad = smoothstep(grain.edge, -0.02, between(rng, 0.1, 0.35))
     height = pad * (0.75 + 0.25 * uniforms(rng, grain.total)[grain.cell])
     if chance(rng, 0.5):  # a finer grain on the pads
         fine = isotropic_cells(rng, size, cells * 2.2, 0.9, warp)
-        height = height + between(rng, 0.1, 0.5) * step(fine.edge, -0.02, 0.25)
+        height = height + between(rng, 0.1, 0.5) * smoothstep(fine.edge, -0.02, 0.25)
     if chance(rng, 0.5):  # creases across the grain
         stretch, angle = between(rng, 1, 4), between(rng, 0, math.pi)
         crease = ridges(fbm(rng, size, cells / 3, 2.6, stretch, angle), log_between(rng, 0.05, 0.2))
         height = height - crease * between(rng, 0.3, 1.2)
     worn = fbm(rng, size, 5, 1.8)
-    diffuse = ramp(share_below(0.5 * worn + between(rng, 0, 2) * (height - 0.8)), colours)
-    diffuse = shaded(diffuse, np.minimum(height - 0.7, 0.3), between(rng, 0.1, 1.5))
+    diffuse = colour_ramp(normal_to_uniform(0.5 * worn + between(rng, 0, 2) * (height - 0.8)), colours)
+    diffuse = vary_albedo(diffuse, np.minimum(height - 0.7, 0.3), between(rng, 0.1, 1.5))
     roughness = np.clip(between(rng, 0.35, 0.75) - 0.1 * height + 0.06 * worn, 0.05, 1)
     relief = height + 0.03 * fbm(rng, size, cells * 1.5, 1.2)
-    return material(rng, diffuse, relief, (0.12, 0.6), (0.035, 0.06), roughness)
+    return assemble_maps(rng, diffuse, relief, (0.12, 0.6), (0.035, 0.06), roughness)

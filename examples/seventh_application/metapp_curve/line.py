@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Generator
 
-from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
+from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -17,7 +17,7 @@ class Line(Baseline):
     title = "a straight line by least squares"
     cannot = "bend"
 
-    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """Fit the line to the visible samples of one task; two numbers are kept."""
         x, y = (tasks.data[key][tasks.rows][0] for key in ("x", "y"))
         columns = torch.stack([x, torch.ones_like(x)], 1)

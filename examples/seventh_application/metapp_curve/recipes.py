@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, paper_recipe
 from metapp_curve.app import Curve
 
 QUICK = Recipe(
@@ -18,6 +18,6 @@ QUICK = Recipe(
     rule="adam+loss",
     app=Curve(),
 )
-PAPER = as_published(QUICK, Curve())
+PAPER = paper_recipe(QUICK, Curve())
 
 RECIPES = {"paper": PAPER, "quick": QUICK}

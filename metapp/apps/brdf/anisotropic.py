@@ -14,12 +14,12 @@ from torch import Tensor
 
 from metapp.learning.task import Batch
 
-INPUTS = 28
-FLOOR = 0.01  # below which a sample's f cos theta_i says little about axes
-CLEAR = 0.3  # share of the fourfold harmonic, below which the twofold one says nothing about axes
+ANISOTROPIC_INPUTS = 28
+REFLECTANCE_FLOOR = 0.01  # below which a sample's f cos theta_i says little about axes
+TWOFOLD_SHARE = 0.3  # share of the fourfold harmonic, below which the twofold one says nothing about axes
 
 
-def inputs_of(where: Tensor, turn: Tensor) -> Tensor:
+def anisotropic_inputs(where: Tensor, turn: Tensor) -> Tensor:
     """The network's input.
 
     Args:
@@ -54,7 +54,7 @@ def inputs_of(where: Tensor, turn: Tensor) -> Tensor:
     return torch.cat([torch.stack(more, 1), 0.4 * torch.stack(logs, 1).log() + 1], 1)
 
 
-def axes_of(samples: Batch) -> Tensor:
+def find_axes(samples: Batch) -> Tensor:
     """The azimuth of a material's axes in rad, [T, 1], in (-pi/2, pi/2]: where its highlight reaches farthest.
 
     Least squares of log reflectance on functions of theta_h and the cosines and on cos 2 phi_h and sin 2 phi_h; where
@@ -72,17 +72,17 @@ def axes_of(samples: Batch) -> Tensor:
     plain += [(incident * outgoing).clamp_min(1e-4).log()]
     harmonics = [(2 * phi).cos(), (2 * phi).sin(), (4 * phi).cos(), (4 * phi).sin()]
     columns = torch.stack(plain + harmonics, -1)
-    values = (torch.expm1(samples["target"].double()).mean(1) + FLOOR).log()[..., None]
+    values = (torch.expm1(samples["target"].double()).mean(1) + REFLECTANCE_FLOOR).log()[..., None]
     gram = columns.mT @ columns
     ridge = 1e-6 * gram.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None]
     solved = torch.linalg.solve(gram + ridge * torch.eye(columns.shape[-1], dtype=gram.dtype, device=gram.device),
                                 columns.mT @ values)[..., 0]  # fmt: skip
     cos2, sin2, cos4, sin4 = solved[:, -4:].unbind(1)
-    twofold = torch.hypot(cos2, sin2) >= CLEAR * torch.hypot(cos4, sin4)
+    twofold = torch.hypot(cos2, sin2) >= TWOFOLD_SHARE * torch.hypot(cos4, sin4)
     turn = torch.where(twofold, torch.atan2(sin2, cos2) / 2, torch.atan2(sin4, cos4) / 4)
     return turn[:, None].to(samples["where"])
 
 
-def random_azimuths(count: int) -> Tensor:
+def fixed_azimuths(count: int) -> Tensor:
     """phi_h [count] in rad for samples of an isotropic material, the same for each: any would do."""
     return torch.rand(count, generator=torch.Generator().manual_seed(0)) * math.tau

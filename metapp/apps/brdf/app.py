@@ -10,15 +10,15 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.geometry import half_difference_incident
+from metapp.appearance.geometry import half_difference_and_cosine
 from metapp.apps.brdf import anisotropic
-from metapp.apps.brdf.augmentation import mixed
-from metapp.apps.brdf.nbrdf import KNOTS, NBRDF, sample_weights
-from metapp.apps.brdf.network import COUNT, BrdfNetwork, opponent_axes, put_distinct_first, samples_at
+from metapp.apps.brdf.augmentation import mix_brdfs
+from metapp.apps.brdf.nbrdf import NBRDF_NETWORK, WEIGHT_KNOTS, sample_weights
+from metapp.apps.brdf.network import COUNT_KEY, BrdfNetwork, gather_samples, opponent_axes, put_distinct_first
 from metapp.learning.app import App, ErrorMeasure
-from metapp.learning.draws import uniform
+from metapp.learning.draws import draw_uniform
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
-from metapp.networks.coded import norm
+from metapp.networks.coded import smooth_absolute
 
 CONDITION_SAMPLES = 1024  # samples that General's encoder reads
 MANY_SAMPLES = 4096  # different samples, from which on more of them count no more against penalties
@@ -33,7 +33,7 @@ class Brdf(App):
         conserve: whether fits are brought to reflect no more than they receive.
     """
 
-    network: BrdfNetwork = NBRDF
+    network: BrdfNetwork = NBRDF_NETWORK
     conserve: bool = False
     name = "brdf"
     error_measure = ErrorMeasure(
@@ -55,9 +55,9 @@ class Brdf(App):
         """
         angles = task.data["angles"]
         if self.network.anisotropic:
-            phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(angles)).to(angles))
+            phi_h = task.data.get("phi_h", anisotropic.fixed_azimuths(len(angles)).to(angles))
             angles = torch.cat([angles, phi_h[:, None]], 1)
-        where = half_difference_incident(angles)
+        where = half_difference_and_cosine(angles)
         data = {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
         return put_distinct_first(data) if self.network.linear_parameter else data
 
@@ -69,15 +69,15 @@ class Brdf(App):
         """
         half = tasks.data["where"].shape[1] // 2
         if not self.network.linear_parameter:
-            return samples_at(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
+            return gather_samples(tasks, torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
         every = torch.full((len(tasks.names),), float(half), device=rng.device)  # of tasks for another network
-        seen = tasks.data.get(COUNT, every)[tasks.rows]
-        return samples_at(tasks, (uniform(rng, len(tasks), count) * seen[:, None]).long()) | {COUNT: seen}
+        seen = tasks.data.get(COUNT_KEY, every)[tasks.rows]
+        return gather_samples(tasks, (draw_uniform(rng, len(tasks), count) * seen[:, None]).long()) | {COUNT_KEY: seen}
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Query samples: from the half that fits do not see, of which augmentation leaves out no angle."""
         half = tasks.data["where"].shape[1] // 2
-        return samples_at(tasks, half + torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
+        return gather_samples(tasks, half + torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)|, [T].
@@ -91,7 +91,7 @@ class Brdf(App):
         d = torch.log1p(self.network.reflectance(theta, where) * where[:, 6:7]) - batch["target"]
         if not learned:
             return d.abs().mean((1, 2))
-        off = norm(d, learned).mean(1)
+        off = smooth_absolute(d, learned).mean(1)
         return (off * sample_weights(where, learned) if "weights" in learned else off).mean(1)
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
@@ -111,7 +111,7 @@ class Brdf(App):
         weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
         losses = d.abs().mean((1, 2))
         few, missed = learned["evidence"].unbind(1)
-        share = batch[COUNT].clamp(max=MANY_SAMPLES) / MANY_SAMPLES
+        share = batch[COUNT_KEY].clamp(max=MANY_SAMPLES) / MANY_SAMPLES
         strength = share**few * (1 + losses / s[:, 0]) ** -missed
         axes = opponent_axes(features)
         return LeastSquares("last", features, residual, weights * strength[:, None], losses, axes=axes)
@@ -121,14 +121,14 @@ class Brdf(App):
         parameters = {"smoothing": torch.full((steps,), math.log(0.05))}
         if self.network.linear_parameter:
             return parameters | {"evidence": torch.tensor([1.0, 0.0]).repeat(steps, 1)}
-        return parameters | {"weights": torch.zeros(steps, KNOTS)}
+        return parameters | {"weights": torch.zeros(steps, WEIGHT_KNOTS)}
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return self.sample(tasks, rng, CONDITION_SAMPLES)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Mixtures of these materials, with samples as the network learns from them."""
-        return tasks.variants(self.network.augment(mixed(tasks, rng), rng))
+        return tasks.variants(self.network.augment(mix_brdfs(tasks, rng), rng))
 
     def postprocess(self, theta: Params) -> Params:
         """Limited to reflecting no more than all, if that is asked for."""

@@ -8,21 +8,27 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import outgoing_cosine
-from metapp.apps.brdf.network import COUNT
-from metapp.learning.draws import normal, uniform
+from metapp.apps.brdf.network import COUNT_KEY
+from metapp.learning.draws import draw_normal, draw_uniform
 from metapp.learning.task import Params, Tasks
 
-SAMPLES = 8192
-DENSE, FEWEST_SAMPLES = 2 / 3, 128  # share of the materials with all samples in training, and the fewest of the others
-NOISY, MOST_NOISE = 1 / 2, 0.1  # share of the materials whose samples are noisy, and the greatest noise, of a logarithm
-IN_PLANE = 0.1  # |sin phi_d| up to which a pair of directions counts as in the plane of incidence
-CROWDED = 3  # the power that crowds theta_h around 0, where highlights are
-COLOURED = 1 / 2  # share of the materials whose channels are scaled each by its own factor
-CUT = 1 / 3  # share of the materials that lack grazing samples
-MEASURED_RAD = (math.radians(60), math.radians(85))  # the least and greatest angle that is measured
+AUGMENTED_SAMPLES = 8192
+DENSE_SHARE, FEWEST_SAMPLES = (
+    2 / 3,
+    128,
+)  # share of the materials with all samples in training, and the fewest of the others
+NOISY_SHARE, MAX_LOG_NOISE = (
+    1 / 2,
+    0.1,
+)  # share of the materials whose samples are noisy, and the greatest noise, of a logarithm
+IN_PLANE_SINE = 0.1  # |sin phi_d| up to which a pair of directions counts as in the plane of incidence
+CROWDING_POWER = 3  # the power that crowds theta_h around 0, where highlights are
+COLOURED_SHARE = 1 / 2  # share of the materials whose channels are scaled each by its own factor
+GRAZING_CUT_SHARE = 1 / 3  # share of the materials that lack grazing samples
+MAX_MEASURED_RAD = (math.radians(60), math.radians(85))  # the least and greatest angle that is measured
 
 
-def mixed(tasks: Tasks, rng: Generator) -> Params:
+def mix_brdfs(tasks: Tasks, rng: Generator) -> Params:
     """Mixtures of two of these materials, channels permuted and scaled: `where`, `target` at SAMPLES samples each.
 
     Mixing needs both materials at the same angles; if a data set has them at its own for each, they are only
@@ -30,37 +36,37 @@ def mixed(tasks: Tasks, rng: Generator) -> Params:
     """
     count, device = len(tasks), rng.device
     where, target = tasks.data["where"], tasks.data["target"]
-    columns = torch.randint(where.shape[1], (SAMPLES,), generator=rng, device=device)
+    columns = torch.randint(where.shape[1], (AUGMENTED_SAMPLES,), generator=rng, device=device)
     mine = torch.expm1(target[tasks.rows[:, None], columns])
     if where.stride(0) == 0:
         other = tasks.rows[torch.randint(count, (count, 1), generator=rng, device=device)]
-        share = 2 * uniform(rng, count, 1, 1)
+        share = 2 * draw_uniform(rng, count, 1, 1)
         mine = torch.lerp(torch.expm1(target[other, columns]), mine, share.clamp(max=1))
-    channels = uniform(rng, count, 1, 3).argsort(-1).expand_as(mine)
+    channels = draw_uniform(rng, count, 1, 3).argsort(-1).expand_as(mine)
     # half of the materials keep the colours of highlights: of most dielectrics they have none
-    coloured = (uniform(rng, count, 1, 1) < COLOURED).float()
-    gain = torch.exp(0.3 * coloured * normal(rng, count, 1, 3))
-    gain = gain * torch.exp(0.3 * normal(rng, count, 1, 1))
+    coloured = (draw_uniform(rng, count, 1, 1) < COLOURED_SHARE).float()
+    gain = torch.exp(0.3 * coloured * draw_normal(rng, count, 1, 3))
+    gain = gain * torch.exp(0.3 * draw_normal(rng, count, 1, 1))
     return {"where": where[tasks.rows[:, None], columns], "target": torch.log1p(mine.gather(2, channels) * gain)}
 
 
-def within_reach(where: Tensor, rng: Generator) -> Tensor:
+def is_reachable(where: Tensor, rng: Generator) -> Tensor:
     """Which samples [T, N, 7] an instrument sees, bool [T, N]: of a share of materials none beyond an angle."""
-    low, high = MEASURED_RAD
-    chance, share = uniform(rng, len(where), 1), uniform(rng, len(where), 1)
-    limit = torch.where(chance < CUT, torch.cos(low + (high - low) * share), 0.0)
+    low, high = MAX_MEASURED_RAD
+    chance, share = draw_uniform(rng, len(where), 1), draw_uniform(rng, len(where), 1)
+    limit = torch.where(chance < GRAZING_CUT_SHARE, torch.cos(low + (high - low) * share), 0.0)
     return torch.minimum(where[..., 6], outgoing_cosine(where.transpose(1, 2))) >= limit
 
 
 def draw_measurements(
-    data: Params, rng: Generator, *, dense_share: float = DENSE, counts: tuple[int, int] | None = None
+    data: Params, rng: Generator, *, dense_share: float = DENSE_SHARE, counts: tuple[int, int] | None = None
 ) -> Params:
     """Replace the samples that fits see, the first half, by ones as instruments take them; add their COUNT [T].
 
     Some materials keep samples that are dense, uniform in half and difference angles. The others have a count, uniform
     in its logarithm, and a fourth of them each uniform samples, samples scattered as pairs of random directions are,
     samples that crowd around the highlight, and samples in the plane of incidence. An instrument may reach no grazing
-    angles (`within_reach`). Half of the materials that are not dense get noise.
+    angles (`is_reachable`). Half of the materials that are not dense get noise.
 
     Args:
         data: `where` [T, N, 7] and `target` [T, N, 3], uniform in half and difference angles.
@@ -71,22 +77,22 @@ def draw_measurements(
     where, target = data["where"].clone(), data["target"].clone()
     tasks, half, device = len(where), where.shape[1] // 2, rng.device
     seen = where[:, :half]
-    dense, reached = uniform(rng, tasks) < dense_share, within_reach(seen, rng)
+    dense, reached = draw_uniform(rng, tasks) < dense_share, is_reachable(seen, rng)
     pattern = torch.randint(4, (tasks,), generator=rng, device=device).masked_fill(dense, 0)
-    density = torch.stack(densities_of_samples(seen))[pattern, torch.arange(tasks, device=device)] * reached
+    density = torch.stack(sample_densities(seen))[pattern, torch.arange(tasks, device=device)] * reached
     drawn = torch.multinomial(density + 1e-9, half, replacement=True, generator=rng)
     rows = torch.where(dense[:, None] & reached, torch.arange(half, device=device), drawn)[..., None]
-    noisy = (uniform(rng, tasks, 1) < NOISY) & ~dense[:, None]
-    level = torch.where(noisy, MOST_NOISE * uniform(rng, tasks, 1), 0.0)[..., None]
-    noise = torch.exp(level * normal(rng, tasks, half, 3))
+    noisy = (draw_uniform(rng, tasks, 1) < NOISY_SHARE) & ~dense[:, None]
+    level = torch.where(noisy, MAX_LOG_NOISE * draw_uniform(rng, tasks, 1), 0.0)[..., None]
+    noise = torch.exp(level * draw_normal(rng, tasks, half, 3))
     where[:, :half] = seen.gather(1, rows.expand(-1, -1, 7))
     target[:, :half] = torch.log1p(torch.expm1(target[:, :half].gather(1, rows.expand(-1, -1, 3))) * noise)
     least, greatest = counts or (FEWEST_SAMPLES, half)
-    fewer = least * (greatest / least) ** uniform(rng, tasks)
-    return {"where": where, "target": target, COUNT: torch.where(dense, float(half), fewer).round()}
+    fewer = least * (greatest / least) ** draw_uniform(rng, tasks)
+    return {"where": where, "target": target, COUNT_KEY: torch.where(dense, float(half), fewer).round()}
 
 
-def densities_of_samples(where: Tensor) -> list[Tensor]:
+def sample_densities(where: Tensor) -> list[Tensor]:
     """Return the densities [T, N] of samples: uniform, scattered, around the highlight, in the plane of incidence.
 
     They are relative to samples [T, N, 7] that are uniform in half and difference angles.
@@ -96,5 +102,5 @@ def densities_of_samples(where: Tensor) -> list[Tensor]:
     cosines = where[..., 6].clamp_min(0) * outgoing_cosine(where.transpose(1, 2)).clamp_min(0)
     difference_sine = torch.hypot(where[..., 3], where[..., 4])
     scattered = polar.sin() * difference_sine * where[..., 5].clamp_min(0) * cosines
-    in_plane = where[..., 4].abs() <= IN_PLANE * difference_sine
-    return [torch.ones_like(polar), scattered, polar ** (1 / CROWDED - 1), in_plane.float()]
+    in_plane = where[..., 4].abs() <= IN_PLANE_SINE * difference_sine
+    return [torch.ones_like(polar), scattered, polar ** (1 / CROWDING_POWER - 1), in_plane.float()]

@@ -12,15 +12,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from metapp.appearance.geometry import cosines, directions_to_rusinkiewicz, gauss_legendre, half_difference_incident
+from metapp.appearance.geometry import (
+    angle_cosines,
+    directions_to_rusinkiewicz,
+    gauss_legendre,
+    half_difference_and_cosine,
+)
 from metapp.learning.recipe import Recipe
 
 INCIDENT_RAD = torch.linspace(0, math.radians(85), 16, dtype=torch.float64)
-POLAR, AZIMUTHS = 48, 24  # nodes of half vectors, in theta_h and in half a circle about the normal
-CROWDED = 3  # the power that crowds theta_h around 0, where lobes are
-MOST_ALBEDO = 0.995  # the share that fits which reflect more than all are brought to
-ROUNDS, DIMMER = 10, 0.99  # least squares, at most; then log(1 + f) times this, until it suffices
-PENALTY = 1e-9  # of the mean of the Gram matrix's diagonal
+POLAR_NODES, AZIMUTH_NODES = 48, 24  # nodes of half vectors, in theta_h and in half a circle about the normal
+CROWDING_POWER = 3  # the power that crowds theta_h around 0, where lobes are
+TARGET_ALBEDO = 0.995  # the share that fits which reflect more than all are brought to
+MAX_SOLVES, DIMMING_FACTOR = 10, 0.99  # least squares, at most; then log(1 + f) times this, until it suffices
+RELATIVE_RIDGE = 1e-9  # of the mean of the Gram matrix's diagonal
 
 
 @functools.cache
@@ -29,9 +34,9 @@ def quadrature() -> tuple[Tensor, Tensor]:
 
     Sums of weights times a reflectance are shares of the light.
     """
-    (u, of_u), (v, of_v) = gauss_legendre(POLAR), gauss_legendre(AZIMUTHS)
-    theta, phi = (math.pi / 2) * u[:, None] ** CROWDED, math.pi * v
-    solid = theta.sin() * (math.pi / 2) * CROWDED * (u ** (CROWDED - 1) * of_u)[:, None] * of_v
+    (u, of_u), (v, of_v) = gauss_legendre(POLAR_NODES), gauss_legendre(AZIMUTH_NODES)
+    theta, phi = (math.pi / 2) * u[:, None] ** CROWDING_POWER, math.pi * v
+    solid = theta.sin() * (math.pi / 2) * CROWDING_POWER * (u ** (CROWDING_POWER - 1) * of_u)[:, None] * of_v
     parts = torch.broadcast_tensors(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
     half = torch.stack(parts, -1).flatten(0, 1)
     wi = torch.stack([INCIDENT_RAD.sin(), torch.zeros_like(INCIDENT_RAD), INCIDENT_RAD.cos()], -1)
@@ -44,9 +49,9 @@ def quadrature() -> tuple[Tensor, Tensor]:
     return directions_to_rusinkiewicz(wi[:, None].expand_as(wo), wo), weights
 
 
-def places(theta: Tensor) -> Tensor:
+def quadrature_places(theta: Tensor) -> Tensor:
     """The pairs of `quadrature` as networks read them, [T, 7, 16 N], for parameters [T, ...] like these."""
-    return half_difference_incident(quadrature()[0].flatten(0, 1)).to(theta).T.expand(len(theta), -1, -1)
+    return half_difference_and_cosine(quadrature()[0].flatten(0, 1)).to(theta).T.expand(len(theta), -1, -1)
 
 
 def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
@@ -60,7 +65,7 @@ def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
     return shares
 
 
-def conserving(features: Tensor, last: Tensor) -> Tensor:
+def conserve_energy(features: Tensor, last: Tensor) -> Tensor:
     """The closest last layer whose BRDF conserves energy; unchanged if it already does.
 
     Reflectance is divided by the excess at the steeper one of both directions, so that it stays reciprocal, and
@@ -71,7 +76,11 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
         last: the layer, [3, F].
     """
     angles, weights = quadrature()
-    features, layer, (cosine, other, *_) = features.double().cpu(), last.double().cpu(), cosines(angles.flatten(0, 1))
+    features, layer, (cosine, other, *_) = (
+        features.double().cpu(),
+        last.double().cpu(),
+        angle_cosines(angles.flatten(0, 1)),
+    )
     if not layer.isfinite().all():
         return last  # such fits are refused
     both_rad = torch.stack([cosine, other]).clamp(0, 1).arccos()
@@ -82,24 +91,26 @@ def conserving(features: Tensor, last: Tensor) -> Tensor:
         share: Tensor = (reflected.unflatten(1, weights.shape) * weights).sum(2).amax(0)
         return share
 
-    for _ in range(ROUNDS):
+    for _ in range(MAX_SOLVES):
         if (share := shares()).amax() <= 1:
             break
-        excess = torch.where(share > 1, share / MOST_ALBEDO, 1.0)
+        excess = torch.where(share > 1, share / TARGET_ALBEDO, 1.0)
         limited = limited / torch.as_tensor(np.interp(both_rad, INCIDENT_RAD, excess)).amax(0)
         # of log(1 + f cos theta), which fits are judged by, in log(1 + f)
         slope = cosine * (1 + limited) / (1 + limited * cosine)
         weighted = features * slope.square()[:, None]
         gram = weighted @ features.T
-        penalty = PENALTY * gram.diagonal(dim1=1, dim2=2).mean(1)[:, None, None] * torch.eye(len(features)).to(gram)
+        penalty = (
+            RELATIVE_RIDGE * gram.diagonal(dim1=1, dim2=2).mean(1)[:, None, None] * torch.eye(len(features)).to(gram)
+        )
         off = torch.log1p(limited) - layer @ features
         layer = layer + torch.linalg.solve(gram + penalty, weighted @ off[..., None])[..., 0]
     while shares().amax() > 1:
-        layer = DIMMER * layer
+        layer = DIMMING_FACTOR * layer
     return layer.to(last)
 
 
-def with_conservation(recipe: Recipe, value: object) -> Recipe:
+def set_conservation(recipe: Recipe, value: object) -> Recipe:
     """The recipe whose fits reflect no more than they receive.
 
     Raises:

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.geometry import half_difference_incident
+from metapp.appearance.geometry import half_difference_and_cosine
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.registry import registry
 
-COUNT = "count"  # tensor of tasks and batches, [T]: how many different samples, the first ones, a fit sees
+COUNT_KEY = "count"  # tensor of tasks and batches, [T]: how many different samples, the first ones, a fit sees
 # columns: luminance, and two axes of colour, of unit length
 _OPPONENT_AXES = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
 
@@ -33,7 +33,7 @@ def opponent_axes(like: Tensor) -> Tensor:
     return like.new_tensor(_OPPONENT_AXES)
 
 
-class Folded(NamedTuple):
+class PlainLayers(NamedTuple):
     """One material's network as plain layers, all that materials share multiplied in.
 
     Attributes:
@@ -106,7 +106,7 @@ class BrdfNetwork(ABC):
         """
         one = {key: value[None] for key, value in theta.items()}
         flat = angles.reshape(-1, angles.shape[-1])
-        where = half_difference_incident(flat if self.anisotropic else flat[:, :3])
+        where = half_difference_and_cosine(flat if self.anisotropic else flat[:, :3])
         return self.reflectance(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
     def features_of(self, theta: Params, where: Tensor) -> Tensor:
@@ -118,7 +118,7 @@ class BrdfNetwork(ABC):
         raise NotImplementedError
 
     @abstractmethod
-    def folded(self, theta: Params) -> Folded:
+    def folded(self, theta: Params) -> PlainLayers:
         """One material as plain layers, of parameters without a task axis."""
 
     def augment(self, data: Params, rng: Generator) -> Params:
@@ -150,29 +150,29 @@ def put_distinct_first(data: Params) -> Params:
         order = torch.arange(len(where))
         order[: len(first)] = first.sort().values
         data = {name: value[order] for name, value in data.items()}
-    return data | {COUNT: torch.tensor(float(len(first)))}
+    return data | {COUNT_KEY: torch.tensor(float(len(first)))}
 
 
-def samples_at(tasks: Tasks, rows: Tensor) -> Batch:
+def gather_samples(tasks: Tasks, rows: Tensor) -> Batch:
     """`where` [T, 7, count] and `target` [T, 3, count] of each task's samples of these indices, [T, count]."""
     picked = (tasks.rows[:, None], rows)
     return {key: tasks.data[key][picked].transpose(1, 2).contiguous() for key in ("where", "target")}
 
 
 @functools.cache
-def shapes_of(network: BrdfNetwork) -> dict[str, tuple[int, ...]]:
+def parameter_shapes(network: BrdfNetwork) -> dict[str, tuple[int, ...]]:
     """The shape of each parameter of one task; their names tell its parameters from another network's."""
     return {name: tuple(value.shape[1:]) for name, value in network.init(Generator().manual_seed(0), 1).items()}
 
 
-def network_of(theta: Params) -> BrdfNetwork:
+def find_network(theta: Params) -> BrdfNetwork:
     """The network that parameters belong to, by their names.
 
     Raises:
         ValueError: they are of none.
     """
     for network in registry().loaded("networks", "brdf").values():
-        if shapes_of(network).keys() == theta.keys():
+        if parameter_shapes(network).keys() == theta.keys():
             result: BrdfNetwork = network
             return result
     names = ", ".join(sorted(theta)) or "none"

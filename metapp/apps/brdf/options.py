@@ -16,6 +16,6 @@ class BrdfOptions(AppOptions):
 
     def adapt(self, recipe: Any) -> Any:
         """The recipe with fits that reflect no more than all light."""
-        from metapp.apps.brdf.energy import with_conservation
+        from metapp.apps.brdf.energy import set_conservation
 
-        return with_conservation(recipe, self.conserve) if self.conserve else recipe
+        return set_conservation(recipe, self.conserve) if self.conserve else recipe

@@ -10,20 +10,20 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.colour import to_srgb
-from metapp.appearance.geometry import spread_angles
-from metapp.appearance.pictures import Compared, Visible
+from metapp.appearance.colour import composite_to_srgb
+from metapp.appearance.geometry import quasirandom_angles
+from metapp.appearance.pictures import PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
-from metapp.appearance.uniform import collapsed_fit, uniform_input
+from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
 from metapp.apps.brdf.app import CONDITION_SAMPLES, Brdf
-from metapp.apps.brdf.augmentation import SAMPLES
+from metapp.apps.brdf.augmentation import AUGMENTED_SAMPLES
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
-from metapp.apps.brdf.network import network_of
+from metapp.apps.brdf.network import find_network
 from metapp.learning.task import Params, Task, Tasks
 
 DRAWN_SAMPLES = 1024  # samples that are drawn in pictures, at most
-SIDE_PX, DOT_PX = 96, 3  # of a picture of samples and of a sample
+SAMPLES_SIDE_PX, DOT_PX = 96, 3  # of a picture of samples and of a sample
 EXCESSIVE_ALBEDO = 1.01  # the share of light that a fit may be said to reflect without a note
 MIRROR_DEGREES = 5  # of the half vector from the normal, up to which a pair of directions shows the highlight
 SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
@@ -43,7 +43,7 @@ class BrdfPresenter(Presenter[Brdf]):
         the same angles, `predicted`, in place of a reference.
         """
         scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
-        evaluate = functools.partial(network_of(theta).evaluate, theta)
+        evaluate = functools.partial(find_network(theta).evaluate, theta)
         fit = shade_sphere(scene, evaluate)
         if "render" in task.data:
             return {"reference": task.data["render"], "fit": fit}
@@ -53,15 +53,15 @@ class BrdfPresenter(Presenter[Brdf]):
         if "phi_h" in task.data:
             with_phi_h = torch.cat([angles, task.data["phi_h"][-DRAWN_SAMPLES:, None]], 1)
         predicted = evaluate(with_phi_h)
-        return {"samples": draw_samples(angles, reflectance), "predicted": draw_samples(angles, predicted), "fit": fit}
+        return {"samples": plot_samples(angles, reflectance), "predicted": plot_samples(angles, predicted), "fit": fit}
 
-    def comparison(self, theta: Params, task: Task) -> Compared | None:
+    def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the sphere under the environment map; None for data sets made before they had such pictures."""
         if "environment" not in task.data:
             return None
         scene = environment_scene(azimuths="phi_h" in task.data)
-        fit = shade_sphere(scene, functools.partial(network_of(theta).evaluate, theta))
-        return Compared(_encode_on_white(fit), _encode_on_white(task.data["environment"]), scene.mask)
+        fit = shade_sphere(scene, functools.partial(find_network(theta).evaluate, theta))
+        return PictureComparison(_encode_on_white(fit), _encode_on_white(task.data["environment"]), scene.mask)
 
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
         """State what a reader of the error must know: samples held out, a highlight not seen, phi_h left out, energy.
@@ -76,7 +76,7 @@ class BrdfPresenter(Presenter[Brdf]):
             notes.append(unseen)
         if "phi_h" in task.data and not self.app.network.anisotropic:
             notes.append("anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic")
-        notes += uniform_input(task.data["reflectance"].T, "reflectance in 1/sr")
+        notes += uniform_input_remarks(task.data["reflectance"].T, "reflectance in 1/sr")
         remarks: dict[str, object] = {}
         if not self.app.network.anisotropic:
             theta_on_cpu = {key: value.cpu() for key, value in theta.items()}
@@ -94,13 +94,13 @@ class BrdfPresenter(Presenter[Brdf]):
         where, target = (tasks.data[key][tasks.rows].transpose(1, 2) for key in ("where", "target"))
         samples = torch.expm1(target) / where[:, 6:7].clamp_min(1e-4)
         pairs = zip(self.app.network.reflectance(theta, where).clamp_min(0), samples, strict=True)
-        return [collapsed_fit(fit, material) for fit, material in pairs]
+        return [collapsed_fit_warnings(fit, material) for fit, material in pairs]
 
     @override
-    def visible(self, task: Task) -> Visible:
+    def visible(self, task: Task) -> VisibleData:
         angles, reflectance = task.data["angles"], task.data["reflectance"]
         # the first half of the samples, three angles and a colour each
-        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION_SAMPLES)
+        return VisibleData(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION_SAMPLES)
 
     def sample_fit(self, theta: Params, task: Task) -> Task:
         """Return the task with the fit's own reflectance: at its angles, or all over the hemisphere if it has few.
@@ -111,7 +111,7 @@ class BrdfPresenter(Presenter[Brdf]):
         self.app.require_isotropic(task.name, "the NBRDF network")
         angles = task.data["angles"]
         if len(angles) <= SPARSE_SAMPLES:
-            angles = spread_angles(SAMPLES)
+            angles = quasirandom_angles(AUGMENTED_SAMPLES)
         return task._replace(data=task.data | {"angles": angles, "reflectance": self.app.reflectance(theta, angles)})
 
 
@@ -137,7 +137,7 @@ def describe_unseen_highlight(angles: Tensor) -> str:
     )
 
 
-def draw_samples(angles: Tensor, reflectance: Tensor) -> Tensor:
+def plot_samples(angles: Tensor, reflectance: Tensor) -> Tensor:
     """Draw samples in the half-vector plane: theta_h from left to right, by its root, theta_d from the bottom up.
 
     Args:
@@ -147,9 +147,9 @@ def draw_samples(angles: Tensor, reflectance: Tensor) -> Tensor:
     Returns:
         [SIDE_PX, SIDE_PX, 4], pi f as linear RGB on black, and coverage.
     """
-    picture = reflectance.new_zeros(SIDE_PX, SIDE_PX, 4)
+    picture = reflectance.new_zeros(SAMPLES_SIDE_PX, SAMPLES_SIDE_PX, 4)
     shares = angles[:, :2] / (math.pi / 2)
-    last = SIDE_PX - DOT_PX
+    last = SAMPLES_SIDE_PX - DOT_PX
     x, y = (last * torch.stack([shares[:, 0].sqrt(), 1 - shares[:, 1]])).round().long().clamp(0, last)
     colour = torch.cat([math.pi * reflectance, torch.ones_like(reflectance[:, :1])], 1)
     for row, column in itertools.product(range(DOT_PX), repeat=2):
@@ -159,4 +159,4 @@ def draw_samples(angles: Tensor, reflectance: Tensor) -> Tensor:
 
 def _encode_on_white(linear: Tensor) -> Tensor:
     """Encode linear RGB on black with coverage, [H, W, 4], as sRGB [1, 3, H, W] on white."""
-    return torch.from_numpy(to_srgb(linear)).to(linear).permute(2, 0, 1)[None]
+    return torch.from_numpy(composite_to_srgb(linear)).to(linear).permute(2, 0, 1)[None]

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.nbrdf import NBRDF, Nbrdf
-from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, as_published, decayed
+from metapp.apps.brdf.nbrdf import NBRDF_NETWORK, Nbrdf
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, long_paper_recipe, paper_recipe
 
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
 # clip of 0.004 gave two thirds of the error that a clip of 1 gave on validation materials.
@@ -21,7 +21,7 @@ LEARNED = MetaTraining(
     clip=4e-3,
 )
 # with another network: features for all materials, of which each is a linear combination
-RIDGE = MetaTraining(
+RIDGE_TRAINING = MetaTraining(
     steps=10_000,
     tasks=4,
     rates={"": 2e-3, "alpha.": 1e-2},
@@ -57,30 +57,36 @@ QUICK = Recipe(
             augment=False,
         ),
         "meta-curvature": replace(LEARNED, guard=GUARD),
-        "ridge": RIDGE,
+        "ridge": RIDGE_TRAINING,
     },
     rule="meta-curvature",
-    app=Brdf(NBRDF),
+    app=Brdf(NBRDF_NETWORK),
 )
 
 # where paradigms need not fit the same network, the rule that is best on validation tasks
 FULL = replace(QUICK, rule="ridge")
 # for materials whose reflectance depends on phi_h, too, which takes more features; one network for all paradigms
-AZIMUTHS = Brdf(Featured(features=96, code=16, anisotropic=True))
+ANISOTROPIC_APP = Brdf(Featured(features=96, code=16, anisotropic=True))
 ANISOTROPIC = replace(
     FULL,
-    meta={"ridge": replace(RIDGE, steps=4_000, warmup=50, validate_every=100, app=AZIMUTHS)},
-    app=AZIMUTHS,
+    meta={"ridge": replace(RIDGE_TRAINING, steps=4_000, warmup=50, validate_every=100, app=ANISOTROPIC_APP)},
+    app=ANISOTROPIC_APP,
 )
 
 # Fischer & Ritschel 2022, section 4.1.2: 10 inner steps of 512 samples. Weights begin as in Sztrajman et al. 2021 and
 # the authors' code (models/brdfmodel.py): from Kaiming-normal ones the rule hardly learns. From there Overfit needs the
 # low rate of Sztrajman et al., too: at 1e-2 a quarter of the fits of training materials ends at black.
 PAPER = replace(
-    as_published(replace(QUICK, quickft=Adam(5e-3)), Brdf(Nbrdf(bound=0.05)), tasks=1, order=2, augment=False),
+    paper_recipe(replace(QUICK, quickft=Adam(5e-3)), Brdf(Nbrdf(bound=0.05)), tasks=1, order=2, augment=False),
     overfit=Adam(5e-4, final=0.0),
     overfit_steps=100_000,
     finetune_steps=10_000,
 )
 
-RECIPES = {"paper": PAPER, "paper-long": decayed(PAPER), "quick": QUICK, "full": FULL, "anisotropic": ANISOTROPIC}
+RECIPES = {
+    "paper": PAPER,
+    "paper-long": long_paper_recipe(PAPER),
+    "quick": QUICK,
+    "full": FULL,
+    "anisotropic": ANISOTROPIC,
+}

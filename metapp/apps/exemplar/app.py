@@ -11,22 +11,22 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import leaky_relu
 
-from metapp.appearance.features import detail, feature_conditions
+from metapp.appearance.features import detail_statistics, feature_conditions
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.statistics import Statistics
 from metapp.learning.app import App
-from metapp.learning.draws import normal, uniform
+from metapp.learning.draws import draw_normal, draw_uniform
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.networks.coded import encoder_of, with_decoder
+from metapp.networks.coded import add_decoder, join_encoder
 from metapp.networks.generators import Pyramid, UNet
-from metapp.networks.layout import as_input, layouts, quilted_layout
+from metapp.networks.layout import move_layouts, normalise_layouts, quilt_layout
 
 HIDDEN_UNITS = 128
 JUDGED_PICTURES = 4
 
 
-def with_detail(recipe: Recipe, side: int) -> Recipe:
+def set_detail(recipe: Recipe, side: int) -> Recipe:
     """A recipe for exemplars of another side in px: that of training, or, with a layout, twice that.
 
     Raises:
@@ -97,14 +97,14 @@ class ExemplarApp(App):
     def _targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
         """Return all that fits compare with: what describes exemplars [B, 3, h, w], and layouts if networks read them.
 
-        `layout` [B, 3, h, w] is a coarse picture that tiles, quilted of the exemplar; `detail` [B, 3, N] goes with it.
+        `layout` [B, 3, h, w] is a coarse picture that tiles, quilted of the exemplar; `detail_statistics` [B, 3, N] goes with it.
         """
         described = self.statistics.describe(exemplars, octave)
         if not self.network.has_layout:
             return described
         even, size = self.statistics.evenly_lit(exemplars, described), self.octaves.layout_size
-        made = torch.stack([quilted_layout(each, size) for each in even])
-        return described | {"layout": made, "detail": detail(exemplars)}
+        made = torch.stack([quilt_layout(each, size) for each in even])
+        return described | {"layout": made, "detail": detail_statistics(exemplars)}
 
     def task_parameters(self, tasks: Tasks) -> Params:
         """The layouts, if the network reads one."""
@@ -130,11 +130,11 @@ class ExemplarApp(App):
         return self.statistics.errors(answer, tasks)
 
     def init_encoder(self, rng: Generator) -> Params:
-        encoder = encoder_of({}, self.network.init(rng, 1), ("z",))
+        encoder = join_encoder({}, self.network.init(rng, 1), ("z",))
         sizes = (self.statistics.summary_size, HIDDEN_UNITS, HIDDEN_UNITS, self.network.code)
         for layer in (1, 2, 3):
             inputs, outputs = sizes[layer - 1], sizes[layer]
-            noise = normal(rng, outputs, inputs)
+            noise = draw_normal(rng, outputs, inputs)
             encoder[f"mlp{layer}.w"] = noise * math.sqrt(2 / inputs)
             encoder[f"mlp{layer}.b"] = torch.zeros(outputs, device=rng.device)
         return encoder
@@ -147,7 +147,7 @@ class ExemplarApp(App):
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
             x = leaky_relu(x, 0.2) if layer < 3 else x
-        return with_decoder({"z": x} | {key: condition[key] for key in ("layout",) if key in condition}, encoder)
+        return add_decoder({"z": x} | {key: condition[key] for key in ("layout",) if key in condition}, encoder)
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A part [3, s, s] of an image [3, S, S] that could have been photographed as well; here all of it."""
@@ -157,11 +157,11 @@ class ExemplarApp(App):
         """These exemplars cropped, flipped, transposed and with their channels permuted, at random."""
         count, octave = len(tasks), self.octaves.find_octave(tasks.data)
         exemplars = []
-        for row, flip, turn in zip(tasks.rows, *uniform(rng, 2, count).tolist(), strict=True):
+        for row, flip, turn in zip(tasks.rows, *draw_uniform(rng, 2, count).tolist(), strict=True):
             image = self.crop(tasks.data["image"][row].float() / 255, rng)
             image = image.flip(-1) if flip < 0.5 else image
             exemplars.append(self.octaves.take_exemplar((image.mT if turn < 0.5 else image)[None], octave))
-        channels = uniform(rng, count, 3).argsort(1)[..., None, None]
+        channels = draw_uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
         return tasks.variants(self._targets(images, octave) | self.carried(tasks, channels[..., 0, 0]))
@@ -173,7 +173,7 @@ class ExemplarApp(App):
 
 def draw_noise(app: ExemplarApp, rng: Generator, tasks: int, count: int, *, octave: int = 0) -> Tensor:
     """Draw standard normal numbers [tasks, count, C, h, w] for pictures of the size of an octave."""
-    return normal(rng, tasks, count, app.network.noise, *app.octaves.size(octave))
+    return draw_normal(rng, tasks, count, app.network.noise, *app.octaves.size(octave))
 
 
 def fixed_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
@@ -205,5 +205,5 @@ def generate_raw(app: ExemplarApp, theta: Params, noise: Tensor, octave: int = 0
     network = network._replace(finest=octave)
     if not network.has_layout:
         return network(theta, noise)
-    moved = layouts(theta["layout"], noise, app.octaves.layout_ratio(octave))
-    return network(theta, noise, as_input(moved, noise))
+    moved = move_layouts(theta["layout"], noise, app.octaves.layout_ratio(octave))
+    return network(theta, noise, normalise_layouts(moved, noise))

@@ -9,7 +9,7 @@ from typing import TypeVar
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from metapp.appearance.features import channels_of, load_features
+from metapp.appearance.features import load_features, tap_channels
 
 Crop = Callable[[Tensor], Tensor]
 Item = TypeVar("Item")
@@ -75,7 +75,7 @@ class Octaves:
             images: sRGB in [0, 1].
             octave: 0 for the whole size.
             crop: takes the part of images whose features of the finest octave, which take the longest, are computed.
-            reduced: in reduced precision where a descent needs them (`metapp.appearance.features.Features`).
+            reduced: in reduced precision where a descent needs them (`metapp.appearance.features.FeatureExtractor`).
         """
         features, maps = load_features(self.taps, images), []
         for coarser in reversed(range(octave, self.count)):
@@ -93,7 +93,7 @@ class Octaves:
     @property
     def channels(self) -> int:
         """The number of channels of all maps of features."""
-        channels = channels_of(self.taps)
+        channels = tap_channels(self.taps)
         return sum(sum(channels[: self._taps_of(octave)]) for octave in range(self.count))
 
     def take_exemplar(self, images: Tensor, octave: int = 0) -> Tensor:

@@ -26,6 +26,6 @@ class ExemplarOptions(PictureOptions):
 
     def adapt(self, recipe: Any) -> Any:
         """Return the recipe for exemplars of `detail` px a side."""
-        from metapp.apps.exemplar.app import with_detail
+        from metapp.apps.exemplar.app import set_detail
 
-        return with_detail(recipe, self.detail) if self.detail else recipe
+        return set_detail(recipe, self.detail) if self.detail else recipe

@@ -10,18 +10,18 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
-from metapp.appearance.lines import MOST_ADDED, compare_lines
-from metapp.appearance.order import lattice_of, order_kept
-from metapp.appearance.pictures import Visible
+from metapp.appearance.lines import SEAM_STRENGTH_RATIO, compare_lines
+from metapp.appearance.order import find_lattice, kept_order_share
+from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
-from metapp.appearance.uniform import collapsed_fit
+from metapp.appearance.uniform import collapsed_fit_warnings
 from metapp.apps.exemplar.app import ExemplarApp, fixed_noise
-from metapp.learning.draws import normal
+from metapp.learning.draws import draw_normal
 from metapp.learning.task import Params, Task, Tasks
 
-LEAST_ORDER = 0.5  # share of an exemplar's order; quilting keeps 0.68 to 1.0
+MIN_ORDER_SHARE = 0.5  # share of an exemplar's order; quilting keeps 0.68 to 1.0
 SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
-TILED = 4  # times as high and wide as in training: what is written
+FILE_SIDE_TIMES = 4  # times as high and wide as in training: what is written
 LARGEST_PX = 4096  # px
 
 Generating = TypeVar("Generating", bound=ExemplarApp)
@@ -50,11 +50,11 @@ class ExemplarPresenter(Presenter[Generating]):
     def picture_size(self) -> tuple[int, int]:
         """The height and width of files in px: the size asked for, else TILED times the exemplar's."""
         height, width = self.app.octaves.size()
-        return self.size or (TILED * height, TILED * width)
+        return self.size or (FILE_SIDE_TIMES * height, FILE_SIDE_TIMES * width)
 
     @override
-    def visible(self, task: Task) -> Visible:
-        return Visible(1, task.data["image"].nbytes, 1)  # all of the exemplar, in each step and by the encoder
+    def visible(self, task: Task) -> VisibleData:
+        return VisibleData(1, task.data["image"].nbytes, 1)  # all of the exemplar, in each step and by the encoder
 
     @torch.no_grad()
     def make_shown(
@@ -69,7 +69,7 @@ class ExemplarPresenter(Presenter[Generating]):
         """
         batched = {key: value[None] for key, value in theta.items()}
         rng, channels = Generator(theta["z"].device).manual_seed(SHOWN_SEED), self.app.network.noise
-        return make(batched, normal(rng, 1, 1, channels, *(size or self.app.octaves.size())))
+        return make(batched, draw_normal(rng, 1, 1, channels, *(size or self.app.octaves.size())))
 
     @override
     @torch.no_grad()
@@ -86,7 +86,7 @@ class ExemplarPresenter(Presenter[Generating]):
         answer = app.generate(theta, fixed_noise(app, tasks.rows, 1, seed=SHOWN_SEED))
         exemplars = app.octaves.take_exemplar(described["image"].float() / 255)
         pictures = exemplars, statistics.look(answer, described)[:, 0]
-        collapsed = [collapsed_fit(picture, exemplar) for exemplar, picture in zip(*pictures, strict=True)]
+        collapsed = [collapsed_fit_warnings(picture, exemplar) for exemplar, picture in zip(*pictures, strict=True)]
         exemplars, evenly_lit = (statistics.evenly_lit(photos, described) for photos in pictures)
         enlarged = self.pictures_for_lines(theta, evenly_lit)
         judged = zip(collapsed, exemplars, evenly_lit, enlarged, strict=True)
@@ -96,13 +96,13 @@ class ExemplarPresenter(Presenter[Generating]):
         """Return the clause on structure of an exemplar that its picture, or one of another size, has lost; or none."""
         size = "x".join(map(str, self.picture_size))
         instead = f"`metapp baseline {self.app.name} INPUT --method quilting --size {size}` copies"
-        if (share := order_kept(lattice_of(exemplar), picture)) < LEAST_ORDER:
+        if (share := kept_order_share(find_lattice(exemplar), picture)) < MIN_ORDER_SHARE:
             return [f"keeps {share:.2f} of the photo's regular structure ({instead} it)"]
         lines = compare_lines(exemplar, enlarged)
         if lines.kept < self.least_lines:
             figures = f"{lines.kept:.2f} as strong, expected {self.least_lines:g} or more"
             return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {instead} them)"]
-        if self.shows_seams and lines.added > MOST_ADDED:
+        if self.shows_seams and lines.added > SEAM_STRENGTH_RATIO:
             return [f"shows seams, lines {lines.added:.1f} times as strong as the photo's ({instead} it, with fewer)"]
         return []
 

@@ -9,10 +9,10 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
 from metapp.networks.generators import Pyramid, UNet
 
-PIXELS = {"": 3e-3, "encoder.mlp": 1e-3}  # General's rates where it learns a generator of pictures
+GENERAL_RATES = {"": 3e-3, "encoder.mlp": 1e-3}  # General's rates where it learns a generator of pictures
 
 
-def generator(
+def generator_recipe(
     app: type[ExemplarApp], *, steps: int, outputs: int, tasks: int, rate: float, searched: Adam, general: OuterLoop
 ) -> Recipe:
     """The recipe of pictures of 64 texels that are generated from noise.
@@ -58,12 +58,12 @@ def generator(
     )
 
 
-def pixels(steps: int, tasks: int, validate_every: int = 250) -> OuterLoop:
+def general_training(steps: int, tasks: int, validate_every: int = 250) -> OuterLoop:
     """The training of General's encoder beside a generator of pictures."""
-    return OuterLoop(steps=steps, tasks=tasks, rates=PIXELS, warmup=50, final=0.0, validate_every=validate_every)
+    return OuterLoop(steps=steps, tasks=tasks, rates=GENERAL_RATES, warmup=50, final=0.0, validate_every=validate_every)
 
 
-def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int) -> Recipe:
+def pyramid_recipe(quick: Recipe, *, steps: int, searched: Adam, tasks: int) -> Recipe:
     """The recipe of pictures of the size that people use, 256 texels, from coarse to fine.
 
     A fifth of the steps are at 64 texels, the last two fifths at 256; the network reads a layout of the exemplar.
@@ -83,7 +83,7 @@ def pyramid(quick: Recipe, *, steps: int, searched: Adam, tasks: int) -> Recipe:
         quick,
         steps=steps,
         quickft=searched,
-        general=pixels(2400, tasks, validate_every=400),
+        general=general_training(2400, tasks, validate_every=400),
         meta={"meta-encoder": quick.meta["meta-encoder"], "meta-axes": tuned},
         rule="meta-axes",
         app=replace(app, network=network, octaves=octaves),

@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 
 from torch import Tensor
 
-from metapp.appearance.features import detail, moments, softness
+from metapp.appearance.features import detail_difference, detail_statistics, moments
 from metapp.apps.exemplar.octaves import Crop, Octaves
 from metapp.learning.task import Batch, Tasks
 
-SOFTNESS = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
+SOFTNESS_WEIGHT = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,11 @@ class Statistics(ABC):
     def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Return part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
 
-        It is 0 of pictures of coarser octaves, and if the batch has no `detail`, as for networks that read no layout.
+        It is 0 of pictures of coarser octaves, and if the batch has no `detail_statistics`, as for networks that read no layout.
         """
         if "detail" not in batch or self.octaves.find_octave(batch):
             return pictures.new_zeros(len(pictures))
-        return SOFTNESS * softness(detail(pictures), batch["detail"][:, None]).mean(1)
+        return SOFTNESS_WEIGHT * detail_difference(detail_statistics(pictures), batch["detail"][:, None]).mean(1)
 
     @abstractmethod
     def errors(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:

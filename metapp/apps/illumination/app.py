@@ -11,28 +11,40 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, relu, softmax
 
-from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
-from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
+from metapp.appearance.latlong import resample_maps, solid_angles, sphere_normals, texel_directions
+from metapp.appearance.photograph import (
+    CameraCurves,
+    SphereMaterials,
+    develop,
+    photograph_spheres,
+    render_material_spheres,
+)
 from metapp.apps.illumination import encoder
-from metapp.apps.illumination.mirror import completed, is_mirror, resampled, seen_loss
-from metapp.apps.illumination.spheres import FACED, MIRRORED, SPHERES, sphere_errors, surfaces
-from metapp.apps.illumination.suns import joined, parted, suns_of, with_suns
-from metapp.apps.illumination.variants import of_mean_1, varied
+from metapp.apps.illumination.mirror import complete_maps, mirror_loss, resample_seen, shows_mirror
+from metapp.apps.illumination.spheres import (
+    FACING_SURFACES,
+    MIRRORING_SURFACES,
+    SPHERE_NAMES,
+    sphere_errors,
+    surface_transfer,
+)
+from metapp.apps.illumination.suns import add_suns, find_suns, join_suns, split_suns
+from metapp.apps.illumination.variants import normalise_luminance, vary_maps
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.coded import CodedApp, norm
+from metapp.networks.coded import CodedApp, smooth_absolute
 from metapp.rendering.second_scene import relighting
 
 RADIANCE_FLOOR = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
-SENT_FLOOR = 0.02  # the same for what surfaces send out
+RADIOSITY_FLOOR = 0.02  # the same for what surfaces send out
 # weights in the outer loss, beside what faces the light: of texels, what mirrors, the log of both, the photograph
-TEXELS, MIRRORING, LOGS, SEEN = 0.3, 0.3, 0.2, 0.3
-LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, so that few steps find suns
-BODY = 10  # numbers of a sphere's material and a camera
+TEXELS_WEIGHT, MIRRORING_WEIGHT, LOGS_WEIGHT, PHOTO_WEIGHT = 0.3, 0.3, 0.2, 0.3
+LIGHT_WEIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, so that few steps find suns
+BODY_NUMBERS = 10  # numbers of a sphere's material and a camera
 BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the map takes their part
-GLOSSES = (0.25, 0.42, 0.7)
-READ_ROWS = 64  # of a map that every size can be made of, but for finer ones
-LOSS_PX = 32  # side of the photograph in the loss
+BODY_ROUGHNESSES = (0.25, 0.42, 0.7)
+DEFAULT_READ_ROWS = 64  # of a map that every size can be made of, but for finer ones
+LOSS_PHOTO_PX = 32  # side of the photograph in the loss
 
 
 @dataclass(frozen=True)
@@ -56,7 +68,7 @@ class Illumination(CodedApp):
         further={
             f"{name}_{kind}": f"{name} sphere, {title}"
             for kind, title in (("rmse", "si-RMSE"), ("angle", "degrees"))
-            for name in SPHERES
+            for name in SPHERE_NAMES
         },
     )
     tensors: ClassVar = {
@@ -69,14 +81,14 @@ class Illumination(CodedApp):
 
     @property
     def read_size(self) -> int:
-        return self.network.height if self.network.height > READ_ROWS else 0
+        return self.network.height if self.network.height > DEFAULT_READ_ROWS else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, the radiosity of surfaces under it.
 
         Of a mirror `seen` [3, H, W] and `certain` [2, H, W], if fits see a photograph.
         """
-        relighting.transfer()  # better missed now than after a fit
+        relighting.transfer_matrix()  # better missed now than after a fit
         photo = {"photo": task.data["photos"][0]} | self.mirrored(task)
         if "map" in task.data:
             described = self.described(task.data["map"][None].float())
@@ -95,30 +107,30 @@ class Illumination(CodedApp):
             return {}
         if not {"seen", "certain"} <= task.data.keys():
             return {"seen": torch.zeros(3, height, width), "certain": torch.zeros(2, height, width)}
-        return resampled(task.data["seen"].float(), task.data["certain"].float(), height, width)
+        return resample_seen(task.data["seen"].float(), task.data["certain"].float(), height, width)
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
-        maps = resample(maps, self.network.height, self.network.width)
-        suns = {"suns": suns_of(maps)} if self.protocol == "reference" else {}
+        maps = resample_maps(maps, self.network.height, self.network.width)
+        suns = {"suns": find_suns(maps)} if self.protocol == "reference" else {}
         return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T} | suns
 
     def _surfaces(self, like: Tensor) -> Tensor:
         """Transport of light to surfaces, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
-        return surfaces(self.network.height, self.network.width, like.device).to(like)
+        return surface_transfer(self.network.height, self.network.width, like.device).to(like)
 
     def init(self, rng: Generator, count: int) -> Params:
-        return super().init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
+        return super().init(rng, count) | {"body": torch.zeros(count, BODY_NUMBERS, device=rng.device)}
 
     def radiance_of(self, theta: Params) -> Tensor:
         """The fitted maps, linear radiance [T, 3, H, W]."""
         field, z = self.network, theta["z"]
-        towards = directions(field.height, field.width, dtype=z.dtype, device=z.device)
+        towards = texel_directions(field.height, field.width, dtype=z.dtype, device=z.device)
         maps = field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
-        return with_suns(maps, joined(theta)) if "suns.light" in theta else maps
+        return add_suns(maps, join_suns(theta)) if "suns.light" in theta else maps
 
     def task_parameters(self, tasks: Tasks) -> Params:
         """The suns, if fits see the map."""
-        return parted(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
+        return split_suns(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
 
     def sized(self, height: int, width: int) -> Illumination:
         """The application with maps of another size: its networks can be evaluated anywhere."""
@@ -127,14 +139,14 @@ class Illumination(CodedApp):
     def answer(self, theta: Params, data: Batch) -> Tensor:
         """The same as they are judged and shown, of mean luminance 1; `data` as of `prepare`, [T, ...]."""
         maps = self.radiance_of(theta)
-        return of_mean_1(completed(maps, data) if "seen" in data else maps)
+        return normalise_luminance(complete_maps(maps, data) if "seen" in data else maps)
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the photograph, or of the map, [T]: of log radiance, the radiosity of surfaces, and its log."""
         maps = self.radiance_of(theta)
         if self.protocol == "photo":
             return self._visible_loss(theta, maps, batch, learned)
-        light = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT
+        light = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT_WEIGHT
         sent, logs = self._sent_apart(maps, batch["sent"], learned)
         return _texels(maps, batch["map"], learned, light) + (sent + logs).mean((1, 2))
 
@@ -144,48 +156,60 @@ class Illumination(CodedApp):
         sent, logs = self._sent_apart(scaled, batch["sent"], {})
         texels = _texels(scaled, batch["map"], {}, 0.0)
         photo = self._visible_loss(theta, maps, batch, {})
-        faced, mirrored = (each.mean((1, 2)) for each in sent.split((FACED, MIRRORED), 2))
-        result: Tensor = faced + MIRRORING * mirrored + LOGS * logs.mean((1, 2)) + TEXELS * texels + SEEN * photo
+        faced, mirrored = (each.mean((1, 2)) for each in sent.split((FACING_SURFACES, MIRRORING_SURFACES), 2))
+        result: Tensor = (
+            faced
+            + MIRRORING_WEIGHT * mirrored
+            + LOGS_WEIGHT * logs.mean((1, 2))
+            + TEXELS_WEIGHT * texels
+            + PHOTO_WEIGHT * photo
+        )
         return result
 
     def _sent_apart(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
         """Differences of the radiosity of surfaces from the target, and of its log, [T, 3, S] each."""
         sent = maps.flatten(2) @ self._surfaces(maps).T
-        return norm(sent - target, learned), norm((sent + SENT_FLOOR).log() - (target + SENT_FLOOR).log(), learned)
+        return smooth_absolute(sent - target, learned), smooth_absolute(
+            (sent + RADIOSITY_FLOOR).log() - (target + RADIOSITY_FLOOR).log(), learned
+        )
 
     def _visible_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
         """Of the light in the mirror, else of the photograph, [T]."""
         of_photo = self._photo_loss(theta, maps, batch, learned)
-        return torch.where(is_mirror(batch), seen_loss(maps, batch, learned), of_photo) if "seen" in batch else of_photo
+        return (
+            torch.where(shows_mirror(batch), mirror_loss(maps, batch, learned), of_photo)
+            if "seen" in batch
+            else of_photo
+        )
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
         """Mean difference of display values; where the photograph clips, only darker values count."""
         side = batch["photo"].shape[-1]
-        target = avg_pool2d(batch["photo"].to(maps) / 255, side // LOSS_PX)
-        short = target - self.ball(theta, maps, LOSS_PX)
+        target = avg_pool2d(batch["photo"].to(maps) / 255, side // LOSS_PHOTO_PX)
+        short = target - self.ball(theta, maps, LOSS_PHOTO_PX)
         short = torch.where(target > 0.98, relu(short), short)
-        return norm(short, learned).flatten(2)[..., _inside(side, maps.device)].mean((1, 2))
+        return smooth_absolute(short, learned).flatten(2)[..., _inside(side, maps.device)].mean((1, 2))
 
     def ball(self, theta: Params, maps: Tensor, size: int) -> Tensor:
         """The photograph [T, 3, size, size] of the fitted sphere under maps of `radiance_of`, as of `develop`."""
-        material, camera = body_of(BODY_GAIN * theta["body"])
-        return develop(shade(maps, material, size, GLOSSES), camera)
+        material, camera = decode_body(BODY_GAIN * theta["body"])
+        return develop(render_material_spheres(maps, material, size, BODY_ROUGHNESSES), camera)
 
     def loss_parameters(self, steps: int) -> Params:
-        light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
+        light = {"light": torch.full((steps,), math.log(LIGHT_WEIGHT))} if self.protocol == "reference" else {}
         return super().loss_parameters(steps) | light
 
     def init_reader(self, rng: Generator) -> Params:
-        return encoder.init_reader(rng, self.network.code, BODY)
+        return encoder.init_reader(rng, self.network.code, BODY_NUMBERS)
 
     def read(self, reader: Params, photos: Tensor) -> Params:
-        code, body = encoder.read(reader, photos.to(next(iter(reader.values()))) / 255, *self.encoder_size)
+        code, body = encoder.read_ball_photos(reader, photos.to(next(iter(reader.values()))) / 255, *self.encoder_size)
         return {"z": code / self.network.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Augmented maps, and new photographs of spheres under them."""
-        maps = varied(tasks.data["map"][tasks.rows], rng)
-        photos = (photograph(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
+        maps = vary_maps(tasks.data["map"][tasks.rows], rng)
+        photos = (photograph_spheres(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
         return tasks.variants({"photo": photos} | self.described(maps))
 
     @torch.no_grad()
@@ -197,7 +221,7 @@ class Illumination(CodedApp):
         """Of maps [T, 3, H, W] of the field's size, linear radiance."""
         if "map" not in tasks.data:
             return {}
-        maps, target = of_mean_1(answer), tasks.data["map"][tasks.rows]
+        maps, target = normalise_luminance(answer), tasks.data["map"][tasks.rows]
         error = (relighting.relight(maps) - relighting.relight(target)).abs().mean((1, 2, 3))
         return {"error": error, "map": _texels(maps, target, {}, 0.0), **sphere_errors(maps, target)}
 
@@ -209,18 +233,18 @@ def _texels(maps: Tensor, target: Tensor, learned: Params, light: Tensor | float
     """
     weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
     weights = weights * (1 + light * target.mean(1, keepdim=True))
-    off = norm((maps + RADIANCE_FLOOR).log() - (target + RADIANCE_FLOOR).log(), learned)
+    off = smooth_absolute((maps + RADIANCE_FLOOR).log() - (target + RADIANCE_FLOOR).log(), learned)
     return (off * weights).sum((2, 3)).mean(1)
 
 
-def body_of(body: Tensor) -> tuple[Material, Camera]:
+def decode_body(body: Tensor) -> tuple[SphereMaterials, CameraCurves]:
     """Materials and cameras of their description [T, BODY], any numbers."""
-    material = Material(torch.sigmoid(body[:, :3] + 1), torch.sigmoid(body[:, 3] - 1), softmax(body[:, 4:7], 1))
-    return material, Camera(torch.exp(body[:, 7]), torch.exp(0.3 * body[:, 8]), 0.5 * torch.sigmoid(body[:, 9]))
+    material = SphereMaterials(torch.sigmoid(body[:, :3] + 1), torch.sigmoid(body[:, 3] - 1), softmax(body[:, 4:7], 1))
+    return material, CameraCurves(torch.exp(body[:, 7]), torch.exp(0.3 * body[:, 8]), 0.5 * torch.sigmoid(body[:, 9]))
 
 
 @functools.lru_cache(maxsize=4)
 def _inside(side: int, device: torch.device) -> Tensor:
     """Where, row by row, the pixels are of LOSS_PX px a side of a photograph that show nothing but the sphere."""
-    inner = avg_pool2d(sphere_normals(side)[1].float()[None], side // LOSS_PX)[0] > 0.999
+    inner = avg_pool2d(sphere_normals(side)[1].float()[None], side // LOSS_PHOTO_PX)[0] > 0.999
     return inner.flatten().nonzero()[:, 0].to(device)

@@ -8,16 +8,16 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv1d, conv2d, grid_sample, leaky_relu, normalize, pad
 
-from metapp.appearance.latlong import directions
+from metapp.appearance.latlong import texel_directions
 from metapp.learning.task import Params
-from metapp.networks.layers import add_layer, dense
+from metapp.networks.layers import add_layer, apply_dense
 
-SLOPE = 0.1
+LEAKY_SLOPE = 0.1
 PHOTO_PX = 64  # side of a photograph
-DIRECT = ((3, 24), (24, 48), (48, 64), (64, 96))  # channels of the layers that look at the photograph as it is
-OUTLINE = 32  # numbers that describe the photograph as a whole
-AROUND = 64  # channels on the sphere of directions
-STRIDES = (1, 2, 4, 8, 1)  # how far apart the texels are that its layers look at, so that all see all around
+PHOTO_CHANNELS = ((3, 24), (24, 48), (48, 64), (64, 96))  # channels of the layers that look at the photograph as it is
+OUTLINE_NUMBERS = 32  # numbers that describe the photograph as a whole
+SPHERE_CHANNELS = 64  # channels on the sphere of directions
+SPHERE_STRIDES = (1, 2, 4, 8, 1)  # how far apart the texels are that its layers look at, so that all see all around
 
 
 def init_reader(rng: Generator, code: int, body: int) -> Params:
@@ -25,21 +25,21 @@ def init_reader(rng: Generator, code: int, body: int) -> Params:
     reader: Params = {}
     layer = functools.partial(add_layer, reader, rng)
 
-    for i, (inputs, outputs) in enumerate(DIRECT):
+    for i, (inputs, outputs) in enumerate(PHOTO_CHANNELS):
         layer(f"photo{i}", outputs, inputs, 3, 3)
-    layer("whole", 2 * OUTLINE, DIRECT[-1][1] * (PHOTO_PX // 2 ** len(DIRECT)) ** 2)
-    layer("outline", OUTLINE, 2 * OUTLINE)
-    layer("body", body, 2 * OUTLINE, gain=0.1)
-    layer("around0", AROUND, 2 * 6 + 3, 3, 3)
-    layer("around0.whole", AROUND, OUTLINE)
-    for i in range(1, 1 + len(STRIDES)):
-        layer(f"around{i}", AROUND, AROUND, 3, 3, gain=1.0)
-        layer(f"around{i}.row", AROUND, AROUND, 1, gain=0.5)
-    layer("code", code, AROUND, 1, 1, gain=0.3)
+    layer("whole", 2 * OUTLINE_NUMBERS, PHOTO_CHANNELS[-1][1] * (PHOTO_PX // 2 ** len(PHOTO_CHANNELS)) ** 2)
+    layer("outline", OUTLINE_NUMBERS, 2 * OUTLINE_NUMBERS)
+    layer("body", body, 2 * OUTLINE_NUMBERS, gain=0.1)
+    layer("around0", SPHERE_CHANNELS, 2 * 6 + 3, 3, 3)
+    layer("around0.whole", SPHERE_CHANNELS, OUTLINE_NUMBERS)
+    for i in range(1, 1 + len(SPHERE_STRIDES)):
+        layer(f"around{i}", SPHERE_CHANNELS, SPHERE_CHANNELS, 3, 3, gain=1.0)
+        layer(f"around{i}.row", SPHERE_CHANNELS, SPHERE_CHANNELS, 1, gain=0.5)
+    layer("code", code, SPHERE_CHANNELS, 1, 1, gain=0.3)
     return reader
 
 
-def read(reader: Params, photos: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
+def read_ball_photos(reader: Params, photos: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
     """The code [T, code, rows, columns] and the body [T, body] of photographs [T, 3, PHOTO_PX, PHOTO_PX] in [0, 1].
 
     Two views of one photograph: as it is, and unwrapped to where its pixels mirror from and where they face. Each
@@ -47,20 +47,20 @@ def read(reader: Params, photos: Tensor, rows: int, columns: int) -> tuple[Tenso
     a sphere resembles the light before it.
     """
     x = photos - 0.5
-    for i in range(len(DIRECT)):
+    for i in range(len(PHOTO_CHANNELS)):
         kernel, shift = reader[f"photo{i}.kernel"], reader[f"photo{i}.shift"]
-        x = leaky_relu(conv2d(x, kernel, shift, stride=2, padding=1), SLOPE)
-    whole = leaky_relu(dense(reader, "whole", x.flatten(1)), SLOPE)
-    x = unwrapped(photos, 2 * rows, 2 * columns).contiguous(memory_format=torch.channels_last)
-    outline = dense(reader, "around0.whole", dense(reader, "outline", whole))[..., None, None]
-    x = avg_pool2d(leaky_relu(_around(reader, "around0", x) + outline, SLOPE), 2)
-    for i, stride in enumerate(STRIDES, 1):
+        x = leaky_relu(conv2d(x, kernel, shift, stride=2, padding=1), LEAKY_SLOPE)
+    whole = leaky_relu(apply_dense(reader, "whole", x.flatten(1)), LEAKY_SLOPE)
+    x = unwrap_photos(photos, 2 * rows, 2 * columns).contiguous(memory_format=torch.channels_last)
+    outline = apply_dense(reader, "around0.whole", apply_dense(reader, "outline", whole))[..., None, None]
+    x = avg_pool2d(leaky_relu(_around(reader, "around0", x) + outline, LEAKY_SLOPE), 2)
+    for i, stride in enumerate(SPHERE_STRIDES, 1):
         row = conv1d(x.mean(3), reader[f"around{i}.row.kernel"], reader[f"around{i}.row.shift"])[..., None]
-        x = x + leaky_relu(_around(reader, f"around{i}", x, stride) + row, SLOPE)
-    return conv2d(x, reader["code.kernel"], reader["code.shift"]), dense(reader, "body", whole)
+        x = x + leaky_relu(_around(reader, f"around{i}", x, stride) + row, LEAKY_SLOPE)
+    return conv2d(x, reader["code.kernel"], reader["code.shift"]), apply_dense(reader, "body", whole)
 
 
-def unwrapped(photos: Tensor, height: int, width: int) -> Tensor:
+def unwrap_photos(photos: Tensor, height: int, width: int) -> Tensor:
     """Photographs [T, 3, S, S] in [0, 1], less 0.5, on the sphere of directions.
 
     Returns:
@@ -81,7 +81,7 @@ def _places(height: int, width: int) -> tuple[list[Tensor], Tensor]:
 
     Directions that face away from the viewer are looked up at the rim.
     """
-    towards = directions(height, width)
+    towards = texel_directions(height, width)
     grids = []
     for each in (towards, towards * torch.tensor([1.0, 1.0, -1.0])[:, None, None]):
         mirror = normalize(each + torch.tensor([0.0, 0.0, 1.0])[:, None, None], dim=0)

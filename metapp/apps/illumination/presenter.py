@@ -11,12 +11,12 @@ from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.latlong import sphere_normals
-from metapp.appearance.pictures import Compared, Picture, Visible
+from metapp.appearance.pictures import Picture, PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
-from metapp.appearance.uniform import collapsed_fit, uniform_input
+from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
 from metapp.apps.illumination.app import Illumination
-from metapp.apps.illumination.mirror import is_mirror, raised
-from metapp.apps.illumination.variants import of_mean_1
+from metapp.apps.illumination.mirror import scale_to_seen, shows_mirror
+from metapp.apps.illumination.variants import normalise_luminance
 from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.second_scene import relighting
 
@@ -53,24 +53,24 @@ class IlluminationPresenter(Presenter[Illumination]):
         return tiles
 
     @torch.no_grad()
-    def photo_comparison(self, theta: Params, task: Task) -> Compared | None:
+    def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the ball as the fit makes it beside its photograph; of a mirror the light in it, unwrapped."""
         if self.app.protocol != "photo":
             return None
         data, parameters = add_task_axis(self.app.prepare(task)), add_task_axis(theta)
         maps = self.app.radiance_of(parameters)
-        if is_mirror(data)[0]:
-            fit, seen = (linear_to_srgb(light.clamp(0, 1)) for light in (raised(maps, data), data["seen"]))
-            return Compared(fit, seen, data["certain"][0, 0] > 0.5)
+        if shows_mirror(data)[0]:
+            fit, seen = (linear_to_srgb(light.clamp(0, 1)) for light in (scale_to_seen(maps, data), data["seen"]))
+            return PictureComparison(fit, seen, data["certain"][0, 0] > 0.5)
         side = data["photo"].shape[-1]
-        return Compared(self.app.ball(parameters, maps, side), data["photo"] / 255, sphere_normals(side)[1])
+        return PictureComparison(self.app.ball(parameters, maps, side), data["photo"] / 255, sphere_normals(side)[1])
 
     @torch.no_grad()
-    def comparison(self, theta: Params, task: Task) -> Compared | None:
+    def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the second scene under the maps of fit and reference, tone-mapped."""
         maps, _ = self._maps_and_photo(theta, task)
         lit = {name: tone_map(relighting.relight(radiance)) for name, radiance in maps.items()}
-        return Compared(lit["fit"], lit["reference"]) if "reference" in lit else None
+        return PictureComparison(lit["fit"], lit["reference"]) if "reference" in lit else None
 
     def _maps_and_photo(self, theta: Params, task: Task) -> tuple[dict[str, Tensor], Tensor]:
         """Return the map `reference`, if it is known, and the map `fit`, both [1, 3, H, W], and the photograph."""
@@ -81,7 +81,7 @@ class IlluminationPresenter(Presenter[Illumination]):
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Return the map, at its file's scale, of mean luminance 1 if there was none, and the second scene under it."""
-        answer = answer_of_files(self.app, theta, task)
+        answer = file_map(self.app, theta, task)
         return self.answer_pictures(answer, task) | {"map": self.map_picture(theta, task)}
 
     @torch.no_grad()
@@ -97,7 +97,7 @@ class IlluminationPresenter(Presenter[Illumination]):
             answer: the map [1, 3, H, W], linear radiance; the file has its size.
             task: the task that is answered.
         """
-        maps = of_mean_1(answer)
+        maps = normalise_luminance(answer)
         return {
             "map": radiance_picture(maps, task),
             "relit": Picture(tone_map(relighting.relight(maps))[0].permute(1, 2, 0), "srgb"),
@@ -107,11 +107,11 @@ class IlluminationPresenter(Presenter[Illumination]):
     def map_picture(self, theta: Params, task: Task) -> Picture:
         """Return the file of the map, of `size` if that is given."""
         app = self.app.sized(*self.size) if self.size else self.app
-        return radiance_picture(answer_of_files(app, theta, task), task)
+        return radiance_picture(file_map(app, theta, task), task)
 
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
         """State that the map is the same everywhere."""
-        notes = uniform_input(task.data["map"], "radiance (mean luminance 1)") if "map" in task.data else []
+        notes = uniform_input_remarks(task.data["map"], "radiance (mean luminance 1)") if "map" in task.data else []
         return {"note": "; ".join(notes)} if notes else {}
 
     @torch.no_grad()
@@ -120,14 +120,14 @@ class IlluminationPresenter(Presenter[Illumination]):
         if "map" not in tasks.data:
             return super().quality_warnings(theta, tasks)
         pairs = zip(self.app.radiance_of(theta), tasks.data["map"][tasks.rows], strict=True)
-        return [collapsed_fit(fit, reference) for fit, reference in pairs]
+        return [collapsed_fit_warnings(fit, reference) for fit, reference in pairs]
 
     @override
-    def visible(self, task: Task) -> Visible:
+    def visible(self, task: Task) -> VisibleData:
         # each step sees all of the map or of the photograph; General's encoder reads the photograph alone
         if self.app.protocol == "photo":
-            return Visible(1, task.data["photos"][0].nbytes, 1)
-        return Visible(1, task.data["map"].nbytes, 0)
+            return VisibleData(1, task.data["photos"][0].nbytes, 1)
+        return VisibleData(1, task.data["map"].nbytes, 0)
 
 
 def add_task_axis(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -135,7 +135,7 @@ def add_task_axis(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {key: value[None] for key, value in tensors.items()}
 
 
-def answer_of_files(app: Illumination, theta: Params, task: Task) -> Tensor:
+def file_map(app: Illumination, theta: Params, task: Task) -> Tensor:
     """Return the fitted map [1, 3, H, W] that files show, of mean luminance 1; the task may lack the reference.
 
     Args:

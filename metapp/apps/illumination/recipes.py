@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.illumination.app import Illumination
-from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, decayed
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, long_paper_recipe
 from metapp.networks.field import LocalField
-from metapp.networks.recipes import by_protocol
+from metapp.networks.recipes import recipes_by_protocol
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -39,7 +39,7 @@ QUICK = Recipe(
     app=Illumination(LocalField(32, 64)),
 )
 # from photographs slowly and for long: the encoder has much to learn, such as to leave to the steps what they can find
-FROM_PHOTOS = replace(
+PHOTO_TRAINING = replace(
     LEARNED,
     steps=3000,
     rates={"": 1e-4, "alpha.": 1e-2},
@@ -52,11 +52,11 @@ PHOTO = replace(
     overfit=Adam(1e-3, final=0.0),
     finetune=Adam(1e-4, final=0.0),
     quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
-    meta={"meta-encoder": FROM_PHOTOS},
+    meta={"meta-encoder": PHOTO_TRAINING},
     rule="meta-encoder",
 )
 PROTOCOLS = ("reference", "photo")
-RECIPES = by_protocol(
+RECIPES = recipes_by_protocol(
     QUICK,
     PHOTO,
     # at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
@@ -65,4 +65,4 @@ RECIPES = by_protocol(
     paper=dict.fromkeys(PROTOCOLS, Illumination(LocalField(64, 128, hidden=64))),
 )
 # at 1e-3, as of the other applications, losses are not finite after 439 steps
-RECIPES["reference"]["paper-long"] = decayed(RECIPES["reference"]["paper"], 3e-4)
+RECIPES["reference"]["paper-long"] = long_paper_recipe(RECIPES["reference"]["paper"], 3e-4)

@@ -12,33 +12,33 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d, pad
 
-from metapp.appearance.latlong import directions, luminance, solid_angles
+from metapp.appearance.latlong import luminance, solid_angles, texel_directions
 from metapp.learning.task import Params
 
-SUNS, SUN_NUMBERS = 3, 10  # suns of a map, and numbers of each
+SUN_COUNT, SUN_NUMBERS = 3, 10  # suns of a map, and numbers of each
 SUN_LUMINANCE = 80.0  # luminance of what is a sun, of maps of mean luminance 1
-WIDEST_RAD = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
-COVERED_PARTS = 20.0  # the network does not count where a sun has this part of its radiance or more
-NARROWEST_TEXELS = 0.1  # texels, standard deviation along one axis
+MAX_SUN_RAD = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
+COVER_GAIN = 20.0  # the network does not count where a sun has this part of its radiance or more
+MIN_DEVIATION_TEXELS = 0.1  # texels, standard deviation along one axis
 
 
-def suns_of(maps: Tensor) -> Tensor:
+def find_suns(maps: Tensor) -> Tensor:
     """The suns of maps [T, 3, H, W] of mean luminance 1, [T, SUNS, 10]; zeros if there are no more."""
     return torch.stack([_suns(one.detach().cpu()) for one in maps]).to(maps)
 
 
 def _suns(light: Tensor) -> Tensor:
     bright = luminance(light)
-    numbers = torch.zeros(SUNS, SUN_NUMBERS)
+    numbers = torch.zeros(SUN_COUNT, SUN_NUMBERS)
     if not (bright > SUN_LUMINANCE).any():
         return numbers
     height, width = bright.shape
-    towards, area = directions(height, width), solid_angles(height, width)
+    towards, area = texel_directions(height, width), solid_angles(height, width)
     excess = light * (1 - SUN_LUMINANCE / bright.clamp_min(SUN_LUMINANCE)) * area
     regions = _regions(bright > SUN_LUMINANCE)
     weights = luminance(excess)
     suns = [_shape(weights * (regions == region), towards) for region in range(1, int(regions.max()) + 1)]
-    small = sorted((sun for sun in suns if sun[1] <= WIDEST_RAD**2), key=lambda sun: -sun[0])[:SUNS]
+    small = sorted((sun for sun in suns if sun[1] <= MAX_SUN_RAD**2), key=lambda sun: -sun[0])[:SUN_COUNT]
     for number, (_, spread, mean) in enumerate(small):
         numbers[number, :3], numbers[number, 6] = mean, spread
     lobes = _lobes(numbers[None], height, width)[0]
@@ -78,7 +78,7 @@ def _lobes(suns: Tensor, height: int, width: int) -> Tensor:
     (x, y, z), there = suns[..., :3].unbind(2), suns[..., :3].norm(dim=2) > 0
     texel = math.pi / height
     polar, around = torch.acos(y.clamp(-1, 1)), torch.atan2(x, -z) % math.tau
-    deviation, least = (suns[..., 6] / 2).sqrt(), NARROWEST_TEXELS * texel
+    deviation, least = (suns[..., 6] / 2).sqrt(), MIN_DEVIATION_TEXELS * texel
     sideways = (deviation / polar.sin().clamp_min(1e-3)).clamp(least, math.tau)
     rows = torch.arange(height + 1).to(suns) * texel
     columns = torch.arange(width + 1).to(suns) * texel
@@ -95,13 +95,13 @@ def _between(edges: Tensor) -> Tensor:
     return shares
 
 
-def parted(suns: Tensor) -> Params:
+def split_suns(suns: Tensor) -> Params:
     """Suns [T, SUNS, SUN_NUMBERS] as parameters of fits, by kind, so that a pack spends bits on each; angles in rad."""
     towards, light, spread, level = suns.split((3, 3, 1, 3), 2)
     return {"suns.angle": spread.sqrt(), "suns.level": level, "suns.light": light, "suns.towards": towards}
 
 
-def joined(theta: Params) -> Tensor:
+def join_suns(theta: Params) -> Tensor:
     """The same again, [T, SUNS, SUN_NUMBERS], which no step moves."""
     kinds = theta["suns.towards"], theta["suns.light"], theta["suns.angle"] ** 2, theta["suns.level"]
     return torch.cat(kinds, 2).detach()
@@ -109,10 +109,10 @@ def joined(theta: Params) -> Tensor:
 
 def _covered(lobes: Tensor) -> Tensor:
     """The weight of suns alone, in [0, 1]."""
-    return (COVERED_PARTS * lobes / lobes.amax((-2, -1), keepdim=True).clamp_min(1e-12)).clamp_max(1)
+    return (COVER_GAIN * lobes / lobes.amax((-2, -1), keepdim=True).clamp_min(1e-12)).clamp_max(1)
 
 
-def with_suns(maps: Tensor, suns: Tensor) -> Tensor:
+def add_suns(maps: Tensor, suns: Tensor) -> Tensor:
     """Maps [T, 3, H, W] with suns [T, SUNS, 10], each of exactly its light, in place of their texels."""
     height, width = maps.shape[-2:]
     lobes = _lobes(suns, height, width)

@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 from typing_extensions import override
 
-from metapp.appearance.flash import Maps, positions, render, statistics, unpack
+from metapp.appearance.flash import Maps, map_statistics, render_maps, texel_positions, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import (
     CLIPPED_VALUE,
     FLASH_NUMBERS,
@@ -151,10 +151,10 @@ class SvbrdfNonstationary(App):
             place: the positions of the texels, [T, 2, H, W].
         """
         if place is None:
-            place = positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)[None]
+            place = texel_positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)[None]
         place = place[:, None]
         spread = Maps(*(part[:, None] for part in maps))
-        return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + RADIANCE_FLOOR).log()
+        return (render_maps(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + RADIANCE_FLOOR).log()
 
     @override
     @torch.no_grad()
@@ -171,11 +171,11 @@ class SvbrdfNonstationary(App):
         """
         if "maps" not in tasks.data:
             return {}
-        maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
+        maps, target = answer, unpack_maps(tasks.data["maps"][tasks.rows])
         logs, references = self.judged(maps), self.judged(target)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), map_differences(maps, target), strict=False))
-        steepness = [statistics(each)[:, 0, -1] + LEVEL_SINE for each in (maps, target)]
+        steepness = [map_statistics(each)[:, 0, -1] + LEVEL_SINE for each in (maps, target)]
         photo = tasks.data["photo"][tasks.rows]
         return {
             "error": (logs - references).abs().mean((1, 2, 3, 4)),

@@ -15,7 +15,7 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import Maps, tilt, unpack
+from metapp.appearance.flash import Maps, tilt_sine, unpack_maps
 from metapp.appearance.highlight import FILL_PX, fill_clipped
 from metapp.apps.svbrdf_nonstationary.app import (
     FINEST_PX,
@@ -40,8 +40,8 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.variants import draw_photos, vary_materials
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.networks.coded import CodedApp, norm
-from metapp.networks.field import LocalField, field_by_rows
+from metapp.networks.coded import CodedApp, smooth_absolute
+from metapp.networks.field import LocalField, evaluate_by_rows
 
 MAPS_WEIGHT, PHOTO_WEIGHT = 0.3, 0.3  # of the outer loss, beside 1 for pictures under other lights
 STEEPNESS_WEIGHT = 0.2  # of the outer loss, of how steep normals are, which a photo hardly shows
@@ -102,7 +102,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
         """Make the maps by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB."""
         field = self.network._replace(height=photo.shape[-2], width=photo.shape[-1])
-        parts = [self.maps_from(rows) for rows in field_by_rows(field, theta, pixel_inputs(photo))]
+        parts = [self.maps_from(rows) for rows in evaluate_by_rows(field, theta, pixel_inputs(photo))]
         return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
 
     def maps_from(self, raw: Tensor) -> Maps:
@@ -120,7 +120,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
 
         How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
         """
-        maps, target = self.maps_of(theta, batch["photo"]), unpack(batch["maps"])
+        maps, target = self.maps_of(theta, batch["photo"]), unpack_maps(batch["maps"])
         logs, references = (self.log_radiance(each, batch["pairs"]) for each in (maps, target))
         pictures = (logs - references).abs().mean((1, 2, 3, 4))
         photo = self.photo_difference(theta, maps, batch, {})
@@ -177,14 +177,14 @@ class FromMaps(CodedMaps):
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         """Return `maps`, the lights that fits see, `rig` [T, V, 2, 3], and the logs of radiance under them, `lit`."""
         rig = fixed_pairs(RIG_LIGHTS).to(maps).expand(len(maps), -1, -1, -1)
-        return {"maps": maps, "rig": rig, "lit": self.log_radiance(unpack(maps), rig)}
+        return {"maps": maps, "rig": rig, "lit": self.log_radiance(unpack_maps(maps), rig)}
 
     @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Return the difference of maps and of their pictures under the lights that fits see, [T]."""
         maps = self.maps_of(theta, batch["photo"])
-        pictures = norm(self.log_radiance(maps, batch["rig"]) - batch["lit"], learned)
-        return pictures.mean((1, 2, 3, 4)) + _map_loss(map_differences(maps, unpack(batch["maps"])), learned)
+        pictures = smooth_absolute(self.log_radiance(maps, batch["rig"]) - batch["lit"], learned)
+        return pictures.mean((1, 2, 3, 4)) + _map_loss(map_differences(maps, unpack_maps(batch["maps"])), learned)
 
 
 @dataclass(frozen=True)
@@ -225,14 +225,14 @@ def photo_loss(seen: Tensor, photos: Tensor, learned: Params) -> Tensor:
     """
     short = (photos + RADIANCE_FLOOR).log() - (seen + RADIANCE_FLOOR).log()
     short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
-    return norm(short, learned).mean(tuple(range(1, short.ndim)))
+    return smooth_absolute(short, learned).mean(tuple(range(1, short.ndim)))
 
 
 def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:
     """Return the sum of the mean differences of maps, [T], colours as the eye spaces them."""
-    return torch.stack([norm(each, learned).mean((1, 2, 3)) for each in apart]).sum(0)
+    return torch.stack([smooth_absolute(each, learned).mean((1, 2, 3)) for each in apart]).sum(0)
 
 
 def _steepness(maps: Maps) -> Tensor:
     """Return sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, 8, 8]."""
-    return adaptive_avg_pool2d(tilt(maps.normal), STEEPNESS_CELLS) + 2 * LEVEL_SINE
+    return adaptive_avg_pool2d(tilt_sine(maps.normal), STEEPNESS_CELLS) + 2 * LEVEL_SINE

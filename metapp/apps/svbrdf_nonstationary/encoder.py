@@ -14,7 +14,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, conv2d, interpo
 
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, PIXEL_INPUTS, pixel_inputs
 from metapp.learning.task import Params
-from metapp.networks.layers import add_layer, convolved, dense
+from metapp.networks.layers import add_layer, apply_convolution, apply_dense
 
 LEAKY_SLOPE = 0.1  # of leaky rectifiers below 0
 BASE_TEXELS = 64  # a side of the level that all others are counted from
@@ -80,7 +80,7 @@ class Encoder(NamedTuple):
         for level in range(LEVEL_COUNT):
             x = block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
-        flash = dense(encoder, "flash", adaptive_avg_pool2d(x, FLASH_CELLS).flatten(1))
+        flash = apply_dense(encoder, "flash", adaptive_avg_pool2d(x, FLASH_CELLS).flatten(1))
         for level in reversed(range(LEVEL_COUNT - 1)):
             x = block(encoder, f"up{level}", torch.cat([upsample(x), skips[level]], 1))
         code = apply_pointwise(encoder, "code", x)
@@ -125,6 +125,6 @@ def add_block(encoder: Params, rng: Generator, name: str, inputs: int, outputs: 
 
 def block(encoder: Params, name: str, x: Tensor) -> Tensor:
     """Apply two convolutions; the second is beside a path around it and knows the mean of the picture."""
-    first = leaky_relu(convolved(encoder, f"{name}.first", x), LEAKY_SLOPE)
-    mean = dense(encoder, f"{name}.mean", first.mean((2, 3)))
-    return first + leaky_relu(convolved(encoder, f"{name}.second", first) + mean[..., None, None], LEAKY_SLOPE)
+    first = leaky_relu(apply_convolution(encoder, f"{name}.first", x), LEAKY_SLOPE)
+    mean = apply_dense(encoder, f"{name}.mean", first.mean((2, 3)))
+    return first + leaky_relu(apply_convolution(encoder, f"{name}.second", first) + mean[..., None, None], LEAKY_SLOPE)

@@ -16,12 +16,12 @@ from torch.nn.functional import adaptive_avg_pool2d, pad
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import (
     Maps,
-    camera,
     camera_distance,
-    positions,
-    render,
+    camera_position,
+    render_maps,
+    texel_positions,
 )
-from metapp.learning.draws import uniform
+from metapp.learning.draws import draw_uniform
 
 # Channels of unbounded numbers that stand for a texel: slopes, diffuse colour, roughness, specular colour
 CHANNELS = (2, 3, 1, 3)
@@ -87,7 +87,7 @@ class Flash(NamedTuple):
 
     Attributes:
         place: [T, 3].
-        gain: [T, 1], its intensity, as `metapp.appearance.flash.render` has it.
+        gain: [T, 1], its intensity, as `metapp.appearance.flash.render_maps` has it.
         eye: position of the camera, [T, 3] or [3].
     """
 
@@ -104,7 +104,7 @@ def decode_flash(flash: Tensor) -> Flash:
     """
     higher = torch.exp(FLASH_LOG_HEIGHT * flash[:, 2:3])
     place = torch.cat([FLASH_SHIFT * flash[:, :2], camera_distance() * higher], 1)
-    eye = camera(dtype=flash.dtype, device=flash.device)
+    eye = camera_position(dtype=flash.dtype, device=flash.device)
     return Flash(place, torch.exp(FLASH_LOG_GAIN * flash[:, 3:4]) * higher * higher, eye)
 
 
@@ -115,8 +115,8 @@ def render_photo(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tenso
     """
     like = maps.diffuse
     if place is None:
-        place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
-    return render(maps, place, flash.place, flash.eye, intensity=flash.gain)
+        place = texel_positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
+    return render_maps(maps, place, flash.place, flash.eye, intensity=flash.gain)
 
 
 def draw_oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
@@ -126,7 +126,7 @@ def draw_oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
 
 def draw_mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
     """Draw places of a light and of a viewer who sees it mirrored in a smooth patch, [*shape, 2, 3] in half sides."""
-    centre = 1.6 * uniform(rng, *shape, 2) - 0.8
+    centre = 1.6 * draw_uniform(rng, *shape, 2) - 0.8
     centre = torch.cat([centre, torch.zeros_like(centre[..., :1])], -1)
     towards = _draw_directions(rng, shape)
     mirrored = towards * towards.new_tensor([-1.0, -1.0, 1.0])
@@ -135,7 +135,7 @@ def draw_mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
 
 def _draw_directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
     """Draw unit vectors [*shape, 3], even in solid angle, whose z, along the normal, is at least MIN_COSINE."""
-    z, turn = uniform(rng, 2, *shape)
+    z, turn = draw_uniform(rng, 2, *shape)
     z, phi = MIN_COSINE + (1 - MIN_COSINE) * z, 2 * math.pi * turn
     sine = (1 - z * z).sqrt()
     return torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1)
@@ -156,5 +156,5 @@ def pixel_inputs(photo: Tensor) -> Tensor:
     above, below = wide[..., before, middle], wide[..., after, middle]
     here = wide[..., middle, middle]
     contrasts = [right - left, above - below, 4 * here - left - right - above - below]
-    place = positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device).expand(len(photo), -1, -1, -1)
+    place = texel_positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device).expand(len(photo), -1, -1, -1)
     return torch.cat([logs / 1.5 + 1, *contrasts, place], 1)

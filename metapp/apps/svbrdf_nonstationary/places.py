@@ -8,7 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import camera_distance
-from metapp.learning.draws import normal, uniform
+from metapp.learning.draws import draw_normal, draw_uniform
 
 ASIDE_HALF_SIDES = 0.6  # at most, of all photographs but the first
 NEAREST_TIMES, FARTHEST_TIMES = 0.8, 2.2  # of the distance at which a camera of 45 degrees sees the patch
@@ -28,11 +28,11 @@ def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Te
         Places and offsets, [materials, photos, 3] each, in half sides of the patch. The first place is straight above
         the patch, at `camera_distance`.
     """
-    angle = 2 * math.pi * uniform(rng, materials, photos, 1)
-    aside = ASIDE_HALF_SIDES * uniform(rng, materials, photos, 1).sqrt()
-    share = uniform(rng, materials, photos, 1)
+    angle = 2 * math.pi * draw_uniform(rng, materials, photos, 1)
+    aside = ASIDE_HALF_SIDES * draw_uniform(rng, materials, photos, 1).sqrt()
+    share = draw_uniform(rng, materials, photos, 1)
     height = camera_distance() * NEAREST_TIMES * (FARTHEST_TIMES / NEAREST_TIMES) ** share
     places = torch.cat([aside * angle.cos(), aside * angle.sin(), height], -1)
     places[:, 0] = places.new_tensor([0.0, 0.0, camera_distance()])
-    off = PLACE_ERROR * places[..., 2:] * normal(rng, materials, photos, 3)
+    off = PLACE_ERROR * places[..., 2:] * draw_normal(rng, materials, photos, 3)
     return places, off

@@ -11,12 +11,12 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, camera, expose, mean_tilt_degrees, unpack
-from metapp.appearance.highlight import F0_BOUND, clipped_highlight, find_clipped, format_percent
-from metapp.appearance.pictures import Compared, Picture, Visible
+from metapp.appearance.flash import Maps, camera_position, mean_tilt_degrees, radiance_to_display, unpack_maps
+from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings, find_clipped, format_percent
+from metapp.appearance.pictures import Picture, PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
-from metapp.appearance.surface import Surface, map_pictures, photograph, with_relief
-from metapp.appearance.uniform import black_fit
+from metapp.appearance.surface import Surface, map_pictures, photograph_maps, scale_relief
+from metapp.appearance.uniform import black_fit_warnings
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import Flash, decode_photo, pool_maps, render_photo
 from metapp.learning.task import Params, Task, Tasks
@@ -50,20 +50,20 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         maps, photo = self._small_maps(theta, task)
         target = {}
         if "maps" in task.data:
-            target = {"reference": _sheet(unpack(pool_maps(task.data["maps"].float(), photo.shape[-2:])))}
-        return target | {"fit": _sheet(with_relief(maps, self.relief))}
+            target = {"reference": _sheet(unpack_maps(pool_maps(task.data["maps"].float(), photo.shape[-2:])))}
+        return target | {"fit": _sheet(scale_relief(maps, self.relief))}
 
     @override
     @torch.no_grad()
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return the photograph, the fit under its flash, maps, and the fit under three other lights."""
         seen, (maps, photo) = self.photo_comparison(theta, task), self._small_maps(theta, task)
-        eye = camera()
-        shown = photograph(maps, eye, eye) if seen is None else seen.pictures[0]
+        eye = camera_position()
+        shown = photograph_maps(maps, eye, eye) if seen is None else seen.pictures[0]
         tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(shown).permute(1, 2, 0)}
-        tiles |= _linear_pictures(with_relief(maps, self.relief))
+        tiles |= _linear_pictures(scale_relief(maps, self.relief))
         if "maps" in task.data:
-            target = _linear_pictures(unpack(pool_maps(task.data["maps"].float(), photo.shape[-2:])))
+            target = _linear_pictures(unpack_maps(pool_maps(task.data["maps"].float(), photo.shape[-2:])))
             tiles |= {f"reference {name}": picture for name, picture in target.items()}
         return tiles
 
@@ -75,7 +75,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         Of several photographs also `photo_1` and so on: the maps in each, from where the fit places its camera.
         """
         maps = self._shown_maps(theta, task)
-        pictures = map_pictures(with_relief(maps, self.relief))
+        pictures = map_pictures(scale_relief(maps, self.relief))
         if self.app.sees_others:
             for number, flash in enumerate(self.app.flashes(theta, task), 1):
                 radiance = _photograph_by(flash, Maps(*(part[None] for part in maps)))
@@ -90,23 +90,23 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     @override
     @torch.no_grad()
     def surface(self, theta: Params, task: Task) -> Surface:
-        maps = with_relief(self._shown_maps(theta, task), self.relief)
+        maps = scale_relief(self._shown_maps(theta, task), self.relief)
         return Surface(maps.diffuse, False, maps)
 
     @override
     @torch.no_grad()
-    def comparison(self, theta: Params, task: Task) -> Compared | None:
+    def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the renderings that errors are of, as displays of gamma 2.2 show them."""
         if "maps" not in task.data:
             return None
         data = {key: value[None] for key, value in self.app.prepare(task).items()}
         fitted = self.app.final_maps(_batched(theta), data["photo"])
-        both = (self.app.judged(maps)[0] for maps in (fitted, unpack(data["maps"])))
-        return Compared(*(expose(logs.exp() - RADIANCE_FLOOR) for logs in both))
+        both = (self.app.judged(maps)[0] for maps in (fitted, unpack_maps(data["maps"])))
+        return PictureComparison(*(radiance_to_display(logs.exp() - RADIANCE_FLOOR) for logs in both))
 
     @override
     @torch.no_grad()
-    def photo_comparison(self, theta: Params, task: Task) -> Compared | None:
+    def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the maps under each photograph's flash, as the fit places it."""
         if self.app.protocol != "photo":
             return None
@@ -115,7 +115,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         photos = adaptive_avg_pool2d(decode_photo(photos), min(SHOWN_PX, photos.shape[-1]))
         maps = self.app.final_maps(_batched(theta), photos[:1])
         pictures = torch.stack([_photograph_by(flash, maps) for flash in flashes])
-        return Compared(linear_to_srgb(pictures.clamp(0, 1)), linear_to_srgb(photos))
+        return PictureComparison(linear_to_srgb(pictures.clamp(0, 1)), linear_to_srgb(photos))
 
     @override
     @torch.no_grad()
@@ -140,27 +140,28 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         app = self.app
         if app.sees_others and app.protocol == "photo":
             darkest = linear_to_srgb(tasks.data["photos"][tasks.rows].amin(1))
-            return [clipped_highlight(photo, F0_BOUND, "all photos") for photo in darkest]
+            return [clipped_highlight_warnings(photo, F0_BOUND_CLAUSE, "all photos") for photo in darkest]
         photos = tasks.data["photo"][tasks.rows]
         maps = app.maps_of(theta, photos)
         warnings = [
-            black_fit(colours, photo) for colours, photo in zip(maps.diffuse + maps.specular, photos, strict=True)
+            black_fit_warnings(colours, photo)
+            for colours, photo in zip(maps.diffuse + maps.specular, photos, strict=True)
         ]
         if not app.fills:
             return warnings
         shown = linear_to_srgb(photos)
         shares = find_clipped(shown).float().mean((1, 2, 3)).tolist()
         effects = [f"{format_percent(share)} of the maps is filled from its surroundings" for share in shares]
-        clipped = (clipped_highlight(*pair) for pair in zip(shown, effects, strict=True))
+        clipped = (clipped_highlight_warnings(*pair) for pair in zip(shown, effects, strict=True))
         return [black + highlight for black, highlight in zip(warnings, clipped, strict=True)]
 
     @override
-    def visible(self, task: Task) -> Visible:
+    def visible(self, task: Task) -> VisibleData:
         """Return the maps or all photographs, all of them in each step; General's encoder reads photographs alone."""
         if self.app.protocol == "photo":
             count = self._photo_count(task)
-            return Visible(count, task.data["photo"].nbytes, count)
-        return Visible(1, task.data["maps"].nbytes, 0)
+            return VisibleData(count, task.data["photo"].nbytes, count)
+        return VisibleData(1, task.data["maps"].nbytes, 0)
 
     def _photo_count(self, task: Task) -> int:
         """Return the number of photographs that a fit sees."""
@@ -212,8 +213,8 @@ def _linear_pictures(maps: Maps) -> dict[str, Tensor]:
 
 def _sheet(maps: Maps) -> Tensor:
     """Return a linear picture [2 H, 4 W, 3] of maps [C, H, W]: four maps; below, the flash and three other lights."""
-    pictures, eye = map_pictures(maps), camera(device=maps.diffuse.device)
-    flash = photograph(maps, eye, eye).permute(1, 2, 0)
+    pictures, eye = map_pictures(maps), camera_position(device=maps.diffuse.device)
+    flash = photograph_maps(maps, eye, eye).permute(1, 2, 0)
     above = [pictures.pop(name).pixels.expand(-1, -1, 3) for name in ("normal", "diffuse", "roughness", "specular")]
     below = [flash, *(picture.pixels for picture in pictures.values())]
     return srgb_to_linear(torch.cat([torch.cat(row, 1) for row in (above, below)]))

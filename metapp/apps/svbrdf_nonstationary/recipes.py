@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
-from metapp.networks.recipes import by_protocol
+from metapp.networks.recipes import recipes_by_protocol
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -48,7 +48,7 @@ PHOTO = replace(
     rule="meta-encoder",
 )
 FINER = (16, 12)  # channels of the encoder's levels of 128 and 256 texels
-RECIPES = by_protocol(
+RECIPES = recipes_by_protocol(
     QUICK,
     PHOTO,
     full={

@@ -14,7 +14,13 @@ from torch import Generator, Tensor
 from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolate
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, unpack
+from metapp.appearance.flash import (
+    BESIDE_LENS_SHARE,
+    FLASH_BRIGHTNESS_LOG_DEVIATION,
+    FLASH_HEIGHT_LOG_DEVIATION,
+    FLASH_OFFSET_HALF_SIDES,
+    unpack_maps,
+)
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH_LOG_GAIN,
     FLASH_LOG_HEIGHT,
@@ -27,7 +33,12 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 from metapp.learning import draws
 
 # Standard deviations of the unbounded numbers that stand for a flash
-FLASH_DEVIATIONS = (ASIDE / FLASH_SHIFT, ASIDE / FLASH_SHIFT, HIGHER / FLASH_LOG_HEIGHT, BRIGHTER / FLASH_LOG_GAIN)
+FLASH_DEVIATIONS = (
+    FLASH_OFFSET_HALF_SIDES / FLASH_SHIFT,
+    FLASH_OFFSET_HALF_SIDES / FLASH_SHIFT,
+    FLASH_HEIGHT_LOG_DEVIATION / FLASH_LOG_HEIGHT,
+    FLASH_BRIGHTNESS_LOG_DEVIATION / FLASH_LOG_GAIN,
+)
 CROP_SIDES = (0.35, 0.7)  # sides of crops over that of the maps, in which a square of any direction has room
 EXPOSED_SHARE, EXPOSURE_STOPS = 0.2, 1.1  # the share of photographs that are exposed wrongly, and by how many stops
 TINTED_SHARE, LOG_TINT = 0.3, 0.04  # the share whose white balance is off, and the log of how much
@@ -52,18 +63,18 @@ def vary_materials(maps: Tensor, side: int, rng: Generator) -> Tensor:
 def draw_photos(maps: Tensor, rng: Generator) -> Tensor:
     """Photograph maps [T, 10, S, S] under a random flash and exposure, with noise and 8 bits: linear [T, 3, S, S]."""
     uniform, normal = draws_per_material(len(maps), rng)
-    flash = normal(FLASH_NUMBERS) * maps.new_tensor(FLASH_DEVIATIONS) * (uniform(1) > BESIDE_LENS)
+    flash = normal(FLASH_NUMBERS) * maps.new_tensor(FLASH_DEVIATIONS) * (uniform(1) > BESIDE_LENS_SHARE)
     stops = EXPOSURE_STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED_SHARE)
     flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / FLASH_LOG_GAIN]) * stops
     tint = torch.exp(LOG_TINT * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED_SHARE))
-    display = linear_to_srgb((tint * render_photo(unpack(maps), decode_flash(flash))).clamp(0, 1))
+    display = linear_to_srgb((tint * render_photo(unpack_maps(maps), decode_flash(flash))).clamp(0, 1))
     noise = torch.randn(display.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
     return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)
 
 
 def draws_per_material(count: int, rng: Generator) -> tuple[Draw, Draw]:
     """Return two functions of a shape, which draw uniform numbers in [0, 1) and normal ones for `count` materials."""
-    return functools.partial(draws.uniform, rng, count), functools.partial(draws.normal, rng, count)
+    return functools.partial(draws.draw_uniform, rng, count), functools.partial(draws.draw_normal, rng, count)
 
 
 def change_some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: float, rng: Generator) -> Tensor:

@@ -9,23 +9,25 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import pad
 
-from metapp.appearance.flash import GAMMA, STATISTICS_AT, Maps, normal_from_height, statistics
-from metapp.appearance.highlight import evenly_lit
+from metapp.appearance.flash import DISPLAY_GAMMA, STATISTICS_SIDES_PX, Maps, map_statistics, normal_from_height
+from metapp.appearance.highlight import remove_shading
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, fixed_noise, generate_raw
-from metapp.apps.svbrdf_stationary.statistics import FlashStatistics, chroma_of, raw_gloss
-from metapp.apps.svbrdf_stationary.windows import GRID
+from metapp.apps.svbrdf_stationary.statistics import FlashStatistics, chroma_deviations, encode_gloss
+from metapp.apps.svbrdf_stationary.windows import WINDOWS_PER_SIDE
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.layout import astray
+from metapp.networks.layout import layout_deviation
 
 DRAWN_WINDOWS = 3
-BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
-TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
-GLOSS = 0.05  # further weight in the outer loss of how far specular and roughness are from the truth's, in logits
-LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
-OF_ROUGHNESS = 0.4  # varies more between materials than specular does
-COLOUR = 3.0  # weight in the loss of how much more or less colours vary than in the photo
-RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
+POOLED_WEIGHT = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
+TRUTH_WEIGHT = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
+GLOSS_WEIGHT = (
+    0.05  # further weight in the outer loss of how far specular and roughness are from the truth's, in logits
+)
+UNUSUAL_WEIGHT = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
+ROUGHNESS_WEIGHT = 0.4  # varies more between materials than specular does
+COLOUR_WEIGHT = 3.0  # weight in the loss of how much more or less colours vary than in the photo
+RELIEF_WIDTHS = 1 / 32  # widths of the photo a unit of the network's output, as height
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class SvbrdfStationary(ExemplarApp):
         coarsest = self.octaves.count - 1
         noise = fixed_noise(self, theta["z"], 1, octave=coarsest)
         maps = self.generate(theta, noise, coarsest)
-        return torch.stack([part.mean((1, 2, 3, 4)) for part in raw_gloss(maps.specular, maps.roughness)], -1)
+        return torch.stack([part.mean((1, 2, 3, 4)) for part in encode_gloss(maps.specular, maps.roughness)], -1)
 
     def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
@@ -98,12 +100,14 @@ class SvbrdfStationary(ExemplarApp):
         diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # about evenly spread for the eye
         specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, as most dielectrics
         roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
-        height = RELIEF * self.octaves.size(octave)[1] * raw[:, :, 5:]
+        height = RELIEF_WIDTHS * self.octaves.size(octave)[1] * raw[:, :, 5:]
         return Maps(diffuse, specular, roughness, normal_from_height(height)), height
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`noise` for `count` materials of each task, some of the windows and the photo's statistics there."""
-        drawn = torch.randperm(GRID * GRID, generator=rng, device=rng.device)[:DRAWN_WINDOWS].expand(len(tasks), -1)
+        drawn = torch.randperm(WINDOWS_PER_SIDE * WINDOWS_PER_SIDE, generator=rng, device=rng.device)[
+            :DRAWN_WINDOWS
+        ].expand(len(tasks), -1)
         noise = draw_noise(self, rng, len(tasks), count, octave=self.octaves.find_octave(tasks.data))
         return {"noise": noise, "windows": drawn} | self.statistics.targets(tasks, drawn)
 
@@ -125,27 +129,29 @@ class SvbrdfStationary(ExemplarApp):
         octave = self.octaves.find_octave(batch)
         maps = self.generate(theta, batch["noise"], octave)
         distances = self._distances(theta, maps, batch)
-        loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
+        loss = torch.stack(list(distances.values())).sum(0) + POOLED_WEIGHT * distances["pooled"]
         if "truth" not in batch:
-            return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
-        level = sum(self.octaves.size(octave)[1] < size for size in STATISTICS_AT[:-1])
+            return loss + UNUSUAL_WEIGHT * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
+        level = sum(self.octaves.size(octave)[1] < size for size in STATISTICS_SIDES_PX[:-1])
         truth = batch["truth"][:, level]
-        specular, roughness = (truth[:, 0, 3] ** GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
-        pairs = zip(raw_gloss(maps.specular, maps.roughness), raw_gloss(specular, roughness), strict=True)
+        specular, roughness = (truth[:, 0, 3] ** DISPLAY_GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
+        pairs = zip(encode_gloss(maps.specular, maps.roughness), encode_gloss(specular, roughness), strict=True)
         # where no gradient vanishes
         unlike = torch.stack([(part.mean((1, 2, 3, 4)) - wanted).abs() for part, wanted in pairs]).sum(0)
-        return loss + TRUTH * (statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + GLOSS * unlike
+        return (
+            loss + TRUTH_WEIGHT * (map_statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + GLOSS_WEIGHT * unlike
+        )
 
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         """Return the parts of the loss but for priors, [T] each, of maps made of a batch's noise."""
         pictures = self.statistics.look(maps, batch)
         distances = self.statistics.distances(pictures, batch, cropped=True)
         if self.network.has_layout:
-            chroma = chroma_of(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2])
-            distances["colour"] = COLOUR * (chroma - batch["chroma"][:, None]).abs().mean((1, 2))
-            even = evenly_lit(pictures, batch["light"][:, None])
+            chroma = chroma_deviations(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2])
+            distances["colour"] = COLOUR_WEIGHT * (chroma - batch["chroma"][:, None]).abs().mean((1, 2))
+            even = remove_shading(pictures, batch["light"][:, None])
             times = self.octaves.layout_ratio(self.octaves.find_octave(batch))
-            distances["astray"] = astray(theta, batch["noise"], even, times)
+            distances["astray"] = layout_deviation(theta, batch["noise"], even, times)
             distances["softness"] = self.statistics.softness(pictures, batch)
         return distances
 
@@ -158,6 +164,6 @@ def _unusual(maps: Maps, expected: Tensor) -> Tensor:
     expected = expected.detach() + 0 * expected  # a parameter that no step moves
     specular, roughness = (
         (part - mean[:, None, None, None, None]).square().mean((1, 2, 3, 4))
-        for part, mean in zip(raw_gloss(maps.specular, maps.roughness), expected.unbind(1), strict=True)
+        for part, mean in zip(encode_gloss(maps.specular, maps.roughness), expected.unbind(1), strict=True)
     )
-    return specular + OF_ROUGHNESS * roughness
+    return specular + ROUGHNESS_WEIGHT * roughness

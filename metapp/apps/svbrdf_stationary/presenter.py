@@ -9,18 +9,18 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.colour import srgb_to_linear, stretched
-from metapp.appearance.flash import Maps, height_from_normal, mean_tilt_degrees, relightings
-from metapp.appearance.highlight import F0_BOUND, clipped_highlight
-from metapp.appearance.pictures import Compared, Picture
-from metapp.appearance.surface import Surface, map_pictures, with_relief
+from metapp.appearance.colour import srgb_to_linear, stretch_to_unit_range
+from metapp.appearance.flash import Maps, height_from_normal, mean_tilt_degrees, relighting_positions
+from metapp.appearance.highlight import F0_BOUND_CLAUSE, clipped_highlight_warnings
+from metapp.appearance.pictures import Picture, PictureComparison
+from metapp.appearance.surface import Surface, map_pictures, scale_relief
 from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.apps.svbrdf_stationary.statistics import FALLOFF
+from metapp.apps.svbrdf_stationary.statistics import FLASH_FALLOFF
 from metapp.learning.task import Params, Task, Tasks
 
 # By fits of 39 photographs that were graded by eye: on every other one, all 7 intact materials are above 0.89.
-LEAST_LINES = 0.85
+MIN_LINE_STRENGTH = 0.85
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
 
     relief: float = 1.0
     picture_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
-    least_lines = LEAST_LINES
+    least_lines = MIN_LINE_STRENGTH
     shows_seams = False  # a highlight of another shape than the photo's leaves rings
 
     @override
@@ -45,26 +45,26 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         maps, height = self._material(theta)
         fit = statistics.photograph(maps, light[0], light[0])
         displayed = {"reference": photo[0].permute(1, 2, 0), "fit": fit.permute(1, 2, 0)}
-        pictures = map_pictures(with_relief(maps, self.relief), self.relief * height, falloff=FALLOFF)
+        pictures = map_pictures(scale_relief(maps, self.relief), self.relief * height, falloff=FLASH_FALLOFF)
         displayed |= {name: picture.pixels for name, picture in pictures.items()}
-        displayed["height"] = stretched(displayed["height"])[0]
+        displayed["height"] = stretch_to_unit_range(displayed["height"])[0]
         return {name: srgb_to_linear(picture).expand(-1, -1, 3) for name, picture in displayed.items()}
 
     @override
     @torch.no_grad()
-    def comparison(self, theta: Params, task: Task) -> Compared:
+    def comparison(self, theta: Params, task: Task) -> PictureComparison:
         """Return the maps under the photo's light, and under others if the task has references of that."""
         octaves, statistics = self.app.octaves, self.app.statistics
         photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
         references = torch.cat([octaves.take_exemplar(images.float() / 255) for images in photos])
         light, maps = statistics.find_light(references[:1])[0], self._material(theta)[0]
-        pairs = [(light, light), *relightings(device=light.device).values()][: len(references)]
-        return Compared(torch.stack([statistics.photograph(maps, *pair) for pair in pairs]), references)
+        pairs = [(light, light), *relighting_positions(device=light.device).values()][: len(references)]
+        return PictureComparison(torch.stack([statistics.photograph(maps, *pair) for pair in pairs]), references)
 
     @override
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Return maps that tile, and photographs of them under other lights."""
-        return map_pictures(*self._shown_maps(theta, task), falloff=FALLOFF)
+        return map_pictures(*self._shown_maps(theta, task), falloff=FLASH_FALLOFF)
 
     @override
     def answer_pictures(self, answer: Maps | Tensor, task: Task) -> dict[str, Picture]:
@@ -72,7 +72,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         if not isinstance(answer, Maps):
             return {"photo": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
         maps = Maps(*(part[0, 0] for part in answer))
-        return map_pictures(maps, height_from_normal(maps.normal, periodic=True), falloff=FALLOFF)
+        return map_pictures(maps, height_from_normal(maps.normal, periodic=True), falloff=FLASH_FALLOFF)
 
     @override
     def surface(self, theta: Params, task: Task) -> Surface:
@@ -92,12 +92,12 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         if not self.app.network.has_layout:
             return warnings
         pairs = zip(warnings, tasks.data["image"][tasks.rows], strict=True)
-        return [clauses + clipped_highlight(image.float() / 255, F0_BOUND) for clauses, image in pairs]
+        return [clauses + clipped_highlight_warnings(image.float() / 255, F0_BOUND_CLAUSE) for clauses, image in pairs]
 
     def _shown_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps and height as files show them."""
         maps, height = self.cache_last(theta, task, lambda: self._material(theta, self.picture_size))
-        return with_relief(maps, self.relief), self.relief * height
+        return scale_relief(maps, self.relief), self.relief * height
 
     def _material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
         """Return the maps of one material and their height, without leading axes, of a size or the exemplar's."""

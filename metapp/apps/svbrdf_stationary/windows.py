@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from metapp.appearance.features import gram, hann
-from metapp.appearance.flash import positions
+from metapp.appearance.features import gram, hann_window
+from metapp.appearance.flash import texel_positions
 
-GRID = 3  # windows along a side
+WINDOWS_PER_SIDE = 3  # windows along a side
 
 
 def grams_of_tasks(maps: Tensor, windows: list[list[int]]) -> Tensor:
@@ -34,14 +34,17 @@ def crop_window(maps: Tensor, window: int) -> Tensor:
     Windows are numbered row by row, GRID in each, evenly spread from edge to edge: they overlap.
     """
     height, width = (size // 2 for size in maps.shape[-2:])
-    top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
+    top, left = (
+        i * size // (WINDOWS_PER_SIDE - 1)
+        for i, size in zip(divmod(window, WINDOWS_PER_SIDE), (height, width), strict=True)
+    )
     return maps[..., top : top + height, left : left + width]
 
 
 def fade_weights(part: Tensor) -> Tensor:
     """Return the weights [H, W] of the texels of a window [..., H, W]: roots of their weight in products."""
     height, width = part.shape[-2:]
-    weights = hann(height, part)[:, None] * hann(width, part)
+    weights = hann_window(height, part)[:, None] * hann_window(width, part)
     return (weights / weights.mean()).sqrt()
 
 
@@ -50,6 +53,6 @@ def mask_ring(maps: Tensor, low: float, high: float) -> Tensor:
 
     They are scaled so that their mean over the picture is the mean in the ring.
     """
-    squared = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device).square().sum(0)
+    squared = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device).square().sum(0)
     inside = ((squared >= low) & (squared < high)).to(maps)
     return maps * inside / inside.mean().clamp_min(1e-6)

@@ -7,16 +7,16 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.features import distance, gram
+from metapp.appearance.features import gram, statistics_distance
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
 from metapp.apps.exemplar.octaves import Crop
 from metapp.apps.exemplar.statistics import Statistics
 from metapp.learning.app import ErrorMeasure
-from metapp.learning.draws import uniform
+from metapp.learning.draws import draw_uniform
 from metapp.learning.task import Batch, Params, Tasks, TensorSpec
-from metapp.networks.layout import astray
+from metapp.networks.layout import layout_deviation
 
-SMALLEST_CROP = 0.5
+MIN_CROP_SHARE = 0.5
 
 
 class GramStatistics(Statistics):
@@ -38,7 +38,7 @@ class GramStatistics(Statistics):
         """Return the relative L1 distance of Gram matrices of pictures [T, B, 3, H, W] from those of a batch, [T]."""
         maps = self.compute_features(pictures.flatten(0, 1), self.octaves.find_octave(batch), crop)
         grams = [gram(each).unflatten(0, pictures.shape[:2]) for each in maps]
-        return distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
+        return statistics_distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
 
     @torch.no_grad()
     def errors(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
@@ -71,7 +71,7 @@ class Texture(ExemplarApp):
         statistics, octave, noise = self.statistics, self.octaves.find_octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
         apart = statistics.distance(images, batch, self._take_strip)
-        apart = apart + astray(theta, noise, images, self.octaves.layout_ratio(octave))
+        apart = apart + layout_deviation(theta, noise, images, self.octaves.layout_ratio(octave))
         return apart + statistics.softness(images, batch)
 
     def _take_strip(self, images: Tensor) -> Tensor:
@@ -81,7 +81,7 @@ class Texture(ExemplarApp):
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A square part of the image, at a random place and scale."""
         size = image.shape[-1]
-        scale, left, top = uniform(rng, 3).tolist()
-        side = round(size * (SMALLEST_CROP + (1 - SMALLEST_CROP) * scale))
+        scale, left, top = draw_uniform(rng, 3).tolist()
+        side = round(size * (MIN_CROP_SHARE + (1 - MIN_CROP_SHARE) * scale))
         x, y = round(left * (size - side)), round(top * (size - side))
         return image[:, y : y + side, x : x + side]

@@ -8,16 +8,16 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.pictures import Compared, Picture
+from metapp.appearance.pictures import Picture, PictureComparison
 from metapp.appearance.surface import Surface
 from metapp.apps.exemplar.presenter import SHOWN_SEED, ExemplarPresenter
 from metapp.apps.texture.app import Texture
-from metapp.learning.draws import normal
+from metapp.learning.draws import draw_normal
 from metapp.learning.task import Params, Task
 
 # By fits of 66 photographs that were graded by eye: on every other one, 9 of 12 broken textures are below, and 1 of 11
 # intact ones.
-LEAST_LINES = 0.935
+MIN_LINE_STRENGTH = 0.935
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class TexturePresenter(ExemplarPresenter[Texture]):
     """A texture that tiles, beside its exemplar."""
 
     picture_measure = "a texture of the exemplar's size beside the exemplar"
-    least_lines = LEAST_LINES
+    least_lines = MIN_LINE_STRENGTH
 
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
@@ -36,9 +36,9 @@ class TexturePresenter(ExemplarPresenter[Texture]):
         }
 
     @override
-    def comparison(self, theta: Params, task: Task) -> Compared:
+    def comparison(self, theta: Params, task: Task) -> PictureComparison:
         exemplar = self.app.octaves.take_exemplar(task.data["image"][None].float() / 255)
-        return Compared(self.make_shown(theta, self.app.generate)[0], exemplar)
+        return PictureComparison(self.make_shown(theta, self.app.generate)[0], exemplar)
 
     @override
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
@@ -65,5 +65,5 @@ class TexturePresenter(ExemplarPresenter[Texture]):
     def pictures_for_lines(self, theta: Params, pictures: Tensor) -> Tensor:
         """Return textures of twice the exemplar's size: as for files, layouts are quilted anew, which breaks more."""
         rng, (height, width) = Generator(pictures.device).manual_seed(SHOWN_SEED), pictures.shape[-2:]
-        noise = normal(rng, 1, 1, self.app.network.noise, 2 * height, 2 * width)
+        noise = draw_normal(rng, 1, 1, self.app.network.noise, 2 * height, 2 * width)
         return self.app.generate(theta, noise.expand(len(pictures), -1, -1, -1, -1))[:, 0]

@@ -5,25 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.recipes import generator, pixels, pyramid
+from metapp.apps.exemplar.recipes import general_training, generator_recipe, pyramid_recipe
 from metapp.apps.texture.app import Texture
-from metapp.learning.recipe import Adam, as_published
+from metapp.learning.recipe import Adam, paper_recipe
 from metapp.networks.generators import UNet
 
-QUICK = generator(
+QUICK = generator_recipe(
     Texture,
     steps=15,
     outputs=3,
     tasks=4,
     rate=1e-4,
     searched=Adam(5e-3, beta1=0.5, beta2=0.99, final=0.6),
-    general=pixels(4000, 8),
+    general=general_training(4000, 8),
 )
-FULL = pyramid(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4)
+FULL = pyramid_recipe(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4)
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, meta-batch 5
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
-PUBLISHED = Texture(UNet(32), Octaves(192, 256, TAPS))
-PAPER = as_published(QUICK, PUBLISHED, validate_every=50)
+PUBLISHED_APP = Texture(UNet(32), Octaves(192, 256, TAPS))
+PAPER = paper_recipe(QUICK, PUBLISHED_APP, validate_every=50)
 # at a side, in texels, whose outer steps take seconds on CPUs
-PAPER_64 = replace(PAPER, app=replace(PUBLISHED, octaves=Octaves(64, 64, TAPS)))
+PAPER_64 = replace(PAPER, app=replace(PUBLISHED_APP, octaves=Octaves(64, 64, TAPS)))
 RECIPES = {"paper": PAPER, "paper-64": PAPER_64, "quick": QUICK, "full": FULL}

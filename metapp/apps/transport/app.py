@@ -8,17 +8,17 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.transport.encoder import init_reader, read
+from metapp.apps.transport.encoder import init_reader, read_scene_pictures
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App, ErrorMeasure
-from metapp.learning.draws import normal, uniform
+from metapp.learning.draws import draw_normal, draw_uniform
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.coded import encoder_of, reader_of, with_decoder
+from metapp.networks.coded import add_decoder, join_encoder, select_reader
 
 PICTURE_SPP = 1024  # paths a pixel of pictures that fits are judged by, as in Fischer & Ritschel 2022, table 2
 REFERENCE_SPP = 8192  # paths a pixel of their reference, with next-event estimation
 OUTER_SAMPLES = 2048  # samples of a training scene that preparation judges a fit by
-JITTER = 0.1  # of what augmentation adds to the log of a picture
+LOG_JITTER = 0.1  # of what augmentation adds to the log of a picture
 
 
 @dataclass(frozen=True)
@@ -74,13 +74,13 @@ class Transport(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of pictures, and the parameters of the flow that all tasks share."""
-        return encoder_of(init_reader(rng, self.network.code), self.network.init(rng, 1), ("z", "film.x", "film.y"))
+        return join_encoder(init_reader(rng, self.network.code), self.network.init(rng, 1), ("z", "film.x", "film.y"))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"image": tasks.data["image"][tasks.rows]}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        return with_decoder(read(reader_of(encoder), condition["image"], self.network), encoder)
+        return add_decoder(read_scene_pictures(select_reader(encoder), condition["image"], self.network), encoder)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same scenes, some mirrored left to right, their pictures a little noisier.
@@ -88,10 +88,10 @@ class Transport(App):
         Directions are counted from axes that the data's tracer mirrors with the scene.
         """
         count, device = len(tasks), rng.device
-        mirrored = uniform(rng, count, 1, 1) < 0.5
+        mirrored = draw_uniform(rng, count, 1, 1) < 0.5
         image = tasks.data["image"][tasks.rows]
         image = torch.where(mirrored[..., None], image.flip(3), image)
-        image = image * torch.exp(JITTER * normal(rng, *image.shape))
+        image = image * torch.exp(LOG_JITTER * draw_normal(rng, *image.shape))
         samples = tasks.data["samples"][tasks.rows]
         across = torch.zeros(samples.shape[2], dtype=torch.bool, device=device)
         across[0], across[2::2] = True, True

@@ -10,10 +10,10 @@ from torch import Generator, Tensor
 from torch.nn.functional import pad, silu
 
 from metapp.apps.transport import spline
-from metapp.learning.draws import normal
+from metapp.learning.draws import draw_normal
 from metapp.learning.task import Params
 
-DIRECTIONS = 2  # coordinates after the film's two: those of the direction at the first surface that scatters
+DIRECTION_COORDINATES = 2  # coordinates after the film's two: those of the direction at the first surface that scatters
 
 
 class Flow(NamedTuple):
@@ -52,19 +52,19 @@ class Flow(NamedTuple):
             return torch.zeros(count, *shape, device=rng.device)
 
         theta = {
-            "z": normal(rng, count, self.code, self.rows, self.columns) * (0.1 / self.gain),
-            "film.x": zeros(spline.size(self.film_bins)),
+            "z": draw_normal(rng, count, self.code, self.rows, self.columns) * (0.1 / self.gain),
+            "film.x": zeros(spline.count_numbers(self.film_bins)),
             "film.y": zeros(3, self.film_bins, self.film_bins),
-            "trunk.kernel": normal(rng, count, self.hidden, self.code) * math.sqrt(2 / self.code),
+            "trunk.kernel": draw_normal(rng, count, self.hidden, self.code) * math.sqrt(2 / self.code),
             "trunk.shift": zeros(self.hidden),
         }
-        for i in range(DIRECTIONS):
-            theta[f"mix{i}.kernel"] = normal(rng, count, self.hidden, self.hidden) * math.sqrt(2 / self.hidden)
+        for i in range(DIRECTION_COORDINATES):
+            theta[f"mix{i}.kernel"] = draw_normal(rng, count, self.hidden, self.hidden) * math.sqrt(2 / self.hidden)
             if i:
-                theta[f"mix{i}.blobs"] = normal(rng, count, self.hidden, i * self.blobs)
+                theta[f"mix{i}.blobs"] = draw_normal(rng, count, self.hidden, i * self.blobs)
             theta[f"mix{i}.shift"] = zeros(self.hidden)
-            theta[f"out{i}.kernel"] = zeros(spline.size(self.bins), self.hidden)
-            theta[f"out{i}.shift"] = zeros(spline.size(self.bins))
+            theta[f"out{i}.kernel"] = zeros(spline.count_numbers(self.bins), self.hidden)
+            theta[f"out{i}.shift"] = zeros(spline.count_numbers(self.bins))
         return theta
 
     def log_density(self, theta: Params, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -82,7 +82,7 @@ class Flow(NamedTuple):
         film = spline.log_density(of_x, x) + spline.log_density(of_y, y)
         trunk = self.trunk(theta, x, y)
         directions = torch.zeros_like(film)
-        for i in range(DIRECTIONS):
+        for i in range(DIRECTION_COORDINATES):
             numbers = self.numbers(theta, i, trunk, points[:, 2 : 2 + i])
             directions = directions + spline.log_density(numbers, points[:, 2 + i])
         return film, directions
@@ -98,7 +98,7 @@ class Flow(NamedTuple):
 
     def trunk(self, theta: Params, x: Tensor, y: Tensor) -> Tensor:
         """Features of a place on the film, for all directions' splines: [T, hidden, N]."""
-        code = self.gain * interpolated(theta["z"], x, y)
+        code = self.gain * interpolate_grid(theta["z"], x, y)
         return silu(torch.baddbmm(theta["trunk.shift"][..., None], theta["trunk.kernel"], code))
 
     def numbers(self, theta: Params, i: int, trunk: Tensor, before: Tensor) -> Tensor:
@@ -120,7 +120,7 @@ def blobs(x: Tensor, count: int) -> Tensor:
     return (1 - (place[:, None] - centres).abs()).clamp_min(0)
 
 
-def interpolated(grid: Tensor, x: Tensor, y: Tensor) -> Tensor:
+def interpolate_grid(grid: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Interpolate a grid [T, C, rows, columns] over the unit square at places [T, N] each, bilinearly: [T, C, N]."""
     rows, columns = grid.shape[-2:]
     flat = grid.flatten(2)

@@ -11,11 +11,11 @@ from metapp.apps.transport import spline
 from metapp.apps.transport.flow import Flow
 from metapp.learning.task import Params
 
-PLACES, CELLS = 32, 32  # along a side of the film, and of the directions of each place
-POWER = 0.5
+GUIDE_PLACES, GUIDE_CELLS = 32, 32  # along a side of the film, and of the directions of each place
+DENSITY_POWER = 0.5
 
 
-class Table(NamedTuple):
+class GuideTable(NamedTuple):
     """A density that is constant in every cell of a grid over the film and the first direction.
 
     It is a density of its own, whatever flow it was made from: its samples have its density exactly.
@@ -60,7 +60,9 @@ class Table(NamedTuple):
 
 
 @torch.no_grad()
-def table_of(flow: Flow, theta: Params, places: int = PLACES, cells: int = CELLS, power: float = POWER) -> Table:
+def make_guide_table(
+    flow: Flow, theta: Params, places: int = GUIDE_PLACES, cells: int = GUIDE_CELLS, power: float = DENSITY_POWER
+) -> GuideTable:
     """A power of the first direction's density, looked up at the middle of each place on the film.
 
     Args:
@@ -79,15 +81,17 @@ def table_of(flow: Flow, theta: Params, places: int = PLACES, cells: int = CELLS
     rows = []
     for y in middles:
         trunk = flow.trunk(one, middles[None], y.expand(1, places))
-        first = spline.shares(flow.numbers(one, 0, trunk, middles.new_empty(1, 0, places)), cells)  # [1, cells, places]
+        first = spline.cell_masses(
+            flow.numbers(one, 0, trunk, middles.new_empty(1, 0, places)), cells
+        )  # [1, cells, places]
         before = across.repeat(places)[None, None]
-        second = spline.shares(flow.numbers(one, 1, trunk.repeat_interleave(cells, 2), before), cells)
+        second = spline.cell_masses(flow.numbers(one, 1, trunk.repeat_interleave(cells, 2), before), cells)
         rows.append(first[0].T[..., None] * second[0].T.reshape(places, cells, cells))
     return _table(torch.cat(rows).flatten(1) ** power)
 
 
-def _table(masses: Tensor) -> Table:
+def _table(masses: Tensor) -> GuideTable:
     exact = masses.double()
     exact = exact / exact.sum(1, keepdim=True)
     ends = exact.cumsum(1) + torch.arange(len(exact), device=exact.device)[:, None]
-    return Table(exact.float(), ends.flatten())
+    return GuideTable(exact.float(), ends.flatten())

@@ -10,33 +10,33 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.metrics import displayed, dssim, mape, smape
-from metapp.appearance.picture_measures import further_errors
-from metapp.appearance.pictures import REFERENCE, Compared, Fitted
+from metapp.appearance.metrics import dssim, mape, smape, tone_map_pair
+from metapp.appearance.picture_measures import registered_picture_errors
+from metapp.appearance.pictures import REFERENCE_ERROR_NAME, PictureComparison, TimedFit
 from metapp.apps.transport.app import PICTURE_SPP, REFERENCE_SPP
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.guide import table_of
+from metapp.apps.transport.guide import make_guide_table
 from metapp.learning.task import Params, Task
 from metapp.registry import Entry, registry
 from metapp.rendering.paths import path_space
-from metapp.rendering.paths.resampling import draw_samples
-from metapp.rendering.scenes.stored_text import scene_of
+from metapp.rendering.paths.resampling import draw_path_samples
+from metapp.rendering.scenes.stored_text import decode_scene
 
 SHOWN_PX = 64  # px of a side, of the pictures that a run leaves
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
-FIXED = "fixed time"
+FIXED_TIME = "fixed time"
 REGULAR_NEE = "regular + NEE"  # Mitsuba's path
-WAVE_PATHS = 2**22  # paths of Mitsuba's path at a time
+MAX_WAVE_PATHS = 2**22  # paths of Mitsuba's path at a time
 
 
-class Shot(NamedTuple):
+class TimedPicture(NamedTuple):
     """A picture [3, size, size], linear RGB, and the seconds of CPU that it and all that had to be made for it took."""
 
     picture: Tensor
     seconds: float
 
 
-class Studio:
+class SceneRenderer:
     """One scene, to take pictures of.
 
     Args:
@@ -59,59 +59,59 @@ class Studio:
         *,
         spp: int = PICTURE_SPP,
         reference_spp: int = REFERENCE_SPP,
-        wave_paths: int = WAVE_PATHS,
+        wave_paths: int = MAX_WAVE_PATHS,
     ) -> None:
         text = torch.frombuffer(bytearray(scene), dtype=torch.uint8)
-        self.tracer = path_space.Tracer(scene_of(text), next_event=next_event)
+        self.tracer = path_space.Tracer(decode_scene(text), next_event=next_event)
         self.size, self.spp, self.reference_spp, self.wave_paths = size, spp, reference_spp, wave_paths
 
-    def regular(self, spp: int, seed: int = 0) -> Shot:
+    def regular(self, spp: int, seed: int = 0) -> TimedPicture:
         """A picture by the sampling of materials alone."""
-        return _timed(lambda: path_space.render(self.tracer, spp, self.size, seed))
+        return _timed(lambda: path_space.render_paths(self.tracer, spp, self.size, seed))
 
-    def guided(self, flow: Flow, theta: Params, spp: int, seed: int = 0) -> Shot:
+    def guided(self, flow: Flow, theta: Params, spp: int, seed: int = 0) -> TimedPicture:
         """A picture guided by a fit, no task axis in theta; the time includes that of making its table."""
 
         def shoot() -> Tensor:
-            table = table_of(flow, theta)
+            table = make_guide_table(flow, theta)
             guide = path_space.Guide(table.sample, table.density)
-            return path_space.render(self.tracer, spp, self.size, seed, guide)
+            return path_space.render_paths(self.tracer, spp, self.size, seed, guide)
 
         return _timed(shoot)
 
-    def path(self, spp: int, seed: int = 0) -> Shot:
+    def path(self, spp: int, seed: int = 0) -> TimedPicture:
         """A picture by Mitsuba's path, with next-event estimation, in as many waves as memory asks for."""
         most = max(1, self.wave_paths // self.size**2)
         counts = [min(most, spp - first) for first in range(0, spp, most)]
         shots = [self._by("path", count, seed * 2**16 + i) for i, count in enumerate(counts)]
         total = sum(count * shot.picture for count, shot in zip(counts, shots, strict=True))
-        return Shot(torch.as_tensor(total) / spp, sum(shot.seconds for shot in shots))
+        return TimedPicture(torch.as_tensor(total) / spp, sum(shot.seconds for shot in shots))
 
-    def by(self, name: str, spp: int, seed: int = 0) -> Shot:
+    def by(self, name: str, spp: int, seed: int = 0) -> TimedPicture:
         """The same by an integrator of an extension."""
         registry().plugins[name].load()()
         return self._by(name, spp, seed)
 
-    def _by(self, integrator: str, spp: int, seed: int) -> Shot:
-        from metapp.rendering.pictures import rendered, square_sensor  # imports Mitsuba
+    def _by(self, integrator: str, spp: int, seed: int) -> TimedPicture:
+        from metapp.rendering.pictures import render_scene, square_sensor  # imports Mitsuba
 
         mi, tracer = self.tracer.mi, self.tracer
         sensor = square_sensor(tracer.scene, self.size)
         made = mi.load_dict({"type": integrator, "max_depth": tracer.depth})
-        return _timed(lambda: rendered(tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
+        return _timed(lambda: render_scene(tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
 
     def sampling(self, samples: Tensor) -> float:
         """Seconds that as many samples [N, 4] of the scene take, and with them the picture that General reads."""
-        draw_samples(self.tracer, 1, Generator())  # the first call compiles
+        draw_path_samples(self.tracer, 1, Generator())  # the first call compiles
         begin = time.process_time()
-        draw_samples(self.tracer, len(samples), Generator())
+        draw_path_samples(self.tracer, len(samples), Generator())
         return time.process_time() - begin
 
     @functools.cached_property
     def halves(self) -> Tensor:
         """The picture itself twice, of half the paths each, with other random numbers: [2, 3, size, size]."""
         spp = max(1, self.reference_spp // 2)
-        return torch.stack([path_space.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
+        return torch.stack([path_space.render_reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
 
     @functools.cached_property
     def reference(self) -> Tensor:
@@ -126,10 +126,10 @@ class Studio:
     @functools.cached_property
     def glance(self) -> Tensor:
         """The same with some noise, in an instant."""
-        return path_space.reference(self.tracer, self.size, 64)
+        return path_space.render_reference(self.tracer, self.size, 64)
 
     @functools.cached_property
-    def baseline(self) -> Shot:
+    def baseline(self) -> TimedPicture:
         """The one by the sampling of materials that others are compared with."""
         self.regular(1)  # the first call compiles
         return self.regular(self.spp)
@@ -138,18 +138,18 @@ class Studio:
         """Measures of a picture against the reference."""
         pair = picture[None], self.reference[None]
         errors = {name: float(measure(*pair)) for name, measure in (("MAPE", mape), ("SMAPE", smape), ("DSSIM", dssim))}
-        return errors | further_errors("transport", Compared(*displayed(*pair)))
+        return errors | registered_picture_errors("transport", PictureComparison(*tone_map_pair(*pair)))
 
 
-def _timed(shoot: Callable[[], Tensor]) -> Shot:
+def _timed(shoot: Callable[[], Tensor]) -> TimedPicture:
     begin = time.process_time()
     picture = shoot()
-    return Shot(picture, time.process_time() - begin)
+    return TimedPicture(picture, time.process_time() - begin)
 
 
-def studio_of(
+def renderer_of(
     task: Task, size: int = SHOWN_PX, *, spp: int = PICTURE_SPP, reference_spp: int = REFERENCE_SPP
-) -> Studio:
+) -> SceneRenderer:
     """Return the studio of a task's scene, for pictures of a size.
 
     Raises:
@@ -160,22 +160,24 @@ def studio_of(
 
 
 @functools.lru_cache(maxsize=16)  # a reference takes seconds, of 256 px minutes
-def _studio(scene: bytes, size: int, next_event: bool, **numbers_of_paths: int) -> Studio:
-    return Studio(scene, size, next_event, **numbers_of_paths)
+def _studio(scene: bytes, size: int, next_event: bool, **numbers_of_paths: int) -> SceneRenderer:
+    return SceneRenderer(scene, size, next_event, **numbers_of_paths)
 
 
-def integrators() -> dict[str, Entry[Callable[[], None]]]:
+def extension_integrators() -> dict[str, Entry[Callable[[], None]]]:
     """Integrators of extensions by name, by whose pictures those that fits guide are judged."""
     return {name: plugin for name, plugin in registry().plugins.items() if plugin.help}
 
 
-def row_of(integrator: str) -> str:
+def row_title(integrator: str) -> str:
     """The title of an integrator's row in tables; all have next-event estimation."""
     return f"{integrator.removeprefix('metapp_')} + NEE"
 
 
-def picture_errors(studio: Studio, flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-    """Measure the pictures that fits guide, and those of REGULAR, REGULAR_NEE and `integrators`, which have no fit.
+def picture_errors(
+    studio: SceneRenderer, flow: Flow, fits: Mapping[str, TimedFit], task: Task
+) -> dict[str, dict[str, float]]:
+    """Measure the pictures that fits guide, and those of REGULAR, REGULAR_NEE and `extension_integrators`, which have no fit.
 
     Args:
         studio: of the task's scene.
@@ -191,11 +193,11 @@ def picture_errors(studio: Studio, flow: Flow, fits: Mapping[str, Fitted], task:
     """
     regular = studio.errors(studio.baseline.picture)
     errors = {
-        REFERENCE: {"MAPE": studio.reference_error},
-        REGULAR: {**regular, "time": 1.0, FIXED: 0.0, EQUAL_TIME: regular["MAPE"]},
+        REFERENCE_ERROR_NAME: {"MAPE": studio.reference_error},
+        REGULAR: {**regular, "time": 1.0, FIXED_TIME: 0.0, EQUAL_TIME: regular["MAPE"]},
     }
     without_fit = {REGULAR_NEE: studio.path}
-    without_fit |= {row_of(name): functools.partial(studio.by, name) for name in integrators()}
+    without_fit |= {row_title(name): functools.partial(studio.by, name) for name in extension_integrators()}
     for name, shoot in without_fit.items():
         shoot(min(studio.spp, 64), 0)  # the first call compiles
         errors[name] = _errors(studio, shoot)
@@ -210,11 +212,16 @@ def picture_errors(studio: Studio, flow: Flow, fits: Mapping[str, Fitted], task:
 
 
 def _errors(
-    studio: Studio, shoot: Callable[[int, int], Shot], *, fixed: float = 0.0, table: float = 0.0, seed: int = 0
+    studio: SceneRenderer,
+    shoot: Callable[[int, int], TimedPicture],
+    *,
+    fixed: float = 0.0,
+    table: float = 0.0,
+    seed: int = 0,
 ) -> dict[str, float]:
     """Measure a picture for `picture_errors`; `shoot` takes paths a pixel and a seed, `seed` that of equal time."""
     plain, shot = studio.baseline.seconds, shoot(studio.spp, 0)
-    errors = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: fixed / plain}
+    errors = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED_TIME: fixed / plain}
     in_time = int(studio.spp * (plain - fixed) / max(shot.seconds - table, 1e-9))
     if in_time >= 1:
         errors[EQUAL_TIME] = float(mape(shoot(in_time, seed).picture[None], studio.reference[None]))

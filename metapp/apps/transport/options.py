@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from metapp.options import INPUT, OUTPUT, AppOptions, Option
 
 
-def folders(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+def require_folders(paths: tuple[Path, ...]) -> tuple[Path, ...]:
     """The same paths; ValueError unless all are folders."""
     if not all(path.is_dir() for path in paths):
         raise ValueError("not there, expected folders")
@@ -26,7 +26,7 @@ class TransportOptions(AppOptions):
             "Additional folder from which a scene may load files; may be given several times.",
             "DIR",
             panel=INPUT,
-            parse=folders,
+            parse=require_folders,
         ),
     ] = ()
     render: Annotated[

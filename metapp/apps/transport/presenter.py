@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.pictures import Fitted, Picture, Visible
+from metapp.appearance.pictures import Picture, TimedFit, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.apps.transport import images, pictures
 from metapp.apps.transport.app import Transport
@@ -24,7 +24,7 @@ class TransportPresenter(Presenter[Transport]):
     @property
     @override
     def picture_measure(self) -> str:
-        notes = "".join(f"{plugin.help}; " for plugin in images.integrators().values())
+        notes = "".join(f"{plugin.help}; " for plugin in images.extension_integrators().values())
         return (
             f"pictures of {self.app.picture} px of {self.app.spp} paths a pixel; fits guide three of four paths, "
             f"without next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts "
@@ -38,22 +38,22 @@ class TransportPresenter(Presenter[Transport]):
         """
         network, reference, guided = self.app.network, None, None
         if "scene" in task.data:
-            studio = images.studio_of(task)
+            studio = images.renderer_of(task)
             reference, guided = studio.glance, studio.guided(network, theta, self.app.overview_spp).picture
         return {
-            "reference": pictures.picture_of_samples(task.data["samples"], reference),
-            "fit": pictures.picture_of_flow(network, theta, guided),
+            "reference": pictures.draw_sample_histograms(task.data["samples"], reference),
+            "fit": pictures.draw_flow_density(network, theta, guided),
         }
 
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Return the scene guided by the fit and without a guide; {} if there is no scene."""
         if "scene" not in task.data:
             return {}
-        studio, spp = images.studio_of(task), self.app.shown_spp
+        studio, spp = images.renderer_of(task), self.app.shown_spp
         shots = {"guided": studio.guided(self.app.network, theta, spp), "regular": studio.regular(spp)}
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
 
-    def picture_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+    def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:
         """Measure MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time.
 
         Pictures without a guide are measured, too: see :func:`metapp.apps.transport.images.picture_errors`.
@@ -61,7 +61,7 @@ class TransportPresenter(Presenter[Transport]):
         if "scene" not in task.data:
             return {}
         app = self.app
-        studio = images.studio_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
+        studio = images.renderer_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
         return images.picture_errors(studio, app.network, fits, task)
 
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
@@ -69,6 +69,6 @@ class TransportPresenter(Presenter[Transport]):
         return {"note": NEXT_EVENT_NOTE} if "next_event" in task.data else {}
 
     @override
-    def visible(self, task: Task) -> Visible:
+    def visible(self, task: Task) -> VisibleData:
         samples = task.data["samples"]
-        return Visible(len(samples), samples[0].nbytes, 0)  # General's encoder reads the picture alone
+        return VisibleData(len(samples), samples[0].nbytes, 0)  # General's encoder reads the picture alone

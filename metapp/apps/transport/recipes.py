@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
-from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published, decayed
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, long_paper_recipe, paper_recipe
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -37,5 +37,5 @@ QUICK = Recipe(
 # the same fits, judged by pictures of the size that people render
 FULL = replace(QUICK, app=Transport(Flow(), picture=256))
 # Fischer & Ritschel 2022, section 4.1.6: 8 inner steps of 10,000 of 288,000 samples
-PAPER = replace(as_published(QUICK, Transport(Flow(hidden=64, bins=16))), batch=10_000)
-RECIPES = {"paper": PAPER, "paper-long": decayed(PAPER), "quick": QUICK, "full": FULL}
+PAPER = replace(paper_recipe(QUICK, Transport(Flow(hidden=64, bins=16))), batch=10_000)
+RECIPES = {"paper": PAPER, "paper-long": long_paper_recipe(PAPER), "quick": QUICK, "full": FULL}

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-LEAST_SHARE = 1e-3  # of a bin's width, and of its mass
-STEEPEST_BEND = 5.0  # of what is added to the log of a density, either way
+MIN_BIN_SHARE = 1e-3  # of a bin's width, and of its mass
+MAX_LOG_BEND = 5.0  # of what is added to the log of a density, either way
 BELOW_ONE = 1 - 2**-24  # the largest of 32 bits
 
 
@@ -47,17 +47,17 @@ class Bin(NamedTuple):
     last: Tensor
 
 
-def size(bins: int) -> int:
+def count_numbers(bins: int) -> int:
     """The count of numbers that describe a spline."""
     return 3 * bins + 1
 
 
-def splines_of(numbers: Tensor) -> Splines:
+def decode_splines(numbers: Tensor) -> Splines:
     """Splines of any numbers [..., 3 K + 1, N]."""
     count = numbers.shape[-2] // 3
     widths, masses, bends = numbers.split([count, count, count + 1], -2)
-    share = 1 - count * LEAST_SHARE
-    return Splines(widths.softmax(-2) * share + LEAST_SHARE, masses.softmax(-2) * share + LEAST_SHARE, bends)
+    share = 1 - count * MIN_BIN_SHARE
+    return Splines(widths.softmax(-2) * share + MIN_BIN_SHARE, masses.softmax(-2) * share + MIN_BIN_SHARE, bends)
 
 
 def _at(values: Tensor, index: Tensor) -> Tensor:
@@ -73,7 +73,7 @@ def _bin(splines: Splines, index: Tensor) -> Bin:
     knots = torch.cat([index, index + 1], -2)
     bends = splines.bends.expand(*splines.bends.shape[:-1], at.shape[-1]).gather(-2, knots)
     middle = logs[..., 1:2, :]
-    ends = (0.5 * (logs[..., ::2, :] - middle) + STEEPEST_BEND * torch.tanh(bends / STEEPEST_BEND)).exp()
+    ends = (0.5 * (logs[..., ::2, :] - middle) + MAX_LOG_BEND * torch.tanh(bends / MAX_LOG_BEND)).exp()
     return Bin(index, widths[..., 1, :], middle.squeeze(-2), ends[..., 0, :], ends[..., 1, :])
 
 
@@ -102,19 +102,19 @@ def log_density(numbers: Tensor, places: Tensor) -> Tensor:
     Returns:
         [..., N].
     """
-    cell, t = _find(splines_of(numbers), places)
+    cell, t = _find(decode_splines(numbers), places)
     return cell.log_density + _log_slope(cell, t)
 
 
-def shares(numbers: Tensor, cells: int) -> Tensor:
+def cell_masses(numbers: Tensor, cells: int) -> Tensor:
     """The masses of so many cells of the same width, [..., cells, N]."""
-    splines, like = splines_of(numbers), numbers[..., 0, :]
-    within = [cumulative(splines, torch.full_like(like, i / cells)) for i in range(1, cells)]
+    splines, like = decode_splines(numbers), numbers[..., 0, :]
+    within = [cumulative_mass(splines, torch.full_like(like, i / cells)) for i in range(1, cells)]
     ends = torch.stack([torch.zeros_like(like), *within, torch.ones_like(like)], -2)
     return ends.diff(dim=-2).clamp_min(0)
 
 
-def cumulative(splines: Splines, places: Tensor) -> Tensor:
+def cumulative_mass(splines: Splines, places: Tensor) -> Tensor:
     """The splines themselves: the mass left of places in [0, 1], of the shapes of `log_density`."""
     cell, t = _find(splines, places)
     both, mass = t * (1 - t), _at(splines.masses, cell.which)

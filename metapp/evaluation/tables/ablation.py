@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
-from metapp.evaluation.rows import notes_of, row_of
+from metapp.evaluation.rows import comparison_notes, make_row
 from metapp.evaluation.statistics import is_significant
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Column, Table, columns
-from metapp.evaluation.tables.results import AGAINST, result_rows
+from metapp.evaluation.tables.results import COMPARED_ROWS, result_rows
 from metapp.learning.draws import Rng
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
@@ -22,7 +22,7 @@ from metapp.runs.run import Checkpoint
 from metapp.storage.checkpoints import tensor_digest
 from metapp.storage.fits import Record
 
-COLUMNS = columns(
+ABLATION_COLUMNS = columns(
     Column("initialisation", "start"),
     *("rule", "error", "vs quickft", "interval", "steps", "seconds", "median", "worst"),
 )
@@ -49,15 +49,15 @@ class InitialisationAlone(QuickFT):
         return Meta.of(self.app, self.recipe).initialisation(phi, tasks, rng)
 
 
-def ablation(subject: Subject) -> Table:
+def ablation(subject: EvaluationRun) -> Table:
     """Neither, one of the two, and both, for every learned rule that has a checkpoint."""
-    names = learned(subject)
+    names = learned_rule_rows(subject)
     of_quickft, _, *both = result_rows(subject, ("quickft", "general", *names))
     rows = [of_quickft | {"start": "general", "rule": "adam"}]
     for name, row in zip(names, both, strict=True):
-        for start, by, records in combined(subject, name):
+        for start, by, records in combine_halves(subject, name):
             entries = {"start": start, "rule": by, "steps": row["steps"]}
-            rows.append(row_of(subject, f"{start}+{by}", records, entries, AGAINST))
+            rows.append(make_row(subject, f"{start}+{by}", records, entries, COMPARED_ROWS))
         rows.append(row | {"start": f"meta ({row['rule']})"})
     rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in rows]
     notes = [
@@ -66,20 +66,20 @@ def ablation(subject: Subject) -> Table:
             f"{subject.runs[name].options.rule} begins at General's own prediction: rows that differ in the "
             "initialisation alone are of the same fits"
             for name in names
-            if same_initialisation(subject, name)
+            if has_general_initialisation(subject, name)
         ),
-        *notes_of(rows),
+        *comparison_notes(rows),
     ]
     title = f"mean error{subject.app.error_measure.factor} of initialisations and rules"
-    return Table(subject.title, title, COLUMNS, rows, notes, findings=(subject.presenter.caption(),))
+    return Table(subject.title, title, ABLATION_COLUMNS, rows, notes, findings=(subject.presenter.caption(),))
 
 
-def learned(subject: Subject) -> list[str]:
+def learned_rule_rows(subject: EvaluationRun) -> list[str]:
     """The rows of the results by a learned rule, with the network that General predicts."""
     return [name for name, run in subject.runs.items() if run.paradigm.has_learned_rule and run.app == subject.app]
 
 
-def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]:
+def combine_halves(subject: EvaluationRun, name: str) -> list[tuple[str, str, list[Record]]]:
     """A learned rule's row with one of its halves replaced: (initialisation, rule, records) of both.
 
     Args:
@@ -95,7 +95,7 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]
         return []
     run, (meta, general, quickft) = runs[0], (checkpoint.phi for checkpoint in found)
     rule, adam = run.options.rule, runs[2].paradigm.adam(quickft)
-    if same_initialisation(subject, name):
+    if has_general_initialisation(subject, name):
         return [("general", rule, subject.records(name)), (f"meta ({rule})", "adam", subject.records("quickft"))]
 
     def fitted(kind: type[RuleAlone | InitialisationAlone], start: str, by: str, phi: MetaParameters) -> list[Record]:
@@ -112,7 +112,7 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, list[Record]]]
     return [(start, by, fitted(kind, start, by, phi)) for kind, start, by, phi in halves]
 
 
-def same_initialisation(subject: Subject, name: str) -> bool:
+def has_general_initialisation(subject: EvaluationRun, name: str) -> bool:
     """True if a learned rule begins at General's own prediction."""
     meta, general = (subject.runs[row].checkpoint for row in (name, "general"))
     if meta is None or general is None or not meta.phi.encoder:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from torch import Generator
 
-from metapp.evaluation.rows import paper, row_of
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.rows import make_row, paper_figures
+from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.runs.run import Checkpoint
 
-COUNTS = (1, 10, 100, 1000)
-COLUMNS = columns(
+EXEMPLAR_COUNTS = (1, 10, 100, 1000)
+STORAGE_COLUMNS = columns(
     "paradigm",
-    *(bytes_column(f"m = {count}", f"bytes_{count}") for count in COUNTS),
+    *(bytes_column(f"m = {count}", f"bytes_{count}") for count in EXEMPLAR_COUNTS),
     Column("factor", "factor", ".4f"),
     Column("networks", "networks", ".2f"),
     Column("pays from", "pays_from", "d"),
@@ -32,26 +32,26 @@ SAMPLE_COLUMNS = columns(
 )
 
 
-def bytes_of(params: Params) -> int:
+def parameter_bytes(params: Params) -> int:
     """Return the bytes of parameters in memory."""
     return sum(value.numel() * value.element_size() for value in params.values())
 
 
-def stored(checkpoint: Checkpoint | None) -> int | None:
+def checkpoint_bytes(checkpoint: Checkpoint | None) -> int | None:
     """Bytes of a checkpoint, from which any fit is made; None if there is none."""
-    return None if checkpoint is None else sum(bytes_of(part) for part in checkpoint.phi)
+    return None if checkpoint is None else sum(parameter_bytes(part) for part in checkpoint.phi)
 
 
-def storage(subject: Subject) -> Table:
+def storage(subject: EvaluationRun) -> Table:
     """The bytes that each paradigm must keep: networks of all exemplars, or a checkpoint that makes any of them."""
-    network, figures = bytes_of(subject.app.init(Generator().manual_seed(0), 1)), paper()["storage"]
+    network, figures = parameter_bytes(subject.app.init(Generator().manual_seed(0), 1)), paper_figures()["storage"]
     exemplars, rows = figures["exemplars"], []
     for name, run in subject.runs.items():
-        once, apiece = (0, network) if run.paradigm.takes_long else (stored(run.checkpoint), 0)
+        once, apiece = (0, network) if run.paradigm.takes_long else (checkpoint_bytes(run.checkpoint), 0)
         entries = {"network_bytes": network, "once_bytes": once, "each_bytes": apiece}
-        row = row_of(subject, name, [], entries)
+        row = make_row(subject, name, [], entries)
         row["networks"] = None if once is None or apiece else once / network
-        for count in dict.fromkeys((*COUNTS, exemplars)):
+        for count in dict.fromkeys((*EXEMPLAR_COUNTS, exemplars)):
             row[f"bytes_{count}"] = None if once is None else once + count * apiece
         total = row[f"bytes_{exemplars}"]
         row["factor"] = total / (exemplars * network) if total else None
@@ -64,12 +64,12 @@ def storage(subject: Subject) -> Table:
         f"paper: {figures['meta_networks']} networks for any m, factor {figures['meta_networks']}/m = "
         f"{figures['factor']:g}",
     ]
-    return Table(subject.title, "bytes for m exemplars", COLUMNS, rows, notes)
+    return Table(subject.title, "bytes for m exemplars", STORAGE_COLUMNS, rows, notes)
 
 
-def samples(subject: Subject) -> Table:
+def samples(subject: EvaluationRun) -> Table:
     """The samples of a task that each paradigm's encoder and steps see, at most all there are."""
-    figures = paper()["samples"].get(subject.app.name)
+    figures = paper_figures()["samples"].get(subject.app.name)
     rows = [_sample_row(subject, name) for name in subject.runs]
     meta = next(row for row in rows if row["paradigm"] == "meta")
     meta["paper_saved"] = figures and figures["saved"]
@@ -85,12 +85,12 @@ def samples(subject: Subject) -> Table:
     return Table(subject.title, title, SAMPLE_COLUMNS, rows, notes)
 
 
-def _sample_row(subject: Subject, name: str) -> Row:
+def _sample_row(subject: EvaluationRun, name: str) -> Row:
     run = subject.runs[name]
     batch, steps, tasks = run.recipe.batch, run.paradigm.steps, subject.tasks
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
     entries |= {"steps": steps, "batch": batch if steps else None}
-    row = row_of(subject, name, [], entries)
+    row = make_row(subject, name, [], entries)
     visible = subject.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row

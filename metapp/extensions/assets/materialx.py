@@ -13,19 +13,19 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from metapp.appearance.surface import Surface
-from metapp.extensions.assets.pictures import fitted_by, named, write_planes
-from metapp.extensions.assets.planes import fitted_planes
+from metapp.extensions.assets.pictures import describe_provenance, fill_in_name, write_surface_maps
+from metapp.extensions.assets.planes import fitted_surface_maps
 from metapp.storage.xml_files import write_xml
 
-TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}
-HIGHEST = 0.9999  # F0; beyond, no index of refraction
-IMAGE = """<image name="{key}" type="{type}">
+MATERIALX_TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}
+MAX_F0 = 0.9999  # F0; beyond, no index of refraction
+IMAGE_TEMPLATE = """<image name="{key}" type="{type}">
   <input name="file" type="filename" value="NAME_{key}.png"{space}/>
   <input name="uaddressmode" type="string" value="{mode}"/>
   <input name="vaddressmode" type="string" value="{mode}"/>
 </image>"""
 # specular_weight carries the greatest channel of F0 over the reflectance of the index, specular_color the others' ratio
-DOCUMENT = """<materialx version="1.39" colorspace="lin_rec709">
+MATERIALX_TEMPLATE = """<materialx version="1.39" colorspace="lin_rec709">
   <nodegraph name="maps">
     {images}
     <normalmap name="normal" type="vector3"><input name="in" type="vector3" nodename="normal_gl"/></normalmap>
@@ -73,21 +73,21 @@ DOCUMENT = """<materialx version="1.39" colorspace="lin_rec709">
 </materialx>"""
 
 
-def write_materialx(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_openpbr(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.mtlx and its pictures."""
-    planes = {key: plane for key, plane in fitted_planes(surface).items() if key in TYPES}
-    write_planes(planes, path)
+    planes = {key: plane for key, plane in fitted_surface_maps(surface).items() if key in MATERIALX_TYPES}
+    write_surface_maps(planes, path)
     highest = float(planes["specular"].values.max())
-    write_xml(path / f"{path.name}.mtlx", document(path.name, highest, surface.tiles, provenance))
+    write_xml(path / f"{path.name}.mtlx", openpbr_document(path.name, highest, surface.tiles, provenance))
 
 
-def index_of(f0: float) -> float:
+def index_of_refraction(f0: float) -> float:
     """The index of refraction whose reflectance at normal incidence is f0."""
-    root = math.sqrt(min(max(f0, 1e-4), HIGHEST))
+    root = math.sqrt(min(max(f0, 1e-4), MAX_F0))
     return (1 + root) / (1 - root)
 
 
-def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, object]) -> ET.Element:
+def openpbr_document(name: str, highest: float, tiles: bool, provenance: Mapping[str, object]) -> ET.Element:
     """The document: a node graph of pictures and their arithmetic, a surface, a material.
 
     Args:
@@ -96,10 +96,13 @@ def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, ob
         tiles: True if pictures go on at their edges.
         provenance: told in a comment.
     """
-    index, mode = index_of(highest), "periodic" if tiles else "clamp"
+    index, mode = index_of_refraction(highest), "periodic" if tiles else "clamp"
     spaces = {"color3": ' colorspace="srgb_texture"'}
-    images = [IMAGE.format(key=key, type=kind, mode=mode, space=spaces.get(kind, "")) for key, kind in TYPES.items()]
+    images = [
+        IMAGE_TEMPLATE.format(key=key, type=kind, mode=mode, space=spaces.get(kind, ""))
+        for key, kind in MATERIALX_TYPES.items()
+    ]
     reflectance = ((index - 1) / (index + 1)) ** 2
-    root = ET.fromstring(DOCUMENT.format(images="".join(images), index=index, reflectance=reflectance))
-    root.insert(0, ET.Comment(f" fitted by metapp: {fitted_by(provenance).replace('--', '- -')} "))
-    return named(root, name)
+    root = ET.fromstring(MATERIALX_TEMPLATE.format(images="".join(images), index=index, reflectance=reflectance))
+    root.insert(0, ET.Comment(f" fitted by metapp: {describe_provenance(provenance).replace('--', '- -')} "))
+    return fill_in_name(root, name)

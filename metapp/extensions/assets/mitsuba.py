@@ -13,19 +13,19 @@ from pathlib import Path
 
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.surface import Surface
-from metapp.extensions.assets.pictures import named, write_planes
-from metapp.extensions.assets.planes import all_planes
+from metapp.extensions.assets.pictures import fill_in_name, write_surface_maps
+from metapp.extensions.assets.planes import all_surface_maps
 from metapp.storage.xml_files import write_xml
 
-USED = ("diffuse", "specular", "roughness", "normal_gl", "basecolor", "metallic")
-PLUGINS = {  # by the suffix of the scene: the BSDF, and its textures by name
+MITSUBA_MAPS = ("diffuse", "specular", "roughness", "normal_gl", "basecolor", "metallic")
+SURFACE_PLUGINS = {  # by the suffix of the scene: the BSDF, and its textures by name
     "": ("neural_svbrdf", {"diffuse": "diffuse", "specular": "specular", "roughness": "roughness"}),
     "_builtin": ("principled", {"base_color": "basecolor", "metallic": "metallic", "roughness": "roughness"}),
 }
-COLOURS = ("diffuse", "specular", "basecolor")
-INDEX = '<float name="specular" value="0.5"/>'  # of `principled`: an index of refraction of 1.5
+COLOUR_MAPS = ("diffuse", "specular", "basecolor")
+PRINCIPLED_INDEX_XML = '<float name="specular" value="0.5"/>'  # of `principled`: an index of refraction of 1.5
 # "variant", else halves: three digits of 16 bits
-TEXTURE = """<texture type="bitmap" name="{key}">
+TEXTURE_TEMPLATE = """<texture type="bitmap" name="{key}">
   <string name="filename" value="NAME_{map}.png"/>
   <string name="format" value="variant"/>
   <string name="wrap_mode" value="{wrap}"/>
@@ -33,7 +33,7 @@ TEXTURE = """<texture type="bitmap" name="{key}">
 </texture>"""
 # What was fitted has no shadowing function and flips no normals. Row 0 of a bitmap lies at v = 0, which is where
 # meshes, but not rectangles, have their upper edge. The film takes a pixel a texel.
-SCENE = """<scene version="3.0.0">
+SURFACE_SCENE_TEMPLATE = """<scene version="3.0.0">
   <integrator type="path"/>
   <bsdf type="normalmap" id="NAME">
     <boolean name="use_shadowing_function" value="false"/>
@@ -66,9 +66,9 @@ SCENE = """<scene version="3.0.0">
 
 def write_mitsuba(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.xml, <path>/<name>_builtin.xml and the pictures."""
-    planes = all_planes(surface)
-    write_planes({key: planes[key] for key in USED}, path)
-    for suffix, (plugin, textures) in PLUGINS.items():
+    planes = all_surface_maps(surface)
+    write_surface_maps({key: planes[key] for key in MITSUBA_MAPS}, path)
+    for suffix, (plugin, textures) in SURFACE_PLUGINS.items():
         scene = surface_scene(plugin, textures, path.name, surface)
         write_xml(path / f"{path.name}{suffix}.xml", scene)
 
@@ -78,14 +78,15 @@ def surface_scene(plugin: str, textures: Mapping[str, str], name: str, surface: 
     (height, width), shorter, far = surface.size, min(surface.size), camera_distance()
 
     def texture(key: str, plane: str) -> str:
-        raw = "" if plane in COLOURS else '<boolean name="raw" value="true"/>'
+        raw = "" if plane in COLOUR_MAPS else '<boolean name="raw" value="true"/>'
         wrap = "repeat" if surface.tiles else "clamp"
-        return TEXTURE.format(key=key, map=plane, wrap=wrap, raw=raw)
+        return TEXTURE_TEMPLATE.format(key=key, map=plane, wrap=wrap, raw=raw)
 
-    text = SCENE.format(
+    text = SURFACE_SCENE_TEMPLATE.format(
         plugin=plugin,
         normals=texture("normalmap", "normal_gl"),
-        textures="".join(texture(*pair) for pair in textures.items()) + (INDEX if plugin == "principled" else ""),
+        textures="".join(texture(*pair) for pair in textures.items())
+        + (PRINCIPLED_INDEX_XML if plugin == "principled" else ""),
         x=width / shorter,
         y=height / shorter,
         far=far,
@@ -94,4 +95,4 @@ def surface_scene(plugin: str, textures: Mapping[str, str], name: str, surface: 
         lamp=far - 0.8,
         intensity=3.1416 * far * far,
     )
-    return named(ET.fromstring(text), name)
+    return fill_in_name(ET.fromstring(text), name)

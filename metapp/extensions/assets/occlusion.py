@@ -11,12 +11,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, interpolate
 
-AZIMUTHS = 16
-REACH = 0.125  # of the width: radius of occlusion
-FINEST = 512  # texels a side at which occlusion is computed: its time grows by the third power
+OCCLUSION_AZIMUTHS = 16
+OCCLUSION_RADIUS_WIDTHS = 0.125  # of the width: radius of occlusion
+MAX_OCCLUSION_SIDE_TEXELS = 512  # texels a side at which occlusion is computed: its time grows by the third power
 
 
-def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REACH) -> Tensor:
+def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = OCCLUSION_RADIUS_WIDTHS) -> Tensor:
     """Ambient occlusion [..., 1, H, W] in [0, 1] of a height field: the share of a uniform sky's light; 1 is open.
 
     Horizon-based (Max 1988; Bavoil et al. 2008): in AZIMUTHS directions the highest elevation a within reach; the sky
@@ -29,7 +29,7 @@ def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REAC
         reach: radius, in widths.
     """
     size = height.shape[-2:]
-    coarser = max(size) / FINEST
+    coarser = max(size) / MAX_OCCLUSION_SIDE_TEXELS
     if coarser > 1:
         few = [max(1, round(side / coarser)) for side in size]
         pooled = interpolate(height.reshape(-1, 1, *size), size=few, mode="area") / coarser
@@ -48,14 +48,14 @@ def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REAC
         return field
 
     total = torch.zeros_like(height)
-    for i in range(AZIMUTHS):
-        turn = 2 * math.pi * i / AZIMUTHS
+    for i in range(OCCLUSION_AZIMUTHS):
+        turn = 2 * math.pi * i / OCCLUSION_AZIMUTHS
         slope = torch.zeros_like(height)
         for distance in _distances(farthest):
             there = shifted(distance * math.sin(turn), distance * math.cos(turn))
             slope = torch.maximum(slope, (there - height) / distance)
         total += 1 / (1 + slope * slope)
-    return total / AZIMUTHS
+    return total / OCCLUSION_AZIMUTHS
 
 
 def _enlarged(field: Tensor, size: tuple[int, ...], periodic: bool) -> Tensor:

@@ -26,22 +26,22 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from metapp.appearance.colour import linear_to_srgb, stretched
-from metapp.appearance.flash import Maps, expose, positions, relightings, render
-from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, Surface
-from metapp.extensions.assets.planes import Plane, all_planes, fitted_planes
+from metapp.appearance.colour import linear_to_srgb, stretch_to_unit_range
+from metapp.appearance.flash import Maps, radiance_to_display, relighting_positions, render_maps, texel_positions
+from metapp.appearance.surface import DESCRIPTION_FILE, DIELECTRIC_F0, Surface
+from metapp.extensions.assets.planes import SurfaceMap, all_surface_maps, fitted_surface_maps
 from metapp.storage import images
-from metapp.storage.files import as_text, write_bytes
+from metapp.storage.files import to_json_value, write_bytes
 
-PREVIEW = 256  # px, of the longer side
-WORKFLOWS = {
+PREVIEW_LONGER_SIDE_PX = 256  # px, of the longer side
+WORKFLOW_DESCRIPTIONS = {
     "specular": "diffuse and specular are what was fitted: f = diffuse (1 - F0) / pi + D F G / (4 cos_i cos_o), GGX, "
     "separable Smith, Schlick's Fresnel from F0",
-    "metallic-roughness": f"diffuse = basecolor (1 - metallic), F0 = {DIELECTRIC} (1 - metallic) + basecolor metallic, "
+    "metallic-roughness": f"diffuse = basecolor (1 - metallic), F0 = {DIELECTRIC_F0} (1 - metallic) + basecolor metallic, "
     "solved for the channels' means; F0 of another hue, or below that of dielectrics, is held by specular alone",
 }
-HALF = 0.04  # F0 of Blender's default index of refraction, 1.5, at a level of 0.5
-WIRED = {
+BLENDER_DEFAULT_F0 = 0.04  # F0 of Blender's default index of refraction, 1.5, at a level of 0.5
+BLENDER_SOCKET_MAPS = {
     "BaseColor": "basecolor",
     "Metallic": "metallic",
     "Specular": "level",
@@ -50,20 +50,20 @@ WIRED = {
     "Displacement": "height",
     "AO": "ao",
 }
-PRECISE = ("normal_gl", "height")
+HIGH_PRECISION_MAPS = ("normal_gl", "height")
 
 
-def write_planes(planes: Mapping[str, Plane], path: Path, bits: int = 16) -> dict[str, dict[str, object]]:
+def write_surface_maps(planes: Mapping[str, SurfaceMap], path: Path, bits: int = 16) -> dict[str, dict[str, object]]:
     """Write maps as PNG, <path>/<name>_<map>.png, `name` being the last part of `path`.
 
     Returns:
         The description of each file, by its name: encoding, meaning; of heights how integers become widths.
     """
     files = {key: path / f"{path.name}_{key}.png" for key in planes}
-    return {file.name: write_plane(planes[key], file, bits) for key, file in files.items()}
+    return {file.name: write_surface_map(planes[key], file, bits) for key, file in files.items()}
 
 
-def write_plane(plane: Plane, file: Path, bits: int) -> dict[str, object]:
+def write_surface_map(plane: SurfaceMap, file: Path, bits: int) -> dict[str, object]:
     """Write a map as PNG by its encoding.
 
     Returns:
@@ -75,24 +75,24 @@ def write_plane(plane: Plane, file: Path, bits: int) -> dict[str, object]:
         encoding, values = "sRGB", linear_to_srgb(values.clamp(0, 1))
     texts = {"encoding": encoding}
     if plane.encoding == "stretched":
-        values, low, high = stretched(values)
+        values, low, high = stretch_to_unit_range(values)
         about |= {"offset": low, "scale": high - low, "unit": "texture widths"}
         texts |= {"offset": f"{low:.9g}", "scale": f"{high - low:.9g}"}
     images.write_png(values.movedim(0, -1), texts, file, bits)
     return {"colour_space": encoding} | about
 
 
-def preview(surface: Surface) -> Tensor:
+def render_preview(surface: Surface) -> Tensor:
     """Display values [3, h, w] of a surface: a texture as it is, a material under a light from the left."""
-    scale = min(1.0, PREVIEW / max(surface.size))
+    scale = min(1.0, PREVIEW_LONGER_SIDE_PX / max(surface.size))
     size = [max(1, math.floor(side * scale)) for side in surface.size]
     maps = surface.maps
     if maps is None:
         return linear_to_srgb(_resized(surface.base, size).clamp(0, 1))
-    light, view = relightings(dtype=surface.base.dtype)["left"]
-    place = positions(*surface.size, dtype=surface.base.dtype)
-    lit = render(Maps(*(part[None] for part in maps)), place, light, view)[0]
-    return expose(_resized(lit, size))
+    light, view = relighting_positions(dtype=surface.base.dtype)["left"]
+    place = texel_positions(*surface.size, dtype=surface.base.dtype)
+    lit = render_maps(Maps(*(part[None] for part in maps)), place, light, view)[0]
+    return radiance_to_display(_resized(lit, size))
 
 
 def _resized(picture: Tensor, size: list[int]) -> Tensor:
@@ -101,8 +101,8 @@ def _resized(picture: Tensor, size: list[int]) -> Tensor:
 
 def write_asset(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write the asset folder `path`; `material.json` comes last."""
-    files = write_planes(all_planes(surface), path)
-    images.write_png(preview(surface).movedim(0, -1), {"encoding": "sRGB"}, path / "preview.png")
+    files = write_surface_maps(all_surface_maps(surface), path)
+    images.write_png(render_preview(surface).movedim(0, -1), {"encoding": "sRGB"}, path / "preview.png")
     write_description(surface, path, files, provenance)
 
 
@@ -119,52 +119,52 @@ def write_description(
         "real_world_size": None,  # of the width, in metres: a photograph alone does not tell
         "tiles": surface.tiles,
         "colour_primaries": "Rec. 709",
-        **({} if surface.maps is None else {"workflows": WORKFLOWS}),
+        **({} if surface.maps is None else {"workflows": WORKFLOW_DESCRIPTIONS}),
         "files": dict(files),
         "provenance": dict(provenance),
     }
-    text = json.dumps(as_text(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_bytes(path / DESCRIPTION, text.encode())
+    text = json.dumps(to_json_value(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_bytes(path / DESCRIPTION_FILE, text.encode())
 
 
 def write_blender(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>_<socket>.png and <path>/material.json."""
-    planes = all_planes(surface)
-    planes["level"] = Plane(
+    planes = all_surface_maps(surface)
+    planes["level"] = SurfaceMap(
         specular_level(surface, planes), "linear", "Specular IOR Level; F0 / 0.08 of what no metal is"
     )
-    files = write_planes({socket: planes[key] for socket, key in WIRED.items()}, path)
+    files = write_surface_maps({socket: planes[key] for socket, key in BLENDER_SOCKET_MAPS.items()}, path)
     write_description(surface, path, files, provenance)
 
 
-def specular_level(surface: Surface, planes: Mapping[str, Plane]) -> Tensor:
+def specular_level(surface: Surface, planes: Mapping[str, SurfaceMap]) -> Tensor:
     """The level [1, H, W] at which the dielectric part makes up the rest of the mean F0; 0.5 of pure metals."""
     assert surface.maps is not None
     metallic, base = planes["metallic"].values, planes["basecolor"].values
     missing = (surface.maps.specular - base * metallic).mean(0, keepdim=True)
-    level = missing / (1 - metallic).clamp_min(1e-6) * (0.5 / HALF)
+    level = missing / (1 - metallic).clamp_min(1e-6) * (0.5 / BLENDER_DEFAULT_F0)
     return torch.where(metallic < 1, level.clamp(0, 1), 0.5)
 
 
 def write_exr(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>_<map>.exr of the fitted maps, or of a texture's colour; heights in texture widths."""
-    for key, plane in fitted_planes(surface).items():
+    for key, plane in fitted_surface_maps(surface).items():
         file = path / f"{path.name}_{key}.exr"
-        images.write_exr(plane.values.movedim(0, -1), file, half=key not in PRECISE)
+        images.write_exr(plane.values.movedim(0, -1), file, half=key not in HIGH_PRECISION_MAPS)
 
 
 def write_png16(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>_<map>.png of the fitted maps, or of a texture's colour."""
-    write_planes(fitted_planes(surface), path)
+    write_surface_maps(fitted_surface_maps(surface), path)
 
 
-def fitted_by(provenance: Mapping[str, object]) -> str:
+def describe_provenance(provenance: Mapping[str, object]) -> str:
     """A fit's provenance in a few words."""
     keys = ("app", "paradigm", "rule", "checkpoint", "recipe")
     return ", ".join(f"{key} {provenance[key]}" for key in keys if key in provenance)
 
 
-def named(document: ET.Element, name: str) -> ET.Element:
+def fill_in_name(document: ET.Element, name: str) -> ET.Element:
     """An XML document with a name in place of NAME in its attributes."""
     for element in document.iter():
         for key, value in element.items():

@@ -11,13 +11,13 @@ from pathlib import Path
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from metapp.appearance.surface import Surface
-from metapp.extensions.assets.pictures import fitted_by, write_plane
-from metapp.extensions.assets.planes import all_planes
+from metapp.extensions.assets.pictures import describe_provenance, write_surface_map
+from metapp.extensions.assets.planes import all_surface_maps
 from metapp.storage.files import write_bytes
 
-PNG_BITS = 8
-TEXTURES = "textures"
-INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
+USD_PNG_BITS = 8
+TEXTURES_FOLDER = "textures"
+PREVIEW_SURFACE_INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
     "diffuseColor": ("diffuse", "rgb", "Color3f"),
     "specularColor": ("specular", "rgb", "Color3f"),
     "roughness": ("roughness", "r", "Float"),
@@ -28,10 +28,10 @@ INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
 
 def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.usda with its textures, and <path>/<name>.usdz, which holds all."""
-    planes = all_planes(surface)
-    for key, _, _ in INPUTS.values():
-        write_plane(planes[key], path / TEXTURES / f"{path.name}_{key}.png", PNG_BITS)
-    text = stage_text(surface, path.name, provenance)
+    planes = all_surface_maps(surface)
+    for key, _, _ in PREVIEW_SURFACE_INPUTS.values():
+        write_surface_map(planes[key], path / TEXTURES_FOLDER / f"{path.name}_{key}.png", USD_PNG_BITS)
+    text = usd_layer_text(surface, path.name, provenance)
     layer = path / f"{path.name}.usda"
     write_bytes(layer, text.encode())
     package = path / f"{path.name}.usdz"
@@ -39,7 +39,7 @@ def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) ->
         raise ValueError(f"{package}: not written by usd-core; is the disk full?")
 
 
-def stage_text(surface: Surface, name: str, provenance: Mapping[str, object]) -> str:
+def usd_layer_text(surface: Surface, name: str, provenance: Mapping[str, object]) -> str:
     """The layer as text: one prim with the square and its material."""
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -47,7 +47,7 @@ def stage_text(surface: Surface, name: str, provenance: Mapping[str, object]) ->
     root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(name)}")
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-    root.GetPrim().SetDocumentation(f"{name}, fitted by metapp: {fitted_by(provenance)}")
+    root.GetPrim().SetDocumentation(f"{name}, fitted by metapp: {describe_provenance(provenance)}")
     mesh = _quad(stage, root.GetPath().AppendChild("Square"), surface)
     material = _material(stage, root.GetPath().AppendChild("Material"), name, surface.tiles)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
@@ -82,8 +82,8 @@ def _material(stage: Usd.Stage, path: Sdf.Path, name: str, tiles: bool) -> UsdSh
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
     place = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
-    for input_, (key, output, kind) in INPUTS.items():
-        texture = _texture(stage, path.AppendChild(key), f"./{TEXTURES}/{name}_{key}.png", key, tiles)
+    for input_, (key, output, kind) in PREVIEW_SURFACE_INPUTS.items():
+        texture = _texture(stage, path.AppendChild(key), f"./{TEXTURES_FOLDER}/{name}_{key}.png", key, tiles)
         texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(place)
         source = texture.CreateOutput(
             output, Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple, Protocol, cast
 
 from torch import Generator, Tensor
 
-from metapp.learning.app import App, stack
+from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task, Tasks
 
-INDEX = 1, 4  # the number of a training task, and its bytes
+INDEX_NUMBERS_AND_BYTES = 1, 4  # the number of a training task, and its bytes
 
 
 @dataclass(frozen=True, eq=False)
-class Training:
+class TrainingTasks:
     """The training tasks that baselines are prepared on.
 
     Attributes:
@@ -31,10 +31,10 @@ class Training:
     @functools.cached_property
     def stacked(self) -> Tasks:
         """All of them, prepared by the application."""
-        return stack(self.app, self.tasks)
+        return stack_tasks(self.app, self.tasks)
 
 
-class Allowed(NamedTuple):
+class CostLimits(NamedTuple):
     """The samples and bytes of a baseline, so that it is compared at equal cost.
 
     Attributes:
@@ -50,7 +50,7 @@ class BaselineFit(NamedTuple):
     """A baseline's fit of a task.
 
     Attributes:
-        answer: makes the argument of `judge`; not timed, as that of a network is not.
+        answer: makes the argument of `judge_answer`; not timed, as that of a network is not.
         numbers: that are kept for the task.
         kept_bytes: their bytes.
         picture: to show beside the application's fits, linear RGB [H, W, 3], if it is a picture.
@@ -91,26 +91,26 @@ class Baseline(ABC):
         self.app = app
         self.chosen: dict[str, object] = {}
 
-    def prepare(self, training: Training, allowed: Allowed) -> None:  # noqa: B027  (nothing to do for most)
+    def prepare(self, training: TrainingTasks, allowed: CostLimits) -> None:  # noqa: B027  (nothing to do for most)
         """Learn from training tasks, once: of methods that do."""
 
     @abstractmethod
-    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """The fit of one task."""
 
 
-class Judge(Protocol):
+class JudgingApp(Protocol):
     """An application that judges baselines: its `errors` measures an answer that it makes of a fit by `errors_of`."""
 
     def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
         """Return the measures [T] of `App.errors` of an answer: the application's own maps, pictures or densities."""
 
 
-def judge(app: App, answer: object, tasks: Tasks) -> dict[str, Tensor]:
+def judge_answer(app: App, answer: object, tasks: Tasks) -> dict[str, Tensor]:
     """Measure an answer that does not come from the application's network, by the measures [T] of fits."""
-    return cast(Judge, app).errors_of(answer, tasks)
+    return cast(JudgingApp, app).errors_of(answer, tasks)
 
 
-def bytes_of(*tensors: Tensor) -> int:
+def tensor_bytes(*tensors: Tensor) -> int:
     """Bytes of tensors."""
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-EPSILON = 1e-3  # as published: what keeps logs finite, and cosines off 0
-ROWS = 8192  # that a Gram matrix is summed over at once
-DELTA = 0.3  # of the mean error: smaller ones weigh no more
+REFLECTANCE_EPSILON = 1e-3  # as published: what keeps logs finite, and cosines off 0
+GRAM_BLOCK_ROWS = 8192  # that a Gram matrix is summed over at once
+MIN_ERROR_SHARE = 0.3  # of the mean error: smaller ones weigh no more
 
 
 class Components(NamedTuple):
@@ -46,12 +46,14 @@ class Components(NamedTuple):
 
     def mapped(self, reflectance: Tensor) -> Tensor:
         """Log-relative reflectance of reflectance [N, C] in 1/sr."""
-        return torch.log((reflectance * self.weight + EPSILON) / (self.reference * self.weight + EPSILON))
+        return torch.log(
+            (reflectance * self.weight + REFLECTANCE_EPSILON) / (self.reference * self.weight + REFLECTANCE_EPSILON)
+        )
 
     def reflectance(self, coefficients: Tensor) -> Tensor:
         """Of coefficients [K, C], [N, C] in 1/sr, at least 0."""
-        full = torch.exp(self.axes @ coefficients + self.mean) * (self.reference * self.weight + EPSILON)
-        return ((full - EPSILON) / self.weight).clamp_min(0)
+        full = torch.exp(self.axes @ coefficients + self.mean) * (self.reference * self.weight + REFLECTANCE_EPSILON)
+        return ((full - REFLECTANCE_EPSILON) / self.weight).clamp_min(0)
 
     def coefficients(self, target: Tensor, penalty: float, solves: int) -> Tensor:
         """The coefficients [K, C] of log(1 + f cos theta_i), [N, C], whose absolute errors count.
@@ -62,25 +64,25 @@ class Components(NamedTuple):
         """
         reflectance = target.expm1() / self.cos
         found = residual = self.mapped(reflectance) - self.mean
-        weights = slope = self.cos * (reflectance + EPSILON / self.weight) / target.exp()
+        weights = slope = self.cos * (reflectance + REFLECTANCE_EPSILON / self.weight) / target.exp()
         drawn = penalty * len(target) / self.deviation.double().square()
         for solve in range(solves):
             if solve:
                 error = (torch.log1p(self.reflectance(found) * self.cos) - target).abs()
-                weights = slope * slope / (error + DELTA * error.mean(0)).clamp_min(1e-12)
+                weights = slope * slope / (error + MIN_ERROR_SHARE * error.mean(0)).clamp_min(1e-12)
             channels = zip(residual.T, (weights / weights.mean(0)).T, strict=True)
-            found = torch.stack([ridge(self.axes, *channel, drawn) for channel in channels], 1)
+            found = torch.stack([solve_weighted_ridge(self.axes, *channel, drawn) for channel in channels], 1)
         return found
 
 
-def principal(columns: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+def principal_components(columns: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """Mean, axes and deviation, as of `Components`, of columns [N, C], up to `count`.
 
     By their Gram matrix, in double precision. Those that vary by less than rounding are left out.
     """
     mean = columns.mean(1, keepdim=True)
     gram = torch.zeros(columns.shape[1], columns.shape[1], dtype=torch.float64)
-    for part, middle in zip(columns.split(ROWS), mean.split(ROWS), strict=True):
+    for part, middle in zip(columns.split(GRAM_BLOCK_ROWS), mean.split(GRAM_BLOCK_ROWS), strict=True):
         centred = (part - middle).double()
         gram += centred.T @ centred
     squared, vectors = torch.linalg.eigh(gram)
@@ -91,7 +93,7 @@ def principal(columns: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     return mean, axes, (1 / scale * math.sqrt(1 / columns.shape[1])).to(columns)
 
 
-def ridge(axes: Tensor, target: Tensor, weight: Tensor, penalty: Tensor) -> Tensor:
+def solve_weighted_ridge(axes: Tensor, target: Tensor, weight: Tensor, penalty: Tensor) -> Tensor:
     """Coefficients [K] of axes [n, K] that fit a target [n], of squared residuals by weight [n], penalties [K].
 
     By normal equations; by QR in double precision where rounding would hide that these are positive definite: of fewer

@@ -15,27 +15,27 @@ from torch import Generator
 
 from metapp.apps import protocol_entry
 from metapp.apps.brdf.network import BrdfNetwork
-from metapp.extensions.baselines.baseline import Allowed, Baseline, Training, bytes_of, judge
-from metapp.learning.app import App, stack
+from metapp.extensions.baselines.baseline import Baseline, CostLimits, TrainingTasks, judge_answer, tensor_bytes
+from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Params, Task
 from metapp.names import embedded_apps
 from metapp.runs.fitting import rng_of
-from metapp.runs.inputs.embedded import embedded_data, embedded_has_training
+from metapp.runs.inputs.embedded import has_embedded_training, make_embedded_set
 from metapp.runs.inputs.sources import data_label
-from metapp.runs.outputs.pictures import PICTURE
+from metapp.runs.outputs.pictures import PICTURE_KEY
 from metapp.runs.run import Run
-from metapp.runs.surroundings import versions
+from metapp.runs.surroundings import software_versions
 from metapp.storage.fits import Record
-from metapp.storage.shards import read_manifest, read_shard
+from metapp.storage.shards import read_data_set, read_manifest
 
-ENTRIES = ("error", "numbers", "kept_bytes", "shared")  # of a record
+BASELINE_RECORD_KEYS = ("error", "numbers", "kept_bytes", "shared")  # of a record
 
 
 # the record, the picture, and a function of the size of files that makes what `Presenter.answer_pictures` takes
-Judged = tuple[Record, Params | None, Callable[[tuple[int, int] | None], object]]
+JudgedFit = tuple[Record, Params | None, Callable[[tuple[int, int] | None], object]]
 
 
-def training_folder(run: Run, baseline: Baseline, *, make: bool = False) -> Path | None:
+def find_training_folder(run: Run, baseline: Baseline, *, make: bool = False) -> Path | None:
     """Return the data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
 
     Args:
@@ -52,50 +52,50 @@ def training_folder(run: Run, baseline: Baseline, *, make: bool = False) -> Path
     app, data, quiet = run.app.name, run.options.data, run.options.quiet
     fits_embedded = not (data or run.options.paths or run.options.objects) and app in embedded_apps()
     folders = [data] if data else []
-    if embedded_has_training(app) or (make and fits_embedded):
-        folders.append(embedded_data(app, quiet=quiet))
+    if has_embedded_training(app) or (make and fits_embedded):
+        folders.append(make_embedded_set(app, quiet=quiet))
     return next((path for path in folders if any(task.split == "train" for task in read_manifest(path).tasks)), None)
 
 
 @functools.lru_cache(maxsize=1)
-def training_of(app: App, folder: Path | None) -> Training:
+def read_training_tasks(app: App, folder: Path | None) -> TrainingTasks:
     """The training tasks of a data set; no tasks if there is no folder."""
-    return Training(app, read_shard(folder, "train", app.name, app.tensors) if folder else [])
+    return TrainingTasks(app, read_data_set(folder, "train", app.name, app.tensors) if folder else [])
 
 
-def allowed_for(run: Run) -> Allowed:
+def cost_limits_of_run(run: Run) -> CostLimits:
     """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
     recipe = run.recipe
-    return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(run.app).values()))
+    return CostLimits(recipe.steps * recipe.batch, tensor_bytes(*parameters_per_task(run.app).values()))
 
 
-def settings_of(run: Run, baseline: Baseline, label: str) -> Record:
+def baseline_settings(run: Run, baseline: Baseline, label: str) -> Record:
     """Everything that figures of a baseline on data of this name depend on."""
     app, options = run.app, run.options
-    own, source = options.own.recorded(), training_folder(run, baseline)
+    own, source = options.own.recorded(), find_training_folder(run, baseline)
     return {
         "app": app.name,
         **protocol_entry(app),
         "method": baseline.name,
         "data": label,
         "training": source and data_label(source),
-        "allowed": allowed_for(run)._asdict(),
+        "allowed": cost_limits_of_run(run)._asdict(),
         "recipe": options.recipe,
         **({"options": own} if own else {}),
         "seed": options.seed,
-        "versions": versions() | {"scipy": metadata.version("scipy")},
+        "versions": software_versions() | {"scipy": metadata.version("scipy")},
         **app.conditions(),
     }
 
 
-def own_parameters(app: App) -> Params:
+def parameters_per_task(app: App) -> Params:
     """Parameters [1, ...] that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
     own = app.network.unshared_parameters if isinstance(app.network, BrdfNetwork) else ()
     return {key: value for key, value in theta.items() if not own or key in own}
 
 
-def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[Judged]:
+def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[JudgedFit]:
     """Fit a baseline to tasks, each alone; the time is from the task's samples to the fit.
 
     Args:
@@ -110,19 +110,19 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
     Raises:
         ValueError: it cannot be fitted to these tasks.
     """
-    app, allowed = run.app, allowed_for(run)
+    app, allowed = run.app, cost_limits_of_run(run)
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
         if baseline.learns:
-            baseline.prepare(training_of(app, training_folder(run, baseline)), allowed)
+            baseline.prepare(read_training_tasks(app, find_training_folder(run, baseline)), allowed)
         for task in tasks[:1] if warm and not baseline.stored else ():
-            baseline.fit(stack(app, [task]), rng_of(run, task), allowed)
+            baseline.fit(stack_tasks(app, [task]), rng_of(run, task), allowed)
         for task in tasks:
             rng, begin = rng_of(run, task), time.perf_counter()
-            stacked = stack(app, [task])
+            stacked = stack_tasks(app, [task])
             fitted = baseline.fit(stacked, rng, allowed)
             seconds = time.perf_counter() - begin
             answer = fitted.answer()
-            errors = {key: float(value[0]) for key, value in judge(app, answer, stacked).items()}
+            errors = {key: float(value[0]) for key, value in judge_answer(app, answer, stacked).items()}
             if errors and not math.isfinite(errors["error"]):
                 raise ValueError(f"{task.name}: the error is not finite.")
             scale = {"error": app.error_measure.scale}
@@ -137,7 +137,7 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
                 "chosen": baseline.chosen,
             }
             written = fitted.written or functools.partial(_as_it_is, answer)
-            yield record, None if fitted.picture is None else {PICTURE: fitted.picture}, written
+            yield record, None if fitted.picture is None else {PICTURE_KEY: fitted.picture}, written
 
 
 def _as_it_is(answer: object, size: tuple[int, int] | None) -> object:

@@ -12,7 +12,7 @@ from scipy.special import sph_legendre_p_all
 Floats = NDArray[np.float64]
 
 
-def orders(height: int, width: int) -> int:
+def count_orders(height: int, width: int) -> int:
     """Number of orders of spherical harmonics, 0 among them, that the texels of a lat-long map tell apart.
 
     Rows bound the degree, columns the wave along them: that of width / 2 has no cosine at the texels' centres, and of
@@ -21,7 +21,7 @@ def orders(height: int, width: int) -> int:
     return min(height, (width + 1) // 2)
 
 
-def harmonics(maps: Floats, order: int) -> Floats:
+def to_harmonics(maps: Floats, order: int) -> Floats:
     """Coefficients of lat-long maps [C, H, W] in real spherical harmonics up to an order, [C, (order + 1)^2].
 
     Least squares, texels weighted by solid angle. Harmonics are orthonormal over the sphere; those of one degree stand
@@ -42,7 +42,7 @@ def harmonics(maps: Floats, order: int) -> Floats:
 
 
 def from_harmonics(coefficients: Floats, height: int, width: int) -> Floats:
-    """Maps [C, H, W] of coefficients [C, (order + 1)^2]; undoes `harmonics` if maps have no higher order."""
+    """Maps [C, H, W] of coefficients [C, (order + 1)^2]; undoes `to_harmonics` if maps have no higher order."""
     order = math.isqrt(coefficients.shape[1]) - 1
     waves = np.zeros((len(coefficients), height, width // 2 + 1), np.complex128)
     for m, (basis, _) in enumerate(_along_theta(height, order)):

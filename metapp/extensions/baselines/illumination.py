@@ -9,43 +9,43 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import mean_luminance
-from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
-from metapp.extensions.baselines.harmonics import from_harmonics, harmonics, orders
+from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
+from metapp.extensions.baselines.harmonics import count_orders, from_harmonics, to_harmonics
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Tasks
 
-SCALE, VALUE = 4, 2  # bytes of a scale, a float, and of a coefficient over it, half a float
+SCALE_BYTES, COEFFICIENT_BYTES = 4, 2  # bytes of a scale, a float, and of a coefficient over it, half a float
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of maps, or of photographs, by the protocol."""
-    return (Unwrap(app) if app.protocol == "photo" else Harmonics(app),)
+    return (UnwrappedBall(app) if app.protocol == "photo" else SphericalHarmonics(app),)
 
 
-class Harmonics(Baseline):
+class SphericalHarmonics(Baseline):
     """As many coefficients, half floats over their largest, as take no more bytes than a network."""
 
     name = "sh"
     title = "spherical harmonics, least squares by solid angle"
     cannot = "read a map from a photo, nor show a sun that does not ring"
 
-    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """The coefficients of a map."""
         (row,) = tasks.rows.tolist()
         radiance = tasks.data["map"][row].double().numpy()
         channels, height, width = radiance.shape
-        most = math.isqrt(max(0, allowed.network_bytes - SCALE) // (VALUE * channels)) - 1
-        coefficients = harmonics(radiance, max(0, min(most, orders(height, width) - 1)))
+        most = math.isqrt(max(0, allowed.network_bytes - SCALE_BYTES) // (COEFFICIENT_BYTES * channels)) - 1
+        coefficients = to_harmonics(radiance, max(0, min(most, count_orders(height, width) - 1)))
         scale = float(np.abs(coefficients).max()) or 1.0
         kept = (coefficients / scale).astype(np.float16)
 
         def answer() -> Tensor:
             return torch.from_numpy(from_harmonics(kept.astype(np.float64) * scale, height, width)).float()[None]
 
-        return BaselineFit(answer, kept.size, SCALE + VALUE * kept.size)
+        return BaselineFit(answer, kept.size, SCALE_BYTES + COEFFICIENT_BYTES * kept.size)
 
 
-class Unwrap(Baseline):
+class UnwrappedBall(Baseline):
     """The light that a mirror ball shows."""
 
     name = "unwrap"
@@ -53,17 +53,17 @@ class Unwrap(Baseline):
     cannot = "tell what the photo does not show"
     stored = "seen"
 
-    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """The map that is seen; ValueError: the ball is no mirror."""
         data = {key: tasks.data[key][tasks.rows] for key in ("seen", "certain")}
         for name, certain in zip(tasks.selected_names, data["certain"], strict=True):
             if not certain.any():
                 raise ValueError(f"{name}: a photo of a glossy sphere, expected a mirror ball's.")
         numbers = 5 * data["seen"][0, 0].numel()
-        return BaselineFit(lambda: shown(data), numbers, 2 * numbers)
+        return BaselineFit(lambda: fill_unseen(data), numbers, 2 * numbers)
 
 
-def shown(data: Batch) -> Tensor:
+def fill_unseen(data: Batch) -> Tensor:
     """Maps [T, 3, H, W] of `seen` [T, 3, H, W] and `certain` [T, 2, H, W].
 
     Behind a ball is the light before it; where neither is known the mean; where the photo clips the light of the clip.

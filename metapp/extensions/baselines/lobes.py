@@ -15,31 +15,31 @@ from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 
 Floats = NDArray[np.float64]
 
-LOBE = 5  # numbers of one: log alpha, Schlick's F0, a colour
-ALPHAS = ((0.03, 0.3), (0.1, 0.5))  # of two lobes, at which fits begin
-FIRST_SAMPLES = 1024  # samples of the fits that choose where to begin
-NARROWEST, WIDEST = 0.005, 1.5
-SMALL_ERROR = 0.003  # errors below it count as squares, those above as they are
+NUMBERS_PER_LOBE = 5  # numbers of one: log alpha, Schlick's F0, a colour
+INITIAL_ALPHAS = ((0.03, 0.3), (0.1, 0.5))  # of two lobes, at which fits begin
+INITIALISATION_SAMPLES = 1024  # samples of the fits that choose where to begin
+MIN_ALPHA, MAX_ALPHA = 0.005, 1.5
+SQUARED_ERROR_BOUND = 0.003  # errors below it count as squares, those above as they are
 LOG_ALPHA_STEP = 1e-5  # of log alpha, for its slope: forward differentiation takes ten times as long
-TOLERANCE = 1e-5  # of change, of numbers and of the cost, to stop at
+STOPPING_TOLERANCE = 1e-5  # of change, of numbers and of the cost, to stop at
 
 
-def reflectance(numbers: Tensor, cosines: Cosines) -> Tensor:
+def lobes_reflectance(numbers: Tensor, cosines: Cosines) -> Tensor:
     """BRDF [n, 3] in 1/sr of 3 + 5 L numbers: the body's colour, then for each lobe log alpha, F0 and a colour."""
-    body, rest = numbers[:3], numbers[3:].reshape(-1, LOBE)
+    body, rest = numbers[:3], numbers[3:].reshape(-1, NUMBERS_PER_LOBE)
     total = (body / math.pi).expand(*cosines.half.shape, 3)
     for lobe in rest.unbind():
         total = total + (_shape(lobe[0], cosines) * fresnel_schlick(cosines.difference, lobe[1]))[:, None] * lobe[2:]
     return total
 
 
-def slopes(numbers: Tensor, cosines: Cosines) -> Tensor:
-    """Derivatives [n, 3, 3 + 5 L] of `reflectance` by the numbers."""
+def lobes_jacobian(numbers: Tensor, cosines: Cosines) -> Tensor:
+    """Derivatives [n, 3, 3 + 5 L] of `lobes_reflectance` by the numbers."""
     derivatives = torch.zeros(len(cosines.half), 3, len(numbers), dtype=numbers.dtype)
     channels = torch.arange(3)
     derivatives[:, channels, channels] = 1 / math.pi
-    for i, lobe in enumerate(numbers[3:].reshape(-1, LOBE).unbind()):
-        first = 3 + LOBE * i
+    for i, lobe in enumerate(numbers[3:].reshape(-1, NUMBERS_PER_LOBE).unbind()):
+        first = 3 + NUMBERS_PER_LOBE * i
         shape = _shape(lobe[0], cosines)
         up, down = (_shape(lobe[0] + step, cosines) for step in (LOG_ALPHA_STEP, -LOG_ALPHA_STEP))
         steeper = (up - down) / (2 * LOG_ALPHA_STEP)
@@ -55,7 +55,7 @@ def _shape(log_alpha: Tensor, cosines: Cosines) -> Tensor:
     return microfacet_lobe(cosines, log_alpha.exp(), torch.ones_like)[..., 0]
 
 
-def fit(cosines: Cosines, target: Tensor, begin: tuple[tuple[float, ...], ...] = ALPHAS) -> Tensor:
+def fit_ggx_lobes(cosines: Cosines, target: Tensor, begin: tuple[tuple[float, ...], ...] = INITIAL_ALPHAS) -> Tensor:
     """The numbers of a fit, float64; absolute errors count.
 
     Args:
@@ -63,7 +63,7 @@ def fit(cosines: Cosines, target: Tensor, begin: tuple[tuple[float, ...], ...] =
         target: log(1 + f cos theta_i), [n, 3], float64.
         begin: alphas of the lobes, at each of which a descent begins; the best goes on.
     """
-    few = Cosines(*(cosine[:FIRST_SAMPLES] for cosine in cosines)), target[:FIRST_SAMPLES]
+    few = Cosines(*(cosine[:INITIALISATION_SAMPLES] for cosine in cosines)), target[:INITIALISATION_SAMPLES]
     fits = [_descend(*few, _first(*few, alphas)) for alphas in begin]
     best = min(fits, key=lambda fit: fit[1])[0]
     return torch.from_numpy(_descend(cosines, target, best)[0])
@@ -74,16 +74,16 @@ def _descend(cosines: Cosines, target: Tensor, first: Floats) -> tuple[Floats, f
     cos = cosines.incident[:, None]
 
     def residual(x: Floats) -> Floats:
-        return (torch.log1p(reflectance(torch.from_numpy(x), cosines) * cos) - target).numpy().ravel()
+        return (torch.log1p(lobes_reflectance(torch.from_numpy(x), cosines) * cos) - target).numpy().ravel()
 
     def slopes_of(x: Floats) -> Floats:
         numbers = torch.from_numpy(x)
-        outer = cos / (1 + reflectance(numbers, cosines) * cos)
-        return (slopes(numbers, cosines) * outer[..., None]).flatten(0, 1).numpy()
+        outer = cos / (1 + lobes_reflectance(numbers, cosines) * cos)
+        return (lobes_jacobian(numbers, cosines) * outer[..., None]).flatten(0, 1).numpy()
 
-    lobes = (len(first) - 3) // LOBE
-    low = np.array([0.0] * 3 + [math.log(NARROWEST), 0.0, 0.0, 0.0, 0.0] * lobes)
-    bounds = low, np.array([np.inf] * 3 + [math.log(WIDEST), 1.0, np.inf, np.inf, np.inf] * lobes)
+    lobes = (len(first) - 3) // NUMBERS_PER_LOBE
+    low = np.array([0.0] * 3 + [math.log(MIN_ALPHA), 0.0, 0.0, 0.0, 0.0] * lobes)
+    bounds = low, np.array([np.inf] * 3 + [math.log(MAX_ALPHA), 1.0, np.inf, np.inf, np.inf] * lobes)
     solution = least_squares(
         residual,
         np.clip(first, *bounds),
@@ -91,9 +91,9 @@ def _descend(cosines: Cosines, target: Tensor, first: Floats) -> tuple[Floats, f
         bounds=bounds,
         x_scale="jac",
         loss="soft_l1",
-        f_scale=SMALL_ERROR,
-        ftol=TOLERANCE,
-        xtol=TOLERANCE,
+        f_scale=SQUARED_ERROR_BOUND,
+        ftol=STOPPING_TOLERANCE,
+        xtol=STOPPING_TOLERANCE,
         max_nfev=60,
     )
     return solution.x, float(solution.cost)

@@ -10,13 +10,18 @@ from typing import Any, NamedTuple
 from rich.table import Table
 
 from metapp.appearance.presenter import Presenter
-from metapp.cli.fitting import line_of, table_of
+from metapp.cli.fitting import fit_line, fits_table
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
-from metapp.extensions.baselines.fits import ENTRIES, fit_baselines, settings_of, training_folder
+from metapp.extensions.baselines.fits import (
+    BASELINE_RECORD_KEYS,
+    baseline_settings,
+    find_training_folder,
+    fit_baselines,
+)
 from metapp.names import did_you_mean
 from metapp.options import BadOption
-from metapp.runs.inputs.sources import content_of, read_tasks, sources_to_fit
+from metapp.runs.inputs.sources import find_inputs, read_tasks, task_digest
 from metapp.runs.options import FitOptions
 from metapp.runs.outputs.files import write_pictures
 from metapp.runs.reporter import progress
@@ -45,8 +50,8 @@ class BaselineRun(NamedTuple):
     def shown(self) -> Table | str:
         """Return the table of all tasks, or the line about the only one."""
         if len(self.records) > 1:
-            return table_of(self.presenter, self.method, self.records)
-        return line_of(self.presenter, self.records[0])
+            return fits_table(self.presenter, self.method, self.records)
+        return fit_line(self.presenter, self.records[0])
 
 
 def run_baseline(options: FitOptions, method: str) -> BaselineRun:
@@ -61,17 +66,17 @@ def run_baseline(options: FitOptions, method: str) -> BaselineRun:
         ValueError: bad inputs; no training tasks, of a method that learns from them.
     """
     run = Run.of(options)
-    baseline, (sources, label) = _baseline(run, method), sources_to_fit(run)
+    baseline, (sources, label) = _baseline(run, method), find_inputs(run)
     tasks = read_tasks(sources)
-    if baseline.learns and training_folder(run, baseline, make=True) is None:
+    if baseline.learns and find_training_folder(run, baseline, make=True) is None:
         raise ValueError(f"{run.app.name} {method}: no training tasks to learn from; give a data set with --data.")
     path = run.path(label, f"baseline-{method}")
-    kept = RunFolder(path, settings_of(run, baseline, label), ENTRIES)
+    kept = RunFolder(path, baseline_settings(run, baseline, label), BASELINE_RECORD_KEYS)
     records = []
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(run, baseline, tasks, warm=False)
         for task, (record, picture, written) in zip(tasks, fits, strict=True):
-            record |= {"content": content_of(task), "origin": run.origin(run.options.paths)}
+            record |= {"content": task_digest(task), "origin": run.origin(run.options.paths)}
             files = run.presenter.answer_pictures(written(run.presenter.size), task)
             records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)

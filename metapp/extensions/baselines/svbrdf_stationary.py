@@ -5,26 +5,26 @@ from __future__ import annotations
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.flash import GAMMA, Maps, normal_from_height
-from metapp.appearance.highlight import evenly_lit, gloss
-from metapp.appearance.order import high_passed
+from metapp.appearance.flash import DISPLAY_GAMMA, Maps, normal_from_height
+from metapp.appearance.highlight import estimate_gloss, remove_shading
+from metapp.appearance.order import subtract_local_mean
 from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.extensions.baselines.baseline import Allowed, Baseline, BaselineFit
-from metapp.extensions.baselines.texture import NearestExemplar, picture_of, quilts
+from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
+from metapp.extensions.baselines.texture import NearestExemplar, quilt_pictures, srgb_to_linear_picture
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.networks.layout import as_tile
+from metapp.networks.layout import stretch_to_tile
 
 # Of relief: the side of a texel's surroundings and, where a texel is twice as bright as these, its height, both in
 # texels of photos of 256. Below a clear highlight a surface is smooth, and what its brightness shows is colour: of 0,
 # 0.5, 1, 1.5 texels, and shares of the lobe right below the flash of 0.5 to 1.1, these have the least mean error of
 # relit pictures, on 22 materials of the training split.
-SURROUNDINGS, DEPTH, CLEAR = 33, 1.0, 0.8
-NUMBERS = 5  # beside the photo: diffuse red, green and blue, F0, roughness
+RELIEF_WINDOW_TEXELS, RELIEF_DEPTH_TEXELS, CLEAR_HIGHLIGHT_SHARE = 33, 1.0, 0.8
+QUILTED_MATERIAL_NUMBERS = 5  # beside the photo: diffuse red, green and blue, F0, roughness
 
 
-def quilted_maps(
+def quilt_maps(
     photo: Tensor,
     light: Tensor,
     rng: Generator,
@@ -44,15 +44,15 @@ def quilted_maps(
         size: height and width of the maps in texels; None for the photo's.
         count: the number of materials.
     """
-    highlight, even = gloss(photo, light), evenly_lit(photo, light)[0].clamp(0, 1)
+    highlight, even = estimate_gloss(photo, light), remove_shading(photo, light)[0].clamp(0, 1)
     side, size = even.shape[1], size or (even.shape[1], even.shape[2])
-    pictures = quilts(as_tile(even, size)[0], size, rng, tiles=True, count=count)
-    colours, mean = pictures**GAMMA, (even**GAMMA).mean((1, 2)).clamp_min(1e-4)
+    pictures = quilt_pictures(stretch_to_tile(even, size)[0], size, rng, tiles=True, count=count)
+    colours, mean = pictures**DISPLAY_GAMMA, (even**DISPLAY_GAMMA).mean((1, 2)).clamp_min(1e-4)
     brightness = colours.mean(-3, keepdim=True) / mean.mean()
     one, gray = torch.ones_like(brightness), pictures.mean(-3, keepdim=True)
-    relief = high_passed(gray, SURROUNDINGS * side // 256 | 1) / gray.mean((-1, -2), keepdim=True)
-    smooth = highlight.share[0].where(highlight.contrast[0] < CLEAR, torch.ones(()))
-    texels = DEPTH * (1 - smooth) * side / 256
+    relief = subtract_local_mean(gray, RELIEF_WINDOW_TEXELS * side // 256 | 1) / gray.mean((-1, -2), keepdim=True)
+    smooth = highlight.share[0].where(highlight.contrast[0] < CLEAR_HIGHLIGHT_SHARE, torch.ones(()))
+    texels = RELIEF_DEPTH_TEXELS * (1 - smooth) * side / 256
     return Maps(
         (colours * (highlight.diffuse[0] / mean)[:, None, None]).clamp(0, 1),
         (brightness * highlight.specular[0]).clamp(0, 1),
@@ -84,17 +84,25 @@ class QuiltedMaterial(Baseline):
     )
     sizes = True
 
-    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """The photograph and NUMBERS are kept."""
         app = self.app
         assert isinstance(app, SvbrdfStationary)
         photos = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
         light = tasks.data["light"][tasks.rows]
-        maps = quilted_maps(photos, light, rng)
+        maps = quilt_maps(photos, light, rng)
         kept = photos.numel()
-        picture = picture_of(app.statistics.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0]))
+        picture = srgb_to_linear_picture(
+            app.statistics.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0])
+        )
 
         def written(asked: tuple[int, int] | None) -> Maps:
-            return quilted_maps(photos, light, rng, asked, count=1) if asked else maps
+            return quilt_maps(photos, light, rng, asked, count=1) if asked else maps
 
-        return BaselineFit(lambda: maps, kept + NUMBERS, kept + 4 * NUMBERS, picture=picture, written=written)
+        return BaselineFit(
+            lambda: maps,
+            kept + QUILTED_MATERIAL_NUMBERS,
+            kept + 4 * QUILTED_MATERIAL_NUMBERS,
+            picture=picture,
+            written=written,
+        )

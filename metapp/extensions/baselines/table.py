@@ -7,26 +7,33 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from metapp.apps import full_name
-from metapp.evaluation.rows import compared_text, few_note, measures_note, notes_of, of_paper, row_of
+from metapp.evaluation.rows import (
+    comparison_notes,
+    comparison_text,
+    make_row,
+    measures_note,
+    paper_entries,
+    subset_note,
+)
 from metapp.evaluation.statistics import is_significant
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
-from metapp.evaluation.tables.storage import bytes_of, stored
+from metapp.evaluation.tables.storage import checkpoint_bytes, parameter_bytes
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
 from metapp.extensions.baselines.fits import (
-    ENTRIES,
+    BASELINE_RECORD_KEYS,
+    baseline_settings,
+    find_training_folder,
     fit_baselines,
-    own_parameters,
-    settings_of,
-    training_folder,
+    parameters_per_task,
 )
 from metapp.learning.task import Params, Task
 from metapp.runs.reporter import say
 from metapp.storage.fits import PARAMS, Record
 
-SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
-COLUMNS = columns(
+SHOWN_PARADIGMS = ("general", "quickft", "meta", "finetune", "overfit")
+BASELINE_COLUMNS = columns(
     Column("method", "paradigm"),
     *("error", "seconds", "vs meta"),
     Column("numbers", "numbers", ",.0f"),
@@ -36,23 +43,23 @@ COLUMNS = columns(
 )
 
 
-def baselines(subject: Subject) -> Table:
+def baselines_table(subject: EvaluationRun) -> Table:
     """The paradigms, then the baselines that there are training tasks for: their errors, times and bytes."""
     # Meta's rules that have a network of their own are compared, too
-    larger = [name for name, run in subject.runs.items() if run.app != subject.app and name not in SHOWN]
+    larger = [name for name, run in subject.runs.items() if run.app != subject.app and name not in SHOWN_PARADIGMS]
     able = _able(subject)
     records = {baseline.name: baseline_records(subject, baseline) for baseline in able}
     rows = [
-        *(_row_of_paradigm(subject, name) for name in (*SHOWN, *larger)),
+        *(_row_of_paradigm(subject, name) for name in (*SHOWN_PARADIGMS, *larger)),
         *(_row_of_baseline(subject, name, of_baseline) for name, of_baseline in records.items()),
     ]
     notes = [
         *_missing(subject, rows, able),
         *_described(able),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
-        *notes_of(rows, "meta"),
+        *comparison_notes(rows, "meta"),
         *measures_note(subject, rows),
-        *few_note(subject),
+        *subset_note(subject),
     ]
     pictures = {name: some for name, some in records.items() if some and Path(some[0]["folder"], PARAMS).is_file()}
     meta = subject.records("meta")
@@ -61,10 +68,10 @@ def baselines(subject: Subject) -> Table:
     )
     fits = {"meta": meta} | pictures if meta and pictures else {}
     findings = (subject.presenter.caption(), *_compared([row for row in rows if row["baseline"]]))
-    return Table(subject.title, title, COLUMNS, rows, notes, fits, findings)
+    return Table(subject.title, title, BASELINE_COLUMNS, rows, notes, fits, findings)
 
 
-def _able(subject: Subject) -> list[Baseline]:
+def _able(subject: EvaluationRun) -> list[Baseline]:
     """The baselines that lack neither training tasks nor, in any task, the tensor that holds their answers."""
 
     def able(baseline: Baseline) -> bool:
@@ -72,17 +79,17 @@ def _able(subject: Subject) -> list[Baseline]:
             return bool(subject.tasks) and all(baseline.stored in task.data for task in subject.tasks)
         if not (baseline.learns and subject.tasks):
             return True
-        return training_folder(subject.run, baseline, make=subject.measuring) is not None
+        return find_training_folder(subject.run, baseline, make=subject.measuring) is not None
 
     return [baseline for baseline in baselines_of(subject.app) if able(baseline)]
 
 
-def baseline_records(subject: Subject, baseline: Baseline) -> list[Record]:
+def baseline_records(subject: EvaluationRun, baseline: Baseline) -> list[Record]:
     """The fits of a baseline."""
     kept = None
-    if subject.tasks and (not baseline.learns or training_folder(subject.run, baseline)):
-        settings = settings_of(subject.run, baseline, subject.label)
-        kept = subject.kept(f"baseline-{baseline.name}", settings, ENTRIES)
+    if subject.tasks and (not baseline.learns or find_training_folder(subject.run, baseline)):
+        settings = baseline_settings(subject.run, baseline, subject.label)
+        kept = subject.kept(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
 
     def measured(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         """The record and the picture of each task, as far as it can be fitted."""
@@ -95,22 +102,22 @@ def baseline_records(subject: Subject, baseline: Baseline) -> list[Record]:
     return subject.measured(baseline.name, kept, measured, subject.tasks)
 
 
-def _row_of_paradigm(subject: Subject, name: str) -> Row:
+def _row_of_paradigm(subject: EvaluationRun, name: str) -> Row:
     run = subject.runs[name]
-    theta = own_parameters(run.app)
-    entries = {"shared": stored(run.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
-    entries |= {"numbers": sum(value.numel() for value in theta.values()), "kept_bytes": bytes_of(theta)}
-    entries |= of_paper(run.app, name)
+    theta = parameters_per_task(run.app)
+    entries = {"shared": checkpoint_bytes(run.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
+    entries |= {"numbers": sum(value.numel() for value in theta.values()), "kept_bytes": parameter_bytes(theta)}
+    entries |= paper_entries(run.app, name)
     records = subject.found(name) if run.paradigm.takes_long else subject.records(name)
-    return row_of(subject, name, records, entries, ("meta",))
+    return make_row(subject, name, records, entries, ("meta",))
 
 
-def _row_of_baseline(subject: Subject, name: str, records: list[Record]) -> Row:
+def _row_of_baseline(subject: EvaluationRun, name: str, records: list[Record]) -> Row:
     kept = {
         key: statistics.fmean(each[key] for each in records) if records else None for key in ("numbers", "kept_bytes")
     }
     entries = kept | {"shared": records[-1]["shared"] if records else None, "baseline": True}
-    return row_of(subject, name, records, entries, ("meta",))
+    return make_row(subject, name, records, entries, ("meta",))
 
 
 def _compared(all_rows: list[Row]) -> list[str]:
@@ -119,13 +126,13 @@ def _compared(all_rows: list[Row]) -> list[str]:
     higher = [name for name, pair in pairs.items() if is_significant(pair) and pair.value > pair.level]
     level = [name for name, pair in pairs.items() if not is_significant(pair)]
     return [
-        *(f"{name}: {compared_text(pairs[name], 'meta')}" for name in pairs if name not in (*higher, *level)),
+        *(f"{name}: {comparison_text(pairs[name], 'meta')}" for name in pairs if name not in (*higher, *level)),
         *([f"a higher error than meta's: {', '.join(higher)}"] if higher else []),
         *([f"no win either way: {', '.join(level)}"] if level else []),
     ]
 
 
-def _missing(subject: Subject, all_rows: list[Row], able: list[Baseline]) -> list[str]:
+def _missing(subject: EvaluationRun, all_rows: list[Row], able: list[Baseline]) -> list[str]:
     """Rows without records, and the commands that make them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
     lines = [f"no records yet of {', '.join(absent)}: --which results measures them"] if absent else []

@@ -7,23 +7,23 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.features import distance
-from metapp.appearance.order import levelled
-from metapp.appearance.quilting import block_of, quilted
+from metapp.appearance.features import statistics_distance
+from metapp.appearance.order import remove_quadratic_trend
+from metapp.appearance.quilting import choose_block_size, quilt
 from metapp.apps.exemplar.app import JUDGED_PICTURES, ExemplarApp
 from metapp.extensions.baselines.baseline import (
-    INDEX,
-    Allowed,
+    INDEX_NUMBERS_AND_BYTES,
     Baseline,
     BaselineFit,
-    Training,
-    bytes_of,
+    CostLimits,
+    TrainingTasks,
+    tensor_bytes,
 )
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.networks.layout import as_tile
+from metapp.networks.layout import stretch_to_tile
 
-AT_ONCE = 8  # training tasks whose matrices are compared
+COMPARISON_BLOCK_TASKS = 8  # training tasks whose matrices are compared
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
@@ -39,21 +39,23 @@ class NearestExemplar(Baseline):
     cannot = "be a texture that is not in its set, nor make more of it"
     learns = True
 
-    def prepare(self, training: Training, allowed: Allowed) -> None:
+    def prepare(self, training: TrainingTasks, allowed: CostLimits) -> None:
         """Take the pictures and matrices of the set."""
         assert isinstance(self.app, ExemplarApp)
         data = training.stacked.data
         self.grams = {name: data[name] for name in sorted(data) if name.startswith("gram")}
         self.pictures = self.app.octaves.take_exemplar(data["image"].float() / 255)
-        self.shared = bytes_of(data["image"], *self.grams.values())
+        self.shared = tensor_bytes(data["image"], *self.grams.values())
 
-    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """The number of an exemplar is kept."""
         targets = [tasks.data[name][tasks.rows] for name in self.grams]
-        parts = torch.arange(len(self.pictures)).split(AT_ONCE)
-        errors = [distance([gram[rows] for gram in self.grams.values()], targets) for rows in parts]
+        parts = torch.arange(len(self.pictures)).split(COMPARISON_BLOCK_TASKS)
+        errors = [statistics_distance([gram[rows] for gram in self.grams.values()], targets) for rows in parts]
         nearest = self.pictures[int(torch.cat(errors).reshape(len(self.pictures), -1).mean(1).argmin())]
-        return BaselineFit(lambda: nearest[None, None], *INDEX, picture=picture_of(nearest))
+        return BaselineFit(
+            lambda: nearest[None, None], *INDEX_NUMBERS_AND_BYTES, picture=srgb_to_linear_picture(nearest)
+        )
 
 
 class Quilting(Baseline):
@@ -64,36 +66,38 @@ class Quilting(Baseline):
     cannot = "make anything that is no copy of pieces of the exemplar, which it holds"
     sizes = True
 
-    def fit(self, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """The exemplar is kept: numbers, and as many bytes. The file tiles; what is judged need not."""
         app = self.app
         assert isinstance(app, ExemplarApp)
         exemplar = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
         size = exemplar.shape[1], exemplar.shape[2]
-        pictures, kept = quilts(exemplar, size, rng), exemplar.numel()
+        pictures, kept = quilt_pictures(exemplar, size, rng), exemplar.numel()
 
         def written(asked: tuple[int, int] | None) -> Tensor:
-            return tile_of(exemplar, asked or size, rng)[None, None]
+            return quilt_tile(exemplar, asked or size, rng)[None, None]
 
-        return BaselineFit(lambda: pictures, kept, kept, picture=picture_of(pictures[0, 0]), written=written)
+        return BaselineFit(
+            lambda: pictures, kept, kept, picture=srgb_to_linear_picture(pictures[0, 0]), written=written
+        )
 
 
-def picture_of(srgb: Tensor) -> Tensor:
+def srgb_to_linear_picture(srgb: Tensor) -> Tensor:
     """Linear RGB [H, W, 3] of a picture [3, H, W], sRGB in [0, 1]."""
     return srgb_to_linear(srgb).permute(1, 2, 0)
 
 
-def tile_of(exemplar: Tensor, size: tuple[int, int], rng: Generator) -> Tensor:
+def quilt_tile(exemplar: Tensor, size: tuple[int, int], rng: Generator) -> Tensor:
     """Quilt a picture [3, *size] that tiles of an exemplar [3, H, W], sRGB in [0, 1].
 
     The exemplar loses its slow change of brightness, which would show as a band wherever two blocks meet. A strong
     lattice is stretched so that the tile holds whole periods of it, and blocks are in phase with it.
     """
-    source, frequencies = as_tile(levelled(exemplar).clamp(0, 1), size)
-    return quilts(source, size, rng, tiles=True, count=1, frequencies=frequencies)[0, 0]
+    source, frequencies = stretch_to_tile(remove_quadratic_trend(exemplar).clamp(0, 1), size)
+    return quilt_pictures(source, size, rng, tiles=True, count=1, frequencies=frequencies)[0, 0]
 
 
-def quilts(
+def quilt_pictures(
     exemplar: Tensor,
     size: tuple[int, int],
     rng: Generator,
@@ -116,11 +120,11 @@ def quilts(
     """
     numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
     picture = exemplar.permute(1, 2, 0).numpy()
-    block = min(block_of(picture)[0], min(size) // 2)  # a block of a tile must not meet itself
+    block = min(choose_block_size(picture)[0], min(size) // 2)  # a block of a tile must not meet itself
     overlap = max(1, round(block / 6))
     phase = None if frequencies is None or not len(frequencies) else frequencies.numpy()
     made = [
-        quilted(picture, size, numbers, block=block, overlap=overlap, tiles=tiles, frequencies=phase)
+        quilt(picture, size, numbers, block=block, overlap=overlap, tiles=tiles, frequencies=phase)
         for _ in range(count)
     ]
     return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]

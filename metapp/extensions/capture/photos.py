@@ -18,7 +18,7 @@ from metapp.storage.images import write_png
 _SHOWN_PX = 1200  # their longer side, at most
 
 
-def opencv() -> ModuleType:
+def import_opencv() -> ModuleType:
     """The module cv2, which the extra `capture` of the package installs.
 
     Raises:
@@ -31,13 +31,13 @@ def opencv() -> ModuleType:
     return cv2
 
 
-def display(pixels: Pixels) -> Floats:
+def display_values(pixels: Pixels) -> Floats:
     """Display values of a photograph, sRGB [height, width, 3] in [0, 1]."""
     result: Floats = linear_to_srgb(torch.from_numpy(pixels.linear()[..., :3])).numpy()
     return result
 
 
-def write_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Path) -> None:
+def write_outlines(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Path) -> None:
     """Write a photograph with outlines in colours as PNG.
 
     Args:
@@ -48,11 +48,11 @@ def write_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Pa
     Raises:
         OSError: it cannot be written.
     """
-    image = draw_found(pixels, outlines, _SHOWN_PX)
+    image = draw_outlines(pixels, outlines, _SHOWN_PX)
     write_png(torch.from_numpy(np.array(image, np.float32) / 255), {"encoding": "sRGB"}, path)
 
 
-def draw_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], longer_px: int) -> Image.Image:
+def draw_outlines(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], longer_px: int) -> Image.Image:
     """Draw a photograph with outlines in colours.
 
     Args:
@@ -60,7 +60,7 @@ def draw_found(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], longer_px
         outlines: closed ones, px [N, 2] from its upper left corner, and their colours in words.
         longer_px: the drawing's longer side, at most.
     """
-    image = Image.fromarray((display(pixels) * 255).round().astype("uint8"))
+    image = Image.fromarray((display_values(pixels) * 255).round().astype("uint8"))
     width = image.width
     image.thumbnail((longer_px, longer_px))
     for points, colour in outlines:

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli.console import out, print_json
-from metapp.cli.options import FittedData, Json, Overwrite, Quiet, RunPath, check_new
+from metapp.cli.console import print_json, standard_output
+from metapp.cli.options import FittedData, JsonFlag, Overwrite, Quiet, RunPath, check_new_file
 from metapp.runs.reporter import say
 
 
-def command(
+def compare_command(
     first: RunPath,
     second: Annotated[Path, typer.Argument(metavar="RUN", help="Another run of the same application.")],
     others: Annotated[
@@ -29,19 +29,19 @@ def command(
         typer.Option("--out", dir_okay=False, help="Picture to write; default: comparison.png in the first RUN."),
     ] = None,
     overwrite: Overwrite = False,
-    json: Json = False,
+    json: JsonFlag = False,
     quiet: Quiet = False,
 ) -> None:
     """Compare runs with the first: errors of each task, the ratio of mean errors with its interval, and a picture.
 
     Example: metapp compare RUN OTHER_RUN
     """
-    from metapp.extensions.compare.side_by_side import compare_runs, table_of
+    from metapp.extensions.compare.side_by_side import compare_runs, comparison_table
 
-    check_new(out_file, overwrite)
+    check_new_file(out_file, overwrite)
     compared, picture = compare_runs([first, second], others or [], task, data, out_file, quiet=quiet)
     if not (quiet or json):
-        out().print(table_of(compared))
+        standard_output().print(comparison_table(compared))
     if not quiet:
         for note in compared.notes:
             say(f"note: {note}")

@@ -11,24 +11,24 @@ import numpy as np
 
 from metapp.appearance.colorimetry import colour_difference
 from metapp.appearance.presenter import Presenter
-from metapp.evaluation.statistics import Paired, paired
+from metapp.evaluation.statistics import PairedComparison, compare_errors
 from metapp.learning.task import Task
-from metapp.runs.outputs.pictures import Tiles, tiles_of, write_compared
-from metapp.runs.outputs.recorded import recorded_fits, tasks_as
+from metapp.runs.outputs.pictures import Tiles, tiles_of_methods, write_comparison_sheet
+from metapp.runs.outputs.recorded import find_fitted_tasks, read_run_records
 from metapp.runs.reporter import progress
 from metapp.runs.run import Run
-from metapp.runs.surroundings import threads
+from metapp.runs.surroundings import torch_defaults
 from metapp.storage import Document
 from metapp.storage.fits import PARAMS, summary
 
-COMPARED = 20  # tasks whose pictures are compared
-SPHERES = ("brdf",)  # applications whose pictures are spheres: colours of the same places
+MAX_COMPARED_PICTURES = 20  # tasks whose pictures are compared
+SPHERE_PICTURE_APPS = ("brdf",)  # applications whose pictures are spheres: colours of the same places
 # settings that tell runs apart, the clearest first
-NOTED = ("device", "versions", "features", "precision", "observe")
+NOTED_SETTINGS = ("device", "versions", "features", "precision", "observe")
 LABEL_KEYS = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "checkpoint")
 
 
-class Side(NamedTuple):
+class ComparedRun(NamedTuple):
     """A run that is compared.
 
     Attributes:
@@ -52,11 +52,11 @@ class Side(NamedTuple):
         return summary(self.records)["seconds"]
 
 
-class Measured(NamedTuple):
+class MeanComparison(NamedTuple):
     """The mean of an error of a run, None if it has none, and its comparison with the base, which has none itself."""
 
     mean: float | None
-    compared: Paired | None
+    compared: PairedComparison | None
 
     def document(self) -> Document:
         """It as --json prints it."""
@@ -74,10 +74,10 @@ class Comparison(NamedTuple):
         notes: important differences beside the runs' settings.
     """
 
-    sides: list[Side]
+    sides: list[ComparedRun]
     tasks: list[Task]
-    errors: list[Measured]
-    measures: dict[str, list[Measured]]
+    errors: list[MeanComparison]
+    measures: dict[str, list[MeanComparison]]
     notes: list[str]
 
     def document(self, picture: Path | None) -> Document:
@@ -101,7 +101,7 @@ class Comparison(NamedTuple):
         }
 
 
-def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | None) -> Comparison:
+def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | None) -> Comparison:
     """Put runs side by side.
 
     Args:
@@ -113,7 +113,7 @@ def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | N
     Raises:
         ValueError: no runs, of different applications, or without a task in common.
     """
-    found = [recorded_fits(path, task, by_paradigm=False) for path in paths]
+    found = [read_run_records(path, task, by_paradigm=False) for path in paths]
     settings = [each.records[-1]["settings"] for each in found]
     by_name = [{record["name"]: record for record in each.records} for each in found]
     names = list(by_name[0])
@@ -126,11 +126,11 @@ def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | N
             counts = f"{before} and {len(of)} tasks, none in common"
             raise ValueError(f"{path}: {counts}, expected some; compare runs of the same data.")
     sides = [
-        Side(label, Run.of_settings(each).presenter, place.folder, [of[name] for name in names])
+        ComparedRun(label, Run.of_settings(each).presenter, place.folder, [of[name] for name in names])
         for label, each, place, of in zip(_labels(settings), settings, found, by_name, strict=True)
     ]
     app = sides[0].presenter.app
-    tasks_by_name = tasks_as(found[0].records, app, inputs, data)
+    tasks_by_name = find_fitted_tasks(found[0].records, app, inputs, data)
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
     errors = _measured([side.errors() for side in sides], groups, logarithmic=app.error_measure.logarithmic)
@@ -141,18 +141,18 @@ def compare(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | N
 
 def _measured(
     errors: Sequence[Mapping[str, float]], groups: Mapping[str, str], *, logarithmic: bool = False
-) -> list[Measured]:
+) -> list[MeanComparison]:
     """Means of runs' errors of tasks, and each compared with the first."""
     return [
-        Measured(
+        MeanComparison(
             statistics.fmean(own.values()) if own else None,
-            paired(own, errors[0], groups, logarithmic=logarithmic) if i else None,
+            compare_errors(own, errors[0], groups, logarithmic=logarithmic) if i else None,
         )
         for i, own in enumerate(errors)
     ]
 
 
-def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None, Comparison]:
+def draw_comparison(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None, Comparison]:
     """Write a picture of tasks, the reference beside the fits of all runs, and measure COMPARED spheres.
 
     Returns:
@@ -163,20 +163,20 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None,
     if not compared.tasks or not all(path.is_file() for path in kept):
         return None, compared
     records = [{record["name"]: record for record in side.records} for side in compared.sides]
-    drawn, presenter = compared.tasks[:COMPARED], compared.sides[0].presenter
+    drawn, presenter = compared.tasks[:MAX_COMPARED_PICTURES], compared.sides[0].presenter
     columns = []
-    with progress("picture", len(drawn), quiet=quiet) as bar, threads(single=presenter.app.single_threaded):
+    with progress("picture", len(drawn), quiet=quiet) as bar, torch_defaults(single=presenter.app.single_threaded):
         for task in drawn:
             pairs = zip(compared.sides, records, strict=True)
-            columns.append(tiles_of(task, [(side.label, side.presenter, of[task.name]) for side, of in pairs]))
+            columns.append(tiles_of_methods(task, [(side.label, side.presenter, of[task.name]) for side, of in pairs]))
             bar.advance(task.name)
     judged = [column for column in columns if "reference" in column.pictures]
-    if presenter.app.name in SPHERES and judged:
+    if presenter.app.name in SPHERE_PICTURE_APPS and judged:
         compared = compared._replace(measures=compared.measures | _colour_differences(judged, compared))
-    return write_compared(presenter, columns, file), compared
+    return write_comparison_sheet(presenter, columns, file), compared
 
 
-def _colour_differences(columns: list[Tiles], compared: Comparison) -> dict[str, list[Measured]]:
+def _colour_differences(columns: list[Tiles], compared: Comparison) -> dict[str, list[MeanComparison]]:
     """Of the fits' spheres from the reference's, by their titles: median and 95th percentile of a sphere's pixels."""
     shares = ("median", "95 %")
     found: list[list[dict[str, float]]] = [[{} for _ in compared.sides] for _ in shares]
@@ -212,7 +212,8 @@ def _notes(settings: list[Document], by_name: list[Document], names: list[str]) 
     left_out = sum(map(len, by_name)) - len(by_name) * len(names)
     differ = sum(len({of[name].get("content") for of in by_name}) > 1 for name in names)
     values = {
-        key: [one.get(key) for one in settings] for key in sorted({*NOTED} & {key for one in settings for key in one})
+        key: [one.get(key) for one in settings]
+        for key in sorted({*NOTED_SETTINGS} & {key for one in settings for key in one})
     }
     return [
         *([f"{left_out} tasks that not all runs have are left out"] if left_out else []),

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from rich.table import Table
 
-from metapp.cli.console import escaped
-from metapp.evaluation.statistics import FEWEST
-from metapp.extensions.compare.compare import Comparison, compare, draw
+from metapp.cli.console import escape_control_characters
+from metapp.evaluation.statistics import MIN_TASK_GROUPS
+from metapp.extensions.compare.compare import Comparison, draw_comparison, read_comparison
 from metapp.runs.outputs.recorded import holds_fits
-from metapp.runs.reporter import number, progress
+from metapp.runs.reporter import format_number, progress
 
 
 def compare_runs(
@@ -36,22 +36,22 @@ def compare_runs(
     further = [path for path in others if holds_fits(path)]
     inputs = [path for path in others if path not in further]
     with progress("compare: reading what was fitted", quiet=quiet):
-        compared = compare([*runs, *further], task, inputs, data)
-    written, compared = draw(compared, picture or compared.sides[0].folder / "comparison.png", quiet=quiet)
+        compared = read_comparison([*runs, *further], task, inputs, data)
+    written, compared = draw_comparison(compared, picture or compared.sides[0].folder / "comparison.png", quiet=quiet)
     return compared, written
 
 
-def table_of(compared: Comparison) -> Table:
+def comparison_table(compared: Comparison) -> Table:
     """Return a table with a column for each run: errors of tasks, their means, how these compare, and seconds."""
     sides, presenter = compared.sides, compared.sides[0].presenter
     pairs = [each.compared for each in compared.errors]
     base, known = sides[0].label, [pair for pair in pairs if pair]
     said = [presenter.caption()]
-    if known and known[0].groups < FEWEST:
+    if known and known[0].groups < MIN_TASK_GROUPS:
         said.append(f"{known[0].groups} different tasks are too few to call a win")
     for title, measured in compared.measures.items():
         of_sides = (
-            f"{side.label} {number(each.mean, '.3f')}" + (f" (ratio {each.compared})" if each.compared else "")
+            f"{side.label} {format_number(each.mean, '.3f')}" + (f" (ratio {each.compared})" if each.compared else "")
             for side, each in zip(sides, measured, strict=True)
         )
         said.append(f"{title}: {', '.join(of_sides)}")
@@ -64,9 +64,11 @@ def table_of(compared: Comparison) -> Table:
     for side in sides:
         table.add_column(side.label, justify="right")
     for of_task in zip(*(side.records for side in sides), strict=True):
-        table.add_row(escaped(of_task[0]["name"]), *(number(each["error"], ".3f") for each in of_task))
+        table.add_row(
+            escape_control_characters(of_task[0]["name"]), *(format_number(each["error"], ".3f") for each in of_task)
+        )
     table.add_section()
-    table.add_row("mean error", *(number(each.mean, ".3f") for each in compared.errors))
+    table.add_row("mean error", *(format_number(each.mean, ".3f") for each in compared.errors))
     if known:
         form = ".3f" if known[0].kind == "ratio" else "+.3f"
         rows = {
@@ -76,5 +78,5 @@ def table_of(compared: Comparison) -> Table:
         }
         for title, text in rows.items():
             table.add_row(title, *(text.replace("%s", form).format(pair) if pair else "-" for pair in pairs))
-    table.add_row("median seconds", *(number(side.seconds(), ".4f") for side in sides))
+    table.add_row("median seconds", *(format_number(side.seconds(), ".4f") for side in sides))
     return table

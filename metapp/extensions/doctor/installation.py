@@ -11,17 +11,17 @@ from importlib import metadata
 import torch
 from safetensors import SafetensorError
 
-from metapp.appearance.features import weights_path
+from metapp.appearance.features import vgg_weights_path
 from metapp.names import app_names
-from metapp.registry import SHIPPED, WITHOUT, registry
+from metapp.registry import METAPP_PACKAGE, WITHOUT_VARIABLE, registry
 from metapp.rendering.variant import find_llvm
-from metapp.runs.inputs.embedded import embedded_exists
+from metapp.runs.inputs.embedded import has_embedded_tests
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import opened_tensors
-from metapp.storage.shipped import shipped_names
+from metapp.storage.files import open_tensors
+from metapp.storage.shipped import shipped_checkpoint_names
 
-PACKAGES = (
+REPORTED_PACKAGES = (
     "metapp",
     "torch",
     "numpy",
@@ -35,16 +35,16 @@ PACKAGES = (
 )
 
 
-def examine() -> Document:
+def examine_installation() -> Document:
     """Return what is installed, and what it can use, by subject: a text, or texts by name."""
-    shipped = {key: names for app in app_names() for key, names in shipped_names(app).items()}
+    shipped = {key: names for app in app_names() for key, names in shipped_checkpoint_names(app).items()}
     return {
-        "versions": {name: _version(name) for name in PACKAGES},
+        "versions": {name: _version(name) for name in REPORTED_PACKAGES},
         "extensions": ", ".join(_extensions()),
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
         "compiler": _compiler(),
         "cache": str(cache_folder()),
-        "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
+        "data": {app: "made" if has_embedded_tests(app) else "made on first use" for app in app_names()},
         "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
         "VGG": _vgg(),
         "libLLVM": _llvm(),
@@ -54,10 +54,10 @@ def examine() -> Document:
 def _extensions() -> list[str]:
     """Return extensions by name, with the package of those that do not ship, and those that are left out."""
     extensions = registry().extensions.items()
-    names = [name if package == SHIPPED else f"{name} of {package}" for name, package in extensions]
+    names = [name if package == METAPP_PACKAGE else f"{name} of {package}" for name, package in extensions]
     names += [f"{name} (left out: {reason})" for name, reason in registry().problems.items()]
-    without = os.environ.get(WITHOUT, "")
-    return names + [f"left out by {WITHOUT}: {without}"] * bool(without)
+    without = os.environ.get(WITHOUT_VARIABLE, "")
+    return names + [f"left out by {WITHOUT_VARIABLE}: {without}"] * bool(without)
 
 
 def _compiler() -> str:
@@ -80,10 +80,10 @@ def _version(package: str) -> str:
 
 def _vgg() -> str:
     """Return where the weights of VGG come from, or what to do without them."""
-    if not weights_path().is_file():
+    if not vgg_weights_path().is_file():
         return "not fetched; textures and svbrdf_stationary need it; get it: metapp data vgg"
     try:
-        with opened_tensors(weights_path()) as file:
+        with open_tensors(vgg_weights_path()) as file:
             return f"from {(file.metadata() or {}).get('source', 'unknown')}"
     except (OSError, SafetensorError):
         return "damaged: what is fitted to pictures fails; fetch it again: metapp data vgg"

@@ -8,17 +8,17 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli.console import out, print_json
-from metapp.cli.options import Json, app_words, check_folder
+from metapp.cli.console import print_json, standard_output
+from metapp.cli.options import JsonFlag, app_words, check_out_folder
 from metapp.names import did_you_mean
 from metapp.registry import registry
 from metapp.runs.reporter import say
 
-READ_VGG = ("svbrdf_stationary", "texture")  # applications whose fits do
-FOLDER = Path("example-inputs")  # of the input files that commands name
+VGG_APPS = ("svbrdf_stationary", "texture")  # applications whose fits do
+EXAMPLE_INPUTS_FOLDER = Path("example-inputs")  # of the input files that commands name
 
 
-def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str, str]]:
+def example_lines(app: str, folder: Path, most: int | None = None) -> list[tuple[str, str]]:
     """The first commands of an application on input files in a folder, and the result of each."""
     place = shlex.quote(str(folder))
     commands, examples = registry().commands, registry().examples[app].load()
@@ -26,7 +26,7 @@ def lines_of(app: str, folder: Path, most: int | None = None) -> list[tuple[str,
     return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:most]
 
 
-def command(
+def examples_command(
     app: Annotated[
         str,
         typer.Argument(
@@ -38,10 +38,10 @@ def command(
     folder: Annotated[
         Path | None,
         typer.Option(
-            "--make", metavar="DIR", callback=check_folder, help="Write the input files of the commands to DIR."
+            "--make", metavar="DIR", callback=check_out_folder, help="Write the input files of the commands to DIR."
         ),
     ] = None,
-    json: Json = False,
+    json: JsonFlag = False,
 ) -> None:
     """Print commands that can be run as printed, five per application, and the result of each.
 
@@ -58,15 +58,19 @@ def command(
         from data_tools.synthetic.examples import EXAMPLES, write_example
 
         files = [file for name in apps if name in EXAMPLES for file in write_example(name, folder)]
-    examples = {name: lines_of(name, folder or FOLDER, None if app else 2) for name in apps}
+    examples = {name: example_lines(name, folder or EXAMPLE_INPUTS_FOLDER, None if app else 2) for name in apps}
     if json:
         commands = [{"app": name, "command": line, "makes": makes} for name in apps for line, makes in examples[name]]
         print_json({"files": [str(file) for file in files], "commands": commands})
         return
-    first = [] if folder else [(f"metapp examples {f'{app} ' if app else ''}--make {FOLDER}", "the input files, first")]
-    if needy := [name for name in apps if name in READ_VGG]:
+    first = (
+        []
+        if folder
+        else [(f"metapp examples {f'{app} ' if app else ''}--make {EXAMPLE_INPUTS_FOLDER}", "the input files, first")]
+    )
+    if needy := [name for name in apps if name in VGG_APPS]:
         first.append(("metapp data vgg", f"what fits of {' and '.join(needy)} read, once: 64 to 550 MB"))
     lines = [*first, *(line for name in apps for line in examples[name])]
-    out().print("\n".join(f"# {makes}\n{line}" for line, makes in lines), soft_wrap=True)
+    standard_output().print("\n".join(f"# {makes}\n{line}" for line, makes in lines), soft_wrap=True)
     if files:
         say(f"made: {', '.join(map(str, files))}")

@@ -1,6 +1,6 @@
 """Commands that work as they are: words after `metapp`, {} standing for the folder of inputs, and results."""
 
-BRDF = (
+BRDF_EXAMPLES = (
     ("meta brdf {}/paint.csv", "a network fitted to a table of measurements, and a picture of both"),
     (
         "meta brdf {}/paint.csv --export merl,mitsuba",
@@ -13,7 +13,7 @@ BRDF = (
         "which 16 pairs of directions to measure, as a table to fill in",
     ),
 )
-ILLUMINATION = (
+ILLUMINATION_EXAMPLES = (
     ("general illumination {}/courtyard.exr", "an environment map as a network, by one forward pass"),
     (
         "meta illumination {}/courtyard.exr --size 256x512",
@@ -23,7 +23,7 @@ ILLUMINATION = (
     ("data ball {}/ball.png --out {}/ball", "the light that the ball mirrors, without a network"),
     ("baseline illumination {}/courtyard.exr --method sh", "the map as spherical harmonics, to compare"),
 )
-SVBRDF_NONSTATIONARY = (
+SVBRDF_NONSTATIONARY_EXAMPLES = (
     (
         "general svbrdf_nonstationary {}/mosaic.png",
         "maps of a flash photo, by one forward pass",
@@ -36,7 +36,7 @@ SVBRDF_NONSTATIONARY = (
     ("quickft svbrdf_nonstationary {}/mosaic.png", "maps fitted by a tuned Adam, to compare"),
     ("baseline svbrdf_nonstationary {}/mosaic.png --method flat", "maps of one value each"),
 )
-SVBRDF_STATIONARY = (
+SVBRDF_STATIONARY_EXAMPLES = (
     (
         "baseline svbrdf_stationary {}/leather.png --method quilting",
         "maps quilted of a flash photo, without a network",
@@ -46,14 +46,14 @@ SVBRDF_STATIONARY = (
     ("meta svbrdf_stationary {}/leather.png", "maps fitted in a few learned steps"),
     ("meta svbrdf_stationary {}/leather.png --size 512x512 --export blender", "maps of 512 px for Blender"),
 )
-TEXTURE = (
+TEXTURE_EXAMPLES = (
     ("baseline texture {}/bricks.png --method quilting", "a texture quilted of the photo, without a network"),
     ("general texture {}/bricks.png", "a texture like the photo, by one forward pass"),
     ("meta texture {}/bricks.png", "a texture fitted in a few learned steps"),
     ("meta texture {}/bricks.png --size 512x768 --export png16", "a texture of 512 x 768 px as PNG of 16 bits"),
     ("quickft texture {}/bricks.png", "a texture fitted by a tuned Adam of as many steps, to compare"),
 )
-TRANSPORT = (
+TRANSPORT_EXAMPLES = (
     (
         "general transport {}/box.xml",
         "the light paths of a scene as a density, by one forward pass; renders by it",

@@ -17,15 +17,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-GRID, SIDE = 16, 16  # voxels along an axis, bins along a side of the hemisphere
-AXES = 6  # of normals
-ENTRIES = GRID**3 * AXES  # of the spatial cache: a voxel and the axis nearest to the normal
-BINS = SIDE * SIDE  # no more than a byte tells apart
-SLOTS = BINS * BINS  # that a histogram's probability is divided into
-DEFENSIVE = 8  # a bin's density is at least one in so many of the uniform one
+GRID_SIDE_VOXELS, HISTOGRAM_SIDE_BINS = 16, 16  # voxels along an axis, bins along a side of the hemisphere
+NORMAL_AXES = 6  # of normals
+CACHE_ENTRIES = GRID_SIDE_VOXELS**3 * NORMAL_AXES  # of the spatial cache: a voxel and the axis nearest to the normal
+HISTOGRAM_BINS = HISTOGRAM_SIDE_BINS * HISTOGRAM_SIDE_BINS  # no more than a byte tells apart
+PROBABILITY_SLOTS = HISTOGRAM_BINS * HISTOGRAM_BINS  # that a histogram's probability is divided into
+UNIFORM_DENSITY_DIVISOR = 8  # a bin's density is at least one in so many of the uniform one
 PRIOR_PATHS = 16.0  # paths that the coarser estimate counts as
-POWER = 0.4  # of second moments; the density of least variance is the root, but a few paths make bins too bright
-BYTE = 8  # bits; a word is, from below: the other bin, the draws of BINS that are not the other's, slots
+SECOND_MOMENT_POWER = (
+    0.4  # of second moments; the density of least variance is the root, but a few paths make bins too bright
+)
+BYTE_BITS = 8  # bits; a word is, from below: the other bin, the draws of BINS that are not the other's, slots
 
 _TINY = 1e-300
 _LOG_FLOOR = 1e-6  # of the brightest bin
@@ -34,10 +36,18 @@ MomentPrior = Callable[[Tensor, Tensor, Tensor], Tensor]
 """Second moments that are expected in voxels of twice the side, of the arguments of `second_moments`."""
 
 
-def voxels_of(entries: Tensor) -> Tensor:
+def voxels_of_entries(entries: Tensor) -> Tensor:
     """The indices z, y and x of the voxels of entries, and their axes, [P, 4]."""
-    voxel = entries // AXES
-    return torch.stack([voxel // GRID**2, voxel // GRID % GRID, voxel % GRID, entries % AXES], 1)
+    voxel = entries // NORMAL_AXES
+    return torch.stack(
+        [
+            voxel // GRID_SIDE_VOXELS**2,
+            voxel // GRID_SIDE_VOXELS % GRID_SIDE_VOXELS,
+            voxel % GRID_SIDE_VOXELS,
+            entries % NORMAL_AXES,
+        ],
+        1,
+    )
 
 
 def coarse_voxels(voxels: Tensor) -> Tensor:
@@ -45,10 +55,13 @@ def coarse_voxels(voxels: Tensor) -> Tensor:
     return torch.cat([voxels[:, :3] // 2, voxels[:, 3:]], 1)
 
 
-def coarsened(squares: Tensor, counts: Tensor, voxels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def coarsen_sums(squares: Tensor, counts: Tensor, voxels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Both sums over voxels of twice the side, these voxels, and the index of the one that each voxel belongs to."""
     coarse, parent = coarse_voxels(voxels).unique(dim=0, return_inverse=True)
-    total, count = (sums.new_zeros(len(coarse), SIDE, SIDE).index_add_(0, parent, sums) for sums in (squares, counts))
+    total, count = (
+        sums.new_zeros(len(coarse), HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS).index_add_(0, parent, sums)
+        for sums in (squares, counts)
+    )
     return total, count, coarse, parent
 
 
@@ -61,18 +74,18 @@ def second_moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
     Args:
         squares: sums of squared radiance of paths, each over the density of its direction, float64 [P, SIDE, SIDE].
         counts: sums of one over the same densities: about how many paths uniform directions would have sent there.
-        voxels: of the P entries, as of `voxels_of`, [P, 4].
+        voxels: of the P entries, as of `voxels_of_entries`, [P, 4].
 
     Returns:
         of the same shape, of any scale.
     """
     if not bool(voxels[:, :3].any()):
-        return shrunk(squares, counts, torch.ones_like(squares), 1e-9)  # the whole box has no prior
-    total, count, coarse, parent = coarsened(squares, counts, voxels)
-    return shrunk(squares, counts, second_moments(total, count, coarse)[parent])
+        return shrink_moments(squares, counts, torch.ones_like(squares), 1e-9)  # the whole box has no prior
+    total, count, coarse, parent = coarsen_sums(squares, counts, voxels)
+    return shrink_moments(squares, counts, second_moments(total, count, coarse)[parent])
 
 
-def shrunk(squares: Tensor, counts: Tensor, expected: Tensor, prior_paths: float = PRIOR_PATHS) -> Tensor:
+def shrink_moments(squares: Tensor, counts: Tensor, expected: Tensor, prior_paths: float = PRIOR_PATHS) -> Tensor:
     """Second moments of the light from each bin, shrunk towards expected ones where few paths came.
 
     Args:
@@ -105,7 +118,7 @@ def _in_quarters(values: Tensor) -> Tensor:
     return rows[..., ::2] + rows[..., 1::2]
 
 
-def quantised(weights: Tensor) -> Tensor:
+def quantise_weights(weights: Tensor) -> Tensor:
     """Numbers of slots of the bins.
 
     Args:
@@ -114,8 +127,8 @@ def quantised(weights: Tensor) -> Tensor:
     Returns:
         int32 [P, BINS]: SLOTS / BINS / DEFENSIVE each, and of the others by weight; SLOTS in each row.
     """
-    least = SLOTS // (BINS * DEFENSIVE)
-    free = SLOTS - BINS * least
+    least = PROBABILITY_SLOTS // (HISTOGRAM_BINS * UNIFORM_DENSITY_DIVISOR)
+    free = PROBABILITY_SLOTS - HISTOGRAM_BINS * least
     ends = (weights.cumsum(1) / weights.sum(1, keepdim=True) * free + 0.5).floor().int()
     ends[:, -1] = free
     return ends.diff(dim=1, prepend=torch.zeros(len(ends), 1, dtype=torch.int32)) + least
@@ -136,22 +149,22 @@ def alias_words(slots: NDArray[np.int32]) -> NDArray[np.uint32]:
     order = slots.argsort(1).astype(np.int32)
     ordered = np.ascontiguousarray(np.take_along_axis(slots, order, 1)).ravel()
     own, other = (np.zeros(slots.size, np.int32) for _ in range(2))
-    first = np.arange(len(slots)) * BINS
-    poor, rich = first.copy(), first + BINS - 1
+    first = np.arange(len(slots)) * HISTOGRAM_BINS
+    poor, rich = first.copy(), first + HISTOGRAM_BINS - 1
     left = ordered[rich]
-    for _ in range(BINS - 1):
-        gives = left > BINS
+    for _ in range(HISTOGRAM_BINS - 1):
+        gives = left > HISTOGRAM_BINS
         index, filled = np.where(gives, poor, rich), np.where(gives, ordered[poor], left)
         own[index], other[index] = filled, rich - ~gives
-        left = filled - BINS + np.where(gives, left, ordered[rich - 1])
+        left = filled - HISTOGRAM_BINS + np.where(gives, left, ordered[rich - 1])
         poor += gives
         rich -= ~gives
-    own[poor], other[poor] = BINS, poor
-    full = own == BINS  # a byte is too small: all of them are the other's, which is itself
+    own[poor], other[poor] = HISTOGRAM_BINS, poor
+    full = own == HISTOGRAM_BINS  # a byte is too small: all of them are the other's, which is itself
     other[full] = full.nonzero()[0]
     own[full] = 0
-    other = np.take_along_axis(order, (other - first.repeat(BINS)).reshape(slots.shape), 1)
-    sorted_words = other | own.reshape(slots.shape) << BYTE | ordered.reshape(slots.shape) << 2 * BYTE
+    other = np.take_along_axis(order, (other - first.repeat(HISTOGRAM_BINS)).reshape(slots.shape), 1)
+    sorted_words = other | own.reshape(slots.shape) << BYTE_BITS | ordered.reshape(slots.shape) << 2 * BYTE_BITS
     words = np.empty_like(sorted_words)
     np.put_along_axis(words, order, sorted_words, 1)
     return words.view(np.uint32)

@@ -14,25 +14,27 @@ import warnings
 from typing import NoReturn
 
 from metapp.extensions.guided.path_tracer import PathTracer
-from metapp.extensions.guided.picture import SEVERAL, GuidedPicture, sampled_size
+from metapp.extensions.guided.picture import MIN_SPP_FOR_PARTS, GuidedPicture, sampled_film_size
 from metapp.extensions.guided.prior import read_prior
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
-from metapp.runs.surroundings import threads
+from metapp.runs.surroundings import torch_defaults
 
-FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
-SURVEYED = 2**21  # from which the survey and the prior are a small part of the time
-NAME = "metapp_guided_path"
-_NO_DERIVATIVES = f"{NAME} has no derivatives, expected an integrator that has; take prb, of the same max_depth."
+MIN_LEARNING_PATHS = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
+MIN_SURVEYED_PATHS = 2**21  # from which the survey and the prior are a small part of the time
+INTEGRATOR_NAME = "metapp_guided_path"
+_NO_DERIVATIVES = (
+    f"{INTEGRATOR_NAME} has no derivatives, expected an integrator that has; take prb, of the same max_depth."
+)
 
 
 @functools.cache  # once: Mitsuba keeps what is called when its variant changes
 def register_guided_path() -> None:
     """Have Mitsuba know the plugin in the variant that is active and in all that will be."""
-    register_plugin("integrator", NAME, plugin)
+    register_plugin("integrator", INTEGRATOR_NAME, guided_path_class)
 
 
-def plugin() -> mt.PluginClass:
+def guided_path_class() -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
     class GuidedPath(mi.SamplingIntegrator):  # type: ignore[misc]  # a class of the variant
@@ -57,15 +59,17 @@ def plugin() -> mt.PluginClass:
         ) -> mt.Tensorf:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
-            paths = spp * math.prod(sampled_size(film))
-            with threads(single=False):  # the prior is of torch, whose defaults a program may have set
-                prior = read_prior() if paths >= SURVEYED else None
-            fewest = FEWEST if spp >= SEVERAL else SURVEYED  # the survey alone may be learned from
+            paths = spp * math.prod(sampled_film_size(film))
+            with torch_defaults(single=False):  # the prior is of torch, whose defaults a program may have set
+                prior = read_prior() if paths >= MIN_SURVEYED_PATHS else None
+            fewest = (
+                MIN_LEARNING_PATHS if spp >= MIN_SPP_FOR_PARTS else MIN_SURVEYED_PATHS
+            )  # the survey alone may be learned from
             why = _useless(self.tracer, scene, paths, fewest, hides_emitters=self.hide_emitters)
             if why:
                 _warn(why)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
-            with dr.suspend_grad(), threads(single=False):
+            with dr.suspend_grad(), torch_defaults(single=False):
                 picture = GuidedPicture(self.path, self.tracer, scene, sensor, seed, prior)
                 picture.render(spp)
                 self.spent = picture.spent
@@ -109,7 +113,7 @@ def _warn(why: str) -> None:
     """Warn, once a reason, that `path` renders."""
     if why not in _WARNED:
         _WARNED.add(why)
-        warnings.warn(f"{NAME}: {why}; rendered by path.", stacklevel=2)
+        warnings.warn(f"{INTEGRATOR_NAME}: {why}; rendered by path.", stacklevel=2)
 
 
 _WARNED: set[str] = set()

@@ -14,14 +14,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from metapp.extensions.guided.cache import GuideCache, Records
+from metapp.extensions.guided.cache import BounceRecords, GuideCache
 from metapp.extensions.guided.vertex import Vertex
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 from metapp.rendering.paths.next_event import mis_weight
 
-WORTH = 1.5  # a path goes on for certain that is expected to bring 1 / WORTH of its luminance yet, or more
-LEAST, MOST = 0.1, 0.95  # probability that a path goes on: at least, by the cache; at most, from `rr_depth` on
+CERTAIN_SURVIVAL_DIVISOR = (
+    1.5  # a path goes on for certain that is expected to bring 1 / WORTH of its luminance yet, or more
+)
+MIN_SURVIVAL_PROBABILITY, MAX_SURVIVAL_PROBABILITY = (
+    0.1,
+    0.95,
+)  # probability that a path goes on: at least, by the cache; at most, from `rr_depth` on
 
 
 @dataclass
@@ -67,7 +72,7 @@ class PathTracer(NamedTuple):
         ray: mt.Ray,
         cache: GuideCache,
         guided: bool,
-        records: Records | None,
+        records: BounceRecords | None,
     ) -> tuple[mt.Color, mt.Mask, mt.UInt32]:
         """Trace paths: their radiance, where they met something (a sky at least), and how many surfaces they met.
 
@@ -117,10 +122,12 @@ class PathTracer(NamedTuple):
     def _survival(self, paths: _Paths, remaining: mt.Float) -> mt.Float:
         """The probability that paths go on: by expected further radiance, or as in `path` if it is not known."""
         late = paths.depth >= self.rr_depth
-        most, throughput = dr.select(late, MOST, 1), dr.max(paths.throughput)
+        most, throughput = dr.select(late, MAX_SURVIVAL_PROBABILITY, 1), dr.max(paths.throughput)
         usual = dr.select(late, dr.minimum(throughput * dr.square(paths.eta), most), 1)
-        least = dr.clip(throughput, LEAST, most)  # or ends of others would brighten a path, by chance without bound
-        return dr.select(remaining > 0, dr.clip(WORTH * remaining, least, most), usual)
+        least = dr.clip(
+            throughput, MIN_SURVIVAL_PROBABILITY, most
+        )  # or ends of others would brighten a path, by chance without bound
+        return dr.select(remaining > 0, dr.clip(CERTAIN_SURVIVAL_DIVISOR * remaining, least, most), usual)
 
 
 def _expected(paths: _Paths, outgoing: mt.Float, carried: mt.Float) -> tuple[mt.Float, mt.Float]:

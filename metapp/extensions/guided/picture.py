@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.extensions.guided.cache import GuideCache, Records
+from metapp.extensions.guided.cache import BounceRecords, GuideCache
 from metapp.extensions.guided.path_tracer import PathTracer
 from metapp.extensions.guided.prior import LearnedPrior
 from metapp.extensions.guided.survey import survey
@@ -21,44 +21,44 @@ from metapp.learning.task import Params
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 
-SEVERAL = 4  # samples a pixel, with which a picture has parts
-FIRST = 2**18  # paths of the first guided part, of which a quarter of the picture is the most
-LEARNED = 2**21  # paths after which the cache has learned enough
-PAYS = 1.0  # the most that the error of a guided part may be, over that of `path` in the same time
-FEWER = 0.3  # weight of samples of the regular part beside guided ones, where these pay
-STEP_COST = 1.25  # of a guided bounce over one of `path`
-BLOCK = 128  # samples of the blocks in which noise is compared, at least
-LANES = 8  # paths that are traced side by side, until the last of them ends
+MIN_SPP_FOR_PARTS = 4  # samples a pixel, with which a picture has parts
+FIRST_GUIDED_PATHS = 2**18  # paths of the first guided part, of which a quarter of the picture is the most
+MAX_LEARNING_PATHS = 2**21  # paths after which the cache has learned enough
+MAX_GUIDED_ERROR_RATIO = 1.0  # the most that the error of a guided part may be, over that of `path` in the same time
+REGULAR_PART_WEIGHT = 0.3  # weight of samples of the regular part beside guided ones, where these pay
+GUIDED_BOUNCE_COST_RATIO = 1.25  # of a guided bounce over one of `path`
+MIN_NOISE_BLOCK_SAMPLES = 128  # samples of the blocks in which noise is compared, at least
+PATHS_PER_VECTOR = 8  # paths that are traced side by side, until the last of them ends
 
 _WAVE = 2**22  # paths at a time
 _PROBES = 128  # rays along a side of the film that tell where the scene is
 
 
-def parts_of(spp: int, pixels: int) -> list[int]:
+def split_samples(spp: int, pixels: int) -> list[int]:
     """Samples a pixel of the parts of a picture of `spp` in all.
 
     The first is of regular paths, and half of the next one, if that has several samples. All but the last are learned
     from, up to a third of the picture; each of the guided ones has twice as many as the one before. There is but one
     if there are fewer than SEVERAL.
     """
-    if spp < SEVERAL:
+    if spp < MIN_SPP_FOR_PARTS:
         return [spp]
     # of powers of two, as Dr.Jit compiles code for other numbers anew
-    first = 2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST // pixels)))))
+    first = 2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST_GUIDED_PATHS // pixels)))))
     parts = [max(1, first // 2), first]
-    while 3 * (sum(parts) + 2 * parts[-1]) <= spp and sum(parts) * pixels < LEARNED:
+    while 3 * (sum(parts) + 2 * parts[-1]) <= spp and sum(parts) * pixels < MAX_LEARNING_PATHS:
         parts.append(2 * parts[-1])
     return [*parts, spp - sum(parts)]
 
 
-def sampled_size(film: mt.Film) -> tuple[int, int]:
+def sampled_film_size(film: mt.Film) -> tuple[int, int]:
     """Rows and columns of the pixels that paths are traced through: with `sample_border` those around the film, too."""
     border = 2 * film.rfilter().border_size() if film.sample_border() else 0
     width, height = film.crop_size()
     return int(height) + border, int(width) + border
 
 
-class Work(NamedTuple):
+class PartCost(NamedTuple):
     """The luminance of paths and their cost.
 
     Attributes:
@@ -71,7 +71,7 @@ class Work(NamedTuple):
 
     def noise(self, samples: int) -> float:
         """Mean difference of halves of blocks of pixels, relative to their sum; of so many samples of each."""
-        side = math.ceil(math.sqrt(BLOCK / samples))
+        side = math.ceil(math.sqrt(MIN_NOISE_BLOCK_SAMPLES / samples))
         rows, columns = (max(1, length // side) for length in self.luminance.shape[:2])
         tall, wide = (min(side, length) for length in self.luminance.shape[:2])
         blocks = self.luminance[: rows * tall, : columns * wide, :samples].reshape(rows, tall, columns, wide, samples)
@@ -80,11 +80,11 @@ class Work(NamedTuple):
         first = (blocks * own[:, None]).sum((1, 3, 4), dtype=np.float64)
         return float((np.abs(2 * first - sums)[sums > 0] / sums[sums > 0]).mean()) if (sums > 0).any() else 0.0
 
-    def pays(self, regular: Work) -> bool:
+    def pays(self, regular: PartCost) -> bool:
         """True if this guided part has less error than a regular one in the same time; errors go by the root of it."""
         samples = min(self.luminance.shape[2], regular.luminance.shape[2])
-        time_ratio = STEP_COST * self.bounces / regular.bounces
-        return self.noise(samples) * math.sqrt(time_ratio) <= PAYS * regular.noise(samples)
+        time_ratio = GUIDED_BOUNCE_COST_RATIO * self.bounces / regular.bounces
+        return self.noise(samples) * math.sqrt(time_ratio) <= MAX_GUIDED_ERROR_RATIO * regular.noise(samples)
 
 
 class GuidedPicture:
@@ -116,7 +116,7 @@ class GuidedPicture:
         self.block: mt.ImageBlock = None
         self.made = 0
         self.pays = True
-        self.regular: Work | None = None
+        self.regular: PartCost | None = None
         self.cache = GuideCache(*_extent(scene, sensor))
         if prior is not None:
             self.cache.prior = LearnedPrior(prior, *survey(tracer, scene, sensor, self.cache, seed))
@@ -125,13 +125,13 @@ class GuidedPicture:
     def render(self, spp: int) -> None:
         """Put all parts of so many samples a pixel on the sensor's film."""
         film = self.sensor.film()
-        parts = parts_of(spp, math.prod(sampled_size(film)))
+        parts = split_samples(spp, math.prod(sampled_film_size(film)))
         if len(parts) == 1:
             self.cache.learn()  # of the survey alone
         for part in parts[:-1]:
             self.add(part, learns=True)
         self.add(parts[-1], learns=False)
-        for block, weight in ((self.first, FEWER if self.pays else 1.0), (self.block, 1.0)):
+        for block, weight in ((self.first, REGULAR_PART_WEIGHT if self.pays else 1.0), (self.block, 1.0)):
             if block is not None:
                 block.tensor()[:] = weight * block.tensor()
                 film.put_block(block)
@@ -141,7 +141,7 @@ class GuidedPicture:
         learns = learns and self.pays
         guided = self.pays and not (learns and self.regular is None)
         begin = time.process_time()
-        wave = max(1, _WAVE // math.prod(sampled_size(self.sensor.film())))
+        wave = max(1, _WAVE // math.prod(sampled_film_size(self.sensor.film())))
         works = [self._wave(min(wave, spp - first), guided, learns) for first in range(0, spp, wave)]
         dr.sync_thread()
         middle = time.process_time()
@@ -155,7 +155,7 @@ class GuidedPicture:
         for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
             self.spent[work] = self.spent.get(work, 0.0) + seconds
 
-    def _wave(self, spp: int, guided: bool, learns: bool) -> Work | None:
+    def _wave(self, spp: int, guided: bool, learns: bool) -> PartCost | None:
         """Add samples to the picture; returns their radiance if the cache learns from them."""
         from mitsuba.python.ad.integrators.common import ADIntegrator
 
@@ -165,7 +165,7 @@ class GuidedPicture:
         self.made += 1
         self.block = self.block or film.create_block()  # of a film that is prepared
         ray, weight, place = ADIntegrator.sample_rays(own, self.scene, self.sensor, sampler)
-        records = Records(dr.width(place)) if learns else None
+        records = BounceRecords(dr.width(place)) if learns else None
         work = None
         if guided or records is not None:
             light, hits, bounces = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
@@ -174,10 +174,10 @@ class GuidedPicture:
         if records is not None:
             dr.eval(light, hits, place, weight, bounces)
             records.train(self.cache, light)
-            rows = *sampled_size(film), spp
+            rows = *sampled_film_size(film), spp
             steps = bounces.numpy()
-            longest = steps[: len(steps) // LANES * LANES].reshape(-1, LANES).max(1)
-            work = Work(mi.luminance(light).numpy().reshape(rows), float(longest.mean()))
+            longest = steps[: len(steps) // PATHS_PER_VECTOR * PATHS_PER_VECTOR].reshape(-1, PATHS_PER_VECTOR).max(1)
+            work = PartCost(mi.luminance(light).numpy().reshape(rows), float(longest.mean()))
         alpha = dr.select(hits, mi.Float(1), mi.Float(0))
         # of the film's own kind, such as that of spectra
         ADIntegrator._splat_to_block(self.block, film, place, light * weight, mi.Float(1), alpha, [], ray.wavelengths)

@@ -20,24 +20,24 @@ from torch import Tensor
 from torch.nn.functional import conv2d, silu
 
 from metapp.extensions.guided.histogram import (
-    AXES,
-    ENTRIES,
-    GRID,
-    POWER,
-    SIDE,
+    CACHE_ENTRIES,
+    GRID_SIDE_VOXELS,
+    HISTOGRAM_SIDE_BINS,
+    NORMAL_AXES,
+    SECOND_MOMENT_POWER,
     coarse_voxels,
     log_relative,
     second_moments,
-    voxels_of,
+    voxels_of_entries,
 )
 from metapp.learning.task import Params
 from metapp.storage.checkpoints import load_checkpoint
 
-CHANNELS = ("arriving", "emitted", "distance", "cosine", "paths")
+SURVEY_CHANNELS = ("arriving", "emitted", "distance", "cosine", "paths")
 ENTRY_PRIOR_PATHS = 8.0  # that the entries around one count as
 
-_HALF = GRID // 2
-_COARSE_ENTRIES = _HALF**3 * AXES
+_HALF = GRID_SIDE_VOXELS // 2
+_COARSE_ENTRIES = _HALF**3 * NORMAL_AXES
 _BRIGHTEST = 1e4  # luminance; more says no more
 
 
@@ -57,7 +57,7 @@ class FirstHits(NamedTuple):
     cosine: Tensor
 
 
-def features_of(hits: FirstHits, sums: Tensor, counts: Tensor) -> Tensor:
+def entry_features(hits: FirstHits, sums: Tensor, counts: Tensor) -> Tensor:
     """Features of entries in voxels of twice the side.
 
     Args:
@@ -76,8 +76,11 @@ def features_of(hits: FirstHits, sums: Tensor, counts: Tensor) -> Tensor:
     part = from_emitters / (from_emitters + arriving.mean(1, keepdim=True) + 1e-12)
     distance, cosine = (values.mean(1) for values in (hits.distance, hits.cosine))
     known = 0.2 * paths[hits.entry].mean(1).log1p()
-    arrives = log_relative(arriving.reshape(-1, SIDE, SIDE))
-    others = (values.reshape(-1, SIDE, SIDE) for values in (part, distance.log1p(), cosine, known))
+    arrives = log_relative(arriving.reshape(-1, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS))
+    others = (
+        values.reshape(-1, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS)
+        for values in (part, distance.log1p(), cosine, known)
+    )
     return torch.stack([arrives, *others], 1)
 
 
@@ -86,7 +89,7 @@ def _shrunk_means(sums: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
 
     Both with a last entry for where nothing is met.
     """
-    parent = _index(coarse_voxels(voxels_of(torch.arange(ENTRIES))))
+    parent = _index(coarse_voxels(voxels_of_entries(torch.arange(CACHE_ENTRIES))))
     total, count = (values.new_zeros(_COARSE_ENTRIES).index_add_(0, parent, values) for values in (sums, counts))
     mean = sums.sum() / counts.sum().clamp_min(1)
     around = (total + ENTRY_PRIOR_PATHS * mean) / (count + ENTRY_PRIOR_PATHS)
@@ -96,7 +99,7 @@ def _shrunk_means(sums: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
 
 def _index(voxels: Tensor) -> Tensor:
     index = voxels[:, 0]
-    for column, sides in ((1, _HALF), (2, _HALF), (3, AXES)):
+    for column, sides in ((1, _HALF), (2, _HALF), (3, NORMAL_AXES)):
         index = index * sides + voxels[:, column]
     return index
 
@@ -108,7 +111,7 @@ def read_prior() -> Params:
     return load_checkpoint(file)[0].encoder
 
 
-def logits(theta: Params, features: Tensor) -> Tensor:
+def predict_log_densities(theta: Params, features: Tensor) -> Tensor:
     """Logarithms of the part of the densities that is free, [P, BINS], to a constant."""
     first = silu(conv2d(features, theta["first.kernel"], theta["first.shift"], padding=1))
     second = silu(conv2d(first, theta["second.kernel"], theta["second.shift"], padding=1) + first)
@@ -130,8 +133,8 @@ class LearnedPrior:
 
     Args:
         theta: the network's parameters.
-        voxels: that were surveyed, of twice the side, as of `voxels_of`, [S, 4].
-        features: of these, as of `features_of`.
+        voxels: that were surveyed, of twice the side, as of `voxels_of_entries`, [S, 4].
+        features: of these, as of `entry_features`.
     """
 
     def __init__(self, theta: Params, voxels: Tensor, features: Tensor) -> None:
@@ -148,6 +151,10 @@ class LearnedPrior:
         found = histogram_features(squares[known], counts[known], moments[known])
         features = torch.cat([self.features[row[known]], found], 1)
         # with channels last it is twice as fast
-        share = logits(self.theta, features.contiguous(memory_format=torch.channels_last)).double().softmax(1)
-        moments[known] = (share ** (1 / POWER)).reshape(-1, SIDE, SIDE)
+        share = (
+            predict_log_densities(self.theta, features.contiguous(memory_format=torch.channels_last))
+            .double()
+            .softmax(1)
+        )
+        moments[known] = (share ** (1 / SECOND_MOMENT_POWER)).reshape(-1, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS)
         return moments

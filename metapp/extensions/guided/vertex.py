@@ -6,16 +6,19 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from metapp.extensions.guided.cache import GuideCache
-from metapp.extensions.guided.histogram import BINS
+from metapp.extensions.guided.histogram import HISTOGRAM_BINS
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 from metapp.rendering.paths.next_event import mis_weight
 
-MIXED, GLOSSY = 0.5, 0.25  # share of directions from the cache where surfaces are diffuse and more, or glossy
-LAMBERTIAN, TWO_SIDED = "SmoothDiffuse", "TwoSidedBRDF"  # Mitsuba's classes
+MIXED_CACHE_SHARE, GLOSSY_CACHE_SHARE = (
+    0.5,
+    0.25,
+)  # share of directions from the cache where surfaces are diffuse and more, or glossy
+LAMBERTIAN_CLASS, TWO_SIDED_CLASS = "SmoothDiffuse", "TwoSidedBRDF"  # Mitsuba's classes
 
 
-class Sampled(NamedTuple):
+class DirectionSample(NamedTuple):
     """The next direction of paths.
 
     Attributes:
@@ -38,7 +41,7 @@ class Sampled(NamedTuple):
     guide: tuple[mt.Float, mt.UInt32] | None
 
 
-Evaluated = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
+EmitterAndBsdfSample = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
 """The BSDF's sample and its weight; a direction in the surface's frame; value and density there, and to the emitter."""
 
 
@@ -64,11 +67,11 @@ class Vertex:
         transmits = mi.has_flag(flags, kinds.Transmission)
         others = int(kinds.All) & ~int(kinds.DiffuseReflection)
         only_diffuse = diffuse & (flags & mi.UInt32(others) == 0)
-        mixed = dr.select(diffuse, MIXED, dr.select(glossy & ~transmits, GLOSSY, 0))
+        mixed = dr.select(diffuse, MIXED_CACHE_SHARE, dr.select(glossy & ~transmits, GLOSSY_CACHE_SHARE, 0))
         self.share = dr.select(only_diffuse, 1, mixed)  # of directions that the cache samples
         self.location = cache.locate(si.p, dr.select(si.wi.z < 0, -si.sh_frame.n, si.sh_frame.n))
 
-    def by_bsdf(self) -> Sampled:
+    def by_bsdf(self) -> DirectionSample:
         """Sample directions as the BSDF does."""
         wo = self.si.to_local(self.emitter.d)
         value, density, drawn, weight = self.bsdf.eval_pdf_sample(
@@ -76,9 +79,9 @@ class Vertex:
         )
         is_delta, is_null = (mi.has_flag(drawn.sampled_type, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Null))
         light = self._emitter_radiance(value, density)
-        return Sampled(drawn.wo, drawn.pdf, weight, drawn.eta, is_delta, is_null, light, None)
+        return DirectionSample(drawn.wo, drawn.pdf, weight, drawn.eta, is_delta, is_null, light, None)
 
-    def by_cache(self) -> Sampled:
+    def by_cache(self) -> DirectionSample:
         """Sample a share of the directions from the cache."""
         cache, si, location = self.cache, self.si, self.location
         of_cache = self.draws[0] < self.share
@@ -95,7 +98,7 @@ class Vertex:
         to_light = self._mixture(towards, cache.bin(towards), to_emitter[1], self.is_lit & (self.share > 0))
         light = self._emitter_radiance(to_emitter[0], to_light)
         is_delta = ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-        return Sampled(
+        return DirectionSample(
             wo,
             dr.select(is_delta, drawn.pdf, mixture),
             dr.select(is_delta, weight / (1 - self.share), dr.select(mixture > 0, value / mixture, 0)),
@@ -106,25 +109,25 @@ class Vertex:
             (mixture * dr.pi / dr.maximum(local.z, 1e-6), index),
         )
 
-    def recorded(self, sample: Sampled) -> tuple[mt.UInt32, mt.Float, mt.Mask]:
+    def recorded(self, sample: DirectionSample) -> tuple[mt.UInt32, mt.Float, mt.Mask]:
         """The first two numbers that `Records` keep of a sample of this vertex, and where it counts."""
         cache, location = self.cache, self.location
         local = location.frame.to_local(self.si.to_world(sample.wo))
         density, index = sample.guide or (sample.density * dr.pi / dr.maximum(local.z, 1e-6), cache.bin(local))
         active = self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
-        return location.entry * BINS + index + 1, density, active
+        return location.entry * HISTOGRAM_BINS + index + 1, density, active
 
-    def expected(self, sample: Sampled) -> mt.Vector2:
+    def expected(self, sample: DirectionSample) -> mt.Vector2:
         """The cache's expectations of paths that go on by a sample of this vertex, as of `expect`."""
         return self.cache.expect(self.location.row, self.active & (self.share > 0) & ~sample.is_delta)
 
-    def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> Evaluated:
+    def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> EmitterAndBsdfSample:
         """Of the cache's direction `guided`, or one of the BSDF."""
 
         def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3, of_cache: mt.Mask,
-                     draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Evaluated:  # fmt: skip
+                     draw: mt.Float, point: mt.Point2, active: mt.Mask) -> EmitterAndBsdfSample:  # fmt: skip
             if is_lambertian(bsdf):
-                lobe = lambertian(bsdf, si, active)
+                lobe = lambertian_functions(bsdf, si, active)
                 return dr.zeros(mi.BSDFSample3f), mi.Color3f(0), mi.Vector3f(guided), *lobe(guided), lobe(to_emitter)
             context = mi.BSDFContext()
             drawn, weight = bsdf.sample(context, si, draw, point, active & ~of_cache)
@@ -134,7 +137,7 @@ class Vertex:
 
         to_emitter = self.si.to_local(self.emitter.d)
         inputs = (self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active)
-        evaluated: Evaluated = dr.dispatch(self.bsdf, evaluate, *inputs)
+        evaluated: EmitterAndBsdfSample = dr.dispatch(self.bsdf, evaluate, *inputs)
         return evaluated
 
     def _mixture(self, local: mt.Vector3, index: mt.UInt32, density: mt.Float, active: mt.Mask) -> mt.Float:
@@ -151,13 +154,15 @@ class Vertex:
 def is_lambertian(bsdf: mt.Bsdf) -> bool:
     """True if a BSDF is Mitsuba's `diffuse`, on one side or on both."""
     kind = bsdf.class_name()
-    both = (f"brdf[{side}] = {LAMBERTIAN}[" in str(bsdf) for side in range(2))
-    return kind == LAMBERTIAN or (kind == TWO_SIDED and all(both))
+    both = (f"brdf[{side}] = {LAMBERTIAN_CLASS}[" in str(bsdf) for side in range(2))
+    return kind == LAMBERTIAN_CLASS or (kind == TWO_SIDED_CLASS and all(both))
 
 
-def lambertian(bsdf: mt.Bsdf, si: mt.Interaction, active: mt.Mask) -> Callable[[mt.Vector3], tuple[mt.Color, mt.Float]]:
+def lambertian_functions(
+    bsdf: mt.Bsdf, si: mt.Interaction, active: mt.Mask
+) -> Callable[[mt.Vector3], tuple[mt.Color, mt.Float]]:
     """The value, times the cosine, and the density of such a BSDF by direction; its texture is read once."""
-    albedo, both = bsdf.eval_diffuse_reflectance(si, active), bsdf.class_name() == TWO_SIDED
+    albedo, both = bsdf.eval_diffuse_reflectance(si, active), bsdf.class_name() == TWO_SIDED_CLASS
 
     def lobe(wo: mt.Vector3) -> tuple[mt.Color, mt.Float]:
         same_side = si.wi.z * wo.z > 0 if both else (si.wi.z > 0) & (wo.z > 0)

@@ -6,18 +6,18 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.features import load_features
-from metapp.appearance.order import lattice_of, order_kept
-from metapp.appearance.picture_measures import Measure
-from metapp.appearance.pictures import Compared
+from metapp.appearance.order import find_lattice, kept_order_share
+from metapp.appearance.picture_measures import PictureMeasure
+from metapp.appearance.pictures import PictureComparison
 
-JUDGING = ("relu2_2", "relu3_3", "relu4_3")  # beside those that fits are compared by
-DIRECTIONS = 64
+WASSERSTEIN_TAPS = ("relu2_2", "relu3_3", "relu4_3")  # beside those that fits are compared by
+PROJECTION_DIRECTIONS = 64
 
 
 @torch.no_grad()
-def wasserstein(compared: Compared) -> float:
+def wasserstein(compared: PictureComparison) -> float:
     """Sliced Wasserstein distance of features, the mean over taps and textures; of one reference."""
-    features = load_features(JUDGING, compared.references)
+    features = load_features(WASSERSTEIN_TAPS, compared.references)
     pairs = zip(features(compared.pictures), features(compared.references), strict=True)
     return float(torch.stack([sliced_wasserstein(*pair) for pair in pairs]).mean())
 
@@ -28,7 +28,7 @@ def sliced_wasserstein(maps: Tensor, target: Tensor) -> Tensor:
     The mean distance of sorted projections over the target's mean deviation, of maps [B, C, H, W] and [1, C, H, W].
     """
     rng = Generator(maps.device).manual_seed(0)
-    directions = torch.randn(DIRECTIONS, maps.shape[1], generator=rng, device=maps.device, dtype=maps.dtype)
+    directions = torch.randn(PROJECTION_DIRECTIONS, maps.shape[1], generator=rng, device=maps.device, dtype=maps.dtype)
     directions = directions / directions.norm(dim=1, keepdim=True)
     projected, wanted = ((directions @ features.flatten(2)).sort(2).values for features in (maps, target))
     deviation = (wanted - wanted.mean(2, keepdim=True)).abs().mean(2)
@@ -36,10 +36,10 @@ def sliced_wasserstein(maps: Tensor, target: Tensor) -> Tensor:
     return result
 
 
-def order(compared: Compared) -> float:
+def order_measure(compared: PictureComparison) -> float:
     """The share of the exemplar's order that a texture keeps; NaN if the exemplar has none."""
-    return order_kept(lattice_of(compared.references[0]), compared.pictures[0])
+    return kept_order_share(find_lattice(compared.references[0]), compared.pictures[0])
 
 
-WASSERSTEIN = Measure(wasserstein)
-ORDER = Measure(order, more_is_better=True)
+WASSERSTEIN = PictureMeasure(wasserstein)
+ORDER = PictureMeasure(order_measure, more_is_better=True)

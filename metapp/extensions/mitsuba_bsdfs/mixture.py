@@ -6,25 +6,25 @@ import math
 
 import numpy as np
 
-from metapp.appearance.lobes import LAST_RAD, NODES, Lobes
+from metapp.appearance.lobes import LAST_VIEWER_RAD, VIEWER_NODES, LobeMixture
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 
 
-class Mixture:
+class MitsubaLobeMixture:
     """Lobes in the active variant.
 
     Directions of a lobe below the surface are mirrored up, so the density integrates to 1 over the directions above.
     """
 
-    def __init__(self, lobes: Lobes) -> None:
+    def __init__(self, lobes: LobeMixture) -> None:
         self.alphas, self.turn = lobes.alphas, lobes.turn
         self.shares = [mi.Float(column) for column in lobes.shares.astype(np.float32).T]
 
     def shares_of(self, viewer: mt.Vector3) -> list[mt.Float]:
         """The share of each lobe, the cosine first, for a viewer's direction; between nodes linearly."""
-        place = dr.minimum(dr.safe_acos(viewer.z) * ((NODES - 1) / LAST_RAD), NODES - 1)
-        node = mi.UInt32(dr.minimum(place, NODES - 2))
+        place = dr.minimum(dr.safe_acos(viewer.z) * ((VIEWER_NODES - 1) / LAST_VIEWER_RAD), VIEWER_NODES - 1)
+        node = mi.UInt32(dr.minimum(place, VIEWER_NODES - 2))
         first, second = ([dr.gather(mi.Float, share, node + i) for share in self.shares] for i in (0, 1))
         return [dr.lerp(a, b, place - node) for a, b in zip(first, second, strict=True)]
 
@@ -36,9 +36,9 @@ class Mixture:
         for share, other in zip(shares[2:], self.alphas[1:], strict=True):
             alpha = dr.select(number < end, alpha, mi.Vector2f(other))
             end += share
-        light = mi.reflect(viewer, visible_normal(viewer, alpha, point))
+        light = mi.reflect(viewer, sample_visible_normal(viewer, alpha, point))
         light = mi.Vector3f(light.x, light.y, dr.abs(light.z))
-        light = turned(light, self.turn) if self.turn else light
+        light = turn_about_normal(light, self.turn) if self.turn else light
         return dr.select(number < shares[0], mi.warp.square_to_cosine_hemisphere(point), light)
 
     def density(self, viewer: mt.Vector3, light: mt.Vector3) -> mt.Float:
@@ -52,10 +52,10 @@ class Mixture:
         return total
 
     def _into_axes(self, direction: mt.Vector3) -> mt.Vector3:
-        return turned(direction, -self.turn) if self.turn else direction
+        return turn_about_normal(direction, -self.turn) if self.turn else direction
 
 
-def turned(direction: mt.Vector3, angle_rad: float) -> mt.Vector3:
+def turn_about_normal(direction: mt.Vector3, angle_rad: float) -> mt.Vector3:
     """A direction turned about the normal."""
     cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
     return mi.Vector3f(
@@ -63,7 +63,7 @@ def turned(direction: mt.Vector3, angle_rad: float) -> mt.Vector3:
     )
 
 
-def visible_normal(viewer: mt.Vector3, alpha: mt.Vector2, point: mt.Point2) -> mt.Vector3:
+def sample_visible_normal(viewer: mt.Vector3, alpha: mt.Vector2, point: mt.Point2) -> mt.Vector3:
     """Normals of facets that a viewer sees, of GGX roughness alpha (Dupuy and Benyoub 2023: a spherical cap).
 
     Mitsuba's own inverts slopes: at grazing angles it draws NaN once in a million times.

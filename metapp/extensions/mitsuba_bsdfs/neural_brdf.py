@@ -15,29 +15,29 @@ from safetensors import SafetensorError
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.appearance.lobes import fit_lobes
 from metapp.apps import app_of, recipes_of
-from metapp.apps.brdf.featured import GRAZING, SMOOTH, TURNS
-from metapp.apps.brdf.network import Folded, network_of, shapes_of
-from metapp.extensions.mitsuba_bsdfs.mixture import Mixture, turned
-from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, reflection_bsdf
+from metapp.apps.brdf.featured import AZIMUTH_ONSET_RAD2, COSINE_SMOOTHING, VECTOR_SMOOTHING
+from metapp.apps.brdf.network import PlainLayers, find_network, parameter_shapes
+from metapp.extensions.mitsuba_bsdfs.mixture import MitsubaLobeMixture, turn_about_normal
+from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, make_bsdf_class
 from metapp.learning.task import Params
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, nn, register_plugin
 from metapp.rendering.types import Color, Float, Vector3
 from metapp.storage.files import read_tensors
 
-LARGEST_LOG = 14.0  # logarithm that such a network may end at
+MAX_LOG_REFLECTANCE = 14.0  # logarithm that such a network may end at
 
 
-class Network:
+class MitsubaNetwork:
     """A fit's network in the active variant.
 
     Attributes:
         weights, biases: TensorXf [out, in] and Float [out] of each layer; who changes them says so by `changed`.
         featured: whether hidden layers are x sigmoid(x); else ReLU.
-        turn, darkest: as of `metapp.apps.brdf.network.Folded`.
+        turn, darkest: as of `metapp.apps.brdf.network.PlainLayers`.
     """
 
-    def __init__(self, folded: Folded) -> None:
+    def __init__(self, folded: PlainLayers) -> None:
         layers = [(weights.float().numpy(), bias.float().numpy()) for weights, bias in folded.layers]
         self.weights = [mi.TensorXf(weights) for weights, _ in layers]
         self.biases = [mi.Float(bias) for _, bias in layers]
@@ -52,10 +52,10 @@ class Network:
     def reflectance(self, light: Vector3, viewer: Vector3) -> Color:
         """Linear RGB in 1/sr, >= 0 (Color3f), of directions above the surface in its local frame (Vector3f)."""
         if self.turn is not None:
-            inputs = anisotropic_features(*(turned(each, -self.turn) for each in (light, viewer)))
+            inputs = anisotropic_features(*(turn_about_normal(each, -self.turn) for each in (light, viewer)))
         else:
             half, difference = half_difference(light, viewer)
-            inputs = features(half, difference) if self.featured else [*half, *difference]
+            inputs = isotropic_features(half, difference) if self.featured else [*half, *difference]
         if self._constants and not dr.grad_enabled(self.weights, self.biases):
             # a call, though it always goes the same way: evaluated twice in a kernel, a network is compiled once
             last = dr.switch(self._zero, [self._by_constants, lambda *_: [mi.Float(0)] * 3], *inputs)
@@ -66,7 +66,7 @@ class Network:
         if not self.darkest:
             return dr.maximum(expm1(mi.Color3f(last)), 0)
         product = dr.maximum(light.z * viewer.z, self.darkest)
-        return dr.maximum((dr.exp(dr.minimum(mi.Color3f(last), LARGEST_LOG)) - self.darkest) / product, 0)
+        return dr.maximum((dr.exp(dr.minimum(mi.Color3f(last), MAX_LOG_REFLECTANCE)) - self.darkest) / product, 0)
 
     def _active(self, x: Float) -> Float:
         return x / (1 + dr.exp(-x)) if self.featured else dr.maximum(x, 0)
@@ -118,7 +118,7 @@ def expm1(x: Color) -> Color:
 
 
 def half_difference(light: Vector3, viewer: Vector3) -> tuple[Vector3, Vector3]:
-    """Half vector, turned to phi_h = 0, and difference vector of `metapp.appearance.geometry.half_difference`."""
+    """Half vector, turned to phi_h = 0, and difference vector of `metapp.appearance.geometry.half_difference_vectors`."""
     sine, cosine, _, _, difference = half_frame(light, viewer)
     return mi.Vector3f(sine, 0, cosine), difference
 
@@ -142,14 +142,14 @@ def half_frame(light: Vector3, viewer: Vector3) -> tuple[Float, Float, Float, Fl
     return sine, half.z, cos_phi, sin_phi, difference
 
 
-def features(half: Vector3, difference: Vector3) -> list[Float]:
-    """`metapp.apps.brdf.featured.inputs_of` of half vector, phi_h 0, and difference vector."""
+def isotropic_features(half: Vector3, difference: Vector3) -> list[Float]:
+    """`metapp.apps.brdf.featured.isotropic_inputs` of half vector, phi_h 0, and difference vector."""
     angle = dr.atan2(half.x, half.z)
     square = angle * angle
     first, second = dr.square(difference.x), dr.square(difference.y)
-    both, apart = first + second, square / (square + TURNS) * (first - second)
-    along, across = dr.sqrt((both + apart) / 2 + SMOOTH), dr.sqrt((both - apart) / 2 + SMOOTH)
-    common, differ = half.z * difference.z, dr.sqrt(dr.square(half.x * difference.x) + GRAZING)
+    both, apart = first + second, square / (square + AZIMUTH_ONSET_RAD2) * (first - second)
+    along, across = dr.sqrt((both + apart) / 2 + VECTOR_SMOOTHING), dr.sqrt((both - apart) / 2 + VECTOR_SMOOTHING)
+    common, differ = half.z * difference.z, dr.sqrt(dr.square(half.x * difference.x) + COSINE_SMOOTHING)
     lower, higher = common - differ, common + differ
     logs = (square + 1e-4, square + 1e-2, dr.maximum(lower, 1e-3), dr.maximum(higher, 1e-3))
     plain = [*half, along, across, difference.z, lower, higher, dr.sqrt(angle), 1 / (1 + 100 * square), apart]
@@ -157,7 +157,7 @@ def features(half: Vector3, difference: Vector3) -> list[Float]:
 
 
 def anisotropic_features(light: Vector3, viewer: Vector3) -> list[Float]:
-    """`metapp.apps.brdf.anisotropic.inputs_of` of directions in the material's axes."""
+    """`metapp.apps.brdf.anisotropic.anisotropic_inputs` of directions in the material's axes."""
     sine, cosine, cos_phi, sin_phi, difference = half_frame(light, viewer)
     x, y, z = difference.x, difference.y, difference.z
     angle = dr.atan2(sine, cosine)
@@ -192,7 +192,7 @@ def read_parameters(path: Path) -> Params:
     shapes = {key: value.shape for key, value in theta.items()}
     recipes = recipes_of("brdf").values()
     networks = {app_of("brdf", recipe, rule=rule).network for recipe in recipes for rule in recipe.meta}
-    if shapes not in [shapes_of(network) for network in networks]:
+    if shapes not in [parameter_shapes(network) for network in networks]:
         names = ", ".join(sorted(theta)) or "none"
         raise ValueError(f"{path}: tensors {names[:80]}, expected those of a BRDF fit; take its params.safetensors.")
     if not all(bool(value.isfinite().all()) for value in theta.values()):
@@ -202,13 +202,13 @@ def read_parameters(path: Path) -> Params:
 
 def register_neural_brdf() -> None:
     """Have Mitsuba know the plugin."""
-    register_plugin("bsdf", "neural_brdf", plugin)
+    register_plugin("bsdf", "neural_brdf", neural_brdf_class)
 
 
-def plugin() -> mt.PluginClass:
+def neural_brdf_class() -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
-    class NeuralBrdf(reflection_bsdf(NetworkReflection)):  # type: ignore[misc]
+    class NeuralBrdf(make_bsdf_class(NetworkReflection)):  # type: ignore[misc]
         """Properties: `filename`, and a texture `tint` that multiplies (1 without)."""
 
     return NeuralBrdf
@@ -224,10 +224,10 @@ class NetworkReflection(Reflection):
     def __init__(self, props: mt.Properties) -> None:
         self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
         theta = read_parameters(self.path)
-        fit = network_of(theta)
+        fit = find_network(theta)
         folded = fit.folded(theta)
-        self.network = Network(folded)
-        self.mixture = Mixture(fit_lobes(functools.partial(fit.evaluate, theta), folded.turn))
+        self.network = MitsubaNetwork(folded)
+        self.mixture = MitsubaLobeMixture(fit_lobes(functools.partial(fit.evaluate, theta), folded.turn))
         self.tint = props.get_texture("tint", 1.0)
         self.components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
 

@@ -2,31 +2,31 @@
 
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
 
-It is shaded as `metapp.appearance.flash.brdf` does. The specular texture is F0, in colour, which Mitsuba's `principled`
+It is shaded as `metapp.appearance.flash.evaluate_brdf` does. The specular texture is F0, in colour, which Mitsuba's `principled`
 takes as one number only. Normals go around it, as Mitsuba's own `normalmap`.
 """
 
 from __future__ import annotations
 
 from metapp.appearance.flash import LEAST_ROUGHNESS
-from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, enabled, reflection_bsdf
+from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, enabled_components, make_bsdf_class
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
 
-DEFAULTS = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5}
-DIFFUSE, SPECULAR = 0, 1  # components
-LEAST_SHARE = 0.1  # share of directions that are sampled for either
+DEFAULT_TEXTURE_VALUES = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5}
+DIFFUSE_COMPONENT, SPECULAR_COMPONENT = 0, 1  # components
+MIN_COMPONENT_SHARE = 0.1  # share of directions that are sampled for either
 
 
-def register_maps_bsdf() -> None:
+def register_neural_svbrdf() -> None:
     """Have Mitsuba know the plugin."""
-    register_plugin("bsdf", "neural_svbrdf", plugin)
+    register_plugin("bsdf", "neural_svbrdf", neural_svbrdf_class)
 
 
-def plugin() -> mt.PluginClass:
+def neural_svbrdf_class() -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
-    class NeuralSvbrdf(reflection_bsdf(MapsReflection)):  # type: ignore[misc]
+    class NeuralSvbrdf(make_bsdf_class(MapsReflection)):  # type: ignore[misc]
         """Properties: the textures `diffuse`, `specular` (F0, linear RGB) and `roughness` (GGX alpha is its square)."""
 
         def eval_diffuse_reflectance(self, si: mt.Interaction, active: mt.Mask = True) -> mt.Color:
@@ -39,7 +39,7 @@ class MapsReflection(Reflection):
     """A Lambertian and a GGX component, with textures for their parameters."""
 
     def __init__(self, props: mt.Properties) -> None:
-        self.textures = {key: props.get_texture(key, value) for key, value in DEFAULTS.items()}
+        self.textures = {key: props.get_texture(key, value) for key, value in DEFAULT_TEXTURE_VALUES.items()}
         kinds = (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)
         self.components = [kind | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying for kind in kinds]
 
@@ -47,7 +47,7 @@ class MapsReflection(Reflection):
         """The texels at points of surfaces."""
         diffuse, specular = (self.textures[key].eval(si, active) for key in ("diffuse", "specular"))
         roughness = self.textures["roughness"].eval_1(si, active)
-        texel = Texel((diffuse, specular, roughness), viewer, enabled(ctx, self.components))
+        texel = Texel((diffuse, specular, roughness), viewer, enabled_components(ctx, self.components))
         return LocalReflection(texel.value, texel.density, texel.sample)
 
     def traverse(self, callback: mt.TraversalCallback) -> None:
@@ -68,8 +68,10 @@ class Texel:
         self.facets = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
         self.diffuse, self.specular, self.viewer, self.wanted = diffuse, specular, viewer, wanted
         glossy, matte = dr.mean(self._fresnel(viewer.z)), dr.mean(diffuse * (1 - specular))
-        both = dr.clip(glossy / dr.maximum(glossy + matte, 1e-6), LEAST_SHARE, 1 - LEAST_SHARE)
-        self.share = both if all(wanted) else mi.Float(1.0 if wanted[SPECULAR] else 0.0)  # of specular directions
+        both = dr.clip(glossy / dr.maximum(glossy + matte, 1e-6), MIN_COMPONENT_SHARE, 1 - MIN_COMPONENT_SHARE)
+        self.share = (
+            both if all(wanted) else mi.Float(1.0 if wanted[SPECULAR_COMPONENT] else 0.0)
+        )  # of specular directions
 
     def value(self, light: mt.Vector3) -> mt.Color:
         """The BSDF times the light's cosine."""
@@ -77,7 +79,9 @@ class Texel:
         shape = self.facets.eval(half) * self.facets.G(self.viewer, light, half) / (4 * self.viewer.z)
         specular = self._fresnel(dr.dot(light, half)) * shape
         diffuse = self.diffuse * (1 - self.specular) * (dr.inv_pi * light.z)
-        return mi.Color3f((diffuse if self.wanted[DIFFUSE] else 0) + (specular if self.wanted[SPECULAR] else 0))
+        return mi.Color3f(
+            (diffuse if self.wanted[DIFFUSE_COMPONENT] else 0) + (specular if self.wanted[SPECULAR_COMPONENT] else 0)
+        )
 
     def density(self, light: mt.Vector3) -> mt.Float:
         """Of `sample`, per solid angle."""
@@ -91,7 +95,7 @@ class Texel:
         is_specular = number < self.share
         cosine = mi.warp.square_to_cosine_hemisphere(point)
         wo = dr.select(is_specular, mi.reflect(self.viewer, half), cosine)
-        return wo, dr.select(is_specular, mi.UInt32(SPECULAR), mi.UInt32(DIFFUSE))
+        return wo, dr.select(is_specular, mi.UInt32(SPECULAR_COMPONENT), mi.UInt32(DIFFUSE_COMPONENT))
 
     def _fresnel(self, cosine: mt.Float) -> mt.Color:
         """Of Schlick."""

@@ -47,7 +47,7 @@ class Reflection(ABC):
         """Called after parameters were changed."""
 
 
-def enabled(ctx: mt.BsdfContext, components: Sequence[mt.BsdfFlags]) -> list[bool]:
+def enabled_components(ctx: mt.BsdfContext, components: Sequence[mt.BsdfFlags]) -> list[bool]:
     """Which components a context asks for."""
     return [bool(ctx.is_enabled(mi.BSDFFlags(_kind(flags)), i)) for i, flags in enumerate(components)]
 
@@ -56,7 +56,7 @@ def _kind(flags: mt.BsdfFlags) -> int:
     return int(flags) & int(mi.BSDFFlags.All)
 
 
-def reflection_bsdf(make: Callable[[mt.Properties], Reflection]) -> mt.PluginClass:
+def make_bsdf_class(make: Callable[[mt.Properties], Reflection]) -> mt.PluginClass:
     """A BSDF in the active variant, to derive plugins from.
 
     Args:
@@ -100,7 +100,9 @@ def reflection_bsdf(make: Callable[[mt.Properties], Reflection]) -> mt.PluginCla
             self, ctx: mt.BsdfContext, si: mt.Interaction, wo: mt.Vector3, active: mt.Mask
         ) -> tuple[LocalReflection, mt.Vector3, mt.Mask]:
             """The reflection, the light's direction, and where both directions are above the surface."""
-            active = mi.Bool(active) & mi.Bool(any(enabled(ctx, self.m_components))) & (si.wi.z > 0) & (wo.z > 0)
+            active = (
+                mi.Bool(active) & mi.Bool(any(enabled_components(ctx, self.m_components))) & (si.wi.z > 0) & (wo.z > 0)
+            )
             # below the surface, where values are left out, they should still be finite
             light, viewer = (dr.select(active, direction, mi.Vector3f(0, 0, 1)) for direction in (wo, si.wi))
             return self.reflection.at(ctx, si, viewer, active), light, active

@@ -19,7 +19,7 @@ from metapp.storage.cache import cache_folder, code_folder
 from metapp.storage.files import read_text, write_atomically
 
 # no -ffast-math: what it saves here is lost in noise, and it changes results and hides NaN
-FLAGS = (
+COMPILER_FLAGS = (
     *("-std=gnu11", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
     *("-fopenmp-simd", "-shared", "-fPIC"),
 )
@@ -27,7 +27,7 @@ COMPILER_SECONDS = 60  # until a compiler is given up
 
 
 @functools.cache
-def load(source: Path, *names: str, march: str = "native") -> ctypes.CDLL | None:
+def load_library(source: Path, *names: str, march: str = "native") -> ctypes.CDLL | None:
     """The functions of a C source; None if it can neither be found compiled nor be compiled, or lacks one.
 
     Args:
@@ -46,7 +46,7 @@ def load(source: Path, *names: str, march: str = "native") -> ctypes.CDLL | None
     return library if all(hasattr(library, name) for name in names) else None
 
 
-def compiler() -> str | None:
+def find_compiler() -> str | None:
     """The C compiler: CC if set, else the first of the usual names that there is."""
     names = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
     return next((path for path in map(shutil.which, names) if path), None)
@@ -55,7 +55,7 @@ def compiler() -> str | None:
 def _key(source: Path, march: str) -> str:
     """A digest of all that a compiled source, and the width of its vectors, depend on: text, options, CPU."""
     texts = (read_text(path) for path in (source, *sorted(source.parent.glob("*.h"))))
-    return hashlib.sha256("\0".join((*texts, *FLAGS, march, _cpu())).encode()).hexdigest()[:24]
+    return hashlib.sha256("\0".join((*texts, *COMPILER_FLAGS, march, _cpu())).encode()).hexdigest()[:24]
 
 
 def _cpu() -> str:
@@ -74,12 +74,12 @@ def _compile(source: Path, path: Path, march: str) -> None:
     Raises:
         OSError: there is no compiler, or it fails.
     """
-    command = compiler()
+    command = find_compiler()
     if command is None:
         raise FileNotFoundError("no C compiler")
 
     def write(partial: Path) -> None:
-        arguments = [command, *FLAGS, f"-march={march}", str(source), "-o", str(partial), "-lm"]
+        arguments = [command, *COMPILER_FLAGS, f"-march={march}", str(source), "-o", str(partial), "-lm"]
         try:
             subprocess.run(arguments, check=True, capture_output=True, timeout=COMPILER_SECONDS)
         except subprocess.SubprocessError as error:

@@ -20,25 +20,25 @@ from metapp.learning.task import Params
 from metapp.runs.reporter import say
 from metapp.storage.cache import cache_folder, code_folder
 
-COMPILED = "TORCHINDUCTOR_CACHE_DIR"  # where torch keeps code, which it loads again
-DISABLED = "TORCH_COMPILE_DISABLE"  # of the environment, torch's own: 1 for no compiling
+TORCH_CACHE_VARIABLE = "TORCHINDUCTOR_CACHE_DIR"  # where torch keeps code, which it loads again
+NO_COMPILING_VARIABLE = "TORCH_COMPILE_DISABLE"  # of the environment, torch's own: 1 for no compiling
 
 
-def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, compiles: bool = False) -> Steps:
+def choose_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, compiles: bool = False) -> Steps:
     """Steps in C if the loss and the rule are to be had there, else by torch.
 
     Args:
         rule, loss, theta, order: as of `torch_steps`.
         compiles: whether steps by torch are so many that compiling them pays; without a tool chain they are not.
     """
-    found = in_c.steps(rule, loss, theta, order)
+    found = in_c.make_c_steps(rule, loss, theta, order)
     if found is None and compiles and can_compile():
         _say_compiling()
-        found = compiled_steps(rule, loss, theta, order)
+        found = make_compiled_steps(rule, loss, theta, order)
     return found or torch_steps(rule, loss, theta, order)
 
 
-def compiled_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
+def make_compiled_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
     """Steps by torch.compile, for the shapes of their first call: about twice as fast, after seconds of compiling."""
     step, vjp = _compiled(rule.step, loss, order)
     return torch_steps(rule, loss, theta, order)._replace(step=step, vjp=vjp)
@@ -46,7 +46,7 @@ def compiled_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> S
 
 def can_compile() -> bool:
     """Return whether torch compiles steps here; it never does where TORCH_COMPILE_DISABLE is 1."""
-    return os.environ.get(DISABLED) != "1" and has_tool_chain()
+    return os.environ.get(NO_COMPILING_VARIABLE) != "1" and has_tool_chain()
 
 
 @functools.cache
@@ -56,8 +56,8 @@ def has_tool_chain() -> bool:
         return False
     try:
         # torch's default is a folder of /tmp that anybody can make first
-        folder = os.environ.get(COMPILED) or cache_folder() / "torch"
-        os.environ[COMPILED] = str(code_folder(Path(folder), COMPILED))
+        folder = os.environ.get(TORCH_CACHE_VARIABLE) or cache_folder() / "torch"
+        os.environ[TORCH_CACHE_VARIABLE] = str(code_folder(Path(folder), TORCH_CACHE_VARIABLE))
         torch.compile(lambda x: x.sin() + 1)(torch.ones(8))
     except Exception:  # whatever a compiler that lacks a part raises
         return False

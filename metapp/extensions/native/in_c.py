@@ -16,9 +16,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from metapp.extensions.native import nbrdf
-from metapp.extensions.native.compiler import load
-from metapp.extensions.native.packing import Layout, packed
-from metapp.learning.adjoint import Loss, Steps, UpdateRule, loss_parameters
+from metapp.extensions.native.compiler import load_library
+from metapp.extensions.native.packing import ParameterOrder, packed
+from metapp.learning.adjoint import Loss, Steps, UpdateRule, select_loss_parameters
 from metapp.learning.task import Batch, Params
 
 
@@ -41,11 +41,11 @@ class _State(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in ("m", "v", "products")]
 
 
-def steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps | None:
+def make_c_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps | None:
     """Steps in C; None if the loss or a part of the rule has no such form, or without a compiler."""
-    if not nbrdf.takes(loss, theta) or compiled() is None:
+    if not nbrdf.has_c_loss(loss, theta) or load_step_library() is None:
         return None
-    layout = Layout({name: theta[name] for name in nbrdf.SHAPES})
+    layout = ParameterOrder({name: theta[name] for name in nbrdf.NBRDF_PARAMETER_SHAPES})
     alpha = packed(rule.step, rule.alpha, layout)
     if alpha is None:
         return None
@@ -58,7 +58,7 @@ class _Value(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, theta: Tensor, batch: Batch) -> Tensor:
-        ctx.gradient, losses = nbrdf.gradient(theta.detach(), batch, {})
+        ctx.gradient, losses = nbrdf.loss_gradient(theta.detach(), batch, {})
         return losses
 
     @staticmethod
@@ -68,9 +68,9 @@ class _Value(torch.autograd.Function):
 
 
 @functools.cache
-def compiled(march: str = "native") -> ctypes.CDLL | None:
+def load_step_library(march: str = "native") -> ctypes.CDLL | None:
     """The functions of `step.c` by the instructions of a CPU; None if there is no compiler for it."""
-    result = load(Path(__file__).with_name("step.c"), "step", "step_back", march=march)
+    result = load_library(Path(__file__).with_name("step.c"), "step", "step_back", march=march)
     if result is not None:
         counts, pointer = [ctypes.c_int] * 3, ctypes.c_void_p
         result.step.argtypes = [*counts, *[pointer] * 7]
@@ -81,9 +81,9 @@ def compiled(march: str = "native") -> ctypes.CDLL | None:
 class _Steps:
     """One step in C, forward and backward."""
 
-    def __init__(self, layout: Layout, order: int, *, moments: bool) -> None:
+    def __init__(self, layout: ParameterOrder, order: int, *, moments: bool) -> None:
         self.layout, self.order, self.moments = layout, order, moments
-        functions = compiled()
+        functions = load_step_library()
         assert functions is not None, "steps in C are offered with the library alone"
         self.functions = functions
         shapes = [
@@ -109,7 +109,7 @@ class _Steps:
     def step(self, alpha: Params, theta: Params, state: Params, batch: Batch) -> tuple[Params, Params, Tensor, Params]:
         """As of `Steps`."""
         flat = self.layout.flat(theta)
-        grads, losses = nbrdf.gradient(flat, batch, loss_parameters(alpha))
+        grads, losses = nbrdf.loss_gradient(flat, batch, select_loss_parameters(alpha))
         moved, after = torch.empty_like(flat), {key: torch.empty_like(value) for key, value in state.items()}
         tree = _alpha(alpha)
         self.functions.step(
@@ -140,7 +140,7 @@ class _Steps:
         )  # fmt: skip
         if self.order == 2:
             flat = self.layout.flat(theta)
-            product, by_learned = nbrdf.product(flat, batch, loss_parameters(alpha), by_grads)
+            product, by_learned = nbrdf.gradient_product(flat, batch, select_loss_parameters(alpha), by_grads)
             pull = pull + product
             pulled |= {f"loss.{key}": value for key, value in by_learned.items()}
         by_alpha = {key: pulled[key].sum_to_size(alpha[key].shape) for key in pulled}

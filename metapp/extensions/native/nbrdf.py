@@ -10,29 +10,31 @@ import torch
 from torch import Tensor
 
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.nbrdf import NBRDF
-from metapp.apps.brdf.network import shapes_of
-from metapp.extensions.native.compiler import load
+from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
+from metapp.apps.brdf.network import parameter_shapes
+from metapp.extensions.native.compiler import load_library
 from metapp.learning.adjoint import Loss
 from metapp.learning.task import Batch, Params
 
-SHAPES = shapes_of(NBRDF)
+NBRDF_PARAMETER_SHAPES = parameter_shapes(NBRDF_NETWORK)
 
 
-def takes(loss: Loss, theta: Params) -> bool:
+def has_c_loss(loss: Loss, theta: Params) -> bool:
     """Tell whether a loss is `Brdf.loss` of parameters of this network, float32 on the CPU, and there is a compiler."""
-    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == SHAPES
+    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == NBRDF_PARAMETER_SHAPES
     plain = all(value.dtype == torch.float32 and value.device.type == "cpu" for value in theta.values())
     if not same or not plain or type(loss).gradient is not Loss.gradient:
         return False
     # a subclass with a loss of its own gets steps by torch
-    return getattr(loss.value, "__func__", loss.value) is Brdf.loss and compiled() is not None
+    return getattr(loss.value, "__func__", loss.value) is Brdf.loss and load_nbrdf_library() is not None
 
 
 @functools.cache
-def compiled(march: str = "native") -> ctypes.CDLL | None:
+def load_nbrdf_library(march: str = "native") -> ctypes.CDLL | None:
     """The functions of `nbrdf.c` by the instructions of a CPU; None if there is no compiler for it."""
-    result = load(Path(__file__).with_name("nbrdf.c"), "nbrdf_gradient", "nbrdf_product", "nbrdf_lanes", march=march)
+    result = load_library(
+        Path(__file__).with_name("nbrdf.c"), "nbrdf_gradient", "nbrdf_product", "nbrdf_lanes", march=march
+    )
     if result is not None:
         count, pointer = ctypes.c_int, ctypes.c_void_p
         read = (count, count, pointer, pointer, pointer, pointer, count, pointer, count)
@@ -41,21 +43,21 @@ def compiled(march: str = "native") -> ctypes.CDLL | None:
     return result
 
 
-def gradient(theta: Tensor, batch: Batch, learned: Params) -> tuple[Tensor, Tensor]:
+def loss_gradient(theta: Tensor, batch: Batch, learned: Params) -> tuple[Tensor, Tensor]:
     """Gradient [T, 675] and loss [T]."""
     result, losses = torch.empty_like(theta), theta.new_empty(theta.shape[0])
-    dense, functions = _dense(theta, batch), compiled()
+    dense, functions = _dense(theta, batch), load_nbrdf_library()
     assert functions is not None
     functions.nbrdf_gradient(*_read(dense, learned), result.data_ptr(), losses.data_ptr())
     return result, losses
 
 
-def product(theta: Tensor, batch: Batch, learned: Params, along: Tensor) -> tuple[Tensor, Params]:
+def gradient_product(theta: Tensor, batch: Batch, learned: Params, along: Tensor) -> tuple[Tensor, Params]:
     """Derivatives of the sum of gradient * along in theta [T, 675] and in the learned parameters."""
     dense, result, along = _dense(theta, batch), torch.empty_like(theta), along.contiguous()
     pulled = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in learned.items()}
     pulls = [pulled[key].data_ptr() if key in pulled else None for key in ("smoothing", "weights")]
-    functions = compiled()
+    functions = load_nbrdf_library()
     assert functions is not None
     functions.nbrdf_product(*_read(dense, learned), along.data_ptr(), result.data_ptr(), *pulls)
     return result, pulled

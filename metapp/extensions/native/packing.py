@@ -28,17 +28,17 @@ from metapp.learning.rules.parts import (
 )
 from metapp.learning.task import Params
 
-TAKEN = {SignedRates, Rates, SharedRates, Paces, Betas, Eps, Curvature, LossParameters}  # parts of rules in C
+C_RULE_PARTS = {SignedRates, Rates, SharedRates, Paces, Betas, Eps, Curvature, LossParameters}  # parts of rules in C
 
 
-class Flat(UserDict[str, Tensor]):
+class FlatParameters(UserDict[str, Tensor]):
     """Parameters by name, [T, ...], that lie side by side in one tensor; views of it are made where they are read.
 
     Attributes:
         flat: the tensor, [T, P], dense.
     """
 
-    def __init__(self, layout: Layout, flat: Tensor) -> None:
+    def __init__(self, layout: ParameterOrder, flat: Tensor) -> None:
         self.layout, self.flat = layout, flat
 
     def __or__(self, other: Any) -> Any:
@@ -58,7 +58,7 @@ class Flat(UserDict[str, Tensor]):
         }
 
 
-class Layout:
+class ParameterOrder:
     """The order and the shapes of one task's parameters in a flat theta.
 
     Attributes:
@@ -79,7 +79,7 @@ class Layout:
 
     def tree(self, flat: Tensor) -> Params:
         """The inverse of `flat`."""
-        return cast("Params", Flat(self, flat))
+        return cast("Params", FlatParameters(self, flat))
 
     def weights(self, alpha: Params, prefix: str) -> Tensor:
         """One number for each weight, `<prefix><parameter>` [K, ...] or [K, T, ...]: [K, T or 1, P]."""
@@ -88,7 +88,7 @@ class Layout:
         )
 
 
-def packed(step: RuleStep, alpha: Params, layout: Layout) -> Params | None:
+def packed(step: RuleStep, alpha: Params, layout: ParameterOrder) -> Params | None:
     """A rule's hyperparameters as steps in C read them.
 
     Args:
@@ -103,7 +103,7 @@ def packed(step: RuleStep, alpha: Params, layout: Layout) -> Params | None:
     """
     if isinstance(step, LearnedRule):
         parts = {type(part) for part in step.parts}
-        return _packed_parts(parts, alpha, layout) if parts <= TAKEN else None
+        return _packed_parts(parts, alpha, layout) if parts <= C_RULE_PARTS else None
     if step is sgd_step:
         return _rates(alpha, layout)
     if isinstance(step, AdamStep) and not step.decay:
@@ -119,13 +119,13 @@ def _by_task(value: Tensor, axes: int) -> Tensor:
     return value if value.requires_grad or value.stride(1) else value[:, :1]
 
 
-def _rates(alpha: Params, layout: Layout) -> Params:
+def _rates(alpha: Params, layout: ParameterOrder) -> Params:
     """One for all, or one for each weight."""
     one = "rate" in alpha
     return {"rate": _by_task(alpha["rate"], 0)[..., None] if one else layout.weights(alpha, "rate.")}
 
 
-def _packed_parts(parts: set[type[Part]], alpha: Params, layout: Layout) -> Params:
+def _packed_parts(parts: set[type[Part]], alpha: Params, layout: ParameterOrder) -> Params:
     """The hyperparameters of a learned rule's parts; loss parameters have a task axis, as always in a step."""
     packed = {key: _by_task(value, value.ndim - 2) for key, value in alpha.items() if key.startswith("loss.")}
     if SignedRates in parts:

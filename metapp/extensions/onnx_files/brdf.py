@@ -8,33 +8,33 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from metapp.appearance.geometry import directions_to_four_angles, half_difference_incident
-from metapp.apps.brdf.network import network_of
-from metapp.extensions.onnx_files.models import model_of
+from metapp.appearance.geometry import directions_to_four_angles, half_difference_and_cosine
+from metapp.apps.brdf.network import find_network
+from metapp.extensions.onnx_files.models import encode_model
 from metapp.learning.task import Params
-from metapp.storage.files import suffixed, write_bytes
+from metapp.storage.files import add_suffix, write_bytes
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
-ABOUT = {
+REFLECTANCE_DESCRIPTION = {
     "wi, wo": "unit vectors away from the surface, whose normal is z",
     "reflectance": "1/sr, linear RGB, without the cosine; 0 below the horizon",
 }
 
 
-class Reflectance(torch.nn.Module):
+class ReflectanceModule(torch.nn.Module):
     """A fit, parameters without a task axis."""
 
     def __init__(self, theta: Params) -> None:
         super().__init__()
-        self.network = network_of(theta)
+        self.network = find_network(theta)
         self.theta = torch.nn.ParameterDict({key: value.float()[None] for key, value in theta.items()})
 
     def forward(self, wi: Tensor, wo: Tensor) -> Tensor:
         """Reflectance [n, 3] of directions [n, 3]."""
         angles = directions_to_four_angles(wi, wo)
-        where = half_difference_incident(angles if self.network.anisotropic else angles[:, :3])
+        where = half_difference_and_cosine(angles if self.network.anisotropic else angles[:, :3])
         values = self.network.reflectance(dict(self.theta.items()), where.T[None])[0].T.clamp_min(0)
         above = torch.minimum(wi[:, 2:], wo[:, 2:]) > 0
         return torch.where(above, values, torch.zeros_like(values))
@@ -48,6 +48,6 @@ def write_onnx(app: Brdf, theta: Params, path: Path) -> None:
     """
     examples = {name: torch.nn.functional.normalize(torch.rand(16, 3) + 0.1, dim=1) for name in ("wi", "wo")}
     sizes = {name: {0: "n"} for name in examples}
-    about = {"made_by": "metapp export", "of": path.name, **ABOUT}
-    model = model_of(Reflectance(theta), examples, ["reflectance"], sizes, about)
-    write_bytes(suffixed(path, ".onnx"), model)
+    about = {"made_by": "metapp export", "of": path.name, **REFLECTANCE_DESCRIPTION}
+    model = encode_model(ReflectanceModule(theta), examples, ["reflectance"], sizes, about)
+    write_bytes(add_suffix(path, ".onnx"), model)

@@ -12,22 +12,25 @@ import numpy as np
 import torch
 from torch import Tensor
 
-OPSET = 18
-LARGE, LARGEST = 1024, 1 << 21  # numbers of a weight that is stored in 16 bits, and in 8
-MISSING = 'needs onnx and onnxscript: pip install "metapp[export]"'
+ONNX_OPSET = 18
+MIN_16_BIT_WEIGHT_NUMBERS, MIN_8_BIT_WEIGHT_NUMBERS = (
+    1024,
+    1 << 21,
+)  # numbers of a weight that is stored in 16 bits, and in 8
+MISSING_PACKAGES_MESSAGE = 'needs onnx and onnxscript: pip install "metapp[export]"'
 
 
-def require() -> None:
+def require_packages() -> None:
     """Refuse to go on without the packages.
 
     Raises:
         ValueError: they are not installed.
     """
     if not all(map(importlib.util.find_spec, ("onnx", "onnxscript"))):
-        raise ValueError(f"ONNX {MISSING}.")
+        raise ValueError(f"ONNX {MISSING_PACKAGES_MESSAGE}.")
 
 
-def model_of(
+def encode_model(
     module: torch.nn.Module,
     inputs: Mapping[str, Tensor],
     outputs: Sequence[str],
@@ -35,7 +38,7 @@ def model_of(
     about: Mapping[str, str],
     *,
     half: bool = False,
-    largest: int = LARGEST,
+    largest: int = MIN_8_BIT_WEIGHT_NUMBERS,
 ) -> bytes:
     """A module as a model, the content of its file.
 
@@ -51,7 +54,7 @@ def model_of(
     Raises:
         ValueError: packages are missing.
     """
-    require()
+    require_packages()
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")
         for name in ("torch.onnx", "onnxscript"):
@@ -63,7 +66,7 @@ def model_of(
             input_names=list(inputs),
             output_names=list(outputs),
             dynamic_shapes=dict(sizes) or None,
-            opset_version=OPSET,
+            opset_version=ONNX_OPSET,
             verbose=False,
         )
     assert program is not None
@@ -87,7 +90,7 @@ def _halve(graph: Any, largest: int) -> None:
     nodes, scales = [], []
     for weight in graph.initializer:
         numbers = np.prod(weight.dims)
-        if weight.data_type != TensorProto.FLOAT or numbers < LARGE:
+        if weight.data_type != TensorProto.FLOAT or numbers < MIN_16_BIT_WEIGHT_NUMBERS:
             continue
         name, values = weight.name, numpy_helper.to_array(weight)
         if numbers < largest:

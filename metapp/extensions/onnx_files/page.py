@@ -16,24 +16,28 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
-from metapp.extensions.onnx_files.photographs import FEATURES
+from metapp.extensions.onnx_files.photographs import VGG_CREDIT
 from metapp.storage.cache import cache_folder
 from metapp.storage.downloads import download
 from metapp.storage.files import read_bytes, write_bytes
 
-VERSION = "1.30.0"
-ARCHIVE = f"onnxruntime-web-{VERSION}.tgz"
-URL = f"https://registry.npmjs.org/onnxruntime-web/-/{ARCHIVE}"
-SHA512 = "q0y+JrrtukXSzsBWEMccVfqX25LRmosXHF+CaRJmg8pZClzcV7svNc4rKY3jL02Vb7QmRMDs1SigqR4CXAfKYQ=="  # as npm has it
-PARTS = {  # what a page needs, in the archive
+RUNTIME_VERSION = "1.30.0"
+RUNTIME_ARCHIVE = f"onnxruntime-web-{RUNTIME_VERSION}.tgz"
+RUNTIME_URL = f"https://registry.npmjs.org/onnxruntime-web/-/{RUNTIME_ARCHIVE}"
+RUNTIME_SHA512 = (
+    "q0y+JrrtukXSzsBWEMccVfqX25LRmosXHF+CaRJmg8pZClzcV7svNc4rKY3jL02Vb7QmRMDs1SigqR4CXAfKYQ=="  # as npm has it
+)
+RUNTIME_PARTS = {  # what a page needs, in the archive
     "script": "package/dist/ort.wasm.min.js",
     "module": "package/dist/ort-wasm-simd-threaded.mjs",
     "wasm": "package/dist/ort-wasm-simd-threaded.wasm",
 }
-SIDES = (256, 512, 1024)  # px of photos, of models that take any
+MODEL_SIDES_PX = (256, 512, 1024)  # px of photos, of models that take any
 
 
-def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Sequence[int], *, features: bool) -> None:
+def write_page_folder(
+    folder: Path, model: bytes, parts: dict[str, bytes], sides: Sequence[int], *, features: bool
+) -> None:
     """Write index.html, and beside it the scripts that hold onnxruntime-web and the model; the page comes last.
 
     A page from disk may not read other files, but it may name scripts: so all that is no script is text in one.
@@ -41,7 +45,7 @@ def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Seq
     Args:
         folder: made if missing.
         model: the ONNX file of `photographs.photographs_model`.
-        parts: of `runtime`.
+        parts: of `provide_runtime`.
         sides: of the photos in px that the model takes and a user chooses from.
         features: whether it reads those of VGG-16.
 
@@ -50,16 +54,18 @@ def write_folder(folder: Path, model: bytes, parts: dict[str, bytes], sides: Seq
     """
     files = {
         "ort.js": parts["script"],
-        "runtime.js": packed("wasm", parts["wasm"]) + packed("module", parts["module"]),
-        "model.js": packed("model", model),
+        "runtime.js": encode_script("wasm", parts["wasm"]) + encode_script("module", parts["module"]),
+        "model.js": encode_script("model", model),
     }
     for name, content in files.items():
         write_bytes(folder / name, content)
-    page = page_of(sides, features)
+    page = onnx_page_html(sides, features)
     write_bytes(folder / "index.html", page.encode())
 
 
-def runtime(report: Callable[[int, int | None], None], *, url: str = URL, sha512: str = SHA512) -> dict[str, bytes]:
+def provide_runtime(
+    report: Callable[[int, int | None], None], *, url: str = RUNTIME_URL, sha512: str = RUNTIME_SHA512
+) -> dict[str, bytes]:
     """Return the files PARTS of onnxruntime-web, of the cache's archive or of one that is fetched into it.
 
     Args:
@@ -70,42 +76,42 @@ def runtime(report: Callable[[int, int | None], None], *, url: str = URL, sha512
     Raises:
         ValueError: neither is to be had; the registry's is another file than expected.
     """
-    path = cache_folder() / ARCHIVE
+    path = cache_folder() / RUNTIME_ARCHIVE
     content = read_bytes(path) if path.is_file() else b""
-    if digest(content) != sha512:
+    if npm_digest(content) != sha512:
         try:
             content = download(url, report)
         except ValueError as error:
-            wanted = f"expected onnxruntime-web {VERSION} (33 MB), once; get it elsewhere and put it at {path}"
+            wanted = f"expected onnxruntime-web {RUNTIME_VERSION} (33 MB), once; get it elsewhere and put it at {path}"
             raise ValueError(f"{error}, {wanted}.") from None
-        found = digest(content)
+        found = npm_digest(content)
         if found != sha512:
             raise ValueError(f"{url}: SHA-512 {found[:16]}..., expected {sha512[:16]}...; damaged or another file.")
         write_bytes(path, content)
     with tarfile.open(fileobj=io.BytesIO(content), mode="r:gz") as archive:
-        members = {name: archive.extractfile(member) for name, member in PARTS.items()}
+        members = {name: archive.extractfile(member) for name, member in RUNTIME_PARTS.items()}
         return {name: file.read() for name, file in members.items() if file}
 
 
-def digest(content: bytes) -> str:
+def npm_digest(content: bytes) -> str:
     """SHA-512 as npm writes it."""
     return base64.b64encode(hashlib.sha512(content).digest()).decode()
 
 
-def packed(name: str, content: bytes) -> bytes:
+def encode_script(name: str, content: bytes) -> bytes:
     """A script that keeps bytes, compressed, as text under a name."""
     text = base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()
     return f'(globalThis.packed ??= {{}}).{name} = "{text}";\n'.encode()
 
 
-def page_of(sides: Sequence[int], features: bool) -> str:
-    """The page; arguments as of `write_folder`."""
+def onnx_page_html(sides: Sequence[int], features: bool) -> str:
+    """The page; arguments as of `write_page_folder`."""
     parts = {
         "page.css": _text("page.css"),
         "page.js": _text("page.js"),
         "sides": "".join(f'<option value="{side}">{side} x {side} px</option>' for side in sides),
-        "features": f"\n<li>Features: {escape(FEATURES)}.</li>" if features else "",
-        "version": VERSION,
+        "features": f"\n<li>Features: {escape(VGG_CREDIT)}.</li>" if features else "",
+        "version": RUNTIME_VERSION,
     }
     return re.sub(r"{{([a-z.]+)}}", lambda name: parts[name[1]], _text("page.html"))
 

@@ -8,22 +8,22 @@ from torch import Tensor
 from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
 from metapp.apps.svbrdf_nonstationary.maps import pixel_inputs
-from metapp.extensions.onnx_files.models import model_of
+from metapp.extensions.onnx_files.models import encode_model
 from metapp.learning.task import Params
 
-OUTPUTS = ("diffuse", "specular", "roughness", "normal")
-SIDE_STEP_PX = 8  # sides are a multiple of it
-ABOUT = {
+MODEL_OUTPUTS = ("diffuse", "specular", "roughness", "normal")
+MODEL_SIDE_STEP_PX = 8  # sides are a multiple of it
+PHOTO_MODEL_DESCRIPTION = {
     "photo": "sRGB values 0 to 1, [1, 3, H, W], of a flat patch under the flash beside the lens",
     "diffuse": "linear RGB, [1, 3, H, W]",
     "specular": "F0, linear RGB, [1, 3, H, W]",
     "roughness": "GGX, alpha is its square, [1, 1, H, W]",
     "normal": "unit vectors, x to the right, y up, z to the viewer, [1, 3, H, W]",
 }
-FEATURES = "VGG-16 of Simonyan and Zisserman 2014, weights of the Visual Geometry Group under CC BY 4.0"
+VGG_CREDIT = "VGG-16 of Simonyan and Zisserman 2014, weights of the Visual Geometry Group under CC BY 4.0"
 
 
-class Material(torch.nn.Module):
+class MaterialModule(torch.nn.Module):
     """The maps that General reads from a photograph."""
 
     def __init__(self, app: CodedMaps, encoder: Params) -> None:
@@ -41,18 +41,21 @@ class Material(torch.nn.Module):
         theta = self.app.encode(encoder, {"photo": linear, "inputs": inputs})
         code = self.app.network.gain * theta["z"]  # one in each pixel
         maps = self.app.maps_from(self.app.network.decoded(theta, code, inputs))
-        return tuple(getattr(maps, name) for name in OUTPUTS)
+        return tuple(getattr(maps, name) for name in MODEL_OUTPUTS)
 
     def any_size(self) -> bool:
         """Whether it reads photographs of other sizes than the field's."""
         with torch.no_grad():
             try:
-                return bool(self(torch.rand(1, 3, 2 * SIDE_STEP_PX, 3 * SIDE_STEP_PX))[0].shape[-1] == 3 * SIDE_STEP_PX)
+                return bool(
+                    self(torch.rand(1, 3, 2 * MODEL_SIDE_STEP_PX, 3 * MODEL_SIDE_STEP_PX))[0].shape[-1]
+                    == 3 * MODEL_SIDE_STEP_PX
+                )
             except RuntimeError:
                 return False
 
 
-def photographs_model(app: CodedMaps, encoder: Params, about: dict[str, str]) -> tuple[bytes, bool]:
+def encode_photo_model(app: CodedMaps, encoder: Params, about: dict[str, str]) -> tuple[bytes, bool]:
     """The model, the content of its file.
 
     Returns:
@@ -62,10 +65,14 @@ def photographs_model(app: CodedMaps, encoder: Params, about: dict[str, str]) ->
     Raises:
         ValueError: packages are missing.
     """
-    model, side = Material(app, encoder), app.network.height
+    model, side = MaterialModule(app, encoder), app.network.height
     any_size = model.any_size()
-    shape = (side, side - 8 * SIDE_STEP_PX) if any_size else (side, side)  # of two numbers, so that they are told apart
-    largest = 4096 // SIDE_STEP_PX
-    axes = {2 + i: SIDE_STEP_PX * torch.export.Dim(name, min=2, max=largest) for i, name in enumerate(("h", "w"))}
+    shape = (
+        (side, side - 8 * MODEL_SIDE_STEP_PX) if any_size else (side, side)
+    )  # of two numbers, so that they are told apart
+    largest = 4096 // MODEL_SIDE_STEP_PX
+    axes = {2 + i: MODEL_SIDE_STEP_PX * torch.export.Dim(name, min=2, max=largest) for i, name in enumerate(("h", "w"))}
     sizes = {"photo": axes} if any_size else {}
-    return model_of(model, {"photo": torch.rand(1, 3, *shape)}, OUTPUTS, sizes, about | ABOUT, half=True), any_size
+    return encode_model(
+        model, {"photo": torch.rand(1, 3, *shape)}, MODEL_OUTPUTS, sizes, about | PHOTO_MODEL_DESCRIPTION, half=True
+    ), any_size

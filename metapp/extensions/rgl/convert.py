@@ -13,20 +13,24 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import merl, nbrdf
-from data_tools.readers.merl import merl_evaluate, tabulate
+from data_tools.readers.merl import evaluate_merl, tabulate_merl
 from metapp.extensions.rgl import rgl
-from metapp.extensions.rgl.spectra import in_rgb, in_spectra
+from metapp.extensions.rgl.spectra import fields_in_rgb, fields_in_spectra
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
 from metapp.runs.options import check_new_files
 from metapp.runs.reporter import progress, say
-from metapp.storage.files import named
+from metapp.storage.files import error_about_file
 from metapp.storage.folders import check_files_of_user
 
-ENDINGS = {"merl": ".binary", "bsdf": rgl.SUFFIX, "bsdf-spectral": f"{rgl.SPECTRAL}{rgl.SUFFIX}"}  # of what is written
-READERS: tuple[ModuleType, ...] = (rgl, merl, nbrdf)
+CONVERTED_ENDINGS = {
+    "merl": ".binary",
+    "bsdf": rgl.RGL_SUFFIX,
+    "bsdf-spectral": f"{rgl.SPECTRAL_ENDING}{rgl.RGL_SUFFIX}",
+}  # of what is written
+CONVERTED_READERS: tuple[ModuleType, ...] = (rgl, merl, nbrdf)
 
 
-def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
+def write_converted(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     """Write a file, or those of a folder, in a form, without the ends _rgb and _spec of RGL names.
 
     RGL files are evaluated by Mitsuba at the centres of MERL's bins; colours and spectra of RGL files become each
@@ -37,7 +41,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
         BadOption: a file is there already.
     """
     check_files_of_user(path, "a run, MERL tables, RGL files or NBRDF networks")
-    found = [reader.find(path) for reader in READERS if reader.recognises(path)]
+    found = [reader.find(path) for reader in CONVERTED_READERS if reader.recognises(path)]
     if not found:
         problem = "another kind" if path.exists() else "no such file"
         remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
@@ -45,7 +49,7 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
     places: dict[Path, Path] = {}  # by the files that they are written to
     for source in dict.fromkeys(source.path for sources, _ in found for source in sources):
         name = source.stem if source.is_file() else source.resolve().name  # which may have dots
-        target = folder / f"{name.removesuffix('_rgb').removesuffix(rgl.SPECTRAL)}{ENDINGS[kind]}"
+        target = folder / f"{name.removesuffix('_rgb').removesuffix(rgl.SPECTRAL_ENDING)}{CONVERTED_ENDINGS[kind]}"
         if target in places:
             raise ValueError(
                 f"{target}: of both {places[target]} and {source}, expected names that differ; export one at a time."
@@ -56,12 +60,12 @@ def write(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
         say(f"warning: {line}")
     with progress(kind, len(places), quiet=quiet) as bar:
         for target, source in places.items():
-            convert(source, kind, target)
+            convert_brdf(source, kind, target)
             bar.advance(target.name)
     return list(places)
 
 
-def convert(source: Path, kind: str, target: Path) -> None:
+def convert_brdf(source: Path, kind: str, target: Path) -> None:
     """Write a source in a form; of RGL files for RGL files grids stay as they are.
 
     Raises:
@@ -69,23 +73,23 @@ def convert(source: Path, kind: str, target: Path) -> None:
     """
     try:
         if kind == "merl":
-            evaluate, back = evaluator(source), torch.tensor([0, 0, math.pi])
+            evaluate, back = read_evaluator(source), torch.tensor([0, 0, math.pi])
             # light and viewer exchanged are the same in a MERL table, and not quite in measurements
-            merl.write_merl(target, tabulate(lambda angles: (evaluate(angles) + evaluate(angles + back)) / 2))
-        elif source.suffix.lower() == rgl.SUFFIX:
+            merl.write_merl(target, tabulate_merl(lambda angles: (evaluate(angles) + evaluate(angles + back)) / 2))
+        elif source.suffix.lower() == rgl.RGL_SUFFIX:
             fields = read_tensor_file(source)
-            rgl.check(source, fields)
-            write_tensor_file(target, in_rgb(fields) if kind == "bsdf" else in_spectra(fields))
+            rgl.check_fields(source, fields)
+            write_tensor_file(target, fields_in_rgb(fields) if kind == "bsdf" else fields_in_spectra(fields))
         else:
-            rgl.write_rgl(target, evaluator(source), source.name, spectral=kind != "bsdf")
+            rgl.write_rgl(target, read_evaluator(source), source.name, spectral=kind != "bsdf")
     except ValueError as error:
-        raise named(error, source) from None
+        raise error_about_file(error, source) from None
 
 
-def evaluator(source: Path) -> Callable[[Tensor], Tensor]:
+def read_evaluator(source: Path) -> Callable[[Tensor], Tensor]:
     """Linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad."""
     if not source.is_file():
-        return partial(nbrdf.nbrdf_evaluate, nbrdf.read_nbrdf(source))
-    if source.suffix.lower() == rgl.SUFFIX:
+        return partial(nbrdf.evaluate_nbrdf, nbrdf.read_nbrdf(source))
+    if source.suffix.lower() == rgl.RGL_SUFFIX:
         return rgl.read_rgl(source)
-    return partial(merl_evaluate, np.ascontiguousarray(merl.read_merl(source), np.float32))
+    return partial(evaluate_merl, np.ascontiguousarray(merl.read_merl(source), np.float32))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from data_tools.converters import Samples
+from data_tools.converters import SamplesOption
 from metapp.options import Converter
 
 
 @dataclass(frozen=True)
-class Bsdf(Converter):
+class BsdfConverter(Converter):
     """Convert RGL measurements, BRDFs, isotropic or anisotropic.
 
     A file of the RGL material database (Dupuy and Jakob 2018), _rgb.bsdf or _spec.bsdf. Mitsuba evaluates it; it
@@ -22,4 +22,4 @@ class Bsdf(Converter):
       metapp data bsdf measurements --split test --out rgl
     """
 
-    samples: Samples = 65_536
+    samples: SamplesOption = 65_536

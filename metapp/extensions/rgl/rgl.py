@@ -27,31 +27,37 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.brdf_objects import evaluated_by
+from data_tools.readers.brdf_objects import evaluate_mitsuba_bsdf
 from data_tools.readers.listing import find_by_suffix, has_suffix
-from data_tools.readers.source import ANISOTROPIC, DAMAGED, Facts, Source, Sources
-from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle
-from metapp.extensions.rgl.spectra import in_rgb, in_spectra
-from metapp.extensions.rgl.tensor_file import Fields, read_shapes, read_tensor_file, write_tensor_file
+from data_tools.readers.source import ANISOTROPIC_FACT, DAMAGED_FACT, Facts, Source, Sources
+from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_rusinkiewicz
+from metapp.extensions.rgl.spectra import fields_in_rgb, fields_in_spectra
+from metapp.extensions.rgl.tensor_file import TensorFields, read_shapes, read_tensor_file, write_tensor_file
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
-from metapp.storage.files import suffixed
+from metapp.storage.files import add_suffix
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
-NODES = 40  # angles of the viewer
-GRID = 160  # half vectors along u and v
-TURNS, FEWER_NODES, FEWER = 17, 20, 96  # azimuths of the viewer, angles and half vectors of an anisotropic material
-LAST_DEGREES = 89.5
-LEAST_LUMINANCE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
-SUFFIX = ".bsdf"
-SPECTRAL = "_spec"  # end of names of files of spectra, before the suffix
-BELOW_ZERO = 1e-6  # of the greatest value of a density: values that little below 0 are noise
-BELOW_BLACK = 0.1  # of the greatest reflectance: saturated colours of measurements, outside of Rec.709, have so much
-LARGEST = 1e9  # of any number; measurements are below 1e6
+VIEWER_ANGLES = 40  # angles of the viewer
+HALF_VECTORS_PER_AXIS = 160  # half vectors along u and v
+ANISOTROPIC_VIEWER_AZIMUTHS, ANISOTROPIC_VIEWER_ANGLES, ANISOTROPIC_HALF_VECTORS_PER_AXIS = (
+    17,
+    20,
+    96,
+)  # azimuths of the viewer, angles and half vectors of an anisotropic material
+LAST_VIEWER_DEGREES = 89.5
+MIN_LUMINANCE_SHARE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
+RGL_SUFFIX = ".bsdf"
+SPECTRAL_ENDING = "_spec"  # end of names of files of spectra, before the suffix
+NEGATIVE_DENSITY_SHARE = 1e-6  # of the greatest value of a density: values that little below 0 are noise
+NEGATIVE_REFLECTANCE_SHARE = (
+    0.1  # of the greatest reflectance: saturated colours of measurements, outside of Rec.709, have so much
+)
+MAX_FIELD_VALUE = 1e9  # of any number; measurements are below 1e6
 # number of axes of each field that `measured` reads
-AXES = {
+FIELD_AXES = {
     "description": 1,
     "phi_i": 1,
     "theta_i": 1,
@@ -61,9 +67,9 @@ AXES = {
     "luminance": 4,
     "jacobian": 1,
 }
-VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
+COVERED_WAVELENGTHS_NM = (420.0, 680.0)  # nm, that spectra must cover
 UNITS = brdf_task.UNITS
-recognises = partial(has_suffix, suffix=SUFFIX)
+recognises = partial(has_suffix, suffix=RGL_SUFFIX)
 
 
 def write_rgl(
@@ -81,19 +87,21 @@ def write_rgl(
         evaluate: linear RGB [N, 3] in 1/sr, of angles (theta_h, theta_d, phi_d) [N, 3] in rad, or with phi_h [N, 4].
         description: kept in the file.
         azimuths: whether the BRDF is anisotropic and takes phi_h.
-        spectral: whether it is for spectral variants, with spectra as of `in_spectra`.
+        spectral: whether it is for spectral variants, with spectra as of `fields_in_spectra`.
 
     Raises:
         ValueError: a value that is not finite.
     """
-    rest = np.linspace(1, 0, FEWER_NODES if azimuths else NODES)
-    theta = math.radians(LAST_DEGREES) * (1 - rest * rest)  # of the viewer, from the normal and denser there
-    phi = np.linspace(-np.pi, np.pi, TURNS) if azimuths else np.zeros(1)
+    rest = np.linspace(1, 0, ANISOTROPIC_VIEWER_ANGLES if azimuths else VIEWER_ANGLES)
+    theta = math.radians(LAST_VIEWER_DEGREES) * (1 - rest * rest)  # of the viewer, from the normal and denser there
+    phi = np.linspace(-np.pi, np.pi, ANISOTROPIC_VIEWER_AZIMUTHS) if azimuths else np.zeros(1)
     viewers = _directions(torch.from_numpy(theta)[None], torch.from_numpy(phi)[:, None])
-    line = torch.linspace(0, 1, FEWER if azimuths else GRID, dtype=torch.float64)
+    line = torch.linspace(
+        0, 1, ANISOTROPIC_HALF_VECTORS_PER_AXIS if azimuths else HALF_VECTORS_PER_AXIS, dtype=torch.float64
+    )
     v, u = torch.meshgrid(line, line, indexing="ij")
     half = _directions(u * u * (math.pi / 2), (2 * v - 1) * math.pi)
-    to_angles = directions_to_four_angles if azimuths else directions_to_full_circle
+    to_angles = directions_to_four_angles if azimuths else directions_to_full_rusinkiewicz
 
     def table(viewer: Tensor) -> NDArray[np.float64]:
         """f cos theta of the light, [3, side, side]; 0 if the light is below the surface."""
@@ -111,7 +119,7 @@ def write_rgl(
     # densities per area of the grid, so that what counts is the light a cell reflects: solid angle of lights over it
     area = 4 * torch.einsum("vuc,ptc->ptvu", half, viewers).clamp_min(0) * (u * (1 - half[..., 2] ** 2).sqrt())
     luminance = tables.mean(2) / np.maximum(np.cos(theta), 1e-3)[:, None, None] * area.numpy()
-    luminance += LEAST_LUMINANCE * luminance.mean((2, 3), keepdims=True) + 1e-12
+    luminance += MIN_LUMINANCE_SHARE * luminance.mean((2, 3), keepdims=True) + 1e-12
     fields: dict[str, NDArray[np.number]] = {
         "description": np.frombuffer(description.encode() or b" ", np.uint8),
         "phi_i": phi.astype(np.float32),
@@ -123,7 +131,7 @@ def write_rgl(
         "rgb": tables.astype(np.float32),
         "jacobian": np.zeros(1, np.uint8),
     }
-    write_tensor_file(path, in_spectra(fields) if spectral else fields)
+    write_tensor_file(path, fields_in_spectra(fields) if spectral else fields)
 
 
 def _directions(theta: Tensor, phi: Tensor) -> Tensor:
@@ -134,10 +142,14 @@ def _directions(theta: Tensor, phi: Tensor) -> Tensor:
 
 def export(app: Brdf, theta: Params, path: Path, *, spectral: bool = False) -> None:
     """Write a fitted network of the BRDF application as <path>.bsdf, or <path>_spec.bsdf for spectral variants."""
-    file = path.with_name(f"{path.name}{SPECTRAL}{SUFFIX}") if spectral else suffixed(path, SUFFIX)
+    file = path.with_name(f"{path.name}{SPECTRAL_ENDING}{RGL_SUFFIX}") if spectral else add_suffix(path, RGL_SUFFIX)
     evaluate, anisotropic = partial(app.reflectance, theta), app.network.anisotropic
     write_rgl(
-        file, evaluate, f"{path.name.removesuffix(SUFFIX)}: a fit of metapp", azimuths=anisotropic, spectral=spectral
+        file,
+        evaluate,
+        f"{path.name.removesuffix(RGL_SUFFIX)}: a fit of metapp",
+        azimuths=anisotropic,
+        spectral=spectral,
     )
 
 
@@ -150,20 +162,20 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
     Raises:
         ValueError: as `read_rgl`.
     """
-    return brdf_task.measured_task(path.stem, read_rgl(path), samples, path, azimuths=is_anisotropic(path))
+    return brdf_task.make_measured_task(path.stem, read_rgl(path), samples, path, azimuths=is_anisotropic(path))
 
 
 def find(path: Path) -> Sources:
     """Find files, and which are of anisotropic materials; of a damaged one reading it says what is wrong."""
-    files, skipped = find_by_suffix(path, SUFFIX, "an RGL .bsdf file")
+    files, skipped = find_by_suffix(path, RGL_SUFFIX, "an RGL .bsdf file")
     return [Source(file.stem, file, facts=_facts_of(file)) for file in files], skipped
 
 
 def _facts_of(file: Path) -> Facts:
     try:
-        return {ANISOTROPIC: is_anisotropic(file)}
+        return {ANISOTROPIC_FACT: is_anisotropic(file)}
     except (ValueError, OSError):
-        return {DAMAGED: True}
+        return {DAMAGED_FACT: True}
 
 
 def is_anisotropic(path: Path) -> bool:
@@ -182,10 +194,10 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
         ValueError: it is damaged; its spectra do not cover visible light; Mitsuba cannot be loaded.
     """
     fields = read_tensor_file(path)
-    check(path, fields)
+    check_fields(path, fields)
     mitsuba, anisotropic = load_mitsuba(), fields["phi_i"].size > 2
     with tempfile.TemporaryDirectory() as folder:  # an RGB variant of Mitsuba refuses spectra
-        write_tensor_file(Path(folder, path.name), in_rgb(fields))
+        write_tensor_file(Path(folder, path.name), fields_in_rgb(fields))
         bsdf = mitsuba.load_dict({"type": "measured", "filename": str(Path(folder, path.name))})
 
     def evaluate(angles: Tensor) -> Tensor:
@@ -193,12 +205,12 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
             raise ValueError(
                 f"{path}: anisotropic, expected an isotropic measurement where there is no phi_h, as in MERL tables."
             )
-        return evaluated_by(mitsuba, bsdf, angles)
+        return evaluate_mitsuba_bsdf(mitsuba, bsdf, angles)
 
     return evaluate
 
 
-def check(path: Path, fields: Fields) -> None:
+def check_fields(path: Path, fields: TensorFields) -> None:
     """Refuse files that Mitsuba would refuse at length, or not at all.
 
     Raises:
@@ -211,10 +223,10 @@ def check(path: Path, fields: Fields) -> None:
             warnings.warn(f"{path}: {name} of down to {least:.1g}, taken for noise below 0.", stacklevel=2)
 
 
-def _faults(fields: Fields) -> Iterator[str]:
+def _faults(fields: TensorFields) -> Iterator[str]:
     """Faults of a file, each with the expectation; the next one is only to be asked for if there is none."""
     colours = "spectra" if "spectra" in fields and "rgb" not in fields else "rgb"
-    axes = AXES | ({"spectra": 5, "wavelengths": 1} if colours == "spectra" else {"rgb": 5})
+    axes = FIELD_AXES | ({"spectra": 5, "wavelengths": 1} if colours == "spectra" else {"rgb": 5})
     for name, count in axes.items():
         if name not in fields or fields[name].ndim != count:
             found = fields[name].ndim if name in fields else "no"
@@ -222,8 +234,8 @@ def _faults(fields: Fields) -> Iterator[str]:
         kind = "u1" if name in ("description", "jacobian") else "f4"
         if fields[name].dtype != kind:
             yield f"{name} of type {fields[name].dtype}, expected {np.dtype(kind)}"
-        if not (np.abs(fields[name]) < LARGEST).all():
-            yield f"{name} has NaN, infinite or huge values, expected below {LARGEST:g}"
+        if not (np.abs(fields[name]) < MAX_FIELD_VALUE).all():
+            yield f"{name} has NaN, infinite or huge values, expected below {MAX_FIELD_VALUE:g}"
     phis, thetas, side = len(fields["phi_i"]), len(fields["theta_i"]), fields[colours].shape[-1]
     channels = len(fields["wavelengths"]) if colours == "spectra" else 3
     shapes = {"vndf": (phis, thetas, *fields["vndf"].shape[2:]), "luminance": (phis, thetas, side, side),
@@ -241,10 +253,13 @@ def _faults(fields: Fields) -> Iterator[str]:
         if (np.diff(fields[name]) <= 0).any():
             yield f"{name} not ascending, expected ascending ones"
     least, most = float(fields[colours].min()), float(fields[colours].max())
-    if least < -BELOW_BLACK * most or most <= 0:
+    if least < -NEGATIVE_REFLECTANCE_SHARE * most or most <= 0:
         yield f"{colours} from {least:.4g} to {most:.4g}, expected reflectance of 0 or more"
     for name in ("vndf", "luminance"):
-        if fields[name].min() < -BELOW_ZERO * fields[name].max() or (fields[name].sum((2, 3), dtype=float) <= 0).any():
+        if (
+            fields[name].min() < -NEGATIVE_DENSITY_SHARE * fields[name].max()
+            or (fields[name].sum((2, 3), dtype=float) <= 0).any()
+        ):
             yield f"{name} negative or 0 throughout, expected a density"
     if (fields["sigma"] <= 0).any():
         yield "sigma with values of 0 or less, expected areas above 0"
@@ -252,6 +267,6 @@ def _faults(fields: Fields) -> Iterator[str]:
         yield "ndf with values below 0, expected a distribution"
     if colours == "spectra":
         first, last = fields["wavelengths"][[0, -1]]
-        if channels < 4 or first > VISIBLE[0] or last < VISIBLE[1]:
+        if channels < 4 or first > COVERED_WAVELENGTHS_NM[0] or last < COVERED_WAVELENGTHS_NM[1]:
             found = f"{channels} wavelengths from {first:g} to {last:g} nm"
-            yield f"{found}, expected 4 or more that cover {VISIBLE[0]:g} to {VISIBLE[1]:g} nm, or the _rgb.bsdf"
+            yield f"{found}, expected 4 or more that cover {COVERED_WAVELENGTHS_NM[0]:g} to {COVERED_WAVELENGTHS_NM[1]:g} nm, or the _rgb.bsdf"

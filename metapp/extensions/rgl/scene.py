@@ -20,8 +20,11 @@ from metapp.storage.xml_files import write_xml
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
-FILES = {"neural_brdf": ("", ".safetensors"), "measured": ("_builtin", ".bsdf")}  # of the scene, of its file
-SCENE = """<scene version="3.0.0"><integrator type="path"/>
+SCENE_AND_BRDF_ENDINGS = {
+    "neural_brdf": ("", ".safetensors"),
+    "measured": ("_builtin", ".bsdf"),
+}  # of the scene, of its file
+BRDF_SCENE_TEMPLATE = """<scene version="3.0.0"><integrator type="path"/>
 <bsdf type="" id=""><string name="filename" value=""/></bsdf>
 <shape type="sphere"><ref id=""/></shape>
 <sensor type="perspective"><float name="fov" value="30"/>
@@ -33,18 +36,18 @@ SCENE = """<scene version="3.0.0"><integrator type="path"/>
 <emitter type="constant"><rgb name="radiance" value="0.3, 0.3, 0.3"/></emitter></scene>"""
 
 
-def export(app: Brdf, theta: Params, path: Path) -> None:
+def write_brdf_scenes(app: Brdf, theta: Params, path: Path) -> None:
     """Write <path>/<name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf."""
     tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
     write_bytes(path / f"{path.name}.safetensors", save(tensors))
     write_table(app, theta, path / f"{path.name}.bsdf")
-    for plugin, (suffix, ending) in FILES.items():
+    for plugin, (suffix, ending) in SCENE_AND_BRDF_ENDINGS.items():
         write_xml(path / f"{path.name}{suffix}.xml", brdf_scene(plugin, path.name, f"{path.name}{ending}"))
 
 
 def brdf_scene(plugin: str, name: str, file: str) -> ET.Element:
     """A sphere with the material, a lamp above it to the left, a dim sky."""
-    root = ET.fromstring(SCENE)
+    root = ET.fromstring(BRDF_SCENE_TEMPLATE)
     parts = {"bsdf": {"type": plugin, "id": name}, "bsdf/string": {"value": file}, "shape/ref": {"id": name}}
     for path, attributes in parts.items():
         next(root.iterfind(path)).attrib.update(attributes)

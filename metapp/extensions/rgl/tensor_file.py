@@ -17,12 +17,24 @@ from numpy.typing import NDArray
 
 from metapp.storage.files import check_readable, open_regular, read_bytes, write_bytes
 
-MAGIC = b"tensor_file\0\1\0"  # with the version
-TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
-ALIGNMENT = 8
+TENSOR_FILE_MAGIC = b"tensor_file\0\1\0"  # with the version
+TENSOR_TYPES = {
+    1: "<u1",
+    2: "<i1",
+    3: "<u2",
+    4: "<i2",
+    5: "<u4",
+    6: "<i4",
+    7: "<u8",
+    8: "<i8",
+    9: "<f2",
+    10: "<f4",
+    11: "<f8",
+}
+ALIGNMENT_BYTES = 8
 HEAD_BYTES = 1 << 16  # at the beginning of a file, where names and shapes are
 
-Fields = Mapping[str, NDArray[np.number]]
+TensorFields = Mapping[str, NDArray[np.number]]
 
 
 def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
@@ -33,7 +45,7 @@ def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
     """
     check_readable(Path(path))
     content = read_bytes(path)
-    if not content.startswith(MAGIC):
+    if not content.startswith(TENSOR_FILE_MAGIC):
         raise ValueError(f"{path}: no tensor file of version 1.0, expected one; not an RGL measurement.")
     fields: dict[str, NDArray[np.number]] = {}
     try:
@@ -58,7 +70,7 @@ def read_shapes(path: str | Path) -> dict[str, tuple[int, ...]]:
     with open_regular(path) as file:
         content = file.read(HEAD_BYTES)
     try:
-        if content.startswith(MAGIC):
+        if content.startswith(TENSOR_FILE_MAGIC):
             return {name: shape for name, _, shape, _ in _heads(content)}
     except (struct.error, ValueError, KeyError):
         pass
@@ -67,8 +79,8 @@ def read_shapes(path: str | Path) -> dict[str, tuple[int, ...]]:
 
 def _heads(content: bytes) -> Iterator[tuple[str, np.dtype[Any], tuple[int, ...], int]]:
     """Name, type, shape and offset of each array; struct.error, ValueError or KeyError if they are damaged."""
-    (count,) = struct.unpack_from("<I", content, len(MAGIC))
-    at = len(MAGIC) + 4
+    (count,) = struct.unpack_from("<I", content, len(TENSOR_FILE_MAGIC))
+    at = len(TENSOR_FILE_MAGIC) + 4
     for _ in range(count):
         (length,) = struct.unpack_from("<H", content, at)
         name = content[at + 2 : at + 2 + length].decode()
@@ -76,16 +88,16 @@ def _heads(content: bytes) -> Iterator[tuple[str, np.dtype[Any], tuple[int, ...]
         axes, kind, offset = struct.unpack_from("<HBQ", content, at)
         shape = struct.unpack_from(f"<{axes}Q", content, at + 11)
         at += 11 + 8 * axes
-        yield name, np.dtype(TYPES[kind]), shape, offset
+        yield name, np.dtype(TENSOR_TYPES[kind]), shape, offset
 
 
-def write_tensor_file(path: str | Path, fields: Fields) -> None:
+def write_tensor_file(path: str | Path, fields: TensorFields) -> None:
     """Write arrays, whole or not at all."""
-    kinds = {np.dtype(word): kind for kind, word in TYPES.items()}
-    offset = len(MAGIC) + 4 + sum(13 + len(name) + 8 * array.ndim for name, array in fields.items())
-    head, body = [MAGIC, struct.pack("<I", len(fields))], []
+    kinds = {np.dtype(word): kind for kind, word in TENSOR_TYPES.items()}
+    offset = len(TENSOR_FILE_MAGIC) + 4 + sum(13 + len(name) + 8 * array.ndim for name, array in fields.items())
+    head, body = [TENSOR_FILE_MAGIC, struct.pack("<I", len(fields))], []
     for name, array in fields.items():
-        pad = -offset % ALIGNMENT
+        pad = -offset % ALIGNMENT_BYTES
         head.append(struct.pack("<H", len(name)) + name.encode())
         head.append(struct.pack(f"<HBQ{array.ndim}Q", array.ndim, kinds[array.dtype], offset + pad, *array.shape))
         body.append(bytes(pad) + np.ascontiguousarray(array).tobytes())

@@ -16,12 +16,18 @@ from pathlib import Path
 
 import OpenImageIO as oiio
 
-from data_tools.readers.image_files import check_memory, check_size, error_of, reason_of, silent
-from metapp.rendering.scenes.rules import Files, snake_case
+from data_tools.readers.image_files import (
+    check_memory,
+    check_size,
+    last_oiio_error,
+    shorten_oiio_error,
+    silence_libraries,
+)
+from metapp.rendering.scenes.rules import SceneFiles, to_snake_case
 from metapp.storage.files import open_regular, open_text, placeholder_line
 
-TEXT_LENGTH = 2**24  # characters of a scene file or an include
-DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
+MAX_TEXT_CHARACTERS = 2**24  # characters of a scene file or an include
+MAX_DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
 _VOLUME = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
 _BOX_BYTES = 24
 _DRIVE = re.compile(r"[A-Za-z]:[\\/]")  # begins an absolute name of Windows
@@ -32,7 +38,7 @@ _read_before: set[Path] = set()
 
 
 @dataclass(frozen=True)
-class Places(Files):
+class ScenePlaces(SceneFiles):
     """Places of the files of a scene.
 
     Attributes:
@@ -43,15 +49,15 @@ class Places(Files):
 
     search: tuple[Path, ...] = ()
     roots: tuple[Path, ...] = ()
-    most_bytes: int = DATA_BYTES
+    most_bytes: int = MAX_DATA_BYTES
 
     @classmethod
-    def beside(cls, path: Path, others: Iterable[Path] = ()) -> Places:
+    def beside(cls, path: Path, others: Iterable[Path] = ()) -> ScenePlaces:
         """The folder of a scene file, then further folders; files may lie in each."""
         folders = tuple(folder.resolve() for folder in (path.resolve().parent, *others))
         return cls(folders, folders)
 
-    def first(self, folder: str | Path) -> Places:
+    def first(self, folder: str | Path) -> ScenePlaces:
         """The places with a folder searched first: a path, or the name of one, as of <path>."""
         path = folder if isinstance(folder, Path) else self.folder(folder)
         return replace(self, search=(path, *self.search))
@@ -79,13 +85,13 @@ class Places(Files):
     def check(self, kind: str, parameters: Mapping[str, object]) -> None:
         """Refuse a picture or volume that takes too much memory."""
         for name, value in parameters.items():
-            if snake_case(name) == "filename" and isinstance(value, str):
-                check_file(kind, Path(value))
+            if to_snake_case(name) == "filename" and isinstance(value, str):
+                check_data_file(kind, Path(value))
 
     def text(self, name: str) -> tuple[Path, str]:
         """The resolved path and the content of a document that is included."""
         path = self._find(name, "include")
-        return path, read_text(path)
+        return path, read_scene_text(path)
 
     def folder(self, name: str) -> Path:
         """The folder of a <path>."""
@@ -138,7 +144,7 @@ def _spelled_otherwise(folder: Path, name: str) -> Path | None:
     return path
 
 
-def read_text(path: Path, most_characters: int = TEXT_LENGTH) -> str:
+def read_scene_text(path: Path, most_characters: int = MAX_TEXT_CHARACTERS) -> str:
     """Read the text of a regular file; a FIFO or a device is refused at once, not waited for.
 
     Args:
@@ -165,7 +171,7 @@ def read_text(path: Path, most_characters: int = TEXT_LENGTH) -> str:
     return content
 
 
-def check_file(kind: str, path: Path) -> None:
+def check_data_file(kind: str, path: Path) -> None:
     """Refuse a file that would take the memory of a much larger one, or whose grid is empty; values are not looked at.
 
     Args:
@@ -187,10 +193,12 @@ def check_file(kind: str, path: Path) -> None:
 
 def _check_picture(path: Path) -> None:
     """The rule of photographs."""
-    with silent():
+    with silence_libraries():
         source = oiio.ImageInput.open(str(path))
         if source is None:
-            raise ValueError(f"no image ({reason_of(error_of(oiio), path)}), expected one; export it again.")
+            raise ValueError(
+                f"no image ({shorten_oiio_error(last_oiio_error(oiio), path)}), expected one; export it again."
+            )
         with contextlib.closing(source):
             spec = source.spec()
             check_size(spec.width, spec.height, path, low=1)

@@ -14,18 +14,18 @@ import numpy as np
 
 from data_tools.readers.listing import files_below
 from data_tools.readers.source import Sources, sources_of_files
-from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
-from metapp.extensions.scene_files.places import Places, read_text
+from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, make_transport_task
+from metapp.extensions.scene_files.places import ScenePlaces, read_scene_text
 from metapp.extensions.scene_files.trial import try_scene
-from metapp.extensions.scene_files.xml import checked_xml, located, of_version
+from metapp.extensions.scene_files.xml import explain_version, locate_reason, resolve_xml
 from metapp.learning.task import Task
-from metapp.rendering.scenes.rules import MOST_NESTED, CheckedDict, Json, SceneDict
+from metapp.rendering.scenes.rules import MAX_NESTED_LEVELS, SceneChecker, SceneDict, SceneValue
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.shards import MANIFEST
 
 __all__ = ["BESIDE", "UNITS", "find", "read_scene", "read_task", "recognises", "task_of_object"]
 
-SUFFIXES = (".xml", ".json")
+SCENE_FILE_SUFFIXES = (".xml", ".json")
 
 _NUMBERS = ("numpy", "mitsuba", "drjit", "torch")  # whose arrays of numbers a scene in memory may hold
 _SHAPES = ((), (3,), (3, 3), (4, 4))
@@ -33,7 +33,7 @@ _SHAPES = ((), (3,), (3, 3), (4, 4))
 
 def recognises(path: Path) -> bool:
     """True if a path is a scene file, or a folder with one in it, known by its suffix."""
-    return bool(_below(path)) if path.is_dir() else path.suffix.lower() in SUFFIXES
+    return bool(_below(path)) if path.is_dir() else path.suffix.lower() in SCENE_FILE_SUFFIXES
 
 
 def find(path: Path) -> Sources:
@@ -65,7 +65,7 @@ def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Itera
         roots: folders that its files may come from, beside its own.
 
     Returns:
-        As `transport_task`.
+        As `make_transport_task`.
 
     Raises:
         ValueError: as `read_scene`, `load_scene` and `draw_samples`, with the path.
@@ -89,7 +89,7 @@ def task_of_object(source: object, name: str, *, roots: Iterable[Path] = (), **_
             `read_task`.
     """
     load_mitsuba()
-    return _traced(name, scene_in_memory(source, name, roots), name)
+    return _traced(name, resolve_scene_in_memory(source, name, roots), name)
 
 
 def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
@@ -97,13 +97,13 @@ def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
     seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big")
     try:
         try_scene(scene, load_mitsuba().variant())
-        return transport_task(name, scene, seed, **counts)
+        return make_transport_task(name, scene, seed, **counts)
     except ValueError as error:
         reason = str(error)
         if "that Mitsuba can load: " in reason and "; " not in reason:
             reason = f"{reason.rstrip('.')}; change it, or leave it out."
         if "xml" in scene and "that Mitsuba can load: " in reason:
-            reason = of_version(scene["xml"], located(scene["xml"], reason))
+            reason = explain_version(scene["xml"], locate_reason(scene["xml"], reason))
     # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
     raise ValueError(f"{subject}: {reason}")
 
@@ -119,9 +119,9 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         ValueError: no text; of a .json file, no JSON or no object; something that a scene may not hold.
     """
     try:
-        text = read_text(path)
+        text = read_scene_text(path)
         scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
-        return checked(scene, Places.beside(path, roots), str(path.resolve()))
+        return resolve_scene(scene, ScenePlaces.beside(path, roots), str(path.resolve()))
     except ValueError as error:
         reason, builtin = str(error), path.with_name(f"{path.stem}_builtin.xml")  # as our exports have
         if builtin.is_file():
@@ -129,7 +129,7 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         raise ValueError(f"{path}: {reason}") from None
 
 
-def scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> SceneDict:
+def resolve_scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> SceneDict:
     """The content of a scene in memory, as `read_scene` has that of a file.
 
     Args:
@@ -147,12 +147,12 @@ def scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> Sc
         else:
             expected = "a path, a scene as Mitsuba's load_dict takes it, or XML text"
             raise ValueError(f"{type(source).__name__}, expected {expected}.")
-        return checked(scene, Places.beside(Path.cwd() / name, roots))
+        return resolve_scene(scene, ScenePlaces.beside(Path.cwd() / name, roots))
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 
 
-def checked(scene: SceneDict, places: Places, name: str = "") -> SceneDict:
+def resolve_scene(scene: SceneDict, places: ScenePlaces, name: str = "") -> SceneDict:
     """The same scene, of the same form, with absolute file names, includes and defaults in it.
 
     Args:
@@ -168,17 +168,17 @@ def checked(scene: SceneDict, places: Places, name: str = "") -> SceneDict:
     if "xml" in scene:
         if not isinstance(scene["xml"], str):
             raise ValueError("an 'xml' that is no text, expected a document; change it.")
-        return {"xml": checked_xml(scene["xml"], places, name)}
-    return CheckedDict(places).object(scene)
+        return {"xml": resolve_xml(scene["xml"], places, name)}
+    return SceneChecker(places).object(scene)
 
 
-def stored(scene: SceneDict) -> SceneDict:
+def check_stored_scene(scene: SceneDict) -> SceneDict:
     """The same scene of a data set, whose files must have been read in this process.
 
     Raises:
-        ValueError: as `checked`.
+        ValueError: as `resolve_scene`.
     """
-    return checked(scene, Places())
+    return resolve_scene(scene, ScenePlaces())
 
 
 def _from_json(text: str) -> SceneDict:
@@ -196,13 +196,13 @@ def _scene(scene: object) -> SceneDict:
 
 
 def _below(folder: Path) -> list[Path]:
-    return [path for path in files_below(folder, SUFFIXES) if path.name != MANIFEST]
+    return [path for path in files_below(folder, SCENE_FILE_SUFFIXES) if path.name != MANIFEST]
 
 
-def _plain(key: str, value: object, depth: int = 0) -> Json:
+def _plain(key: str, value: object, depth: int = 0) -> SceneValue:
     """A value of a scene in memory as JSON holds it."""
-    if depth > MOST_NESTED:
-        raise ValueError(f"objects within each other, more than {MOST_NESTED} deep, expected fewer.")
+    if depth > MAX_NESTED_LEVELS:
+        raise ValueError(f"objects within each other, more than {MAX_NESTED_LEVELS} deep, expected fewer.")
     if isinstance(value, Mapping):
         return {str(below): _plain(str(below), part, depth + 1) for below, part in value.items()}
     if value is None or isinstance(value, str | bool | int | float):

@@ -16,20 +16,20 @@ import sys
 
 import numpy as np
 
-from metapp.rendering.scenes.rules import Json, instantiate, one_line
+from metapp.rendering.scenes.rules import SceneValue, instantiate_scene, shorten_mitsuba_message
 from metapp.rendering.types import Mitsuba, Scene
-from metapp.rendering.variant import LEAST_THREADS, choose_llvm, own_plugins_only
+from metapp.rendering.variant import LEAST_THREADS, choose_llvm, restrict_plugins
 
 _CPU_SECONDS = 300  # the largest public scenes load in half a minute
 _MEMORY_BYTES = 2**35  # of addresses; damaged counts ask for more
 _REFUSED, _KILLED = 3, -9  # exit codes
 
 
-def try_scene(scene: dict[str, Json], variant: str) -> None:
+def try_scene(scene: dict[str, SceneValue], variant: str) -> None:
     """Refuse a scene that Mitsuba cannot load, that ends the process, or that never comes to an end.
 
     Args:
-        scene: as `metapp.extensions.scene_files.reading.checked` gives it.
+        scene: as `metapp.extensions.scene_files.reading.resolve_scene` gives it.
         variant: of Mitsuba, to load it in.
 
     Raises:
@@ -52,7 +52,7 @@ def try_scene(scene: dict[str, Json], variant: str) -> None:
     except subprocess.TimeoutExpired:
         code, problem = _KILLED, ""
     if code == _REFUSED:
-        raise ValueError(f"no scene that Mitsuba can load: {one_line(problem)}")
+        raise ValueError(f"no scene that Mitsuba can load: {shorten_mitsuba_message(problem)}")
     if code:
         raise ValueError(
             f"{_ended(code)} while Mitsuba loads it, expected a scene that it can load; leave out meshes, pictures "
@@ -90,11 +90,11 @@ def _load(variant: str) -> None:
     import mitsuba
 
     mitsuba.set_variant(variant)
-    own_plugins_only(mitsuba)
+    restrict_plugins(mitsuba)
     drjit.set_thread_count(LEAST_THREADS)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     try:
-        problem = _problem(mitsuba, instantiate(mitsuba, json.loads(sys.stdin.buffer.read())))
+        problem = _problem(mitsuba, instantiate_scene(mitsuba, json.loads(sys.stdin.buffer.read())))
     except Exception as error:  # whatever it is, the scene is to blame
         problem = str(error)
     if problem:

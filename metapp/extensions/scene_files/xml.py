@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, NoReturn
 from xml.etree.ElementTree import Element, iterparse, tostring
 from xml.parsers import expat
 
-from metapp.extensions.scene_files.places import TEXT_LENGTH, Places
+from metapp.extensions.scene_files.places import MAX_TEXT_CHARACTERS, ScenePlaces
 from metapp.rendering.scenes.rules import (
-    MOST_CHARACTERS,
-    MOST_NESTED,
-    MOST_VALUES,
-    PLUGIN,
-    Unsupported,
+    MAX_NESTED_LEVELS,
+    MAX_SCENE_VALUES,
+    MAX_VALUE_CHARACTERS,
+    NESTED_OBJECT,
+    UnsupportedPluginError,
     check_parameters,
     check_plugin,
-    checked_string,
-    number_of,
+    check_string,
+    parse_number,
 )
 
 _OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
@@ -38,7 +38,7 @@ _INCLUDES = 64  # in all
 _DEFAULTS, _SHORT = 1_000, 4_096  # <default>s, and characters of their values and of what they are put into
 
 
-def checked_xml(text: str, places: Places, name: str = "") -> str:
+def resolve_xml(text: str, places: ScenePlaces, name: str = "") -> str:
     """The XML text of a scene with all includes, defaults and absolute file names in it.
 
     Args:
@@ -52,8 +52,8 @@ def checked_xml(text: str, places: Places, name: str = "") -> str:
     reader = _Reader()
     try:
         root = reader.document(text, places, (name,))
-    except Unsupported as error:
-        raise ValueError(of_version(text, str(error))) from None
+    except UnsupportedPluginError as error:
+        raise ValueError(explain_version(text, str(error))) from None
     for element in (element for tag in ("ref", "alias") for element in root.iter(tag)):
         if element.get("id") in reader.media:
             check_plugin(reader.media[element.attrib["id"]])
@@ -81,11 +81,11 @@ def _keep_lines(root: SceneElement) -> None:
     visit(root)
 
 
-def located(text: str, reason: str) -> str:
+def locate_reason(text: str, reason: str) -> str:
     """Mitsuba's reason why it cannot load a scene, with the line and the element in place of columns of the text.
 
     Args:
-        text: the scene as `checked_xml` writes it.
+        text: the scene as `resolve_xml` writes it.
         reason: may name a place in it, "string (line 3, col 7): ".
 
     >>> located('<scene version="3.0.0"><bsdf type="x"/></scene>', "At string (line 1, col 25): no such plugin")
@@ -95,12 +95,12 @@ def located(text: str, reason: str) -> str:
     if place is None:
         return reason
     at = int(place[1]), int(place[2]) - 2  # Mitsuba's column is of the name, from 1
-    before = [element for element in parse(text).iter() if (element.line, element.column) <= at]
+    before = [element for element in parse_xml(text).iter() if (element.line, element.column) <= at]
     shown = f"line {at[0]}, {before[-1]}: " if before else f"line {at[0]}: "
     return f"{reason[: place.start()]}{shown}{reason[place.end() :]}"
 
 
-def of_version(text: str, reason: str) -> str:
+def explain_version(text: str, reason: str) -> str:
     """The reason why Mitsuba 3 cannot take a document, with its version and the remedy if that is an older one."""
     version = next(iterparse(StringIO(text), ("start",)))[1].get("version", "")
     if not re.fullmatch(r"[01](\.[0-9]{1,4}){0,2}", version):
@@ -145,12 +145,12 @@ class _Reader:
         self.defaults: dict[str, str] = {}
         self.old = False
 
-    def document(self, text: str, places: Places, chain: tuple[str, ...], depth: int = 0) -> SceneElement:
+    def document(self, text: str, places: ScenePlaces, chain: tuple[str, ...], depth: int = 0) -> SceneElement:
         """The root of a document, checked; `chain` names the files that include each other, this one last."""
         self.read += len(text)
-        if self.read > TEXT_LENGTH:
-            raise ValueError(f"more than {TEXT_LENGTH:,} characters with all includes, expected fewer.")
-        root = parse(text)
+        if self.read > MAX_TEXT_CHARACTERS:
+            raise ValueError(f"more than {MAX_TEXT_CHARACTERS:,} characters with all includes, expected fewer.")
+        root = parse_xml(text)
         version = root.attrib.pop("version", "")
         if not re.fullmatch(r"\d{1,4}(\.\d{1,4}){0,2}", version):
             raise ValueError(f"a version {version[:20]!r} of <{root.tag[:20]}>, expected one such as 3.0.0; add it.")
@@ -165,9 +165,9 @@ class _Reader:
         made.set("version", version)
         return made
 
-    def _element(self, source: SceneElement, places: Places, chain: tuple[str, ...], depth: int) -> SceneElement:
-        if depth >= MOST_NESTED:
-            raise ValueError(f"elements within each other, {MOST_NESTED} deep, expected fewer.")
+    def _element(self, source: SceneElement, places: ScenePlaces, chain: tuple[str, ...], depth: int) -> SceneElement:
+        if depth >= MAX_NESTED_LEVELS:
+            raise ValueError(f"elements within each other, {MAX_NESTED_LEVELS} deep, expected fewer.")
         made = SceneElement(source.tag, self._attributes(source, places))
         made.line = source.line
         for child in source:
@@ -188,16 +188,18 @@ class _Reader:
             _check_object(made, places)
         return made
 
-    def _attributes(self, source: Element, places: Places) -> dict[str, str]:
+    def _attributes(self, source: Element, places: ScenePlaces) -> dict[str, str]:
         self.parts += 1
         made = {key: self._substituted(value) for key, value in source.attrib.items()}
         self.characters += sum(map(len, made.values()))
-        if self.parts > MOST_VALUES or self.characters > TEXT_LENGTH:
-            raise ValueError(f"more than {MOST_VALUES:,} elements or {TEXT_LENGTH:,} characters; put meshes in files.")
+        if self.parts > MAX_SCENE_VALUES or self.characters > MAX_TEXT_CHARACTERS:
+            raise ValueError(
+                f"more than {MAX_SCENE_VALUES:,} elements or {MAX_TEXT_CHARACTERS:,} characters; put meshes in files."
+            )
         if source.tag == "string":
-            made["value"] = checked_string(made.get("name", ""), made.get("value", ""), places)
+            made["value"] = check_string(made.get("name", ""), made.get("value", ""), places)
         elif "filename" in made:  # of a spectrum
-            made["filename"] = checked_string("filename", made["filename"], places)
+            made["filename"] = check_string("filename", made["filename"], places)
         return made
 
     def _substituted(self, value: str) -> str:
@@ -208,8 +210,8 @@ class _Reader:
             longest_first = sorted(self.defaults, key=len, reverse=True)  # as Mitsuba does
             names = "|".join(map(re.escape, longest_first))
             value = re.sub(rf"\$({names})", lambda found: self.defaults[found[1]], value)
-        if len(value) > MOST_CHARACTERS or "$" in value:
-            raise Unsupported(f"{value[:60]!r}, expected a <default> before it for each '$'; add it.")
+        if len(value) > MAX_VALUE_CHARACTERS or "$" in value:
+            raise UnsupportedPluginError(f"{value[:60]!r}, expected a <default> before it for each '$'; add it.")
         return value
 
     def _default(self, element: Element) -> None:
@@ -219,7 +221,7 @@ class _Reader:
         self.defaults.setdefault(name, value)
 
     def _included(
-        self, element: SceneElement, places: Places, chain: tuple[str, ...], depth: int
+        self, element: SceneElement, places: ScenePlaces, chain: tuple[str, ...], depth: int
     ) -> list[SceneElement]:
         """The content of a document, or, of one without <scene>, the document's element."""
         name = self._substituted(element.get("filename", ""))
@@ -234,7 +236,7 @@ class _Reader:
         except ValueError as error:
             if str(error).startswith("includes "):
                 raise  # one file is named, the one that is to blame
-            kind = Unsupported if isinstance(error, Unsupported) else ValueError
+            kind = UnsupportedPluginError if isinstance(error, UnsupportedPluginError) else ValueError
             raise kind(f"includes {name[:60]!r}, which cannot be read: {error}") from None
         del root.attrib["version"]
         for part in root.iter():
@@ -246,11 +248,11 @@ class _Reader:
         return [root]
 
 
-def _check_object(made: SceneElement, places: Places) -> None:
+def _check_object(made: SceneElement, places: ScenePlaces) -> None:
     try:
         check_plugin(made.get("type", ""))
-    except Unsupported as error:
-        raise Unsupported(f"line {made.line}, {made}: {error}") from None
+    except UnsupportedPluginError as error:
+        raise UnsupportedPluginError(f"line {made.line}, {made}: {error}") from None
     parameters = dict(map(_parameter, made))
     check_parameters(made.get("type", ""), parameters)
     places.check(made.get("type", ""), parameters)
@@ -260,13 +262,13 @@ def _parameter(element: Element) -> tuple[str, object]:
     """Name and value of an element within a plugin; shapes, which have no names, are all one."""
     name, value = element.get("name", ""), element.get("value", "")
     if element.tag in _OBJECTS | {"ref"}:
-        return name, PLUGIN
+        return name, NESTED_OBJECT
     if element.tag in ("integer", "float"):
-        return name, number_of(value)
+        return name, parse_number(value)
     return name, value if element.tag == "string" else None
 
 
-def parse(text: str) -> SceneElement:
+def parse_xml(text: str) -> SceneElement:
     """The tree of a document; text between elements is left out, as it says nothing to Mitsuba.
 
     Raises:
@@ -278,13 +280,17 @@ def parse(text: str) -> SceneElement:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal count
         count += 1
-        if len(stack) > MOST_NESTED or count > MOST_VALUES:
-            raise ValueError(f"more than {MOST_VALUES:,} elements, or {MOST_NESTED} within each other, expected fewer.")
+        if len(stack) > MAX_NESTED_LEVELS or count > MAX_SCENE_VALUES:
+            raise ValueError(
+                f"more than {MAX_SCENE_VALUES:,} elements, or {MAX_NESTED_LEVELS} within each other, expected fewer."
+            )
         line = parser.CurrentLineNumber
         known = tag in _OBJECTS | _VALUES | _OURS | {"scene"} and attributes.keys() <= _ATTRIBUTES
         if not known:
             shown = f"<{tag} {' '.join(attributes)}>"
-            raise Unsupported(f"line {line}: an element {shown[:60]!r}, expected those of Mitsuba 3; leave it out.")
+            raise UnsupportedPluginError(
+                f"line {line}: an element {shown[:60]!r}, expected those of Mitsuba 3; leave it out."
+            )
         made = SceneElement(tag, attributes)
         made.line, made.column = line, parser.CurrentColumnNumber
         stack[-1].append(made)

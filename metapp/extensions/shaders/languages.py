@@ -84,7 +84,7 @@ LANGUAGES = {
 }
 
 
-def translated(source: str, name: str, language: Language) -> str:
+def translate_source(source: str, name: str, language: Language) -> str:
     """The neutral source of a material in a language.
 
     Args:

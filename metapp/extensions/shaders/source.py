@@ -13,10 +13,10 @@ from importlib import resources
 
 from torch import Tensor
 
-from metapp.appearance.lobes import LAST_RAD, NODES, Lobes
-from metapp.apps.brdf.network import Folded
+from metapp.appearance.lobes import LAST_VIEWER_RAD, VIEWER_NODES, LobeMixture
+from metapp.apps.brdf.network import PlainLayers
 
-COMMON = """\
+COMMON_SOURCE = """\
 // Reflectance in 1/sr, linear RGB, without the cosine; wi and wo point away from the surface, whose normal is z.
 fn float3 NAME_eval(float3 wi, float3 wo) {
     if (min(wi.z, wo.z) <= 0.0) {
@@ -69,39 +69,39 @@ fn float3 NAME_sample(float3 wo, float3 u) {
     return float3(wi.x, wi.y, max(abs(wi.z), 1e-6));
 }
 """
-INPUTS = ("angle.x", "", "h.z", "d.x", "d.y", "d.z")  # of an NBRDF; half_y is 0
+NETWORK_INPUT_EXPRESSIONS = ("angle.x", "", "h.z", "d.x", "d.y", "d.z")  # of an NBRDF; half_y is 0
 
 
-def source_of(name: str, folded: Folded, lobes: Lobes) -> str:
+def brdf_source(name: str, folded: PlainLayers, lobes: LobeMixture) -> str:
     """The functions <name>_eval, <name>_sample and <name>_pdf of an NBRDF network and its sampling density."""
     parts = {
         "NAME": name,
         "LAYERS": "\n".join(f"    {line}" for line in _layers(name, folded.layers)),
         "SHARES": "\n".join(f"    {line}" for line in _shares(lobes)),
-        "SCALE": number((NODES - 1) / LAST_RAD),
-        "FINAL": number(NODES - 1),
-        "FIRST": f"float3({number(lobes.alphas[0][0])}, {number(lobes.alphas[0][1])}, 1.0)",
-        "SECOND": f"float3({number(lobes.alphas[1][0])}, {number(lobes.alphas[1][1])}, 1.0)",
-        "PI": number(math.pi),
+        "SCALE": float_literal((VIEWER_NODES - 1) / LAST_VIEWER_RAD),
+        "FINAL": float_literal(VIEWER_NODES - 1),
+        "FIRST": f"float3({float_literal(lobes.alphas[0][0])}, {float_literal(lobes.alphas[0][1])}, 1.0)",
+        "SECOND": f"float3({float_literal(lobes.alphas[1][0])}, {float_literal(lobes.alphas[1][1])}, 1.0)",
+        "PI": float_literal(math.pi),
     }
     shared = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").split("\n\n", 1)[1]
-    return re.sub("|".join(parts), lambda match: parts[match[0]], f"{shared}\n{COMMON}")
+    return re.sub("|".join(parts), lambda match: parts[match[0]], f"{shared}\n{COMMON_SOURCE}")
 
 
-def number(value: float) -> str:
+def float_literal(value: float) -> str:
     """A number of 32 bits as all languages read it."""
     text = f"{value:.9g}"
     return text if set(text) & set(".e") else f"{text}.0"
 
 
 def _layers(name: str, layers: Sequence[tuple[Tensor, Tensor]]) -> list[str]:
-    inputs: tuple[str, ...] = INPUTS
+    inputs: tuple[str, ...] = NETWORK_INPUT_EXPRESSIONS
     lines: list[str] = []
     for i, (weights, bias) in enumerate(layers):
         last, outputs = i == len(layers) - 1, []
         for row, (factors, shift) in enumerate(zip(weights.tolist(), bias.tolist(), strict=True)):
-            terms = [f"{number(factor)} * {of}" for factor, of in zip(factors, inputs, strict=True) if of]
-            total = " + ".join([number(shift), *terms])
+            terms = [f"{float_literal(factor)} * {of}" for factor, of in zip(factors, inputs, strict=True) if of]
+            total = " + ".join([float_literal(shift), *terms])
             outputs.append(f"{'abc'[i]}{row}")
             if last:
                 lines.append(f"let float {outputs[-1]} = {name}_expm1(max(0.0, {total}));")
@@ -111,10 +111,10 @@ def _layers(name: str, layers: Sequence[tuple[Tensor, Tensor]]) -> list[str]:
     return [*lines, f"return float3({', '.join(inputs)});"]
 
 
-def _shares(lobes: Lobes) -> list[str]:
+def _shares(lobes: LobeMixture) -> list[str]:
     """Linear between nodes: a hat function each."""
     lines = []
     for node, shares in enumerate(lobes.shares.tolist()):
-        vector = ", ".join(map(number, shares))
-        lines.append(f"shares = shares + float3({vector}) * max(0.0, 1.0 - abs(place - {number(node)}));")
+        vector = ", ".join(map(float_literal, shares))
+        lines.append(f"shares = shares + float3({vector}) * max(0.0, 1.0 - abs(place - {float_literal(node)}));")
     return lines

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, Quiet
+from metapp.cli.options import JsonFlag, Quiet
 from metapp.runs.reporter import progress, say
 
 
-def vgg(
+def vgg_command(
     weights: Annotated[
         Path | None,
         typer.Option(
@@ -21,7 +21,7 @@ def vgg(
         ),
     ] = None,
     quiet: Quiet = False,
-    as_json: Json = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Get the ImageNet weights of VGG-16 that losses on pictures use, once, into the user's cache.
 
@@ -32,15 +32,15 @@ def vgg(
       metapp data vgg
       metapp data vgg --weights vgg16-397923af.pth
     """
-    from metapp.extensions.vgg.weights import provide, weights_path
+    from metapp.extensions.vgg.weights import provide_weights, vgg_weights_path
 
     with progress("VGG-16", quiet=quiet) as bar:
 
         def show(note: str, done: int, total: int | None) -> None:
             bar.at(done // 10**6, total and total // 10**6, note)
 
-        origin, there = provide(weights, show)
-    file = weights_path()
+        origin, there = provide_weights(weights, show)
+    file = vgg_weights_path()
     size = file.stat().st_size
     if not quiet:
         state = "there already" if there else "done"

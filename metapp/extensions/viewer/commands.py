@@ -10,16 +10,16 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, Json, Overwrite, Quiet, app_words, check_new
+from metapp.cli.options import FittedData, JsonFlag, Overwrite, Quiet, app_words, check_new_file
 from metapp.names import app_names
 from metapp.options import BadOption
-from metapp.runs.options import check_name
-from metapp.runs.reporter import number, progress, say
+from metapp.runs.options import check_app_name
+from metapp.runs.reporter import format_number, progress, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
 
 
-def view(
+def view_command(
     runs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[RUN]...", help="Folders of runs (the newest), of a run or a task; default: runs."),
@@ -36,17 +36,17 @@ def view(
     ] = None,
     overwrite: Overwrite = False,
     open_page: OpenPage = True,
-    json: Json = False,
+    json: JsonFlag = False,
     quiet: Quiet = False,
 ) -> None:
     """Write an interactive HTML page of fits; several runs of the same tasks are shown side by side.
 
     Example: metapp view runs/brdf/meta runs/brdf/quickft
     """
-    from metapp.extensions.viewer.viewing import view_page
+    from metapp.extensions.viewer.viewing import write_runs_page
 
-    check_new(out, overwrite)
-    page = view_page(
+    check_new_file(out, overwrite)
+    page = write_runs_page(
         runs or [Path("runs")],
         out,
         inputs=inputs or (),
@@ -63,7 +63,7 @@ def view(
         say(f"page: {page}, {page.stat().st_size / 1e6:.1f} MB")
 
 
-def try_all(
+def try_command(
     apps: Annotated[
         list[str] | None,
         typer.Argument(metavar="[APP]...", autocompletion=app_words, help="Applications; default: all."),
@@ -71,7 +71,7 @@ def try_all(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the inputs, fits and page.")] = Path("try"),
     recipe: Annotated[str, typer.Option(help="quick or full; default: full.")] = "",
     open_page: OpenPage = True,
-    json: Json = False,
+    json: JsonFlag = False,
     quiet: Quiet = False,
 ) -> None:
     """Make a small synthetic input of each application, fit it by Meta, and open one page of all fits.
@@ -81,15 +81,15 @@ def try_all(
     Example: metapp try --out try
     """
     begin = time.perf_counter()
-    from metapp.extensions.viewer.viewing import try_app, view_page
+    from metapp.extensions.viewer.viewing import fit_synthetic_input, write_runs_page
 
     runs, fits = list[Path](), []
     for app in apps or ():
-        check_name(app)
+        check_app_name(app)
     for app in apps or app_names():
         try:
             with progress(f"try {app}", quiet=quiet):  # its own bars are of one input, and quiet
-                run, fit = try_app(app, out, recipe)
+                run, fit = fit_synthetic_input(app, out, recipe)
         except ValueError as reason:
             if apps or not runs or isinstance(reason, BadOption):
                 raise
@@ -98,12 +98,12 @@ def try_all(
         runs.append(run)
         fits.append(fit)
         if not quiet:
-            error = "" if fit["error"] is None else f"error {number(fit['error'], '.3f')}, "
-            seconds = f"fitted in {number(fit['seconds'], '.3g')} s, total {number(fit['whole_seconds'], '.1f')} s"
+            error = "" if fit["error"] is None else f"error {format_number(fit['error'], '.3f')}, "
+            seconds = f"fitted in {format_number(fit['seconds'], '.3g')} s, total {format_number(fit['whole_seconds'], '.1f')} s"
             say(f"{app}: {fit['name']}, {error}{seconds}")
     if not quiet:
         say("page: rendering what it shows")
-    page = view_page(runs, out / "try.html", quiet=quiet)
+    page = write_runs_page(runs, out / "try.html", quiet=quiet)
     whole = time.perf_counter() - begin
     if open_page:
         webbrowser.open(page.resolve().as_uri())

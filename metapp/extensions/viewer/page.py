@@ -6,32 +6,32 @@ import base64
 import json
 import zlib
 from collections.abc import Sequence
-from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from viewer_html import escape
 
 from metapp.extensions.viewer.view import View
 from metapp.storage import Document
 from metapp.storage.files import write_bytes
-from metapp.storage.images import in_8_bits, png_address
+from metapp.storage.images import png_data_url, to_8_bit_image
 
-KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
+VIEWER_KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
 _BEFORE = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawing", "stage", "raster", "polar")
-SCRIPTS = (*_BEFORE, *KINDS, "listing", "main")  # in this order
-TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
+PAGE_SCRIPTS = (*_BEFORE, *VIEWER_KINDS, "listing", "main")  # in this order
+ARRAY_TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
 
-HEAD = """<!doctype html>
+HTML_HEAD = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
 """
-BODY = """<header>
+HTML_BODY = """<header>
 <h1></h1><p class="caption"></p><span class="spacer"></span>
 <button id="options" type="button" aria-controls="controls" aria-expanded="false">Controls</button>
 <button id="save" type="button" title="Save this view as PNG, with its labels">Save PNG</button>
@@ -46,7 +46,7 @@ BODY = """<header>
 <noscript>This page draws with WebGL 2 and needs JavaScript.</noscript>"""
 
 
-class Group(NamedTuple):
+class FitGroup(NamedTuple):
     """Fits that are shown side by side: of one task, and of one kind.
 
     Attributes:
@@ -60,17 +60,17 @@ class Group(NamedTuple):
     views: Sequence[View]
 
 
-def document(title: str, groups: Sequence[Group]) -> Document:
+def page_document(title: str, groups: Sequence[FitGroup]) -> Document:
     """The document that the scripts read."""
     shared: dict[str, Document] = {}
     parts: list[Document] = []
     for group in groups:
         fits: list[Document] = []
         for view in group.views:
-            shared |= {name: array(values) for name, values in view.shared.items() if name not in shared}
-            arrays = {name: array(values) for name, values in view.arrays.items()}
-            pictures = {name: picture(pixels) for name, pixels in view.pictures.items()}
-            thumbnail = "" if view.thumbnail is None else picture(view.thumbnail)
+            shared |= {name: encode_array(values) for name, values in view.shared.items() if name not in shared}
+            arrays = {name: encode_array(values) for name, values in view.arrays.items()}
+            pictures = {name: display_png_url(pixels) for name, pixels in view.pictures.items()}
+            thumbnail = "" if view.thumbnail is None else display_png_url(view.thumbnail)
             fits.append({"label": view.label, "caption": view.caption, "facts": dict(view.facts), "arrays": arrays,
                          "pictures": pictures, "thumbnail": thumbnail})  # fmt: skip
         kind = group.views[0].kind
@@ -78,26 +78,26 @@ def document(title: str, groups: Sequence[Group]) -> Document:
     return {"title": title, "groups": parts, "shared": shared}
 
 
-def array(values: Tensor) -> Document:
+def encode_array(values: Tensor) -> Document:
     """Numbers as text: deflated, base64."""
     content = zlib.compress(values.detach().cpu().contiguous().numpy().tobytes(), 6)
-    return {"type": TYPES[values.dtype], "shape": list(values.shape), "data": base64.b64encode(content).decode()}
+    return {"type": ARRAY_TYPES[values.dtype], "shape": list(values.shape), "data": base64.b64encode(content).decode()}
 
 
-def picture(pixels: Tensor) -> str:
+def display_png_url(pixels: Tensor) -> str:
     """Display values [H, W, 1, 3 or 4] in [0, 1] as the address of a PNG."""
-    return png_address(in_8_bits(pixels.detach().cpu().numpy()))
+    return png_data_url(to_8_bit_image(pixels.detach().cpu().numpy()))
 
 
-def html(data: Document) -> str:
-    """The page of a document, as of `document`; ValueError if a number is not finite."""
+def viewer_html(data: Document) -> str:
+    """The page of a document, as of `page_document`; ValueError if a number is not finite."""
     facets = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").replace("NAME_", "")
-    scripts = [f"const FACETS = {json.dumps(facets)};", *(_text(f"scripts/{name}.js") for name in SCRIPTS)]
+    scripts = [f"const FACETS = {json.dumps(facets)};", *(_text(f"scripts/{name}.js") for name in PAGE_SCRIPTS)]
     content = json.dumps(data, allow_nan=False).replace("<", "\\u003c")  # no text can end the script
     lines = [
-        f"{HEAD}<title>{escape(data['title'])}</title>",
+        f"{HTML_HEAD}<title>{escape(data['title'])}</title>",
         f"<style>{_text('page.css')}</style>",
-        f"</head>\n<body>\n{BODY}",
+        f"</head>\n<body>\n{HTML_BODY}",
         f"<script>{_text('three.min.js')}</script>",
         f'<script type="application/json" id="data">{content}</script>',
         *("<script>", *scripts, "</script>"),
@@ -106,7 +106,7 @@ def html(data: Document) -> str:
     return "\n".join(lines)
 
 
-def write_page(title: str, groups: Sequence[Group], path: Path) -> Path:
+def write_page(title: str, groups: Sequence[FitGroup], path: Path) -> Path:
     """Write the page of fits, whole or not at all.
 
     Returns:
@@ -115,7 +115,7 @@ def write_page(title: str, groups: Sequence[Group], path: Path) -> Path:
     Raises:
         OSError: it cannot be written.
     """
-    text = html(document(title, groups))
+    text = viewer_html(page_document(title, groups))
     write_bytes(path, text.encode(errors="backslashreplace"))
     return path
 

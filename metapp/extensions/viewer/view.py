@@ -11,15 +11,15 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.appearance.colour import to_srgb
-from metapp.appearance.latlong import directions
+from metapp.appearance.colour import composite_to_srgb
+from metapp.appearance.latlong import texel_directions
 from metapp.appearance.presenter import Presenter
-from metapp.appearance.sphere import environment
+from metapp.appearance.sphere import environment_radiance
 from metapp.learning.task import Params, Task
 from metapp.registry import registry
 
-THUMBNAIL = 80  # px of a side of the pictures in the list of fits
-NOTHING: Mapping[str, Never] = MappingProxyType({})
+MAX_THUMBNAIL_PX = 80  # px of a side of the pictures in the list of fits
+NO_ENTRIES: Mapping[str, Never] = MappingProxyType({})
 
 
 class View(NamedTuple):
@@ -37,16 +37,16 @@ class View(NamedTuple):
     """
 
     kind: str
-    arrays: Mapping[str, Tensor] = NOTHING
-    pictures: Mapping[str, Tensor] = NOTHING
-    facts: Mapping[str, object] = NOTHING
-    shared: Mapping[str, Tensor] = NOTHING
+    arrays: Mapping[str, Tensor] = NO_ENTRIES
+    pictures: Mapping[str, Tensor] = NO_ENTRIES
+    facts: Mapping[str, object] = NO_ENTRIES
+    shared: Mapping[str, Tensor] = NO_ENTRIES
     thumbnail: Tensor | None = None
     label: str = ""
     caption: str = ""
 
 
-def view_of(presenter: Presenter[Any], theta: Params, task: Task) -> View:
+def make_view(presenter: Presenter[Any], theta: Params, task: Task) -> View:
     """The view of a fit as its application's page makes it: its pictures, if the application has no page.
 
     Args:
@@ -60,12 +60,12 @@ def view_of(presenter: Presenter[Any], theta: Params, task: Task) -> View:
     if page := registry().pages.get(presenter.app.name):
         view: View = page.load()(presenter, theta, task)
         return view
-    return pictures_view(presenter.preview(theta, task))
+    return make_pictures_view(presenter.preview(theta, task))
 
 
-def pictures_view(outputs: Mapping[str, np.ndarray | Tensor]) -> View:
+def make_pictures_view(outputs: Mapping[str, np.ndarray | Tensor]) -> View:
     """The view of linear pictures, as of `Presenter.preview`."""
-    shown = {name: torch.from_numpy(to_srgb(pixels)) for name, pixels in outputs.items()}
+    shown = {name: torch.from_numpy(composite_to_srgb(pixels)) for name, pixels in outputs.items()}
     return View("pictures", pictures=shown, thumbnail=thumbnail(shown["fit"]) if "fit" in shown else None)
 
 
@@ -75,10 +75,10 @@ def thumbnail(pixels: Tensor) -> Tensor:
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
     square = pixels[top : top + side, left : left + side, :3].permute(2, 0, 1).float().clamp(0, 1)
-    small = adaptive_avg_pool2d(square, min(side, THUMBNAIL))
+    small = adaptive_avg_pool2d(square, min(side, MAX_THUMBNAIL_PX))
     return small.expand(3, -1, -1).permute(1, 2, 0)
 
 
-def light_map() -> Tensor:
+def reference_light_map() -> Tensor:
     """The environment of the reference sphere as a page's light map, [64, 128, 3], float16."""
-    return environment(directions(64, 128).permute(1, 2, 0)).half()
+    return environment_radiance(texel_directions(64, 128).permute(1, 2, 0)).half()

@@ -11,33 +11,33 @@ from pathlib import Path
 import torch
 
 from data_tools.synthetic.examples import write_example
-from metapp.extensions.viewer.page import Group, write_page
-from metapp.extensions.viewer.view import View, view_of
+from metapp.extensions.viewer.page import FitGroup, write_page
+from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Task
 from metapp.runs.fit import Fit
-from metapp.runs.keeping import execute
+from metapp.runs.keeping import execute_run
 from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import Recorded, by_settings, recorded_fits, tasks_as
-from metapp.runs.reporter import number, progress, say
+from metapp.runs.outputs.recorded import RunRecords, find_fitted_tasks, group_by_settings, read_run_records
+from metapp.runs.reporter import format_number, progress, say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import make_folder, threads
+from metapp.runs.surroundings import make_folder, torch_defaults
 from metapp.storage import Document
 from metapp.storage.files import file_name
-from metapp.storage.parameters import params_of
+from metapp.storage.parameters import read_checked_params
 
-MOST_TASKS = 20  # tasks of a page, unless it says otherwise
-PAGE = "view.html"
-INPUTS = "inputs"  # the folder of those of `metapp try`
+MAX_PAGE_TASKS = 20  # tasks of a page, unless it says otherwise
+PAGE_FILE_NAME = "view.html"
+INPUTS_FOLDER = "inputs"  # the folder of those of `metapp try`
 
 
-def view_page(
+def write_runs_page(
     folders: Sequence[Path],
     out: Path | None,
     *,
     inputs: Sequence[Path] = (),
     data: Path | None = None,
     task: str = "",
-    most: int = MOST_TASKS,
+    most: int = MAX_PAGE_TASKS,
     quiet: bool = False,
 ) -> Path:
     """Write the page of runs; fits of the same task stand side by side.
@@ -54,8 +54,8 @@ def view_page(
     Raises:
         ValueError: no run, no fit of that task, damaged records or parameters, nothing that can be shown.
     """
-    read = [recorded_fits(path, task) for path in folders]
-    labels, page = _labels(read), out or read[0].folder / PAGE
+    read = [read_run_records(path, task) for path in folders]
+    labels, page = _labels(read), out or read[0].folder / PAGE_FILE_NAME
     names = dict.fromkeys((record["settings"]["app"], record["name"]) for _, records in read for record in records)
     shown = list(names)[:most]
     if len(names) > most:
@@ -65,9 +65,9 @@ def view_page(
         for folder, records in read:
             records = [record for record in records if (record["settings"]["app"], record["name"]) in shown]
             missing = 0
-            for some in by_settings(records):
+            for some in group_by_settings(records):
                 run = Run.of_settings(some[-1]["settings"])
-                tasks = tasks_as(some, run.app, list(inputs), data)
+                tasks = find_fitted_tasks(some, run.app, list(inputs), data)
                 missing += sum(record["name"] not in tasks for record in some)
                 for record in some:
                     name = record["name"]
@@ -84,11 +84,13 @@ def view_page(
             views = []
             for label, run, fitted, record in several:
                 try:
-                    views.append(labelled_view(Fit(run, fitted, record, params_of(record, run.app)), label))
+                    views.append(
+                        make_labelled_view(Fit(run, fitted, record, read_checked_params(record, run.app)), label)
+                    )
                 except ValueError as error:
                     lacking.append(f"{label} of {error}")
             _, run, fitted, _ = several[0]
-            groups += [Group(fitted.name, run.presenter.title, views)] if views else []
+            groups += [FitGroup(fitted.name, run.presenter.title, views)] if views else []
             bar.advance(fitted.name)
     if not groups:
         raise ValueError(lacking[0])
@@ -98,7 +100,7 @@ def view_page(
     return write_page(f"metapp: {', '.join(titles)}", groups, page)
 
 
-def _labels(found: Sequence[Recorded]) -> dict[Path, str]:
+def _labels(found: Sequence[RunRecords]) -> dict[Path, str]:
     """Labels that tell the runs of an application apart: the paradigm, and as many differences as are needed."""
     settings = {each.folder: each.records[-1]["settings"] for each in found}
     labels = {folder: of["paradigm"] for folder, of in settings.items()}
@@ -114,15 +116,15 @@ def _labels(found: Sequence[Recorded]) -> dict[Path, str]:
 
 
 @torch.no_grad()
-def labelled_view(fit: Fit, label: str) -> View:
+def make_labelled_view(fit: Fit, label: str) -> View:
     """The view of a fit, with a label, its error and its seconds.
 
     Raises:
         ValueError: the view needs the input, which is not at hand.
     """
     try:
-        with threads(single=fit.app.single_threaded):
-            view = view_of(fit.run.presenter, fit.parameters, fit.task)
+        with torch_defaults(single=fit.app.single_threaded):
+            view = make_view(fit.run.presenter, fit.parameters, fit.task)
     except KeyError as missing:
         if fit.task.data:
             raise
@@ -130,11 +132,11 @@ def labelled_view(fit: Fit, label: str) -> View:
             f"{fit.name}: its view is made of the fit and its input ({missing}), expected both; "
             "give what was fitted by --input or --data."
         ) from None
-    error = "" if fit.error is None else f"error{fit.app.error_measure.factor} {number(fit.error, '.3f')}, "
-    return view._replace(label=label, caption=f"{error}{number(fit.seconds, '.3g')} s")
+    error = "" if fit.error is None else f"error{fit.app.error_measure.factor} {format_number(fit.error, '.3f')}, "
+    return view._replace(label=label, caption=f"{error}{format_number(fit.seconds, '.3g')} s")
 
 
-def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
+def write_fit_page(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     """Write an interactive page of a fit, as `metapp view` does.
 
     Args:
@@ -144,12 +146,12 @@ def view_fit(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     Raises:
         OSError: the file cannot be written.
     """
-    title, views = fit.run.presenter.title, [labelled_view(fit, fit.settings["paradigm"])]
+    title, views = fit.run.presenter.title, [make_labelled_view(fit, fit.settings["paradigm"])]
     page = Path(os.fsdecode(path or f"{file_name(fit.name)}.html"))
-    return write_page(f"metapp: {title}", [Group(fit.name, title, views)], page)
+    return write_page(f"metapp: {title}", [FitGroup(fit.name, title, views)], page)
 
 
-def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
+def fit_synthetic_input(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
     """Write an input of an application into `out` and fit it by Meta, its run in the same folder.
 
     Args:
@@ -164,8 +166,8 @@ def try_app(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
         ValueError: a folder that cannot be written to; no such recipe, no checkpoint.
     """
     begin = time.perf_counter()
-    source = write_example(app, out / INPUTS)[0]
-    report = execute(Run.of(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
+    source = write_example(app, out / INPUTS_FOLDER)[0]
+    report = execute_run(Run.of(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
     assert report is not None  # of several ranks only
     (fit,) = report.records
     told = {key: fit[key] for key in ("name", "error", "seconds")}

@@ -21,10 +21,10 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import Params
 
-WIDTH = 32  # channels of its two inner layers
-MEMORY = 16  # channels of what it remembers from step to step
-REACH = 10  # how many times a step's length the parameter is measured in
-SLOPE = 0.1
+HIDDEN_CHANNELS = 32  # channels of its two inner layers
+MEMORY_CHANNELS = 16  # channels of what it remembers from step to step
+PARAMETER_UNIT_STEPS = 10  # how many times a step's length the parameter is measured in
+LEAKY_RELU_SLOPE = 0.1
 
 
 def is_periodic(app: App) -> bool:
@@ -32,7 +32,7 @@ def is_periodic(app: App) -> bool:
     return bool(getattr(app.network, "periodic", False))
 
 
-class Network(Part):
+class StepNetwork(Part):
     """A convolutional network for each parameter of three axes, [channels, rows, columns]."""
 
     name = "network"
@@ -52,13 +52,16 @@ class Network(Part):
         for key, value in theta.items():
             if value.ndim == 3:
                 channels, name = len(value), f"{'around' if is_periodic(app) else 'within'}.{key}"
-                for i, inputs in enumerate((3 * channels + 1 + MEMORY, WIDTH)):
-                    kernel = torch.randn(1, WIDTH, inputs, 3, 3, generator=rng) * math.sqrt(2 / (9 * inputs))
-                    alpha |= {f"{name}.kernel{i}": kernel, f"{name}.shift{i}": torch.zeros(steps, WIDTH, 1, 1)}
+                for i, inputs in enumerate((3 * channels + 1 + MEMORY_CHANNELS, HIDDEN_CHANNELS)):
+                    kernel = torch.randn(1, HIDDEN_CHANNELS, inputs, 3, 3, generator=rng) * math.sqrt(2 / (9 * inputs))
+                    alpha |= {
+                        f"{name}.kernel{i}": kernel,
+                        f"{name}.shift{i}": torch.zeros(steps, HIDDEN_CHANNELS, 1, 1),
+                    }
                 alpha |= {
-                    f"{name}.place": torch.zeros(1, WIDTH, *value.shape[1:]),
-                    f"{name}.kernel2": torch.zeros(1, channels + MEMORY, WIDTH, 3, 3),
-                    f"{name}.shift2": torch.zeros(steps, channels + MEMORY, 1, 1),
+                    f"{name}.place": torch.zeros(1, HIDDEN_CHANNELS, *value.shape[1:]),
+                    f"{name}.kernel2": torch.zeros(1, channels + MEMORY_CHANNELS, HIDDEN_CHANNELS, 3, 3),
+                    f"{name}.shift2": torch.zeros(steps, channels + MEMORY_CHANNELS, 1, 1),
                     f"{name}.unit": torch.full((1,), math.log(first.rate)),
                 }
         return alpha
@@ -66,7 +69,7 @@ class Network(Part):
     def state(self, alpha: Params, theta: Params) -> Params:
         """Empty memories, `memory.<parameter>` [T, MEMORY, rows, columns]."""
         return {
-            f"memory.{key}": value.new_zeros(len(value), MEMORY, *value.shape[2:])
+            f"memory.{key}": value.new_zeros(len(value), MEMORY_CHANNELS, *value.shape[2:])
             for key, value in theta.items()
             if _name_of(alpha, key)
         }
@@ -103,11 +106,11 @@ def _move(
     unit = torch.exp(alpha[f"{name}.unit"])[:, None, None, None]
     size = (grad.square().mean((1, 2, 3), keepdim=True) + 1e-24).sqrt()
     log_size = 0.3 * size.log().expand(-1, 1, *grad.shape[2:])
-    x = torch.cat([value / (REACH * unit), grad / size, direction, log_size, memory], 1)
+    x = torch.cat([value / (PARAMETER_UNIT_STEPS * unit), grad / size, direction, log_size, memory], 1)
     x = _layer(alpha, name, 0, x) + alpha[f"{name}.place"]
-    x = _layer(alpha, name, 1, leaky_relu(x, SLOPE))
-    x = _layer(alpha, name, 2, leaky_relu(x, SLOPE))
-    moves, written = x.split([value.shape[1], MEMORY], 1)
+    x = _layer(alpha, name, 1, leaky_relu(x, LEAKY_RELU_SLOPE))
+    x = _layer(alpha, name, 2, leaky_relu(x, LEAKY_RELU_SLOPE))
+    moves, written = x.split([value.shape[1], MEMORY_CHANNELS], 1)
     return unit * moves, memory + written
 
 

@@ -14,8 +14,8 @@ from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import Params
 
 META_EPS = 1e-6  # of rules without the part "eps"
-AVERAGED = 0.4  # of the steps, by tail averaging
-EQUATIONS = {"out": "{0}ji,{0}j...->{0}i...", "in": "{0}ji,{0}kj...->{0}ki..."}  # of bases
+TAIL_SHARE = 0.4  # of the steps, by tail averaging
+BASIS_EQUATIONS = {"out": "{0}ji,{0}j...->{0}i...", "in": "{0}ji,{0}kj...->{0}ki..."}  # of bases
 
 
 class SignedRates(Part):
@@ -180,7 +180,7 @@ class Average(Part):
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Tail averaging over AVERAGED of the steps."""
-        return averaging(steps)
+        return tail_averaging_weights(steps)
 
     def state(self, alpha: Params, theta: Params) -> Params:
         """The mean, which the first parameters replace."""
@@ -198,12 +198,12 @@ class Average(Part):
 
     def for_steps(self, alpha: Params, steps: int) -> Params:
         """The mean is over the last of the steps, however many they are."""
-        return alpha | {name: value.to(alpha[name]) for name, value in averaging(steps).items()}
+        return alpha | {name: value.to(alpha[name]) for name, value in tail_averaging_weights(steps).items()}
 
 
-def averaging(steps: int) -> Params:
+def tail_averaging_weights(steps: int) -> Params:
     """`mean` and `answer` [steps]: the last step gives the running mean over the last AVERAGED of the steps."""
-    after = torch.arange(steps) - round((1 - AVERAGED) * steps)
+    after = torch.arange(steps) - round((1 - TAIL_SHARE) * steps)
     return {
         "mean": 1 / (1 + after).clamp_min(1),
         "answer": (torch.arange(steps) == steps - 1).float(),
@@ -231,7 +231,7 @@ class Basis(Part):
             f"{axis}.{key}": torch.eye(size)[None]
             for key, value in theta.items()
             if value.ndim > 1
-            for axis, size in zip(EQUATIONS, value.shape[:2], strict=True)
+            for axis, size in zip(BASIS_EQUATIONS, value.shape[:2], strict=True)
         }
 
     def gradients(self, alpha: Params, grads: Params) -> Params:
@@ -250,7 +250,7 @@ class Basis(Part):
         moments = {}
         for name in alpha:
             axis, _, key = name.partition(".")
-            if axis in EQUATIONS:
+            if axis in BASIS_EQUATIONS:
                 length = grads[key].flatten(1).norm(dim=1).clamp_min(1e-20)
                 unit = grads[key] / length.reshape(-1, *[1] * (grads[key].ndim - 1))
                 rows = unit.movedim(1 if axis == "out" else 2, 0).flatten(1)
@@ -264,7 +264,7 @@ class Basis(Part):
 
 def _rotated(alpha: Params, key: str, value: Tensor, *, back: bool = False) -> Tensor:
     """A gradient [T, out, in, ...] in the bases that alpha holds for its first two axes, or back from there."""
-    for name, equation in EQUATIONS.items():
+    for name, equation in BASIS_EQUATIONS.items():
         if f"{name}.{key}" in alpha:
             basis = alpha[f"{name}.{key}"]
             terms = equation.format("t" if basis.ndim == 3 else "")  # where there is a task axis

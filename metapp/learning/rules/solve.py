@@ -21,9 +21,9 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import LeastSquares, Params
 
-PENALTY = 1e-3  # before training
-LEAST, GREATEST = 1e-6, 1e2  # bounds of learned penalties
-ROUNDING = 8  # times the precision of a Gram matrix, of its trace: what rounding may take from its eigenvalues
+INITIAL_PENALTY = 1e-3  # before training
+MIN_PENALTY, MAX_PENALTY = 1e-6, 1e2  # bounds of learned penalties
+ROUNDING_FACTOR = 8  # times the precision of a Gram matrix, of its trace: what rounding may take from its eigenvalues
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Solve(Part):
         """Penalties of PENALTY for all features, and steps that keep nearly all of the ones before."""
         name = linear_parameter(app)
         return {
-            f"penalty.{name}": theta[name].new_full((1, *theta[name].shape), math.log(PENALTY)),
+            f"penalty.{name}": theta[name].new_full((1, *theta[name].shape), math.log(INITIAL_PENALTY)),
             f"keep.{name}": theta[name].new_full((steps,), 3.0),
         }
 
@@ -95,9 +95,9 @@ class Solve(Part):
         for key in _names(alpha):
             keep = torch.sigmoid(alpha[f"keep.{key}"])[..., None, None]
             gram = after[f"gram.{key}"] = keep * state[f"gram.{key}"] + before.grads[f"gram.{key}"]
-            precision = torch.exp(alpha[f"penalty.{key}"].clamp(math.log(LEAST), math.log(GREATEST)))
+            precision = torch.exp(alpha[f"penalty.{key}"].clamp(math.log(MIN_PENALTY), math.log(MAX_PENALTY)))
             trace = gram.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
-            precision = precision + ROUNDING * torch.finfo(gram.dtype).eps * trace
+            precision = precision + ROUNDING_FACTOR * torch.finfo(gram.dtype).eps * trace
             # in double precision: features are far from orthogonal
             precision, moment = precision.double(), before.grads[f"moment.{key}"].double()
             if f"prior.{key}" in before.grads:

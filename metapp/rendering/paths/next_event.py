@@ -46,7 +46,7 @@ class _Paths:
     active: mt.Mask
 
 
-def trace(
+def trace_paths(
     scene: mt.Scene,
     ray: mt.Ray,
     directions: list[mt.Point2],

@@ -20,14 +20,14 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.rendering.scenes.loading import brightness, load_scene, reason_of
+from metapp.rendering.scenes.loading import colour_luminance, load_scene, mitsuba_message
 from metapp.rendering.scenes.rules import SceneDict
 from metapp.rendering.types import Color, Point2, RandomStreams, Ray
 
-DIMENSIONS = 4  # film, and the direction at the first surface that scatters
+POINT_DIMENSIONS = 4  # film, and the direction at the first surface that scatters
 DEPTH_EDGES = 6  # edges of the longest path
-IMAGE_PX = 32  # px, side of the picture that comes with samples
-UNGUIDED_OF = 4  # one path in so many is not guided
+SAMPLE_IMAGE_PX = 32  # px, side of the picture that comes with samples
+PATHS_PER_UNGUIDED = 4  # one path in so many is not guided
 BELOW_ONE = 1 - 2**-24
 
 BATCH_PATHS = 2**19  # paths traced at a time for samples
@@ -81,10 +81,10 @@ class Tracer:
         columns = [mi.Float(column.cpu().contiguous().numpy()) for column in points.T]
         pairs = [mi.Point2f(x, y) for x, y in zip(columns[::2], columns[1::2], strict=True)]
         with _traceable():
-            from metapp.rendering.paths.next_event import trace  # imports Mitsuba
+            from metapp.rendering.paths.next_event import trace_paths  # imports Mitsuba
 
             streams, rays = self.streams(len(points), rng), self.rays(pairs[0])
-            carried, direct = trace(self.scene, rays, pairs[1:], streams, self.depth, self.next_event)
+            carried, direct = trace_paths(self.scene, rays, pairs[1:], streams, self.depth, self.next_event)
             return _as_tensor(carried), _as_tensor(direct) if self.next_event else 0.0
 
     def streams(self, count: int, rng: Generator) -> RandomStreams:
@@ -114,14 +114,14 @@ def _traceable() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        reason = reason_of(error)
+        reason = mitsuba_message(error)
     if (
         reason
     ):  # without the error, which would keep the scene alive: its materials would be traced with the next scene's
         raise ValueError(f"no scene that Mitsuba can trace paths in: {reason}")
 
 
-class FewPaths(ValueError):
+class TooFewPathsError(ValueError):
     """Hardly any path meets a light."""
 
 
@@ -129,22 +129,26 @@ class ImageSum:
     """The picture that paths add up to."""
 
     def __init__(self) -> None:
-        self._total = torch.zeros(3, IMAGE_PX**2, dtype=torch.float64)
-        self._hits = torch.zeros(IMAGE_PX**2, dtype=torch.float64)
+        self._total = torch.zeros(3, SAMPLE_IMAGE_PX**2, dtype=torch.float64)
+        self._hits = torch.zeros(SAMPLE_IMAGE_PX**2, dtype=torch.float64)
 
     def add(self, points: Tensor, carried: Tensor) -> None:
         """Add the radiance [N, 3] of paths of points [N, d]."""
-        pixel = (points[:, 1] * IMAGE_PX).long() * IMAGE_PX + (points[:, 0] * IMAGE_PX).long()
-        self._hits += torch.bincount(pixel, minlength=IMAGE_PX**2)
-        self._total += torch.stack([torch.bincount(pixel, channel.double(), IMAGE_PX**2) for channel in carried.T])
+        pixel = (points[:, 1] * SAMPLE_IMAGE_PX).long() * SAMPLE_IMAGE_PX + (points[:, 0] * SAMPLE_IMAGE_PX).long()
+        self._hits += torch.bincount(pixel, minlength=SAMPLE_IMAGE_PX**2)
+        self._total += torch.stack(
+            [torch.bincount(pixel, channel.double(), SAMPLE_IMAGE_PX**2) for channel in carried.T]
+        )
 
     def mean(self) -> Tensor:
         """Linear RGB, float32 [3, 32, 32]."""
-        picture: Tensor = (self._total / self._hits.clamp_min(1)).float().unflatten(1, (IMAGE_PX, IMAGE_PX))
+        picture: Tensor = (
+            (self._total / self._hits.clamp_min(1)).float().unflatten(1, (SAMPLE_IMAGE_PX, SAMPLE_IMAGE_PX))
+        )
         return picture
 
 
-def path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
+def sample_by_rejection(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Points of primary sample space in proportion to the luminance of their paths, by rejection.
 
     A path is kept with a probability of its luminance over the lights' greatest, which none exceeds where surfaces
@@ -167,9 +171,9 @@ def path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Te
     bound, traced, have, batch = tracer.brightest, 0, 0, tracer.batch_paths
     image = ImageSum()
     while have < count:
-        points = torch.rand(batch, DIMENSIONS, generator=rng)
+        points = torch.rand(batch, POINT_DIMENSIONS, generator=rng)
         carried = tracer.contributions(points, rng)
-        bright = brightness(carried)
+        bright = colour_luminance(carried)
         highest = float(bright.max())
         if highest > bound:
             kept = [part[torch.rand(len(part), generator=rng) < bound / highest] for part in kept]
@@ -178,7 +182,7 @@ def path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Te
         image.add(points, carried)
         traced, have = traced + batch, sum(map(len, kept))
         if have < _RAREST * traced:
-            raise FewPaths(
+            raise TooFewPathsError(
                 f"{have} of {traced:,} paths meet a light, expected {_RAREST:.2%} or more; point the camera at "
                 "surfaces that light reaches, or enlarge the lights."
             )
@@ -213,7 +217,7 @@ class Guide(NamedTuple):
     density: Callable[[Tensor, Tensor], Tensor]
 
 
-def render(tracer: Tracer, spp: int, size: int, seed: int = 0, guide: Guide | None = None) -> Tensor:
+def render_paths(tracer: Tracer, spp: int, size: int, seed: int = 0, guide: Guide | None = None) -> Tensor:
     """A picture [3, size, size], linear RGB radiance, of so many paths a pixel.
 
     Args:
@@ -241,10 +245,10 @@ def render(tracer: Tracer, spp: int, size: int, seed: int = 0, guide: Guide | No
         return _picture(radiance, spp, size, rng)
 
 
-def reference(tracer: Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 1) -> Tensor:
-    """The picture that `render` tends to, with less noise: Mitsuba's `path`, which has next-event estimation.
+def render_reference(tracer: Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 1) -> Tensor:
+    """The picture that `render_paths` tends to, with less noise: Mitsuba's `path`, which has next-event estimation.
 
-    Arguments and result are those of `render`; 64 px take 7 s on one core.
+    Arguments and result are those of `render_paths`; 64 px take 7 s on one core.
     """
     mi, rng = tracer.mi, Generator().manual_seed(seed)
     integrator = mi.load_dict({"type": "path", "max_depth": tracer.depth, "rr_depth": tracer.depth + 1})
@@ -262,7 +266,7 @@ def reference(tracer: Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 
 
 def _guided(guide: Guide, film: Tensor, first: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Points [N, 2 + k] and their weights [N]: directions of the guide, or, every fourth, uniform ones."""
-    uniform = (torch.arange(first, first + len(film)) % UNGUIDED_OF) == 0
+    uniform = (torch.arange(first, first + len(film)) % PATHS_PER_UNGUIDED) == 0
     directions, density = guide.sample(film[~uniform])
     others = torch.rand(int(uniform.sum()), directions.shape[1], generator=rng)
     points = film.new_empty(len(film), 2 + directions.shape[1])
@@ -271,7 +275,7 @@ def _guided(guide: Guide, film: Tensor, first: int, rng: Generator) -> tuple[Ten
     densities = film.new_empty(len(film))
     densities[~uniform] = density.detach().to(film)
     densities[uniform] = guide.density(film[uniform], others).detach().to(film)
-    return points, 1 / (1 / UNGUIDED_OF + (1 - 1 / UNGUIDED_OF) * densities)
+    return points, 1 / (1 / PATHS_PER_UNGUIDED + (1 - 1 / PATHS_PER_UNGUIDED) * densities)
 
 
 def _picture(radiance: Callable[[Tensor, int], Tensor], spp: int, size: int, rng: Generator) -> Tensor:
@@ -279,7 +283,7 @@ def _picture(radiance: Callable[[Tensor, int], Tensor], spp: int, size: int, rng
     if spp < 1 or size < 1:
         raise ValueError(f"picture of {size} px and {spp} paths a pixel, expected 1 or more of both.")
     total = torch.zeros(size * size, 3, dtype=torch.float64)
-    offset = int(torch.randint(UNGUIDED_OF, (), generator=rng))
+    offset = int(torch.randint(PATHS_PER_UNGUIDED, (), generator=rng))
     for first in range(0, size * size * spp, _PICTURE_BATCH):
         number = torch.arange(first, min(first + _PICTURE_BATCH, size * size * spp))
         pixel = number // spp

@@ -18,12 +18,19 @@ from torch import Tensor
 
 from metapp.appearance.latlong import luminance
 from metapp.registry import registry
-from metapp.rendering.scenes.rules import READER, CheckedDict, Files, SceneDict, instantiate, one_line
+from metapp.rendering.scenes.rules import (
+    SCENE_FILE_READER,
+    SceneChecker,
+    SceneDict,
+    SceneFiles,
+    instantiate_scene,
+    shorten_mitsuba_message,
+)
 from metapp.rendering.types import Emitter, Mitsuba, Scene
 from metapp.rendering.variant import load_mitsuba
 
 
-class Loaded(NamedTuple):
+class LoadedScene(NamedTuple):
     """A scene in Mitsuba.
 
     Attributes:
@@ -37,7 +44,7 @@ class Loaded(NamedTuple):
     brightest: float
 
 
-def checked(scene: SceneDict) -> SceneDict:
+def check_scene(scene: SceneDict) -> SceneDict:
     """The same scene of a data set, checked; XML and files that were read before if an extension checks these.
 
     Raises:
@@ -49,36 +56,36 @@ def checked(scene: SceneDict) -> SceneDict:
         result: SceneDict = entry.load()(scene)
         return result
     if "xml" in scene:
-        raise ValueError(f"a scene in XML, expected a dictionary; XML needs {READER}.")
-    return CheckedDict(Files()).object(scene)
+        raise ValueError(f"a scene in XML, expected a dictionary; XML needs {SCENE_FILE_READER}.")
+    return SceneChecker(SceneFiles()).object(scene)
 
 
-def load_scene(scene: SceneDict) -> Loaded:
+def load_scene(scene: SceneDict) -> LoadedScene:
     """Load a scene whose paths can be traced.
 
     Raises:
         ValueError: no Mitsuba that can render here; no scene that it can load; no light, or one that Mitsuba's own path
             tracer leaves dark; a sensor other than a perspective one; fog; a file that was not read before.
     """
-    scene, mi = checked(scene), load_mitsuba()
+    scene, mi = check_scene(scene), load_mitsuba()
     mi.set_log_level(mi.LogLevel.Error)
     try:
-        loaded = instantiate(mi, scene)
+        loaded = instantiate_scene(mi, scene)
     except Exception as error:  # whatever it is, the scene is to blame
-        raise ValueError(f"no scene that Mitsuba can load: {reason_of(error)}") from None
+        raise ValueError(f"no scene that Mitsuba can load: {mitsuba_message(error)}") from None
     _check_traced(mi, loaded)
     brightest = max(_brightest(mi, emitter) for emitter in loaded.emitters())
     if not 0 <= brightest < math.inf:
         raise ValueError(f"a light of luminance {brightest}, expected a finite one of 0 or more; change its radiance.")
-    return Loaded(mi, loaded, brightest)
+    return LoadedScene(mi, loaded, brightest)
 
 
-def reason_of(error: BaseException) -> str:
+def mitsuba_message(error: BaseException) -> str:
     """Mitsuba's message of an error, in one line."""
-    return one_line(str(error.__cause__ or error))  # the cause of an error within a loop
+    return shorten_mitsuba_message(str(error.__cause__ or error))  # the cause of an error within a loop
 
 
-def brightness(radiance: Tensor) -> Tensor:
+def colour_luminance(radiance: Tensor) -> Tensor:
     """Luminance [N] of linear Rec.709 [N, 3]."""
     return luminance(radiance.T[..., None])[:, 0]
 
@@ -118,5 +125,5 @@ def _brightest(mi: Mitsuba, emitter: Emitter) -> float:
             shape = (1, -1) if name == "radiance.value" else (-1, radiance.shape[-1])
             colours = radiance.float().reshape(shape)[:, :3].expand(-1, 3)
             factor = np.array(values.get("scale", 1.0)).item() if name == "data" else 1.0  # a Dr.Jit array in envmaps
-            return float(brightness(colours * factor).max())
+            return float(colour_luminance(colours * factor).max())
     return 0.0

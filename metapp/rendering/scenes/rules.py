@@ -18,10 +18,10 @@ from metapp.registry import registry
 from metapp.rendering.types import Mitsuba, Scene
 from metapp.storage import Document
 
-Json = Any  # a value of a scene
+SceneValue = Any  # a value of a scene
 
 SceneDict = Document  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
-READER = "the extension scene_files"
+SCENE_FILE_READER = "the extension scene_files"
 _LONGEST = 200  # characters of Mitsuba's messages
 
 
@@ -30,7 +30,9 @@ def box_film(width: int, height: int) -> SceneDict:
     return {"type": "hdrfilm", "width": width, "height": height, "pixel_format": "rgb", "rfilter": {"type": "box"}}
 
 
-RESOURCES = "resources"  # the type of an object that declares a folder of files; Mitsuba takes it at the root alone
+RESOURCES_TYPE = (
+    "resources"  # the type of an object that declares a folder of files; Mitsuba takes it at the root alone
+)
 _MEDIA = {"homogeneous", "heterogeneous"}
 _MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers
 _REQUIRED = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
@@ -38,11 +40,11 @@ _SAMPLES = 2**20  # some samplers never come to an end with more; paths here nee
 _SIDE = 2**15  # px of a film: pictures of it are made
 
 
-class Unsupported(ValueError):
+class UnsupportedPluginError(ValueError):
     """Something of other versions of Mitsuba, or of other people's plugins."""
 
 
-def own_folder() -> Path:
+def mitsuba_folder() -> Path:
     """Mitsuba's own folder, without importing it."""
     spec = importlib.util.find_spec("mitsuba")
     if spec is None or spec.origin is None:
@@ -51,23 +53,23 @@ def own_folder() -> Path:
 
 
 @functools.cache
-def plugins() -> frozenset[str]:
+def mitsuba_plugins() -> frozenset[str]:
     """Names of the plugins that Mitsuba ships."""
-    return frozenset(path.stem for path in (own_folder() / "plugins").iterdir())
+    return frozenset(path.stem for path in (mitsuba_folder() / "plugins").iterdir())
 
 
-def own_plugins() -> list[str]:
+def extension_bsdfs() -> list[str]:
     """Names of the BSDFs that extensions add to Mitsuba; integrators alone have help."""
     return [name for name, entry in registry().plugins.items() if not entry.help]
 
 
 @functools.cache
-def materials() -> frozenset[str]:
+def mitsuba_metals() -> frozenset[str]:
     """Names of the metals that Mitsuba knows."""
-    return frozenset(path.name.removesuffix(".eta.spd") for path in (own_folder() / "data/ior").glob("*.eta.spd"))
+    return frozenset(path.name.removesuffix(".eta.spd") for path in (mitsuba_folder() / "data/ior").glob("*.eta.spd"))
 
 
-def snake_case(name: str) -> str:
+def to_snake_case(name: str) -> str:
     """A parameter's name as Mitsuba changes those of scenes of version 1 and older: sampleCount to sample_count."""
     return re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()
 
@@ -85,10 +87,10 @@ def check_plugin(kind: str) -> None:
         )
     if kind in _MEMORY:
         raise ValueError(f"a plugin {kind[:60]!r}, expected one that reads files; leave it out.")
-    if kind == RESOURCES:
-        raise ValueError(f"a '{RESOURCES}' within another object, expected it beside the sensor; move it there.")
-    if kind not in plugins() and kind not in own_plugins():
-        raise Unsupported(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
+    if kind == RESOURCES_TYPE:
+        raise ValueError(f"a '{RESOURCES_TYPE}' within another object, expected it beside the sensor; move it there.")
+    if kind not in mitsuba_plugins() and kind not in extension_bsdfs():
+        raise UnsupportedPluginError(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
 
 
 def check_parameters(kind: str, given: Mapping[str, object]) -> None:
@@ -101,21 +103,21 @@ def check_parameters(kind: str, given: Mapping[str, object]) -> None:
     Raises:
         ValueError: a count, size or temperature that is out of range.
     """
-    if len({snake_case(name) for name in given}) < len(given):  # Mitsuba would take one of them
+    if len({to_snake_case(name) for name in given}) < len(given):  # Mitsuba would take one of them
         raise ValueError(f"a '{kind}' with a parameter under two names, {sorted(given)!s:.100}; leave one out.")
-    given = {snake_case(name): value for name, value in given.items()}
+    given = {to_snake_case(name): value for name, value in given.items()}
     required = _REQUIRED.get(kind)
     if required and required not in given:
         raise ValueError(f"a plugin '{kind}' without '{required}', expected one; add it.")
     for name, (least, most) in _RANGES.items():
-        number = number_of(given.get(name))
+        number = parse_number(given.get(name))
         if number is not None and not least <= number <= most:
             raise ValueError(f"a '{name}' of {number:.12g}, expected {least:,} to {most:,}; change it.")
-    if kind in _HOLDERS and not any(isinstance(value, Mapping) or value is PLUGIN for value in given.values()):
+    if kind in _HOLDERS and not any(isinstance(value, Mapping) or value is NESTED_OBJECT for value in given.values()):
         raise ValueError(f"a '{kind}' without {_HOLDERS[kind]}, expected one or more; leave it out.")
 
 
-PLUGIN = object()  # in the place of what is within another one, where a number or text is no parameter
+NESTED_OBJECT = object()  # in the place of what is within another one, where a number or text is no parameter
 _HOLDERS = {"merge": "shapes", "shapegroup": "shapes", "volume": "a volume"}
 _RANGES = {
     "sample_count": (1, _SAMPLES),
@@ -126,7 +128,7 @@ _RANGES = {
 }
 
 
-def number_of(value: object) -> float | None:
+def parse_number(value: object) -> float | None:
     """A number, or text that is one; None for all else."""
     try:
         return float(value) if isinstance(value, str | int | float) else None
@@ -134,7 +136,7 @@ def number_of(value: object) -> float | None:
         return None
 
 
-class Files:
+class SceneFiles:
     """The data files that a scene may name: none, which holds of scenes of data sets."""
 
     def file(self, name: str) -> Path:
@@ -146,41 +148,43 @@ class Files:
         Raises:
             ValueError: it may not be read.
         """
-        raise ValueError(f"names the file {name[:100]!r}, expected none; scenes with files need {READER}.")
+        raise ValueError(f"names the file {name[:100]!r}, expected none; scenes with files need {SCENE_FILE_READER}.")
 
-    def first(self, folder: str) -> Files:
+    def first(self, folder: str) -> SceneFiles:
         """The files of a scene that declares a folder, in which relative names are looked for before all others.
 
         Raises:
             ValueError: it may not be read.
         """
-        raise ValueError(f"names the folder {folder[:100]!r}, expected none; scenes with files need {READER}.")
+        raise ValueError(
+            f"names the folder {folder[:100]!r}, expected none; scenes with files need {SCENE_FILE_READER}."
+        )
 
     def check(self, kind: str, parameters: Mapping[str, object]) -> None:
         """Refuse parameters of a plugin that name a file which Mitsuba cannot take; file names are absolute."""
 
 
-MOST_NESTED = 64  # of elements or objects within each other
-MOST_VALUES = 200_000  # elements, or values
-MOST_CHARACTERS = 2**20  # characters of one value
+MAX_NESTED_LEVELS = 64  # of elements or objects within each other
+MAX_SCENE_VALUES = 200_000  # elements, or values
+MAX_VALUE_CHARACTERS = 2**20  # characters of one value
 
 
-def checked_string(name: str, value: str, files: Files) -> str:
+def check_string(name: str, value: str, files: SceneFiles) -> str:
     """A parameter's text; file names come out absolute.
 
     Mitsuba builds file names from other parameters too, such as a conductor's material.
     """
-    if snake_case(name).endswith("filename"):
+    if to_snake_case(name).endswith("filename"):
         return str(files.file(value))
     plain = value.isascii() and value.isprintable()
-    if len(value) > MOST_CHARACTERS or not plain or set("/\\$") & set(value) or ".." in value:
+    if len(value) > MAX_VALUE_CHARACTERS or not plain or set("/\\$") & set(value) or ".." in value:
         raise ValueError(f"a parameter {name[:40]!r} of {value[:60]!r}, expected plain text, no path; change it.")
-    if name == "material" and value != "none" and value not in materials():
+    if name == "material" and value != "none" and value not in mitsuba_metals():
         raise ValueError(f"a material {value[:60]!r}, expected one of Mitsuba's own; change it.")
     return value
 
 
-class CheckedDict:
+class SceneChecker:
     """Checks a scene dictionary as JSON holds it: kinds of all values, plugins, file names.
 
     Args:
@@ -188,7 +192,7 @@ class CheckedDict:
         most_values: of the whole scene.
     """
 
-    def __init__(self, files: Files, most_values: int = MOST_VALUES) -> None:
+    def __init__(self, files: SceneFiles, most_values: int = MAX_SCENE_VALUES) -> None:
         self.files, self.parts, self.most_values = files, 0, most_values
 
     def object(self, scene: SceneDict, depth: int = 0) -> SceneDict:
@@ -200,8 +204,8 @@ class CheckedDict:
         kind = scene.get("type")
         if not isinstance(kind, str):
             raise ValueError(f"an object of type {_shown(kind)}, expected each to name a plugin as 'type'; add it.")
-        if depth >= MOST_NESTED:
-            raise ValueError(f"objects within each other, {MOST_NESTED} deep, expected fewer.")
+        if depth >= MAX_NESTED_LEVELS:
+            raise ValueError(f"objects within each other, {MAX_NESTED_LEVELS} deep, expected fewer.")
         for key in scene:
             if not isinstance(key, str) or not key.isprintable() or not 0 < len(key) < 256 or "." in key:
                 raise ValueError(f"a key {str(key)[:60]!r}, expected 1 to 255 characters, none of them a point.")
@@ -226,18 +230,18 @@ class CheckedDict:
         """The scene without its declarations of folders, of type `resources`, in which all its files are looked for."""
         left = {}
         for key, value in scene.items():
-            if not (isinstance(value, dict) and value.get("type") == RESOURCES):
+            if not (isinstance(value, dict) and value.get("type") == RESOURCES_TYPE):
                 left[key] = value
                 continue
             path = value.get("path")
             if not isinstance(path, str) or value.keys() - {"type", "id", "path"}:
                 raise ValueError(
-                    f"a '{RESOURCES}' {key[:40]!r}, expected a 'path' alone, the name of a folder; change it."
+                    f"a '{RESOURCES_TYPE}' {key[:40]!r}, expected a 'path' alone, the name of a folder; change it."
                 )
             self.files = self.files.first(path)
         return left
 
-    def _value(self, key: str, value: Json, depth: int, kind: str) -> Json:
+    def _value(self, key: str, value: SceneValue, depth: int, kind: str) -> SceneValue:
         self.parts += 1
         if self.parts > self.most_values:
             raise ValueError(f"more than {self.most_values:,} values, expected fewer; put meshes in files.")
@@ -246,7 +250,7 @@ class CheckedDict:
         if isinstance(value, str):
             if key in ("type", "id"):
                 return _identifier(value)
-            return checked_string(key, value, self.files)
+            return check_string(key, value, self.files)
         if key in ("type", "id") or not (_is_number(value) or isinstance(value, bool) or _is_list(value, kind)):
             raise ValueError(
                 f"a value of {key[:40]!r}, {_shown(value)}, expected a finite number, text, true, false, three "
@@ -271,7 +275,7 @@ def _media(scene: SceneDict) -> dict[str, SceneDict]:
     return {key: value for key, value in objects.items() if value.get("type") in tuple(_MEDIA)}
 
 
-def _references(value: Json) -> Iterator[str]:
+def _references(value: SceneValue) -> Iterator[str]:
     """The names that an object refers to."""
     if isinstance(value, dict):
         if value.get("type") == "ref":
@@ -286,21 +290,21 @@ def _identifier(value: str) -> str:
     return value
 
 
-def _shown(value: Json) -> str:
+def _shown(value: SceneValue) -> str:
     """A value in a message; text of a deeply nested list would need a deep stack."""
     plain = value is None or isinstance(value, str | int | float)
     return repr(value if plain else type(value).__name__)[:40]
 
 
-def _is_number(value: Json) -> bool:
+def _is_number(value: SceneValue) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < 2**63 if isinstance(value, int) else math.isfinite(value)
 
 
-def _is_list(value: Json, kind: str) -> bool:
+def _is_list(value: SceneValue, kind: str) -> bool:
     """True if a value is three numbers, a matrix of nine or sixteen, or pairs of a spectrum."""
-    if not isinstance(value, list) or not value or len(value) > MOST_VALUES:
+    if not isinstance(value, list) or not value or len(value) > MAX_SCENE_VALUES:
         return False
     if kind == "spectrum":
         return all(isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair)) for pair in value)
@@ -310,10 +314,10 @@ def _is_list(value: Json, kind: str) -> bool:
     return square and kind != "rgb" and all(_is_number(number) for row in value for number in row)
 
 
-def instantiate(mi: Mitsuba, scene: dict[str, Json]) -> Scene:
+def instantiate_scene(mi: Mitsuba, scene: dict[str, SceneValue]) -> Scene:
     """A checked scene in Mitsuba, in this thread: others would write their messages to the screen."""
     text = json.dumps(scene)
-    for name in own_plugins():
+    for name in extension_bsdfs():
         if name in text:
             registry().plugins[name].load()()
     if "xml" in scene:
@@ -321,7 +325,7 @@ def instantiate(mi: Mitsuba, scene: dict[str, Json]) -> Scene:
     return mi.load_dict(_matrices(mi, scene), parallel=False)
 
 
-def _matrices(mi: Mitsuba, value: Json) -> Json:
+def _matrices(mi: Mitsuba, value: SceneValue) -> SceneValue:
     """The same with its matrices as Mitsuba wants them."""
     if isinstance(value, dict):
         plain = value.get("type") in ("rgb", "spectrum")
@@ -331,7 +335,7 @@ def _matrices(mi: Mitsuba, value: Json) -> Json:
     return value
 
 
-def one_line(reason: str) -> str:
+def shorten_mitsuba_message(reason: str) -> str:
     """Mitsuba's message of an error, or that of an extension's BSDF alone, in one line."""
     reason = reason.rpartition("ValueError: ")[2]
     reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda part: " " if part[0].isspace() else "", reason).strip()

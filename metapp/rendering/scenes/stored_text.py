@@ -10,18 +10,18 @@ from torch import Tensor
 
 from metapp.rendering.scenes.rules import SceneDict
 
-TEXT_BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
+TEXT_BLOCK_BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
 
 
-def scene_bytes(scene: SceneDict) -> Tensor:
+def encode_scene(scene: SceneDict) -> Tensor:
     """Return a scene as its JSON text, uint8 [L], with blanks at its end up to a multiple of 8192 bytes."""
     text = json.dumps(scene, allow_nan=False).encode()
-    padded = text.ljust(math.ceil(len(text) / TEXT_BYTES) * TEXT_BYTES)
+    padded = text.ljust(math.ceil(len(text) / TEXT_BLOCK_BYTES) * TEXT_BLOCK_BYTES)
     return torch.frombuffer(bytearray(padded), dtype=torch.uint8)
 
 
-def scene_of(text: Tensor) -> SceneDict:
-    """Return the scene whose JSON text :func:`scene_bytes` made.
+def decode_scene(text: Tensor) -> SceneDict:
+    """Return the scene whose JSON text :func:`encode_scene` made.
 
     Raises:
         ValueError: it is no JSON.

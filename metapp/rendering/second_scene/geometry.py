@@ -5,24 +5,33 @@ from __future__ import annotations
 from metapp.rendering.scenes.rules import box_film
 from metapp.rendering.types import Mitsuba
 
-HEIGHT, WIDTH = 64, 96  # of the picture, px
+PICTURE_HEIGHT_PX, PICTURE_WIDTH_PX = 64, 96  # of the picture, px
 FLOOR_ALBEDO, MATTE_ALBEDO, GLOSSY_REFLECTANCE = 0.5, 0.7, 0.9
-ALPHA = 0.12  # of the glossy sphere, GGX
+GLOSSY_ALPHA = 0.12  # of the glossy sphere, GGX
 MATTE_CENTRE, GLOSSY_CENTRE = (-1.15, 1.0, 0.0), (1.15, 1.0, 0.0)  # both spheres have radius 1; y = 0 is the floor
-CAMERA, TARGET, FIELD_DEGREES = (0.0, 4.6, 9.0), (0.0, 0.75, 0.1), 32.0  # field of view across the picture
+CAMERA_POSITION, CAMERA_TARGET, CAMERA_FOV_DEGREES = (
+    (0.0, 4.6, 9.0),
+    (0.0, 0.75, 0.1),
+    32.0,
+)  # field of view across the picture
 
 
-def scene_dict(mi: Mitsuba) -> dict[str, object]:
+def second_scene_dict(mi: Mitsuba) -> dict[str, object]:
     """The scene without a light, with Mitsuba's matrices."""
     frame = mi.ScalarTransform4f()
-    pose = frame.look_at(origin=CAMERA, target=TARGET, up=[0, 1, 0])
-    glossy = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": ALPHA,
+    pose = frame.look_at(origin=CAMERA_POSITION, target=CAMERA_TARGET, up=[0, 1, 0])
+    glossy = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": GLOSSY_ALPHA,
               "specular_reflectance": GLOSSY_REFLECTANCE}  # fmt: skip
     diffuse = {"type": "diffuse", "reflectance": FLOOR_ALBEDO}
     return {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 16},
-        "sensor": {"type": "perspective", "fov": FIELD_DEGREES, "to_world": pose, "film": box_film(WIDTH, HEIGHT)},
+        "sensor": {
+            "type": "perspective",
+            "fov": CAMERA_FOV_DEGREES,
+            "to_world": pose,
+            "film": box_film(PICTURE_WIDTH_PX, PICTURE_HEIGHT_PX),
+        },
         "floor": {"type": "rectangle", "to_world": frame.rotate([1, 0, 0], -90).scale(1000), "bsdf": diffuse},
         "matte": {"type": "sphere", "center": MATTE_CENTRE, "bsdf": diffuse | {"reflectance": MATTE_ALBEDO}},
         "glossy": {"type": "sphere", "center": GLOSSY_CENTRE, "bsdf": glossy},

@@ -17,25 +17,32 @@ from torch import Tensor
 from metapp.appearance import latlong
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
-from metapp.rendering.second_scene.geometry import ALPHA, GLOSSY_CENTRE, HEIGHT, MATTE_CENTRE, WIDTH, scene_dict
+from metapp.rendering.second_scene.geometry import (
+    GLOSSY_ALPHA,
+    GLOSSY_CENTRE,
+    MATTE_CENTRE,
+    PICTURE_HEIGHT_PX,
+    PICTURE_WIDTH_PX,
+    second_scene_dict,
+)
 
-PIXELS = HEIGHT * WIDTH
+PICTURE_PIXELS = PICTURE_HEIGHT_PX * PICTURE_WIDTH_PX
 _FLOOR_CELLS, _SPHERE_CELLS = 64, (24, 48)  # patches: a square grid of the floor, rows and columns of the matte sphere
-PATCHES = _FLOOR_CELLS**2 + _SPHERE_CELLS[0] * _SPHERE_CELLS[1]
-ROWS = PIXELS + PATCHES
+PATCH_COUNT = _FLOOR_CELLS**2 + _SPHERE_CELLS[0] * _SPHERE_CELLS[1]
+MATRIX_ROWS = PICTURE_PIXELS + PATCH_COUNT
 _CLOSE = 3.0  # half of the floor's cells lie within this distance of the middle, along x and along z
 # roots of primes: the multiples of each fill the unit interval evenly, and independently of the others
 _STRIDES = [math.sqrt(prime) % 1 for prime in (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)]
 
 
-class Paths:
+class TransferPaths:
     """Paths from the rows of the matrix, the pixels and then the patches, back to the light.
 
     Arrays are Dr.Jit's, one entry a path.
     """
 
     def __init__(self) -> None:
-        self.scene = mi.load_dict(scene_dict(mi))
+        self.scene = mi.load_dict(second_scene_dict(mi))
 
     def to_texels(self, height: int, width: int, number: int) -> Tensor:
         """Radiance of the rows by that of the texels above the horizon, which they see or see in the glossy sphere.
@@ -44,14 +51,14 @@ class Paths:
             [rows, height / 2 * width], by the path of such a number from each row to each texel of the map.
         """
         texels = height // 2 * width
-        lane = dr.arange(mi.UInt32, ROWS * texels)
+        lane = dr.arange(mi.UInt32, MATRIX_ROWS * texels)
         texel = lane % texels
         pair = self._draws(lane, dr.opaque(mi.Float, number))  # opaque, or each number would be compiled anew
         si = self._first_hit(lane // texels, pair())
         to_light = _direction(texel // width, texel % width, (height, width), pair())
         radiance = self._lit(si, to_light, si.is_valid()) + self._mirrored(si, to_light, pair())
         solid_angles = latlong.solid_angles(height, width)[: height // 2].expand(-1, width).flatten()
-        return torch.from_numpy(radiance.numpy()).view(ROWS, texels) * solid_angles
+        return torch.from_numpy(radiance.numpy()).view(MATRIX_ROWS, texels) * solid_angles
 
     def to_patches(self, count: int = 256) -> Tensor:
         """Radiance of the rows by that of the patches, which they see or see in the glossy sphere, by rays of a row.
@@ -59,7 +66,7 @@ class Paths:
         Returns:
             [rows, patches], sparse.
         """
-        lane = dr.arange(mi.UInt32, ROWS * count)
+        lane = dr.arange(mi.UInt32, MATRIX_ROWS * count)
         pair = self._draws(lane // count, mi.Float(lane % count))
         si, weight = self._first_hit(lane // count, pair()), mi.Float(1)
         for is_glossy in (False, True):
@@ -72,8 +79,10 @@ class Paths:
         weights = torch.from_numpy(weight.numpy())
         patch = torch.from_numpy(self._patch(si.p).numpy().astype("int64"))
         ends = weights > 0
-        places = torch.stack([torch.arange(ROWS).repeat_interleave(count)[ends], patch[ends]])
-        return torch.sparse_coo_tensor(places, weights[ends], (ROWS, PATCHES), check_invariants=False).coalesce()
+        places = torch.stack([torch.arange(MATRIX_ROWS).repeat_interleave(count)[ends], patch[ends]])
+        return torch.sparse_coo_tensor(
+            places, weights[ends], (MATRIX_ROWS, PATCH_COUNT), check_invariants=False
+        ).coalesce()
 
     def _draws(self, stream: mt.UInt32, step: mt.Float) -> Callable[[], mt.Point2]:
         """Pairs of numbers in [0, 1): random for each stream, evenly spread over the steps of one stream."""
@@ -88,9 +97,11 @@ class Paths:
 
     def _first_hit(self, row: mt.UInt32, place: mt.Point2) -> mt.Interaction:
         """The first hit of a row: through a place in its pixel, or at a place in its patch, seen from above."""
-        film = (mi.Point2f(row % WIDTH, row // WIDTH) + place) / mi.Point2f(WIDTH, HEIGHT)
+        film = (mi.Point2f(row % PICTURE_WIDTH_PX, row // PICTURE_WIDTH_PX) + place) / mi.Point2f(
+            PICTURE_WIDTH_PX, PICTURE_HEIGHT_PX
+        )
         view, _ = self.scene.sensors()[0].sample_ray(0, 0, film, mi.Point2f(0))
-        patch = dr.select(row < PIXELS, 0, row - PIXELS)
+        patch = dr.select(row < PICTURE_PIXELS, 0, row - PICTURE_PIXELS)
         on_floor = patch < _FLOOR_CELLS**2
         cell = mi.Point2f(patch % _FLOOR_CELLS, patch // _FLOOR_CELLS)
         share = dr.clip((cell + place) * (2 / _FLOOR_CELLS) - 1, -0.995, 0.995)
@@ -99,7 +110,7 @@ class Paths:
         outwards = _direction(cell // _SPHERE_CELLS[1], cell % _SPHERE_CELLS[1], _SPHERE_CELLS, place)
         normal = dr.select(on_floor, mi.Vector3f(0, 1, 0), outwards)
         point = dr.select(on_floor, mi.Point3f(floor.x, 0, floor.y), mi.Point3f(MATTE_CENTRE) + outwards)
-        is_pixel = row < PIXELS
+        is_pixel = row < PICTURE_PIXELS
         start = dr.select(is_pixel, view.o, point + 1e-4 * normal)
         return self.scene.ray_intersect(mi.Ray3f(start, dr.select(is_pixel, view.d, -normal)))
 
@@ -135,7 +146,7 @@ class Paths:
             lightwards = dr.select(is_lightwards, normal, lightwards)
             hitherwards = dr.select(is_lightwards, hitherwards, normal)
         # About it, the microfacets' distribution, narrower from nearby: there the mirror turns the way here along.
-        alpha = ALPHA / (1 + 0.5 / dr.norm(si.p - centre - normal))
+        alpha = GLOSSY_ALPHA / (1 + 0.5 / dr.norm(si.p - centre - normal))
         facets = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, alpha, False)
         turned, density = facets.sample(mi.Vector3f(0, 0, 1), place)
         normal = mi.Frame3f(normal).to_world(turned)

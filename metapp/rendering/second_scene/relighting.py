@@ -20,18 +20,18 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance import latlong
-from metapp.rendering.second_scene.geometry import HEIGHT, WIDTH
+from metapp.rendering.second_scene.geometry import PICTURE_HEIGHT_PX, PICTURE_WIDTH_PX
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import read_tensors, write_bytes
 
-VERSION = 1  # of the scene and its matrix, in the name of the cached file
-SAMPLES = 16384  # paths from each pixel to the light, spread over the texels
+MATRIX_VERSION = 1  # of the scene and its matrix, in the name of the cached file
+PATHS_PER_PIXEL = 16384  # paths from each pixel to the light, spread over the texels
 
 _BOUNCES = 4  # between patches; what is left out is 0.1 % of the light
 
 
-def transfer(height: int = 32, width: int = 64) -> Tensor:
+def transfer_matrix(height: int = 32, width: int = 64) -> Tensor:
     """The scene as a matrix, from the cache, or else built now, in about 20 s on one core.
 
     Args:
@@ -47,7 +47,7 @@ def transfer(height: int = 32, width: int = 64) -> Tensor:
     """
     if height < 2 or height % 2 or width < 1:
         raise ValueError(f"second scene: maps of {height} x {width} texels, expected an even number of rows.")
-    path = matrix_path(height, width)
+    path = matrix_file(height, width)
     with suppress(OSError, SafetensorError, KeyError):  # not there, or damaged
         return _load(path, path.stat().st_mtime_ns)
     matrix = _build(height, width)
@@ -55,9 +55,9 @@ def transfer(height: int = 32, width: int = 64) -> Tensor:
     return matrix
 
 
-def matrix_path(height: int = 32, width: int = 64) -> Path:
+def matrix_file(height: int = 32, width: int = 64) -> Path:
     """The cached file of the matrix for maps of that size."""
-    return cache_folder() / f"second-scene-{height}x{width}-v{VERSION}.safetensors"
+    return cache_folder() / f"second-scene-{height}x{width}-v{MATRIX_VERSION}.safetensors"
 
 
 @functools.lru_cache(maxsize=1)
@@ -73,23 +73,25 @@ def relight(maps: Tensor, *, height: int = 32, width: int = 64) -> Tensor:
         height: rows of the matrix's maps.
         width: their columns.
     """
-    texels = latlong.resample(maps, height, width).flatten(-2)
-    result: Tensor = (texels @ transfer(height, width).to(maps).T).unflatten(-1, (HEIGHT, WIDTH))
+    texels = latlong.resample_maps(maps, height, width).flatten(-2)
+    result: Tensor = (texels @ transfer_matrix(height, width).to(maps).T).unflatten(
+        -1, (PICTURE_HEIGHT_PX, PICTURE_WIDTH_PX)
+    )
     return result
 
 
 def _build(height: int, width: int) -> Tensor:
-    """The matrix of `transfer`: surfaces that the map lights, and those that see lit patches."""
+    """The matrix of `transfer_matrix`: surfaces that the map lights, and those that see lit patches."""
     load_mitsuba()
-    from metapp.rendering.second_scene.paths import PIXELS, ROWS, Paths
+    from metapp.rendering.second_scene.paths import MATRIX_ROWS, PICTURE_PIXELS, TransferPaths
 
-    paths = Paths()
-    passes = math.ceil(SAMPLES / (height // 2 * width))
-    lit = torch.zeros(ROWS, height // 2 * width)
+    paths = TransferPaths()
+    passes = math.ceil(PATHS_PER_PIXEL / (height // 2 * width))
+    lit = torch.zeros(MATRIX_ROWS, height // 2 * width)
     for number in range(passes):
         lit += paths.to_texels(height, width, number) / passes
     from_patches, total = paths.to_patches(), lit
     for _ in range(_BOUNCES):
-        total = lit + torch.sparse.mm(from_patches, total[PIXELS:])
-    upper = total[:PIXELS]
+        total = lit + torch.sparse.mm(from_patches, total[PICTURE_PIXELS:])
+    upper = total[:PICTURE_PIXELS]
     return torch.cat([upper, torch.zeros_like(upper)], dim=1)  # the floor hides all below the horizon

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from metapp.apps import class_of
-from metapp.storage.shards import check_shard, read_manifest
+from metapp.storage.shards import list_data_set_problems, read_manifest
 
 
 class CheckedData(NamedTuple):
@@ -41,5 +41,5 @@ def check_data_set(folder: Path) -> CheckedData:
         counts={split: sum(task.split == split for task in manifest.tasks) for split in ("train", "test")},
         bytes=sum(file.stat().st_size for file in files if file.is_file()),
         units=manifest.units,
-        problems=check_shard(folder, class_of(manifest.app).tensors),
+        problems=list_data_set_problems(folder, class_of(manifest.app).tensors),
     )

@@ -11,15 +11,15 @@ from data_tools.readers.source import Source, Sources
 from metapp.apps import class_of
 from metapp.learning.task import Task
 from metapp.registry import registry
-from metapp.runs.inputs.finding import reading
+from metapp.runs.inputs.finding import bind_reader_arguments
 from metapp.runs.reporter import progress, say
-from metapp.runs.surroundings import threads
-from metapp.storage.files import check_readable, named
-from metapp.storage.folders import Kind, check_files_of_user, kind_of, listed_once, refusal
-from metapp.storage.shards import AUTO, SPLITS, Entry, write_shard
+from metapp.runs.surroundings import torch_defaults
+from metapp.storage.files import check_readable, error_about_file
+from metapp.storage.folders import PathKind, cache_lookups, check_files_of_user, path_kind, path_refusal
+from metapp.storage.shards import AUTO_SPLIT, SPLITS, ManifestEntry, write_data_set
 
 
-class Converted(NamedTuple):
+class ConversionResult(NamedTuple):
     """The result of a conversion: names by split, and a line for each file that was skipped."""
 
     app: str
@@ -29,13 +29,15 @@ class Converted(NamedTuple):
     skipped: list[str]
 
 
-def converted(app: str, out: Path, entries: Sequence[Entry], skipped: Iterable[str] = ()) -> Converted:
+def conversion_result(
+    app: str, out: Path, entries: Sequence[ManifestEntry], skipped: Iterable[str] = ()
+) -> ConversionResult:
     """The names in a data set that was written."""
     names = {split: [entry.name for entry in entries if entry.split == split] for split in ("train", "test")}
-    return Converted(app, str(out), names["train"], names["test"], list(skipped))
+    return ConversionResult(app, str(out), names["train"], names["test"], list(skipped))
 
 
-def convert(
+def convert_files(
     name: str,
     paths: Iterable[Path],
     out: Path,
@@ -44,7 +46,7 @@ def convert(
     *,
     overwrite: bool = False,
     quiet: bool = False,
-) -> Converted:
+) -> ConversionResult:
     """Write the tasks of files and folders to `out`, all or nothing.
 
     A file that was named must be good; one that was found in a folder may be bad: it is skipped with a warning.
@@ -68,15 +70,15 @@ def convert(
     for path in paths:
         check_files_of_user(path, expected, data_sets=form.data_sets)
     try:
-        with listed_once():
+        with cache_lookups():
             found, skipped = _find(reader.find, paths)
     except ValueError:
-        if runs := [path for path in paths if kind_of(path) is Kind.RUN_FOLDERS]:  # nothing of a user beside them
-            raise ValueError(refusal(runs[0], expected)) from None
+        if runs := [path for path in paths if path_kind(path) is PathKind.RUN_FOLDERS]:  # nothing of a user beside them
+            raise ValueError(path_refusal(runs[0], expected)) from None
         raise
     searched = {folder for _, folder in found.values()} - {None}
     own = getattr(reader, "entries", entries_by_place)(list(found), searched, split)
-    entries: dict[Path, Entry] = {place: own[place] for place in found if place in own}
+    entries: dict[Path, ManifestEntry] = {place: own[place] for place in found if place in own}
     _require_distinct(entries)
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
     usable: set[Path | None] = set()
@@ -90,13 +92,13 @@ def convert(
                 source, folder = found[place]
                 try:
                     check_readable(place)
-                    task = reading(reader.read_task, {"content": source.content})(place, **options)
+                    task = bind_reader_arguments(reader.read_task, {"content": source.content})(place, **options)
                 except (ValueError, OSError) as error:
                     if folder is None:
-                        raise named(error, place) from None
-                    bad.setdefault(folder, []).append(str(named(error, place)))
+                        raise error_about_file(error, place) from None
+                    bad.setdefault(folder, []).append(str(error_about_file(error, place)))
                 else:
-                    part = entry.split or AUTO if split == AUTO else split
+                    part = entry.split or AUTO_SPLIT if split == AUTO_SPLIT else split
                     yield task._replace(name=entry.name, group=entry.group), part, place
                     usable.add(folder)
                 bar.advance(entry.name)
@@ -109,18 +111,18 @@ def convert(
         if empty:
             raise ValueError(f"{empty[0]}: {len(bad[empty[0]])} sources, none usable; expected at least one.")
 
-    with threads(single=class_of(form.app).single_threaded):  # small tensors, for which threads only wait
-        written = write_shard(out, form.app, reader.UNITS, read(), notes, overwrite=overwrite)
-    return converted(form.app, out, written, skipped)
+    with torch_defaults(single=class_of(form.app).single_threaded):  # small tensors, for which threads only wait
+        written = write_data_set(out, form.app, reader.UNITS, read(), notes, overwrite=overwrite)
+    return conversion_result(form.app, out, written, skipped)
 
 
-def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> dict[Path, Entry]:
+def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> dict[Path, ManifestEntry]:
     """Sources by the names of their files, and their splits: those of folders train/ and test/, which is said.
 
     The innermost folder that stands beside the other counts; whether only one of the two was named does not matter.
     """
-    entries = {source: Entry(source.stem if source.is_file() else source.resolve().name) for source in sources}
-    for source in sources if split == AUTO else ():
+    entries = {source: ManifestEntry(source.stem if source.is_file() else source.resolve().name) for source in sources}
+    for source in sources if split == AUTO_SPLIT else ():
         inner = Path(os.path.abspath(source.parent))
         for folder in (inner, *inner.parents):
             if folder.name in SPLITS and all((folder.parent / name).is_dir() for name in SPLITS):
@@ -152,7 +154,7 @@ def _find(
     return {source.path: (source, folder) for source, folder in sources_by_path.values()}, skipped
 
 
-def _require_distinct(entries: Mapping[Path, Entry]) -> None:
+def _require_distinct(entries: Mapping[Path, ManifestEntry]) -> None:
     """Refuse two tasks of one name."""
     names: dict[str, Path] = {}
     for source, entry in entries.items():

@@ -15,17 +15,17 @@ from metapp.learning.task import Task
 from metapp.names import embedded_apps
 from metapp.registry import registry
 from metapp.runs.reporter import progress, say
-from metapp.runs.surroundings import threads
+from metapp.runs.surroundings import torch_defaults
 from metapp.storage import Document
 from metapp.storage.cache import cache_folder
-from metapp.storage.files import PARTIAL, partial_path
-from metapp.storage.folders import Kind, kind_of
-from metapp.storage.shards import read_manifest, write_shard
+from metapp.storage.files import PARTIAL_PREFIX, partial_path
+from metapp.storage.folders import PathKind, path_kind
+from metapp.storage.shards import read_manifest, write_data_set
 
 if TYPE_CHECKING:
     from metapp.contracts import EmbeddedSet
 
-VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
+DEFAULT_SET_VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
 _PART = "part"  # the note that names the one split of a set that its folder holds; a whole set has none
 _STALE_SECONDS = 3600.0
@@ -62,7 +62,7 @@ def split_counts(app: str, count: int | None = None) -> dict[str, int]:
     return {"train": count - test, "test": test}
 
 
-def embedded_data(
+def make_embedded_set(
     app: str,
     seed: int = 0,
     count: int | None = None,
@@ -96,7 +96,7 @@ def embedded_data(
     return _in_cache(app, counts, notes, quiet=quiet)
 
 
-def embedded_tests(app: str, quiet: bool = False) -> Path:
+def make_embedded_test_set(app: str, quiet: bool = False) -> Path:
     """Return a folder that holds the test tasks of an application's default embedded set.
 
     Fits and tables need no training tasks, which are nine of ten and take minutes to draw. Test tasks drawn alone are
@@ -128,15 +128,15 @@ def embedded_folders(app: str) -> list[Path]:
         return []
     notes = _default_notes(app)
     folders = [_cached(app, notes | {_PART: "test"}), _cached(app, notes)]
-    return [folder for folder in folders if kind_of(folder) is Kind.DATA_SET]
+    return [folder for folder in folders if path_kind(folder) is PathKind.DATA_SET]
 
 
-def embedded_has_training(app: str) -> bool:
+def has_embedded_training(app: str) -> bool:
     """True if the whole default embedded set has been made already, with its training tasks."""
     return app in embedded_apps() and _cached(app, _default_notes(app)) in embedded_folders(app)
 
 
-def embedded_exists(app: str) -> bool:
+def has_embedded_tests(app: str) -> bool:
     """True if the test tasks of the default embedded set have been made already."""
     return bool(embedded_folders(app))
 
@@ -155,7 +155,7 @@ def _in_cache(app: str, counts: dict[str, int], notes: Document, *, quiet: bool)
     if not quiet:
         what = f"{notes[_PART]} tasks of the embedded data set" if _PART in notes else "embedded data set"
         say(f"{app}: making the {what}, once: {folder}")
-    for left in folder.parent.glob(f"{PARTIAL}*"):  # by programs that were killed
+    for left in folder.parent.glob(f"{PARTIAL_PREFIX}*"):  # by programs that were killed
         if time.time() - left.stat().st_mtime > _STALE_SECONDS:
             shutil.rmtree(left, ignore_errors=True)
     work = partial_path(folder)  # another program may be making the same set
@@ -180,7 +180,7 @@ def _default_notes(app: str) -> Document:
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
     """The manifest's notes of how a set is drawn; ValueError if it has not such an option."""
     module, offered = embedded_module(app), _options(app)
-    notes = {"made_by": "metapp data synth", "version": getattr(module, "VERSION", VERSION), "seed": seed}
+    notes = {"made_by": "metapp data synth", "version": getattr(module, "VERSION", DEFAULT_SET_VERSION), "seed": seed}
     for name, value in options.items():
         if name not in offered:
             raise ValueError(f"{app}: {name} {value}, but its embedded set has no such option; leave --{name} out.")
@@ -217,8 +217,8 @@ def _make(
                     yield task, split, ""
                     bar.advance(task.name)
 
-    with threads(single=class_of(app).single_threaded):
-        write_shard(folder, app, units, draw(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
+    with torch_defaults(single=class_of(app).single_threaded):
+        write_data_set(folder, app, units, draw(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
 
 
 def _is_finished(folder: Path, app: str, notes: Document) -> bool:

@@ -12,15 +12,15 @@ from typing import Any
 from data_tools.readers.listing import files_below
 from data_tools.readers.source import Source
 from metapp.learning.task import Task
-from metapp.names import application_of, inputs_of
-from metapp.registry import WITHOUT, load, registry
+from metapp.names import application_of, input_formats
+from metapp.registry import WITHOUT_VARIABLE, load_reference, registry
 from metapp.runs.options import FitOptions
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
-from metapp.storage.folders import Kind, check_files_of_user, kind_of, listed_once, looks_once, refusal
+from metapp.storage.folders import PathKind, cache_lookups, cached_lookup, check_files_of_user, path_kind, path_refusal
 from metapp.storage.shards import read_manifest
 
-DATA_SET, MEMORY = "data set", "memory"  # formats of sources that are no files
+DATA_SET_FORMAT, MEMORY_FORMAT = "data set", "memory"  # formats of sources that are no files
 
 
 def find_sources(options: FitOptions) -> list[Source]:
@@ -36,7 +36,7 @@ def find_sources(options: FitOptions) -> list[Source]:
         ValueError: a path that is no input of the application, or one that two formats read.
     """
     if options.paths:
-        with listed_once():
+        with cache_lookups():
             return _sources_of_paths(options)
     return [source_of_data(options.app, options.data)] if options.data and options.data.exists() else []
 
@@ -62,11 +62,11 @@ def source_of_tensors(app: str, name: str, tensors: Mapping[str, Any], folder: P
     """
     entry = application_of(app)
     protocol = next((name for name, tensor in entry.protocols.items() if tensor in tensors), "")
-    facts = load(entry.facts)(tensors) if entry.facts and tensors else {}
-    return Source(name, folder or Path(name), DATA_SET if folder else MEMORY, protocol, facts)
+    facts = load_reference(entry.facts)(tensors) if entry.facts and tensors else {}
+    return Source(name, folder or Path(name), DATA_SET_FORMAT if folder else MEMORY_FORMAT, protocol, facts)
 
 
-def reading(read: Callable[..., Task], arguments: Mapping[str, object]) -> Callable[..., Task]:
+def bind_reader_arguments(read: Callable[..., Task], arguments: Mapping[str, object]) -> Callable[..., Task]:
     """Bind those arguments to a function of a format that it has parameters for."""
     return functools.partial(read, **{name: arguments[name] for name in _parameters(read) if name in arguments})
 
@@ -76,14 +76,14 @@ def _parameters(function: Callable[..., object]) -> tuple[str, ...]:
     return tuple(inspect.signature(function).parameters)
 
 
-def place_of(path: Path) -> Path:
+def absolute_place(path: Path) -> Path:
     """Return the absolute path of a file or folder without links, which is looked up once for the files of a folder."""
     if path.is_symlink() or path.name in ("", ".."):
         return path.resolve()
     return _resolved(path.parent) / path.name
 
 
-@looks_once
+@cached_lookup
 def _resolved(folder: Path) -> Path:
     return folder.resolve()
 
@@ -92,11 +92,11 @@ def _sources_of_paths(options: FitOptions) -> list[Source]:
     sources: dict[Path, Source] = {}
     for path in options.paths:
         for source in _found(options.app, path) if path.exists() else ():
-            other = sources.setdefault(place_of(source.path), source)
+            other = sources.setdefault(absolute_place(source.path), source)
             if other.format != source.format:
                 raise ValueError(
                     f"{source.path}: the formats {other.format} and {source.format} both read it, expected one; leave "
-                    f"one extension out by {WITHOUT}."
+                    f"one extension out by {WITHOUT_VARIABLE}."
                 )
     return list(sources.values())
 
@@ -108,7 +108,7 @@ def _found(app: str, path: Path) -> Iterator[Source]:
         ValueError: the path is no input of the application.
     """
     check_readable(path)
-    forms = inputs_of(app)
+    forms = input_formats(app)
     inputs = ", ".join(form.inputs for form in forms.values())
     expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
     check_files_of_user(path, f"an input of {app} ({expected})")
@@ -126,8 +126,8 @@ def _found(app: str, path: Path) -> Iterator[Source]:
 
 def _refusal(app: str, path: Path, expected: str) -> str:
     """Return the line about a path that no format of an application recognises."""
-    if kind_of(path) is Kind.RUN_FOLDERS:
-        return refusal(path, f"an input of {app} ({expected})")
+    if path_kind(path) is PathKind.RUN_FOLDERS:
+        return path_refusal(path, f"an input of {app} ({expected})")
     if line := _first_placeholder(path):
         return line
     every = (form for form in registry().formats.values() if form.inputs)

@@ -11,20 +11,20 @@ from typing import NamedTuple
 
 import torch
 
-from data_tools.readers.source import PHOTO_PX, Source
+from data_tools.readers.source import DEFAULT_PHOTO_PX, Source
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.registry import registry
-from metapp.runs.inputs.embedded import embedded_data, embedded_tests
-from metapp.runs.inputs.finding import MEMORY, place_of, reading
+from metapp.runs.inputs.embedded import make_embedded_set, make_embedded_test_set
+from metapp.runs.inputs.finding import MEMORY_FORMAT, absolute_place, bind_reader_arguments
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
-from metapp.storage.files import as_text, check_readable, file_name, named, safe_name
-from metapp.storage.fits import marked_name
-from metapp.storage.folders import listed_once
-from metapp.storage.shards import fingerprint, read_shard
+from metapp.storage.files import check_readable, error_about_file, file_name, printable_name, to_json_value
+from metapp.storage.fits import name_with_digest
+from metapp.storage.folders import cache_lookups
+from metapp.storage.shards import fingerprint, read_data_set
 
-FILES = "files"  # as records call data of files
+FILES_LABEL = "files"  # as records call data of files
 
 
 class Input(NamedTuple):
@@ -50,33 +50,33 @@ class Input(NamedTuple):
             OSError: it cannot be read.
         """
         task = self.read()
-        return task._replace(name=safe_name(task.name))
+        return task._replace(name=printable_name(task.name))
 
 
-def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
+def training_data_folder(app: App, data: Path | None, quiet: bool) -> Path:
     """Return the folder of a data set with training tasks: --data, or the whole embedded set, made on first use."""
-    return data or embedded_data(app.name, quiet=quiet)
+    return data or make_embedded_set(app.name, quiet=quiet)
 
 
 def data_label(folder: Path) -> str:
     """A data set's name in run folders: its folder's name and a digest of its content."""
-    return f"{safe_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
+    return f"{printable_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
 
 
-def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task], str]:
+def read_test_tasks(app: App, data: Path | None, quiet: bool) -> tuple[list[Task], str]:
     """The test tasks of a data set, None for the embedded one, and its name in run folders.
 
     Raises:
         ValueError: it has none.
     """
-    folder = data or embedded_tests(app.name, quiet)
-    tasks = read_shard(folder, "test", app.name, app.tensors)
+    folder = data or make_embedded_test_set(app.name, quiet)
+    tasks = read_data_set(folder, "test", app.name, app.tensors)
     if not tasks:
         raise ValueError(f"{folder}: 0 test tasks, expected some; convert the data again with --split auto or test.")
-    return [task._replace(name=safe_name(task.name)) for task in tasks], data_label(folder)
+    return [task._replace(name=printable_name(task.name)) for task in tasks], data_label(folder)
 
 
-def sources_to_fit(run: Run) -> tuple[list[Input], str]:
+def find_inputs(run: Run) -> tuple[list[Input], str]:
     """The inputs of a run, its files, objects or test tasks of its data set, and the name of the data in records.
 
     Raises:
@@ -84,30 +84,32 @@ def sources_to_fit(run: Run) -> tuple[list[Input], str]:
     """
     app, options = run.app, run.options
     if options.objects:
-        return sources_of_objects(app.name, options.objects, _arguments(run)), MEMORY
+        return inputs_of_objects(app.name, options.objects, _arguments(run)), MEMORY_FORMAT
     if not options.paths:
-        tasks, label = tasks_of_data(app, options.data, options.quiet)
-        return sources_of(tasks), label
+        tasks, label = read_test_tasks(app, options.data, options.quiet)
+        return inputs_of_tasks(tasks), label
     merges = [option for option in registry().merges.of(app.name) if option in options.own.given()]
     for path in options.paths:
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder; give existing input files.")
     if merges:
-        return [_merged(run, merges[0])], FILES
+        return [_merged(run, merges[0])], FILES_LABEL
     arguments = _arguments(run)
-    with listed_once():
-        return [_input_of(source, arguments) for source in run.sources], FILES
+    with cache_lookups():
+        return [_input_of(source, arguments) for source in run.sources], FILES_LABEL
 
 
 def _input_of(source: Source, arguments: Mapping[str, object]) -> Input:
     """Return a source as something to fit, which its format's reader reads with those arguments that it takes."""
     read_task = registry().formats[source.format].load().read_task
-    read = functools.partial(_read, reading(read_task, {**arguments, "content": source.content}), source.path)
+    read = functools.partial(
+        _read, bind_reader_arguments(read_task, {**arguments, "content": source.content}), source.path
+    )
     given = [source.given] if source.given else []
-    return Input(as_text(str(place_of(source.path))), read, source.named, given)
+    return Input(to_json_value(str(absolute_place(source.path))), read, source.named, given)
 
 
-def sources_of(tasks: Sequence[Task]) -> list[Input]:
+def inputs_of_tasks(tasks: Sequence[Task]) -> list[Input]:
     """Tasks that are read already."""
     return [Input(task.name, task._replace) for task in tasks]
 
@@ -124,18 +126,18 @@ def read_tasks(sources: Sequence[Input]) -> list[Task]:
             read.append((source.place, source.task()))
         except (ValueError, OSError) as error:
             if source.named:
-                raise named(error, Path(source.place)) from None
-            say(f"warning: skipped {named(error, Path(source.place))}")
+                raise error_about_file(error, Path(source.place)) from None
+            say(f"warning: skipped {error_about_file(error, Path(source.place))}")
     if not read:
         raise ValueError(f"none of the {len(sources)} found could be read.")
-    return told_apart(read)
+    return rename_duplicates(read)
 
 
-def told_apart(read: Iterable[tuple[str, Task]]) -> list[Task]:
+def rename_duplicates(read: Iterable[tuple[str, Task]]) -> list[Task]:
     """Tasks of sources' places; the second of a name has a digest of its place, as folders of fits have."""
     first: dict[str, str] = {}
     return [
-        task if first.setdefault(task.name, place) == place else task._replace(name=marked_name(task.name, place))
+        task if first.setdefault(task.name, place) == place else task._replace(name=name_with_digest(task.name, place))
         for place, task in read
     ]
 
@@ -153,7 +155,7 @@ def _arguments(run: Run) -> dict[str, object]:
     """
     arguments = {"observe": run.options.observe} | run.options.own.reading()
     if reads := run.app.read_size:
-        arguments = {"size": reads, "rows": reads, "least": min(reads, PHOTO_PX)} | arguments
+        arguments = {"size": reads, "rows": reads, "least": min(reads, DEFAULT_PHOTO_PX)} | arguments
     return arguments
 
 
@@ -163,13 +165,13 @@ def _merged(run: Run, option: str) -> Input:
     places = [source.path for source in run.sources]
 
     def read() -> Task:
-        merge = reading(registry().merges[app.name, option].load(), _arguments(run))
+        merge = bind_reader_arguments(registry().merges[app.name, option].load(), _arguments(run))
         return merge(places, getattr(run.options.own, option))
 
-    return Input(as_text(str(places[0].resolve())), read, True, run.options.paths)
+    return Input(to_json_value(str(places[0].resolve())), read, True, run.options.paths)
 
 
-def content_of(task: Task) -> str:
+def task_digest(task: Task) -> str:
     """12 hex digits of a task's values: the same of an input that was moved or copied."""
     total = hashlib.sha256()
     for key in sorted(task.data):
@@ -177,7 +179,7 @@ def content_of(task: Task) -> str:
     return total.hexdigest()[:12]
 
 
-def in_memory(sources: Sequence[object]) -> bool:
+def are_objects(sources: Sequence[object]) -> bool:
     """True if sources are objects in memory, not paths; all text is a path but that of an XML document.
 
     Raises:
@@ -189,7 +191,7 @@ def in_memory(sources: Sequence[object]) -> bool:
     return count > 0
 
 
-def sources_of_objects(app: str, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Input]:
+def inputs_of_objects(app: str, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Input]:
     """The sources of objects in memory, which are read at once.
 
     Args:

@@ -6,25 +6,25 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.readers.brdf_task import brdf_task
-from metapp.appearance.geometry import directions_to_full_circle
+from data_tools.readers.brdf_task import make_brdf_task
+from metapp.appearance.geometry import directions_to_full_rusinkiewicz
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.featured import inputs_of
-from metapp.apps.brdf.few.app import MOST_SAMPLES, SEEN_SAMPLES, TABLE_SAMPLES, FewSamples
-from metapp.apps.brdf.few.design import Limits, Posterior, expected_errors, places_of, plan
+from metapp.apps.brdf.featured import isotropic_inputs
+from metapp.apps.brdf.few.app import MAX_FEW_SAMPLES, TABLE_SAMPLES, TRAINING_SAMPLE_RANGE, FewSamples
+from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_errors, places_at_angles, plan_directions
 from metapp.apps.brdf.few.network import (
-    DARKEST,
+    DARKEST_REFLECTANCE,
     Few,
     cosine_product,
-    evidence,
-    features_of,
-    linear,
-    precision,
-    reflectance_of,
-    slope_of,
+    error_slope,
+    log_evidence,
+    model_features,
+    model_reflectance,
+    ridge_regression,
+    sample_precision,
 )
 from metapp.apps.brdf.network import opponent_axes
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Batch, Params, Tasks
 
 APP = FewSamples(Few(width=12, features=7))
@@ -43,13 +43,13 @@ def theta() -> Params:
 
 @pytest.fixture
 def where() -> Tensor:
-    return places_of(angles_of(40).double())
+    return places_at_angles(angles_of(40).double())
 
 
 def angles_of(count: int, seed: int = 2) -> Tensor:
     draws = torch.rand(40 * count, 3, generator=Generator().manual_seed(seed))
     draws = draws * torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
-    above = places_of(draws)
+    above = places_at_angles(draws)
     return draws[(above[0, 6] > 0.05) & (cosine_product(above)[0, 0] > 0.05)][:count]
 
 
@@ -57,7 +57,7 @@ def batch_of(theta: Params, where: Tensor) -> Batch:
     """Samples of a material that the model draws."""
     change = torch.randn(theta["last"].shape, generator=Generator().manual_seed(3), dtype=torch.float64)
     drawn = theta | {"last": theta["last"] + theta["deviation"].exp() * change}
-    target = torch.log1p(reflectance_of(drawn, where).clamp_min(0) * where[:, 6:])
+    target = torch.log1p(model_reflectance(drawn, where).clamp_min(0) * where[:, 6:])
     return {"where": where, "target": target, "count": torch.tensor([float(where.shape[2])], dtype=torch.float64)}
 
 
@@ -70,24 +70,24 @@ def test_opponent_axes_are_orthonormal(theta: Params) -> None:
 
 def test_the_slope_is_that_of_finite_differences(where: Tensor) -> None:
     f = torch.rand(1, 3, where.shape[2], generator=Generator().manual_seed(4)).double() * 3
-    logs, step = (f * cosine_product(where) + DARKEST).log(), 1e-6
+    logs, step = (f * cosine_product(where) + DARKEST_REFLECTANCE).log(), 1e-6
 
     def error(logs: Tensor) -> Tensor:
-        return torch.log1p((logs.exp() - DARKEST) / cosine_product(where) * where[:, 6:7])
+        return torch.log1p((logs.exp() - DARKEST_REFLECTANCE) / cosine_product(where) * where[:, 6:7])
 
     expected = (error(logs + step) - error(logs - step)) / (2 * step)
-    torch.testing.assert_close(slope_of(f, where), expected, rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(error_slope(f, where), expected, rtol=1e-6, atol=1e-9)
 
 
 def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor) -> None:
     """Of augmented rows, by a least-squares solver; and its covariance is the inverse of the normal equations."""
     batch = batch_of(theta, where)
-    at = linear(theta, batch)
+    at = ridge_regression(theta, batch)
     seen = batch["target"].expm1() / where[:, 6:7]
-    logs = opponent_axes(theta["last"]).T @ (seen * cosine_product(where) + DARKEST).log()
-    features, weights = features_of(theta, where)[0], precision(theta, slope_of(seen, where))[0]
+    logs = opponent_axes(theta["last"]).T @ (seen * cosine_product(where) + DARKEST_REFLECTANCE).log()
+    features, weights = model_features(theta, where)[0], sample_precision(theta, error_slope(seen, where))[0]
     torch.testing.assert_close(at.weights[0], weights * where.shape[2])
-    posterior = Posterior.of(theta, where, slope_of(seen, where))
+    posterior = Posterior.of(theta, where, error_slope(seen, where))
     for axis in range(3):
         root = weights.sqrt()
         rows = torch.cat([(features * root).T, torch.diag(torch.exp(-theta["deviation"][0, axis]))])
@@ -109,13 +109,13 @@ def test_evidence_is_the_likelihood_of_samples(theta: Params, where: Tensor) -> 
     """Differences between models are those of the normal distributions of the logarithms, written out."""
     batch, logs = batch_of(theta, where), []
     for model in (theta, _like(theta)):
-        features = features_of(model, where)[0]
-        weights = precision(model, slope_of(batch["target"].expm1() / where[:, 6:7], where))[0]
-        at = linear(model, batch).residual[0]
+        features = model_features(model, where)[0]
+        weights = sample_precision(model, error_slope(batch["target"].expm1() / where[:, 6:7], where))[0]
+        at = ridge_regression(model, batch).residual[0]
         spread = model["deviation"][0].exp().square()
         covariances = torch.einsum("fn,cf,fm->cnm", features, spread, features) + torch.diag(1 / weights)
         normal = torch.distributions.MultivariateNormal(torch.zeros_like(at), covariances)
-        logs.append((evidence(model, batch)[0], normal.log_prob(at).sum()))
+        logs.append((log_evidence(model, batch)[0], normal.log_prob(at).sum()))
     (first, wanted), (second, other) = logs
     torch.testing.assert_close(first - second, wanted - other)
 
@@ -139,7 +139,7 @@ def test_deviations_are_those_of_materials_that_the_model_draws(theta: Params, w
     roots = torch.linalg.cholesky(posterior.covariance)
     draws = torch.einsum("cfg,cgn->cfn", roots, torch.randn(3, 8, 20_000, generator=rng, dtype=torch.float64))
     axes = opponent_axes(theta["last"])
-    logs = axes @ torch.einsum("cfn,fm->mcn", draws, features_of(theta, where)[0])  # [M, 3, draws]
+    logs = axes @ torch.einsum("cfn,fm->mcn", draws, model_features(theta, where)[0])  # [M, 3, draws]
     torch.testing.assert_close(posterior.deviation(where), logs.std(2).T, rtol=0.03, atol=1e-5)
 
 
@@ -153,11 +153,13 @@ def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
 
 def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
     one = {key: value[0] for key, value in theta.items()}
-    x = inputs_of(where)[0]
+    x = isotropic_inputs(where)[0]
     for weights, bias in (layers := APP.network.folded(one).layers)[:2]:
         x = torch.nn.functional.silu(weights @ x + bias[:, None])
     x = layers[2][0] @ x + layers[2][1][:, None]
-    torch.testing.assert_close((x.exp() - DARKEST) / cosine_product(where)[0], APP.network.reflectance(theta, where)[0])
+    torch.testing.assert_close(
+        (x.exp() - DARKEST_REFLECTANCE) / cosine_product(where)[0], APP.network.reflectance(theta, where)[0]
+    )
 
 
 # What a fit sees
@@ -165,7 +167,7 @@ def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
 
 @pytest.mark.usefixtures("small_spheres")
 def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> None:
-    task = brdf_task("gray", lambda angles: torch.full((*angles.shape[:-1], 3), 0.2), samples=4096)
+    task = make_brdf_task("gray", lambda angles: torch.full((*angles.shape[:-1], 3), 0.2), samples=4096)
     data = Brdf().prepare(task)
     assert float(APP.prepare(task)["count"]) == TABLE_SAMPLES
     rows = torch.arange(2048) % 40 + 100
@@ -174,15 +176,15 @@ def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> N
     assert float(found["count"]) == 40
     assert torch.equal(found["where"][:40].unique(dim=0), data["where"][100:140].unique(dim=0))
     assert torch.equal(found["where"][2048:], data["where"][2048:])
-    batch = APP.sample(stack(APP, [task]), Generator(), MOST_SAMPLES)
+    batch = APP.sample(stack_tasks(APP, [task]), Generator(), MAX_FEW_SAMPLES)
     assert len(batch["where"][0].T.unique(dim=0)) == TABLE_SAMPLES
 
 
 def test_training_draws_few_samples_of_each_material() -> None:
-    where = places_of(angles_of(2000)).expand(6, -1, -1).transpose(1, 2)
+    where = places_at_angles(angles_of(2000)).expand(6, -1, -1).transpose(1, 2)
     tasks = Tasks(tuple("abcdef"), {"where": where, "target": torch.rand(6, 2000, 3)}, torch.arange(6))
     data = APP.augment(tasks, Generator().manual_seed(0)).data
-    least, greatest = SEEN_SAMPLES
+    least, greatest = TRAINING_SAMPLE_RANGE
     assert bool(((data["count"] >= least) & (data["count"] <= greatest)).all())
     assert len(data["count"].unique()) > 1
 
@@ -192,15 +194,19 @@ def test_training_draws_few_samples_of_each_material() -> None:
 
 def test_plans_keep_to_the_limits_of_the_instrument(theta: Params) -> None:
     single = {key: value.float() for key, value in theta.items()}
-    for limits in (Limits(), Limits(math.radians(50), math.radians(20)), Limits(detector_rad=math.radians(30))):
-        wi, wo = plan(single, 6, limits, NOTHING, Generator().manual_seed(0))
+    for limits in (
+        InstrumentLimits(),
+        InstrumentLimits(math.radians(50), math.radians(20)),
+        InstrumentLimits(detector_rad=math.radians(30)),
+    ):
+        wi, wo = plan_directions(single, 6, limits, NOTHING, Generator().manual_seed(0))
         assert wi.shape == wo.shape == (6, 3)
         torch.testing.assert_close(torch.cat([wi, wo]).norm(dim=1), torch.ones(12))
         assert bool(limits.allowed(wi, wo).all())
         if limits.detector_rad:
             torch.testing.assert_close(wo[:, 2], torch.full((6,), math.cos(limits.detector_rad)))
     with pytest.raises(ValueError, match="0 of 4096 pairs of directions within the limits, expected 6"):
-        plan(single, 6, Limits(detector_rad=math.radians(85)), NOTHING, Generator())
+        plan_directions(single, 6, InstrumentLimits(detector_rad=math.radians(85)), NOTHING, Generator())
 
 
 def test_planned_directions_tell_more_than_random_ones(theta: Params) -> None:
@@ -208,10 +214,12 @@ def test_planned_directions_tell_more_than_random_ones(theta: Params) -> None:
     single = {key: value.float() for key, value in theta.items()}
 
     def left(angles: Tensor) -> float:
-        return expected_errors(Posterior.of(single, places_of(angles)))["expected"]
+        return expected_errors(Posterior.of(single, places_at_angles(angles)))["expected"]
 
-    wi, wo = plan(single, 6, Limits(), NOTHING, Generator().manual_seed(0))
-    first = directions_to_full_circle(wi, wo)
+    wi, wo = plan_directions(single, 6, InstrumentLimits(), NOTHING, Generator().manual_seed(0))
+    first = directions_to_full_rusinkiewicz(wi, wo)
     assert left(first) < min(left(angles_of(6, seed)) for seed in range(20))
-    more = directions_to_full_circle(*plan(single, 6, Limits(), first, Generator().manual_seed(0)))
+    more = directions_to_full_rusinkiewicz(
+        *plan_directions(single, 6, InstrumentLimits(), first, Generator().manual_seed(0))
+    )
     assert left(torch.cat([first, more])) < left(torch.cat([first, first]))

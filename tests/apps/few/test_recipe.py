@@ -9,14 +9,14 @@ import torch
 
 import metapp as api
 from data_tools.readers import gonio
-from data_tools.readers.measured_pairs import Pairs
-from metapp.apps.brdf.few.network import NETWORK
+from data_tools.readers.measured_pairs import MeasuredPairs
+from metapp.apps.brdf.few.network import FEW_NETWORK
 from tests.anisotropic import measured
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
-def table(file: Path, pairs: Pairs) -> Path:
+def table(file: Path, pairs: MeasuredPairs) -> Path:
     """A goniometer's table of measurements."""
     gonio.write_pairs(file, pairs.wi[:0], pairs.wo[:0], pairs)
     return file
@@ -28,8 +28,8 @@ def test_up_to_a_thousand_samples_in_memory_are_all_fitted() -> None:
     known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
     values = known.expand(1200, 3).numpy()
     many, *some = (api.fit("brdf", (wi[:count], wo[:count], values[:count])) for count in (1200, 20, 4))
-    assert many.app.network != NETWORK
-    assert all(fit.app.network == NETWORK for fit in some)
+    assert many.app.network != FEW_NETWORK
+    assert all(fit.app.network == FEW_NETWORK for fit in some)
     angles = many.task.data["angles"]
     assert float((some[0].app.reflectance(some[0].parameters, angles) - known).abs().median()) < 0.01
 

@@ -9,13 +9,13 @@ import torch
 from safetensors.torch import save_file
 from torch import Generator
 
-from data_tools.readers.svbrdf_task import svbrdf_task
+from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.appearance.features import VGG_BLOCKS
 from metapp.apps import app_of
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.pretrained.app import FromFeatures, MeanField
 from metapp.apps.svbrdf_nonstationary.pretrained.recipe import PRETRAINED
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Tasks
 from tests.apps.test_svbrdf_nonstationary import material
 
@@ -51,4 +51,4 @@ def app() -> FromFeatures:
 
 @pytest.fixture
 def tasks(app: FromFeatures) -> Tasks:
-    return stack(app, [svbrdf_task(f"material-{seed}", material(seed, 2 * SIDE)) for seed in range(4)])
+    return stack_tasks(app, [make_svbrdf_task(f"material-{seed}", material(seed, 2 * SIDE)) for seed in range(4)])

@@ -3,7 +3,7 @@
 import torch
 from torch import Generator
 
-from metapp.appearance.flash import positions
+from metapp.appearance.flash import texel_positions
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import (
     LOG_FLATTENING,
     MIN_SIDE,
@@ -17,7 +17,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import (
 
 def test_pieces_turn_normals_with_what_they_are_of(rng: Generator) -> None:
     """Of planes of known heights: normals lean as the heights fall, in any direction, mirrored or not."""
-    across, up = positions(64, 64)
+    across, up = texel_positions(64, 64)
     slopes = torch.randn(12, 2, generator=rng)
     heights = slopes[:, 0, None, None] * across + slopes[:, 1, None, None] * up
     normal = torch.nn.functional.normalize(torch.cat([-slopes, torch.ones(12, 1)], 1), dim=1)
@@ -34,7 +34,7 @@ def test_pieces_turn_normals_with_what_they_are_of(rng: Generator) -> None:
 
 def test_pieces_show_up_to_all_of_the_maps(rng: Generator) -> None:
     """From LEAST of the side to all of it, and nothing beyond; such as are turned have less room."""
-    across, up = positions(64, 64)
+    across, up = texel_positions(64, 64)
     maps = torch.stack([torch.zeros_like(up), torch.zeros_like(up), torch.ones_like(up), across, up, *[across] * 5])
     piece = crop_pieces(maps.expand(200, -1, -1, -1), 64, rng)[:, 3:5]
     sides = (piece[:, :, 0, 0] - piece[:, :, 0, -1]).norm(dim=1) / 2

@@ -10,16 +10,16 @@ from metapp.apps.svbrdf_nonstationary.maps import MIN_ROUGHNESS, decode_flash, r
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_decoder
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import describe_highlight, predict_roughness, roughness_shift
 from metapp.learning.task import Params
-from metapp.networks.coded import reader_of
+from metapp.networks.coded import select_reader
 from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.shipped import shipped_path
+from metapp.storage.shipped import shipped_checkpoint_path
 
 
 @pytest.fixture(scope="module")
 def reader() -> Params:
     """That of the checkpoint."""
-    file = shipped_path("svbrdf_nonstationary", "general-photo", "pretrained")
-    return {key: value.float() for key, value in reader_of(load_checkpoint(file)[0].encoder).items()}
+    file = shipped_checkpoint_path("svbrdf_nonstationary", "general-photo", "pretrained")
+    return {key: value.float() for key, value in select_reader(load_checkpoint(file)[0].encoder).items()}
 
 
 def marble(roughness: float, seed: int, aside: float = 0.0) -> Tensor:

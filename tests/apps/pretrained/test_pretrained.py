@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.flash import Maps, positions, unpack
+from metapp.appearance.flash import Maps, texel_positions, unpack_maps
 from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, pixel_inputs
@@ -95,7 +95,7 @@ def test_what_is_made_up_counts_nothing(
 ) -> None:
     batch = app.sample(app.augment(tasks, rng), rng, 1)
     batch["known"] = torch.tensor([[1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.5], [0.0] * 4])
-    parts = [part.clone().requires_grad_() for part in unpack(0.9 * batch["maps"] + 0.01)]
+    parts = [part.clone().requires_grad_() for part in unpack_maps(0.9 * batch["maps"] + 0.01)]
     value = losses(app, Maps(*parts), batch, monkeypatch)
     value.sum().backward()
     moved = [part.grad.abs().amax((1, 2, 3)) > 0 for part in parts]  # type: ignore[union-attr]
@@ -109,7 +109,7 @@ def test_relief_that_a_photo_does_not_tell_is_best_left_out(
 ) -> None:
     """Where slopes may as well go the other way, flat maps are better than either; where they are known, the truth."""
     batch = app.sample(app.augment(tasks, rng), rng, 1)
-    truth = unpack(batch["maps"])
+    truth = unpack_maps(batch["maps"])
     turned = truth._replace(normal=truth.normal * torch.tensor([-1.0, -1.0, 1.0])[:, None, None])
     flat = truth._replace(normal=torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand_as(truth.normal))
     right, wrong, none = (losses(app, maps, batch, monkeypatch).mean() for maps in (truth, turned, flat))
@@ -257,13 +257,13 @@ def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> 
     with torch.no_grad():
         seen = FULL_APP.network.gain * FULL_APP.encode(full_encoder(photos.device), {"photo": large})["flash"]
     torch.testing.assert_close(read_photos(decoder, photos)["flash"], seen)
-    window = photos[..., :16, :16], positions(32, 32)[None, :, :16, :16]
+    window = photos[..., :16, :16], texel_positions(32, 32)[None, :, :16, :16]
     torch.testing.assert_close(read_photos(decoder, *window, describe_patch(photos))["flash"], seen)
 
 
 def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> None:
     """The rest of what is known of a photo, and what VGG sees, stays as it is; these move by as much."""
-    photo, place = 0.1 + 0.3 * torch.rand(1, 3, 16, 16, generator=rng), positions(16, 16)[None]
+    photo, place = 0.1 + 0.3 * torch.rand(1, 3, 16, 16, generator=rng), texel_positions(16, 16)[None]
     gains = torch.tensor([1.3, 1.0, 0.6])[:, None, None]
     mean = photo.mean((2, 3), keepdim=True)
     (seen, known), (again, others) = _balance(photo, place, mean), _balance(photo * gains, place, mean * gains)
@@ -293,7 +293,7 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
     untrained = init_decoder(rng, 5)
     trained = {key: value + (0.1 if ".overview" in key else 0) for key, value in untrained.items()}
     patch, middle = describe_patch(smooth), (slice(None), slice(None), slice(96, 160), slice(96, 160))
-    window = (smooth[middle], positions(256, 256)[None][middle])
+    window = (smooth[middle], texel_positions(256, 256)[None][middle])
     for parameters, same in ((untrained, True), (trained, False)):  # of another patch with the same mean
         turned = patch | {"overview": patch["overview"].flip(3)}
         read, other = (read_photos(parameters, *window, each)["z"] for each in (patch, turned))

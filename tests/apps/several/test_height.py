@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import Maps, camera_distance, positions, render
+from metapp.appearance.flash import Maps, camera_distance, render_maps, texel_positions
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
 from metapp.apps.svbrdf_nonstationary.several.height import _shift_plane, align_to_surface
 from metapp.learning.task import Task
@@ -24,7 +24,7 @@ def photographs(slope: float) -> tuple[Tensor, Tensor]:
     maps = maps._replace(normal=normal / normal.norm(dim=1, keepdim=True))
     gains = (places[:, 2] / camera_distance()) ** 2
     each = [
-        render(maps, positions(SIDE, SIDE), place[None], place[None], intensity=gain)
+        render_maps(maps, texel_positions(SIDE, SIDE), place[None], place[None], intensity=gain)
         for place, gain in zip(places, gains, strict=True)
     ]
     return torch.cat(each), places[:, None].repeat(1, 2, 1)

@@ -15,7 +15,7 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     decode_flashes,
     render_photos,
 )
-from metapp.learning.adjoint import Draw, Loss, learn_through
+from metapp.learning.adjoint import DrawnBatch, Loss, learn_differentiably
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Batch, Params
 from metapp.rules import rule_of
@@ -104,13 +104,13 @@ def test_exact_photographs_are_met_in_a_few_steps() -> None:
 
 def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralPhotos) -> None:
     theta, batch, true = problem()
-    loss = newton.GaussNewton(lambda *_: Draw((), batch), app.loss, settings=app.settings)
+    loss = newton.GaussNewton(lambda *_: DrawnBatch((), batch), app.loss, settings=app.settings)
     rule = rule_of("gauss-newton")
     alpha = {key: value[:, None].double() for key, value in rule.alpha(app, {"maps": true[0]}, 2, Adam(1.0)).items()}
 
     def left(*values: Tensor) -> Tensor:
         learned = rule.rule(dict(zip(alpha, values, strict=True)))
-        moved = learn_through(theta, learned, [batch, batch], loss, order=2)
+        moved = learn_differentiably(theta, learned, [batch, batch], loss, order=2)
         return (moved["maps"] - true).square().sum() + moved["flash"].square().sum()
 
     assert torch.autograd.gradcheck(left, [value.clone().requires_grad_() for value in alpha.values()], rtol=1e-3)
@@ -120,5 +120,5 @@ def test_other_applications_are_refused_in_a_line(app: SeveralPhotos) -> None:
     other = type("Other", (), {"name": "texture"})()
     with pytest.raises(ValueError, match="its part newton does not apply to texture: its fits are not maps"):
         rule_of("gauss-newton").require(other, {})
-    plain = Loss(lambda *_: Draw((), {}), app.loss)
+    plain = Loss(lambda *_: DrawnBatch((), {}), app.loss)
     assert isinstance(rule_of("gauss-newton").loss(app, plain), newton.GaussNewton)

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
+from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
-from metapp.appearance.flash import Maps, camera_distance, pack, positions, towards, unpack
+from metapp.appearance.flash import Maps, camera_distance, directions_to_point, pack_maps, texel_positions, unpack_maps
 from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, decode_photo
 from metapp.apps.svbrdf_nonstationary.places import held_places
@@ -23,7 +23,7 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     render_photos,
 )
 from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL
-from metapp.learning.app import stack
+from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import PARADIGMS, paradigm_of
@@ -36,8 +36,8 @@ SIDE, COUNT = 16, 3
 def several(seed: int, count: int = COUNT) -> Task:
     """A task of so many photos, from known places."""
     maps, places = material(seed), held_places(1, count, Generator().manual_seed(seed))[0][0]
-    photos = [flash_photo(maps, place, float((place[2] / camera_distance()) ** 2), place) for place in places]
-    task = svbrdf_task(f"material-{seed}", maps, photo=photos[0])
+    photos = [render_flash_photo(maps, place, float((place[2] / camera_distance()) ** 2), place) for place in places]
+    task = make_svbrdf_task(f"material-{seed}", maps, photo=photos[0])
     return task._replace(
         data=task.data | {"others": torch.stack(photos[1:]), "places": places[:, None].repeat(1, 2, 1)}
     )
@@ -50,7 +50,7 @@ def app() -> SeveralPhotos:
 
 @pytest.fixture
 def tasks(app: SeveralPhotos) -> Tasks:
-    return stack(app, [several(seed) for seed in range(2)])
+    return stack_tasks(app, [several(seed) for seed in range(2)])
 
 
 def general(app: SeveralPhotos, tasks: Tasks) -> Params:
@@ -75,7 +75,7 @@ PLACES = torch.tensor([[0.0, 0, 2.4], [1.2, 0.3, 2.2], [-0.9, 0.9, 2.5], [-0.3, 
 def test_stereo_is_exact_on_lambertian_texels() -> None:
     """But for the ridge, which draws slopes to 0 by the share that it states."""
     maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
-    wi, squared = towards(places[:, :, 1], positions(32, 32))
+    wi, squared = directions_to_point(places[:, :, 1], texel_positions(32, 32))
     white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared
     flash = torch.zeros(1, FLASH_NUMBERS, 5)
     brightness = render_photos(maps, decode_flashes(flash, places)).mean(2, keepdim=True) / white
@@ -115,13 +115,15 @@ def test_the_order_of_photographs_does_not_matter(app: SeveralPhotos, tasks: Tas
 
 def truth(tasks: Tasks) -> Tensor:
     """RAW numbers of the tasks' own maps."""
-    return _encode_maps(unpack(tasks.data["maps"]))
+    return _encode_maps(unpack_maps(tasks.data["maps"]))
 
 
 def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, tasks: Tasks) -> None:
     batch = app.sample(tasks, Generator(), 1)
     theta = {"maps": truth(tasks), "flash": torch.zeros(2, FLASH_NUMBERS, COUNT)}
-    torch.testing.assert_close(decode_maps(theta["maps"]).normal, unpack(tasks.data["maps"]).normal, rtol=0, atol=1e-3)
+    torch.testing.assert_close(
+        decode_maps(theta["maps"]).normal, unpack_maps(tasks.data["maps"]).normal, rtol=0, atol=1e-3
+    )
     least = app.loss(theta, batch, {})
     assert (least / SIDE**2 < 0.03).all()  # the maps are the photos' means, and 8 bits
     for axis, off in ((0, 1.0), (2, 1.0), (3, 1.0)):
@@ -152,7 +154,7 @@ def test_gradients_are_those_of_finite_differences(app: SeveralPhotos, tasks: Ta
 @pytest.mark.parametrize("count", [2, 5, 9])
 def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: int) -> None:
     """Each fit has a lower loss than its initialisation, and none moves the prior."""
-    tasks = stack(app, [several(0, count)])
+    tasks = stack_tasks(app, [several(0, count)])
     recipe = replace(SEVERAL, app=app, steps=3, overfit_steps=5, finetune_steps=4)
     encoder = app.init_encoder(Generator().manual_seed(0))
     random = {key: value[0] for key, value in app.init(Generator(), 1).items()}
@@ -180,10 +182,10 @@ def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPho
         maps = maps._replace(roughness=torch.full((1, 1, SIDE, SIDE), roughness))
         places = PLACES[:, None].expand(5, 2, 3)
         photos = (render_photos(maps, decode_flashes(torch.zeros(1, FLASH_NUMBERS, 5), places[None]))[0]).clamp(0, 1)
-        known = pack(Maps(*(part[0] for part in maps)))
+        known = pack_maps(Maps(*(part[0] for part in maps)))
         shown = (photos.clamp_min(0) ** (1 / 2.2) * 255).round().to(torch.uint8)
-        task = svbrdf_task("relief", known, photo=shown[0])
-        tasks = stack(app, [task._replace(data=task.data | {"others": shown[1:], "places": places})])
+        task = make_svbrdf_task("relief", known, photo=shown[0])
+        tasks = stack_tasks(app, [task._replace(data=task.data | {"others": shown[1:], "places": places})])
         found = decode_maps(app.task_parameters(tasks)["maps"]).roughness
         assert float((found - roughness).abs().max()) < 0.12
 
@@ -236,7 +238,7 @@ def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) 
     alone = Task("wall", {"photo": several(0).data["photo"]})
     for other in (several(1, 2), alone):
         with pytest.raises(ValueError, match=r"photos \(.*expected \(3, 3, 16, 16\) as of material-0; convert both"):
-            stack(app, [several(0), other])
+            stack_tasks(app, [several(0), other])
     data = several(0).data
     for broken in (data | {"places": data["places"][:2]}, {key: data[key] for key in ("photo", "others")}):
         with pytest.raises(ValueError, match=r"leaf: 3 photos and [02] places, expected as many"):
@@ -254,9 +256,9 @@ def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
     for photos, of in ((decode_photo(five.data["others"]), places[1:]), (drawn[0, 1:], measured[0, 1:])):
 
         def off(place: Tensor, photos: Tensor = photos) -> Tensor:
-            seen = render_photos(unpack(maps), decode_flashes(torch.zeros(1, FLASH_NUMBERS, 4), place[None]))[0].clamp(
-                0, 1
-            )
+            seen = render_photos(unpack_maps(maps), decode_flashes(torch.zeros(1, FLASH_NUMBERS, 4), place[None]))[
+                0
+            ].clamp(0, 1)
             return (seen - photos).abs().mean((1, 2, 3))
 
         mirrored = of * torch.tensor([-1.0, -1.0, 1.0])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.subject import EvaluationRun
 from tests.evaluation.cli.subjects import call, few_steps, subject_of
 
 
@@ -42,6 +42,6 @@ def evaluate(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
 
 
 @pytest.fixture
-def subject(data: Path, done: Path) -> Subject:
+def subject(data: Path, done: Path) -> EvaluationRun:
     """The same materials, with all that has been run of them."""
     return subject_of(data, done / "runs")

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.evaluation.style import STYLE
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.style import FIGURE_STYLE
+from metapp.evaluation.subject import EvaluationRun
 from metapp.runs.options import fit_options
 from metapp.runs.run import Run
 from tests.small_spheres import shrink_spheres
@@ -21,8 +21,8 @@ def few_steps() -> Iterator[None]:
     """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit_steps=40, finetune_steps=5))
-        patch.setattr("metapp.evaluation.tables.convergence.FURTHER", (2, 4))
-        patch.setitem(STYLE, "savefig.dpi", 40)
+        patch.setattr("metapp.evaluation.tables.convergence.FURTHER_STEPS", (2, 4))
+        patch.setitem(FIGURE_STYLE, "savefig.dpi", 40)
         shrink_spheres(patch)
         yield
 
@@ -32,14 +32,14 @@ def call(*arguments: str | Path) -> int:
     from metapp.cli import console
     from metapp.cli.commands import app
 
-    return int(console.run(lambda: app([str(each) for each in arguments], standalone_mode=False)))
+    return int(console.run_command(lambda: app([str(each) for each in arguments], standalone_mode=False)))
 
 
-def subject_of(data: Path, runs: Path) -> Subject:
+def subject_of(data: Path, runs: Path) -> EvaluationRun:
     """A data set with all that has been run of it."""
     planned = Run.of(fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
-    return Subject(planned, measuring=True)
+    return EvaluationRun(planned, measuring=True)
 
 
-def rows(subject: Subject, name: str) -> list[dict[str, Any]]:
+def rows(subject: EvaluationRun, name: str) -> list[dict[str, Any]]:
     return subject.table(name).rows

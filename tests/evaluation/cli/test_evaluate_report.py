@@ -9,8 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from metapp.evaluation.figures import FIGURES
-from metapp.evaluation.style import label
+from metapp.evaluation.figures import FIGURE_FUNCTIONS
+from metapp.evaluation.style import place_labels
 from metapp.registry import registry
 
 
@@ -22,13 +22,15 @@ def headings(text: str) -> list[str]:
 def test_the_report_has_all_tables_and_links_to_all_figures(evaluate: Callable, done: Path, tmp_path: Path) -> None:
     words = ("--out", done / "runs", "--no-run", "--quiet", "--json")
     assert evaluate(*words, "--report", tmp_path / "report", "--figures", tmp_path / "figures").code == 0
-    figures = {f"brdf-{name}.{form}" for name in FIGURES for form in ("png", "pdf")}
+    figures = {f"brdf-{name}.{form}" for name in FIGURE_FUNCTIONS for form in ("png", "pdf")}
     assert {file.name for file in (tmp_path / "figures").iterdir()} == figures
     assert {file.name for file in (tmp_path / "report").iterdir()} == figures | {"index.md"}
     assert (tmp_path / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
     text = (tmp_path / "report" / "index.md").read_text()
-    assert set(re.findall(r"^!\[.+\]\((.*)\)$", text, re.MULTILINE)) == {f"brdf-{name}.png" for name in FIGURES}
-    assert len(headings(text)) == len(registry().tables) + len(FIGURES)
+    assert set(re.findall(r"^!\[.+\]\((.*)\)$", text, re.MULTILINE)) == {
+        f"brdf-{name}.png" for name in FIGURE_FUNCTIONS
+    }
+    assert len(headings(text)) == len(registry().tables) + len(FIGURE_FUNCTIONS)
     assert {"Error and time", "Storage"} < set(headings(text))
     for expected in ("| app | paradigm |", "| brdf | meta |", "- vs quickft: ", "95 % interval"):
         assert expected in text
@@ -54,7 +56,7 @@ def test_names_of_crowded_places_do_not_overlap() -> None:
     places = [(0.5 + 0.02 * (i % 3), 0.5 + 0.02 * (i // 3)) for i in range(9)]
     axis.plot(*zip(*places, strict=True), "o")
     axis.set(xlim=(0, 1), ylim=(0, 1))
-    label(axis, [(f"name {i}", place, {"fontsize": 7}) for i, place in enumerate(places)])
+    place_labels(axis, [(f"name {i}", place, {"fontsize": 7}) for i, place in enumerate(places)])
     boxes = [Text.get_window_extent(note) for note in axis.texts]
     assert len(boxes) == 9
     assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))

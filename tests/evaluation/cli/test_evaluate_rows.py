@@ -9,15 +9,21 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.appearance.pictures import Fitted
+from metapp.appearance.pictures import TimedFit
 from metapp.apps.brdf.presenter import BrdfPresenter
-from metapp.evaluation.rows import paper
-from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables.ablation import InitialisationAlone, RuleAlone, combined, learned, same_initialisation
-from metapp.evaluation.tables.convergence import CURVES, PARTS, trace_records
+from metapp.evaluation.rows import paper_figures
+from metapp.evaluation.subject import EvaluationRun
+from metapp.evaluation.tables.ablation import (
+    InitialisationAlone,
+    RuleAlone,
+    combine_halves,
+    has_general_initialisation,
+    learned_rule_rows,
+)
+from metapp.evaluation.tables.convergence import CURVE_PARADIGMS, STEP_SHARES, trace_records
 from metapp.evaluation.tables.image import image_notes
-from metapp.evaluation.tables.storage import bytes_of, samples, stored
-from metapp.learning.app import stack
+from metapp.evaluation.tables.storage import checkpoint_bytes, parameter_bytes, samples
+from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
@@ -28,11 +34,13 @@ from tests.evaluation.cli.subjects import rows, subject_of
 from tests.evaluation.test_notes import row
 
 
-def test_the_ablation_has_four_corners(subject: Subject) -> None:
+def test_the_ablation_has_four_corners(subject: EvaluationRun) -> None:
     """Two of them are rows of the results; rules with a network of their own have none."""
-    planned = Subject(Run.of(fit_options("brdf", "general", recipe="quick", quiet=True)), measuring=False)
+    planned = EvaluationRun(Run.of(fit_options("brdf", "general", recipe="quick", quiet=True)), measuring=False)
     assert "meta:ridge" in planned.runs
-    assert learned(planned) == [name for name in planned.runs if name.startswith("meta") and name != "meta:ridge"]
+    assert learned_rule_rows(planned) == [
+        name for name in planned.runs if name.startswith("meta") and name != "meta:ridge"
+    ]
     ablation = {(row["start"], row["rule"]): row["error"] for row in rows(subject, "ablation")}
     results = {row["paradigm"]: row["error"] for row in rows(subject, "results")}
     start = "meta (meta-curvature)"
@@ -42,11 +50,11 @@ def test_the_ablation_has_four_corners(subject: Subject) -> None:
     assert len(set(ablation.values())) == 4
 
 
-def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
-    places = [Path(records[0]["folder"]).parent.name for _, _, records in combined(subject, "meta")]
+def test_what_is_combined_is_what_it_says(subject: EvaluationRun) -> None:
+    places = [Path(records[0]["folder"]).parent.name for _, _, records in combine_halves(subject, "meta")]
     assert [place.split("-")[:2] for place in places] == [["ablation", "rule"], ["ablation", "start"]]
     meta, general = (subject.runs[name].phi for name in ("meta", "general"))
-    tasks, recipe = stack(subject.app, subject.tasks), subject.run.recipe
+    tasks, recipe = stack_tasks(subject.app, subject.tasks), subject.run.recipe
     start, rule = InitialisationAlone.of(subject.app, recipe), RuleAlone.of(subject.app, recipe)
     rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
     ours = start.initialisation(meta, tasks, rngs[0])
@@ -57,30 +65,30 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     assert start.steps == rule.steps == 10
 
 
-def test_an_initialisation_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
+def test_an_initialisation_that_is_generals_is_not_fitted_twice(subject: EvaluationRun) -> None:
     meta, encoder = subject.runs["meta"], subject.runs["general"].phi.encoder
-    assert not same_initialisation(subject, "meta")
+    assert not has_general_initialisation(subject, "meta")
     own = Checkpoint(meta.phi._replace(theta={}, encoder=encoder), "", "")
     subject.runs["meta"] = replace(meta, checkpoint=own)
-    assert same_initialisation(subject, "meta")
+    assert has_general_initialisation(subject, "meta")
     fits = [subject.records("meta"), subject.records("quickft")]
-    assert [records for _, _, records in combined(subject, "meta")] == fits
+    assert [records for _, _, records in combine_halves(subject, "meta")] == fits
     assert any("General's own" in note for note in subject.table("ablation").notes)
 
 
-def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
+def test_a_trace_is_the_fit_itself(subject: EvaluationRun) -> None:
     traces = trace_records(subject)
-    for name in CURVES:
+    for name in CURVE_PARADIGMS:
         last = {record["name"]: record["curves"][name][-1] for record in traces}
         errors = {record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.records(name)}
         assert {task: error for task, (_, error) in last.items()} == errors
         assert {step for step, _ in last.values()} == {subject.runs[name].paradigm.steps}
-    assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
+    assert [row["step"] for row in rows(subject, "convergence")[: len(STEP_SHARES)]] == [0, 2, 5, 8, 10]
 
 
-def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
+def test_storage_is_that_of_the_parameters(subject: EvaluationRun) -> None:
     found = {row["paradigm"]: row for row in rows(subject, "storage")}
-    network = bytes_of(subject.app.init(torch.Generator(), 1))
+    network = parameter_bytes(subject.app.init(torch.Generator(), 1))
     assert network == 4 * 675
     assert found["overfit"]["bytes_100"] == found["finetune"]["bytes_100"] == 100 * network
     assert found["overfit"]["factor"] == 1
@@ -90,16 +98,16 @@ def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
     assert meta["bytes_1"] <= meta["pays_from"] * network < meta["bytes_1"] + network
 
 
-def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
+def test_the_papers_rule_stores_two_networks(subject: EvaluationRun) -> None:
     """An initialisation and a rate a weight: its compression factor is 2 / m, as the paper has it."""
     app = subject.app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     alpha = rule_of("meta-sgd").alpha(app, theta, 10, Adam(0.1))
-    found = stored(Checkpoint(MetaParameters(theta, alpha), "", ""))
-    assert found == paper()["storage"]["meta_networks"] * bytes_of(theta)
+    found = checkpoint_bytes(Checkpoint(MetaParameters(theta, alpha), "", ""))
+    assert found == paper_figures()["storage"]["meta_networks"] * parameter_bytes(theta)
 
 
-def test_samples_are_those_that_steps_draw(subject: Subject) -> None:
+def test_samples_are_those_that_steps_draw(subject: EvaluationRun) -> None:
     found = {row["paradigm"]: row for row in rows(subject, "samples")}
     assert {row["all"] for row in found.values()} == {128}  # half of 256; the rest is held out
     assert found["overfit"]["saved"] == 0
@@ -108,7 +116,7 @@ def test_samples_are_those_that_steps_draw(subject: Subject) -> None:
     many = {key: value.repeat(128, 1) if value.ndim == 2 else value for key, value in task.data.items()}
     subject.tasks = [Task("m0", many)]
     found = {row["paradigm"]: row for row in samples(subject).rows}
-    assert found["meta"]["seen"] == paper()["samples"]["brdf"]["seen"] == 10 * 512
+    assert found["meta"]["seen"] == paper_figures()["samples"]["brdf"]["seen"] == 10 * 512
     assert found["meta"]["saved"] == 1 - 5120 / 16384
     assert found["quickft"]["seen"] == 10 * 512 + 1024
     assert found["general"]["seen"] == 1024
@@ -118,7 +126,7 @@ def test_measures_of_pictures(data: Path, done: Path, tmp_path: Path) -> None:
     runs = shutil.copytree(done / "runs", tmp_path / "runs")
 
     class Measured(BrdfPresenter):
-        def picture_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:
             assert all(fit.seconds > 0 and fit.theta["w2"].shape == (21, 21) for fit in fits.values())
             value = 0.94 + 0.01 * int(task.name[1:])  # m0 is below the bound
             return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
@@ -140,7 +148,7 @@ def test_measures_of_pictures(data: Path, done: Path, tmp_path: Path) -> None:
     assert (by["regular", "MAPE"]["measured"], by["regular", "SSIM"]["measured"]) == (3, 0)
 
 
-def test_means_of_some_tasks_alone_say_so(subject: Subject) -> None:
+def test_means_of_some_tasks_alone_say_so(subject: EvaluationRun) -> None:
     found = [
         row(name, 0.3) | {"measure": "MAPE, equal time", "measured": count, "paper_share": None}
         for name, count in (("reference", 1), ("general", 8), ("overfit", 0), ("meta", 3))

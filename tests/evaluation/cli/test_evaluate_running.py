@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from metapp.apps.brdf.app import Brdf
-from metapp.cli.evaluating import subjects_of
-from metapp.cli.evaluation_options import Evaluation
-from metapp.evaluation.subject import Subject
+from metapp.cli.evaluating import evaluation_runs_of
+from metapp.cli.evaluation_options import EvaluateOptions
+from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
-from metapp.runs.reporter import Bar, Reporter, reporting
+from metapp.runs.reporter import Bar, Reporter, use_reporter
 from metapp.runs.surroundings import find_device
 from metapp.storage.fits import Record, RunFolder
 from tests.evaluation.cli.subjects import subject_of
@@ -22,13 +22,13 @@ from tests.quick import app_by
 
 
 @pytest.fixture
-def empty(data: Path, tmp_path: Path) -> Subject:
+def empty(data: Path, tmp_path: Path) -> EvaluationRun:
     """Three materials of which nothing was measured yet."""
     return subject_of(data, tmp_path / "runs")
 
 
 @pytest.fixture
-def measure(empty: Subject, tmp_path: Path) -> Callable:
+def measure(empty: EvaluationRun, tmp_path: Path) -> Callable:
     """Records of the materials under a title; `during` is called for each."""
 
     def measured(title: str, during: Callable[[str], object] = len, steps: int = 0, **more: bool) -> list[Record]:
@@ -43,7 +43,7 @@ def measure(empty: Subject, tmp_path: Path) -> Callable:
     return measured
 
 
-def test_missing_records_are_measured_once(measure: Callable, empty: Subject, tmp_path: Path) -> None:
+def test_missing_records_are_measured_once(measure: Callable, empty: EvaluationRun, tmp_path: Path) -> None:
     log: list[str] = []
     RunFolder(tmp_path / "some", {"title": "some"}).write({"name": "m1", "error": 0.5})
     for _ in range(2):
@@ -57,7 +57,7 @@ def test_missing_records_are_measured_once(measure: Callable, empty: Subject, tm
     assert len(log) == 2
 
 
-def test_an_interrupted_measurement_goes_on_at_the_first_missing_task(measure: Callable, empty: Subject) -> None:
+def test_an_interrupted_measurement_goes_on_at_the_first_missing_task(measure: Callable, empty: EvaluationRun) -> None:
     def stop(name: str) -> None:
         if name == "m1":
             raise KeyboardInterrupt
@@ -70,7 +70,7 @@ def test_an_interrupted_measurement_goes_on_at_the_first_missing_task(measure: C
     assert log == ["m1", "m2"]
 
 
-def test_fits_of_few_steps_come_first(empty: Subject) -> None:
+def test_fits_of_few_steps_come_first(empty: EvaluationRun) -> None:
     assert empty.found("general") == []
     rows = result_rows(empty, ("overfit", "finetune", "general", "quickft"))
     assert [row["paradigm"] for row in rows] == ["overfit", "finetune", "general", "quickft"]
@@ -95,9 +95,9 @@ class Heard(Reporter, Bar):
         self.shown.append((done, total, note))
 
 
-def test_the_progress_counts_gradient_steps(measure: Callable, empty: Subject) -> None:
+def test_the_progress_counts_gradient_steps(measure: Callable, empty: EvaluationRun) -> None:
     empty.run = replace(empty.run, options=replace(empty.run.options, quiet=False))
-    with reporting(heard := Heard()):
+    with use_reporter(heard := Heard()):
         measure("long", steps=99)
     assert heard.shown == [
         (0, 300, "brdf long"),
@@ -107,8 +107,8 @@ def test_the_progress_counts_gradient_steps(measure: Callable, empty: Subject) -
     ]
 
 
-def test_a_row_is_said_as_soon_as_it_is_measured(measure: Callable, empty: Subject) -> None:
-    with reporting(heard := Heard()):
+def test_a_row_is_said_as_soon_as_it_is_measured(measure: Callable, empty: EvaluationRun) -> None:
+    with use_reporter(heard := Heard()):
         measure("quiet")
         assert heard.lines == []
         empty.run = replace(empty.run, options=replace(empty.run.options, quiet=False))
@@ -117,7 +117,7 @@ def test_a_row_is_said_as_soon_as_it_is_measured(measure: Callable, empty: Subje
     assert heard.lines == ["brdf some: mean error 1.000, 3 tasks"]
 
 
-def test_fits_have_the_threads_of_their_application(measure: Callable, empty: Subject) -> None:
+def test_fits_have_the_threads_of_their_application(measure: Callable, empty: EvaluationRun) -> None:
     class Threaded(Brdf):
         single_threaded = False
 
@@ -138,11 +138,11 @@ def test_fits_have_the_threads_of_their_application(measure: Callable, empty: Su
 def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
     monkeypatch.setattr("metapp.cli.evaluating.app_names", lambda: ["texture", "transport"])
-    monkeypatch.setattr("metapp.evaluation.subject.tasks_of_data", lambda *_: ([], "none"))  # drawn in minutes
-    with reporting(heard := Heard()):
-        assert [one.app.name for one in subjects_of(Evaluation(out=tmp_path), [])] == ["transport"]
+    monkeypatch.setattr("metapp.evaluation.subject.read_test_tasks", lambda *_: ([], "none"))  # drawn in minutes
+    with use_reporter(heard := Heard()):
+        assert [one.app.name for one in evaluation_runs_of(EvaluateOptions(out=tmp_path), [])] == ["transport"]
     (line,) = heard.lines
     assert line.startswith("Texture is left out: ")
     assert "metapp data vgg" in line
     with pytest.raises(ValueError, match="metapp data vgg"):
-        subjects_of(Evaluation(out=tmp_path), ["texture"])
+        evaluation_runs_of(EvaluateOptions(out=tmp_path), ["texture"])

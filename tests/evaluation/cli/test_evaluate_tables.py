@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.evaluating import NOTE_LINES, rich_table
-from metapp.evaluation.subject import Subject
+from metapp.cli.evaluating import MAX_NOTE_LINES, rich_table
+from metapp.evaluation.subject import EvaluationRun
 from metapp.registry import registry
 from tests.evaluation.cli.subjects import rows
 
@@ -43,7 +43,7 @@ def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path
         assert shown.out.count(mark) >= (1 if form == "csv" else len(registry().tables))
 
 
-def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: Subject) -> None:
+def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: EvaluationRun) -> None:
     found = {row["paradigm"]: row for row in rows(subject, "results")}
     ours, theirs = ([record["error"] for record in subject.records(name)] for name in ("meta", "quickft"))
     pair = found["meta"]["vs_quickft"]
@@ -59,7 +59,7 @@ def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: S
     assert "too few to call a win" in " ".join(subject.table("quickft").findings)
 
 
-def test_fits_that_carry_a_warning_are_counted(subject: Subject) -> None:
+def test_fits_that_carry_a_warning_are_counted(subject: EvaluationRun) -> None:
     warnings = {1: "the visible loss rose from 1 to 2", 2: "the visible loss rose from 1 to 2; blobs", 0: "keeps 0.1"}
     for i, record in enumerate(subject.records("meta")):
         record |= {"threads": 1} | ({"warning": warnings[i]} if i in warnings else {})
@@ -75,7 +75,7 @@ def test_fits_that_carry_a_warning_are_counted(subject: Subject) -> None:
 
 
 @pytest.mark.parametrize("width", [60, 120, 200])
-def test_a_terminal_shows_as_many_columns_as_it_has_room_for(width: int, subject: Subject) -> None:
+def test_a_terminal_shows_as_many_columns_as_it_has_room_for(width: int, subject: EvaluationRun) -> None:
     from rich.console import Console
 
     for name in registry().tables:
@@ -104,7 +104,7 @@ def test_notes_are_numbered_below_all_tables(evaluate: Callable, done: Path) -> 
     assert below[1].startswith("[2] vs quickft: ratio of mean errors, 95 % interval")
     many = evaluate(*common, "--which", "all").out.splitlines()
     below = many[many.index(next(line for line in many if line.startswith("[1] "))) :]
-    assert len(below) <= NOTE_LINES
+    assert len(below) <= MAX_NOTE_LINES
     assert re.fullmatch(r"\d+ further notes: --format markdown", below[-1])
 
 
@@ -114,7 +114,7 @@ def test_tables_are_printed_before_pictures_are_drawn(
     def draw(*_: object) -> None:
         raise OSError("no pictures")
 
-    monkeypatch.setattr(Subject, "draw", draw)
+    monkeypatch.setattr(EvaluationRun, "draw", draw)
     result = evaluate("--out", done / "runs", "--no-run")
     assert "error: no pictures" in result.err
     assert "[1] " in result.out
@@ -128,8 +128,8 @@ def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, 
     assert {name: row["tasks"] for name, row in rows.items() if row["tasks"]} == {"quickft": 3}
 
 
-def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Subject) -> None:
-    short = Subject(subject.run, measuring=True, whole=False, few=2)
+def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: EvaluationRun) -> None:
+    short = EvaluationRun(subject.run, measuring=True, whole=False, few=2)
     whole, few = ({row["paradigm"]: row for row in rows(one, "results")} for one in (subject, short))
     assert [name for name in few if few[name]["few"]] == ["overfit"]  # of 40 steps; the others have 10 at most
     assert [row["tasks"] for row in few.values()] == [3 - (name == "overfit") for name in few]

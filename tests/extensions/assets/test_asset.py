@@ -15,12 +15,12 @@ import torch
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.material_maps import find, read_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, unpack
-from metapp.appearance.surface import DIELECTRIC, from_metallic
+from metapp.appearance.flash import Maps, unpack_maps
+from metapp.appearance.surface import DIELECTRIC_F0, metallic_to_specular
 from metapp.extensions.assets import gltf, materialx, pictures
 from metapp.extensions.assets.occlusion import occlusion_from_height
-from metapp.extensions.assets.planes import all_planes, to_metallic
-from metapp.registry import WITHOUT
+from metapp.extensions.assets.planes import all_surface_maps, specular_to_metallic
+from metapp.registry import WITHOUT_VARIABLE
 from tests.sources import paths_of
 from tests.surfaces import PROVENANCE, grid, linear, rock, stored, texture, waves
 
@@ -78,7 +78,7 @@ def test_maps_that_are_made_of_others_are_the_same_material(asset: Path) -> None
     occlusion = occlusion_from_height(rock().height, periodic=True)
     assert (stored(file(asset, "ao")) - occlusion).abs().max() < 2 * STEP
     base, metallic = linear(file(asset, "basecolor")), stored(file(asset, "metallic"))
-    diffuse, specular = from_metallic(base, metallic)
+    diffuse, specular = metallic_to_specular(base, metallic)
     total = rock().maps.diffuse + rock().maps.specular
     inside = (base < 0.999).all(0)  # where the base colour is not clamped
     assert (diffuse + specular - total).abs()[:, inside].max() < 1e-4
@@ -90,12 +90,12 @@ def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
     pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
     (source,) = paths_of(find, tmp_path / "rock")[0]
     assert paths_of(svbrdf_inputs.find, tmp_path / "rock") == ([source], [])  # no preview or height for a photograph
-    found, maps = unpack(read_task(source, 64).data["maps"].float()), rock(64).maps
+    found, maps = unpack_maps(read_task(source, 64).data["maps"].float()), rock(64).maps
     for name in Maps._fields:
         assert (getattr(found, name) - getattr(maps, name)).abs().max() < 1e-3, name  # kept as halves
     for name in ("diffuse", "specular", "normal_dx"):
         file(tmp_path / "rock", name).unlink()
-    found = unpack(read_task(file(tmp_path / "rock", "basecolor"), 64).data["maps"].float())
+    found = unpack_maps(read_task(file(tmp_path / "rock", "basecolor"), 64).data["maps"].float())
     assert (found.normal - maps.normal).abs().max() < 2e-3
     assert (found.roughness - maps.roughness).abs().max() < 2e-3
 
@@ -132,7 +132,7 @@ def test_exr_is_linear(tmp_path: Path) -> None:
 def test_without_the_extension_surfaces_have_no_exports_and_brdfs_keep_theirs(
     metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(WITHOUT, "assets")
+    monkeypatch.setenv(WITHOUT_VARIABLE, "assets")
     assert "texture has none; leave it out" in metapp("meta", "texture", "--export", "png16").misuse
     forms = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "png16").misuse
@@ -194,16 +194,16 @@ def drawn(*shape: int) -> torch.Tensor:
 
 
 def test_it_is_inverted_where_such_maps_exist() -> None:
-    base, metallic = DIELECTRIC + (1 - DIELECTRIC) * drawn(3, 16, 16), drawn(1, 16, 16)
-    found = to_metallic(*from_metallic(base, metallic))
+    base, metallic = DIELECTRIC_F0 + (1 - DIELECTRIC_F0) * drawn(3, 16, 16), drawn(1, 16, 16)
+    found = specular_to_metallic(*metallic_to_specular(base, metallic))
     assert torch.allclose(found[1], metallic, atol=1e-9)
     assert torch.allclose(found[0], base, atol=1e-9)
 
 
 def test_metals_and_dielectrics_are_what_they_are() -> None:
     gold, plaster = torch.tensor([1.0, 0.77, 0.34])[:, None, None], torch.full((3, 1, 1), 0.8)
-    dielectric = torch.full((1, 1, 1), DIELECTRIC)
-    metal, other = to_metallic(torch.zeros(3, 1, 1), gold), to_metallic(plaster, dielectric)
+    dielectric = torch.full((1, 1, 1), DIELECTRIC_F0)
+    metal, other = specular_to_metallic(torch.zeros(3, 1, 1), gold), specular_to_metallic(plaster, dielectric)
     assert torch.allclose(metal[1], torch.ones(1, 1, 1), atol=1e-4)
     assert torch.allclose(metal[0], gold, atol=1e-4)
     assert torch.equal(other[1], torch.zeros(1, 1, 1))
@@ -212,13 +212,13 @@ def test_metals_and_dielectrics_are_what_they_are() -> None:
 
 def test_what_no_such_material_reflects_stays_in_range_and_is_kept() -> None:
     diffuse, specular = drawn(3, 32, 32), drawn(3, 32, 32).flip(0)
-    for each in to_metallic(diffuse, specular):
+    for each in specular_to_metallic(diffuse, specular):
         assert each.isfinite().all()
         assert each.min() >= 0
         assert each.max() <= 1
     # and where nothing clips, all that is reflected is kept
-    diffuse, specular = 0.4 * drawn(3, 16, 16), DIELECTRIC + 0.4 * drawn(1, 16, 16)
-    again = from_metallic(*to_metallic(diffuse, specular))
+    diffuse, specular = 0.4 * drawn(3, 16, 16), DIELECTRIC_F0 + 0.4 * drawn(1, 16, 16)
+    again = metallic_to_specular(*specular_to_metallic(diffuse, specular))
     assert torch.allclose(again[0] + again[1], diffuse + specular, atol=1e-12)
 
 
@@ -278,7 +278,7 @@ def test_f0_comes_back_as_the_specification_computes_it_and_the_other_maps_as_th
     half = 0.5 / 255 + 1e-6
     assert (diffuse - linear_to_srgb(maps.diffuse)).abs().max() <= half
     assert (packed[1] - maps.roughness[0]).abs().max() <= half
-    assert (packed[0] - all_planes(rock())["ao"].values[0]).abs().max() <= half
+    assert (packed[0] - all_surface_maps(rock())["ao"].values[0]).abs().max() <= half
     assert not packed[2].any()
     assert (normal - (maps.normal / 2 + 0.5)).abs().max() <= half
     assert material["occlusionTexture"] == core["metallicRoughnessTexture"]
@@ -316,7 +316,7 @@ def test_blender_s_pictures_have_the_f0_of_dielectrics_and_metals(tmp_path: Path
     found = 0.08 * level * (1 - metallic) + srgb_to_linear(base) * metallic
     assert (found - surface.maps.specular.mean(0)).abs().max() < 1 / 65535
     base, metallic = torch.full((3, 8, 8), 0.8), torch.linspace(0, 1, 64).reshape(1, 8, 8)
-    diffuse, specular = from_metallic(base, metallic)
+    diffuse, specular = metallic_to_specular(base, metallic)
     maps = rock(8).maps._replace(diffuse=diffuse, specular=specular)
     pictures.write_blender(rock(8)._replace(base=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
     read = [stored(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")]
@@ -329,7 +329,7 @@ def test_blender_s_pictures_have_the_f0_of_dielectrics_and_metals(tmp_path: Path
 
 @pytest.fixture
 def mtlx(tmp_path: Path) -> Path:
-    materialx.write_materialx(rock(), tmp_path / "rock", PROVENANCE)
+    materialx.write_openpbr(rock(), tmp_path / "rock", PROVENANCE)
     return tmp_path / "rock" / "rock.mtlx"
 
 
@@ -368,7 +368,7 @@ def test_f0_is_what_openpbr_reflects_from_straight_above(mtlx: Path) -> None:
 
 def test_a_material_without_reflection_has_an_index(tmp_path: Path) -> None:
     black = rock().maps._replace(specular=torch.zeros(1, 32, 32))
-    materialx.write_materialx(rock()._replace(maps=black), tmp_path / "rock", PROVENANCE)
+    materialx.write_openpbr(rock()._replace(maps=black), tmp_path / "rock", PROVENANCE)
     surface = ET.parse(tmp_path / "rock" / "rock.mtlx").getroot().find("open_pbr_surface")
     assert 1 < float(next(each for each in surface if each.get("name") == "specular_ior").get("value")) < 1.1
 

@@ -9,7 +9,14 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import brdf, camera, expose, positions, relightings, render
+from metapp.appearance.flash import (
+    camera_position,
+    evaluate_brdf,
+    radiance_to_display,
+    relighting_positions,
+    render_maps,
+    texel_positions,
+)
 from metapp.extensions.assets import mitsuba
 from tests.needs_mitsuba import needs_mitsuba
 from tests.surfaces import PROVENANCE, rock
@@ -23,9 +30,9 @@ def mi() -> Any:
     from metapp.rendering.variant import load_mitsuba
 
     module = load_mitsuba()
-    from metapp.extensions.mitsuba_bsdfs.neural_svbrdf import register_maps_bsdf
+    from metapp.extensions.mitsuba_bsdfs.neural_svbrdf import register_neural_svbrdf
 
-    register_maps_bsdf()
+    register_neural_svbrdf()
     return module
 
 
@@ -38,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def texels(mi: Any, scene: Any) -> Any:
     """What rays from straight above hit in the centres of all texels, row by row."""
-    x, y = positions(SIDE, SIDE).flatten(1).numpy()
+    x, y = texel_positions(SIDE, SIDE).flatten(1).numpy()
     origin = mi.Point3f(mi.Float(x), mi.Float(y), 2.0)
     return scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(0, 0, -1)))
 
@@ -56,7 +63,7 @@ def test_every_texel_reflects_as_it_was_fitted(mi: Any, folder: Path) -> None:
         maps, wi = rock(SIDE).maps, torch.tensor([0.0, 0.0, 1.0])
         every = [each[:, None, None].expand(-1, SIDE, SIDE) for each in (wo, wi)]
         cosine = (every[0] * maps.normal).sum(0).clamp_min(0)
-        expected = brdf(maps, *every) * cosine
+        expected = evaluate_brdf(maps, *every) * cosine
         # a step of 16 bits turns a normal by up to 5e-5, of a lobe whose alpha is 0.02
         assert ((found - expected).abs() < 2e-3 * expected + 1e-4).all()
     texture = mi.load_dict({"type": "bitmap", "filename": str(folder / "rock_specular.png")})
@@ -70,7 +77,9 @@ def test_the_scenes_show_what_our_renderer_shows(mi: Any, folder: Path) -> None:
     assert "principled" in text
     assert "neural_svbrdf" not in text
     made = [mi.render(mi.load_file(str(folder / f"rock{suffix}.xml")), spp=256) for suffix in ("", "_builtin")]
-    own, builtin = (expose(torch.from_numpy(np.array(each)).movedim(-1, 0)) for each in made)
-    lit = expose(render(rock(SIDE).maps, positions(SIDE, SIDE), relightings()["left"][0], camera()))
+    own, builtin = (radiance_to_display(torch.from_numpy(np.array(each)).movedim(-1, 0)) for each in made)
+    lit = radiance_to_display(
+        render_maps(rock(SIDE).maps, texel_positions(SIDE, SIDE), relighting_positions()["left"][0], camera_position())
+    )
     assert (own - lit).abs().mean() < 0.02
     assert (own - builtin).abs().mean() < 0.12

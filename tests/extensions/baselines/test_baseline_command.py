@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.fits import read_fits
+from metapp.storage.fits import read_fit_records
 from tests.pictures import environment, photograph
 
 
@@ -16,7 +16,7 @@ def test_a_method_makes_a_picture_and_a_record_of_a_file(metapp: Callable) -> No
     done = metapp("baseline", "texture", "wall.png", "--method", "quilting", "--recipe", "quick", "--json")
     assert done.code == 0, done.err
     out = Path(done.document["out"])
-    (record,) = read_fits(out)
+    (record,) = read_fit_records(out)
     assert record["name"] == "wall"
     assert record["error"] == done.document["tasks"][0]["error"] > 0
     assert record["seconds"] > 0

@@ -12,27 +12,27 @@ from torch import Generator, Tensor
 
 from metapp.apps import app_of, class_of, presenter_of, recipes_of
 from metapp.cli.evaluating import rich_table
-from metapp.evaluation.figures import draw as draw_figure
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.figures import draw_figure as draw_figure
+from metapp.evaluation.subject import EvaluationRun
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import Allowed, Training
-from metapp.extensions.baselines.table import baseline_records, baselines
-from metapp.extensions.examples.commands import lines_of
-from metapp.learning.app import stack
+from metapp.extensions.baselines.baseline import CostLimits, TrainingTasks
+from metapp.extensions.baselines.table import baseline_records, baselines_table
+from metapp.extensions.examples.commands import example_lines
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.names import app_names, protocols_of
-from metapp.registry import WITHOUT as LEAVING_OUT
+from metapp.registry import WITHOUT_VARIABLE as LEAVING_OUT
 from metapp.registry import registry
 from metapp.runs.options import fit_options
-from metapp.runs.reporter import Reporter, reporting
+from metapp.runs.reporter import Reporter, use_reporter
 from metapp.runs.run import Run
 from metapp.storage.fits import RunFolder, read_params
-from metapp.storage.shards import write_shard
+from metapp.storage.shards import write_data_set
 from tests.marked import long
 from tests.quick import app_by
 
 PLACED = [(name, protocol) for name in app_names() for protocol in protocols_of(name) or ("",)]
-WITHOUT = (("svbrdf_nonstationary", "reference"), ("transport", ""))  # any
+WITHOUT_VARIABLE = (("svbrdf_nonstationary", "reference"), ("transport", ""))  # any
 TRAIN, TEST = 6, 2
 
 
@@ -70,18 +70,18 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
         units = dict.fromkeys((*app.tensors, "render"), "any")
         tasks = [random_task(name, f"t{i}", rng, angles) for i in range(TRAIN + TEST)]
         splits = ["train"] * TRAIN + ["test"] * TEST
-        write_shard(tmp_path / "data", name, units, [(*pair, "") for pair in zip(tasks, splits, strict=True)])
+        write_data_set(tmp_path / "data", name, units, [(*pair, "") for pair in zip(tasks, splits, strict=True)])
         return tmp_path / "data"
 
     return write
 
 
 @pytest.fixture
-def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], Subject]:
-    def make(name: str, protocol: str) -> Subject:
+def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], EvaluationRun]:
+    def make(name: str, protocol: str) -> EvaluationRun:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
         planned = Run.of(fit_options(name, "general", **of_app, device="cpu", quiet=True))
-        subject = Subject(planned, measuring=False)  # paradigms may lack what their checkpoints need
+        subject = EvaluationRun(planned, measuring=False)  # paradigms may lack what their checkpoints need
         subject.measuring = True
         return subject
 
@@ -95,11 +95,11 @@ def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, pr
     presenter = presenter_of(app)
     if name in ("brdf", "transport"):
         assert presenter.answer_pictures(None, Task("", {})) == {}
-    elif (name, protocol) not in WITHOUT:
+    elif (name, protocol) not in WITHOUT_VARIABLE:
         tasks = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
-        first, allowed = baselines_of(app)[0], Allowed(64, 20_000)
-        first.prepare(Training(app, tasks), allowed)
-        answer = first.fit(stack(app, tasks[:1]), rng, allowed).answer()
+        first, allowed = baselines_of(app)[0], CostLimits(64, 20_000)
+        first.prepare(TrainingTasks(app, tasks), allowed)
+        answer = first.fit(stack_tasks(app, tasks[:1]), rng, allowed).answer()
         pictures = presenter.answer_pictures(answer, tasks[0])
         assert pictures
         for pixels, kind in pictures.values():
@@ -108,26 +108,26 @@ def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, pr
             assert kind in ("height", "radiance") or 0 <= float(pixels.min()) <= float(pixels.max()) <= 1
 
 
-def pretend_paradigms(subject: Subject, error: float = 1.0) -> None:
+def pretend_paradigms(subject: EvaluationRun, error: float = 1.0) -> None:
     """Records of Meta that cost nothing, and none of other paradigms."""
     records = [{"name": task.name, "error": error, "seconds": 1.0, "threads": 1} for task in subject.tasks]
     for name in subject.runs:
         subject.asked[name] = subject.tasks, records if name == "meta" else []
 
 
-def rows_of(subject: Subject) -> dict[str, dict[str, Any]]:
+def rows_of(subject: EvaluationRun) -> dict[str, dict[str, Any]]:
     """The rows of the baselines in their table, by name."""
     return {row["paradigm"]: row for row in subject.table("baselines").rows if row["baseline"]}
 
 
 @pytest.mark.parametrize(("name", "protocol"), [long(*each) if each[0] == "brdf" else each for each in PLACED])
 def test_every_application_has_baselines_and_its_table_prints_them(
-    name: str, protocol: str, subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
+    name: str, protocol: str, subject_of: Callable[[str, str], EvaluationRun], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("metapp.extensions.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
+    monkeypatch.setattr("metapp.extensions.baselines.brdf.CANDIDATE_PENALTIES", (1e-6,))  # a choice takes its time
     subject = subject_of(name, protocol)
     offered = baselines_of(subject.app)
-    assert bool(offered) == ((name, protocol) not in WITHOUT)
+    assert bool(offered) == ((name, protocol) not in WITHOUT_VARIABLE)
     assert len({baseline.name for baseline in offered}) == len(offered)
     pretend_paradigms(subject, 0.2 * subject.app.error_measure.scale)
     table, rows = subject.table("baselines"), rows_of(subject)
@@ -151,7 +151,9 @@ def test_every_application_has_baselines_and_its_table_prints_them(
         assert any(baseline.cannot in note for note in table.notes)
 
 
-def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
+def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
+    subject_of: Callable[[str, str], EvaluationRun],
+) -> None:
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
     fits = RunFolder(subject.run.options.out / "meta", {"of": "meta"})
@@ -172,7 +174,7 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Cal
     ("ours", "said"), [(0.9, "lower on 8 of 8"), (1.1, "a higher error than meta's: unwrap"), (1.0, "no win")]
 )
 def test_notes_say_who_is_ahead(
-    ours: float, said: str, subject_of: Callable[[str, str], Subject], tmp_path: Path, rng: Generator
+    ours: float, said: str, subject_of: Callable[[str, str], EvaluationRun], tmp_path: Path, rng: Generator
 ) -> None:
     subject = subject_of("illumination", "photo")
     subject.tasks.extend(task._replace(name=f"more{i}") for i, task in enumerate(subject.tasks * 3))
@@ -188,7 +190,7 @@ def test_notes_say_who_is_ahead(
 
 
 def test_measures_that_are_not_finite_have_no_figure(
-    subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
+    subject_of: Callable[[str, str], EvaluationRun], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Such as differences of logs of a map that rings below 0."""
     subject = subject_of("illumination", "reference")
@@ -199,7 +201,7 @@ def test_measures_that_are_not_finite_have_no_figure(
     assert not any("map" in record for record in records)
 
 
-def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) -> None:
+def test_the_plane_shows_baselines(subject_of: Callable[[str, str], EvaluationRun]) -> None:
     subject = subject_of("svbrdf_nonstationary", "photo")
     pretend_paradigms(subject, 5.0)
     baseline_records(subject, baselines_of(subject.app)[0])
@@ -211,7 +213,7 @@ def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) ->
 
 
 def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
-    subject_of: Callable[[str, str], Subject],
+    subject_of: Callable[[str, str], EvaluationRun],
 ) -> None:
     subject, messages = subject_of("brdf", ""), list[str]()
 
@@ -221,7 +223,7 @@ def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
 
     for task in subject.tasks:
         task.data["angles"] = task.data["angles"] + 0.01
-    with reporting(Heard()):
+    with use_reporter(Heard()):
         assert baseline_records(subject, baselines_of(subject.app)[0]) == []
     assert any("pca_20" in line and "other angles" in line for line in messages)
     subject.measuring = False
@@ -229,7 +231,7 @@ def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
 
 
 def test_without_training_tasks_baselines_that_need_them_have_no_cell(
-    subject_of: Callable[[str, str], Subject], data: Callable[[str], Path]
+    subject_of: Callable[[str, str], EvaluationRun], data: Callable[[str], Path]
 ) -> None:
     subject = subject_of("brdf", "")
     manifest = subject.run.options.data / "manifest.json"  # type: ignore[operator]
@@ -241,7 +243,7 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
 
 
 def test_stored_answers_are_judged_where_all_tasks_hold_them(
-    subject_of: Callable[[str, str], Subject], rng: Generator
+    subject_of: Callable[[str, str], EvaluationRun], rng: Generator
 ) -> None:
     subject = subject_of("svbrdf_nonstationary", "photo")
     pretend_paradigms(subject)
@@ -251,14 +253,14 @@ def test_stored_answers_are_judged_where_all_tasks_hold_them(
     assert (row["error"], row["mean_diffuse"], row["shared"]) == (0, 0, None)
     assert any(re.match(r"roughness: .*\bpredicted 0\.000", note) for note in subject.table("baselines").notes)
     del subject.tasks[-1].data["predicted"]
-    table = baselines(subject)
+    table = baselines_table(subject)
     assert {row["paradigm"] for row in table.rows}.isdisjoint({"predicted"})
     assert any(note.startswith("predicted: left out, as not all tasks hold") for note in table.notes)
 
 
 def test_no_fit_sees_what_another_method_predicts(rng: Generator) -> None:
     app = app_by("svbrdf_nonstationary", protocol="photo")
-    tasks = stack(app, [random_task(app.name, "t", rng, torch.zeros(0))])
+    tasks = stack_tasks(app, [random_task(app.name, "t", rng, torch.zeros(0))])
     assert "predicted" in tasks.data
     assert "predicted" not in app.sample(tasks, rng, 1) | app.condition(tasks, rng)
 
@@ -270,10 +272,10 @@ def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Pat
         app = app_by(name, protocol=protocol)
         tasks = [random_task(name, f"t{i}", rng, angles) for i in range(5)]
         (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "nearest"]
-        baseline.prepare(Training(app, tasks), Allowed(64, 1))
-        fitted = baseline.fit(stack(app, tasks[3:4]), rng, Allowed(64, 1))
+        baseline.prepare(TrainingTasks(app, tasks), CostLimits(64, 1))
+        fitted = baseline.fit(stack_tasks(app, tasks[3:4]), rng, CostLimits(64, 1))
         with torch.no_grad():
-            assert app.errors_of(fitted.answer(), stack(app, tasks[3:4]))["error"].item() < 1e-5
+            assert app.errors_of(fitted.answer(), stack_tasks(app, tasks[3:4]))["error"].item() < 1e-5
         assert (fitted.numbers, fitted.kept_bytes) == (1, 4)
 
 
@@ -288,4 +290,4 @@ def test_without_it_its_command_and_table_are_refused(metapp: Callable, monkeypa
     monkeypatch.setenv(LEAVING_OUT, "baselines")
     assert "--which 'baselines': expected one of results" in metapp("evaluate", "--which", "baselines").misuse
     assert "baselines" not in registry().tables
-    assert not any(line.startswith("metapp baseline") for app in app_names() for line, _ in lines_of(app, Path()))
+    assert not any(line.startswith("metapp baseline") for app in app_names() for line, _ in example_lines(app, Path()))

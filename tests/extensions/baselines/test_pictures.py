@@ -10,19 +10,19 @@ from scipy.special import sph_harm_y
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from metapp.appearance.flash import Maps, camera, relightings
-from metapp.appearance.latlong import directions
-from metapp.appearance.quilting import beyond_cut
+from metapp.appearance.flash import Maps, camera_position, relighting_positions
+from metapp.appearance.latlong import texel_directions
+from metapp.appearance.quilting import cut_mask
 from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, decode_flash, render_photo
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import Allowed, BaselineFit
-from metapp.extensions.baselines.harmonics import from_harmonics, harmonics, orders
-from metapp.extensions.baselines.illumination import Harmonics, Unwrap, shown
+from metapp.extensions.baselines.baseline import BaselineFit, CostLimits
+from metapp.extensions.baselines.harmonics import count_orders, from_harmonics, to_harmonics
+from metapp.extensions.baselines.illumination import SphericalHarmonics, UnwrappedBall, fill_unseen
 from metapp.extensions.baselines.svbrdf_nonstationary import flat_maps
-from metapp.extensions.baselines.svbrdf_stationary import quilted_maps
-from metapp.learning.app import stack
+from metapp.extensions.baselines.svbrdf_stationary import quilt_maps
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task, Tasks
 from tests.quick import app_by
 
@@ -30,7 +30,7 @@ from tests.quick import app_by
 def test_a_cut_is_the_path_of_least_cost() -> None:
     cost = np.array([[9.0, 1, 9, 9], [9, 9, 1, 9], [9, 1, 9, 9], [1, 9, 9, 9]])
     expected = [[0, 1, 1, 1], [0, 0, 1, 1], [0, 1, 1, 1], [1, 1, 1, 1]]
-    assert np.array_equal(beyond_cut(cost), np.array(expected, dtype=bool))
+    assert np.array_equal(cut_mask(cost), np.array(expected, dtype=bool))
 
 
 def test_a_flat_matt_material_is_read_from_its_photo(rng: Generator) -> None:
@@ -47,11 +47,11 @@ def test_a_flat_matt_material_is_read_from_its_photo(rng: Generator) -> None:
 
 
 def test_what_a_mirror_shows_stays_and_what_is_behind_mirrors_it() -> None:
-    towards = directions(32, 64)
+    towards = texel_directions(32, 64)
     lamp = ((torch.einsum("c,chw->hw", torch.tensor([0.6, 0.0, 0.8]), towards) - 1) * 200).exp()
     light = 0.2 + 0.1 * towards[:1] + 40 * lamp * torch.tensor([1.0, 0.5, 0.25])[:, None, None]
     front = (towards[2] > 0).float()
-    made = shown({"seen": light[None], "certain": torch.stack([front, 0 * front])[None]})
+    made = fill_unseen({"seen": light[None], "certain": torch.stack([front, 0 * front])[None]})
     torch.testing.assert_close(made[0][:, front > 0], light[:, front > 0])
     torch.testing.assert_close(made, made.flip(-1).roll(32, -1))
 
@@ -61,7 +61,7 @@ def test_a_glossy_sphere_is_refused(rng: Generator) -> None:
     data = {"seen": torch.zeros(1, 3, 8, 16), "certain": torch.zeros(1, 2, 8, 16)}
     tasks = Tasks(("garden",), data, torch.arange(1))
     with pytest.raises(ValueError, match="garden: a photo of a glossy sphere, expected a mirror ball's"):
-        Unwrap(app_by("illumination", protocol="photo")).fit(tasks, rng, Allowed(1, 1))
+        UnwrappedBall(app_by("illumination", protocol="photo")).fit(tasks, rng, CostLimits(1, 1))
 
 
 @pytest.fixture
@@ -86,11 +86,11 @@ def basis_of(order: int, height: int, width: int) -> np.ndarray:
 def test_harmonics_are_those_of_weighted_least_squares(height: int, width: int, numbers: np.random.Generator) -> None:
     maps = numbers.normal(size=(3, height, width))
     root = np.sqrt(np.sin((np.arange(height) + 0.5) * (math.pi / height)))[:, None]
-    for order in range(orders(height, width)):
+    for order in range(count_orders(height, width)):
         basis = basis_of(order, height, width)
         a, b = ((root * each).reshape(len(each), -1).T for each in (basis, maps))
         wanted = np.linalg.lstsq(a, b, rcond=None)[0].T
-        found = harmonics(maps, order)
+        found = to_harmonics(maps, order)
         np.testing.assert_allclose(found, wanted, atol=1e-13)
         made = from_harmonics(found, height, width)
         np.testing.assert_allclose(made, np.tensordot(found, basis, 1), atol=1e-13)
@@ -98,7 +98,7 @@ def test_harmonics_are_those_of_weighted_least_squares(height: int, width: int, 
 
 @pytest.mark.parametrize(("height", "width", "count"), [(8, 16, 8), (9, 12, 6), (4, 64, 4), (1, 1, 1)])
 def test_texels_tell_so_many_orders_apart(height: int, width: int, count: int) -> None:
-    assert orders(height, width) == count
+    assert count_orders(height, width) == count
     for order in (count - 1, count):
         columns = basis_of(order, height, width).reshape((order + 1) ** 2, -1)
         assert (np.linalg.matrix_rank(columns) == len(columns)) == (order < count)
@@ -112,8 +112,8 @@ def test_more_bytes_come_nearer_until_the_map_itself(numbers: np.random.Generato
     radiance = np.exp(numbers.normal(size=(3, 16, 32)))
     tasks, wanted = _task(radiance), torch.from_numpy(radiance).float()
     sizes = (1, 10, 100, 400, 10**6)
-    baseline = Harmonics(app_by("illumination"))
-    fitted = [baseline.fit(tasks, rng, Allowed(1, size)) for size in sizes]
+    baseline = SphericalHarmonics(app_by("illumination"))
+    fitted = [baseline.fit(tasks, rng, CostLimits(1, size)) for size in sizes]
     errors = [(each.answer()[0] - wanted).square().mean().item() for each in fitted]  # type: ignore[index]
     assert errors[0] == errors[1] > errors[2] > errors[3] > errors[4]
     assert [each.numbers for each in fitted] == [3, 3, 48, 192, 768]  # of orders 0, 0, 3, 7, 15
@@ -145,13 +145,13 @@ def task_of(app: SvbrdfStationary, maps: Maps) -> Task:
     def as_bytes(light: Tensor, view: Tensor) -> Tensor:
         return (255 * app.statistics.photograph(maps, light, view)).round().to(torch.uint8)
 
-    relit = torch.stack([as_bytes(*pair) for pair in relightings().values()])
-    return Task("known", {"image": as_bytes(camera(), camera()), "relit": relit})
+    relit = torch.stack([as_bytes(*pair) for pair in relighting_positions().values()])
+    return Task("known", {"image": as_bytes(camera_position(), camera_position()), "relit": relit})
 
 
 def quilting(app: SvbrdfStationary, tasks: Tasks, seed: int = 0) -> BaselineFit:
     (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "quilting"]
-    return baseline.fit(tasks, Generator().manual_seed(seed), Allowed(64, 1))
+    return baseline.fit(tasks, Generator().manual_seed(seed), CostLimits(64, 1))
 
 
 def waves(period: float) -> Tensor:
@@ -160,7 +160,7 @@ def waves(period: float) -> Tensor:
 
 
 def test_a_flat_even_material_comes_back_with_its_colour_and_gloss(app: SvbrdfStationary) -> None:
-    tasks = stack(app, [task_of(app, material())])
+    tasks = stack_tasks(app, [task_of(app, material())])
     fitted = quilting(app, tasks)
     maps = fitted.answer()
     assert maps.diffuse.shape == (1, JUDGED_PICTURES, 3, SIZE, SIZE)
@@ -176,7 +176,7 @@ def test_a_flat_even_material_comes_back_with_its_colour_and_gloss(app: SvbrdfSt
 
 
 def test_maps_tile_and_go_on_across_their_edges(app: SvbrdfStationary) -> None:
-    tasks = stack(app, [task_of(app, material(waves(9.7)))])  # no whole number of waves
+    tasks = stack_tasks(app, [task_of(app, material(waves(9.7)))])  # no whole number of waves
     diffuse = quilting(app, tasks).answer().diffuse
     for axis in (-1, -2):
         steps = (diffuse - diffuse.roll(1, axis)).abs().mean((0, 1, 2, -1 if axis == -2 else -2))
@@ -185,9 +185,9 @@ def test_maps_tile_and_go_on_across_their_edges(app: SvbrdfStationary) -> None:
 
 def test_the_same_seed_makes_the_same_maps(app: SvbrdfStationary) -> None:
     noise = torch.rand(SIZE, SIZE, generator=Generator().manual_seed(0))
-    tasks = stack(app, [task_of(app, material(0.5 + noise))])
+    tasks = stack_tasks(app, [task_of(app, material(0.5 + noise))])
     photo, light = tasks.data["image"].float() / 255, tasks.data["light"]
-    first, same, other = (quilted_maps(photo, light, Generator().manual_seed(seed)) for seed in (0, 0, 1))
+    first, same, other = (quilt_maps(photo, light, Generator().manual_seed(seed)) for seed in (0, 0, 1))
     torch.testing.assert_close(first, same)
     assert not torch.equal(first.diffuse, other.diffuse)
     mean = [float(maps.diffuse.mean()) for maps in (first, other)]

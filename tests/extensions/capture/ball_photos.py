@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from data_tools.readers.colours import LINEAR
+from data_tools.readers.colours import LINEAR_SPACE
 from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.ball.geometry import Ball, Floats, mirrored
+from metapp.extensions.capture.ball.geometry import Ball, Floats, disc_to_directions
 from metapp.storage.images import write_png
 
 
@@ -45,7 +45,7 @@ def photograph(ball: Ball, height: int, width: int, around: Floats | float = 0.0
     """Linear RGB [3, height, width] of a mirror ball before something else."""
     places = places_of(ball, height, width)
     behind = np.kron(np.broadcast_to(around, (height, width)), np.ones((2, 2)))
-    values = np.where(np.hypot(*places) < 1, lit(mirrored(places, ball.angle)), behind)
+    values = np.where(np.hypot(*places) < 1, lit(disc_to_directions(places, ball.angle)), behind)
     return values.reshape(3, height, 2, width, 2).mean((2, 4))
 
 
@@ -62,7 +62,7 @@ def busy(height: int, width: int, seed: int) -> Floats:
 
 def taken(linear: Floats) -> Pixels:
     """A photograph in memory of linear RGB [3, height, width] in [0, 1]."""
-    return Pixels(linear.transpose(1, 2, 0).astype(np.float32), LINEAR, False)
+    return Pixels(linear.transpose(1, 2, 0).astype(np.float32), LINEAR_SPACE, False)
 
 
 def written(path: Path, linear: np.ndarray) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from data_tools.readers.lenses import FRAME_MM
+from data_tools.readers.lenses import FILM_DIAGONAL_MM
 
 cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "metapp[capture]"')
 
@@ -38,7 +38,7 @@ class Camera(NamedTuple):
         down = np.cross(forward, right)
         cos, sin = math.cos(math.radians(self.roll)), math.sin(math.radians(self.roll))
         axes = np.stack([cos * right + sin * down, cos * down - sin * right, forward])
-        focal = self.focal_mm / FRAME_MM * math.hypot(self.height, self.width)
+        focal = self.focal_mm / FILM_DIAGONAL_MM * math.hypot(self.height, self.width)
         lens = np.array([[focal, 0, (self.width - 1) / 2], [0, focal, (self.height - 1) / 2], [0, 0, 1]])
         return lens @ np.column_stack([axes[:, :2], -axes @ (self.place - np.array([0.0, 0.0, height]))])
 
@@ -54,9 +54,9 @@ def tilted(degrees: float, around: float = 0.0, distance: float = 28.0, **more: 
 @functools.lru_cache(4)
 def page(opening: int, paper: str = "a4") -> tuple[np.ndarray, tuple[float, float]]:
     """The printed page [H, W] in [0, 1], rows from the top, and the opening's centre in cm from its lower left."""
-    from metapp.extensions.capture.markers.sheet_page import draw_sheet
+    from metapp.extensions.capture.markers.sheet_page import draw_marker_sheet
 
-    drawn = draw_sheet(opening, paper)
+    drawn = draw_marker_sheet(opening, paper)
     (axes,) = drawn.axes
     for patch_of_page in axes.patches:
         patch_of_page.set_snap(False)  # to whole pixels, which a printer does not do

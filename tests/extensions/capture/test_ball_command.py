@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from metapp.extensions.capture.ball.geometry import Ball
-from metapp.storage.shards import check_shard, read_shard
+from metapp.storage.shards import list_data_set_problems, read_data_set
 from tests.extensions.capture.ball_photos import detailed, photograph, written
 
 
@@ -33,8 +33,8 @@ def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, brack
     lines = done.err.splitlines()
     assert lines[0].startswith("b.png: ball at 80.0,75.0, radius 60.0 px, exposure 0.5, 0.")
     assert lines[3].startswith("camera's curve: sRGB's to the power of 1.00; ")
-    assert check_shard(out) == []
-    (task,) = read_shard(out, "test", "illumination")
+    assert list_data_set_problems(out) == []
+    (task,) = read_data_set(out, "test", "illumination")
     assert task.name == "garden"
     assert task.data["photos"].shape == (1, 3, 64, 64)
     assert task.data["photos"].dtype == torch.uint8

@@ -8,10 +8,10 @@ import torch
 
 from data_tools.readers import latlong
 from data_tools.readers.photos import read_photo
-from metapp.appearance.latlong import directions, sphere_normals
-from metapp.extensions.capture.ball.capture import capture
+from metapp.appearance.latlong import sphere_normals, texel_directions
+from metapp.extensions.capture.ball.capture import capture_light
 from metapp.extensions.capture.ball.geometry import Ball
-from metapp.extensions.capture.ball.picture import features, is_mirror
+from metapp.extensions.capture.ball.picture import is_mirror_ball, mirror_features
 from metapp.extensions.capture.ball.reading import read_task
 from tests.extensions.capture.ball_photos import detailed, light, photograph, taken, written
 from tests.pictures import write
@@ -62,7 +62,7 @@ def test_of_a_mirror_what_it_shows_is_read(tmp_path: Path) -> None:
     read = read_task(written(tmp_path / "mirror.png", photograph(ball, 220, 300, 0.9, room)), 32).data
     assert read["seen"].shape == (3, 32, 64)
     assert read["certain"].shape == (2, 32, 64)
-    true = torch.from_numpy(room(directions(32, 64, dtype=torch.float64).numpy())).float()
+    true = torch.from_numpy(room(texel_directions(32, 64, dtype=torch.float64).numpy())).float()
     certain = read["certain"][0] > 0.99
     assert certain.float().mean() > 0.7
     assert (read["seen"] - true)[:, certain].abs().median() < 0.03
@@ -79,32 +79,32 @@ def test_a_linear_photograph_keeps_its_radiance(tmp_path: Path, alpha: bool) -> 
     picture = np.concatenate([picture, np.ones((220, 300, 1), np.float32)], -1) if alpha else picture
     path = write(tmp_path / "mirror.exr", picture)
     read = latlong.read_task(path, 32, observe="photo").data
-    true = torch.from_numpy(lamp_lit(directions(32, 64, dtype=torch.float64).numpy())).float()
+    true = torch.from_numpy(lamp_lit(texel_directions(32, 64, dtype=torch.float64).numpy())).float()
     seen = read["certain"][0] > 0.5
     assert read["certain"][1].max() == 0  # nothing clips
     assert 0.9 < (read["seen"] * seen).sum() / (true * seen).sum() < 1.1
-    found = capture([path], rows=32).data
+    found = capture_light([path], rows=32).data
     assert 0.9 < (found["seen"] * seen).sum() / (true * seen).sum() < 1.1
     assert found["certain"][1].max() == 0
     with pytest.raises(ValueError, match=r"300x220 px, expected a lat-long map, .*is for fits with --observe photo"):
         latlong.read_task(path, 32, observe="reference")
     picture[5, 5] = np.inf
     with pytest.raises(ValueError, match=r"mirror\.exr: .* values are NaN or infinite, expected finite ones"):
-        capture([write(path, picture)])
+        capture_light([write(path, picture)])
 
 
 @pytest.mark.parametrize("lit", [light, detailed])
 def test_what_may_be_matte_is_no_mirror(lit: object) -> None:
-    assert not is_mirror(taken(matte()), Ball(80, 80, 80))
+    assert not is_mirror_ball(taken(matte()), Ball(80, 80, 80))
     smooth = taken(photograph(Ball(80, 80, 78), 160, 160, 0.05, light))
-    assert not is_mirror(smooth, Ball(80, 80, 78))
+    assert not is_mirror_ball(smooth, Ball(80, 80, 78))
 
 
 def test_a_small_ball_is_not_told() -> None:
     sharp = taken(photograph(Ball(80, 80, 78), 160, 160, 0.05, room))
-    assert is_mirror(sharp, Ball(80, 80, 78))
-    assert not is_mirror(sharp, Ball(80, 80, 30))
-    assert np.isfinite(features(np.zeros((3, 128, 128)))).all()
+    assert is_mirror_ball(sharp, Ball(80, 80, 78))
+    assert not is_mirror_ball(sharp, Ball(80, 80, 30))
+    assert np.isfinite(mirror_features(np.zeros((3, 128, 128)))).all()
 
 
 def test_what_is_no_ball_is_refused(tmp_path: Path) -> None:

@@ -7,10 +7,16 @@ import pytest
 import torch
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.latlong import directions
-from metapp.extensions.capture.ball.bracket import aligned, exif_exposure, exposures_of, merged, power_of
-from metapp.extensions.capture.ball.capture import capture
-from metapp.extensions.capture.ball.geometry import Ball, disc, mirrored
+from metapp.appearance.latlong import texel_directions
+from metapp.extensions.capture.ball.bracket import (
+    align_balls,
+    exif_exposure,
+    fit_curve_power,
+    merge_exposures,
+    read_exposures,
+)
+from metapp.extensions.capture.ball.capture import capture_light
+from metapp.extensions.capture.ball.geometry import Ball, disc_places, disc_to_directions
 from tests.extensions.capture.ball_photos import busy, detailed, photograph, taken, written
 
 TIMES = (1 / 20, 1 / 60, 1 / 240)
@@ -22,7 +28,7 @@ def test_hand_held_photographs_are_aligned() -> None:
     known = taken(photograph(ball, 280, 300, 0.1, detailed))
     true = Ball(157, 135, 98)
     other = taken(0.4 * photograph(true, 280, 300, 0.1, detailed))
-    _, found = aligned([known, other], [ball, ball], [0, 1], 0)
+    _, found = align_balls([known, other], [ball, ball], [0, 1], 0)
     np.testing.assert_allclose(found[:3], true[:3], atol=0.3)
 
 
@@ -43,9 +49,9 @@ def brackets(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def test_brackets_have_the_radiance_of_the_scene(brackets: list[Path]) -> None:
-    found = capture(brackets, SHUTTER, circle=(80, 75, 60))
+    found = capture_light(brackets, SHUTTER, circle=(80, 75, 60))
     np.testing.assert_allclose(found.exposures / found.exposures[0], np.array(TIMES) / TIMES[0])
-    true = torch.from_numpy(lamp_lit(directions(64, 128, dtype=torch.float64).numpy())).float()
+    true = torch.from_numpy(lamp_lit(texel_directions(64, 128, dtype=torch.float64).numpy())).float()
     certain = (found.data["certain"][0] > 0.99) & (true.amin(0) > 0.05)
     ratios = found.data["seen"] / true
     ratios = ratios / ratios[:, certain].median()
@@ -57,16 +63,16 @@ def test_brackets_have_the_radiance_of_the_scene(brackets: list[Path]) -> None:
 
 
 def test_a_foreign_curve_is_recovered() -> None:
-    values = detailed(mirrored(disc(160)))
-    there = np.hypot(*disc(160)) < 1
+    values = detailed(disc_to_directions(disc_places(160)))
+    there = np.hypot(*disc_places(160)) < 1
     times = np.array(TIMES) / TIMES[0]
     lights = [np.clip(values * time, 0, 1) ** 1.5 for time in times]
     lights = [np.round(linear_to_srgb(torch.from_numpy(light)).numpy() * 255) / 255 for light in lights]
     lights = [srgb_to_linear(torch.from_numpy(light)).numpy() for light in lights]
     pictures = np.stack([[*light, there] for light in lights])
-    radiance, _, residuals = merged(pictures, times, power_of(pictures, times))
+    radiance, _, residuals = merge_exposures(pictures, times, fit_curve_power(pictures, times))
     assert max(residuals) < 0.05
-    assert max(merged(pictures, times, 1.0)[2]) > 0.15
+    assert max(merge_exposures(pictures, times, 1.0)[2]) > 0.15
     bright = there & (values.min(0) > 0.1) & (values.max(0) < 0.9)
     ratios = radiance[:, bright] / values[:, bright]
     assert np.abs(np.log(ratios / np.median(ratios))).mean() < 0.1
@@ -75,7 +81,7 @@ def test_a_foreign_curve_is_recovered() -> None:
 def test_what_all_photographs_clip_is_a_lower_bound() -> None:
     values = np.linspace(0.0, 4, 10000).reshape(1, 100, 100).repeat(3, 0)
     pictures = np.stack([[*np.clip(values * time, 0, 1), np.ones((100, 100))] for time in (1.0, 0.5)])
-    radiance, is_clipped, _ = merged(pictures, np.array([1.0, 0.5]), 1.0)
+    radiance, is_clipped, _ = merge_exposures(pictures, np.array([1.0, 0.5]), 1.0)
     assert (is_clipped == (values[0] * 0.5 >= ((0.98 + 0.055) / 1.055) ** 2.4)).all()
     inside = ~is_clipped & (values[0] > 0.01)
     np.testing.assert_allclose(radiance[:, inside], values[:, inside], rtol=1e-5)
@@ -84,11 +90,11 @@ def test_what_all_photographs_clip_is_a_lower_bound() -> None:
 
 def test_exposures_are_read() -> None:
     paths = [Path(name) for name in "abc"]
-    assert exposures_of(paths, "1/20, 0.5,2").tolist() == [0.05, 0.5, 2]
-    assert exposures_of(paths[:1], "auto").tolist() == [1]
+    assert read_exposures(paths, "1/20, 0.5,2").tolist() == [0.05, 0.5, 2]
+    assert read_exposures(paths[:1], "auto").tolist() == [1]
     for text in ("", "1/0", "a", "1,-2", "1/20/3", "1e308", "1,1e-320"):
         with pytest.raises(ValueError, match="expected exposure times"):
-            exposures_of(paths, text)
+            read_exposures(paths, text)
 
 
 def test_exif_says_exposure(tmp_path: Path) -> None:
@@ -107,8 +113,8 @@ def test_exif_says_exposure(tmp_path: Path) -> None:
 def test_no_ball_is_one_line(tmp_path: Path) -> None:
     path = written(tmp_path / "a.png", busy(200, 240, 0)[None].repeat(3, 0))
     with pytest.raises(ValueError, match=r"a\.png: no ball found .* say where it is with --ball"):
-        capture([path])
-    found = capture([path], circle=(120, 100, 60))
+        capture_light([path])
+    found = capture_light([path], circle=(120, 100, 60))
     assert tuple(found.balls[0][:3]) == pytest.approx((120, 100, 60))
 
 
@@ -122,4 +128,4 @@ def test_no_ball_is_one_line(tmp_path: Path) -> None:
 )
 def test_exposures_that_cannot_be_are_a_line(brackets: list[Path], shutter: str, line: str) -> None:
     with pytest.raises(ValueError, match=line):
-        capture(brackets, shutter, circle=(80, 75, 60))
+        capture_light(brackets, shutter, circle=(80, 75, 60))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from metapp.extensions.capture.ball.circle import MIN_SCORE, best_ball
-from metapp.extensions.capture.ball.geometry import Ball, Lens
+from metapp.extensions.capture.ball.circle import MIN_BALL_SCORE, find_ball
+from metapp.extensions.capture.ball.geometry import Ball, PinholeLens
 from tests.extensions.capture.ball_photos import busy, detailed, photograph
 
 
@@ -28,25 +28,25 @@ def test_a_ball_is_found_before_a_busy_background(
 ) -> None:
     picture = photograph(Ball(*circle), 240, 300, busy(240, 300, 3), detailed)
     picture = gaussian_filter(gray(picture), blur) + noise * np.random.default_rng(0).normal(size=(240, 300))
-    found = best_ball(picture.clip(0, 1))
+    found = find_ball(picture.clip(0, 1))
     assert found is not None
-    assert found.score > MIN_SCORE
+    assert found.score > MIN_BALL_SCORE
     np.testing.assert_allclose(found[:3], circle, atol=tolerance)
 
 
 def test_with_a_lens_the_contour_is_an_ellipse() -> None:
-    lens = Lens(240, 150, 120)
+    lens = PinholeLens(240, 150, 120)
     ball = Ball(215, 150, 45, lens=lens)
-    found = best_ball(gray(photograph(ball, 240, 300, busy(240, 300, 1), detailed)), lens)
+    found = find_ball(gray(photograph(ball, 240, 300, busy(240, 300, 1), detailed)), lens)
     assert found is not None
     np.testing.assert_allclose(found[:3], ball[:3], atol=0.4)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_where_there_is_no_ball_none_is_found(seed: int) -> None:
-    found = best_ball(busy(200, 260, seed) ** (1 / 2.2))
-    assert found is None or found.score < MIN_SCORE
+    found = find_ball(busy(200, 260, seed) ** (1 / 2.2))
+    assert found is None or found.score < MIN_BALL_SCORE
 
 
 def test_a_picture_without_edges_has_no_ball() -> None:
-    assert best_ball(np.full((100, 120), 0.4)) is None
+    assert find_ball(np.full((100, 120), 0.4)) is None

@@ -11,8 +11,8 @@ from PIL import Image
 
 from data_tools.readers.listing import files_below
 from data_tools.readers.placed_photos import read_places
-from metapp.extensions.capture.markers.rectifying import ONE_PLACE_SIDES, line_about_views
-from metapp.storage.folders import Kind, kind_of
+from metapp.extensions.capture.markers.rectifying import ONE_VIEW_SIDES, describe_single_view
+from metapp.storage.folders import PathKind, path_kind
 from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write
 
@@ -88,10 +88,10 @@ def test_one_view_is_told_from_several(seed: int) -> None:
     first, count = numbers.normal(size=3) + np.array([0, 0, 3]), int(numbers.integers(1, 6))
     steps = numbers.normal(size=(count, 3))
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
-    same = [first, *(first + 0.9 * ONE_PLACE_SIDES * numbers.random() * step for step in steps)]
-    assert line_about_views(same).startswith("all photos are taken from one place, within 0.")
-    several = [*same, first + (ONE_PLACE_SIDES + 0.02 + numbers.random()) * steps[0]]
-    assert not line_about_views(several)
+    same = [first, *(first + 0.9 * ONE_VIEW_SIDES * numbers.random() * step for step in steps)]
+    assert describe_single_view(same).startswith("all photos are taken from one place, within 0.")
+    several = [*same, first + (ONE_VIEW_SIDES + 0.02 + numbers.random()) * steps[0]]
+    assert not describe_single_view(several)
 
 
 def test_one_photograph_under_three_names_is_said_to_show_one_view(
@@ -128,7 +128,7 @@ def test_a_failure_leaves_a_picture_that_no_command_takes(metapp: Callable, take
     picture = np.asarray(Image.open(failed)).astype(int)
     for colour in ([0, 255, 0], [255, 0, 255]):  # markers, the opening
         assert (abs(picture - colour).max(-1) < 9).sum() > 300
-    assert kind_of(failed) is Kind.DIAGNOSTIC
+    assert path_kind(failed) is PathKind.DIAGNOSTIC
     assert files_below(photos) == [photos / "a.jpg"]
     assert "made by metapp to show its results" in metapp("meta", "texture", failed).error
     assert "made by metapp to show its results" in metapp("data", "rectify", failed, "--out", "other").refusal

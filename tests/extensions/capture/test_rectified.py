@@ -13,11 +13,11 @@ from tests.extensions.capture.marker_photos import Camera, cv2, patch, photograp
 
 from data_tools.readers import placed_photos
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.photos import field_of_view
+from data_tools.readers.photos import field_of_view_rad
 from data_tools.readers.placed_photos import read_places
-from metapp.extensions.capture.markers.rectified import find_cameras, rectified, write_set
+from metapp.extensions.capture.markers.rectified import find_cameras, rectify_opening, write_rectified_photos
 from metapp.extensions.capture.markers.sighting import Camera as Found
-from metapp.extensions.capture.markers.sighting import camera_of, common_focal, find_sheet
+from metapp.extensions.capture.markers.sighting import common_focal_length_mm, find_sheet, solve_camera
 from tests.pictures import STORED, noise, write
 
 LOOK = {"vignette": 0.3, "noise": 0.01}
@@ -60,11 +60,11 @@ def test_the_patch_and_the_camera_are_found(photos: Path, name: str) -> None:
     camera, path = CAMERAS[name], photos / f"{name}.jpg"
     sighting = find_sheet(path)
     assert (sighting.opening_cm, len(sighting.markers), sighting.focal_mm) == (10, 12, camera.focal_mm)
-    camera_found = camera_of(sighting, sighting.focal_mm)
+    camera_found = solve_camera(sighting, sighting.focal_mm)
     assert off_by(camera_found.place_cm, camera) < 0.003  # asked for: 0.02
     assert camera_found.error_px < 0.4
     size = int(10 * sighting.scales()[0])
-    picture = rectified(read_pixels(path), sighting, size)
+    picture = rectify_opening(read_pixels(path), sighting, size)
     rmse = np.sqrt(np.mean((picture - expected(size, LOOK["vignette"], camera)) ** 2))
     assert rmse < 0.02  # the patch's own deviation is 0.17
 
@@ -73,16 +73,16 @@ def test_the_patch_and_the_camera_are_found(photos: Path, name: str) -> None:
 def test_without_a_focal_length_one_tilted_photograph_tells_it(photos: Path, name: str) -> None:
     camera = CAMERAS[name]
     sighting = find_sheet(photos / f"{name}.jpg")._replace(focal_mm=0.0)
-    focal = common_focal([sighting])
+    focal = common_focal_length_mm([sighting])
     assert focal == pytest.approx(camera.focal_mm, rel=0.02)
-    assert off_by(camera_of(sighting, focal).place_cm, camera) < 0.02  # asked for: 0.05
+    assert off_by(solve_camera(sighting, focal).place_cm, camera) < 0.02  # asked for: 0.05
 
 
 def test_photographs_from_above_do_not_tell_the_focal_length(photos: Path) -> None:
     sighting, aside = (find_sheet(photos / f"{name}.jpg")._replace(focal_mm=0.0) for name in ("above", "aside"))
     with pytest.raises(ValueError, match="too little tilt to find it; give the camera's field of view: --fov"):
-        common_focal([sighting])
-    together = common_focal([sighting, aside])
+        common_focal_length_mm([sighting])
+    together = common_focal_length_mm([sighting, aside])
     assert together == pytest.approx(26, rel=0.01)
 
 
@@ -90,7 +90,7 @@ def test_photographs_from_above_do_not_tell_the_focal_length(photos: Path) -> No
 def test_distances_follow_from_a_given_field_of_view(tmp_path: Path) -> None:
     cameras = [tilted(0, distance=26), tilted(5, 40)]
     paths = [take(tmp_path / f"{i}.png", camera, focal=False) for i, camera in enumerate(cameras)]
-    found, _, _ = find_cameras(paths, field_of_view(26, 1200, 1600))
+    found, _, _ = find_cameras(paths, field_of_view_rad(26, 1200, 1600))
     for photo, camera in zip(found, cameras, strict=True):
         assert off_by(photo.place_cm, camera) < 0.002
     with pytest.raises(ValueError, match="--fov"):
@@ -103,8 +103,8 @@ def test_photographs_are_read_upright(tmp_path: Path) -> None:
     path = write(tmp_path / "a.png", STORED[6](upright), Orientation=6)
     sighting = find_sheet(path)
     assert (sighting.height, sighting.width) == (800, 600)
-    assert off_by(camera_of(sighting, 26).place_cm, camera) < 0.005
-    picture = rectified(read_pixels(path), sighting, 128)
+    assert off_by(solve_camera(sighting, 26).place_cm, camera) < 0.005
+    picture = rectify_opening(read_pixels(path), sighting, 128)
     assert np.sqrt(np.mean((picture - expected(128, 0, camera)) ** 2)) < 0.03
 
 
@@ -115,18 +115,18 @@ def test_colours_are_what_they_were(photos: Path, dtype: type) -> None:
     highest = np.iinfo(dtype).max
     for level in np.linspace(0, highest, 18).astype(dtype):
         values = np.full((sighting.height, sighting.width, 3), level, dtype)
-        back = rectified(Pixels(values, "srgb_rec709_scene", False), sighting, 100) * highest
+        back = rectify_opening(Pixels(values, "srgb_rec709_scene", False), sighting, 100) * highest
         assert abs(back - level).max() < 0.4
     checks = (np.indices((sighting.height, sighting.width)).sum(0) % 2 * highest).astype(dtype)
     pixels = Pixels(np.repeat(checks[..., None], 3, -1), "srgb_rec709_scene", False)
-    back = rectified(pixels, sighting, 64)
+    back = rectify_opening(pixels, sighting, 64)
     np.testing.assert_allclose(back.mean(), 0.735, atol=0.01)  # half the light
     assert back.std() < 0.02
 
 
 def written(folder: Path, paths: list[Path], size: int, **settings: Any) -> list[Found]:
     cameras, _, _ = find_cameras(paths, **settings)
-    write_set(cameras, [camera.place_cm for camera in cameras], size, folder)
+    write_rectified_photos(cameras, [camera.place_cm for camera in cameras], size, folder)
     return cameras
 
 
@@ -193,7 +193,7 @@ def test_some_hidden_markers_do_no_harm(tmp_path: Path) -> None:
     camera = tilted(25, 60, distance=30)
     sighting = find_sheet(hidden(tmp_path / "a.png", camera, (-9, 9, 5.2, 9), (5.2, 9, 2, 3)))
     assert len(sighting.markers) == 7
-    assert off_by(camera_of(sighting, 26).place_cm, camera) < 0.005
+    assert off_by(solve_camera(sighting, 26).place_cm, camera) < 0.005
 
 
 REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {

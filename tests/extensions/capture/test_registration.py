@@ -9,12 +9,12 @@ import pytest
 
 from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted  # isort: skip
 
-from data_tools.readers.photos import field_of_view
+from data_tools.readers.photos import field_of_view_rad
 from data_tools.readers.placed_photos import read_task
-from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
+from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
 from metapp.extensions.capture.markers.rectified import find_cameras, show_views
-from metapp.extensions.capture.markers.registration import register, through
-from metapp.extensions.capture.markers.sighting import Sighting, camera_of, common_focal
+from metapp.extensions.capture.markers.registration import apply_homography, register_photos
+from metapp.extensions.capture.markers.sighting import Sighting, common_focal_length_mm, solve_camera
 from tests.pictures import write
 
 VIEW = {"focal_mm": 26, "height": 320, "width": 360}
@@ -57,7 +57,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def sightings(photos: Path) -> list[Sighting]:
     """What all of them share with the first."""
     steps: list[str] = []
-    registration = register([photos / f"{name}.png" for name in CAMERAS], begin=steps.append)
+    registration = register_photos([photos / f"{name}.png" for name in CAMERAS], begin=steps.append)
     assert registration.lost() == []
     assert [step for step in steps if "finding features" in step] == [
         f"{name}.png: finding features" for name in CAMERAS
@@ -71,9 +71,9 @@ def test_places_and_the_square_are_found(sightings: list[Sighting], focal: bool)
     focal_mm = 26.0
     if not focal:
         sightings = [sighting._replace(focal_mm=0.0) for sighting in sightings]
-        focal_mm = common_focal(sightings, cameras_on_plane)
+        focal_mm = common_focal_length_mm(sightings, cameras_on_plane)
         assert focal_mm == pytest.approx(26, rel=0.02)
-    cameras = on_square(cameras_on_plane(sightings, focal_mm))
+    cameras = cameras_on_square(cameras_on_plane(sightings, focal_mm))
     assert [camera.sighting.path.stem for camera in cameras] == list(CAMERAS)
     corners = []
     for camera in cameras:
@@ -102,7 +102,7 @@ def test_the_straightest_photograph_is_the_reference(photos: Path, tmp_path: Pat
     paths = [photos / f"{name}.png" for name in order]
     if source != "exif":  # without a focal length
         paths = [write(tmp_path / path.name, cv2.imread(str(path))[..., ::-1]) for path in paths]
-    fov_rad = field_of_view(26, VIEW["height"], VIEW["width"]) if source == "fov" else 0.0
+    fov_rad = field_of_view_rad(26, VIEW["height"], VIEW["width"]) if source == "fov" else 0.0
     cameras, focal_mm, skipped = find_cameras(paths, fov_rad)
     assert skipped == []
     assert focal_mm == (pytest.approx(26, rel=0.02) if source == "matches" else 0.0)
@@ -119,10 +119,12 @@ def test_of_squares_as_large_the_one_below_the_camera_is_taken() -> None:
         views = [Camera(place, (across, 0.0), height=240, width=600) for place in places]
         points = np.stack(np.meshgrid(np.arange(-8.0, 8.1), np.arange(-4.0, 4.1)), -1).reshape(-1, 2)
         sightings = [
-            Sighting(Path(), 240, 600, 26.0, 1.0, points, points, through(view.to_px(), points), view.to_px(), False)
+            Sighting(
+                Path(), 240, 600, 26.0, 1.0, points, points, apply_homography(view.to_px(), points), view.to_px(), False
+            )
             for view in views
         ]
-        oblique, straight = on_square([camera_of(sighting, 26.0) for sighting in sightings])
+        oblique, straight = cameras_on_square([solve_camera(sighting, 26.0) for sighting in sightings])
         assert straight.aside_degrees < 0.1
         np.testing.assert_allclose(oblique.place_cm * 20 / straight.place_cm[2], [6, 0, 40], atol=0.01)
 
@@ -195,10 +197,12 @@ def test_photographs_that_share_no_part_are_drawn_with_their_views() -> None:
     cameras = []
     for view in views:
         points = np.stack(np.meshgrid(np.arange(-8.0, 8.1), np.arange(-4.0, 4.1)), -1).reshape(-1, 2)
-        px = through(view.to_px(), points)
-        cameras.append(camera_of(Sighting(Path(), 240, 320, 26.0, 1.0, px, points, px, view.to_px(), False), FOCAL_MM))
+        px = apply_homography(view.to_px(), points)
+        cameras.append(
+            solve_camera(Sighting(Path(), 240, 320, 26.0, 1.0, px, points, px, view.to_px(), False), FOCAL_MM)
+        )
     with pytest.raises(ValueError, match="no part is in all 3 photos"):
-        on_square(cameras)
+        cameras_on_square(cameras)
     show_views(cameras, lambda _path, _words, outlines, colour: shown.update({colour: outlines}))
     left, right = shown["cyan"]
     assert left[:, 0].max() < right[:, 0].min()

@@ -7,46 +7,53 @@ import pytest
 import torch
 
 from data_tools.readers.image_files import Pixels
-from metapp.appearance.latlong import directions
-from metapp.extensions.capture.ball.capture import unwrapped
-from metapp.extensions.capture.ball.geometry import FAR, TELESCOPE, Ball, Lens, disc, mirrored
-from metapp.extensions.capture.ball.picture import lens_of
+from metapp.appearance.latlong import texel_directions
+from metapp.extensions.capture.ball.capture import unwrap_ball
+from metapp.extensions.capture.ball.geometry import (
+    FAR_CAMERA_ANGLE_RAD,
+    PARALLEL_LENS,
+    Ball,
+    PinholeLens,
+    disc_places,
+    disc_to_directions,
+)
+from metapp.extensions.capture.ball.picture import lens_of_photo
 from tests.extensions.capture.ball_photos import light
 
 
-@pytest.mark.parametrize("angle", [FAR, 0.1, 0.4])
+@pytest.mark.parametrize("angle", [FAR_CAMERA_ANGLE_RAD, 0.1, 0.4])
 def test_the_map_is_what_the_ball_mirrors(angle: float) -> None:
-    places = disc(400)
-    ball = Ball(0, 0, 200, Lens(200 / math.tan(angle), 0, 0))
-    values = light(mirrored(places, angle))
-    seen, certain = unwrapped(values, np.zeros((400, 400), bool), np.ones((400, 400)), ball, 64)
-    true = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).float()
+    places = disc_places(400)
+    ball = Ball(0, 0, 200, PinholeLens(200 / math.tan(angle), 0, 0))
+    values = light(disc_to_directions(places, angle))
+    seen, certain = unwrap_ball(values, np.zeros((400, 400), bool), np.ones((400, 400)), ball, 64)
+    true = torch.from_numpy(light(texel_directions(64, 128, dtype=torch.float64).numpy())).float()
     error = (seen - true).abs()
     assert error[:, certain[0] > 0.99].max() < 0.01
     assert error[:, certain[0] > 0].max() < 0.03
     assert (certain[1] == 0).all()
-    hidden = directions(64, 128)[2] < -math.cos(max(0.0, angle - 0.05))
+    hidden = texel_directions(64, 128)[2] < -math.cos(max(0.0, angle - 0.05))
     assert (certain[0][hidden] == 0).all()
     assert (certain[0] > 0.99).float().mean() > 0.8
 
 
 def test_what_clips_is_said_and_a_small_ball_is_less_certain() -> None:
-    places = disc(200)
-    values = light(mirrored(places))
+    places = disc_places(200)
+    values = light(disc_to_directions(places))
     clipped = values.max(0) > 0.75
-    _, certain = unwrapped(values, clipped, np.ones((200, 200)), Ball(0, 0, 100), 64)
-    bright = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).max(0).values
+    _, certain = unwrap_ball(values, clipped, np.ones((200, 200)), Ball(0, 0, 100), 64)
+    bright = torch.from_numpy(light(texel_directions(64, 128, dtype=torch.float64).numpy())).max(0).values
     assert (certain[1][bright > 0.78] > 0.9).all()
     assert (certain[1][bright < 0.72] == 0).all()
     assert (certain.sum(0) <= 1.00001).all()
-    _, small = unwrapped(values, clipped, np.ones((200, 200)), Ball(0, 0, 20), 64)
+    _, small = unwrap_ball(values, clipped, np.ones((200, 200)), Ball(0, 0, 20), 64)
     assert (small.sum(0) <= certain.sum(0) + 1e-6).all()
 
 
 def test_a_cropped_photograph_has_no_lens() -> None:
     whole = Pixels(np.zeros((1500, 2000, 3), np.uint8), "", False, 26.0)
-    lens = lens_of(whole, 0.0)
+    lens = lens_of_photo(whole, 0.0)
     assert lens.focal == pytest.approx(26 * 2500 / math.hypot(36, 24))
-    assert lens_of(whole._replace(values=whole.values[:, :1700]), 0.0) == TELESCOPE
-    given = lens_of(whole._replace(values=whole.values[:, :1700]), math.pi / 2)
-    assert given == pytest.approx(Lens(750, 850, 750))
+    assert lens_of_photo(whole._replace(values=whole.values[:, :1700]), 0.0) == PARALLEL_LENS
+    given = lens_of_photo(whole._replace(values=whole.values[:, :1700]), math.pi / 2)
+    assert given == pytest.approx(PinholeLens(750, 850, 750))

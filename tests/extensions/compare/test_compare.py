@@ -9,7 +9,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.fits import read_fits, write_fit
+from metapp.storage.fits import read_fit_records, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 3
@@ -22,7 +22,7 @@ def test_runs_are_compared_with_the_first(metapp: Callable, fitted: Callable) ->
     assert [run["label"] for run in told["runs"]] == ["meta", "quickft", "general"]
     base, *others = told["runs"]
     for side, run in enumerate(runs):
-        errors = [record["error"] for record in read_fits(run)]
+        errors = [record["error"] for record in read_fit_records(run)]
         assert [task["error"][side] for task in told["tasks"]] == errors
         assert told["runs"][side]["error"] == pytest.approx(np.mean(errors))
         assert [len(task["seconds"]) for task in told["tasks"]] == [3, 3, 3]
@@ -84,7 +84,7 @@ def test_without_what_was_fitted_there_is_a_table_and_no_picture(
 def test_what_cannot_be_compared_is_one_line(metapp: Callable, fitted: Callable, networks: Path) -> None:
     run = fitted("general")
     alone = run / "m0"
-    record = read_fits(run)[0]
+    record = read_fit_records(run)[0]
     record["settings"]["app"] = "texture"
     write_fit(Path("other"), record)
     for words, said in (

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from metapp.apps.transport.recipes import RECIPES
-from metapp.extensions.examples.commands import FOLDER, READ_VGG, lines_of
+from metapp.extensions.examples.commands import EXAMPLE_INPUTS_FOLDER, VGG_APPS, example_lines
 from metapp.names import app_names
 from tests.needs_mitsuba import skip_without_mitsuba
 
@@ -18,7 +18,7 @@ def inputs(request: pytest.FixtureRequest, metapp: Callable, app: str) -> None:
     """The input files of an application, and what a user has after the first run."""
     if app == "illumination":
         request.getfixturevalue("scene")
-    assert metapp("examples", app, "--make", FOLDER).code == 0
+    assert metapp("examples", app, "--make", EXAMPLE_INPUTS_FOLDER).code == 0
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def works(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_every_application_has_five_commands() -> None:
-    assert {len({line for line, _ in lines_of(name, FOLDER)}) for name in app_names()} == {5}
+    assert {len({line for line, _ in example_lines(name, EXAMPLE_INPUTS_FOLDER)}) for name in app_names()} == {5}
 
 
 def test_the_printed_script_makes_its_input_files_first(metapp: Callable, tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_the_printed_script_makes_its_input_files_first(metapp: Callable, tmp_pa
         lines = [line for line in metapp("examples", *words).out.splitlines() if not line.startswith("#")]
         assert len(lines) == count
     metapp(*shlex.split(metapp("examples", "texture").out.splitlines()[1])[1:])
-    assert [file.name for file in FOLDER.iterdir()] == ["bricks.png"]
+    assert [file.name for file in EXAMPLE_INPUTS_FOLDER.iterdir()] == ["bricks.png"]
     made = metapp("examples", "illumination", "--make", tmp_path / "my files", "--json").document
     assert len(made["commands"]) == 5
     assert [Path(file).name for file in made["files"]] == ["courtyard.exr", "ball.png"]
@@ -64,14 +64,14 @@ def test_an_application_that_is_nearly_right_is_suggested(metapp: Callable) -> N
 @pytest.mark.usefixtures("inputs")
 @pytest.mark.parametrize("app", app_names())
 def test_the_first_command_of_an_application_works(works: Callable, app: str) -> None:
-    works(lines_of(app, FOLDER)[0][0])
+    works(example_lines(app, EXAMPLE_INPUTS_FOLDER)[0][0])
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("inputs")
 @pytest.mark.parametrize("app", app_names())
 def test_the_other_commands_work(request: pytest.FixtureRequest, works: Callable, app: str) -> None:
-    if app in READ_VGG:
+    if app in VGG_APPS:
         request.getfixturevalue("vgg")
-    for line, _ in lines_of(app, FOLDER)[1:]:
+    for line, _ in example_lines(app, EXAMPLE_INPUTS_FOLDER)[1:]:
         works(line)

@@ -28,20 +28,20 @@ def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequ
     from metapp.extensions.guided import integrator, picture
 
     integrator._WARNED.clear()
-    monkeypatch.setattr(integrator, "FEWEST", 2**10)
-    monkeypatch.setattr(integrator, "SURVEYED", 2**11)
+    monkeypatch.setattr(integrator, "MIN_LEARNING_PATHS", 2**10)
+    monkeypatch.setattr(integrator, "MIN_SURVEYED_PATHS", 2**11)
     if "guard" not in request.node.name:
-        monkeypatch.setattr(picture, "PAYS", math.inf)
+        monkeypatch.setattr(picture, "MAX_GUIDED_ERROR_RATIO", math.inf)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield integrator
 
 
 def loaded(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
-    from metapp.rendering.scenes.rules import instantiate
+    from metapp.rendering.scenes.rules import instantiate_scene
 
     scene["sensor"]["film"] |= {"width": size, "height": size}
-    return instantiate(mi, scene)
+    return instantiate_scene(mi, scene)
 
 
 def zoo() -> dict[str, Any]:
@@ -221,7 +221,7 @@ def test_within_another_integrator_it_is_path(mi: Any) -> None:
 def test_the_parts_are_the_picture(spp: int, pixels: int) -> None:
     from metapp.extensions.guided import picture
 
-    regular, *guided, last = picture.parts_of(spp, pixels)
+    regular, *guided, last = picture.split_samples(spp, pixels)
     assert regular + sum(guided) + last == spp
     assert last >= spp / 2
     assert regular == max(1, guided[0] // 2)
@@ -236,17 +236,17 @@ def test_the_guard_compares_errors_in_the_same_time(spread: float, bounces: floa
 
     rng = np.random.default_rng(0)
     shown = rng.uniform(0, 9, (64, 64, 1))
-    regular = picture.Work(shown + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
-    guided = picture.Work(shown + spread * rng.standard_normal((64, 64, 16)), bounces)
+    regular = picture.PartCost(shown + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
+    guided = picture.PartCost(shown + spread * rng.standard_normal((64, 64, 16)), bounces)
     assert guided.pays(regular) is pays
-    assert picture.Work(np.zeros((40, 3, 8)), 1.0).noise(8) == 0
+    assert picture.PartCost(np.zeros((40, 3, 8)), 1.0).noise(8) == 0
 
 
 @pytest.mark.parametrize("sides", [1, 2])
 def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
     import drjit as dr
 
-    from metapp.extensions.guided.vertex import is_lambertian, lambertian
+    from metapp.extensions.guided.vertex import is_lambertian, lambertian_functions
 
     plain = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.5, 0.9]}}
     bsdf = mi.load_dict(plain if sides == 1 else {"type": "twosided", "inside": plain})
@@ -255,7 +255,7 @@ def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
     wi, wo = (mi.Vector3f(each / np.linalg.norm(each, axis=0)) for each in rng.standard_normal((2, 3, 1000)))
     si = dr.zeros(mi.SurfaceInteraction3f, 1000)
     si.wi = wi
-    value, density = lambertian(bsdf, si, mi.Bool(True))(wo)
+    value, density = lambertian_functions(bsdf, si, mi.Bool(True))(wo)
     expected, expected_density = bsdf.eval_pdf(mi.BSDFContext(), si, wo)
     assert value.numpy() == pytest.approx(expected.numpy(), rel=1e-5)
     assert density.numpy() == pytest.approx(expected_density.numpy(), rel=1e-5)
@@ -292,10 +292,10 @@ def test_pictures_of_few_paths_do_not_pay_for_a_survey(
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from metapp.extensions.guided.cache import GuideCache
-    from metapp.extensions.guided.histogram import BINS
+    from metapp.extensions.guided.histogram import HISTOGRAM_BINS
 
     # whatever is learned, all paths but the fewest go one way
-    one = torch.eye(BINS, dtype=torch.float64)[5:6]
+    one = torch.eye(HISTOGRAM_BINS, dtype=torch.float64)[5:6]
     monkeypatch.setattr(GuideCache, "learn", lambda cache: cache._tabulate(one))
     scene = loaded(mi, random_scene(2), 32)
     guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})

@@ -17,14 +17,14 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR, REGULAR_NEE
 from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Task
-from metapp.rendering.scenes.stored_text import scene_bytes
+from metapp.rendering.scenes.stored_text import encode_scene
 from tests.needs_mitsuba import needs_mitsuba
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
 
 
 def task_of(seed: int) -> Task:
-    return Task("room", {"samples": torch.rand(500, 4), "scene": scene_bytes(random_scene(seed))})
+    return Task("room", {"samples": torch.rand(500, 4), "scene": encode_scene(random_scene(seed))})
 
 
 @pytest.mark.long

@@ -8,13 +8,13 @@ import pytest
 from torch import Generator
 
 from metapp.appearance.picture_measures import measure_pictures
-from metapp.appearance.pictures import Fitted
+from metapp.appearance.pictures import TimedFit
 from metapp.apps import presenter_of
-from metapp.evaluation.table import text_of
+from metapp.evaluation.table import format_tables
 from metapp.evaluation.tables import image
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.registry import WITHOUT
+from metapp.registry import WITHOUT_VARIABLE
 from tests.extensions.measures.test_measures import needs_weights
 from tests.paradigms.small import KINDS
 
@@ -40,7 +40,7 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
     """The measures in the rows of a random fit, and the table with its notes."""
     task = sources[0]
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(1), 1).items()}
-    measures = measure_pictures(presenter_of(app), {"meta": Fitted(theta, 0.1)}, task)
+    measures = measure_pictures(presenter_of(app), {"meta": TimedFit(theta, 0.1)}, task)
     records = [{"name": task.name, "error": None, "measures": measures}]
     subject: Any = SimpleNamespace(
         app=app,
@@ -55,7 +55,7 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
     monkeypatch.setattr(image, "picture_records", lambda subject: records)
     table = image.image(subject)
     assert all(row["error"] is not None for row in table.rows if row["measure"])
-    return {row["measure"] for row in table.rows} - {None}, text_of([table], "markdown")
+    return {row["measure"] for row in table.rows} - {None}, format_tables([table], "markdown")
 
 
 @needs_weights
@@ -80,7 +80,7 @@ def test_each_table_has_its_measures_and_says_what_is_missing(
 def test_without_the_extension_tables_have_the_rest(
     app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(WITHOUT, "measures")
+    monkeypatch.setenv(WITHOUT_VARIABLE, "measures")
     measures, text = printed(app, sources, monkeypatch)
     assert measures >= OWN.get(app.name, set())
     assert not measures & set().union(*FURTHER.values())

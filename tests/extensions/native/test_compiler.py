@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from metapp.extensions.native import compiler as module
-from metapp.extensions.native.compiler import compiler, load
+from metapp.extensions.native import find_compiler as module
+from metapp.extensions.native.compiler import find_compiler, load_library
 from metapp.storage.cache import cache_folder
 from tests import forks
 
-needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +31,7 @@ def source(tmp_path: Path) -> Path:
 def test_a_library_is_kept_in_a_folder_of_the_user_alone(cache: Path, source: Path) -> None:
     kept = cache / "native"
     kept.mkdir(mode=0o755)
-    functions = load.__wrapped__(source, "seven")
+    functions = load_library.__wrapped__(source, "seven")
     assert functions is not None
     assert functions.seven() == 7
     assert stat.S_IMODE(kept.stat().st_mode) == 0o700

@@ -18,11 +18,16 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.extensions.native import fastest as steps_module
 from metapp.extensions.native import in_c, nbrdf
-from metapp.extensions.native.compiler import compiler
-from metapp.extensions.native.fastest import COMPILED, DISABLED, compiled_steps, has_tool_chain
-from metapp.extensions.native.fastest import steps as fastest
-from metapp.extensions.native.packing import Layout
-from metapp.learning.adjoint import Draw, Loss, Steps, StepsOf, UpdateRule, torch_steps
+from metapp.extensions.native.compiler import find_compiler
+from metapp.extensions.native.fastest import (
+    NO_COMPILING_VARIABLE,
+    TORCH_CACHE_VARIABLE,
+    has_tool_chain,
+    make_compiled_steps,
+)
+from metapp.extensions.native.fastest import choose_steps as fastest
+from metapp.extensions.native.packing import ParameterOrder
+from metapp.learning.adjoint import DrawnBatch, Loss, Steps, StepsOf, UpdateRule, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, descend, expand_tasks, learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
@@ -31,7 +36,7 @@ from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
 from metapp.paradigms import paradigm
 from metapp.rules import rule_of
-from metapp.runs.reporter import Reporter, reporting
+from metapp.runs.reporter import Reporter, use_reporter
 from tests.learning.conftest import randn
 from tests.learning.test_adjoint import assert_alike, brdf_case, value_and_grads
 
@@ -42,7 +47,7 @@ APP = Brdf()
 TASKS, STEPS = 3, 5
 IN_C = ["meta-sgd", "adam+loss", "meta-encoder", "meta-curvature"]
 EPS = torch.finfo(torch.float32).eps
-needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
 
 
 @pytest.fixture(params=["native", "x86-64-v3", "x86-64-v2"])
@@ -52,11 +57,11 @@ def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int
     march: str = request.param
     if march != "native" and not (platform.machine() in ("x86_64", "AMD64") and (wide or march == "x86-64-v2")):
         pytest.skip(f"this CPU does not run {march}")
-    for module in (nbrdf, in_c):
-        library = module.compiled(march)
+    for module, load in ((nbrdf, "load_nbrdf_library"), (in_c, "load_step_library")):
+        library = getattr(module, load)(march)
         assert library is not None
-        monkeypatch.setattr(module, "compiled", lambda library=library: library)
-    lanes: int = nbrdf.compiled().nbrdf_lanes()
+        monkeypatch.setattr(module, load, lambda library=library: library)
+    lanes: int = nbrdf.load_nbrdf_library().nbrdf_lanes()
     assert lanes == {"x86-64-v3": 8, "x86-64-v2": 4}.get(march, lanes)
     return lanes
 
@@ -65,7 +70,7 @@ def loss_of(batches: list[Batch], registered: bool = True) -> Loss:
     """The loss on these batches, one after the other."""
     supply = iter(batches)
     value = APP.loss if registered else lambda theta, batch, learned: APP.loss(theta, batch, learned)
-    return Loss(lambda data, rng, done: Draw((), next(supply)), value)
+    return Loss(lambda data, rng, done: DrawnBatch((), next(supply)), value)
 
 
 def batch_of(rng: Generator, samples: int, tasks: int = TASKS) -> Batch:
@@ -103,10 +108,10 @@ def away(actual: Tensor, expected: Tensor) -> float:
 def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, form: int) -> None:
     rng = Generator().manual_seed(samples)
     theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
-    layout = Layout(theta)
+    layout = ParameterOrder(theta)
     flat, along = layout.flat(theta), torch.randn(TASKS, 675, generator=rng)
-    gradient, losses = nbrdf.gradient(flat, batch, learned)
-    product, pulls = nbrdf.product(flat, batch, learned, along)
+    gradient, losses = nbrdf.loss_gradient(flat, batch, learned)
+    product, pulls = nbrdf.gradient_product(flat, batch, learned, along)
 
     exact = flat.double().requires_grad_()
     leaves = {key: value.double().requires_grad_() for key, value in learned.items()}
@@ -126,9 +131,9 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
     rng = Generator().manual_seed(2)
     theta = theta_of(rng)
     theta["b3"][1] = bad
-    flat = Layout(theta).flat(theta)
-    assert torch.isfinite(nbrdf.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
-    loss = replace(loss_of([]), draw=lambda data, rng, done: Draw(("a", "b", "c"), batch_of(rng, 40)))
+    flat = ParameterOrder(theta).flat(theta)
+    assert torch.isfinite(nbrdf.loss_gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
+    loss = replace(loss_of([]), draw=lambda data, rng, done: DrawnBatch(("a", "b", "c"), batch_of(rng, 40)))
     with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
         learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, steps_of=fastest)
 
@@ -190,7 +195,7 @@ def test_fits_are_those_of_torch(name: str, tasks: int, form: int) -> None:
     theta, batches = theta_of(rng, tasks), [batch_of(rng, 150, tasks) for _ in range(STEPS)]
     theta = {key: theta[key] for key in sorted(theta)}  # as files have them
     rule = rules_of(theta, rng)[name]
-    assert in_c.steps(rule, loss_of([]), theta, 1) is not None
+    assert in_c.make_c_steps(rule, loss_of([]), theta, 1) is not None
     paths = [
         descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=each)
         for each in (fastest, torch_steps)
@@ -222,21 +227,21 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
         "another loss": (rule, loss_of([], registered=False), theta),
         "normal equations": (rule, NormalEquations(loss.draw, loss.value, linear=APP.least_squares), theta),
     }
-    assert in_c.steps(rule, loss, theta, 1) is not None
-    assert nbrdf.takes(task_loss(APP, 8, outer=True), theta)  # the same loss of other samples
+    assert in_c.make_c_steps(rule, loss, theta, 1) is not None
+    assert nbrdf.has_c_loss(task_loss(APP, 8, outer=True), theta)  # the same loss of other samples
     for name, case in cases.items():
-        assert in_c.steps(*case, 1) is None, name
+        assert in_c.make_c_steps(*case, 1) is None, name
 
 
-@pytest.mark.parametrize("module", [nbrdf, in_c])
-def test_fits_without_a_compiler(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("module", "load"), [(nbrdf, "load_nbrdf_library"), (in_c, "load_step_library")])
+def test_fits_without_a_compiler(module: ModuleType, load: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """All goes on by torch, with the same results, whichever of the two sources cannot be compiled."""
     rng = Generator().manual_seed(6)
     theta, batches = theta_of(rng), [batch_of(rng, 64) for _ in range(STEPS)]
     rule = fixed_adam(Adam(1e-2), theta, STEPS)
     here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
-    monkeypatch.setattr(module, "compiled", lambda: None)
-    assert in_c.steps(rule, loss_of([]), theta, 1) is None
+    monkeypatch.setattr(module, load, lambda: None)
+    assert in_c.make_c_steps(rule, loss_of([]), theta, 1) is None
     there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
     for key, value in there.items():
         assert away(here[key], value.double()) < 100 * EPS
@@ -246,11 +251,11 @@ def test_fits_without_a_compiler(module: ModuleType, monkeypatch: pytest.MonkeyP
 
 
 def test_steps_are_those_of_the_extension(monkeypatch: pytest.MonkeyPatch) -> None:
-    offered = paradigm.fastest(compiles=True)
+    offered = paradigm.fastest_steps(compiles=True)
     assert isinstance(offered, functools.partial)
     assert (offered.func, offered.keywords) == (fastest, {"compiles": True})
     monkeypatch.setenv("METAPP_WITHOUT", "native")
-    assert paradigm.fastest(compiles=True) is torch_steps
+    assert paradigm.fastest_steps(compiles=True) is torch_steps
 
 
 @pytest.mark.long
@@ -258,7 +263,7 @@ def test_steps_are_those_of_the_extension(monkeypatch: pytest.MonkeyPatch) -> No
 def test_steps_that_torch_compiles_are_those_of_torch(randn: Callable[..., Tensor]) -> None:
     phi, mean = brdf_case("meta-curvature", randn)
     with torch._dynamo.config.patch(disable=False):  # whatever the environment said when torch read it
-        assert_alike(*(value_and_grads(mean(2, steps_of), phi) for steps_of in (compiled_steps, torch_steps)))
+        assert_alike(*(value_and_grads(mean(2, steps_of), phi) for steps_of in (make_compiled_steps, torch_steps)))
 
 
 def test_compiling_is_said_once(randn: Callable[..., Tensor], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -272,11 +277,11 @@ def test_compiling_is_said_once(randn: Callable[..., Tensor], monkeypatch: pytes
     monkeypatch.setattr(torch, "compile", lambda function, **_: function)  # which takes a minute
     phi, mean = brdf_case("meta-sgd", randn)  # in double precision: not in C
     steps_module._say_compiling.cache_clear()
-    with reporting(Heard()):
-        monkeypatch.setenv(DISABLED, "1")
+    with use_reporter(Heard()):
+        monkeypatch.setenv(NO_COMPILING_VARIABLE, "1")
         value_and_grads(mean(2, functools.partial(fastest, compiles=True)), phi)
         assert not said
-        monkeypatch.delenv(DISABLED)
+        monkeypatch.delenv(NO_COMPILING_VARIABLE)
         for _ in range(2):
             value_and_grads(mean(2, functools.partial(fastest, compiles=True)), phi)
     steps_module._compiled.cache_clear()
@@ -286,14 +291,14 @@ def test_compiling_is_said_once(randn: Callable[..., Tensor], monkeypatch: pytes
 def test_torch_compiles_where_nobody_else_can_write(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch, "compile", lambda function: function)
     monkeypatch.setattr(shutil, "which", lambda name: name)
-    monkeypatch.setenv(COMPILED, "")
+    monkeypatch.setenv(TORCH_CACHE_VARIABLE, "")
     assert has_tool_chain.__wrapped__()
-    assert os.environ[COMPILED] == str(cache / "torch")
+    assert os.environ[TORCH_CACHE_VARIABLE] == str(cache / "torch")
     shared = cache / "shared"
     shared.mkdir()
     (shared / "code.py").touch()
     shared.chmod(0o777)
-    monkeypatch.setenv(COMPILED, str(shared))
-    with pytest.warns(UserWarning, match=f"{shared}: .* open to others, .* {COMPILED} name another place"):
+    monkeypatch.setenv(TORCH_CACHE_VARIABLE, str(shared))
+    with pytest.warns(UserWarning, match=f"{shared}: .* open to others, .* {TORCH_CACHE_VARIABLE} name another place"):
         assert has_tool_chain.__wrapped__()
-    assert os.environ[COMPILED] != str(shared)
+    assert os.environ[TORCH_CACHE_VARIABLE] != str(shared)

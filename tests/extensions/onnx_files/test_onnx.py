@@ -13,17 +13,17 @@ from torch.nn.functional import normalize
 
 from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.nbrdf import NBRDF
+from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
 from metapp.apps.brdf.network import BrdfNetwork
 from metapp.extensions.onnx_files import brdf, models, photographs
 from metapp.learning.task import Params
-from metapp.storage.shipped import shipped_path
+from metapp.storage.shipped import shipped_checkpoint_path
 from tests.marked import long
 
 pytest.importorskip("onnxscript")
 ort = pytest.importorskip("onnxruntime")
 APP = app_of("brdf", recipes_of("brdf")["quick"])
-NETWORKS = {"nbrdf": NBRDF, "featured": Featured(), "anisotropic": Featured(anisotropic=True)}
+NETWORKS = {"nbrdf": NBRDF_NETWORK, "featured": Featured(), "anisotropic": Featured(anisotropic=True)}
 
 
 def session(path: Path) -> Any:
@@ -46,7 +46,7 @@ def test_reflectance_is_that_of_the_fit(name: str, tmp_path: Path, capfd: pytest
     wo[:, 2] = wo[:, 2].abs()
     (found,) = session(tmp_path / "paint.onnx").run(["reflectance"], {"wi": wi.numpy(), "wo": wo.numpy()})
     with torch.no_grad():
-        exact = brdf.Reflectance(theta)(wi, wo).numpy()
+        exact = brdf.ReflectanceModule(theta)(wi, wo).numpy()
     assert not found[wi[:, 2] < 0].any()
     np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-3 * exact.mean())
     assert exact.max() > 0
@@ -60,7 +60,7 @@ def test_large_weights_take_16_or_8_bits(largest: int, bits: int, apart: float, 
         layer.weight.mul_(torch.logspace(-3, 3, 32)[:, None, None, None])
         layer.weight[7] = 0
     x = torch.rand(1, 64, 8, 8, generator=Generator().manual_seed(1))
-    content = models.model_of(layer, {"x": x}, ["y"], {}, {}, half=True, largest=largest)
+    content = models.encode_model(layer, {"x": x}, ["y"], {}, {}, half=True, largest=largest)
     (tmp_path / "layer.onnx").write_bytes(content)
     assert (tmp_path / "layer.onnx").stat().st_size == pytest.approx(layer.weight.numel() * bits / 8, rel=0.1)
     (found,) = session(tmp_path / "layer.onnx").run(["y"], {"x": x.numpy()})
@@ -76,29 +76,31 @@ def test_maps_are_those_of_general(tmp_path: Path, metapp: Callable) -> None:
     assert done.document == {"form": "onnx", "out": "onnx", "tasks": ["svbrdf_nonstationary"]}
     assert re.search(r"onnx: [34]\.\d MB of ONNX, opset 18, takes photos of 256 x 256 px", done.err)
     photo = torch.rand(1, 3, 256, 256, generator=Generator().manual_seed(5)) ** 2
-    found = session(Path("onnx/svbrdf_nonstationary.onnx")).run(list(photographs.OUTPUTS), {"photo": photo.numpy()})
+    found = session(Path("onnx/svbrdf_nonstationary.onnx")).run(
+        list(photographs.MODEL_OUTPUTS), {"photo": photo.numpy()}
+    )
     exact = _maps(photo)
-    for name, values, expected in zip(photographs.OUTPUTS, found, exact, strict=True):
+    for name, values, expected in zip(photographs.MODEL_OUTPUTS, found, exact, strict=True):
         assert np.abs(values - expected.numpy()).mean() < 1e-3, name
 
 
 def _maps(photo: Tensor) -> tuple[Tensor, ...]:
-    from metapp.runs.checkpoints import with_checkpoint
+    from metapp.runs.checkpoints import attach_checkpoint
     from metapp.runs.options import fit_options
     from metapp.runs.run import Run
 
-    found = with_checkpoint(Run.of(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo")))
+    found = attach_checkpoint(Run.of(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo")))
     with torch.no_grad():
-        result: tuple[Tensor, ...] = photographs.Material(found.app, found.checkpoint.phi.encoder)(photo)
+        result: tuple[Tensor, ...] = photographs.MaterialModule(found.app, found.checkpoint.phi.encoder)(photo)
     return result
 
 
 def test_what_cannot_be_written_is_one_line(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    general = shipped_path("svbrdf_nonstationary", "general-photo", "pretrained")
+    general = shipped_checkpoint_path("svbrdf_nonstationary", "general-photo", "pretrained")
     assert "expected a run, a checkpoint of General of photos, or svbrdf_n" in metapp("export", "texture", "onnx").error
     assert "General of several photos" in metapp("export", "svbrdf_nonstationary/several", "onnx").error
     assert "--recipe 'none'" in metapp("export", "svbrdf_nonstationary/none", "onnx").misuse
-    other = shipped_path("texture", "general")
+    other = shipped_checkpoint_path("texture", "general")
     assert (
         "a checkpoint of texture general, expected svbrdf_nonstationary general"
         in metapp("export", other, "onnx").error

@@ -16,7 +16,7 @@ from PIL import Image
 from data_tools.readers.photos import read_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.onnx_files import page as pages
-from metapp.extensions.onnx_files.page import write_folder
+from metapp.extensions.onnx_files.page import write_page_folder
 from tests.browser import browsing
 
 SIDE = 16
@@ -81,7 +81,7 @@ class Opened:
 
 @pytest.fixture
 def opened(browser: Any, tmp_path: Path) -> Iterator[Opened]:
-    write_folder(tmp_path / "page", MODEL, PARTS, [SIDE, 2 * SIDE], features=True)
+    write_page_folder(tmp_path / "page", MODEL, PARTS, [SIDE, 2 * SIDE], features=True)
     page = Opened(browser, tmp_path / "page")
     yield page
     page.page.close()
@@ -134,7 +134,7 @@ def test_problems_are_said_and_the_next_photo_works(opened: Opened, tmp_path: Pa
 
 def test_licences_are_on_the_page(tmp_path: Path) -> None:
     for features in (False, True):
-        write_folder(tmp_path, MODEL, PARTS, [SIDE], features=features)
+        write_page_folder(tmp_path, MODEL, PARTS, [SIDE], features=features)
         text = (tmp_path / "index.html").read_text()
         assert ("CC BY 4.0" in text) == features
         assert "Copyright" in text.title()
@@ -146,7 +146,7 @@ def archive(parts: dict[str, bytes]) -> bytes:
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w:gz") as file:
         for name, content in parts.items():
-            member = tarfile.TarInfo(pages.PARTS[name])
+            member = tarfile.TarInfo(pages.RUNTIME_PARTS[name])
             member.size = len(content)
             file.addfile(member, io.BytesIO(content))
     return buffer.getvalue()
@@ -154,22 +154,22 @@ def archive(parts: dict[str, bytes]) -> bytes:
 
 def test_the_runtime_is_fetched_once_and_compared(cache: Path, tmp_path: Path) -> None:
     content, url = archive(PARTS), (tmp_path / "npm.tgz").as_uri()
-    ours = {"url": url, "sha512": pages.digest(content)}
+    ours = {"url": url, "sha512": pages.npm_digest(content)}
     line = r"expected onnxruntime-web .* \(33 MB\), once; get it elsewhere and put it at .*\.tgz\.$"
     with pytest.raises(ValueError, match=line):
-        pages.runtime(lambda *_: None, url=url)
+        pages.provide_runtime(lambda *_: None, url=url)
     (tmp_path / "npm.tgz").write_bytes(content)
     with pytest.raises(ValueError, match=r"SHA-512 .*\.\.\., expected q0y\+Jrrtuk.*; damaged or another file\.$"):
-        pages.runtime(lambda *_: None, url=url)
+        pages.provide_runtime(lambda *_: None, url=url)
     assert not list(cache.iterdir())
     shown: list[tuple[int, int | None]] = []
-    assert pages.runtime(lambda *state: shown.append(state), **ours) == PARTS
+    assert pages.provide_runtime(lambda *state: shown.append(state), **ours) == PARTS
     assert shown[-1] == (len(content), len(content))
     (tmp_path / "npm.tgz").unlink()
-    assert pages.runtime(lambda *_: None, **ours) == PARTS
-    (cache / pages.ARCHIVE).write_bytes(content[:-1])  # damaged: asked for anew
+    assert pages.provide_runtime(lambda *_: None, **ours) == PARTS
+    (cache / pages.RUNTIME_ARCHIVE).write_bytes(content[:-1])  # damaged: asked for anew
     with pytest.raises(ValueError, match=line):
-        pages.runtime(lambda *_: None, **ours)
+        pages.provide_runtime(lambda *_: None, **ours)
 
 
 def test_the_command_refuses_before_it_computes(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from metapp.appearance.geometry import cosines, directions_to_four_angles
+from metapp.appearance.geometry import angle_cosines, directions_to_four_angles
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.rgl import write_rgl
-from metapp.extensions.rgl.scene import export
+from metapp.extensions.rgl.scene import write_brdf_scenes
 from metapp.extensions.rgl.tensor_file import write_tensor_file
 from tests import anisotropic
 from tests.anisotropic import APP, VIEWERS, brushed, brushed_directions, direction, directions, viewer_at
@@ -38,7 +38,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def glossy(angles: Tensor) -> Tensor:
     """A GGX lobe on a diffuse body: [..., 3] in 1/sr."""
-    lobe = microfacet_lobe(cosines(angles.double()), 0.15, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5 * torch.ones(3))
+    lobe = microfacet_lobe(
+        angle_cosines(angles.double()), 0.15, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5 * torch.ones(3)
+    )
     return (lobe + torch.tensor([0.1, 0.05, 0.02])).to(angles)
 
 
@@ -160,7 +162,7 @@ def cells(light: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[n
 @pytest.mark.long
 def test_exports_of_a_fit_are_anisotropic(mi: Any, tmp_path: Path) -> None:
     theta = anisotropic.fitted()
-    export(APP, theta, tmp_path / "brushed")
+    write_brdf_scenes(APP, theta, tmp_path / "brushed")
     (source,), _ = rgl.find(tmp_path / "brushed")
     assert source.facts == {"anisotropic": True}
     angles = directions_to_four_angles(directions(3000, 1, 0.2), directions(3000, 2, 0.2)).float()

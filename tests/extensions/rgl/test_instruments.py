@@ -11,13 +11,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers.merl import merl_centres, merl_evaluate, read_merl, tabulate, write_merl
-from data_tools.readers.nbrdf import SHAPES, nbrdf_evaluate, write_nbrdf
-from metapp.appearance.colorimetry import spectra_to_rgb
-from metapp.appearance.geometry import cosines, directions_to_full_circle
+from data_tools.readers.merl import evaluate_merl, merl_centres, read_merl, tabulate_merl, write_merl
+from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES, evaluate_nbrdf, write_nbrdf
+from metapp.appearance.colorimetry import spectrum_to_rgb_matrix
+from metapp.appearance.geometry import angle_cosines, directions_to_full_rusinkiewicz
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.rgl import rgl
-from metapp.extensions.rgl.spectra import WAVELENGTHS, primaries
+from metapp.extensions.rgl.spectra import WAVELENGTHS_NM, primary_spectra
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
 from tests.bsdfs import directions, seen_from
 from tests.needs_mitsuba import needs_mitsuba
@@ -29,7 +29,9 @@ NANOMETRES = np.linspace(380, 730, 36)
 
 def glossy(angles: Tensor) -> Tensor:
     """A GGX lobe of roughness 0.3 on an orange body: [..., 3] in 1/sr."""
-    lobe = microfacet_lobe(cosines(angles.double()), 0.3, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5 * torch.ones(3))
+    lobe = microfacet_lobe(
+        angle_cosines(angles.double()), 0.3, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5 * torch.ones(3)
+    )
     return (lobe + torch.tensor([0.15, 0.06, 0.01])).to(angles)
 
 
@@ -43,7 +45,7 @@ def pairs() -> Pairs:
 
 def angles_of(pairs: Pairs) -> Tensor:
     light, viewer = (torch.from_numpy(each.T).double() for each in pairs)
-    return directions_to_full_circle(light, viewer).float()
+    return directions_to_full_rusinkiewicz(light, viewer).float()
 
 
 def difference(found: np.ndarray | Tensor, expected: np.ndarray | Tensor) -> float:
@@ -77,7 +79,7 @@ def integrated(mi: Any, file: str | Path, pairs: Pairs) -> np.ndarray:
         interaction.wavelengths = mi.Spectrum(*map(float, four))
         dr.make_opaque(interaction.wavelengths)  # one kernel for all
         spectra.append(np.array(bsdf.eval(mi.BSDFContext(), interaction, mi.Vector3f(light))) / light[2])
-    return np.concatenate(spectra).T @ spectra_to_rgb(NANOMETRES)
+    return np.concatenate(spectra).T @ spectrum_to_rgb_matrix(NANOMETRES)
 
 
 def measured(file: str | Path) -> dict[str, str]:
@@ -90,8 +92,8 @@ def test_an_rgl_file_becomes_a_merl_table(metapp: Callable, pairs: Pairs, spectr
     rgl.write_rgl(name, glossy, "paint", spectral=spectral)
     assert metapp("export", name, "merl", "--json").done == {"form": "merl", "out": "merl", "tasks": ["paint"]}
     table, angles = read_merl("merl/paint.binary"), angles_of(pairs)
-    assert difference(merl_evaluate(table, angles), rgl.read_rgl(Path(name))(angles)) < 0.005
-    assert difference(merl_evaluate(table, angles), glossy(angles)) < 0.005
+    assert difference(evaluate_merl(table, angles), rgl.read_rgl(Path(name))(angles)) < 0.005
+    assert difference(evaluate_merl(table, angles), glossy(angles)) < 0.005
     # as the reader published with the database has it: header, planes of red, green and blue, scaled
     assert np.fromfile("merl/paint.binary", "<i4", 3).tolist() == [90, 90, 180]
     bins = (10, 20, 90)
@@ -150,26 +152,26 @@ def test_a_spectral_rgl_file_is_converted_for_rgb_variants(metapp: Callable, mi:
 
 @pytest.mark.parametrize("kind", ["bsdf", "bsdf-spectral"])
 def test_a_merl_table_becomes_an_rgl_file(metapp: Callable, mi: Any, pairs: Pairs, kind: str) -> None:
-    write_merl("paint.binary", tabulate(glossy))
+    write_merl("paint.binary", tabulate_merl(glossy))
     (name,) = metapp("export", "paint.binary", kind, "--out", "rgl", "--json").done["tasks"]
     show = integrated if kind == "bsdf-spectral" else lambda *what: evaluated(what[0], measured(what[1]), what[2])
     found = show(mi, f"rgl/{name}.bsdf", pairs)
-    assert difference(found, merl_evaluate(read_merl("paint.binary"), angles_of(pairs))) < 0.005
+    assert difference(found, evaluate_merl(read_merl("paint.binary"), angles_of(pairs))) < 0.005
     assert difference(found, glossy(angles_of(pairs))) < 0.005
 
 
 def test_networks_are_converted_and_not_with_other_files_of_the_folder_twice(metapp: Callable) -> None:
     random = np.random.default_rng(0)
-    weights = {part: 0.1 * random.standard_normal(shape) for part, shape in SHAPES.items()}
+    weights = {part: 0.1 * random.standard_normal(shape) for part, shape in NBRDF_ARRAY_SHAPES.items()}
     write_nbrdf("all/gold", weights)
     rgl.write_rgl("all/paint_rgb.bsdf", glossy, "paint")
     assert sorted(metapp("export", "all", "merl", "--json").done["tasks"]) == ["gold", "paint"]
     angles = angles_of((directions(500, 1), directions(500, 2)))
     angles[:, 2] %= math.pi
     both = torch.stack(
-        [nbrdf_evaluate(weights, angles), nbrdf_evaluate(weights, angles + torch.tensor([0, 0, math.pi]))]
+        [evaluate_nbrdf(weights, angles), evaluate_nbrdf(weights, angles + torch.tensor([0, 0, math.pi]))]
     )
-    found = merl_evaluate(read_merl("merl/gold.binary"), angles)
+    found = evaluate_merl(read_merl("merl/gold.binary"), angles)
     assert float((found - both.mean(0)).abs().mean()) < 0.01 * float(both.mean())
 
 
@@ -200,8 +202,8 @@ def test_what_cannot_be_converted_is_refused_in_one_line(metapp: Callable) -> No
 
 
 def test_spectra_of_primaries_are_reflectances_of_exactly_these_colours() -> None:
-    spectra = primaries()
+    spectra = primary_spectra()
     assert spectra.min() >= 0
     np.testing.assert_allclose(spectra.sum(0), 1, atol=1e-9)
-    np.testing.assert_allclose(spectra @ spectra_to_rgb(WAVELENGTHS), np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(spectra @ spectrum_to_rgb_matrix(WAVELENGTHS_NM), np.eye(3), atol=1e-9)
     assert abs(np.diff(spectra)).max() < 0.85

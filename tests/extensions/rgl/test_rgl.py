@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.appearance.colorimetry import colour_science
-from metapp.appearance.geometry import cosines, directions_to_full_circle
+from metapp.appearance.colorimetry import import_colour_science
+from metapp.appearance.geometry import angle_cosines, directions_to_full_rusinkiewicz
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.rgl import write_rgl
@@ -22,7 +22,9 @@ from tests.sources import paths_of
 
 def glossy(angles: Tensor) -> Tensor:
     """A GGX lobe of roughness 0.1 on a diffuse body, coloured: [..., 3] in 1/sr."""
-    lobe = microfacet_lobe(cosines(angles.double()), 0.1, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5 * torch.ones(3))
+    lobe = microfacet_lobe(
+        angle_cosines(angles.double()), 0.1, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5 * torch.ones(3)
+    )
     return (lobe + torch.tensor([0.1, 0.05, 0.02])).to(angles)
 
 
@@ -52,7 +54,7 @@ def test_mitsuba_evaluates_the_table_as_what_was_tabulated(mi: Any, file: Path, 
     found = np.array(bsdf.eval(mi.BSDFContext(), interaction, light))
     pair = (torch.from_numpy(np.array(each).T).double() for each in (light, interaction.wi))
     up = (density > 0) & (np.array(light.z) > 0)
-    expected = glossy(directions_to_full_circle(*pair)).numpy().T * np.array(light.z) * up
+    expected = glossy(directions_to_full_rusinkiewicz(*pair)).numpy().T * np.array(light.z) * up
     density = np.where(up, density, 1)
     np.testing.assert_allclose((found * up / density).mean(1), (expected / density).mean(1), rtol=0.01)
     assert (np.abs(found * up - expected) / density).mean() < 0.02 * (expected / density).mean()
@@ -64,7 +66,7 @@ def test_mitsuba_evaluates_the_table_as_what_was_tabulated(mi: Any, file: Path, 
 @pytest.mark.usefixtures("small_spheres")
 def test_what_is_read_is_what_was_written(file: Path, random_angles: Callable[..., Tensor]) -> None:
     angles = random_angles(2000)
-    angles = angles[torch.minimum(cosines(angles).incident, cosines(angles).outgoing) > 0.1]
+    angles = angles[torch.minimum(angle_cosines(angles).incident, angle_cosines(angles).outgoing) > 0.1]
     found, expected = rgl.read_rgl(file)(angles), glossy(angles)
     assert found.shape == expected.shape
     assert float((found - expected).abs().mean() / expected.mean()) < 0.01
@@ -169,7 +171,7 @@ def test_flat_spectra_are_gray_and_bands_have_the_colour_that_colour_science_giv
     flat = rgl.read_rgl(spectral(file, tmp_path / "flat_spec.bsdf", np.full(len(NANOMETRES), 0.4)))(angles)
     torch.testing.assert_close(flat, (0.4 * red).expand(-1, 3), rtol=1e-5, atol=0)
     band = np.exp(-(((NANOMETRES - 530) / 15) ** 2))
-    colour = colour_science()
+    colour = import_colour_science()
     spectrum = colour.SpectralDistribution(band, NANOMETRES)
     xyz = colour.sd_to_XYZ(spectrum, illuminant=colour.SDS_ILLUMINANTS["D65"]) / 100
     expected = torch.from_numpy(colour.XYZ_to_RGB(xyz, "sRGB")).float()

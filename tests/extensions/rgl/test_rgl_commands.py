@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metapp.registry import WITHOUT
+from metapp.registry import WITHOUT_VARIABLE
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -38,7 +38,7 @@ print(json.dumps([numpy.array(mitsuba.render(scene)).mean((0, 1)).tolist() for s
 
 def test_without_it_its_command_is_refused_and_others_stay(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("a.bsdf").write_bytes(b"tensor_file")
-    monkeypatch.setenv(WITHOUT, "rgl")
+    monkeypatch.setenv(WITHOUT_VARIABLE, "rgl")
     assert "No such command 'bsdf'" in metapp("data", "bsdf", "a.bsdf").misuse
     forms = "cpp, glsl, hlsl, materialx, merl, nbrdf, onnx, osl, wgsl"
     assert f"brdf expects one of {forms}" in metapp("meta", "brdf", "--export", "bsdf").misuse

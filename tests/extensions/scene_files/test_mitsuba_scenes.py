@@ -12,13 +12,13 @@ from safetensors.torch import save_file
 
 from data_tools.synthetic.cornell import random_scene, to_xml
 from metapp.apps.transport.app import Transport
-from metapp.extensions.scene_files.reading import find, read_scene, read_task, recognises, scene_in_memory
+from metapp.extensions.scene_files.reading import find, read_scene, read_task, recognises, resolve_scene_in_memory
 from metapp.learning.task import problems_of
-from metapp.registry import WITHOUT
+from metapp.registry import WITHOUT_VARIABLE
 from metapp.rendering import variant as mitsuba_variant
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
-from metapp.rendering.scenes.stored_text import scene_of
+from metapp.rendering.scenes.stored_text import decode_scene
 from tests.needs_mitsuba import needs_mitsuba
 from tests.sources import paths_of
 
@@ -70,7 +70,7 @@ def test_a_dictionary_is_the_task_it_came_from(tmp_path: Path) -> None:
     scene = random_scene(5)
     task = read_task(write(tmp_path / "five.json", scene), samples=300, held=100)
     assert task.name == "five"
-    assert scene_of(task.data["scene"]) == scene
+    assert decode_scene(task.data["scene"]) == scene
     shapes = {"samples": (300, 4), "held": (100, 4), "image": (3, 32, 32), "scene": (8192,)}
     assert {key: tuple(value.shape) for key, value in task.data.items()} == shapes
     again = read_task(write(tmp_path / "five.json", scene), samples=300, held=100)
@@ -88,7 +88,7 @@ def test_file_names_start_from_the_scenes_folder(tmp_path: Path, monkeypatch: py
     write(folder / "room.xml", xml('<include filename="camera.xml"/>', ROOM, lamp))
     task = read_task(folder / "room.xml", samples=64, held=16)
     monkeypatch.chdir(tmp_path)
-    elsewhere = read_task(write(tmp_path / "room.json", scene_of(task.data["scene"])), samples=64, held=16)
+    elsewhere = read_task(write(tmp_path / "room.json", decode_scene(task.data["scene"])), samples=64, held=16)
     assert all(torch.equal(task.data[key], elsewhere.data[key]) for key in task.data)
     # and in a dictionary
     sensor = random_scene(0)["sensor"]
@@ -271,26 +271,26 @@ def test_a_scene_is_its_dictionary(mitsuba: Any) -> None:
     plain = json.loads(json.dumps(small_scene(matrix.tolist()), default=lambda value: value.tolist()))
     plain["ball"]["center"] = [0, 0.25, 0]
     for transform in (matrix, mitsuba.ScalarTransform4f(matrix), mitsuba.Transform4f(matrix.tolist())):
-        made = scene_in_memory(small_scene(transform), "object")
+        made = resolve_scene_in_memory(small_scene(transform), "object")
         assert made == plain
     for point in (mitsuba.ScalarPoint3f(1, 2, 3), mitsuba.Point3f(1, 2, 3)):
         around = {"type": "scene", "a": {"type": "sphere", "center": point}}
-        assert scene_in_memory(around, "object")["a"]["center"] == [1, 2, 3]
+        assert resolve_scene_in_memory(around, "object")["a"]["center"] == [1, 2, 3]
 
 
 @needs_mitsuba
 def test_a_scene_of_mitsuba_is_one(mitsuba: Any) -> None:
-    made = scene_in_memory(mitsuba.cornell_box(), "object")
+    made = resolve_scene_in_memory(mitsuba.cornell_box(), "object")
     assert len(load_scene(made).scene.emitters()) == 1
     loaded = mitsuba.load_dict({"type": "diffuse"})
     with pytest.raises(ValueError, match=r"object: \w+ as 'bsdf', expected numbers, text, a transform or a dictionary"):
-        scene_in_memory({"type": "scene", "a": {"type": "sphere", "bsdf": loaded}}, "object")
+        resolve_scene_in_memory({"type": "scene", "a": {"type": "sphere", "bsdf": loaded}}, "object")
 
 
 def test_a_scene_is_its_text(tmp_path: Path) -> None:
     text = "<scene version='3.0.0'><shape type='sphere'/></scene>"
     (tmp_path / "file.xml").write_text(text)
-    assert scene_in_memory(text, "object") == read_scene(tmp_path / "file.xml")
+    assert resolve_scene_in_memory(text, "object") == read_scene(tmp_path / "file.xml")
 
 
 WITHIN: dict[str, Any] = {"type": "scene"}
@@ -307,13 +307,13 @@ WITHIN["scene"] = WITHIN
 )
 def test_what_is_no_scene_is_refused_in_a_line(source: object, line: str) -> None:
     with pytest.raises(ValueError, match=line) as caught:
-        scene_in_memory(source, "object")
+        resolve_scene_in_memory(source, "object")
     assert "\n" not in str(caught.value)
 
 
 @needs_mitsuba
 def test_without_it_scenes_are_dictionaries_without_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(WITHOUT, "scene_files")
+    monkeypatch.setenv(WITHOUT_VARIABLE, "scene_files")
     box = random_scene(0)
     assert len(load_scene(box).scene.emitters()) == 1
     with pytest.raises(ValueError, match=r"a scene in XML, .*; XML needs the extension scene_files"):

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from data_tools.synthetic.cornell import random_scene
-from metapp.extensions.scene_files.places import Places, read_text
+from metapp.extensions.scene_files.places import ScenePlaces, read_scene_text
 from metapp.extensions.scene_files.reading import read_scene, read_task
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
@@ -422,15 +422,15 @@ def refused(message: str, call: Callable[..., Any], *words: Any) -> None:
 
 
 def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path) -> None:
-    file, places = tmp_path / "x.xml", Places((tmp_path,), (tmp_path,), most_bytes=10)
+    file, places = tmp_path / "x.xml", ScenePlaces((tmp_path,), (tmp_path,), most_bytes=10)
     for content, text in ((b"", ""), (b"x" * 10, "x" * 10), (b"\xef\xbb\xbfab", "ab")):  # without a byte order mark
         file.write_bytes(content)
-        assert read_text(file, 10) == text
+        assert read_scene_text(file, 10) == text
         assert places.file("x.xml") == file
     file.write_bytes(b"x" * 11)
-    refused("more than 10 characters", read_text, file, 10)
+    refused("more than 10 characters", read_scene_text, file, 10)
     refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
     file.write_bytes(b"\xff")
-    refused("not text in UTF-8", read_text, file)
-    refused("No such file", read_text, tmp_path / "none")
-    refused("no regular file", read_text, tmp_path)
+    refused("not text in UTF-8", read_scene_text, file)
+    refused("No such file", read_scene_text, tmp_path / "none")
+    refused("no regular file", read_scene_text, tmp_path)

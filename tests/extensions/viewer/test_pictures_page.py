@@ -17,23 +17,23 @@ from metapp.appearance.metrics import mape
 from metapp.appearance.pictures import Picture
 from metapp.apps import presenter_of
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.presenter import TILED
+from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import REGULAR
 from metapp.extensions.viewer.pages import transport as pages
-from metapp.extensions.viewer.pages.flat import QUILTED
-from metapp.extensions.viewer.view import View, view_of
+from metapp.extensions.viewer.pages.flat import QUILTED_SIDE_RATIO
+from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
-from metapp.rendering.scenes.stored_text import scene_bytes
+from metapp.rendering.scenes.stored_text import encode_scene
 from metapp.runs.outputs.files import write_pictures
 from tests.browser import LEGEND, Page, assert_alike, browsing, false_colours
 from tests.extensions.viewer.conftest import written
 from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
-WHOLE = TILED * SIZE
+WHOLE = FILE_SIDE_TIMES * SIZE
 SHOWN = Texture(UNet(8, 3, noise=4, code=8), Octaves(SIZE, SIZE, ("relu1_1",)))
 
 
@@ -88,7 +88,7 @@ def in_rows() -> View:
 
 def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
     theta, task = theta_of(), exemplar_of()
-    view = view_of(presenter_of(SHOWN), theta, task)
+    view = make_view(presenter_of(SHOWN), theta, task)
     assert [(each["title"], each["tiles"]) for each in view.facts["pictures"]] == [
         ("exemplar", "seams"),
         ("fit", "whole"),
@@ -97,11 +97,11 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
     assert torch.equal(view.pictures["fit"], presenter_of(SHOWN).pictures(theta, task)["texture"].pixels)
     exemplar, quilted = view.pictures["exemplar"], view.pictures["image quilting"]
     assert torch.equal((255 * exemplar).round().to(torch.uint8), task.data["image"].permute(1, 2, 0))
-    assert quilted.shape == (QUILTED * SIZE, QUILTED * SIZE, 3)
+    assert quilted.shape == (QUILTED_SIDE_RATIO * SIZE, QUILTED_SIDE_RATIO * SIZE, 3)
     assert {tuple(texel) for texel in quilted.reshape(-1, 3).tolist()} <= {
         tuple(texel) for texel in exemplar.reshape(-1, 3).tolist()
     }
-    alone = view_of(presenter_of(SHOWN), theta, Task("bark", {}))
+    alone = make_view(presenter_of(SHOWN), theta, Task("bark", {}))
     assert [each["title"] for each in alone.facts["pictures"]] == ["fit"]
 
 
@@ -111,11 +111,11 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
     effort = pages.Effort(side_px=16, seconds=0.5, reference_seconds=0.2)
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
     flow = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-    task = Task("room", {"scene": scene_bytes(random_scene(0))})
+    task = Task("room", {"scene": encode_scene(random_scene(0))})
     theta = {key: value[0] for key, value in flow.init(Generator().manual_seed(0), 1).items()}
-    view = pages.scene_view(flow, theta, task, effort)
+    view = pages.make_scene_view(flow, theta, task, effort)
     shown = {each["title"]: each for each in view.facts["pictures"]}
-    names = ("reference", REGULAR, pages.GUIDED)
+    names = ("reference", REGULAR, pages.GUIDED_LABEL)
     worst = [f"worst region x4, {name}" for name in names]
     assert list(shown) == [*names, *worst, "error by time", f"error, {REGULAR}", f"error, {pages.GUIDED}"]
     assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
@@ -126,19 +126,19 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
         assert sorted(seconds) == list(seconds)
         assert float(mape(light[line["label"]], light["reference"])) == pytest.approx(errors[-1], rel=0.01)
     assert view.facts["notes"][0].startswith("To a MAPE of ")
-    again = pages.scene_view(flow, theta, task, effort)  # seconds would not be the same if it were traced again
+    again = pages.make_scene_view(flow, theta, task, effort)  # seconds would not be the same if it were traced again
     assert (again.facts, list(again.arrays)) == (view.facts, list(view.arrays))
 
 
 def test_the_time_to_an_equal_error_is_between_measurements() -> None:
     """On a log scale: errors go with the root of time, so a guide of half the error needs a quarter of it."""
     seconds, one = torch.tensor([1.0, 4.0, 16.0]), torch.zeros(3, 4, 4)
-    regular = pages.Progress(one, seconds, seconds**-0.5, torch.tensor(16))
-    guided = pages.Progress(one, seconds, 0.75 * seconds**-0.5, torch.tensor(16))
-    said, level = pages.equal_error(regular, guided)
+    regular = pages.RenderingProgress(one, seconds, seconds**-0.5, torch.tensor(16))
+    guided = pages.RenderingProgress(one, seconds, 0.75 * seconds**-0.5, torch.tensor(16))
+    said, level = pages.compare_at_equal_error(regular, guided)
     assert level == 0.25
     assert said == "To a MAPE of 0.25: regular 16 s, guided by the fit 9 s, 0.56 of the time."
-    said, _ = pages.equal_error(guided, regular)
+    said, _ = pages.compare_at_equal_error(guided, regular)
     assert said.endswith("1.8 times as long.")
 
 
@@ -147,7 +147,7 @@ def test_the_worst_region_is_where_errors_are_greatest() -> None:
     picture = reference.clone()
     picture[:, 9:17, 20:28] = 1.5
     picture[0, 0, 0] = 1e6
-    assert pages.worst_region(picture, reference) == [20, 9, 8, 8]
+    assert pages.find_worst_region(picture, reference) == [20, 9, 8, 8]
 
 
 # What the page shows of them
@@ -156,7 +156,7 @@ def test_the_worst_region_is_where_errors_are_greatest() -> None:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """A texture by two fits, and lights by one."""
-    views = [view_of(presenter_of(SHOWN), theta_of(seed), exemplar_of()) for seed in (0, 1)]
+    views = [make_view(presenter_of(SHOWN), theta_of(seed), exemplar_of()) for seed in (0, 1)]
     textures = [view._replace(label=f"seed {seed}", caption="error 0.1") for seed, view in enumerate(views)]
     file = written(tmp_path_factory.mktemp("page"), textures[:1], textures, lit(), in_rows())
     with browsing() as browser:
@@ -202,7 +202,7 @@ def test_radiance_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
 @pytest.mark.long
 def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
     settings = {"show": "one", "tiles": 2, "zoom": 0}
-    fit = pixels_of(view_of(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures["fit"])
+    fit = pixels_of(make_view(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures["fit"])
     tiled = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="fit", **settings)
     assert np.array_equal(np.round(255 * tiled), np.round(255 * np.tile(fit, (2, 2, 1))))
     exemplar = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="exemplar", **settings)
@@ -215,9 +215,10 @@ def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
 @pytest.mark.long
 def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
     pictures = {
-        name: pixels_of(each) for name, each in view_of(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures.items()
+        name: pixels_of(each)
+        for name, each in make_view(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures.items()
     }
-    fit, exemplar = pictures["fit"], np.tile(pictures["exemplar"], (TILED, TILED, 1))
+    fit, exemplar = pictures["fit"], np.tile(pictures["exemplar"], (FILE_SIDE_TIMES, FILE_SIDE_TIMES, 1))
     pair = {"left": "fit", "right": "exemplar", "zoom": 0}
     screen = seen(page, 0, (WHOLE, WHOLE), show="wipe", wipe=0.25, **pair)
     cut = WHOLE // 4
@@ -232,7 +233,7 @@ def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
 
 @pytest.mark.long
 def test_texels_are_squares_that_stay_under_the_pointer(page: Page) -> None:
-    fit = pixels_of(view_of(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures["fit"])
+    fit = pixels_of(make_view(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures["fit"])
     screen = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=2, x=10, y=-7)
     middle = WHOLE // 2
     rows, columns = (slice(middle + shift - WHOLE // 8, middle + shift + WHOLE // 8) for shift in (-7, 10))

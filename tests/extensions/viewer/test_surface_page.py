@@ -10,8 +10,18 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
-from data_tools.readers.svbrdf_task import svbrdf_task
-from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
+from data_tools.readers.svbrdf_task import make_svbrdf_task
+from metapp.appearance.flash import (
+    DISPLAY_GAMMA,
+    Maps,
+    camera_distance,
+    evaluate_brdf,
+    pack_maps,
+    radiance_to_display,
+    relighting_positions,
+    render_maps,
+    texel_positions,
+)
 from metapp.appearance.surface import Surface
 from metapp.apps import presenter_of
 from metapp.apps.exemplar.octaves import Octaves
@@ -19,8 +29,8 @@ from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.extensions.viewer.pages.flat import Lit, surface_view
-from metapp.extensions.viewer.view import View, view_of
+from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
+from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
 from tests.browser import assert_alike
@@ -54,7 +64,7 @@ def nonstationary() -> tuple[SvbrdfNonstationary, Params, Task]:
     }
     maps = rock(64, tiles=False).maps
     assert maps is not None
-    task = svbrdf_task("rock", pack(maps))
+    task = make_svbrdf_task("rock", pack_maps(maps))
     places = torch.tensor([[0.0, 0, 1], [0.3, 0.2, 1.1], [-0.4, 0.1, 0.9]]) * camera_distance()
     others = (255 * torch.rand(PHOTOS - 1, 3, 64, 64, generator=seeded(2))).to(torch.uint8)
     return (
@@ -71,7 +81,7 @@ def maps_in(view: View, whose: str = "fit") -> Maps:
     )
     x_and_y = (detail[:2] * 255 - 128) / 127
     z = (1 - x_and_y.square().sum(0, keepdim=True)).clamp_min(0).sqrt()
-    return Maps(diffuse**GAMMA, specular**GAMMA, detail[2:], torch.cat([x_and_y, z]))
+    return Maps(diffuse**DISPLAY_GAMMA, specular**DISPLAY_GAMMA, detail[2:], torch.cat([x_and_y, z]))
 
 
 def assert_same(maps: Maps, wanted: Maps) -> None:
@@ -83,42 +93,45 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
     """Photographs are there where the task is at hand: the part of the maps that one covers, and its flash."""
     shown, theta, task = stationary()
     presenter = presenter_of(shown)
-    surface, view = presenter.surface(theta, task), view_of(presenter, theta, task)
+    surface, view = presenter.surface(theta, task), make_view(presenter, theta, task)
     assert surface
     assert surface.maps is not None
     assert_same(maps_in(view), surface.maps)
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"].movedim(-1, 0))
     torch.testing.assert_close(heights, surface.heights(), atol=1e-5, rtol=0)
-    assert list(view.facts["lit"]) == ["photo_1", *relightings()]
+    assert list(view.facts["lit"]) == ["photo_1", *relighting_positions()]
     assert view.facts["lit"]["photo_1"]["part"] == 1 / 4
     assert (view.facts["tiles"], view.facts["falloff"], view.facts["size"]) == (True, 1, [4 * SIDE, 4 * SIDE])
     photo = task.data["image"].movedim(0, -1) / 255
     torch.testing.assert_close(view.pictures["photo_1"], photo, atol=STEP / 2, rtol=0)
-    alone = view_of(presenter_of(shown), theta, Task("cloth", {}))
-    assert list(alone.facts["lit"]) == list(relightings())
+    alone = make_view(presenter_of(shown), theta, Task("cloth", {}))
+    assert list(alone.facts["lit"]) == list(relighting_positions())
     assert "photo_1" not in alone.pictures
 
 
 def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None:
     shown, theta, task = nonstationary()
-    view, files = view_of(presenter_of(shown), theta, task), presenter_of(shown).pictures(theta, task)
+    view, files = make_view(presenter_of(shown), theta, task), presenter_of(shown).pictures(theta, task)
     truth = rock(64, tiles=False).maps
     assert truth is not None
     assert_same(maps_in(view, "reference"), truth)
     maps, lit = maps_in(view), view.facts["lit"]
-    assert list(lit) == [*(f"photo_{i + 1}" for i in range(PHOTOS)), *relightings()]
+    assert list(lit) == [*(f"photo_{i + 1}" for i in range(PHOTOS)), *relighting_positions()]
     for name in ("photo_1", "photo_3"):
         light, eye = (torch.tensor(lit[name][key]) for key in ("light", "eye"))
-        again = render(maps, positions(64, 64), light, eye, intensity=lit[name]["gain"])
+        again = render_maps(maps, texel_positions(64, 64), light, eye, intensity=lit[name]["gain"])
         torch.testing.assert_close(
             again.clamp(0, 1), decode_photo(255 * files[name].pixels.movedim(-1, 0)), atol=5e-3, rtol=0
         )
     torch.testing.assert_close(
-        view.pictures["photo_2"], expose(decode_photo(task.data["others"][0])).movedim(0, -1), atol=1e-6, rtol=0
+        view.pictures["photo_2"],
+        radiance_to_display(decode_photo(task.data["others"][0])).movedim(0, -1),
+        atol=1e-6,
+        rtol=0,
     )
     assert not view.facts["tiles"]
     with pytest.raises(KeyError):
-        view_of(presenter_of(shown), theta, Task("rock", {}))
+        make_view(presenter_of(shown), theta, Task("rock", {}))
 
 
 def test_heights_of_normals_do_not_drift_over_a_map() -> None:
@@ -129,17 +142,17 @@ def test_heights_of_normals_do_not_drift_over_a_map() -> None:
     normal = normalize(torch.stack([-slopes[1], slopes[0], torch.ones(64, 64)]), dim=0)
     one = torch.ones(1, 64, 64)
     maps = Maps(one.expand(3, -1, -1), one, one, normal)
-    view = surface_view(Surface(maps.diffuse, False, maps), [])
+    view = make_surface_view(Surface(maps.diffuse, False, maps), [])
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"][..., 0])
     torch.testing.assert_close(heights[8:-8, 8:-8], (wave / 2)[8:-8, 8:-8], atol=1e-3, rtol=0)
-    known = surface_view(Surface(maps.diffuse, False, maps, one * torch.linspace(0, 6.4, 64)), [])
+    known = make_surface_view(Surface(maps.diffuse, False, maps, one * torch.linspace(0, 6.4, 64)), [])
     assert np.ptp(known.facts["heights"]) == pytest.approx(0.1, abs=1e-6)
 
 
 def test_large_maps_are_reduced() -> None:
     """To means of texels; heights stay as they are in widths of the texture."""
     large = rock(128)
-    view = surface_view(large, [], largest=64)
+    view = make_surface_view(large, [], largest=64)
     assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])
     assert large.maps is not None
     maps = maps_in(view)
@@ -151,7 +164,7 @@ def test_large_maps_are_reduced() -> None:
     assert view.facts["heights"] == pytest.approx([float(heights.min()), float(heights.max())], rel=2e-3)
     assert view.pictures["fit_specular"].shape[-1] == 3
     gray = large._replace(maps=large.maps._replace(specular=large.maps.specular[:1]))
-    assert surface_view(gray, []).pictures["fit_specular"].shape[-1] == 1
+    assert make_surface_view(gray, []).pictures["fit_specular"].shape[-1] == 1
 
 
 @pytest.mark.long
@@ -163,14 +176,16 @@ def test_the_screen_shows_rocks_fit_and_reference(open_page: Callable) -> None:
     light, eye = torch.tensor([0.3, -0.2, 2.0]), torch.tensor([-0.1, 0.4, 2.2])
     photo = torch.rand(3, 64, 64, generator=seeded())
     truth = truth._replace(roughness=0.5 * truth.roughness)
-    page = open_page(surface_view(fit, [Lit(light, eye, 0.7, photo, 0.5)], falloff=2, reference=truth))
+    page = open_page(make_surface_view(fit, [LitPicture(light, eye, 0.7, photo, 0.5)], falloff=2, reference=truth))
     page.sized(64, 64)
     page.set(view="picture", pictured="photo_1", show="reference")
     page.settle()
-    assert_alike(page.screenshot(), expose(photo).movedim(0, -1).numpy())
+    assert_alike(page.screenshot(), radiance_to_display(photo).movedim(0, -1).numpy())
     page.set(pictured="above")
     page.settle()
-    wanted = expose(render(truth, positions(64, 64), *relightings()["above"], falloff=2))
+    wanted = radiance_to_display(
+        render_maps(truth, texel_positions(64, 64), *relighting_positions()["above"], falloff=2)
+    )
     assert_alike(page.screenshot(), wanted.movedim(0, -1).numpy())
     page.set(show="fit", map="normal")
     page.settle()
@@ -179,14 +194,14 @@ def test_the_screen_shows_rocks_fit_and_reference(open_page: Callable) -> None:
     page.sized(32, 32)  # a texel a pixel
     page.settle()
     part = Maps(*(each[:, :32, :32] for each in fit.maps))
-    wanted = expose(render(part, positions(32, 32), light, eye, intensity=0.7, falloff=2))
+    wanted = radiance_to_display(render_maps(part, texel_positions(32, 32), light, eye, intensity=0.7, falloff=2))
     assert_alike(page.screenshot(), wanted.movedim(0, -1).numpy())
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("tiles", [True, False])
 def test_copies_tile_or_are_mirrored(tiles: bool, open_page: Callable) -> None:
-    page = open_page(surface_view(rock(64, tiles=tiles), []))
+    page = open_page(make_surface_view(rock(64, tiles=tiles), []))
     page.sized(134, 134)  # where the plane is 100 px wide
     page.set(map="normal", repeats=2, relief=0)
     page.settle()
@@ -208,7 +223,7 @@ def test_a_light_map_lights_tilted_normals(open_page: Callable) -> None:
     one = torch.ones(1, 8, 8)
     normal = normalize(torch.tensor([0.4, -0.2, 1.0]), dim=0)[:, None, None] * one
     maps = Maps(0.4 * one.expand(3, -1, -1), 0.3 * one, 0.3 * one, normal)
-    view = surface_view(Surface(maps.diffuse, True, maps, one), [])
+    view = make_surface_view(Surface(maps.diffuse, True, maps, one), [])
     white = view._replace(shared={"light": torch.ones(8, 16, 3).half()})
     page = open_page(white)
     page.sized(48, 48)
@@ -216,7 +231,7 @@ def test_a_light_map_lights_tilted_normals(open_page: Callable) -> None:
     page.page.evaluate("metapp.viewer.most = () => 96")
     page.settle()
     middle = float(page.screenshot()[18:30, 18:30].mean())
-    assert middle == pytest.approx(float(expose(0.5 * white_light(maps)).mean()), abs=0.012)
+    assert middle == pytest.approx(float(radiance_to_display(0.5 * white_light(maps)).mean()), abs=0.012)
 
 
 def white_light(maps: Maps) -> Tensor:
@@ -229,7 +244,7 @@ def white_light(maps: Maps) -> Tensor:
     texel = Maps(*(each[:, :1, :1] for each in maps))
     wo = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     cosine = (wi * texel.normal).sum(0).clamp_min(0)
-    return (brdf(texel, wi, wo.expand_as(wi)) * cosine).sum((1, 2)) * (math.tau / (rows * columns))
+    return (evaluate_brdf(texel, wi, wo.expand_as(wi)) * cosine).sum((1, 2)) * (math.tau / (rows * columns))
 
 
 @pytest.mark.long
@@ -238,7 +253,7 @@ def test_a_fitted_light_of_the_page_lights_materials(open_page: Callable) -> Non
     one = torch.ones(1, 8, 8)
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * one
     maps = Maps(0.4 * one.expand(3, -1, -1), 0.04 * one, 0.6 * one, up)
-    material = surface_view(Surface(maps.diffuse, True, maps, one), [])
+    material = make_surface_view(Surface(maps.diffuse, True, maps, one), [])
     material = material._replace(shared={"light": torch.ones(8, 16, 3).half()})
     red = torch.tensor([1.0, 0.0, 0.0]).expand(8, 16, 3).half()
     light = View("light", {"map": red}, facts={"scale": 1.0, "note": ""})
@@ -266,7 +281,7 @@ def test_what_stands_out_casts_a_shadow(open_page: Callable) -> None:
     height[..., 118:138] = 0.1 * 256  # texels
     flat = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * one
     maps = Maps(0.5 * one.expand(3, -1, -1), 0.02 * one, 0.9 * one, flat)
-    page = open_page(surface_view(Surface(maps.diffuse, True, maps, height), []))
+    page = open_page(make_surface_view(Surface(maps.diffuse, True, maps, height), []))
     page.sized(268, 268)  # where the plane is 200 px wide
     far = "{ light: 'lamp', lamp: new THREE.Vector3(-1e3, 0, 1e3), power: Math.PI * 2e6 }"
     page.page.evaluate(f"metapp.viewer.lighting = () => ({far})")

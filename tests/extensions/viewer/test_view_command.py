@@ -14,10 +14,10 @@ import pytest
 from metapp.appearance.presenter import Presenter
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.viewer.pages import brdf
-from metapp.extensions.viewer.view import View, view_of
-from metapp.extensions.viewer.viewing import try_app
+from metapp.extensions.viewer.view import View, make_view
+from metapp.extensions.viewer.viewing import fit_synthetic_input
 from metapp.learning.task import Params, Task
-from metapp.registry import WITHOUT, registry
+from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs import api
 from metapp.runs.inputs.sources import Input
 from metapp.storage.files import file_name
@@ -158,9 +158,9 @@ def test_what_cannot_be_fitted_is_left_out_of_all(
     def without(app: str, out: Path, recipe: str = "") -> tuple[Path, dict[str, Any]]:
         if app != "brdf":
             raise ValueError(f"{app} needs weights")
-        return try_app(app, out, recipe)
+        return fit_synthetic_input(app, out, recipe)
 
-    monkeypatch.setattr("metapp.extensions.viewer.viewing.try_app", without)
+    monkeypatch.setattr("metapp.extensions.viewer.viewing.fit_synthetic_input", without)
     told = metapp("try")
     assert told.code == 0
     assert "warning: texture is left out: texture needs weights" in told.err
@@ -176,7 +176,7 @@ def view_of_none(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
 
 
 def view_of_some(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
-    return (view_of_none if task.name == "m0" else brdf.view)(presenter, theta, task)
+    return (view_of_none if task.name == "m0" else brdf.make_brdf_view)(presenter, theta, task)
 
 
 def test_fits_that_cannot_be_shown_are_left_out(
@@ -201,7 +201,7 @@ def test_without_it_fits_work_and_its_method_is_refused(
     fitted: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = fitted("meta")
-    monkeypatch.setenv(WITHOUT, "viewer")
+    monkeypatch.setenv(WITHOUT_VARIABLE, "viewer")
     assert fitted("meta") == run
     fit = api.fit("brdf", networks / "m0", recipe="quick")
     with pytest.raises(AttributeError, match="no attribute 'view'"):
@@ -212,9 +212,9 @@ def test_without_it_fits_work_and_its_method_is_refused(
 
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks / "m0", recipe="quick")
-    assert view_of(fit.run.presenter, fit.parameters, fit.task).kind == "brdf"
+    assert make_view(fit.run.presenter, fit.parameters, fit.task).kind == "brdf"
     monkeypatch.delitem(registry().pages, "brdf")
-    view = view_of(fit.run.presenter, fit.parameters, fit.task)
+    view = make_view(fit.run.presenter, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 
 

@@ -9,11 +9,11 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.illumination import app as illumination
-from metapp.learning.adjoint import Loss, at_step, learn_through
+from metapp.learning.adjoint import Loss, at_step, learn_differentiably
 from metapp.learning.app import App
 from metapp.learning.learn import expand_tasks
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.network import MEMORY, Network
+from metapp.learning.rules.network import MEMORY_CHANNELS, StepNetwork
 from metapp.learning.rules.rule import StepInput
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
@@ -49,7 +49,7 @@ def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, ra
     for name in names:
         alpha = rule_of(name).alpha(app, one(app), STEPS, FIRST)
         rule = rule_of(name).rule(expand_tasks(alpha, TASKS, 1))
-        moved.append(learn_through(theta, rule, batches, Loss(unused, app.loss), order=1))
+        moved.append(learn_differentiably(theta, rule, batches, Loss(unused, app.loss), order=1))
     torch.testing.assert_close(*moved, rtol=0, atol=0)
     assert not torch.equal(moved[0]["z"], theta["z"])
 
@@ -58,12 +58,12 @@ def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, ra
 def seen(randn: Callable[..., Tensor]) -> dict[str, Tensor]:
     """What a network sees of parameters [T, 3, 4, 8]."""
     seen = {key: randn(TASKS, 3, 4, 8) for key in ("value", "grad", "direction")}
-    return seen | {"memory": randn(TASKS, MEMORY, 4, 8)}
+    return seen | {"memory": randn(TASKS, MEMORY_CHANNELS, 4, 8)}
 
 
 def network(randn: Callable[..., Tensor], *, periodic: bool) -> Params:
     of: Any = SimpleNamespace(network=SimpleNamespace(periodic=periodic))
-    alpha = Network().initial(of, {"z": torch.zeros(3, 4, 8)}, 1, Adam(0.1))
+    alpha = StepNetwork().initial(of, {"z": torch.zeros(3, 4, 8)}, 1, Adam(0.1))
     alpha = {key: value.double() + 0.1 * randn(*value.shape) for key, value in alpha.items()}
     name = "around" if periodic else "within"
     return alpha | {f"{name}.z.place": torch.zeros(1, *alpha[f"{name}.z.place"].shape[1:]).double()}
@@ -73,7 +73,7 @@ def move(alpha: Params, seen: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     """The addition of a network to its parameter, and its memory after that."""
     step, zero = at_step(expand_tasks(alpha, TASKS, 1), 0), {"z": torch.zeros(TASKS, 3, 4, 8).double()}
     before = StepInput({"z": seen["value"]}, {"z": seen["grad"]}, {"z": seen["direction"]})
-    moved, memory = Network().moved(step, zero, before, {"memory.z": seen["memory"]})
+    moved, memory = StepNetwork().moved(step, zero, before, {"memory.z": seen["memory"]})
     return moved["z"], memory["memory.z"]
 
 

@@ -13,7 +13,7 @@ from metapp.learning.adjoint import UpdateRule, at_step
 from metapp.learning.learn import expand_tasks
 from metapp.learning.recipe import Adam, MetaTraining
 from metapp.learning.rules import META_EPS, fixed_adam, half_cosine, outer_adam, sgd
-from metapp.learning.rules.parts import Average, Basis, Curvature, averaging
+from metapp.learning.rules.parts import Average, Basis, Curvature, tail_averaging_weights
 from metapp.learning.task import Params
 from metapp.rules import rule_of
 from tests.paradigms.small import applicable
@@ -160,8 +160,8 @@ def test_plain_descent_is_the_same_in_all_bases(start: Params, single: list[Para
 
 
 def test_averaging_is_over_the_last_of_the_steps_of_a_fit() -> None:
-    alpha = Average().for_steps(averaging(20) | {"beta1": torch.ones(20)}, 5)
-    torch.testing.assert_close(alpha, averaging(5) | {"beta1": torch.ones(20)}, rtol=0, atol=0)
+    alpha = Average().for_steps(tail_averaging_weights(20) | {"beta1": torch.ones(20)}, 5)
+    torch.testing.assert_close(alpha, tail_averaging_weights(5) | {"beta1": torch.ones(20)}, rtol=0, atol=0)
 
 
 # Taken from gradients

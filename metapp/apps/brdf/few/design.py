@@ -15,23 +15,23 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import (
-    directions_to_full_circle,
-    half_difference_incident,
+    directions_to_full_rusinkiewicz,
+    half_difference_and_cosine,
     outgoing_cosine,
-    spread_angles,
+    quasirandom_angles,
 )
-from metapp.apps.brdf.few.network import features_of, precision, reflectance_of, slope_of
+from metapp.apps.brdf.few.network import error_slope, model_features, model_reflectance, sample_precision
 from metapp.apps.brdf.network import opponent_axes
 from metapp.learning.task import Params
 
-CANDIDATES, REFERENCES = 4096, 2048
-CROWDED = 3  # the power that crowds the half vectors of candidates around the normal
-REFINING_STEPS, RATE_RAD = 60, 0.02  # of the gradient descent, which turns directions by so much a step at first
-ABSOLUTE = math.sqrt(2 / math.pi)  # the mean absolute value of a normal distribution of deviation 1
+CANDIDATE_PAIRS, REFERENCE_PAIRS = 4096, 2048
+CROWDING_POWER = 3  # the power that crowds the half vectors of candidates around the normal
+REFINEMENT_STEPS, RATE_RAD = 60, 0.02  # of the gradient descent, which turns directions by so much a step at first
+MEAN_ABSOLUTE_NORMAL = math.sqrt(2 / math.pi)  # the mean absolute value of a normal distribution of deviation 1
 
 
 @dataclass(frozen=True)
-class Limits:
+class InstrumentLimits:
     """Limits of an instrument.
 
     Attributes:
@@ -51,9 +51,9 @@ class Limits:
         return result
 
 
-def places_of(angles: Tensor) -> Tensor:
+def places_at_angles(angles: Tensor) -> Tensor:
     """Half vector, difference vector and cos theta_i [1, 7, N] of angles [N, 3] in rad."""
-    return half_difference_incident(angles).T[None]
+    return half_difference_and_cosine(angles).T[None]
 
 
 @dataclass(frozen=True)
@@ -78,34 +78,34 @@ class Posterior:
             slope: of the samples, [1, 3, N], as `network.slope_of` of measurements; None: of theta's reflectance.
         """
         if slope is None:
-            slope = slope_of(reflectance_of(theta, where).clamp_min(0), where)
-        features = features_of(theta, where)[0].double()
-        gram = features * precision(theta, slope)[0].double() @ features.T
+            slope = error_slope(model_reflectance(theta, where).clamp_min(0), where)
+        features = model_features(theta, where)[0].double()
+        gram = features * sample_precision(theta, slope)[0].double() @ features.T
         prior = torch.diag_embed(torch.exp(-2 * theta["deviation"][0].double()))
         return cls(theta, torch.cholesky_inverse(torch.linalg.cholesky(gram + prior)))
 
     def deviation(self, where: Tensor) -> Tensor:
         """Standard deviation of the logarithm of each channel, [3, N] of places [1, 7, N]."""
-        features = features_of(self.theta, where)[0].to(self.covariance)
+        features = model_features(self.theta, where)[0].to(self.covariance)
         axes = torch.einsum("fn,cfg,gn->cn", features, self.covariance, features).clamp_min(0)
         result: Tensor = (opponent_axes(axes).square() @ axes).sqrt()
         return result
 
     def expected_error(self, where: Tensor) -> Tensor:
         """Expected mean over channels of |log(1 + f cos theta_i) - ...|, [N] of places [1, 7, N]."""
-        slope = slope_of(reflectance_of(self.theta, where).clamp_min(0), where)[0]
-        return ABSOLUTE * (slope * self.deviation(where)).mean(0)
+        slope = error_slope(model_reflectance(self.theta, where).clamp_min(0), where)[0]
+        return MEAN_ABSOLUTE_NORMAL * (slope * self.deviation(where)).mean(0)
 
 
 @functools.cache
-def everywhere(count: int = 512) -> Tensor:
-    """Places [1, 7, count] of `spread_angles`."""
-    return places_of(spread_angles(count))
+def spread_places(count: int = 512) -> Tensor:
+    """Places [1, 7, count] of `quasirandom_angles`."""
+    return places_at_angles(quasirandom_angles(count))
 
 
 def expected_errors(posterior: Posterior) -> dict[str, float]:
     """The expected error over all directions, in highlights (half vector within 10 degrees) and beyond 70 degrees."""
-    where = everywhere()
+    where = spread_places()
     errors = posterior.expected_error(where)
     highlight = where[0, 2] > math.cos(math.radians(10))
     grazing = torch.minimum(where[0, 6], outgoing_cosine(where)[0]) < math.cos(math.radians(70))
@@ -113,7 +113,9 @@ def expected_errors(posterior: Posterior) -> dict[str, float]:
     return {f"expected{part}": float(some.mean()) for part, some in parts.items()}
 
 
-def plan(theta: Params, count: int, limits: Limits, seen: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
+def plan_directions(
+    theta: Params, count: int, limits: InstrumentLimits, seen: Tensor, rng: Generator
+) -> tuple[Tensor, Tensor]:
     """Choose the directions to measure.
 
     Args:
@@ -134,24 +136,24 @@ def plan(theta: Params, count: int, limits: Limits, seen: Tensor, rng: Generator
     free = free[limits.allowed(wi, wo)]
     if len(free) < count:
         raise ValueError(
-            f"{len(free)} of {CANDIDATES} pairs of directions within the limits, expected {count} or more; raise "
+            f"{len(free)} of {CANDIDATE_PAIRS} pairs of directions within the limits, expected {count} or more; raise "
             "--grazing, or lower --apart or --detector."
         )
-    others = everywhere(REFERENCES)
+    others = spread_places(REFERENCE_PAIRS)
     theta = {key: value.detach() for key, value in theta.items()}
-    before = places_of(seen.float())
+    before = places_at_angles(seen.float())
     with torch.no_grad():
         chosen = free[_greedy(theta, Posterior.of(theta, before), _places(free), others, count)]
     return _directions(_refined(theta, chosen, limits, before, others))
 
 
-def _candidates(limits: Limits, rng: Generator) -> Tensor:
+def _candidates(limits: InstrumentLimits, rng: Generator) -> Tensor:
     """Polar angles of the detector and of the half vector, and the azimuth between them, [CANDIDATES, 3] rad."""
-    draws = torch.rand(CANDIDATES, 3, generator=rng)
+    draws = torch.rand(CANDIDATE_PAIRS, 3, generator=rng)
     detector = draws[:, 0] * limits.grazing_rad
     if limits.detector_rad is not None:
         detector = torch.full_like(detector, limits.detector_rad)
-    return torch.stack([detector, draws[:, 1] ** CROWDED * math.pi / 2, draws[:, 2] * math.pi], 1)
+    return torch.stack([detector, draws[:, 1] ** CROWDING_POWER * math.pi / 2, draws[:, 2] * math.pi], 1)
 
 
 def _directions(free: Tensor) -> tuple[Tensor, Tensor]:
@@ -163,14 +165,14 @@ def _directions(free: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _places(free: Tensor) -> Tensor:
-    return places_of(directions_to_full_circle(*_directions(free)))
+    return places_at_angles(directions_to_full_rusinkiewicz(*_directions(free)))
 
 
 def _greedy(theta: Params, posterior: Posterior, where: Tensor, others: Tensor, count: int) -> list[int]:
     """Indices of candidates [1, 7, N], one after the other where the expected square error falls most."""
-    weights = precision(theta, slope_of(reflectance_of(theta, where).clamp_min(0), where))[0].double()
-    slope = slope_of(reflectance_of(theta, others).clamp_min(0), others)[0].double()
-    features, goal = features_of(theta, where)[0].double(), features_of(theta, others)[0].double() * slope.mean(0)
+    weights = sample_precision(theta, error_slope(model_reflectance(theta, where).clamp_min(0), where))[0].double()
+    slope = error_slope(model_reflectance(theta, others).clamp_min(0), others)[0].double()
+    features, goal = model_features(theta, where)[0].double(), model_features(theta, others)[0].double() * slope.mean(0)
     total, covariance = goal @ goal.T, posterior.covariance
     chosen: list[int] = []
     for _ in range(count):
@@ -184,13 +186,13 @@ def _greedy(theta: Params, posterior: Posterior, where: Tensor, others: Tensor, 
     return chosen
 
 
-def _refined(theta: Params, free: Tensor, limits: Limits, before: Tensor, others: Tensor) -> Tensor:
+def _refined(theta: Params, free: Tensor, limits: InstrumentLimits, before: Tensor, others: Tensor) -> Tensor:
     """Candidates after steps along the gradient of the expected error, as far as the limits allow."""
     free = free.clone()
     best, least = free, math.inf
     moment, square = torch.zeros_like(free), torch.zeros_like(free)
     movable = torch.tensor([limits.detector_rad is None, True, True])
-    for step in range(REFINING_STEPS + 1):
+    for step in range(REFINEMENT_STEPS + 1):
         free.requires_grad_()
         where = torch.cat([before, _places(free)], 2)
         error = Posterior.of(theta, where).expected_error(others).mean()
@@ -199,7 +201,7 @@ def _refined(theta: Params, free: Tensor, limits: Limits, before: Tensor, others
         (gradient,) = torch.autograd.grad(error, free)
         free = free.detach()
         moment, square = 0.8 * moment + 0.2 * gradient, 0.95 * square + 0.05 * gradient.square()
-        moved = free - RATE_RAD * (1 - step / (REFINING_STEPS + 1)) * movable * moment / (square.sqrt() + 1e-12)
+        moved = free - RATE_RAD * (1 - step / (REFINEMENT_STEPS + 1)) * movable * moment / (square.sqrt() + 1e-12)
         moved[:, 0].clamp_(0, limits.grazing_rad)
         free = torch.where(limits.allowed(*_directions(moved))[:, None], moved, free)
     return best

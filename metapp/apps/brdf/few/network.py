@@ -17,21 +17,21 @@ from torch import Generator, Tensor
 from torch.nn.functional import silu
 
 from metapp.appearance.geometry import outgoing_cosine
-from metapp.apps.brdf.featured import INPUTS, inputs_of
-from metapp.apps.brdf.network import COUNT, BrdfNetwork, Folded, opponent_axes
+from metapp.apps.brdf.featured import ISOTROPIC_INPUTS, isotropic_inputs
+from metapp.apps.brdf.network import COUNT_KEY, BrdfNetwork, PlainLayers, opponent_axes
 from metapp.learning.task import Batch, LeastSquares, Params
-from metapp.networks.coded import encoder_of, reader_of, with_decoder
+from metapp.networks.coded import add_decoder, join_encoder, select_reader
 
-DARKEST = 1e-3  # 1/sr, at normal angles: what keeps logarithms finite
+DARKEST_REFLECTANCE = 1e-3  # 1/sr, at normal angles: what keeps logarithms finite
 LARGEST_LOG = 14.0  # logarithm of reflectance: 1.2e6 1/sr
-LUMINANCE, COLOUR = 0.6, 0.1  # standard deviations of features' weights before training
-NOISE = (3.4, -3.0, 0.5)  # before training: see `precision`
-OF_KINDS = ("w3", "b3", "last", "deviation", "noise")
+LUMINANCE_DEVIATION, COLOUR_DEVIATION = 0.6, 0.1  # standard deviations of features' weights before training
+INITIAL_NOISE = (3.4, -3.0, 0.5)  # before training: see `sample_precision`
+KIND_PARAMETERS = ("w3", "b3", "last", "deviation", "noise")
 
 
-def features_of(theta: Params, where: Tensor) -> Tensor:
+def model_features(theta: Params, where: Tensor) -> Tensor:
     """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
-    x = inputs_of(where)
+    x = isotropic_inputs(where)
     for layer in (1, 2):
         x = silu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
     x = torch.baddbmm(theta["b3"], theta["w3"], x)
@@ -40,22 +40,22 @@ def features_of(theta: Params, where: Tensor) -> Tensor:
 
 def cosine_product(where: Tensor) -> Tensor:
     """Cos theta_i cos theta_o, DARKEST at least, [T, 1, N] of [T, 7, N]."""
-    return (where[:, 6] * outgoing_cosine(where)).clamp_min(DARKEST)[:, None]
+    return (where[:, 6] * outgoing_cosine(where)).clamp_min(DARKEST_REFLECTANCE)[:, None]
 
 
-def reflectance_of(theta: Params, where: Tensor) -> Tensor:
+def model_reflectance(theta: Params, where: Tensor) -> Tensor:
     """Reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, above -1."""
-    logarithms = opponent_axes(theta["last"]) @ torch.bmm(theta["last"], features_of(theta, where))
-    return (logarithms.clamp(max=LARGEST_LOG).exp() - DARKEST) / cosine_product(where)
+    logarithms = opponent_axes(theta["last"]) @ torch.bmm(theta["last"], model_features(theta, where))
+    return (logarithms.clamp(max=LARGEST_LOG).exp() - DARKEST_REFLECTANCE) / cosine_product(where)
 
 
-def slope_of(reflectance: Tensor, where: Tensor) -> Tensor:
+def error_slope(reflectance: Tensor, where: Tensor) -> Tensor:
     """The slope of log(1 + f cos theta_i) over the logarithm that the network adds up, [T, 3, N] of reflectance f."""
     cos = where[:, 6:7]
-    return cos * (reflectance + DARKEST / cosine_product(where)) / (1 + reflectance * cos)
+    return cos * (reflectance + DARKEST_REFLECTANCE / cosine_product(where)) / (1 + reflectance * cos)
 
 
-def precision(theta: Params, slope: Tensor) -> Tensor:
+def sample_precision(theta: Params, slope: Tensor) -> Tensor:
     """The precision of the logarithms of samples, 1 over their variance, [T, N] of their slopes [T, 3, N].
 
     As `noise` (a, b, c) says it: exp(a) (slope + exp(b))^c, since dark samples say less.
@@ -65,28 +65,28 @@ def precision(theta: Params, slope: Tensor) -> Tensor:
     return result
 
 
-def linear(theta: Params, batch: Batch) -> LeastSquares:
+def ridge_regression(theta: Params, batch: Batch) -> LeastSquares:
     """The ridge regression of samples that are repeated to fill the batch, `count` [T] different ones."""
     where, target = batch["where"], batch["target"]
     cos = where[:, 6:7]
     seen = torch.expm1(target) / cos.clamp_min(1e-4)
-    logarithms = (seen * cosine_product(where) + DARKEST).log()
-    features = features_of(theta, where)
+    logarithms = (seen * cosine_product(where) + DARKEST_REFLECTANCE).log()
+    features = model_features(theta, where)
     residual = opponent_axes(features).T @ logarithms - torch.bmm(theta["last"], features)
-    slope = slope_of(seen, where)
-    weights = precision(theta, slope) * batch[COUNT][:, None]
+    slope = error_slope(seen, where)
+    weights = sample_precision(theta, slope) * batch[COUNT_KEY][:, None]
     losses = (slope * (opponent_axes(features) @ residual)).abs().mean((1, 2))
     return LeastSquares("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))
 
 
-def evidence(theta: Params, batch: Batch) -> Tensor:
+def log_evidence(theta: Params, batch: Batch) -> Tensor:
     """The log likelihood [T] of the samples under the model, but for a constant.
 
     With weights integrated out: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, section 2.1.
     """
-    at = linear(theta, batch)
+    at = ridge_regression(theta, batch)
     features, residual = at.features.double(), at.residual.double()
-    weights, count = at.weights.double()[:, None] / features.shape[-1], batch[COUNT]
+    weights, count = at.weights.double()[:, None] / features.shape[-1], batch[COUNT_KEY]
     prior = torch.diag_embed(torch.exp(-2 * theta["deviation"].double()))
     factor = torch.linalg.cholesky((features * weights @ features.mT)[:, None] + prior)
     moment = (residual * weights) @ features.mT
@@ -114,7 +114,7 @@ class Few(BrdfNetwork):
 
     @property
     def unshared_parameters(self) -> tuple[str, ...]:
-        return OF_KINDS
+        return KIND_PARAMETERS
 
     @property
     def linear_parameter(self) -> str:
@@ -126,46 +126,50 @@ class Few(BrdfNetwork):
         `last` [3, F], on opponent axes, begins as the mean of all materials; `deviation` [3, F], logarithms, is how far
         materials are from it; `noise` [3] is that of samples.
         """
-        sizes = {"w1": (self.width, INPUTS), "w2": (self.width, self.width), "w3": (self.features, self.width)}
+        sizes = {
+            "w1": (self.width, ISOTROPIC_INPUTS),
+            "w2": (self.width, self.width),
+            "w3": (self.features, self.width),
+        }
         theta = {}
         for name, (rows, columns) in sizes.items():
             noise = torch.randn(rows, columns, generator=rng, device=rng.device)
             theta[name] = noise * math.sqrt((2 if name != "w3" else 1) / columns)
             theta[name.replace("w", "b")] = torch.zeros(rows, 1, device=rng.device)
         theta["last"] = torch.zeros(3, self.features + 1, device=rng.device)
-        deviations = torch.tensor([LUMINANCE, COLOUR, COLOUR], device=rng.device).log()
+        deviations = torch.tensor([LUMINANCE_DEVIATION, COLOUR_DEVIATION, COLOUR_DEVIATION], device=rng.device).log()
         theta["deviation"] = deviations[:, None].expand_as(theta["last"]).contiguous()
-        theta["noise"] = torch.tensor(NOISE, device=rng.device)
+        theta["noise"] = torch.tensor(INITIAL_NOISE, device=rng.device)
         return {key: value.expand(count, *value.shape) for key, value in theta.items()}
 
     def init_encoder(self, rng: Generator) -> Params:
         """The parameters that all materials share, and OF_KINDS for each kind, [kinds, ...]."""
         theta = self.init(rng, self.kinds)
-        return encoder_of({key: theta[key] for key in OF_KINDS}, theta, OF_KINDS)
+        return join_encoder({key: theta[key] for key in KIND_PARAMETERS}, theta, KIND_PARAMETERS)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """Parameters of the kind that is likeliest to have made the samples, as `FewSamples.sample` gives them."""
-        kinds = reader_of(encoder)
+        kinds = select_reader(encoder)
         count = len(condition["where"])
         every = [self.of_kinds(encoder, torch.full((count,), kind)) for kind in range(len(kinds["last"]))]
         with torch.no_grad():
-            likeliest = torch.stack([evidence(theta, condition) for theta in every]).argmax(0)
+            likeliest = torch.stack([log_evidence(theta, condition) for theta in every]).argmax(0)
         return self.of_kinds(encoder, likeliest)
 
     def of_kinds(self, encoder: Params, which: Tensor) -> Params:
         """Parameters [T, ...] of materials of these kinds, int [T]."""
         which = which.to(encoder["encoder.last"].device)
-        return with_decoder({key: value[which] for key, value in reader_of(encoder).items()}, encoder)
+        return add_decoder({key: value[which] for key, value in select_reader(encoder).items()}, encoder)
 
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
-        return reflectance_of(theta, where)
+        return model_reflectance(theta, where)
 
-    def folded(self, theta: Params) -> Folded:
+    def folded(self, theta: Params) -> PlainLayers:
         theta = {key: value.detach().double() for key, value in theta.items()}
         last = opponent_axes(theta["last"]) @ theta["last"]
         layers = [(theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2)]
         layers.append((last[:, :-1] @ theta["w3"], (last[:, :-1] @ theta["b3"]).flatten() + last[:, -1]))
-        return Folded(layers, "featured", darkest=DARKEST)
+        return PlainLayers(layers, "featured", darkest=DARKEST_REFLECTANCE)
 
 
-NETWORK = Few()
+FEW_NETWORK = Few()

@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 from typing_extensions import override
 
 from metapp.appearance.features import feature_conditions
-from metapp.appearance.flash import Maps, unpack
+from metapp.appearance.flash import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, blots
 from metapp.apps.svbrdf_nonstationary.coded_maps import BLOTS_WEIGHT, MAPS_WEIGHT, PHOTO_WEIGHT, FromPhoto
 from metapp.apps.svbrdf_nonstationary.maps import (
@@ -32,7 +32,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import roughness_shift
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.networks.coded import encoder_of, reader_of, with_decoder
+from metapp.networks.coded import add_decoder, join_encoder, select_reader
 from metapp.networks.field import LocalField
 
 PART_WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the differences of maps, in the order of PARTS; pictures ignore normals
@@ -115,7 +115,7 @@ class FromFeatures(FromPhoto):
     def init_encoder(self, rng: Generator) -> Params:
         """Draw the decoder and the first field, whose maps are nearly flat: training begins without relief."""
         own = LocalField(*self.network)
-        return encoder_of(init_decoder(rng, own.code), _flatten(own.init(rng, 1)), ("z",))
+        return join_encoder(init_decoder(rng, own.code), _flatten(own.init(rng, 1)), ("z",))
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Draw windows of half the field's side of augmented materials, photographed anew."""
@@ -144,8 +144,8 @@ class FromFeatures(FromPhoto):
             theta = super().encode(encoder | beside, condition)
             return _apply_polish(theta, self.maps_of(theta, condition["photo"]))
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in PATCH_KEYS if key in condition}
-        own = self.read(reader_of(encoder), condition["photo"], place, patch or None)
-        theta = with_decoder(own, encoder | beside)
+        own = self.read(select_reader(encoder), condition["photo"], place, patch or None)
+        theta = add_decoder(own, encoder | beside)
         return _apply_polish(theta, self._made_of(theta, condition["inputs"]))
 
     def postprocess(self, theta: Params) -> Params:
@@ -179,7 +179,7 @@ class FromFeatures(FromPhoto):
         the photograph does not tell.
         """
         inputs = batch["inputs"] if "inputs" in batch else pixel_inputs(batch["photo"])
-        known, target = batch["known"], unpack(batch["maps"])
+        known, target = batch["known"], unpack_maps(batch["maps"])
         batch = batch | {"place": inputs[:, -2:]}
         maps = self._made_of(theta, inputs)
         apart = map_differences(maps, target)

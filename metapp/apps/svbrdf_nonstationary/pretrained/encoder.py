@@ -17,8 +17,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, interpolate, leaky_relu, pad
 
-from metapp.appearance.features import in_bfloat16, load_features, weights_path
-from metapp.appearance.flash import positions
+from metapp.appearance.features import load_features, uses_bfloat16, vgg_weights_path
+from metapp.appearance.flash import texel_positions
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
 from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS, LEAKY_SLOPE, apply_pointwise, block, upsample
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE
@@ -27,7 +27,7 @@ from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
 from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.shipped import FULL, shipped_path
+from metapp.storage.shipped import FULL_RECIPE_NAME, shipped_checkpoint_path
 
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}  # and their channels; each half as fine
 WIDTHS = (32, 64, 96, 128)  # channels of the levels, the finest first
@@ -45,7 +45,7 @@ OVERVIEW_POOLING = 4  # the side of its first level over that of its second
 OVERVIEW_WIDTHS = (32, 48)  # channels of its levels
 GUESS_CHANNELS = 3  # roughness, and the logs of specular and diffuse reflectance, by General of the recipe "full"
 LOG_FLOOR = 0.01  # reflectance that is added before logs
-FULL_APP = cast("FromPhoto", RECIPES["photo"][FULL].app)
+FULL_APP = cast("FromPhoto", RECIPES["photo"][FULL_RECIPE_NAME].app)
 
 
 def init_decoder(rng: Generator, code: int) -> Params:
@@ -93,13 +93,13 @@ def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, pa
     if photos.shape[-1] % SIDE_STEP_PX or photos.shape[-2] % SIDE_STEP_PX:
         raise ValueError(f"photos of {photos.shape[-1]} px, expected a multiple of {SIDE_STEP_PX}; set another size.")
     if place is None:
-        place = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
+        place = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
     patch = describe_patch(photos) if patch is None else patch
     mean = patch["overview"].mean((2, 3), keepdim=True)
     balanced, known = _balance(photos, place, mean)
-    whole = positions(OVERVIEW_PX, OVERVIEW_PX, dtype=photos.dtype, device=photos.device)[None]
+    whole = texel_positions(OVERVIEW_PX, OVERVIEW_PX, dtype=photos.dtype, device=photos.device)[None]
     _, small = _balance(patch["overview"], whole, mean)
-    with torch.autocast(photos.device.type, torch.bfloat16, enabled=in_bfloat16(photos.device)):
+    with torch.autocast(photos.device.type, torch.bfloat16, enabled=uses_bfloat16(photos.device)):
         fine = block(decoder, "overview0", small)
         coarse = block(decoder, "overview1", avg_pool2d(fine, OVERVIEW_POOLING))
         surroundings = torch.cat([fine, interpolate(coarse, scale_factor=OVERVIEW_POOLING, mode="bilinear")], 1)
@@ -146,12 +146,12 @@ def describe_patch(photos: Tensor) -> Params:
 @functools.cache
 def full_encoder(device: torch.device) -> Params:
     """Load the encoder of General of the recipe "full" that ships."""
-    return load_checkpoint(shipped_path(FULL_APP.name, "general-photo", FULL), device)[0].encoder
+    return load_checkpoint(shipped_checkpoint_path(FULL_APP.name, "general-photo", FULL_RECIPE_NAME), device)[0].encoder
 
 
 def describe_missing_weights() -> str:
     """Return a line about missing weights of VGG-16, which better maps need; "" if they are there."""
-    if weights_path().is_file():
+    if vgg_weights_path().is_file():
         return ""
     return "the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them"
 
@@ -189,7 +189,7 @@ def _vgg_features(balanced: Tensor) -> list[Tensor]:
     """
     if describe_missing_weights():
         raise ValueError(
-            f"{weights_path()}: no such file, expected the weights of VGG-16, which the recipe pretrained reads; get "
+            f"{vgg_weights_path()}: no such file, expected the weights of VGG-16, which the recipe pretrained reads; get "
             "them by metapp data vgg, or fit by --recipe full."
         )
     with torch.no_grad():

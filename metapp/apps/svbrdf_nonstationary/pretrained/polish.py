@@ -10,17 +10,17 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from metapp.appearance.flash import Maps, positions, tilt
-from metapp.appearance.highlight import RINGS, profile
+from metapp.appearance.flash import Maps, texel_positions, tilt_sine
+from metapp.appearance.highlight import PROFILE_RINGS, ring_profile
 from metapp.apps.svbrdf_nonstationary.maps import encode_roughness
 from metapp.learning.task import Params
-from metapp.networks.layers import add_layer, dense
+from metapp.networks.layers import add_layer, apply_dense
 
 SIDE_PX = 256  # a side of the photograph in which the highlight is searched for
 SPOT_PX, AROUND_PX = 5, 33  # sides of the two squares whose mean brightness finds the highlight
 AROUND_WEIGHT = 0.3  # of the larger square, beside 1
 LOG_FLOOR = 0.02  # radiance, 1 is white, that is added before logs
-HIGHLIGHT_NUMBERS = 2 * RINGS + 2
+HIGHLIGHT_NUMBERS = 2 * PROFILE_RINGS + 2
 HIDDEN_UNITS = 32
 # Roughness, and mean sine of the tilt of normals (1 degree), below which the highlight decides the roughness
 POLISHED_ROUGHNESS, FLAT_SINE = 0.2, 0.017
@@ -32,9 +32,9 @@ def describe_highlight(photos: Tensor) -> Tensor:
     least = interpolate(photos.clamp(0, 1), (SIDE_PX, SIDE_PX), mode="bilinear").amin(1, keepdim=True)
     spot, around = (avg_pool2d(least, side, 1, side // 2) for side in (SPOT_PX, AROUND_PX))
     brightest = (spot + AROUND_WEIGHT * around).flatten(1).argmax(1)
-    place = positions(SIDE_PX, SIDE_PX, dtype=least.dtype, device=least.device).flatten(1)[:, brightest].T
+    place = texel_positions(SIDE_PX, SIDE_PX, dtype=least.dtype, device=least.device).flatten(1)[:, brightest].T
     logs = (least + LOG_FLOOR).log()
-    means = profile(torch.cat([least, logs], 1), place)[0]
+    means = ring_profile(torch.cat([least, logs], 1), place)[0]
     rings = torch.cat([(means[:, 0] + LOG_FLOOR).log(), means[:, 1]], 1)
     return torch.cat([rings, logs.mean((1, 2, 3))[:, None], place.norm(dim=1, keepdim=True)], 1)
 
@@ -47,7 +47,7 @@ def add_polish(reader: Params, rng: Generator) -> None:
 
 def predict_roughness(reader: Params, highlight: Tensor) -> Tensor:
     """Predict the mean roughness [T] of materials from what `describe_highlight` returns, [T, HIGHLIGHT_NUMBERS]."""
-    return dense(reader, "polish.second", dense(reader, "polish.first", highlight).tanh())[:, 0].exp()
+    return apply_dense(reader, "polish.second", apply_dense(reader, "polish.first", highlight).tanh())[:, 0].exp()
 
 
 def roughness_shift(shown: Tensor, maps: Maps) -> Tensor:
@@ -61,6 +61,6 @@ def roughness_shift(shown: Tensor, maps: Maps) -> Tensor:
         maps: the maps [T, C, h, w].
     """
     now = maps.roughness.mean((1, 2, 3))
-    polished, flat = POLISHED_ROUGHNESS / shown, FLAT_SINE / tilt(maps.normal).mean((1, 2, 3))
+    polished, flat = POLISHED_ROUGHNESS / shown, FLAT_SINE / tilt_sine(maps.normal).mean((1, 2, 3))
     share = torch.sigmoid(polished.log() / LOG_SOFTNESS) * torch.sigmoid(flat.log() / LOG_SOFTNESS)
     return share * (encode_roughness(shown) - encode_roughness(now))

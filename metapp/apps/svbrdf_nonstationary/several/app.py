@@ -16,7 +16,7 @@ from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, camera, camera_distance, positions, render, unpack
+from metapp.appearance.flash import Maps, camera_distance, camera_position, render_maps, texel_positions, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
@@ -87,7 +87,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             ValueError: the numbers of places and photographs differ.
         """
         photos = torch.stack([task.data["photo"], *task.data.get("others", ())])
-        places = task.data.get("places", camera().expand(1, 2, 3)).float()
+        places = task.data.get("places", camera_position().expand(1, 2, 3)).float()
         if len(places) != len(photos):
             raise ValueError(
                 f"{task.name}: {len(photos)} photos and {len(task.data.get('places', ()))} places, expected as many; "
@@ -174,7 +174,7 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         The prior's deviations count by the likelihood of General's errors, and nothing else moves them.
         """
-        maps, target = decode_maps(theta["maps"]), unpack(batch["maps"])
+        maps, target = decode_maps(theta["maps"]), unpack_maps(batch["maps"])
         logs, references = (self.log_radiance(each, batch["pairs"]) for each in (maps, target))
         diffuse, specular, roughness, normal = (each.abs().mean((1, 2, 3)) for each in map_differences(maps, target))
         slopes = (_slopes_of(maps.normal) - _slopes_of(target.normal)).abs().mean((1, 2, 3))
@@ -219,7 +219,7 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
-        places = task.data.get("places", camera().expand(1, 2, 3))[None].float()
+        places = task.data.get("places", camera_position().expand(1, 2, 3))[None].float()
         flash = decode_flashes(theta["flash"][None], places)
         return [Flash(*(part[0, number] for part in flash)) for number in range(places.shape[1])]
 
@@ -245,9 +245,9 @@ def decode_flashes(flash: Tensor, places: Tensor) -> Flash:
 def render_photos(maps: Maps, flashes: Flash) -> Tensor:
     """Return the radiance [T, N, 3, H, W] of maps [T, C, H, W] under each of N flashes."""
     like = maps.diffuse
-    place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
+    place = texel_positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
     each = Maps(*(part[:, None] for part in maps))
-    return render(each, place, flashes.place, flashes.eye, intensity=flashes.gain)
+    return render_maps(each, place, flashes.place, flashes.eye, intensity=flashes.gain)
 
 
 @torch.no_grad()
@@ -291,7 +291,7 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
     level = torch.where(uniform(1) < EXPOSED_SHARE, EXPOSURE_STOPS * normal(count) - 0.15, 0.06 * normal(count))
     flash = torch.cat([level.new_zeros(len(maps), FLASH_NUMBERS - 1, count), level[:, None] / FLASH_LOG_GAIN], 1)
     both = true[:, :, None].expand(-1, -1, 2, -1)
-    display = linear_to_srgb(render_photos(unpack(maps), decode_flashes(flash, both)).clamp(0, 1))
+    display = linear_to_srgb(render_photos(unpack_maps(maps), decode_flashes(flash, both)).clamp(0, 1))
     display = display + 0.01 * uniform(1, 1, 1, 1) * torch.randn(display.shape, generator=rng, device=rng.device)
     photos = srgb_to_linear((display.clamp(0, 1) * 255).round() / 255)
     return photos, measured[:, :, None].expand(-1, -1, 2, -1)

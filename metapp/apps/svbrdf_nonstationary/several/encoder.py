@@ -15,11 +15,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, leaky_relu
 
-from metapp.appearance.flash import positions, towards
+from metapp.appearance.flash import directions_to_point, texel_positions
 from metapp.apps.svbrdf_nonstationary.encoder import LEAKY_SLOPE, add_block, apply_pointwise, block, upsample
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS
 from metapp.learning.task import Params
-from metapp.networks.layers import add_layer, convolved
+from metapp.networks.layers import add_layer, apply_convolution
 
 STEM_CHANNELS = 32  # of the network of a photograph
 WIDTHS = (32, 48, 64, 96, 96)  # channels of the U-Net's levels; sides are multiples of 16 texels
@@ -88,7 +88,7 @@ def predict_maps(params: Params, reading: Reading) -> tuple[Tensor, Tensor]:
     """
     number = reading.photos.shape[:2]
     x = reading.photos.flatten(0, 1).contiguous(memory_format=torch.channels_last)
-    x = leaky_relu(convolved(params, "stem.first", x), LEAKY_SLOPE)
+    x = leaky_relu(apply_convolution(params, "stem.first", x), LEAKY_SLOPE)
     x = leaky_relu(apply_pointwise(params, "stem.second", x), LEAKY_SLOPE).unflatten(0, number)
     known = torch.cat([x.mean(1), x.amax(1), reading.texels], 1).contiguous(memory_format=torch.channels_last)
     x, skips = known, []
@@ -191,8 +191,8 @@ def read_photos(photos: Tensor, places: Tensor) -> Reading:
         photos: linear photographs [T, N, 3, H, W].
         places: positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
     """
-    texels = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)
-    (wo, _), (wi, squared) = (towards(each, texels) for each in places.unbind(2))
+    texels = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)
+    (wo, _), (wi, squared) = (directions_to_point(each, texels) for each in places.unbind(2))
     white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared  # of a flat white patch
     half = wi + wo
     half = half / half.norm(dim=2, keepdim=True)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, grid_sample
 
-from metapp.appearance.flash import positions
+from metapp.appearance.flash import texel_positions
 from metapp.apps.svbrdf_nonstationary.several.encoder import read_photos
 
 MIN_PX, MIN_PHOTOS = 128, 4  # coarser or fewer photographs do not show the height
@@ -51,7 +51,7 @@ def _shift_plane(photos: Tensor, eyes: Tensor, height: Tensor) -> Tensor:
     scale, shift = eyes[:, 2:] / (eyes[:, 2:] - height), -height * eyes[:, :2] / (eyes[:, 2:] - height)
     scale = scale / scale[:1]
     shift = shift - scale * shift[:1]
-    texels = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[:2]
+    texels = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[:2]
     at = (scale[..., None, None] * texels + shift[..., None, None]) * texels.new_tensor([1, -1])[:, None, None]
     moved = grid_sample(photos, at.permute(0, 2, 3, 1), "bicubic", "border", align_corners=False)
     return torch.cat([photos[:1], moved[1:].clamp(0, 1)])
@@ -61,7 +61,7 @@ def _height_change(photos: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
     """Return a Gauss-Newton step of the height and its standard deviation; texels are eliminated."""
     reading = read_photos(photos[None], places[None])
     grey, tangents, weight = (part[0] for part in (reading.grey, reading.tangents, reading.weights))
-    x, y = positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[:2]
+    x, y = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[:2]
     eyes = places[:, 0, :, None, None]
     down, right = torch.gradient(grey[:, 0], spacing=2 / photos.shape[-1], dim=(-2, -1))
     along = (right * (x - eyes[:, 0]) - down * (y - eyes[:, 1])) / eyes[:, 2]

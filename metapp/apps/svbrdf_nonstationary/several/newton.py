@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from metapp.appearance.flash import Maps, positions, render
+from metapp.appearance.flash import Maps, render_maps, texel_positions
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, CLIPPED_VALUE, FLASH_NUMBERS, ROUGHNESS_CHANNEL, decode_maps
 from metapp.apps.svbrdf_nonstationary.several.app import LIGHT_FLOOR, SeveralPhotos, decode_flashes
 from metapp.learning.adjoint import AnyBatch, Loss
@@ -89,7 +89,7 @@ def gauss_newton_change(
         longest_of_texel: the greatest change of each of the nine numbers of a texel.
     """
     maps, flash, prior, photos = theta["maps"], theta["flash"], theta["prior"], batch["photos"]
-    texels = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
+    texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
     few = [
         part[..., FLASH_STRIDE // 2 :: FLASH_STRIDE, FLASH_STRIDE // 2 :: FLASH_STRIDE]
         for part in (maps, photos, prior, texels)
@@ -136,7 +136,7 @@ def _lobes(maps: Tensor, flash: Tensor, places: Tensor, texels: Tensor) -> Tenso
     flashes, material = decode_flashes(flash, places), decode_maps(maps)
     white = maps.new_tensor([1.0, 0.0])[:, None, None]
     surface = Maps(white, white.flip(0), material.roughness[:, None], material.normal[:, None])
-    return render(surface, texels, flashes.place, flashes.eye, intensity=flashes.gain)
+    return render_maps(surface, texels, flashes.place, flashes.eye, intensity=flashes.gain)
 
 
 def _combine_lobes(lobes: Tensor, diffuse: Tensor, specular: Tensor) -> Tensor:

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.networks.options import Layer, fov
+from metapp.networks.options import LayerOption, fov
 from metapp.options import Option
 
 
-def circle_of(text: str) -> tuple[float, ...]:
+def parse_circle(text: str) -> tuple[float, ...]:
     """Return centre and radius, in px, of "X,Y,RADIUS"; ValueError for another form."""
     try:
         x, y, radius = map(float, text.split(","))
@@ -31,7 +31,7 @@ class BallOptions:
     fov: Annotated[float, fov("EXIF's of uncropped photos, else far away")] = 0.0
     ball: Annotated[
         tuple[float, ...],
-        Option("Where the ball is, px from the upper left; default: it is found.", "X,Y,RADIUS", parse=circle_of),
+        Option("Where the ball is, px from the upper left; default: it is found.", "X,Y,RADIUS", parse=parse_circle),
     ] = ()
     rows: Annotated[int, Option("Rows of the map, 32 to 1024.", "N", low=32, high=1024)] = 128
-    layer: Layer = ""
+    layer: LayerOption = ""

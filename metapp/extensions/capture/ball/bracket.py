@@ -1,7 +1,7 @@
 """Photographs of one ball at several exposures: aligned by OpenCV, and merged by a power of sRGB's curve.
 
 After Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs". Pictures are of the ball
-alone, as of `picture_of`, [N, 4, S, S].
+alone, as of `extract_ball`, [N, 4, S, S].
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import torch
 from numpy.typing import NDArray
 
 from data_tools.readers.colours import Floats
-from data_tools.readers.image_files import Pixels, is_heif, opened
+from data_tools.readers.image_files import Pixels, is_heif, open_largest_picture
 from metapp.appearance.colour import linear_to_srgb
 from metapp.apps.illumination.mirror import CLIPPED_VALUE
-from metapp.extensions.capture.ball.geometry import Ball, disc
-from metapp.extensions.capture.ball.picture import picture_of
-from metapp.extensions.capture.photos import opencv
+from metapp.extensions.capture.ball.geometry import Ball, disc_places
+from metapp.extensions.capture.ball.picture import extract_ball
+from metapp.extensions.capture.photos import import_opencv
 from metapp.options import BadOption
 
 _SHORTEST_SECONDS = 1e-6  # 1 over it is the longest exposure
@@ -32,7 +32,7 @@ _LOW, _HIGH = 0.007, 0.78  # linear values by which exposures are compared
 _FEWEST_PX = 50  # by which two exposures are
 
 
-def exposures_of(paths: Sequence[Path], shutter: str) -> Floats:
+def read_exposures(paths: Sequence[Path], shutter: str) -> Floats:
     """The exposures of photographs [N], in any unit.
 
     Args:
@@ -79,7 +79,7 @@ def exif_exposure(path: Path) -> float:
     """
     if is_heif(path):
         return 0.0
-    with opened(path) as source:
+    with open_largest_picture(path) as source:
         spec = source.spec()
         seconds, aperture = (spec.get_float_attribute(name, 0.0) for name in ("ExposureTime", "FNumber"))
         iso = spec.get_int_attribute("Exif:PhotographicSensitivity", 0) or 100
@@ -87,7 +87,7 @@ def exif_exposure(path: Path) -> float:
     return value if 0 < value < math.inf else 0.0
 
 
-def aligned(photos: Sequence[Pixels], balls: Sequence[Ball], order: Sequence[int], first: int) -> list[Ball]:
+def align_balls(photos: Sequence[Pixels], balls: Sequence[Ball], order: Sequence[int], first: int) -> list[Ball]:
     """The balls of place and size that make photographs show the same in the same directions.
 
     By phase correlation, then by the enhanced correlation coefficient (Evangelidis & Psarakis 2008), to which exposures
@@ -103,16 +103,16 @@ def aligned(photos: Sequence[Pixels], balls: Sequence[Ball], order: Sequence[int
         ValueError: OpenCV is not installed.
     """
     result, start = list(balls), list(order).index(first)
-    away = np.hypot(*disc(_ALIGNED_PX))
+    away = np.hypot(*disc_places(_ALIGNED_PX))
     window, middle = np.clip((1 - away) / 0.15, 0, 1), (_ALIGNED_PX - 1) / 2
 
     def logs(number: int) -> tuple[Floats, NDArray[np.bool_]]:
-        light = picture_of(photos[number], result[number], _ALIGNED_PX, balls[first].angle)[:3]
+        light = extract_ball(photos[number], result[number], _ALIGNED_PX, balls[first].angle)[:3]
         return np.log(light.mean(0) + _DARK), light.max(0) < _BRIGHT
 
     for way in (order[start:], order[start::-1]):
         for known, other in itertools.pairwise(way):
-            cv2 = opencv()
+            cv2 = import_opencv()
             (target, is_known), (values, _) = logs(known), logs(other)
             shift, _ = cv2.phaseCorrelate(*(window * (each - each.mean()) for each in (target, values)))
             result[other] = _moved(result[other], np.array(shift), 1.0)
@@ -134,7 +134,7 @@ def _moved(ball: Ball, shift: Floats, size: float) -> Ball:
     return ball._replace(x=x, y=y, radius=size * ball.radius)
 
 
-def power_of(pictures: Floats, exposures: Floats) -> float:
+def fit_curve_power(pictures: Floats, exposures: Floats) -> float:
     """The power of linear values by which photographs agree, by least squares: 1 if their curve is sRGB's."""
     steps = []
     for a, b in itertools.pairwise(np.argsort(exposures)):
@@ -147,7 +147,7 @@ def power_of(pictures: Floats, exposures: Floats) -> float:
     return float(ratios @ true / (ratios @ ratios))
 
 
-def merged(
+def merge_exposures(
     pictures: Floats, exposures: Floats, power: float, is_hdr: bool = False
 ) -> tuple[Floats, NDArray[np.bool_], list[float]]:
     """Radiance of photographs that show the same.
@@ -155,7 +155,7 @@ def merged(
     Args:
         pictures: linear by sRGB's curve.
         exposures: [N].
-        power: of the camera's curve, as of `power_of`.
+        power: of the camera's curve, as of `fit_curve_power`.
         is_hdr: whether no value clips.
 
     Returns:

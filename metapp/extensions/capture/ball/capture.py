@@ -14,23 +14,23 @@ from torch import Tensor
 
 from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.latlong import HEIGHT
+from data_tools.readers.latlong import MAP_HEIGHT_PX
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.latlong import directions
+from metapp.appearance.latlong import texel_directions
 from metapp.apps.illumination.mirror import CLIPPED_VALUE
-from metapp.extensions.capture.ball.bracket import aligned, exposures_of, merged, power_of
-from metapp.extensions.capture.ball.circle import MIN_SCORE, best_ball, score_of
-from metapp.extensions.capture.ball.geometry import FAR, Ball, seen_at
+from metapp.extensions.capture.ball.bracket import align_balls, fit_curve_power, merge_exposures, read_exposures
+from metapp.extensions.capture.ball.circle import MIN_BALL_SCORE, find_ball, score_ball
+from metapp.extensions.capture.ball.geometry import FAR_CAMERA_ANGLE_RAD, Ball, directions_to_disc
 from metapp.extensions.capture.ball.picture import (
-    check_finite,
-    is_mirror,
-    lens_of,
-    means,
-    photo_of,
-    picture_of,
-    sampled,
+    block_means,
+    check_finite_pixels,
+    extract_ball,
+    extract_ball_photo,
+    is_mirror_ball,
+    lens_of_photo,
+    sample_pixels,
 )
-from metapp.extensions.capture.photos import display
+from metapp.extensions.capture.photos import display_values
 from metapp.learning.task import Task
 
 _AS_GOOD = 0.8  # of the best score: other balls are looked for where that one is
@@ -42,17 +42,17 @@ _SAME = 0.03  # of the radius, by which a ball may miss the one that touches the
 _BETTER = 1.2  # of its score, that another ball must have
 
 
-class Capture(NamedTuple):
+class CapturedLight(NamedTuple):
     """Light around a ball.
 
     Attributes:
         balls: in the photographs, as these agree.
         chosen: which photograph fits see; white in it is radiance 1.
         exposures: [N], the chosen one's 1.
-        power: of the camera's curve, as of `power_of`.
-        residuals: of each photograph, as of `merged`.
+        power: of the camera's curve, as of `fit_curve_power`.
+        residuals: of each photograph, as of `merge_exposures`.
         data: of a task: `photos`, the ball of the chosen photograph seen from far away, and the light that it mirrors,
-            `seen` and `certain`, as of `unwrapped`.
+            `seen` and `certain`, as of `unwrap_ball`.
     """
 
     balls: Sequence[Ball]
@@ -63,25 +63,27 @@ class Capture(NamedTuple):
     data: dict[str, Tensor]
 
 
-def merge(paths: Sequence[Path], shutter: str, rows: int = HEIGHT, fov_rad: float = 0.0, layer: str = "") -> Task:
-    """Turn photographs of one mirror ball into a task named by the first one's stem; arguments as of `capture`."""
-    return Task(paths[0].stem, capture(paths, shutter, rows, fov_rad, layer=layer).data)
+def merge_photos(
+    paths: Sequence[Path], shutter: str, rows: int = MAP_HEIGHT_PX, fov_rad: float = 0.0, layer: str = ""
+) -> Task:
+    """Turn photographs of one mirror ball into a task named by the first one's stem; arguments as of `capture_light`."""
+    return Task(paths[0].stem, capture_light(paths, shutter, rows, fov_rad, layer=layer).data)
 
 
-def capture(
+def capture_light(
     paths: Sequence[Path],
     shutter: str = "auto",
-    rows: int = HEIGHT,
+    rows: int = MAP_HEIGHT_PX,
     fov_rad: float = 0.0,
     circle: Sequence[float] = (),
     done: Callable[[str], object] = str,
     layer: str = "",
-) -> Capture:
+) -> CapturedLight:
     """Read photographs of one mirror ball.
 
     Args:
         paths: the photographs, of different exposures.
-        shutter: as of `exposures_of`.
+        shutter: as of `read_exposures`.
         rows: of the map.
         fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
         circle: x, y, radius of the ball in px of the first photograph; (): it is found.
@@ -89,17 +91,17 @@ def capture(
         layer: as of `read_pixels`.
 
     Raises:
-        ValueError: as `read_pixels` and `exposures_of`; no ball; OpenCV is not installed and there are several
+        ValueError: as `read_pixels` and `read_exposures`; no ball; OpenCV is not installed and there are several
             photographs.
     """
-    exposures = exposures_of(paths, shutter)
+    exposures = read_exposures(paths, shutter)
     photos, found, brightness = [], [], []
     for path in paths:
         pixels = read_pixels(path, layer)
-        check_finite(pixels, path)
-        gray, lens = display(pixels).mean(-1), lens_of(pixels, fov_rad)
+        check_finite_pixels(pixels, path)
+        gray, lens = display_values(pixels).mean(-1), lens_of_photo(pixels, fov_rad)
         photos.append(pixels)
-        found.append(Ball(circle[0], circle[1], circle[2], lens) if circle else best_ball(gray, lens))
+        found.append(Ball(circle[0], circle[1], circle[2], lens) if circle else find_ball(gray, lens))
         brightness.append(float(gray.mean()))
         done(path.name)
     if np.log(exposures) @ (np.array(brightness) - np.mean(brightness)) < 0:
@@ -107,11 +109,11 @@ def capture(
     scores = [ball.score if ball else -1.0 for ball in found]
     first = int(np.argmax(scores))
     best, (height, width) = found[first], photos[0].values.shape[:2]
-    if not best or best.score < MIN_SCORE:
+    if not best or best.score < MIN_BALL_SCORE:
         which = f"{paths[0]}" if len(paths) == 1 else f"{len(paths)} photos"
         raise ValueError(
             f"{which}: no ball found (best circle: {max(scores):.2f}), expected one whose contour shows "
-            f"({MIN_SCORE:.2f} or more); say where it is with --ball X,Y,RADIUS."
+            f"({MIN_BALL_SCORE:.2f} or more); say where it is with --ball X,Y,RADIUS."
         )
     if not (best.radius < 2 * max(height, width) and 0 <= best.x <= width and 0 <= best.y <= height):
         raise ValueError(
@@ -119,11 +121,11 @@ def capture(
             f"{width}x{height} px; give --ball as X,Y,RADIUS in px from its upper left corner."
         )
     balls = [ball if ball and ball.score >= _AS_GOOD * best.score else best for ball in found]
-    balls = aligned(photos, balls, np.argsort(exposures).tolist(), first)
-    return light_around(photos, balls, first, exposures, rows)
+    balls = align_balls(photos, balls, np.argsort(exposures).tolist(), first)
+    return recover_light(photos, balls, first, exposures, rows)
 
 
-def capture_one(pixels: Pixels, name: str, square: Tensor, rows: int, fov_rad: float) -> dict[str, Tensor]:
+def capture_single_photo(pixels: Pixels, name: str, square: Tensor, rows: int, fov_rad: float) -> dict[str, Tensor]:
     """Return the data of a task of one photograph: of the ball in it, and of its light if it is surely a mirror.
 
     Args:
@@ -137,19 +139,21 @@ def capture_one(pixels: Pixels, name: str, square: Tensor, rows: int, fov_rad: f
     Raises:
         ValueError: the photograph has values that are not finite.
     """
-    check_finite(pixels, name)
+    check_finite_pixels(pixels, name)
     height, width = pixels.values.shape[:2]
-    gray, central = display(pixels).mean(-1), Ball(width / 2, height / 2, min(height, width) / 2)
-    ball = best_ball(gray, lens_of(pixels, fov_rad)) or central
+    gray, central = display_values(pixels).mean(-1), Ball(width / 2, height / 2, min(height, width) / 2)
+    ball = find_ball(gray, lens_of_photo(pixels, fov_rad)) or central
     is_same = max(np.abs(np.subtract(ball[:3], central[:3]))) < _SAME * central.radius
-    is_central = is_same or ball.score < max(MIN_SCORE, _BETTER * score_of(gray, central))
+    is_central = is_same or ball.score < max(MIN_BALL_SCORE, _BETTER * score_ball(gray, central))
     ball = central if is_central else ball
-    if is_mirror(pixels, ball):
-        return light_around([pixels], [ball], 0, np.ones(1), rows).data
-    return {"photos": square if is_central else photo_of(pixels, ball, ball.angle)}
+    if is_mirror_ball(pixels, ball):
+        return recover_light([pixels], [ball], 0, np.ones(1), rows).data
+    return {"photos": square if is_central else extract_ball_photo(pixels, ball, ball.angle)}
 
 
-def light_around(photos: Sequence[Pixels], balls: Sequence[Ball], first: int, exposures: Floats, rows: int) -> Capture:
+def recover_light(
+    photos: Sequence[Pixels], balls: Sequence[Ball], first: int, exposures: Floats, rows: int
+) -> CapturedLight:
     """The light that aligned photographs of one mirror ball show; floating-point ones with values above 1 never clip.
 
     Args:
@@ -164,21 +168,25 @@ def light_around(photos: Sequence[Pixels], balls: Sequence[Ball], first: int, ex
     values = [photo.values[..., :3] for photo in photos]
     is_hdr = all(each.dtype.kind == "f" for each in values) and max(each.max() for each in values) > 1
     high = np.inf if is_hdr else 1.0
-    pictures = np.stack([picture_of(*photo, size, nearest.angle, high) for photo in zip(photos, balls, strict=True)])
+    pictures = np.stack([extract_ball(*photo, size, nearest.angle, high) for photo in zip(photos, balls, strict=True)])
     # the brightest photograph that is hardly white anywhere, else the darkest
     is_white = pictures[:, :3].max(1) >= srgb_to_linear(torch.tensor(CLIPPED_VALUE)).item()
     white = np.average(is_white.reshape(len(photos), -1), 1, pictures[:, 3].reshape(len(photos), -1))
     order = np.argsort(exposures).tolist()
     chosen = next((number for number in reversed(order) if white[number] <= _MAX_WHITE), order[0])
     exposures = exposures / exposures[chosen]
-    power = 1.0 if is_hdr else power_of(pictures, exposures)
-    radiance, is_clipped, residuals = merged(pictures, exposures, power, is_hdr)
-    seen, certain = unwrapped(radiance, is_clipped, pictures[:, 3].max(0), nearest, rows)
-    data = {"photos": photo_of(photos[chosen], balls[chosen], FAR), "seen": seen, "certain": certain}
-    return Capture(balls, chosen, exposures, power, residuals, data)
+    power = 1.0 if is_hdr else fit_curve_power(pictures, exposures)
+    radiance, is_clipped, residuals = merge_exposures(pictures, exposures, power, is_hdr)
+    seen, certain = unwrap_ball(radiance, is_clipped, pictures[:, 3].max(0), nearest, rows)
+    data = {
+        "photos": extract_ball_photo(photos[chosen], balls[chosen], FAR_CAMERA_ANGLE_RAD),
+        "seen": seen,
+        "certain": certain,
+    }
+    return CapturedLight(balls, chosen, exposures, power, residuals, data)
 
 
-def unwrapped(
+def unwrap_ball(
     radiance: Floats, is_clipped: NDArray[np.bool_], shown: Floats, ball: Ball, rows: int
 ) -> tuple[Tensor, Tensor]:
     """A map of a picture of a mirror ball.
@@ -200,15 +208,15 @@ def unwrapped(
     size = radiance.shape[1]
     many = min(_FINEST, max(1, math.ceil(size / 4 * math.pi / rows)))
     planes = np.concatenate([radiance, is_clipped[None], shown[None]])
-    towards = directions(rows * many, 2 * rows * many, dtype=torch.float64).numpy()
+    towards = texel_directions(rows * many, 2 * rows * many, dtype=torch.float64).numpy()
     texels = []
     for row in range(rows):
-        place, speed = seen_at(towards[:, row * many : (row + 1) * many], ball.angle)
-        values = sampled(planes, np.stack([1 + place[0], 1 - place[1]]) * (size / 2))
+        place, speed = directions_to_disc(towards[:, row * many : (row + 1) * many], ball.angle)
+        values = sample_pixels(planes, np.stack([1 + place[0], 1 - place[1]]) * (size / 2))
         sharp = np.log(_BLURRED_RAD * (speed * ball.radius).clip(1e-9)) / math.log(_BLURRED_RAD / _SHARP_RAD)
         is_seen = (np.hypot(*place) < 1 - 1 / ball.radius) & (values[4] > 0.99)
         weight, is_lost = sharp.clip(0, 1) * is_seen, values[3] > 0.01
-        texels.append(means(np.stack([*(values[:3] * weight), weight * ~is_lost, weight * is_lost]), many))
+        texels.append(block_means(np.stack([*(values[:3] * weight), weight * ~is_lost, weight * is_lost]), many))
     light, certain = np.split(np.concatenate(texels, 1), [3])
     seen = light / certain.sum(0).clip(1e-6)
     return torch.from_numpy(seen).float(), torch.from_numpy(certain.clip(0, 1)).float()

@@ -14,10 +14,10 @@ from scipy.optimize import minimize
 from scipy.signal import fftconvolve
 
 from data_tools.readers.colours import Floats
-from metapp.extensions.capture.ball.geometry import TELESCOPE, Ball, Lens
-from metapp.extensions.capture.ball.picture import sampled
+from metapp.extensions.capture.ball.geometry import PARALLEL_LENS, Ball, PinholeLens
+from metapp.extensions.capture.ball.picture import sample_pixels
 
-MIN_SCORE = 0.34  # of a ball
+MIN_BALL_SCORE = 0.34  # of a ball
 
 _SEARCHED_PX = 160  # longer side of the picture that is searched
 _REFINED_PX = 150  # radius that the contour is refined at, or less
@@ -38,7 +38,7 @@ _NOISE = 0.02  # a gradient, of logarithms a px, that counts as half an edge, or
 _AROUND = 0.25  # of the picture's longer side: side of the square that they are in
 
 
-def best_ball(gray: Floats, lens: Lens = TELESCOPE) -> Ball | None:
+def find_ball(gray: Floats, lens: PinholeLens = PARALLEL_LENS) -> Ball | None:
     """The ball that fits best, however badly: its score says; None in a picture without edges.
 
     Args:
@@ -58,8 +58,8 @@ def best_ball(gray: Floats, lens: Lens = TELESCOPE) -> Ball | None:
     return refined.scaled(1 / finer)._replace(score=_evidence(best))
 
 
-def score_of(gray: Floats, ball: Ball) -> float:
-    """The score that `best_ball` gives a ball, here one that is known; display values [H, W] in [0, 1]."""
+def score_ball(gray: Floats, ball: Ball) -> float:
+    """The score that `find_ball` gives a ball, here one that is known; display values [H, W] in [0, 1]."""
     share = min(1.0, _SEARCHED_PX / max(gray.shape))
     return _evidence(_scored(_slopes(gray, share), ball.scaled(share)))
 
@@ -78,7 +78,7 @@ def _slopes(gray: Floats, share: float) -> Floats:
     if share < 1:
         y, x = ((np.arange(max(8, round(side * share))) + 0.5) / share for side in gray.shape)
         logs = gaussian_filter(logs, 0.4 / share, mode="nearest")
-        (logs,) = sampled(logs[None], np.stack(np.meshgrid(x, y)))
+        (logs,) = sample_pixels(logs[None], np.stack(np.meshgrid(x, y)))
     y, x = np.gradient(gaussian_filter(logs, 1.0, mode="nearest"))
     around = uniform_filter(np.hypot(x, y), round(_AROUND * max(logs.shape)), mode="nearest")
     return np.stack([x, y, np.maximum(around, _NOISE)])
@@ -97,7 +97,7 @@ def _scored(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> Ball:
         return ball._replace(score=-1.0)
     tangent = np.roll(px, -1, 2) - np.roll(px, 1, 2)
     tangent /= np.linalg.norm(tangent, axis=0)
-    x, y, half = sampled(slopes, px)
+    x, y, half = sample_pixels(slopes, px)
     through = np.abs(x * tangent[1] - y * tangent[0])
     length = np.hypot(x, y)
     straight = (2 * (through / np.maximum(length, 1e-12)) ** 2 - 1) * through / (through + half) * inside

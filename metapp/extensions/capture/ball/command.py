@@ -8,14 +8,14 @@ from typing import Annotated, Any
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, Out, Overwrite, Quiet, check_new, takes
+from metapp.cli.options import JsonFlag, Out, Overwrite, Quiet, check_new_file, expand_options
 from metapp.extensions.capture.ball.ball_options import BallOptions
 from metapp.runs.reporter import say
-from metapp.storage.folders import FOUND, MANIFEST, check_files_of_user
+from metapp.storage.folders import DIAGNOSTIC_FOLDER, MANIFEST, check_files_of_user
 
 
-@takes(BallOptions)
-def ball(
+@expand_options(BallOptions)
+def ball_command(
     options: BallOptions,
     paths: Annotated[
         list[Path], typer.Argument(metavar="PHOTO...", help="Photographs of one ball, of different exposures.")
@@ -23,7 +23,7 @@ def ball(
     folder: Out,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
-    as_json: Json = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Read the light around a mirror ball from photographs of it.
 
@@ -36,7 +36,7 @@ def ball(
       metapp data ball a.jpg b.jpg c.jpg --shutter 1/20,1/60,1/160 --out garden
       metapp data ball IMG_1.jpg --fov 55 --rows 256 --out garden
     """
-    check_new(folder / MANIFEST, overwrite)
+    check_new_file(folder / MANIFEST, overwrite)
     for path in paths:
         check_files_of_user(path, "a photograph of a ball")
     from metapp.extensions.capture.ball.light_files import write_light
@@ -56,7 +56,9 @@ def ball(
     if not quiet:
         curve = f"camera's curve: sRGB's to the power of {captured.power:.2f}; " * (len(paths) > 1)
         say(f"{curve}{seen:.0%} of the texels seen, {clipped:.1%} clipped")
-        say(f"{folder}: {folder.resolve().name}.exr and a data set; look at what was found: {folder / FOUND}")
+        say(
+            f"{folder}: {folder.resolve().name}.exr and a data set; look at what was found: {folder / DIAGNOSTIC_FOLDER}"
+        )
     if as_json:
         map_ = {"chosen": str(paths[captured.chosen]), "seen": seen, "clipped": clipped}
         print_json({"out": str(folder), "power": captured.power, **map_, "photos": photos})

@@ -15,11 +15,11 @@ from scipy.interpolate import CubicSpline
 
 from data_tools.readers.colours import Floats
 
-FAR = 1e-6  # rad, half the angle that a ball fills for a camera far away
+FAR_CAMERA_ANGLE_RAD = 1e-6  # rad, half the angle that a ball fills for a camera far away
 _NODES = 2000  # of the splines through where directions are seen
 
 
-class Lens(NamedTuple):
+class PinholeLens(NamedTuple):
     """A pinhole camera: its focal length and its principal point, in px."""
 
     focal: float
@@ -27,7 +27,7 @@ class Lens(NamedTuple):
     y: float
 
 
-TELESCOPE = Lens(1e9, 0.0, 0.0)  # rays are parallel, and contours are circles
+PARALLEL_LENS = PinholeLens(1e9, 0.0, 0.0)  # rays are parallel, and contours are circles
 
 
 class Ball(NamedTuple):
@@ -43,57 +43,57 @@ class Ball(NamedTuple):
     x: float
     y: float
     radius: float
-    lens: Lens = TELESCOPE
+    lens: PinholeLens = PARALLEL_LENS
     score: float = 1.0
 
     @property
     def angle(self) -> float:
         """Half the angle that it fills, rad. Directions as close to its back are not seen."""
-        return max(FAR, math.atan(self.radius / float(np.linalg.norm(self._centre()))))
+        return max(FAR_CAMERA_ANGLE_RAD, math.atan(self.radius / float(np.linalg.norm(self._centre()))))
 
     def _centre(self) -> Floats:
         """Centre of the disc for a camera that looks to +z, x right, y down; unit px."""
         return np.array([self.x - self.lens.x, self.y - self.lens.y, self.lens.focal])
 
-    def to_px(self, disc: Floats) -> Floats:
+    def to_px(self, disc_places: Floats) -> Floats:
         """Places [2, ...] in the disc (right, up) as px [2, ...] of the photograph (right, down)."""
         centre = self._centre()
         right = np.cross([0.0, 1.0, 0.0], centre)
         up = np.cross(right, centre)
         axes = self.radius * np.stack([right / np.linalg.norm(right), up / np.linalg.norm(up)])
-        x, y, z = np.tensordot(centre, np.ones(disc.shape[1:]), 0) + np.tensordot(axes, disc, (0, 0))
+        x, y, z = np.tensordot(centre, np.ones(disc_places.shape[1:]), 0) + np.tensordot(axes, disc_places, (0, 0))
         return np.stack([self.lens.focal * x / z + self.lens.x, self.lens.focal * y / z + self.lens.y])
 
     def scaled(self, share: float) -> Ball:
         """The same in a picture of another size."""
         x, y, radius, *lens = (share * value for value in (*self[:3], *self.lens))
-        return self._replace(x=x, y=y, radius=radius, lens=Lens(*lens))
+        return self._replace(x=x, y=y, radius=radius, lens=PinholeLens(*lens))
 
 
-def disc(size: int) -> Floats:
+def disc_places(size: int) -> Floats:
     """Places [2, size, size] of the pixels of a square picture that a ball fills."""
     along = (np.arange(size) + 0.5) * (2 / size) - 1
     return np.stack(np.meshgrid(along, -along))
 
 
-def mirrored(disc: Floats, angle: float = FAR) -> Floats:
+def disc_to_directions(disc_places: Floats, angle: float = FAR_CAMERA_ANGLE_RAD) -> Floats:
     """Directions [3, ...] that places [2, ...] in the disc mirror; beyond the contour those of the contour.
 
     Args:
         disc: right, up.
         angle: half the angle that the ball fills for its camera, rad.
     """
-    reach = np.hypot(disc[0], disc[1])
+    reach = np.hypot(disc_places[0], disc_places[1])
     # the law of sines in the triangle of camera, centre and point
     beta = np.arctan(np.minimum(reach, 1) * math.tan(angle))
     psi = (
         2 * np.arcsin(np.minimum(np.sin(beta) / math.sin(angle), 1)) - beta
     )  # twice the incidence, less the ray's lean
-    across = disc / np.maximum(reach, 1e-12)
+    across = disc_places / np.maximum(reach, 1e-12)
     return np.stack([np.sin(psi) * across[0], np.sin(psi) * across[1], np.cos(psi)])
 
 
-def seen_at(towards: Floats, angle: float = FAR) -> tuple[Floats, Floats]:
+def directions_to_disc(towards: Floats, angle: float = FAR_CAMERA_ANGLE_RAD) -> tuple[Floats, Floats]:
     """Places [2, ...] in the disc where directions are seen, and how fast these move with them [...], 1 / rad.
 
     The latter is along the radius, where it is least: 1/2 in the middle, 0 at the contour, and 0 for directions that
@@ -101,7 +101,7 @@ def seen_at(towards: Floats, angle: float = FAR) -> tuple[Floats, Floats]:
 
     Args:
         towards: [3, ...], of unit length.
-        angle: as of `mirrored`.
+        angle: as of `disc_to_directions`.
     """
     normals = np.linspace(0, math.pi / 2 - angle, _NODES)
     beta = np.arctan2(np.sin(normals), 1 / math.sin(angle) - np.cos(normals))

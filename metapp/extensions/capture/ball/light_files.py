@@ -11,15 +11,15 @@ import torch
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.ball.ball_options import BallOptions
-from metapp.extensions.capture.ball.capture import Capture, capture
-from metapp.extensions.capture.photos import write_found
+from metapp.extensions.capture.ball.capture import CapturedLight, capture_light
+from metapp.extensions.capture.photos import write_outlines
 from metapp.learning.task import Task
 from metapp.runs.reporter import progress
-from metapp.storage.folders import FOUND
+from metapp.storage.folders import DIAGNOSTIC_FOLDER
 from metapp.storage.images import write_exr
-from metapp.storage.shards import write_shard
+from metapp.storage.shards import write_data_set
 
-UNITS = {
+LIGHT_UNITS = {
     "photos": "the ball as a camera far away sees it, display values, uint8 0..255 [1, 3, 64, 64]; black outside",
     "seen": "lat-long radiance that the ball mirrors, linear Rec.709 [3, H, 2 H], rows from the top (+y), the middle "
     "column looks to +z, to the camera; 1 is white in `photos`; 0 where nothing is seen",
@@ -28,7 +28,9 @@ UNITS = {
 }
 
 
-def write_light(paths: Sequence[Path], options: BallOptions, folder: Path, *, overwrite: bool, quiet: bool) -> Capture:
+def write_light(
+    paths: Sequence[Path], options: BallOptions, folder: Path, *, overwrite: bool, quiet: bool
+) -> CapturedLight:
     """Read the light around a ball from photographs of it, and write all that was found.
 
     Args:
@@ -47,20 +49,24 @@ def write_light(paths: Sequence[Path], options: BallOptions, folder: Path, *, ov
     """
     with progress("photos", len(paths), quiet=quiet) as bar:
         fov_rad = math.radians(options.fov)
-        captured = capture(paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer)
+        captured = capture_light(
+            paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer
+        )
         bar.name("writing the map and pictures of what was found")
         _write(folder.resolve().name, paths, captured, folder, options.layer, overwrite=overwrite)
     return captured
 
 
-def _write(name: str, paths: Sequence[Path], captured: Capture, folder: Path, layer: str, *, overwrite: bool) -> None:
+def _write(
+    name: str, paths: Sequence[Path], captured: CapturedLight, folder: Path, layer: str, *, overwrite: bool
+) -> None:
     """Write a data set of one task, its map NAME.exr and found/*.png."""
     notes = {
         "made_by": "metapp data ball",
         "photos": [path.name for path in paths],
         "exposures": captured.exposures.tolist(),
         "power": captured.power,
-        "files": [FOUND, f"{name}.exr"],
+        "files": [DIAGNOSTIC_FOLDER, f"{name}.exr"],
     }
     turn = np.linspace(0, 2 * np.pi, 361)
 
@@ -68,8 +74,10 @@ def _write(name: str, paths: Sequence[Path], captured: Capture, folder: Path, la
         yield Task(name, captured.data), "test", paths[captured.chosen]
         for path, ball in zip(paths, captured.balls, strict=True):
             contour = ball.to_px(np.stack([np.cos(turn), np.sin(turn)])).T
-            write_found(read_pixels(path, layer), [(contour, "lime")], folder / FOUND / f"{path.stem}.png")
+            write_outlines(
+                read_pixels(path, layer), [(contour, "lime")], folder / DIAGNOSTIC_FOLDER / f"{path.stem}.png"
+            )
         light = torch.cat([captured.data["seen"], captured.data["certain"][:1]])
         write_exr(light.permute(1, 2, 0), folder / f"{name}.exr")
 
-    write_shard(folder, "illumination", UNITS, task(), notes, overwrite=overwrite)
+    write_data_set(folder, "illumination", LIGHT_UNITS, task(), notes, overwrite=overwrite)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from data_tools.readers import latlong, photos
-from data_tools.readers.colours import fraction
-from data_tools.readers.image_files import NAMED, Pixels, read_pixels
+from data_tools.readers.colours import integers_to_unit_range
+from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, Pixels, read_pixels
 from data_tools.readers.listing import files_of
-from data_tools.readers.photos import is_photo, photo_of
+from data_tools.readers.photos import is_photo, to_square_photo
 from data_tools.readers.source import Sources, sources_of_files
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task
@@ -16,7 +16,7 @@ from metapp.learning.task import Task
 
 def recognises(path: Path) -> bool:
     """True if a path is an LDR image, or a folder with one below it."""
-    return any(is_photo(file) and not latlong.is_map(file) for file in files_of(path, NAMED))
+    return any(is_photo(file) and not latlong.is_map(file) for file in files_of(path, ALL_PICTURE_SUFFIXES))
 
 
 def find(path: Path) -> Sources:
@@ -25,12 +25,12 @@ def find(path: Path) -> Sources:
     return sources_of_files(([file for file in files if not latlong.is_map(file)], skipped), protocol="photo")
 
 
-def read_task(path: Path, rows: int = latlong.HEIGHT, fov_rad: float = 0.0, layer: str = "") -> Task:
+def read_task(path: Path, rows: int = latlong.MAP_HEIGHT_PX, fov_rad: float = 0.0, layer: str = "") -> Task:
     """Turn an LDR photograph of a ball into a task named by the file's stem; as `task_of_pixels`."""
     return task_of_pixels(read_pixels(path, layer), str(path), rows, fov_rad)._replace(name=path.stem)
 
 
-def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.HEIGHT, fov_rad: float = 0.0) -> Task:
+def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.MAP_HEIGHT_PX, fov_rad: float = 0.0) -> Task:
     """Turn a photograph of a ball into a task.
 
     The ball is found in the photograph, unless one that touches the borders of the central square explains it as well,
@@ -44,10 +44,10 @@ def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.HEIGHT, fov_ra
 
     Returns:
         `photos` uint8 [1, 3, 64, 64], black outside the ball; of one that is surely a mirror also `seen` and `certain`,
-        as of `metapp.extensions.capture.ball.capture.unwrapped`, 1 if the photograph is white.
+        as of `metapp.extensions.capture.ball.capture.unwrap_ball`, 1 if the photograph is white.
 
     Raises:
-        ValueError: as `data_tools.readers.photos.photo_of`; a picture twice as wide as high; a disc that is black.
+        ValueError: as `data_tools.readers.photos.to_square_photo`; a picture twice as wide as high; a disc that is black.
     """
     height, width, channels = pixels.values.shape
     if latlong.is_latlong(height, width):
@@ -55,11 +55,13 @@ def task_of_pixels(pixels: Pixels, name: str, rows: int = latlong.HEIGHT, fov_ra
             f"{name}: {width}x{height} px of {pixels.values.dtype}, expected an HDR map (.exr or .hdr) or a "
             "photograph of a sphere; export the map as HDR, or crop the photograph to the sphere."
         )
-    square = photo_of(pixels, name, latlong.SIZE)[None] * sphere_normals(latlong.SIZE)[1]
+    square = to_square_photo(pixels, name, latlong.SPHERE_PHOTO_PX)[None] * sphere_normals(latlong.SPHERE_PHOTO_PX)[1]
     if not square.any():
         raise ValueError(f"{name}: black inside the disc, expected a sphere that touches the borders; crop it to that.")
-    if channels == 4 and fraction(pixels.values[..., 3]).min() < 1:  # what is transparent is no contour
+    if channels == 4 and integers_to_unit_range(pixels.values[..., 3]).min() < 1:  # what is transparent is no contour
         return Task(name, {"photos": square})
-    from metapp.extensions.capture.ball.capture import capture_one  # here: it takes 0.7 s, and maps need it not
+    from metapp.extensions.capture.ball.capture import (
+        capture_single_photo,  # here: it takes 0.7 s, and maps need it not
+    )
 
-    return Task(name, capture_one(pixels, name, square, rows, fov_rad))
+    return Task(name, capture_single_photo(pixels, name, square, rows, fov_rad))

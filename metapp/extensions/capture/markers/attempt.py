@@ -16,13 +16,13 @@ from PIL.ImageFont import FreeTypeFont, ImageFont
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.markers.sheet import Floats
-from metapp.extensions.capture.photos import draw_found
-from metapp.storage.files import as_text
+from metapp.extensions.capture.photos import draw_outlines
+from metapp.storage.files import to_json_value
 from metapp.storage.images import write_png
 
 # Takes a photograph, words for what was found in it, closed outlines [N, M, 2] in px from its upper left pixel's
 # centre, and their colour in words.
-Show = Callable[[Path, str, Floats, str], object]
+KeepOutlines = Callable[[Path, str, Floats, str], object]
 
 _WIDTH_PX, _SMALLEST_PX, _LARGEST_PX = 2400, 240, 800  # of the picture, and of a photograph in it
 _COLUMNS = 3  # of up to nine photographs
@@ -30,18 +30,18 @@ _TEXT_PX, _LINE_PX, _GAP_PX = 16, 22, 12
 _BACKGROUND, _PLAIN = (40, 40, 40), "white"
 
 
-def show_nothing(path: Path, words: str, outlines: Floats, colour: str) -> None:
+def ignore_outlines(path: Path, words: str, outlines: Floats, colour: str) -> None:
     """Drop what was found, where nobody draws a picture of it."""
 
 
-class Attempt:
+class FoundOutlines:
     """What was found in photographs so far, one kind of outlines for each colour."""
 
     def __init__(self) -> None:
         self._found: dict[Path, dict[str, tuple[str, Floats]]] = {}
 
     def show(self, path: Path, words: str, outlines: Floats, colour: str) -> None:
-        """Keep outlines to draw into a photograph in place of earlier ones of that colour; see `Show`."""
+        """Keep outlines to draw into a photograph in place of earlier ones of that colour; see `KeepOutlines`."""
         self._found.setdefault(path, {})[colour] = words, outlines
 
     def write(self, paths: Sequence[Path], reason: str, picture: Path) -> bool:
@@ -84,7 +84,7 @@ class Attempt:
         found = self._found.get(path, {})
         outlines = [(points + 0.5, colour) for colour, (_, each) in found.items() for points in each]
         if found:
-            photo = draw_found(read_pixels(path), outlines, side)
+            photo = draw_outlines(read_pixels(path), outlines, side)
         else:
             photo = image.new("RGB", (side, side * 3 // 4), "grey")
         captions = [(path.name, _PLAIN)]
@@ -100,7 +100,7 @@ class Attempt:
 def _wrap(text: str, font: ImageFont | FreeTypeFont, width: int) -> list[str]:
     """Split a text at its spaces into lines of at most so many px; a longer word is cut."""
     lines = [""]
-    for word in as_text(text).split():
+    for word in to_json_value(text).split():
         longer = f"{lines[-1]} {word}".strip()
         if font.getlength(longer) <= width:
             lines[-1] = longer

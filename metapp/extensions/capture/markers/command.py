@@ -9,20 +9,20 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json, Out, Overwrite, Quiet, check_new, takes
+from metapp.cli.options import JsonFlag, Out, Overwrite, Quiet, check_new_file, expand_options
 from metapp.extensions.capture.markers.marker_options import RectifyOptions, SheetOptions
 from metapp.runs.reporter import say
-from metapp.storage.files import suffixed
-from metapp.storage.folders import FAILED, FOUND, check_files_of_user
+from metapp.storage.files import add_suffix
+from metapp.storage.folders import DIAGNOSTIC_FOLDER, FAILED_PICTURE_SUFFIX, check_files_of_user
 
 
-@takes(SheetOptions)
-def markers(
+@expand_options(SheetOptions)
+def markers_command(
     options: SheetOptions,
     path: Annotated[Path, typer.Argument(metavar="OUT.pdf", help="File to write.")],
     overwrite: Overwrite = False,
     quiet: Quiet = False,
-    as_json: Json = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Write a marker sheet to print: a frame of markers round an opening, which is laid on a flat material.
 
@@ -32,24 +32,24 @@ def markers(
     Example:
       metapp data markers sheet.pdf
     """
-    path, opening = suffixed(path, ".pdf"), options.opening
-    check_new(path, overwrite)
-    from metapp.extensions.capture.markers.sheet_page import write_sheet
+    path, opening = add_suffix(path, ".pdf"), options.opening
+    check_new_file(path, overwrite)
+    from metapp.extensions.capture.markers.sheet_page import write_marker_sheet
 
-    write_sheet(path, opening, options.page)
+    write_marker_sheet(path, opening, options.page)
     if not quiet:
         say(f"{path}: a sheet with an opening of {opening} x {opening} cm; print it at 100 % and measure its ruler")
     if as_json:
         print_json({"path": str(path), "opening_cm": opening, "page": options.page})
 
 
-@takes(RectifyOptions)
-def rectify(
+@expand_options(RectifyOptions)
+def rectify_command(
     options: RectifyOptions,
     paths: Annotated[list[Path], typer.Argument(metavar="PHOTO...", help="Photographs, or folders of them.")],
     folder: Out,
     quiet: Quiet = False,
-    as_json: Json = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Rectify hand-held flash photographs of a flat material, and find the positions of camera and flash.
 
@@ -69,7 +69,9 @@ def rectify(
     """
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
-    photos_alone = [path for path in paths if not path.name.endswith(FAILED)]  # which a shell's *.png names, too
+    photos_alone = [
+        path for path in paths if not path.name.endswith(FAILED_PICTURE_SUFFIX)
+    ]  # which a shell's *.png names, too
     for path in photos_alone or paths:
         check_files_of_user(path, "photographs of a flat material")
     from metapp.extensions.capture.markers.rectifying import rectify_photos
@@ -86,7 +88,7 @@ def rectify(
         if focal_mm:
             say(f"focal length: {focal_mm:.1f} mm as of 35 mm film, found by the {marks}, as EXIF has none")
         side = f"{first.opening_cm:g} cm, {size}" if first.sheet else f"{size}"
-        say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / FOUND}")
+        say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / DIAGNOSTIC_FOLDER}")
     if as_json:
         sizes = {"side": first.opening_cm, "unit": unit, "size": size, "focal_mm": focal_mm or None}
         print_json(

@@ -18,7 +18,7 @@ class SheetOptions:
     page: Annotated[str, Option("The paper.", "a4|letter", choices=("a4", "letter"))] = "a4"
 
 
-def offset_of(text: str) -> tuple[float, ...]:
+def parse_offset(text: str) -> tuple[float, ...]:
     """Return the numbers of an offset "X,Y" in cm; ValueError for another form."""
     try:
         x, y = map(float, text.split(","))
@@ -40,7 +40,7 @@ class RectifyOptions:
     flash: Annotated[
         tuple[float, ...],
         Option(
-            "Where the flash is beside the lens: cm right and up in the photo; default: 0,0.", "X,Y", parse=offset_of
+            "Where the flash is beside the lens: cm right and up in the photo; default: 0,0.", "X,Y", parse=parse_offset
         ),
     ] = ()
     ruler: Annotated[float, Option("Measured length of the sheet's printed 10 cm ruler.", "CM", low=5.0, high=20.0)] = (

@@ -8,15 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brute, linprog
 
-from data_tools.readers.lenses import FRAME_MM
-from metapp.extensions.capture.markers.registration import through
+from data_tools.readers.lenses import FILM_DIAGONAL_MM
+from metapp.extensions.capture.markers.registration import apply_homography
 from metapp.extensions.capture.markers.sheet import Floats
-from metapp.extensions.capture.markers.sighting import Camera, Sighting, camera_of
+from metapp.extensions.capture.markers.sighting import Camera, Sighting, solve_camera
 
 _TRIED = 25  # matches of a photograph by which the plane is looked for
 _SLOPE = 0.6  # of the plane to the reference, at most
 _ABOVE = 0.003  # weight of these slopes squared: two photographs fit two planes
-NEARLY_LARGEST = 0.99  # share of the largest square's side that a square below the straightest camera has, at least
+MIN_LARGEST_SQUARE_SHARE = (
+    0.99  # share of the largest square's side that a square below the straightest camera has, at least
+)
 
 
 def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> list[Camera]:
@@ -39,7 +41,7 @@ def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> li
     return _on_plane(known, _to_plane(slopes, known[0].focal_mm))
 
 
-def on_square(cameras: Sequence[Camera]) -> list[Camera]:
+def cameras_on_square(cameras: Sequence[Camera]) -> list[Camera]:
     """Return cameras above the square along the plane's axes that all photographs show; lengths are in its sides.
 
     Squares that are as large as the largest one, or nearly, may lie far apart, where photographs share an oblong. The
@@ -63,18 +65,18 @@ def on_square(cameras: Sequence[Camera]) -> list[Camera]:
         )
     x, y = min(cameras, key=lambda camera: camera.tilt_degrees).place_cm[:2]
     near = np.array([[1, 0, 0, -1], [-1, 0, 0, -1], [0, 1, 0, -1], [0, -1, 0, -1]])
-    limits, smallest = [*edges[:, 2], x, -x, y, -y], NEARLY_LARGEST * largest.x[2]
+    limits, smallest = [*edges[:, 2], x, -x, y, -y], MIN_LARGEST_SQUARE_SHARE * largest.x[2]
     nearest = linprog([0, 0, 0, 1], np.vstack([inside, near]), limits, bounds=[free, free, (smallest, None), (0, None)])
     x, y, reach, _ = nearest.x if nearest.success else largest.x
     to_square = np.array([[1, 0, -x], [0, 1, -y], [0, 0, 2 * reach]])
     return _on_plane([camera.sighting for camera in cameras], to_square)
 
 
-def on_part(cameras: Sequence[Camera], middle: Sequence[float], side: float, turn_rad: float) -> list[Camera]:
+def cameras_on_part(cameras: Sequence[Camera], middle: Sequence[float], side: float, turn_rad: float) -> list[Camera]:
     """Return cameras above a smaller square; lengths are in its sides.
 
     Args:
-        cameras: as :func:`on_square` returns them.
+        cameras: as :func:`cameras_on_square` returns them.
         middle: of the smaller square, x right and y up from that of the square, in its sides.
         side: of the smaller square, in sides of the square.
         turn_rad: by which it is turned counter-clockwise.
@@ -89,13 +91,15 @@ def _to_plane(slopes: Floats, focal_mm: float) -> Floats:
     """From points of the reference, [3, 3], to a plane of such slopes at distance 1, below the camera its origin."""
     normal = np.array([*slopes, 1.0]) / math.hypot(*slopes, 1.0)
     right = np.array([normal[2], 0.0, -normal[0]]) / math.hypot(normal[0], normal[2])
-    return np.stack([right, np.cross(normal, right), -normal]) @ np.diag([1.0, 1.0, -focal_mm / FRAME_MM])
+    return np.stack([right, np.cross(normal, right), -normal]) @ np.diag([1.0, 1.0, -focal_mm / FILM_DIAGONAL_MM])
 
 
 def _on_plane(sightings: Sequence[Sighting], to_plane: Floats) -> list[Camera]:
     """The cameras by which photographs are seen when their points are moved so, and the homographies of these."""
     cameras = []
     for sighting in sightings:
-        camera = camera_of(sighting._replace(points_cm=through(to_plane, sighting.points_cm)), sighting.focal_mm)
+        camera = solve_camera(
+            sighting._replace(points_cm=apply_homography(to_plane, sighting.points_cm)), sighting.focal_mm
+        )
         cameras.append(camera._replace(sighting=camera.sighting._replace(to_px=camera.to_px())))
     return cameras

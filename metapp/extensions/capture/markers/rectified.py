@@ -18,26 +18,31 @@ from numpy.typing import NDArray
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.markers.attempt import Show, show_nothing
-from metapp.extensions.capture.markers.plane import cameras_on_plane, on_square
-from metapp.extensions.capture.markers.registration import WHOLE, refer_to, register, through
+from metapp.extensions.capture.markers.attempt import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
+from metapp.extensions.capture.markers.registration import (
+    WHOLE_PHOTO_CORNERS,
+    apply_homography,
+    change_reference,
+    register_photos,
+)
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import (
-    MAX_ERROR,
+    MAX_MARKER_ERROR_SIDES,
     Camera,
-    NoMarkers,
+    NoMarkersError,
     Sighting,
     cameras_on_sheet,
-    common_focal,
+    common_focal_length_mm,
     find_sheet,
 )
-from metapp.extensions.capture.photos import opencv, write_found
+from metapp.extensions.capture.photos import import_opencv, write_outlines
 from metapp.storage.files import write_atomically
-from metapp.storage.folders import CAMERA_TEXT, FOUND, LIGHT_TEXT
+from metapp.storage.folders import CAMERA_TEXT, DIAGNOSTIC_FOLDER, LIGHT_TEXT
 from metapp.storage.images import write_png
 
-STRAIGHTER_DEGREES = 1.0  # by which a photo's tilt is less than the reference's that it takes the place of
-FARTHEST_SHOWN = 10  # width and height of a photo, how far outside it a view of another one is still drawn
+MIN_TILT_GAIN_DEGREES = 1.0  # by which a photo's tilt is less than the reference's that it takes the place of
+MAX_SHOWN_VIEW_SIDES = 10  # width and height of a photo, how far outside it a view of another one is still drawn
 
 
 def find_cameras(
@@ -46,7 +51,7 @@ def find_cameras(
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
     begin: Callable[[str], object] = str,
-    show: Show = show_nothing,
+    show: KeepOutlines = ignore_outlines,
     parts: Mapping[Path, Floats] = MappingProxyType({}),
 ) -> tuple[list[Camera], float, list[str]]:
     """Find sheet and camera in photographs; without any marker, the material's own features.
@@ -58,7 +63,7 @@ def find_cameras(
         done: called with the name of each photograph that was searched.
         begin: called with what is done next, in words, once all photographs have been searched.
         show: called with what is found in photographs, for a picture of what does not serve.
-        parts: as :func:`register` takes it.
+        parts: as :func:`register_photos` takes it.
 
     Returns:
         Cameras, the one from nearest to straight above first; the focal length in mm as of 35 mm film, if photographs
@@ -70,12 +75,12 @@ def find_cameras(
     """
     sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done, show)
     if not sightings and len(plain) > 1:
-        registration = register(list(plain), fov_rad, parts, begin, show)
+        registration = register_photos(list(plain), fov_rad, parts, begin, show)
         kept = [line for line in skipped if line not in plain.values()]
         cameras, found_mm, odd = _cameras(registration.sightings(), begin, show)
         straightest = min(cameras, key=lambda camera: camera.tilt_degrees)
-        if straightest.tilt_degrees < cameras[0].tilt_degrees - STRAIGHTER_DEGREES:
-            registration = refer_to(registration, straightest.sighting.path, begin)
+        if straightest.tilt_degrees < cameras[0].tilt_degrees - MIN_TILT_GAIN_DEGREES:
+            registration = change_reference(registration, straightest.sighting.path, begin)
             known = [each._replace(focal_mm=each.focal_mm or found_mm) for each in registration.sightings()]
             cameras, _, odd = _cameras(known, begin, show)
         skipped = [*kept, *registration.lost(), *odd]
@@ -92,7 +97,7 @@ def find_cameras(
 
 
 def _cameras(
-    sightings: Sequence[Sighting], begin: Callable[[str], object], show: Show
+    sightings: Sequence[Sighting], begin: Callable[[str], object], show: KeepOutlines
 ) -> tuple[list[Camera], float, list[str]]:
     """Find the cameras of photographs, in their order, and leave out those that do not fit.
 
@@ -107,11 +112,11 @@ def _cameras(
     while True:  # without the oddest photo the plane and the square are those of the others
         plane = len(sightings) > 1 and not sightings[0].sheet
         cameras_of, unknown = cameras_on_plane if plane else cameras_on_sheet, [x for x in sightings if not x.focal_mm]
-        found_mm = common_focal(sightings if plane else unknown, cameras_of) if unknown else 0.0
+        found_mm = common_focal_length_mm(sightings if plane else unknown, cameras_of) if unknown else 0.0
         cameras = cameras_of(sightings, found_mm)
         if plane:
             show_views(cameras, show)
-            cameras = on_square(cameras)
+            cameras = cameras_on_square(cameras)
         odd = max(filter(_fault_of, cameras), key=lambda camera: camera.error_px, default=None)
         if odd is None:
             return cameras, found_mm, skipped
@@ -119,22 +124,22 @@ def _cameras(
         sightings = [each for each in sightings if each.path != odd.sighting.path]
 
 
-def show_views(cameras: Sequence[Camera], show: Show) -> None:
+def show_views(cameras: Sequence[Camera], show: KeepOutlines) -> None:
     """Show in the first photograph, the reference, which part of the plane each of the others sees."""
     first, outlines = cameras[0].sighting, []
     for sighting, *_ in cameras[1:]:
         to_first = first.to_px @ np.linalg.inv(sighting.to_px)
-        outline = through(to_first, WHOLE * [sighting.width - 1, sighting.height - 1])
-        if np.abs(outline).max() < FARTHEST_SHOWN * (first.width + first.height):
+        outline = apply_homography(to_first, WHOLE_PHOTO_CORNERS * [sighting.width - 1, sighting.height - 1])
+        if np.abs(outline).max() < MAX_SHOWN_VIEW_SIDES * (first.width + first.height):
             outlines.append(outline)
     show(first.path, "views of the other photos", np.reshape(outlines, (-1, 4, 2)), "cyan")
 
 
 def _sheets(
-    paths: Sequence[Path], fov_rad: float, ruler_cm: float, done: Callable[[str], object], show: Show
+    paths: Sequence[Path], fov_rad: float, ruler_cm: float, done: Callable[[str], object], show: KeepOutlines
 ) -> tuple[list[Sighting], dict[Path, str], list[str]]:
     """Sightings of one sheet; the lines of photographs without a marker; those of all that show no whole sheet."""
-    opencv()
+    import_opencv()
     sightings: list[Sighting] = []
     plain, skipped = {}, []
     for path in paths:
@@ -142,7 +147,7 @@ def _sheets(
             sightings.append(find_sheet(path, fov_rad, ruler_cm, show))
         except (ValueError, OSError) as error:
             skipped.append(str(error))
-            if isinstance(error, NoMarkers):
+            if isinstance(error, NoMarkersError):
                 plain[path] = str(error)
         done(path.name)
     for sighting in sightings[1:]:
@@ -157,14 +162,17 @@ def _sheets(
 
 def _fault_of(camera: Camera) -> str:
     """The line why points do not lie where a camera sees them; "" if they do."""
-    path, limit_px = camera.sighting.path, MAX_ERROR * camera.sighting.opening_cm * camera.sighting.scales()[1]
+    path, limit_px = (
+        camera.sighting.path,
+        MAX_MARKER_ERROR_SIDES * camera.sighting.opening_cm * camera.sighting.scales()[1],
+    )
     if camera.error_px <= limit_px:
         return ""
     seen = f"{camera.error_px:.1f} px from where a lens of {camera.sighting.focal_mm:.0f} mm sees them"
     return f"{path}: points are {seen}, expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
 
 
-def write_set(
+def write_rectified_photos(
     cameras: Sequence[Camera],
     lights_cm: Sequence[Floats],
     size: int,
@@ -186,22 +194,24 @@ def write_set(
     for number, (sighting, *_) in enumerate(cameras):
         pixels, name = read_pixels(sighting.path), f"{number:02}.png"
         bits = 8 if pixels.values.dtype == np.uint8 else 16
-        picture = torch.from_numpy(rectified(pixels, sighting, size))
+        picture = torch.from_numpy(rectify_opening(pixels, sighting, size))
         write_png(picture, {"encoding": "sRGB"}, folder / name, bits)
         outlines = [*((marker, "lime") for marker in sighting.markers), (sighting.corners_px(), "magenta")]
-        write_found(pixels, [(points + 0.5, colour) for points, colour in outlines], folder / FOUND / name)
+        write_outlines(
+            pixels, [(points + 0.5, colour) for points, colour in outlines], folder / DIAGNOSTIC_FOLDER / name
+        )
         done(name)
     sizes, places = np.array([cameras[0].sighting.opening_cm]), np.stack([camera.place_cm for camera in cameras])
     for name, rows in ((SIZE_TEXT, sizes), (LIGHT_TEXT, np.stack(lights_cm)), (CAMERA_TEXT, places)):
         write_atomically(folder / name, functools.partial(np.savetxt, X=rows, fmt="%.4f", delimiter=","))
 
 
-def rectified(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float32]:
+def rectify_opening(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float32]:
     """The opening as a square, sRGB [size, size, 3] in [0, 1], the sheet's upper edge on top.
 
     Means are taken in linear light over as many samples as the photograph has there.
     """
-    cv2, side_cm = opencv(), sighting.opening_cm
+    cv2, side_cm = import_opencv(), sighting.opening_cm
     corners = sighting.corners_px()
     left, top = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
     right, bottom = np.ceil(corners.max(0)).astype(int) + 2

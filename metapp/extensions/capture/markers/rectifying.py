@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from data_tools.readers.photos import find_images
-from metapp.extensions.capture.markers.attempt import Attempt
+from metapp.extensions.capture.markers.attempt import FoundOutlines
 from metapp.extensions.capture.markers.marker_options import RectifyOptions
-from metapp.extensions.capture.markers.rectified import write_set
+from metapp.extensions.capture.markers.rectified import write_rectified_photos
 from metapp.extensions.capture.markers.sample import find_sample
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera
 from metapp.runs.reporter import progress, say
-from metapp.storage.folders import FAILED, FOUND
+from metapp.storage.folders import DIAGNOSTIC_FOLDER, FAILED_PICTURE_SUFFIX
 
-ONE_PLACE_SIDES = 0.1  # sides of the square, within which cameras see the same
+ONE_VIEW_SIDES = 0.1  # sides of the square, within which cameras see the same
 
 
-class Rectified(NamedTuple):
+class RectifiedPhotos(NamedTuple):
     """Photographs that were rectified, in the order of their files.
 
     Attributes:
@@ -68,7 +68,7 @@ class Rectified(NamedTuple):
         ]
 
 
-def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path, *, quiet: bool) -> Rectified:
+def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path, *, quiet: bool) -> RectifiedPhotos:
     """Rectify photographs of a flat material and write them with the positions of cameras and flashes.
 
     Pictures of what was found lie in the folder, and beside it where no photograph could be rectified.
@@ -85,7 +85,7 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     """
     in_paths = [find_images(path) for path in paths]
     names = list({file.resolve(): file for files, _ in in_paths for file in files}.values())
-    attempt, failed = Attempt(), _failed_picture(folder)
+    attempt, failed = FoundOutlines(), _failed_picture(folder)
     try:
         with progress("photos", len(names), quiet=quiet) as bar:
             fov_rad, done, begin = math.radians(options.fov), bar.advance, bar.name
@@ -99,16 +99,16 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     flash_cm = options.flash or (0.0, 0.0)
     _say_what_to_know(cameras, flash_cm, kept, folder, quiet=quiet)
     lights_cm, first = [camera.beside_cm(*flash_cm) for camera in cameras], cameras[0].sighting
-    if line := line_about_views([(camera.place_cm / first.opening_cm).tolist() for camera in cameras]):
+    if line := describe_single_view([(camera.place_cm / first.opening_cm).tolist() for camera in cameras]):
         say(f"warning: {folder}: {line}")
     size = min(options.size, int(first.opening_cm * first.scales()[0]))  # no finer than the one with most detail
     with progress("pictures", len(cameras), quiet=quiet) as bar:
-        write_set(cameras, lights_cm, size, folder, bar.advance)
+        write_rectified_photos(cameras, lights_cm, size, folder, bar.advance)
     failed.unlink(missing_ok=True)  # of an earlier command
     left = [name for name in names if name not in [camera.sighting.path for camera in cameras]]
     if left:
-        _draw(attempt, left, "skipped:", folder / FOUND / "skipped.png", quiet=quiet)
-    return Rectified(cameras, lights_cm, size, focal_mm, kept, skipped)
+        _draw(attempt, left, "skipped:", folder / DIAGNOSTIC_FOLDER / "skipped.png", quiet=quiet)
+    return RectifiedPhotos(cameras, lights_cm, size, focal_mm, kept, skipped)
 
 
 def _say_what_to_know(
@@ -135,17 +135,17 @@ def _say_what_to_know(
 def _failed_picture(folder: Path) -> Path:
     """Return the file, beside the folder to write, of the picture that a failure leaves."""
     place = folder if folder.name not in ("", "..") else folder.resolve()
-    return place.with_name(f"{place.name}{FAILED}")
+    return place.with_name(f"{place.name}{FAILED_PICTURE_SUFFIX}")
 
 
-def _draw(attempt: Attempt, names: Sequence[Path], reason: str, picture: Path, *, quiet: bool) -> bool:
+def _draw(attempt: FoundOutlines, names: Sequence[Path], reason: str, picture: Path, *, quiet: bool) -> bool:
     """Draw what was found in photographs, and return whether the picture was written: what went wrong matters more."""
     with progress(picture.name, quiet=quiet), contextlib.suppress(OSError, ValueError):
         return attempt.write(names, reason, picture)
     return False
 
 
-def line_about_views(places: Sequence[Sequence[float]]) -> str:
+def describe_single_view(places: Sequence[Sequence[float]]) -> str:
     """Return the line that photographs show one view and one light, "" if they show several or are one alone.
 
     Args:
@@ -157,7 +157,7 @@ def line_about_views(places: Sequence[Sequence[float]]) -> str:
     ''
     """
     apart = max((math.dist(place, places[0]) for place in places[1:]), default=math.inf)
-    if apart > ONE_PLACE_SIDES:
+    if apart > ONE_VIEW_SIDES:
         return ""
     return (
         f"all photos are taken from one place, within {apart:.2f} sides of the square, expected several views and "

@@ -16,30 +16,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import read_pixels
-from metapp.extensions.capture.markers.attempt import Show, show_nothing
-from metapp.extensions.capture.markers.plane import on_part
+from metapp.extensions.capture.markers.attempt import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.markers.plane import cameras_on_part
 from metapp.extensions.capture.markers.rectified import find_cameras
-from metapp.extensions.capture.markers.registration import WHOLE
+from metapp.extensions.capture.markers.registration import WHOLE_PHOTO_CORNERS
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import Camera, Sighting
-from metapp.extensions.capture.photos import display, opencv
+from metapp.extensions.capture.photos import display_values, import_opencv
 
-MIDDLE = (WHOLE + 0.5) / 2  # of a photograph, where the sample is, as people aim at it
-SIDE_PX = 192  # of the compared pictures
+MIDDLE_CORNERS = (WHOLE_PHOTO_CORNERS + 0.5) / 2  # of a photograph, where the sample is, as people aim at it
+COMPARISON_SIDE_PX = 192  # of the compared pictures
 # Heights of planes over that of registration: a step moves a picture by about a px.
-HEIGHTS_SIDES = np.arange(-0.36, 0.361, 0.015)
+PLANE_HEIGHTS_SIDES = np.arange(-0.36, 0.361, 0.015)
 SAME_PLANE_SIDES = 0.045  # relief and flashes move pictures by as much
-DETAIL_PX, WINDOW_PX = 4.0, 4.0  # Gaussians: details that are compared are finer; places are compared in windows
-FLOOR = 0.03  # of white: the log of radiance is flat below
-EDGE_PX = 9  # by which a sample seems wider, as its edge is in windows beside it
-LEAST_ON_PLANE, LEAST_ON_OTHER = 0.25, 0.35  # correlations of photographs
-NOISE = 0.6  # over the root of the number of pairs: how much better another plane is than its noise
+COMPARISON_DETAIL_PX, COMPARISON_WINDOW_PX = (
+    4.0,
+    4.0,
+)  # Gaussians: details that are compared are finer; places are compared in windows
+LOG_FLOOR_OF_WHITE = 0.03  # of white: the log of radiance is flat below
+SAMPLE_EDGE_PX = 9  # by which a sample seems wider, as its edge is in windows beside it
+MIN_SAMPLE_CORRELATION, MIN_TABLE_CORRELATION = 0.25, 0.35  # correlations of photographs
+CORRELATION_NOISE = 0.6  # over the root of the number of pairs: how much better another plane is than its noise
 # Share of the square, over the number of pairs, that a table is at least. Of five photographs filled by the sample up
 # to 0.0024 of the square seems to be a table. Where a table takes 8 % or more, 0.006 to 0.42 is seen; corners of 2 to
 # 6 % are mostly missed, as the edge of the sample is in all windows there.
-TABLE_SHARE = 0.05
-SMALLEST_SHARE = 0.05  # of the square, that is worth keeping
-TURN_DEGREES = 5  # steps by which a square is turned to fit the sample
+MIN_TABLE_SHARE = 0.05
+MIN_SAMPLE_SHARE = 0.05  # of the square, that is worth keeping
+SQUARE_TURN_DEGREES = 5  # steps by which a square is turned to fit the sample
 
 
 class Agreement(NamedTuple):
@@ -58,7 +61,7 @@ class Agreement(NamedTuple):
     @property
     def shows_table(self) -> bool:
         """Whether more than noise lies on another plane."""
-        return float(self.table.mean()) > TABLE_SHARE / self.pairs
+        return float(self.table.mean()) > MIN_TABLE_SHARE / self.pairs
 
 
 def find_sample(
@@ -67,7 +70,7 @@ def find_sample(
     ruler_cm: float = RULER_CM,
     done: Callable[[str], object] = str,
     begin: Callable[[str], object] = str,
-    show: Show = show_nothing,
+    show: KeepOutlines = ignore_outlines,
     register: Callable[..., tuple[list[Camera], float, list[str]]] = find_cameras,
 ) -> tuple[list[Camera], float, list[str], float]:
     """Find the cameras of photographs above the marker sheet's opening, or above the largest square on the sample.
@@ -95,7 +98,7 @@ def find_sample(
     if found[0][0].sighting.sheet or not compare_on_planes(found[0]).shows_table:
         return *found, 1.0
     result = *found, 0.0
-    parts = dict.fromkeys(paths, MIDDLE)
+    parts = dict.fromkeys(paths, MIDDLE_CORNERS)
     paths = sorted(paths, key=lambda path: path not in [x.sighting.path for x in found[0] if x.sighting.reference])
     for _ in range(2):  # by the middle, then by all of the sample, which is more exact
         try:
@@ -103,9 +106,9 @@ def find_sample(
         except ValueError:  # too few features there
             break
         *middle, side, turn_rad = find_largest_square(select_middle_region(compare_on_planes(cameras).sample))
-        if side * side < SMALLEST_SHARE or len(cameras) < len(result[0]) * (result[-1] > 0):
+        if side * side < MIN_SAMPLE_SHARE or len(cameras) < len(result[0]) * (result[-1] > 0):
             break
-        cameras = on_part(cameras, middle, side, turn_rad)
+        cameras = cameras_on_part(cameras, middle, side, turn_rad)
         result = cameras, focal_mm, skipped, side * side
         parts |= {camera.sighting.path: _part_of(camera.sighting) for camera in cameras}
     return result
@@ -119,12 +122,12 @@ def _part_of(sighting: Sighting) -> Floats:
 def compare_on_planes(cameras: Sequence[Camera]) -> Agreement:
     """Compare photographs on planes of many heights over the square that all of them show."""
     pictures = [_log_picture(camera) for camera in cameras]
-    scores = np.stack([_correlation(cameras, pictures, height) for height in HEIGHTS_SIDES])
-    same = np.abs(HEIGHTS_SIDES) < SAME_PLANE_SIDES
+    scores = np.stack([_correlation(cameras, pictures, height) for height in PLANE_HEIGHTS_SIDES])
+    same = np.abs(PLANE_HEIGHTS_SIDES) < SAME_PLANE_SIDES
     here, elsewhere = scores[same].max(0), scores[~same].max(0)
     pairs = math.comb(len(cameras), 2)
-    table = (elsewhere > LEAST_ON_OTHER) & (elsewhere > here + NOISE / math.sqrt(pairs))
-    return Agreement((here > LEAST_ON_PLANE) & (here >= elsewhere), table, pairs)
+    table = (elsewhere > MIN_TABLE_CORRELATION) & (elsewhere > here + CORRELATION_NOISE / math.sqrt(pairs))
+    return Agreement((here > MIN_SAMPLE_CORRELATION) & (here >= elsewhere), table, pairs)
 
 
 def select_middle_region(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -132,7 +135,7 @@ def select_middle_region(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
     Holes are filled: what lies on the sample belongs to it.
     """
-    cv2 = opencv()
+    cv2 = import_opencv()
     _, labels = cv2.connectedComponents(part.astype(np.uint8), connectivity=4)
     middle = labels[tuple(slice(size * 3 // 8, size * 5 // 8) for size in part.shape)]
     inside = middle[middle > 0]
@@ -141,7 +144,7 @@ def select_middle_region(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
     region = labels == np.bincount(inside).argmax()
     _, outside = cv2.connectedComponents(np.pad(~region, 1, constant_values=True).astype(np.uint8), connectivity=4)
     filled = (outside[1:-1, 1:-1] != outside[0, 0]).astype(np.uint8)
-    edge = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
+    edge = np.ones((2 * SAMPLE_EDGE_PX + 1, 2 * SAMPLE_EDGE_PX + 1), np.uint8)
     return np.asarray(cv2.erode(filled, edge, borderType=cv2.BORDER_REPLICATE) > 0)
 
 
@@ -152,11 +155,11 @@ def find_largest_square(part: NDArray[np.bool_]) -> tuple[float, float, float, f
         Its middle, x right and y up from that of the picture, and its side, in sides of the picture; its turn
         counter-clockwise in radians. The side is 0 if nothing is in the part.
     """
-    cv2, size = opencv(), len(part)
+    cv2, size = import_opencv(), len(part)
     best = 0.0, 0.0, 0.0, 0.0
     wide = math.ceil(size * (math.sqrt(2) - 1) / 2) + 1
     padded, middle = np.pad(part.astype(np.uint8), wide), (size + 2 * wide - 1) / 2
-    for degrees in sorted(range(-45, 46, TURN_DEGREES), key=abs):
+    for degrees in sorted(range(-45, 46, SQUARE_TURN_DEGREES), key=abs):
         turn = cv2.getRotationMatrix2D((middle, middle), -degrees, 1.0)
         turned = cv2.warpAffine(padded, turn, padded.shape, flags=cv2.INTER_NEAREST)
         far = cv2.distanceTransform(turned, cv2.DIST_C, 3)
@@ -171,12 +174,12 @@ def find_largest_square(part: NDArray[np.bool_]) -> tuple[float, float, float, f
 
 def _log_picture(camera: Camera) -> tuple[NDArray[np.float32], Floats]:
     """Return logs of a photograph's grey, two a px of the square, and [3, 3] to them from the photograph's px."""
-    cv2, sighting = opencv(), camera.sighting
-    grey = display(read_pixels(sighting.path)).mean(-1).astype(np.float32)
-    scale = min(1.0, 2 * SIDE_PX / sighting.scales()[0])
+    cv2, sighting = import_opencv(), camera.sighting
+    grey = display_values(read_pixels(sighting.path)).mean(-1).astype(np.float32)
+    scale = min(1.0, 2 * COMPARISON_SIDE_PX / sighting.scales()[0])
     small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     shift = (scale - 1) / 2
-    return cv2.GaussianBlur(np.log(small + FLOOR), (0, 0), 0.8), np.array(
+    return cv2.GaussianBlur(np.log(small + LOG_FLOOR_OF_WHITE), (0, 0), 0.8), np.array(
         [[scale, 0, shift], [0, scale, shift], [0, 0, 1]]
     )
 
@@ -185,22 +188,24 @@ def _correlation(
     cameras: Sequence[Camera], pictures: Sequence[tuple[NDArray[np.float32], Floats]], height: float
 ) -> Floats:
     """Return the mean correlation of pairs of photographs on a plane so high, in windows, [SIDE_PX, SIDE_PX]."""
-    cv2, middle = opencv(), (SIDE_PX - 1) / 2
-    to_square = np.array([[1, 0, -middle], [0, -1, middle], [0, 0, SIDE_PX]])
+    cv2, middle = import_opencv(), (COMPARISON_SIDE_PX - 1) / 2
+    to_square = np.array([[1, 0, -middle], [0, -1, middle], [0, 0, COMPARISON_SIDE_PX]])
     flags, details = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, []
     for camera, (picture, to_small) in zip(cameras, pictures, strict=True):
         to_picture = to_small @ camera.to_px(height) @ to_square
         seen, inside = (
-            cv2.warpPerspective(values, to_picture, (SIDE_PX, SIDE_PX), flags=flags, borderMode=border)
+            cv2.warpPerspective(
+                values, to_picture, (COMPARISON_SIDE_PX, COMPARISON_SIDE_PX), flags=flags, borderMode=border
+            )
             for values, border in ((picture, cv2.BORDER_REPLICATE), (np.ones_like(picture), cv2.BORDER_CONSTANT))
         )
-        detail = seen - cv2.GaussianBlur(seen, (0, 0), DETAIL_PX)
-        detail /= np.sqrt(cv2.GaussianBlur(detail * detail, (0, 0), DETAIL_PX) + 1e-6)
+        detail = seen - cv2.GaussianBlur(seen, (0, 0), COMPARISON_DETAIL_PX)
+        detail /= np.sqrt(cv2.GaussianBlur(detail * detail, (0, 0), COMPARISON_DETAIL_PX) + 1e-6)
         details.append(np.where(inside > 0.99, detail, np.nan))
     stack = np.stack(details)
     others, stack = np.isfinite(stack).sum(0) - 1, np.nan_to_num(stack)
     own = (stack * stack).sum(0)
-    pairs = cv2.GaussianBlur((stack.sum(0) ** 2 - own).astype(np.float32), (0, 0), WINDOW_PX)
-    most = cv2.GaussianBlur((others.clip(0) * own).astype(np.float32), (0, 0), WINDOW_PX)
+    pairs = cv2.GaussianBlur((stack.sum(0) ** 2 - own).astype(np.float32), (0, 0), COMPARISON_WINDOW_PX)
+    most = cv2.GaussianBlur((others.clip(0) * own).astype(np.float32), (0, 0), COMPARISON_WINDOW_PX)
     result: Floats = pairs / (most + 1e-3)
     return result

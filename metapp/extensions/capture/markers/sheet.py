@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.extensions.capture.photos import opencv
+from metapp.extensions.capture.photos import import_opencv
 
 OPENINGS_CM = range(4, 14)  # sides of the opening; each has markers of its own, so that photos tell it
 RULER_CM = 10.0
-CELLS = 7  # of a marker's side: five of its code and a black one on either side
-MARKERS = 12  # of a sheet, four along each side
+MARKER_SIDE_CELLS = 7  # of a marker's side: five of its code and a black one on either side
+MARKERS_PER_SHEET = 12  # of a sheet, four along each side
 
 _LARGEST_CM = 2.4  # a marker's side
 _GAP_CM = 0.6  # from the opening to the markers
@@ -20,13 +20,13 @@ _GAP_CM = 0.6  # from the opening to the markers
 Floats = NDArray[np.float64]
 
 
-def dictionary() -> object:
+def marker_dictionary() -> object:
     """OpenCV's dictionary of the markers: any two differ in six cells or more, however they are turned."""
-    aruco = opencv().aruco
+    aruco = import_opencv().aruco
     return aruco.getPredefinedDictionary(aruco.DICT_5X5_250)
 
 
-def corners_cm(opening: int) -> dict[int, Floats]:
+def marker_corners_cm(opening: int) -> dict[int, Floats]:
     """Places of the markers of a sheet.
 
     Args:
@@ -38,14 +38,14 @@ def corners_cm(opening: int) -> dict[int, Floats]:
     """
     side = min(_LARGEST_CM, (opening - 0.5) / 2)  # four and the gaps between fit along a small opening, too
     reach = opening / 2 + _GAP_CM + side / 2
-    along = np.linspace(-reach, reach, MARKERS // 4 + 1)
+    along = np.linspace(-reach, reach, MARKERS_PER_SHEET // 4 + 1)
     ring = [(x, y) for y in along[::-1] for x in along if max(abs(x), abs(y)) > reach - 1e-9]
     square = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * side / 2
-    first = (opening - OPENINGS_CM[0]) * MARKERS
+    first = (opening - OPENINGS_CM[0]) * MARKERS_PER_SHEET
     return {first + i: square + centre for i, centre in enumerate(ring)}
 
 
-def opening_of(numbers: Iterable[int]) -> int | None:
+def opening_of_markers(numbers: Iterable[int]) -> int | None:
     """The opening in cm of the sheet that most of these markers belong to; None without any of a sheet."""
-    sheets = [number // MARKERS for number in numbers if number // MARKERS < len(OPENINGS_CM)]
+    sheets = [number // MARKERS_PER_SHEET for number in numbers if number // MARKERS_PER_SHEET < len(OPENINGS_CM)]
     return OPENINGS_CM[max(set(sheets), key=sheets.count)] if sheets else None

@@ -11,8 +11,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from metapp.extensions.capture.markers.sheet import CELLS, RULER_CM, corners_cm, dictionary
-from metapp.extensions.capture.photos import opencv
+from metapp.extensions.capture.markers.sheet import MARKER_SIDE_CELLS, RULER_CM, marker_corners_cm, marker_dictionary
+from metapp.extensions.capture.photos import import_opencv
 from metapp.storage.files import write_atomically
 
 PAGES_CM = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}
@@ -33,7 +33,7 @@ _STEPS = (
 )
 
 
-def write_sheet(path: Path, opening: int = 10, page: str = "a4") -> None:
+def write_marker_sheet(path: Path, opening: int = 10, page: str = "a4") -> None:
     """Write the page as PDF, true to scale, the same bytes each time.
 
     Args:
@@ -46,14 +46,14 @@ def write_sheet(path: Path, opening: int = 10, page: str = "a4") -> None:
         OSError: it cannot be written; names the folder.
     """
     with rc_context({"pdf.fonttype": 42}):
-        figure = draw_sheet(opening, page)
+        figure = draw_marker_sheet(opening, page)
         save = functools.partial(figure.savefig, format="pdf", metadata={"CreationDate": None})
         write_atomically(path, save)
 
 
-def draw_sheet(opening: int = 10, page: str = "a4") -> Figure:
-    """Draw the page, as `write_sheet` writes it: as large as the paper, its axes in cm from the opening's centre."""
-    (width, height), corners_by_number = PAGES_CM[page], corners_cm(opening)
+def draw_marker_sheet(opening: int = 10, page: str = "a4") -> Figure:
+    """Draw the page, as `write_marker_sheet` writes it: as large as the paper, its axes in cm from the opening's centre."""
+    (width, height), corners_by_number = PAGES_CM[page], marker_corners_cm(opening)
     outer, cut, left = max(map(np.max, corners_by_number.values())), opening + 2 * _CUT_CM, -RULER_CM / 2
     figure = Figure(figsize=(width / _INCH_CM, height / _INCH_CM))
     figure.suppressComposite = True  # a picture of each marker, as sharp as it is
@@ -63,7 +63,7 @@ def draw_sheet(opening: int = 10, page: str = "a4") -> Figure:
     axes.set_axis_off()
     for number, corners in corners_by_number.items():
         (x0, y1), _, (x1, y0), _ = corners
-        picture = opencv().aruco.generateImageMarker(dictionary(), number, CELLS * _FINE)
+        picture = import_opencv().aruco.generateImageMarker(marker_dictionary(), number, MARKER_SIDE_CELLS * _FINE)
         axes.imshow(picture, cmap="gray", extent=(x0, x1, y0, y1), interpolation="none", aspect="auto")
     dashes: dict[str, Any] = {"edgecolor": "0.45", "linewidth": 0.6, "linestyle": (0, (6, 4))}
     axes.add_patch(Rectangle((-cut / 2, -cut / 2), cut, cut, fill=False, **dashes))

@@ -11,14 +11,20 @@ import numpy as np
 from scipy.optimize import brute
 
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.lenses import FRAME_MM
-from metapp.extensions.capture.markers.attempt import Show, show_nothing
-from metapp.extensions.capture.markers.sheet import RULER_CM, Floats, corners_cm, dictionary, opening_of
-from metapp.extensions.capture.photos import display, opencv
+from data_tools.readers.lenses import FILM_DIAGONAL_MM
+from metapp.extensions.capture.markers.attempt import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.markers.sheet import (
+    RULER_CM,
+    Floats,
+    marker_corners_cm,
+    marker_dictionary,
+    opening_of_markers,
+)
+from metapp.extensions.capture.photos import display_values, import_opencv
 
-FEWEST = 4  # markers
+MIN_SEEN_MARKERS = 4  # markers
 
-MAX_ERROR = 1 / 256  # of the opening's side, that markers may be off on average: a texel of a fit
+MAX_MARKER_ERROR_SIDES = 1 / 256  # of the opening's side, that markers may be off on average: a texel of a fit
 _FOCALS_MM = (10.0, 150.0)  # where a lens is looked for
 _OFF = 1.1  # a focal length so much longer or shorter must fit visibly worse
 _REMEDY = "photograph the whole sheet, sharp and well lit"
@@ -53,13 +59,13 @@ class Sighting(NamedTuple):
 
     def lens(self) -> Floats:
         """From directions, x right, y down, z forward, to the photograph, [3, 3]."""
-        focal = self.focal_mm / FRAME_MM * math.hypot(self.height, self.width)
+        focal = self.focal_mm / FILM_DIAGONAL_MM * math.hypot(self.height, self.width)
         return np.array([[focal, 0, (self.width - 1) / 2], [0, focal, (self.height - 1) / 2], [0, 0, 1]])
 
     def corners_px(self) -> Floats:
         """Corners of the opening in the photograph [4, 2], round it from the lower left one."""
-        corners_cm = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.opening_cm / 2
-        result: Floats = opencv().perspectiveTransform(corners_cm[None], self.to_px)[0]
+        marker_corners_cm = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.opening_cm / 2
+        result: Floats = import_opencv().perspectiveTransform(marker_corners_cm[None], self.to_px)[0]
         return result
 
     def scales(self) -> tuple[float, float]:
@@ -69,7 +75,7 @@ class Sighting(NamedTuple):
         return float(sides.min()), float(sides.max())
 
 
-class NoMarkers(ValueError):
+class NoMarkersError(ValueError):
     """A photograph without a marker of a sheet."""
 
 
@@ -113,7 +119,9 @@ class Camera(NamedTuple):
 CamerasOf = Callable[[Sequence[Sighting], float], list[Camera]]
 
 
-def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM, show: Show = show_nothing) -> Sighting:
+def find_sheet(
+    path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM, show: KeepOutlines = ignore_outlines
+) -> Sighting:
     """Find the sheet in a photograph.
 
     Args:
@@ -126,41 +134,41 @@ def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM, sho
         ValueError: as `read_pixels`; no sheet, or fewer than FEWEST markers of it; these do not lie in a plane or on
             one side of the opening alone; the opening is not wholly in the picture; OpenCV is not installed.
     """
-    cv2, pixels = opencv(), read_pixels(path)
+    cv2, pixels = import_opencv(), read_pixels(path)
     height, width = pixels.values.shape[:2]
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     settings.relativeCornerRefinmentWinSize = 0.4  # of a cell: none of its cells' edges
     settings.cornerRefinementWinSize = 100
-    green = (display(pixels)[..., 1] * 255).round().astype(np.uint8)  # the sharpest channel
-    found, numbers, others = cv2.aruco.ArucoDetector(dictionary(), settings).detectMarkers(green)
+    green = (display_values(pixels)[..., 1] * 255).round().astype(np.uint8)  # the sharpest channel
+    found, numbers, others = cv2.aruco.ArucoDetector(marker_dictionary(), settings).detectMarkers(green)
     numbers = np.ravel(numbers).tolist() if found else []
-    opening = opening_of(numbers)
+    opening = opening_of_markers(numbers)
     if opening is None:
         show(path, f"{len(others)} outlines looked at, no marker", np.reshape(others, (-1, 4, 2)), "orange")
-        raise NoMarkers(f"{path}: no marker found, expected those of a marker sheet; {_REMEDY}.")
-    on_sheet, scale = corners_cm(opening), ruler_cm / RULER_CM
+        raise NoMarkersError(f"{path}: no marker found, expected those of a marker sheet; {_REMEDY}.")
+    on_sheet, scale = marker_corners_cm(opening), ruler_cm / RULER_CM
     markers = {number: px[0].astype(float) for number, px in zip(numbers, found, strict=True) if number in on_sheet}
     points_cm = scale * np.concatenate([on_sheet[number] for number in markers])
     every = np.stack(list(markers.values()))
     show(path, f"{len(every)} marker{'s' * (len(every) != 1)}", every, "lime")
     points_px, side = every.reshape(-1, 2), scale * opening
-    _, mask = cv2.findHomography(points_px, points_cm, cv2.RANSAC, 2 * MAX_ERROR * side)
+    _, mask = cv2.findHomography(points_px, points_cm, cv2.RANSAC, 2 * MAX_MARKER_ERROR_SIDES * side)
     kept = np.zeros(len(points_cm), bool) if mask is None else mask[:, 0].astype(bool)
     if not kept.all():
         off = f"{(~kept).sum()} of {len(kept)} corners in no plane with the others"
-        show(path, off, diamonds(points_px[~kept], max(height, width)), "red")
+        show(path, off, diamond_outlines(points_px[~kept], max(height, width)), "red")
     if kept.mean() < 0.75:
         raise ValueError(
             f"{path}: {kept.sum()} of {len(kept)} corners of markers lie in one plane, expected nearly all of a flat "
             "sheet in focus; lay it flat, hold the camera still, or leave this photo out."
         )
     points_cm, points_px = points_cm[kept], points_px[kept]
-    if len(markers) < FEWEST or cv2.contourArea(cv2.convexHull(points_cm.astype(np.float32))) < side**2:
+    if len(markers) < MIN_SEEN_MARKERS or cv2.contourArea(cv2.convexHull(points_cm.astype(np.float32))) < side**2:
         found = f"{len(markers)} marker{'s' * (len(markers) != 1)}, on one side of the opening alone or too few"
-        raise ValueError(f"{path}: {found}, expected {FEWEST} to 12 all round; {_REMEDY}.")
+        raise ValueError(f"{path}: {found}, expected {MIN_SEEN_MARKERS} to 12 all round; {_REMEDY}.")
     to_px, _ = cv2.findHomography(points_cm, points_px)
-    sighting = Sighting(path, height, width, focal_of(pixels, fov_rad), side, every, points_cm, points_px, to_px)
+    sighting = Sighting(path, height, width, focal_length_mm(pixels, fov_rad), side, every, points_cm, points_px, to_px)
     corners = sighting.corners_px()
     show(path, "the opening", corners[None], "magenta")
     if (corners < -0.5).any() or (corners > np.array([width, height]) - 0.5).any():
@@ -168,27 +176,27 @@ def find_sheet(path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM, sho
     return sighting
 
 
-def diamonds(points: Floats, longer_px: int) -> Floats:
+def diamond_outlines(points: Floats, longer_px: int) -> Floats:
     """Return marks [N, 4, 2] of points [N, 2] in px of a photograph whose longer side is `longer_px`."""
     return np.asarray(points[:, None] + np.array([[-1, 0], [0, -1], [1, 0], [0, 1]]) * longer_px / 250)
 
 
-def focal_of(pixels: Pixels, fov_rad: float) -> float:
+def focal_length_mm(pixels: Pixels, fov_rad: float) -> float:
     """The focal length in mm, as of 35 mm film, of a field of view along the shorter side; 0: as EXIF says, if so."""
     height, width = pixels.values.shape[:2]
-    # the inverse of `data_tools.readers.photos.field_of_view`
+    # the inverse of `data_tools.readers.photos.field_of_view_rad`
     focal = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
-    return FRAME_MM * focal or pixels.focal_mm
+    return FILM_DIAGONAL_MM * focal or pixels.focal_mm
 
 
-def camera_of(sighting: Sighting, focal_mm: float) -> Camera:
+def solve_camera(sighting: Sighting, focal_mm: float) -> Camera:
     """The pinhole camera, its axis through the middle of the photograph, that sees the sheet so.
 
     Args:
         sighting: the sheet in the photograph.
         focal_mm: as of 35 mm film, > 0.
     """
-    cv2 = opencv()
+    cv2 = import_opencv()
     sighting = sighting._replace(focal_mm=focal_mm)
     lens, points = sighting.lens(), np.pad(sighting.points_cm, ((0, 0), (0, 1)))
     _, turn, shift = cv2.solvePnP(points, sighting.points_px, lens, None)
@@ -200,10 +208,10 @@ def camera_of(sighting: Sighting, focal_mm: float) -> Camera:
 
 def cameras_on_sheet(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> list[Camera]:
     """Cameras of photographs of the sheet, of a focal length where they do not state theirs."""
-    return [camera_of(each, each.focal_mm or focal_mm) for each in sightings]
+    return [solve_camera(each, each.focal_mm or focal_mm) for each in sightings]
 
 
-def common_focal(sightings: Sequence[Sighting], cameras_of: CamerasOf = cameras_on_sheet) -> float:
+def common_focal_length_mm(sightings: Sequence[Sighting], cameras_of: CamerasOf = cameras_on_sheet) -> float:
     """The focal length in mm, as of 35 mm film, by which photographs of one lens fit best.
 
     Raises:

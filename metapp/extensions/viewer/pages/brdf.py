@@ -10,48 +10,48 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from metapp.appearance.colour import to_srgb
+from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.lobes import fit_lobes
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, shade_sphere, studio_lights
 from metapp.apps.brdf import anisotropic, featured
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.network import network_of
+from metapp.apps.brdf.network import find_network
 from metapp.extensions.viewer.pages import anisotropic_residual
-from metapp.extensions.viewer.view import View, light_map, thumbnail
+from metapp.extensions.viewer.view import View, reference_light_map, thumbnail
 from metapp.learning.task import Params, Task
 
-CELLS = (48, 24, 48)  # of phi_d in [0, 2 pi), theta_d, and the square root of theta_h
-WIDENED = 4  # times that cells without samples look one cell farther
-PLOTTED = 8192  # samples of plots, at most
+SAMPLE_GRID_CELLS = (48, 24, 48)  # of phi_d in [0, 2 pi), theta_d, and the square root of theta_h
+WIDENING_ROUNDS = 4  # times that cells without samples look one cell farther
+MAX_PLOTTED_SAMPLES = 8192  # samples of plots, at most
 
 
-def view(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
+def make_brdf_view(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
     """The fit, its samples if the task has some, and a reference where the material is known everywhere."""
-    network = network_of(theta)
+    network = find_network(theta)
     folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)
     lobes = fit_lobes(evaluate, folded.turn)
-    arrays = {"weights": packed(folded.layers), "shares": torch.from_numpy(lobes.shares).float()}
+    arrays = {"weights": pack_layers(folded.layers), "shares": torch.from_numpy(lobes.shares).float()}
     if "angles" in task.data:
         columns = [task.data["angles"], *([task.data["phi_h"][:, None]] if "phi_h" in task.data else [])]
-        arrays["samples"] = torch.cat([*columns, task.data["reflectance"]], 1)[:PLOTTED].half()
+        arrays["samples"] = torch.cat([*columns, task.data["reflectance"]], 1)[:MAX_PLOTTED_SAMPLES].half()
     if "render" in task.data:  # between samples alone the material is not known
         arrays["residual"] = _residual(evaluate, folded.turn, task)
     facts = {
         "network": folded.inputs,
         "inputs": folded.layers[0][0].shape[1],
         "hidden": len(folded.layers[0][1]),
-        "smoothing": [featured.TURNS, featured.SMOOTH, featured.GRAZING],
+        "smoothing": [featured.AZIMUTH_ONSET_RAD2, featured.VECTOR_SMOOTHING, featured.COSINE_SMOOTHING],
         "turn": folded.turn,
         "darkest": folded.darkest,
         "alphas": [list(alpha) for alpha in lobes.alphas],
     }
     lit = shade_sphere(environment_scene(azimuths=folded.turn is not None), evaluate)
-    shown = thumbnail(torch.from_numpy(to_srgb(lit[..., :3])))
-    return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": light_map()}, shown)
+    shown = thumbnail(torch.from_numpy(composite_to_srgb(lit[..., :3])))
+    return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": reference_light_map()}, shown)
 
 
-def packed(layers: list[tuple[Tensor, Tensor]]) -> Tensor:
+def pack_layers(layers: list[tuple[Tensor, Tensor]]) -> Tensor:
     """Three layers as one list of four numbers each, [N, 4] float32; sizes are rounded up to multiples of four.
 
     For every four neurons of the first layer their weights, neuron by neuron, and their biases; for every neuron of the
@@ -74,36 +74,38 @@ def _residual(evaluate: Callable[[Tensor], Tensor], turn: float | None, task: Ta
     columns, values = task.data["angles"].float().split(1, 1), torch.log1p(task.data["reflectance"].float())
     columns = (*columns[:2], columns[2] % math.pi)
     if "phi_h" in task.data or turn is not None:
-        phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(values)))
-        angles = torch.cat([*columns, phi_h.float()[:, None]], 1)[: anisotropic_residual.MOST_SAMPLES]
+        phi_h = task.data.get("phi_h", anisotropic.fixed_azimuths(len(values)))
+        angles = torch.cat([*columns, phi_h.float()[:, None]], 1)[: anisotropic_residual.MAX_RESIDUAL_SAMPLES]
         more = values[: len(angles)] - torch.log1p(evaluate(angles))
-        return anisotropic_residual.gridded(angles, more, turn or 0.0)
+        return anisotropic_residual.fit_residual_grid(angles, more, turn or 0.0)
     angles = torch.cat(columns, 1)
     exchanged = angles + angles.new_tensor([0, 0, math.pi])  # samples are reciprocal, a fit need not be
     angles, values = torch.cat([angles, exchanged]), torch.cat([values, values])
-    grid = gridded(angles, values - torch.log1p(evaluate(angles)))
+    grid = grid_samples(angles, values - torch.log1p(evaluate(angles)))
     first, second = grid.float().chunk(2)
     return grid[: len(first)] if torch.allclose(first, second, atol=1e-3) else grid
 
 
-def gridded(angles: Tensor, values: Tensor) -> Tensor:
+def grid_samples(angles: Tensor, values: Tensor) -> Tensor:
     """Values [N, 3] at angles [N, 3] in rad, phi_d in [0, 2 pi), on a grid [*CELLS, 4], float16.
 
     Each value counts in the cells about it by its distance along each axis; cells without any take those of near ones.
     """
     shares = angles / angles.new_tensor([math.pi / 2, math.pi / 2, math.tau])
-    places = torch.stack([shares[:, 2], shares[:, 1], shares[:, 0].sqrt()], 1) * shares.new_tensor(CELLS) - 0.5
-    first, sums = places.floor(), torch.zeros(math.prod(CELLS), 4)
+    places = (
+        torch.stack([shares[:, 2], shares[:, 1], shares[:, 0].sqrt()], 1) * shares.new_tensor(SAMPLE_GRID_CELLS) - 0.5
+    )
+    first, sums = places.floor(), torch.zeros(math.prod(SAMPLE_GRID_CELLS), 4)
     for corner in itertools.product((0, 1), repeat=3):
         cell = first + first.new_tensor(corner)
         weight = (1 - (places - cell).abs()).prod(1, keepdim=True)
         phi, theta_d, theta_h = cell.long().unbind(1)
-        index = phi % CELLS[0] * CELLS[1] + theta_d.clamp(0, CELLS[1] - 1)
-        index = index * CELLS[2] + theta_h.clamp(0, CELLS[2] - 1)
+        index = phi % SAMPLE_GRID_CELLS[0] * SAMPLE_GRID_CELLS[1] + theta_d.clamp(0, SAMPLE_GRID_CELLS[1] - 1)
+        index = index * SAMPLE_GRID_CELLS[2] + theta_h.clamp(0, SAMPLE_GRID_CELLS[2] - 1)
         sums.index_add_(0, index, weight * torch.cat([values, torch.ones_like(values[:, :1])], 1))
-    wider = sums.T.reshape(1, 4, *CELLS)
+    wider = sums.T.reshape(1, 4, *SAMPLE_GRID_CELLS)
     total = wider.clone()
-    for step in range(1, WIDENED + 1):
+    for step in range(1, WIDENING_ROUNDS + 1):
         around = torch.nn.functional.pad(wider, (0, 0, 0, 0, 1, 1), mode="circular")
         around = torch.nn.functional.pad(around, (1, 1, 1, 1, 0, 0), mode="replicate")
         wider = torch.nn.functional.avg_pool3d(around, 3, stride=1)

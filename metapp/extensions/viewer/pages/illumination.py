@@ -9,24 +9,24 @@ from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
 from metapp.appearance.geometry import Cosines
-from metapp.appearance.latlong import directions, luminance, resample, solid_angles
-from metapp.appearance.photograph import mirror
+from metapp.appearance.latlong import luminance, resample_maps, solid_angles, texel_directions
+from metapp.appearance.photograph import render_mirror_spheres
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
-from metapp.apps.illumination.mirror import CLIPPED_VALUE, RADIANCE_FLOOR, is_mirror
+from metapp.apps.illumination.mirror import CLIPPED_VALUE, RADIANCE_FLOOR, shows_mirror
 from metapp.apps.illumination.presenter import IlluminationPresenter
-from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR
+from metapp.apps.illumination.spheres import DIFFUSE_ALBEDO, DIFFUSE_SPECULAR, METAL_REFLECTANCE, SPHERE_ROUGHNESSES
 from metapp.extensions.viewer.view import View, thumbnail
 from metapp.learning.task import Batch, Params, Task
 
-LARGEST_MAP = (512, 1024)  # texels of a map on a page
-HALF = 65504.0  # the greatest of float16
-NODES = 32  # cosines that the albedos of lobes are known at
+MAX_LIGHT_MAP_TEXELS = (512, 1024)  # texels of a map on a page
+MAX_HALF_FLOAT = 65504.0  # the greatest of float16
+ALBEDO_NODES = 32  # cosines that the albedos of lobes are known at
 
 
 @torch.no_grad()
-def view(
-    presenter: IlluminationPresenter, theta: Params, task: Task, *, largest: tuple[int, int] = LARGEST_MAP
+def make_illumination_view(
+    presenter: IlluminationPresenter, theta: Params, task: Task, *, largest: tuple[int, int] = MAX_LIGHT_MAP_TEXELS
 ) -> View:
     """The map as `pictures` has it, to look around in, and spheres lit by it; of a photograph also the ball.
 
@@ -44,25 +44,25 @@ def view(
     pixels = presenter.map_picture(theta, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
     light = pixels.permute(2, 0, 1) / unit
-    maps = {"map": resample(light, *largest) if light.shape[1] > largest[0] else light}
+    maps = {"map": resample_maps(light, *largest) if light.shape[1] > largest[0] else light}
     if "map" in task.data:
         reference = task.data["map"].float() * task.data.get("scale", torch.ones(())) / unit
-        maps["reference"] = resample(reference, *maps["map"].shape[1:])
-    scale = max(1.0, *(float(each.amax()) / HALF for each in maps.values()))
+        maps["reference"] = resample_maps(reference, *maps["map"].shape[1:])
+    scale = max(1.0, *(float(each.amax()) / MAX_HALF_FLOAT for each in maps.values()))
     arrays = {name: (each / scale).permute(1, 2, 0).half() for name, each in maps.items()}
-    materials = {name: {"roughness": roughness} for name, roughness in ROUGHNESSES.items()}
+    materials = {name: {"roughness": roughness} for name, roughness in SPHERE_ROUGHNESSES.items()}
     facts = {
         "scale": scale,
         "note": _note(pixels, maps["map"], task),
-        "metal": METAL,
-        "albedo": ALBEDO,
-        "specular": SPECULAR,
+        "metal": METAL_REFLECTANCE,
+        "albedo": DIFFUSE_ALBEDO,
+        "specular": DIFFUSE_SPECULAR,
     }
     pictures = {}
     if app.protocol == "photo":
         data = {key: value[None] for key, value in {"photo": task.data["photos"][0], **app.mirrored(task)}.items()}
         pictures = {"photo": data["photo"][0].permute(1, 2, 0) / 255, "ball": _ball(app, one, data).permute(1, 2, 0)}
-    lobes = torch.stack([lobe_albedos(roughness) for roughness in ROUGHNESSES.values()]).half()
+    lobes = torch.stack([lobe_albedos(roughness) for roughness in SPHERE_ROUGHNESSES.values()]).half()
     shown = thumbnail(tone_map(maps["map"]).permute(1, 2, 0))
     return View("light", arrays, pictures, facts | materials, {"lobes": lobes}, shown)
 
@@ -86,9 +86,9 @@ def _ball(app: Illumination, theta: Params, data: Batch) -> Tensor:
         data: of it, as of `App.prepare`, [1, ...].
     """
     size = data["photo"].shape[-1]
-    if not is_mirror(data):
+    if not shows_mirror(data):
         return app.ball(theta, app.radiance_of(theta), size)[0].clamp(0, 1)
-    photo, ball = data["photo"][0] / 255, mirror(app.answer(theta, data), size)[0]
+    photo, ball = data["photo"][0] / 255, render_mirror_spheres(app.answer(theta, data), size)[0]
     # no photograph says how bright its light was: exposed so that what it does not clip is as bright in the middle
     told = (photo.amax(0) < CLIPPED_VALUE) & (photo.amin(0) > RADIANCE_FLOOR) & (ball.amin(0) > 0)
     ratio = luminance(srgb_to_linear(photo))[told] / luminance(ball)[told]
@@ -104,10 +104,10 @@ def lobe_albedos(roughness: float, height: int = 256) -> Tensor:
         roughness: its alpha is the square of that.
         height: of the grid of directions that it is summed over, enough for an alpha of 0.1.
     """
-    cosines = (torch.arange(NODES) + 0.5) / NODES
-    viewers = torch.stack([(1 - cosines * cosines).sqrt(), torch.zeros(NODES), cosines], 1)
-    lights = directions(height, 2 * height).flatten(1)
-    incident, outgoing, both = lights[2].expand(NODES, -1), cosines[:, None], viewers @ lights
+    cosines = (torch.arange(ALBEDO_NODES) + 0.5) / ALBEDO_NODES
+    viewers = torch.stack([(1 - cosines * cosines).sqrt(), torch.zeros(ALBEDO_NODES), cosines], 1)
+    lights = texel_directions(height, 2 * height).flatten(1)
+    incident, outgoing, both = lights[2].expand(ALBEDO_NODES, -1), cosines[:, None], viewers @ lights
     length = (2 + 2 * both).clamp_min(1e-9).sqrt()
     at = Cosines(incident, outgoing, (incident + outgoing) / length, length / 2)
     lobe = microfacet_lobe(at, roughness * roughness, torch.ones_like).squeeze(-1)

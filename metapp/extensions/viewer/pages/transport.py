@@ -16,25 +16,25 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import LEAST_SHARE_OF_MEAN, mape
-from metapp.appearance.pictures import REFERENCE
+from metapp.appearance.pictures import REFERENCE_ERROR_NAME
 from metapp.appearance.presenter import Presenter
 from metapp.apps.transport import guide, images
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import REGULAR, Studio, studio_of
-from metapp.apps.transport.pictures import picture_of_flow, picture_of_samples
-from metapp.extensions.viewer.view import View, pictures_view, thumbnail
+from metapp.apps.transport.images import REGULAR, SceneRenderer, renderer_of
+from metapp.apps.transport.pictures import draw_flow_density, draw_sample_histograms
+from metapp.extensions.viewer.view import View, make_pictures_view, thumbnail
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
-from metapp.runs.surroundings import threads
+from metapp.runs.surroundings import torch_defaults
 from metapp.storage import Document
-from metapp.storage.tensor_cache import cached_tensors
+from metapp.storage.tensor_cache import load_or_compute_tensors
 
-ZOOM = 4  # times that the worst region is enlarged
-GUIDED = "guided by the fit"
-HALF = 65504.0  # the greatest of float16
+WORST_REGION_ZOOM = 4  # times that the worst region is enlarged
+GUIDED_LABEL = "guided by the fit"
+MAX_HALF_FLOAT = 65504.0  # the greatest of float16
 
-Shoot = Callable[[int, int], Tensor]  # of samples a pixel and a seed, a picture [3, size, size]
+RenderSamples = Callable[[int, int], Tensor]  # of samples a pixel and a seed, a picture [3, size, size]
 
 
 class Effort(NamedTuple):
@@ -51,10 +51,10 @@ class Effort(NamedTuple):
     reference_seconds: float = 10.0
 
 
-USUAL = Effort()
+DEFAULT_EFFORT = Effort()
 
 
-class Progress(NamedTuple):
+class RenderingProgress(NamedTuple):
     """A picture [3, size, size] of so many spp at last; the seconds of CPU and the MAPE until then, at N times [N]."""
 
     picture: Tensor
@@ -63,40 +63,48 @@ class Progress(NamedTuple):
     spp: Tensor
 
 
-def view(presenter: Presenter[Transport], theta: Params, task: Task) -> View:
+def make_transport_view(presenter: Presenter[Transport], theta: Params, task: Task) -> View:
     """Pictures of the scene in equal time; densities if there is no scene."""
     app = presenter.app
     if "scene" in task.data:
-        return scene_view(app.network, theta, task)
-    shown = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(app.network, theta)}
-    return pictures_view(shown)._replace(thumbnail=thumbnail(shown["fit"][:, : len(shown["fit"])]))
+        return make_scene_view(app.network, theta, task)
+    shown = {"reference": draw_sample_histograms(task.data["samples"]), "fit": draw_flow_density(app.network, theta)}
+    return make_pictures_view(shown)._replace(thumbnail=thumbnail(shown["fit"][:, : len(shown["fit"])]))
 
 
-def scene_view(flow: Flow, theta: Params, task: Task, effort: Effort = USUAL) -> View:
+def make_scene_view(flow: Flow, theta: Params, task: Task, effort: Effort = DEFAULT_EFFORT) -> View:
     """Show the scene of a task; its pictures are kept in the cache folder, so that a page made again traces nothing."""
     made = _kept("fit", [task.data["scene"], *theta.values()], effort, lambda: _traced(flow, theta, task, effort))
-    reference = made[REFERENCE]
+    reference = made[REFERENCE_ERROR_NAME]
     unit = reference.mean().clamp_min(1e-20)  # pictures hold radiance of any unit then
-    shots = {name: Progress(*(made[f"{name} {field}"] for field in Progress._fields)) for name in (REGULAR, GUIDED)}
-    pictures = {REFERENCE: reference, **{name: shot.picture for name, shot in shots.items()}}
-    arrays = {name: (picture / unit).permute(1, 2, 0).clamp(0, HALF).half() for name, picture in pictures.items()}
-    region = worst_region(shots[GUIDED].picture, reference)
+    shots = {
+        name: RenderingProgress(*(made[f"{name} {field}"] for field in RenderingProgress._fields))
+        for name in (REGULAR, GUIDED_LABEL)
+    }
+    pictures = {REFERENCE_ERROR_NAME: reference, **{name: shot.picture for name, shot in shots.items()}}
+    arrays = {
+        name: (picture / unit).permute(1, 2, 0).clamp(0, MAX_HALF_FLOAT).half() for name, picture in pictures.items()
+    }
+    region = find_worst_region(shots[GUIDED_LABEL].picture, reference)
     told = {
         name: f"{shot.spp} spp, {shot.seconds[-1]:.2g} s, MAPE {shot.errors[-1]:.3g}" for name, shot in shots.items()
     }
-    said, level = equal_error(*shots.values())
+    said, level = compare_at_equal_error(*shots.values())
     curves = {name: torch.stack([shot.seconds, shot.errors], 1).tolist() for name, shot in shots.items()}
     lines = [{"label": name, "points": points} for name, points in curves.items()]
     chart = {"x": "seconds of CPU", "y": "MAPE", "lines": lines, "level": {"label": "equal error", "y": level}}
-    names = (REFERENCE, *told)
+    names = (REFERENCE_ERROR_NAME, *told)
     shown: list[Document] = [{"title": name, "name": name, "told": told.get(name, ""), "row": 0} for name in names]
-    shown += [{"title": f"worst region x{ZOOM}, {name}", "name": name, "part": region, "row": 1} for name in names]
+    shown += [
+        {"title": f"worst region x{WORST_REGION_ZOOM}, {name}", "name": name, "part": region, "row": 1}
+        for name in names
+    ]
     shown.append({"title": "error by time", "told": said, "chart": chart, "row": 2})
     shown += [{"title": f"error, {name}", "name": name, "error": True, "row": 2} for name in told]
     facts = {
         "pictures": shown,
-        "compared": [REGULAR, GUIDED],
-        "reference": REFERENCE,
+        "compared": [REGULAR, GUIDED_LABEL],
+        "reference": REFERENCE_ERROR_NAME,
         "region": region,
         "notes": [said, *_notes(made, "next_event" in task.data, effort)],
     }
@@ -108,34 +116,37 @@ def _kept(what: str, of: Sequence[Tensor], effort: Effort, make: Callable[[], di
     settings = repr(tuple(effort)).encode()
     digest = hashlib.sha256(settings + b"".join(each.detach().cpu().numpy().tobytes() for each in of)).hexdigest()
     sources = [str(module.__file__) for module in (guide, images, path_space)]
-    return cached_tensors(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], make)
+    return load_or_compute_tensors(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], make)
 
 
 def _traced(flow: Flow, theta: Params, task: Task, effort: Effort) -> dict[str, Tensor]:
-    """The reference, with its own error, and the pictures of regular and guided paths as `Progress` has them."""
-    studio = studio_of(task, effort.side_px)
-    with threads(single=True):  # the table is made of small tensors, for which threads only wait
+    """The reference, with its own error, and the pictures of regular and guided paths as `RenderingProgress` has them."""
+    studio = renderer_of(task, effort.side_px)
+    with torch_defaults(single=True):  # the table is made of small tensors, for which threads only wait
         make = functools.partial(_reference_halves, studio, effort.reference_seconds)
         halves = _kept("reference", [task.data["scene"]], effort, lambda: {"halves": make()})["halves"]
         reference = halves.mean(0)
         begin = time.process_time()
-        table = guide.table_of(flow, theta)
+        table = guide.make_guide_table(flow, theta)
         before, by = time.process_time() - begin, path_space.Guide(table.sample, table.density)
         side, seconds = effort.side_px, effort.seconds
         shots = {
-            REGULAR: progress(lambda spp, seed: studio.regular(spp, seed).picture, reference, 0.0, seconds),
-            GUIDED: progress(
-                lambda spp, seed: path_space.render(studio.tracer, spp, side, seed, by), reference, before, seconds
+            REGULAR: render_in_steps(lambda spp, seed: studio.regular(spp, seed).picture, reference, 0.0, seconds),
+            GUIDED_LABEL: render_in_steps(
+                lambda spp, seed: path_space.render_paths(studio.tracer, spp, side, seed, by),
+                reference,
+                before,
+                seconds,
             ),
         }
     # a half is as far from the mean of both as that is from the truth
-    made = {REFERENCE: reference, "own error": mape(halves[:1], reference[None])}
+    made = {REFERENCE_ERROR_NAME: reference, "own error": mape(halves[:1], reference[None])}
     for name, shot in shots.items():
         made |= {f"{name} {field}": value for field, value in shot._asdict().items()}
     return made
 
 
-def _reference_halves(studio: Studio, seconds: float) -> Tensor:
+def _reference_halves(studio: SceneRenderer, seconds: float) -> Tensor:
     """Two pictures by Mitsuba's path, of other random numbers, [2, 3, size, size]."""
     studio.path(1)  # the first call compiles
     rate = studio.path(4).seconds / 4
@@ -143,7 +154,9 @@ def _reference_halves(studio: Studio, seconds: float) -> Tensor:
     return torch.stack([studio.path(spp, seed).picture for seed in (1, 2)])
 
 
-def progress(shoot: Shoot, reference: Tensor, before: float, most_seconds: float = USUAL.seconds) -> Progress:
+def render_in_steps(
+    shoot: RenderSamples, reference: Tensor, before: float, most_seconds: float = DEFAULT_EFFORT.seconds
+) -> RenderingProgress:
     """Take a picture of as many samples as there is time for, measured each time that their number has doubled.
 
     Args:
@@ -162,10 +175,10 @@ def progress(shoot: Shoot, reference: Tensor, before: float, most_seconds: float
         points.append((spent, float(mape(total[None] / count, reference[None]))))
         part = min(count, int((most_seconds - spent) / max(seconds / part, 1e-9)))
     taken, errors = torch.tensor(points).unbind(1)
-    return Progress(total / count, taken, errors, torch.tensor(count))
+    return RenderingProgress(total / count, taken, errors, torch.tensor(count))
 
 
-def equal_error(regular: Progress, guided: Progress) -> tuple[str, float]:
+def compare_at_equal_error(regular: RenderingProgress, guided: RenderingProgress) -> tuple[str, float]:
     """A sentence on the time to an error that both reach, the greater of their last ones, and that error."""
     level = float(torch.maximum(regular.errors[-1], guided.errors[-1]))
     (first, exact), (second, also) = (_time_to(level, shot) for shot in (regular, guided))
@@ -173,19 +186,19 @@ def equal_error(regular: Progress, guided: Progress) -> tuple[str, float]:
     share = (
         f"{about}{second / first:.2g} of the time" if second < first else f"{about}{second / first:.2g} times as long"
     )
-    return f"To a MAPE of {level:.3g}: regular {first:.2g} s, {GUIDED} {second:.2g} s, {share}.", level
+    return f"To a MAPE of {level:.3g}: regular {first:.2g} s, {GUIDED_LABEL} {second:.2g} s, {share}.", level
 
 
-def _time_to(level: float, shot: Progress) -> tuple[float, bool]:
+def _time_to(level: float, shot: RenderingProgress) -> tuple[float, bool]:
     """Seconds to an error that a picture reaches, between measurements on a log scale; whether that is within them."""
     errors = shot.errors.cummin(0).values.clamp_min(1e-9).log().numpy()
     seconds = np.interp(-math.log(max(level, 1e-9)), -errors, shot.seconds.log().numpy())
     return math.exp(seconds), level < float(shot.errors[0])
 
 
-def worst_region(picture: Tensor, reference: Tensor) -> list[int]:
+def find_worst_region(picture: Tensor, reference: Tensor) -> list[int]:
     """The square, 1 / ZOOM of a side, in which errors, as of MAPE, are greatest in the mean: [x, y, width, height]."""
-    side = max(1, reference.shape[1] // ZOOM)
+    side = max(1, reference.shape[1] // WORST_REGION_ZOOM)
     errors = ((picture - reference).abs() / reference.clamp_min(LEAST_SHARE_OF_MEAN * reference.mean())).mean(0)
     means = avg_pool2d(errors.clamp_max(4.0)[None], side, stride=1)[0]  # a firefly alone is no region
     row, column = divmod(int(means.argmax()), means.shape[1])
@@ -195,7 +208,7 @@ def worst_region(picture: Tensor, reference: Tensor) -> list[int]:
 def _notes(made: dict[str, Tensor], next_event: bool, effort: Effort) -> list[str]:
     where = "from the second surface on" if next_event else "at no surface"
     return [
-        f"{GUIDED}: the fit guides three of four paths, with next-event estimation {where}. {REGULAR}: by the sampling "
+        f"{GUIDED_LABEL}: the fit guides three of four paths, with next-event estimation {where}. {REGULAR}: by the sampling "
         f"of materials. Both have about {effort.seconds:.0f} s of CPU, the guide's table counted; the fit and its "
         "samples are not: metapp evaluate --which image counts these.",
         f"The reference, by Mitsuba's path, has a MAPE of about {float(made['own error']):.2g} of its own, below which "
