@@ -51,7 +51,7 @@ def app_at_size(name: str, side: int) -> App:
         app = replace(app, network=app.network._replace(height=side, width=side, rows=side, columns=side))
     else:
         # from the beginning at all octaves, as the last steps of a fit are
-        app = replace(app, height=side, width=side, shares=())
+        app = replace(app, octaves=replace(app.octaves, height=side, width=side, shares=()))
     return app_of(name, replace(recipe, app=app))
 
 

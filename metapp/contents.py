@@ -93,7 +93,7 @@ RULE_PARTS = {  # of rules, in the order in which they act on a step
     "pace": "parts:Paces",
     "eps": "parts:Eps",
     "curvature": "parts:Curvature",
-    "network": "network:Network",
+    "network": "network:StepNetwork",
     "average": "parts:Average",
     "basis": "parts:Basis",
 }

@@ -16,6 +16,7 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import vgg_weights_path
 from metapp.appearance.flash import normal_from_height, unpack_maps
 from metapp.apps import presenter_of
+from metapp.apps.exemplar.octaves import Octaves
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
 from metapp.registry import load_reference
@@ -51,7 +52,7 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     quick = recipes["quick"]
     outputs = quick.app.network.outputs
     network = UNet(4, levels=2, noise=2, code=4, outputs=outputs)
-    app = replace(quick.app, network=network, height=16, width=16, taps=("relu1_1", "relu2_1"))
+    app = replace(quick.app, network=network, octaves=Octaves(16, 16, ("relu1_1", "relu2_1")))
     short = {name: replace(training, steps=2, tasks=2, warmup=0) for name, training in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2)
     search = ([{"rate": 0.5}], [{"beta1": 0.3}])

@@ -18,9 +18,9 @@ from PIL import Image
 from safetensors.torch import save_file
 
 import metapp as api
+from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.rendering.variant import load_mitsuba
-from metapp.runs.outputs.pictures import to_srgb
 from metapp.storage.files import read_tensors, to_json_value
 from metapp.storage.fits import pack_fit, write_fit
 from tests import pictures
@@ -397,7 +397,7 @@ def test_a_fit_shows_itself(network: Path) -> None:
     picture = fit.picture()
     assert (picture.mode, picture.size) == ("RGB", (196, 96))
     assert set(fit.preview()) == {"reference", "fit"}
-    reference = to_srgb(fit.preview()["reference"])
+    reference = composite_to_srgb(fit.preview()["reference"])
     assert np.abs(np.asarray(picture)[:, :96] - 255 * reference).max() <= 0.5 + 1e-4
     fit.task, fit.record["warning"] = fit.task._replace(name="<b>"), "1 < 2"  # names and warnings are text
     html = fit._repr_html_()

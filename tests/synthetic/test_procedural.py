@@ -15,7 +15,8 @@ from data_tools.synthetic.environments.patterns import direction, vector
 from data_tools.synthetic.environments.scene import Backdrop, Box, EnvironmentScene, Finish, Lamp, Window, view_rays
 from data_tools.synthetic.environments.sky import Sky, add_clouds, black_sky, clear_sky, sun_irradiance
 from data_tools.synthetic.patterns.fields import height_slopes
-from data_tools.synthetic.stationary.families import FAMILIES, Maps
+from data_tools.synthetic.stationary.families import FAMILIES
+from data_tools.synthetic.stationary.maps import PeriodicMaps
 from metapp.appearance.latlong import cosine_transfer
 
 SIZE = 128
@@ -23,7 +24,7 @@ BOUNDS = {"diffuse": (0.0, 1.0), "specular": (0.02, 0.9), "roughness": (0.05, 1.
 
 
 @pytest.fixture(scope="module", params=FAMILIES)
-def draws(request: pytest.FixtureRequest) -> list[Maps]:
+def draws(request: pytest.FixtureRequest) -> list[PeriodicMaps]:
     """Eight draws of a family."""
     return [FAMILIES[request.param](random_stream(7, member), SIZE) for member in range(8)]
 
@@ -34,7 +35,7 @@ def border_jump(field: Field, axis: int) -> float:
     return float(steps[-1] / max(steps[:-1].max(), 1e-6))
 
 
-def test_maps_have_their_shapes_and_ranges(draws: list[Maps]) -> None:
+def test_maps_have_their_shapes_and_ranges(draws: list[PeriodicMaps]) -> None:
     for maps in draws:
         assert [each.shape for each in maps] == [(channels, SIZE, SIZE) for channels in (3, 1, 1, 1)]
         assert all(each.dtype == np.float32 for each in maps)
@@ -49,7 +50,7 @@ def test_maps_have_their_shapes_and_ranges(draws: list[Maps]) -> None:
         assert 1e-3 < steepness < 1.5
 
 
-def test_materials_repeat_without_a_border(draws: list[Maps]) -> None:
+def test_materials_repeat_without_a_border(draws: list[PeriodicMaps]) -> None:
     for maps in draws:
         for field in (maps.diffuse, maps.height, maps.roughness):
             for axis in (1, 2):

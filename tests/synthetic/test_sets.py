@@ -19,7 +19,7 @@ from data_tools.synthetic import brdf, svbrdf_nonstationary
 from data_tools.synthetic.cornell import random_scene, to_xml
 from data_tools.synthetic.examples import EXAMPLES, write_example
 from data_tools.synthetic.illumination import draw_white_balance
-from data_tools.synthetic.stationary import families
+from data_tools.synthetic.stationary.maps import PeriodicMaps
 from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES, take_flash_photos
 from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.flash import (
@@ -243,7 +243,7 @@ def test_another_size(tmp_path: Path) -> None:
 def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
     """Maps of one value each: a photograph of those that the statistics tell is the one that they belong to."""
     size, one = 64, np.ones((1, 64, 64), np.float32)
-    plain = families.Maps(0.3 * np.repeat(one, 3, 0), 0.06 * one, 0.5 * one, 0 * one)
+    plain = PeriodicMaps(0.3 * np.repeat(one, 3, 0), 0.06 * one, 0.5 * one, 0 * one)
     photo, _, truth = take_flash_photos(plain, random_stream(3))
     means, deviations = truth[:, 0], truth[:, 1]
     assert truth.shape == (3, 2, 6)

@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.synthetic.brdf import Material, colour_name, roughness_name, synthetic_materials
+from data_tools.synthetic.brdf import colour_name, roughness_name, synthetic_materials
+from data_tools.synthetic.brdf_draws import SyntheticBrdf
 from data_tools.synthetic.brdf_models import CONDUCTORS, conductor, diffuse
 from metapp.appearance.geometry import (
     angle_cosines,
@@ -27,11 +28,11 @@ SHIPPED |= {"copper-oxide": "CuO", "amorphous-carbon": "a-C", "rhodium": "Rh", "
 
 
 @pytest.fixture(scope="module")
-def materials() -> list[Material]:
+def materials() -> list[SyntheticBrdf]:
     return synthetic_materials("train") + synthetic_materials("test")
 
 
-def test_counts_names_and_determinism(materials: list[Material], random_angles: RandomAngles) -> None:
+def test_counts_names_and_determinism(materials: list[SyntheticBrdf], random_angles: RandomAngles) -> None:
     names = [material.name for material in materials]
     assert len(names) == len(set(names)) == 100
     assert all(name == name.lower() and " " not in name for name in names)
@@ -45,7 +46,7 @@ def test_counts_names_and_determinism(materials: list[Material], random_angles: 
     assert [roughness_name(alpha) for alpha in (0.03, 0.1, 0.2, 0.5)] == ["polished", "satin", "brushed", "rough"]
 
 
-def test_draws_are_the_same_on_every_machine(materials: list[Material]) -> None:
+def test_draws_are_the_same_on_every_machine(materials: list[SyntheticBrdf]) -> None:
     """Whoever changes a draw changes the default data set, and with it all checkpoints and tables."""
     angles = torch.tensor([0.05, 0.4, 1.0], dtype=torch.float64)
     for index, name, linear_rgb in (
@@ -62,7 +63,7 @@ def test_draws_are_the_same_on_every_machine(materials: list[Material]) -> None:
 
 
 def test_reciprocal_non_negative_and_dark_below_the_horizon(
-    materials: list[Material], random_angles: RandomAngles
+    materials: list[SyntheticBrdf], random_angles: RandomAngles
 ) -> None:
     angles = random_angles(2000, above=False)
     swapped = directions_to_rusinkiewicz(*reversed(rusinkiewicz_to_directions(angles)))
@@ -78,7 +79,7 @@ def test_reciprocal_non_negative_and_dark_below_the_horizon(
         torch.testing.assert_close(material.evaluate(other_half), value, rtol=1e-6, atol=1e-9, msg=material.name)
 
 
-def test_no_material_reflects_more_than_it_receives(materials: list[Material]) -> None:
+def test_no_material_reflects_more_than_it_receives(materials: list[SyntheticBrdf]) -> None:
     # Half vectors on rings, dense towards the normal: right for lobes of any width.
     nodes, weights = gauss_legendre(40)
     reach = math.asinh(math.pi / 2 / 0.03)

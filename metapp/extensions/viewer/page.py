@@ -6,13 +6,13 @@ import base64
 import json
 import zlib
 from collections.abc import Sequence
+from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from viewer_html import escape
 
 from metapp.extensions.viewer.view import View
 from metapp.storage import Document

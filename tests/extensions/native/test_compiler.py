@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.extensions.native import find_compiler as module
+from metapp.extensions.native import compiler as module
 from metapp.extensions.native.compiler import find_compiler, load_library
 from metapp.storage.cache import cache_folder
 from tests import forks

@@ -19,7 +19,7 @@ from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.few.network import Few
 from metapp.extensions.viewer.page import encode_array
 from metapp.extensions.viewer.pages.anisotropic_residual import RESIDUAL_GRID_CELLS as AZIMUTHAL
-from metapp.extensions.viewer.pages.brdf import RESIDUAL_GRID_CELLS
+from metapp.extensions.viewer.pages.brdf import SAMPLE_GRID_CELLS
 from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from tests import anisotropic
@@ -79,7 +79,7 @@ def test_a_reference_has_the_smallest_grid_and_takes_less_than_a_megabyte_of_the
     """Half of it where the fit is reciprocal, with azimuths where the material has some."""
     (reciprocal,) = views("nbrdf", task=material(), theta=even(0))
     (brushed,) = views("anisotropic", task=anisotropic.task())
-    shapes = (RESIDUAL_GRID_CELLS[0] // 2, *RESIDUAL_GRID_CELLS[1:], 4), (*AZIMUTHAL, 4)
+    shapes = (SAMPLE_GRID_CELLS[0] // 2, *SAMPLE_GRID_CELLS[1:], 4), (*AZIMUTHAL, 4)
     for shown, shape in zip((reciprocal, brushed), shapes, strict=True):
         grid = shown.arrays["residual"]
         assert grid.shape == shape
