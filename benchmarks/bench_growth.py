@@ -23,11 +23,11 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.extensions.native.fastest import choose_steps as fastest
+from metapp.extensions.native.step_choice import choose_steps as fastest
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn, task_loss
 from metapp.learning.task import Batch
-from metapp.rules import rule_of
 
 GROWTH_APP = Brdf()
 

@@ -28,7 +28,7 @@ from data_tools.synthetic.cornell import SceneEntry
 from metapp.appearance.metrics import mape
 from metapp.extensions.guided import rendering
 from metapp.extensions.guided.integrator import MIN_LEARNING_PATHS
-from metapp.extensions.scene_files.reading import read_scene
+from metapp.extensions.scene_files.scene_reader import read_scene
 from metapp.rendering.paths.path_space import DEPTH_EDGES
 from metapp.rendering.pictures import render_scene
 from metapp.rendering.scenes.loading import load_scene

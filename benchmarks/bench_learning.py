@@ -48,14 +48,14 @@ from benchmarks.bench_growth import ProblemSize, draw_batch
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load_library
-from metapp.extensions.native.fastest import choose_steps as fastest
-from metapp.extensions.native.fastest import make_compiled_steps
+from metapp.extensions.native.step_choice import choose_steps as fastest
+from metapp.extensions.native.step_choice import make_compiled_steps
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss, StepsOf, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, sgd
 from metapp.learning.task import Batch, Params
-from metapp.rules import rule_of
 
 LEARNING_APP = Brdf()
 

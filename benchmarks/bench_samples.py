@@ -19,19 +19,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
-from benchmarks.measured import simulate_measurement
+from benchmarks.simulated_measurements import simulate_measurement
 from metapp.cli.console import run_command
-from metapp.evaluation.statistics import compare_errors
+from metapp.evaluation.error_statistics import compare_errors
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, save_figure
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import TrainingTasks, judge_answer
-from metapp.extensions.baselines.fits import cost_limits_of_run, read_training_tasks
+from metapp.extensions.baselines.baseline_fits import cost_limits_of_run, read_training_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from metapp.runs.checkpoints import attach_checkpoint
+from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.fit_options import fit_options
 from metapp.runs.fitting import fit_tasks, rng_of
-from metapp.runs.inputs.sources import read_test_tasks, training_data_folder
-from metapp.runs.options import fit_options
+from metapp.runs.inputs.run_inputs import read_test_tasks, training_data_folder
 from metapp.runs.run import Run
 
 MEASURED_COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)

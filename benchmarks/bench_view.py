@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from metapp.extensions.viewer import page as pages
+from metapp.extensions.viewer import viewer_page as pages
 from tests.browser import Page, browsing
 
 WINDOW_WIDTH_PX, WINDOW_HEIGHT_PX = 1280, 720

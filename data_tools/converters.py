@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from metapp.networks.options import LayerOption, parse_field_of_view
+from metapp.networks.picture_options import LayerOption, parse_field_of_view
 from metapp.options import Converter, Option, split_option
 
 SamplesOption = Annotated[

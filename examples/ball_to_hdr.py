@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 import metapp
-from metapp.storage.images import write_exr
+from metapp.storage.image_writers import write_exr
 
 photo, target = map(Path, sys.argv[1:])
 fit = metapp.fit("illumination", photo, observe="photo")

@@ -32,7 +32,7 @@ APPLICATIONS = {
         "metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary",
         title="svBRDF non-stat.",
         help="Maps of a flat material from one or several flash photographs.",
-        options="metapp.networks.options:FlashOptions",
+        options="metapp.networks.picture_options:FlashOptions",
         facts="data_tools.readers.svbrdf_task:facts_of",
         presenter="metapp.apps.svbrdf_nonstationary.presenter:SvbrdfNonstationaryPresenter",
         protocols={"reference": "maps", "photo": "photo"},
@@ -68,20 +68,20 @@ SYNTHETIC_SET_HELP = {
 }
 OBJECT_READERS = {
     "brdf": "brdf_objects:task_of_object",
-    "texture": "photos:task_of_object",
-    "svbrdf_stationary": "flash:task_of_object",
+    "texture": "square_photos:task_of_object",
+    "svbrdf_stationary": "flash_photos:task_of_object",
     "svbrdf_nonstationary": "svbrdf_inputs:task_of_object",
-    "illumination": "latlong:task_of_object",
+    "illumination": "environment_maps:task_of_object",
 }
 INPUT_FORMATS = {  # module of data_tools.readers, application, inputs
     "merl": ("merl", "brdf", "MERL .binary files"),
-    "nbrdf": ("nbrdf", "brdf", "NBRDF networks (.h5, folders of .npy)"),
+    "nbrdf": ("nbrdf_files", "brdf", "NBRDF networks (.h5, folders of .npy)"),
     "gonio": ("gonio", "brdf", "goniometer .csv files"),
-    "images": ("photos", "texture", "images"),
-    "flash": ("flash", "svbrdf_stationary", "flash photos"),
+    "images": ("square_photos", "texture", "images"),
+    "flash": ("flash_photos", "svbrdf_stationary", "flash photos"),
     "maps": ("material_maps", "svbrdf_nonstationary", ""),
     "strips": ("strips", "svbrdf_nonstationary", ""),
-    "laval": ("latlong", "illumination", "HDR maps (.exr, .hdr)"),
+    "laval": ("environment_maps", "illumination", "HDR maps (.exr, .hdr)"),
 }
 RULE_PARTS = {  # of rules, in the order in which they act on a step
     "sgd": "parts:SignedRates",
@@ -163,13 +163,13 @@ def register(registry: Registry) -> None:
         help="several photos",
         suits={"photos": (2, math.inf)},
     )
-    registry.networks["brdf", "nbrdf"] = Entry("metapp.apps.brdf.nbrdf:NBRDF_NETWORK")
-    registry.networks["brdf", "featured"] = Entry("metapp.apps.brdf.featured:FEATURED_NETWORK")
-    registry.networks["brdf", "anisotropic"] = Entry("metapp.apps.brdf.featured:ANISOTROPIC_NETWORK")
-    registry.networks["brdf", "few"] = Entry("metapp.apps.brdf.few.network:FEW_NETWORK")
+    registry.networks["brdf", "nbrdf"] = Entry("metapp.apps.brdf.nbrdf_network:NBRDF_NETWORK")
+    registry.networks["brdf", "featured"] = Entry("metapp.apps.brdf.feature_network:FEATURED_NETWORK")
+    registry.networks["brdf", "anisotropic"] = Entry("metapp.apps.brdf.feature_network:ANISOTROPIC_NETWORK")
+    registry.networks["brdf", "few"] = Entry("metapp.apps.brdf.few.gaussian_model:FEW_NETWORK")
     registry.exports["brdf", "merl"] = Export("data_tools.readers.merl:export")
     weights = ("w1", "w2", "w3", "b1", "b2", "b3")
-    registry.exports["brdf", "nbrdf"] = Export("data_tools.readers.nbrdf:export", holds=weights)
+    registry.exports["brdf", "nbrdf"] = Export("data_tools.readers.nbrdf_files:export", holds=weights)
 
     for name, part in RULE_PARTS.items():
         registry.parts[name] = Entry(f"metapp.learning.rules.{part}")
@@ -203,11 +203,11 @@ def register(registry: Registry) -> None:
         ("brdf", "svbrdf_nonstationary", "illumination"),
     )
     for paradigm in PARADIGMS:
-        registry.commands[paradigm] = Entry(f"metapp.cli.fit:FIT_COMMANDS.{paradigm}")
+        registry.commands[paradigm] = Entry(f"metapp.cli.fit_commands:FIT_COMMANDS.{paradigm}")
     registry.commands["plan"] = Entry("metapp.cli.plan:plan_measurements")
     registry.commands["evaluate"] = Entry("metapp.cli.evaluate:evaluate_command")
     registry.commands["export"] = Entry("metapp.cli.export:export_command")
-    registry.commands["data"] = Entry("metapp.cli.commands:data_group")
+    registry.commands["data"] = Entry("metapp.cli.command_tree:data_group")
     registry.commands["data synth"] = Entry("metapp.cli.synth:synth")
     registry.commands["data cornell"] = Entry("metapp.cli.synth:cornell")
     registry.commands["data join"] = Entry("metapp.cli.data:join")

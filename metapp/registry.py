@@ -132,7 +132,7 @@ class Format(Entry[Any]):
 
     - `recognises(path)`, of inputs of fits: True for a file of the format and for a folder with such files, by suffixes
       and first bytes;
-    - `find(path)`: a `data_tools.readers.source.Source` for each task, with all that is to be known before it is read,
+    - `find(path)`: a `data_tools.readers.input_source.Source` for each task, with all that is to be known before it is read,
       and a message for each skipped file of a folder; ValueError for a bad path;
     - `read_task(path, ...)`: the task; ValueError if the source is damaged. Fits pass the parameters that it names,
       among them `content`, what `find` has parsed already;

@@ -18,7 +18,7 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES
+from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES
 from metapp.appearance import features
 from metapp.appearance.features import vgg_weights_path
 from metapp.appearance.flash import camera_distance
@@ -182,7 +182,7 @@ def made_command() -> Callable[..., Any]:
     """What typer makes of the commands whenever they are called, which takes 40 ms, made once."""
     import typer
 
-    from metapp.cli.commands import app
+    from metapp.cli.command_tree import app
 
     return typer.main.get_command(app)
 

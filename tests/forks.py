@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["torch", "metapp.runs.keeping", "metapp.cli.commands", "metapp.apps.brdf.presenter"])
+FORKS.set_forkserver_preload(
+    ["torch", "metapp.runs.execution", "metapp.cli.command_tree", "metapp.apps.brdf.presenter"]
+)
 OUT, ERR = "out.txt", "err.txt"
 
 

@@ -31,7 +31,7 @@ sys.exit(int(call.recv(8)))
 SECONDS = 600  # of a script, at most
 MANY = """
 import json, sys
-from metapp.cli.commands import app
+from metapp.cli.command_tree import app
 from metapp.cli.console import run
 from metapp.evaluation.style import STYLE
 STYLE["savefig.dpi"] = 40  # nobody looks at these figures

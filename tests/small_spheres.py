@@ -17,7 +17,7 @@ def shrink_spheres(patch: pytest.MonkeyPatch) -> None:
 
 def run_small(*words: object) -> None:
     """Run `metapp` for a fixture, at 16 px; its random networks reflect too much, of which nobody need be warned."""
-    from metapp.cli.commands import app
+    from metapp.cli.command_tree import app
 
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from data_tools.readers.source import Sources
+from data_tools.readers.input_source import Sources
 
 
 def paths_of(find: Callable[[Path], Sources], path: Path) -> tuple[list[Path], list[str]]:

@@ -13,7 +13,7 @@ import pytest
 import typer
 from packaging.specifiers import SpecifierSet
 
-from metapp.cli.commands import app as cli
+from metapp.cli.command_tree import app as cli
 from metapp.extensions import contents
 from metapp.names import app_names
 from metapp.registry import registry

@@ -31,21 +31,21 @@ LATE_IMPORTS = {
     "metapp/apps/exemplar/options.py": "networks of a finer texture need torch",
     # libraries that are not always installed
     "data_tools/readers/image_files.py": "pillow-heif",
-    "data_tools/readers/nbrdf.py": "h5py",
-    "metapp/extensions/capture/photos.py": "OpenCV",
+    "data_tools/readers/nbrdf_files.py": "h5py",
+    "metapp/extensions/capture/hand_photos.py": "OpenCV",
     "metapp/extensions/onnx_files/models.py": "onnx",
     # Mitsuba and Dr.Jit take a libLLVM once and for all when they are imported, and 0.2 s
     "data_tools/readers/brdf_objects.py": "Dr.Jit is there if a BSDF of Mitsuba is given",
-    "metapp/apps/transport/images.py": "integrators run after a scene is loaded",
-    "metapp/extensions/guided/picture.py": "a part of Mitsuba that needs a variant",
-    "metapp/extensions/scene_files/trial.py": "limits of memory, which Unix alone has, come before Mitsuba",
+    "metapp/apps/transport/guided_pictures.py": "integrators run after a scene is loaded",
+    "metapp/extensions/guided/guided_picture.py": "a part of Mitsuba that needs a variant",
+    "metapp/extensions/scene_files/trial_loading.py": "limits of memory, which Unix alone has, come before Mitsuba",
     "metapp/rendering/paths/path_space.py": "paths are traced after a scene is loaded",
     "metapp/rendering/second_scene/relighting.py": "the matrix is mostly in the cache",
     "metapp/rendering/variant.py": "the one place that chooses a libLLVM, then imports Mitsuba",
     # libraries that are slow to import, and modules that few runs need
     "metapp/appearance/colorimetry.py": "colour-science takes 1.1 s",
-    "metapp/extensions/capture/ball/reading.py": "SciPy's parts for balls take 0.7 s; maps need none of them",
-    "metapp/storage/images.py": "OpenImageIO takes 0.02 s; fits of BRDFs write no such picture",
+    "metapp/extensions/capture/ball/ball_reader.py": "SciPy's parts for balls take 0.7 s; maps need none of them",
+    "metapp/storage/image_writers.py": "OpenImageIO takes 0.02 s; fits of BRDFs write no such picture",
 }
 
 

@@ -17,7 +17,7 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
-from metapp.storage.checkpoints import load_checkpoint, tensor_digest
+from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 
 MAX_ALPHA_GRID_CELLS, MAX_CURVE_POINTS = 64, 200
 UNFINISHED_ENDINGS = (".previous", ".interrupted", ".training", ".aside")

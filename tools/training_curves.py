@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from metapp.evaluation.style import FIGURE_STYLE, PARADIGM_COLOURS, save_figure
-from metapp.storage.checkpoints import load_checkpoint
+from metapp.storage.checkpoint_files import load_checkpoint
 
 
 def extrapolate_errors(steps: NDArray[np.float64], errors: NDArray[np.float64], until: NDArray[np.float64]) -> Any:

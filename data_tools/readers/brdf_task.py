@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from data_tools.readers.source import ANISOTROPIC_FACT, SAMPLE_COUNT_FACT, Facts
+from data_tools.readers.input_source import ANISOTROPIC_FACT, SAMPLE_COUNT_FACT, Facts
 from metapp.appearance.geometry import angle_cosines, is_above_horizon
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.learning.task import Task

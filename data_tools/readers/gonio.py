@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
+from data_tools.readers.input_source import ANISOTROPIC_FACT, DAMAGED_FACT, SAMPLE_COUNT_FACT, Source, Sources
 from data_tools.readers.listing import find_by_suffix, has_suffix
 from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, depends_on_azimuth, task_of_pairs
-from data_tools.readers.source import ANISOTROPIC_FACT, DAMAGED_FACT, SAMPLE_COUNT_FACT, Source, Sources
 from metapp.appearance.colorimetry import spectrum_to_rgb_matrix
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task

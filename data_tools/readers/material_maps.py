@@ -27,10 +27,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers import photos
+from data_tools.readers import square_photos
 from data_tools.readers.arrays import check_pixels, check_range, is_pil, picture_values, pixels_of
 from data_tools.readers.colours import LINEAR_SPACE
 from data_tools.readers.image_files import IMAGE_SUFFIXES, Pixels, read_pixels, shape_of
+from data_tools.readers.input_source import Source, Sources
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import (
     COLOUR_ROLES,
@@ -40,8 +41,7 @@ from data_tools.readers.map_names import (
     parse_map_name,
 )
 from data_tools.readers.normal_maps import complete_normals
-from data_tools.readers.photos import SIZE, central_square, reading_side_px, resample_square
-from data_tools.readers.source import Source, Sources
+from data_tools.readers.square_photos import SIZE, central_square, reading_side_px, resample_square
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import decode_unit_normals, make_svbrdf_task, task_name
 from metapp.appearance.flash import Maps, pack_maps
@@ -105,7 +105,7 @@ def find(path: Path) -> Sources:
     Raises:
         ValueError: a path that does not exist, a folder without a map.
     """
-    files, skipped = photos.find_images(path)
+    files, skipped = square_photos.find_images(path)
     if not path.is_dir():
         return [_source_of(_material(path))], []
     in_folders = [list_materials(folder) for folder in sorted({file.parent for file in files})]

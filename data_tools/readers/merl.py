@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
+from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.listing import files_of, find_files
-from data_tools.readers.source import Sources, sources_of_files
 from metapp.appearance.geometry import is_above_horizon
 from metapp.learning.task import Params, Task
 from metapp.storage.files import add_suffix, open_regular, placeholder_line, write_atomically

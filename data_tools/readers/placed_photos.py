@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
-from data_tools.readers.photos import SIZE as PX
-from data_tools.readers.photos import SIZE_TEXT, folders_with_places, is_photo, read_photo
-from data_tools.readers.source import PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.input_source import PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.square_photos import SIZE as PX
+from data_tools.readers.square_photos import SIZE_TEXT, folders_with_places, is_photo, read_photo
 from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.learning.task import Task
 from metapp.storage.files import read_text

@@ -23,8 +23,8 @@ from torch import Tensor
 from data_tools.readers.colours import LINEAR_SPACE, Floats, integers_to_unit_range
 from data_tools.readers.image_files import Pixels, is_heif, read_pixels, shape_of
 from data_tools.readers.normal_maps import complete_normals
-from data_tools.readers.photos import SIZE, central_square, reading_side_px, resample_square
-from data_tools.readers.photos import find as find
+from data_tools.readers.square_photos import SIZE, central_square, reading_side_px, resample_square
+from data_tools.readers.square_photos import find as find
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import decode_unit_normals, encode_srgb, make_svbrdf_task, task_name
 from metapp.appearance.flash import Maps, pack_maps

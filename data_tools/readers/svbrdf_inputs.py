@@ -6,13 +6,13 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from data_tools.readers import material_maps, photos, strips
+from data_tools.readers import material_maps, square_photos, strips
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, check_exists, read_pixels
+from data_tools.readers.input_source import DAMAGED_FACT, PHOTO_COUNT_FACT, Source, Sources
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import is_unused_map
-from data_tools.readers.photos import SIZE, flash_view, folders_with_places, task_of_square, to_square_photo
-from data_tools.readers.source import DAMAGED_FACT, PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.square_photos import SIZE, flash_view, folders_with_places, task_of_square, to_square_photo
 from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.learning.task import Task
 
@@ -27,7 +27,7 @@ class FileRole(NamedTuple):
 def recognises(path: Path) -> bool:
     """True if a path is an image file, or a folder with one below it that is not among those with places."""
     if not path.is_dir():
-        return photos.recognises(path)
+        return square_photos.recognises(path)
     placed = folders_with_places(path)
     return any(_is_elsewhere(file, placed) for file in files_below(path, ALL_PICTURE_SUFFIXES))
 
@@ -37,7 +37,7 @@ def find(path: Path) -> Sources:
 
     Folders with the places of several photographs, as of `folders_with_places`, are left out.
     """
-    files, skipped = photos.find_images(path)
+    files, skipped = square_photos.find_images(path)
     placed = folders_with_places(path) if path.is_dir() else []
     files = [file for file in files if _is_elsewhere(file, placed)]
     stands_for: dict[Path, Path | None] = {}

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from data_tools.readers.source import PHOTO_COUNT_FACT, Facts
+from data_tools.readers.input_source import PHOTO_COUNT_FACT, Facts
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import camera_position, render_maps, texel_positions, unpack_maps
 from metapp.learning.task import Task

@@ -14,9 +14,9 @@ from pathlib import Path
 import torch
 
 from data_tools.readers import material_maps
+from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.map_names import PLAIN_COLOUR_ROLE
 from data_tools.readers.material_maps import material_of, read_material
-from data_tools.readers.source import Sources, sources_of_files
 from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.apps import class_of

@@ -14,8 +14,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from data_tools.draws import Rng, random_stream
-from data_tools.synthetic.draws import between, chance, integer_between, log_between, pick
+from data_tools.random_streams import Rng, random_stream
+from data_tools.synthetic.random_values import between, chance, integer_between, log_between, pick
 
 SceneEntry = dict[str, Any]
 

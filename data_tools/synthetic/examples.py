@@ -15,13 +15,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Generator, Tensor
 
-from data_tools.draws import random_stream
+from data_tools.random_streams import random_stream
 from data_tools.synthetic import brdf, cornell, illumination, svbrdf_nonstationary, svbrdf_stationary, texture
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
 from metapp.appearance.latlong import texel_index
 from metapp.storage.files import write_atomically, write_bytes
-from metapp.storage.images import write_exr, write_png
+from metapp.storage.image_writers import write_exr, write_png
 
 _SEED = 1  # the embedded sets have 0
 _PAIRS = 2000  # rows of the table of a BRDF

@@ -13,9 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.draws import Rng
-from data_tools.readers import latlong
-from data_tools.synthetic.draws import Field, between, chance
+from data_tools.random_streams import Rng
+from data_tools.readers import environment_maps
 from data_tools.synthetic.environments.indoor import apartment, evening, lobby, office, studio, warehouse, workshop
 from data_tools.synthetic.environments.light import render_environment
 from data_tools.synthetic.environments.outdoor import (
@@ -30,15 +29,16 @@ from data_tools.synthetic.environments.outdoor import (
     street,
 )
 from data_tools.synthetic.environments.patterns import vector
-from data_tools.synthetic.environments.scene import EnvironmentScene
+from data_tools.synthetic.environments.scene_geometry import EnvironmentScene
+from data_tools.synthetic.random_values import Field, between, chance
 from data_tools.synthetic.stationary.families import Split, split_draws
 from metapp.appearance.latlong import solid_angles
 from metapp.learning.task import Task
 
 _STRONGEST_CAST = 1.2  # of red over blue, in the mean of a map, as a power of 2
 
-ROWS = latlong.MAP_HEIGHT_PX  # rows of a map
-UNITS = {**latlong.UNITS, "scale": "mean luminance of the map before, kcd/m^2, about"}
+ROWS = environment_maps.MAP_HEIGHT_PX  # rows of a map
+UNITS = {**environment_maps.UNITS, "scale": "mean luminance of the map before, kcd/m^2, about"}
 COUNTS: dict[Split, int] = {"train": 900, "test": 16}
 FAMILIES: dict[str, Callable[[Rng], EnvironmentScene]] = {
     "meadow": meadow,
@@ -78,7 +78,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, rows: int = ROWS) -
     """
     for family, name, rng in split_draws("environments", FAMILIES, COUNTS, split, count, seed):
         light = draw_environment_map(FAMILIES[family], rng, 2 * max(1, math.ceil(rows / ROWS)), rows)
-        yield latlong.make_map_task(name, light, rng, rows)
+        yield environment_maps.make_map_task(name, light, rng, rows)
 
 
 def draw_environment_map(

@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
-from data_tools.draws import Rng
+from data_tools.random_streams import Rng
 from data_tools.readers import svbrdf_task
-from data_tools.synthetic.nonstationary.built import circuit, cover, inlay, mosaic, planks, plates, tiles
-from data_tools.synthetic.nonstationary.crafted import carpet, label, ornament, stitched
+from data_tools.synthetic.nonstationary.assemblies import circuit, cover, inlay, mosaic, planks, plates, tiles
+from data_tools.synthetic.nonstationary.decorations import carpet, label, ornament, stitched
 from data_tools.synthetic.nonstationary.materials import procedural_piece
-from data_tools.synthetic.nonstationary.surface import PatchSurface, pack_surface
-from data_tools.synthetic.nonstationary.worn import (
+from data_tools.synthetic.nonstationary.patch_surface import PatchSurface, pack_surface
+from data_tools.synthetic.nonstationary.wear import (
     corroded,
     crumpled,
     flaking,

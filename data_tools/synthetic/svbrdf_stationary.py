@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from data_tools.draws import Rng
-from data_tools.readers.flash import UNITS as OF_PHOTOS
-from data_tools.synthetic.draws import between, log_between, uniforms
+from data_tools.random_streams import Rng
+from data_tools.readers.flash_photos import UNITS as OF_PHOTOS
+from data_tools.synthetic.random_values import between, log_between, uniforms
 from data_tools.synthetic.stationary.families import FAMILIES, Split, split_draws
-from data_tools.synthetic.stationary.maps import PeriodicMaps
+from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from metapp.appearance.flash import (
     STATISTICS_SIDES_PX,
     Maps,

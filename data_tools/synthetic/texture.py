@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, between, log_between
+from data_tools.random_streams import Rng
 from data_tools.synthetic.patterns.fields import blur_periodic, height_slopes
+from data_tools.synthetic.random_values import Field, between, log_between
 from data_tools.synthetic.stationary.families import FAMILIES, Split, split_draws
-from data_tools.synthetic.stationary.maps import PeriodicMaps
+from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from metapp.learning.task import Task
 
 UNITS = {"image": "sRGB, 0 .. 255; a photograph from above"}

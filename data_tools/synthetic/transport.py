@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from data_tools.draws import random_stream
+from data_tools.random_streams import random_stream
 from data_tools.synthetic.cornell import draw_scene
 from data_tools.synthetic.stationary.families import Split, split_draws
 from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, make_transport_task

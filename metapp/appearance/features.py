@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from torch import Generator, Tensor, nn
 from torch.nn.functional import avg_pool2d, conv2d
 
-from metapp.storage.cache import cache_folder
+from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import open_regular, open_tensors
 
 # channels of the convolutions of each block of VGG-16 (Simonyan & Zisserman 2015); blocks are parted by max pooling

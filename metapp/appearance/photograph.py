@@ -25,7 +25,7 @@ from metapp.appearance.latlong import (
     sphere_normals,
     texel_index,
 )
-from metapp.learning.draws import draw_uniform
+from metapp.learning.random_tensors import draw_uniform
 from metapp.storage.tensor_cache import load_or_compute_tensors
 
 GLOSS_ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metapp.cli.arguments import JsonFlag, Out, Overwrite, Quiet, expand_options
 from metapp.cli.console import Exit, print_json, standard_output
-from metapp.cli.options import JsonFlag, Out, Overwrite, Quiet, expand_options
 from metapp.options import Converter
 from metapp.runs.reporter import say
 
 if TYPE_CHECKING:
-    from metapp.runs.inputs.convert import ConversionResult
+    from metapp.runs.inputs.conversion import ConversionResult
 
 
 def make_convert_command(name: str, converter: type[Converter]) -> Callable[..., None]:
@@ -30,7 +30,7 @@ def make_convert_command(name: str, converter: type[Converter]) -> Callable[...,
         quiet: Quiet = False,
         as_json: JsonFlag = False,
     ) -> None:
-        from metapp.runs.inputs.convert import convert_files
+        from metapp.runs.inputs.conversion import convert_files
 
         done = convert_files(name, paths, folder, options.split, options.arguments(), overwrite=overwrite, quiet=quiet)
         print_written_tasks(done, quiet, as_json)

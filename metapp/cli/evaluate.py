@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
+from metapp.cli.arguments import JsonFlag, Overwrite, app_words, check_new_file, expand_options
 from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
-from metapp.cli.options import JsonFlag, Overwrite, app_words, check_new_file, expand_options
 from metapp.names import did_you_mean
 from metapp.registry import registry
 
@@ -32,6 +32,6 @@ def evaluate_command(
     for folder in filter(None, (options.figures, options.report)):
         for file in (*folder.glob("*-*.p[nd][gf]"), *folder.glob("index.md")):
             check_new_file(file, overwrite)
-    from metapp.cli.evaluating import evaluate
+    from metapp.cli.evaluation_output import evaluate
 
     evaluate(options, apps or [], which, "json" if json else options.format)

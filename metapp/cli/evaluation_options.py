@@ -8,7 +8,7 @@ from typing import Annotated
 
 from metapp.options import Option
 from metapp.registry import registry
-from metapp.runs.options import MAX_SEED
+from metapp.runs.fit_options import MAX_SEED
 
 ALL_TABLES = "all"
 TABLE_FORMATS = ("rich", "markdown", "latex", "csv", "json")

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from metapp.cli.arguments import FittedData, JsonFlag, Quiet, check_out_folder, export_words
 from metapp.cli.console import print_json
-from metapp.cli.options import FittedData, JsonFlag, Quiet, check_out_folder, export_words
 from metapp.names import app_names, exports_of
 from metapp.registry import registry
 from metapp.runs.reporter import say
@@ -59,7 +59,7 @@ def export_command(
       metapp export runs/brdf/meta bsdf
       metapp export chm_orange_rgb.bsdf merl
     """
-    from metapp.runs.outputs.recorded import export_fits, holds_fits
+    from metapp.runs.outputs.run_records import export_fits, holds_fits
 
     own = {name: value for name, value in (("size", size), ("relief", relief)) if value is not None}
     if form in registry().file_exports and not holds_fits(source):

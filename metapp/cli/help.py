@@ -10,7 +10,7 @@ from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
-from metapp.cli.options import value_placeholder
+from metapp.cli.arguments import value_placeholder
 from metapp.options import BadOption
 
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 from typer.core import TyperArgument
 
-from metapp.cli.options import value_placeholder
+from metapp.cli.arguments import value_placeholder
 from metapp.options import PANELS
 
 LABEL_CHARACTERS = 19  # columns of an option, so that texts of all panels begin at the same one

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from metapp.cli.arguments import JsonFlag, Overwrite, Quiet, Seed, check_new_file
 from metapp.cli.console import print_json
-from metapp.cli.options import JsonFlag, Overwrite, Quiet, Seed, check_new_file
 from metapp.names import did_you_mean
 from metapp.runs.reporter import progress, say
 

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from metapp.cli.arguments import JsonFlag, Out, Overwrite, Quiet, Seed, app_words, check_out_folder, expand_options
 from metapp.cli.data import print_written_tasks
-from metapp.cli.drawing_options import SHARDS_FORM, CornellOptions, SynthOptions
-from metapp.cli.options import JsonFlag, Out, Overwrite, Quiet, Seed, app_words, check_out_folder, expand_options
+from metapp.cli.synthesis_options import SHARDS_FORM, CornellOptions, SynthOptions
 from metapp.names import did_you_mean, embedded_apps
 from metapp.registry import registry
 
@@ -56,7 +56,7 @@ def synth(
     if form != SHARDS_FORM and own:
         flag = f"--{next(iter(own))}".replace("_", "-")
         raise typer.BadParameter(f"{form}: has no {flag}, expected shards with it.", param_hint="--as")
-    from metapp.cli.drawing import draw_files, draw_shards
+    from metapp.cli.synthesis import draw_files, draw_shards
 
     if form == SHARDS_FORM:
         done = draw_shards(name, seed, count, folder, own, overwrite=overwrite, quiet=quiet)
@@ -93,7 +93,7 @@ def cornell(
       metapp data cornell --count 20 --seed 7 --out boxes
       metapp data cornell --count 4 --samples 288000 --split test --out boxes
     """
-    from metapp.cli.drawing import draw_cornell_boxes
+    from metapp.cli.synthesis import draw_cornell_boxes
 
     done = draw_cornell_boxes(options, folder, seed, overwrite=overwrite, quiet=quiet)
     print_written_tasks(done, quiet, as_json)

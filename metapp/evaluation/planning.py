@@ -12,13 +12,13 @@ from torch import Generator, Tensor
 
 from data_tools.readers.measured_pairs import MeasuredPairs
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
+from metapp.apps.brdf.brdf_network import COUNT_KEY
 from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_errors, places_at_angles, plan_directions
-from metapp.apps.brdf.few.network import FEW_NETWORK, error_slope, ridge_regression
-from metapp.apps.brdf.network import COUNT_KEY
+from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK, error_slope, ridge_regression
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels
 from metapp.learning.task import Params
-from metapp.runs.checkpoints import attach_checkpoint
-from metapp.runs.options import fit_options
+from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.fit_options import fit_options
 from metapp.runs.run import Run
 
 MAX_NUMBERED_PAIRS = 32  # pairs up to which a picture numbers each

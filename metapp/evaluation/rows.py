@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib import resources
 
 from metapp.apps import is_first_protocol, protocol_entry
-from metapp.evaluation.statistics import (
+from metapp.evaluation.error_statistics import (
     MIN_TASK_GROUPS,
     ErrorsByTask,
     PairedComparison,
@@ -22,7 +22,7 @@ from metapp.evaluation.table import Row
 from metapp.learning.app import App
 from metapp.runs.fitting import LOSS_ROSE_CLAUSE
 from metapp.storage import Document
-from metapp.storage.fits import Record, count_guarded
+from metapp.storage.fit_folders import Record, count_guarded
 
 
 @functools.cache

@@ -13,16 +13,16 @@ from metapp.evaluation.table import Table
 from metapp.learning.task import Params, Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoints import attach_checkpoint
+from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fitting import fit_tasks
 from metapp.runs.inputs.embedded import has_embedded_tests
-from metapp.runs.inputs.sources import read_test_tasks, task_digest
-from metapp.runs.outputs.pictures import MAX_SHEET_ROWS, tiles_of_methods, write_comparison_sheet
+from metapp.runs.inputs.run_inputs import read_test_tasks, task_digest
+from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, tiles_of_methods, write_comparison_sheet
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import make_folder, torch_defaults
-from metapp.storage.checkpoints import content_digest
-from metapp.storage.fits import NUMBER_ENTRIES, Record, RunFolder
+from metapp.storage.checkpoint_files import content_digest
+from metapp.storage.fit_folders import NUMBER_ENTRIES, Record, RunFolder
 
 LONG_FIT_STEPS = (
     30  # gradient steps, more than those of Meta and QuickFT: Overfit's and Finetune's rows take most of the time

@@ -7,9 +7,9 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from metapp.evaluation.statistics import PairedComparison
+from metapp.evaluation.error_statistics import PairedComparison
 from metapp.storage import Document
-from metapp.storage.fits import Record
+from metapp.storage.fit_folders import Record
 
 Row = Document  # all that is known of a method, whatever columns show; comparisons with another row are `PairedComparison`
 

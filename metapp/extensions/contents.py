@@ -12,14 +12,14 @@ def assets(registry: Registry) -> None:
     """Fitted materials and textures as other programs take them: glTF, USD, MaterialX, Mitsuba, Blender, pictures."""
     here = f"{_HERE}.assets"
     for app in (*_MATERIALS, "texture"):
-        registry.exports[app, "asset"] = Export(f"{here}.pictures:write_asset", of_surface=True)
-        registry.exports[app, "exr"] = Export(f"{here}.pictures:write_exr", of_surface=True)
-        registry.exports[app, "png16"] = Export(f"{here}.pictures:write_png16", of_surface=True)
+        registry.exports[app, "asset"] = Export(f"{here}.surface_pictures:write_asset", of_surface=True)
+        registry.exports[app, "exr"] = Export(f"{here}.surface_pictures:write_exr", of_surface=True)
+        registry.exports[app, "png16"] = Export(f"{here}.surface_pictures:write_png16", of_surface=True)
     for app in _MATERIALS:
-        registry.exports[app, "blender"] = Export(f"{here}.pictures:write_blender", of_surface=True)
+        registry.exports[app, "blender"] = Export(f"{here}.surface_pictures:write_blender", of_surface=True)
         registry.exports[app, "gltf"] = Export(f"{here}.gltf:write_gltf", of_surface=True)
         registry.exports[app, "materialx"] = Export(f"{here}.materialx:write_openpbr", of_surface=True)
-        registry.exports[app, "mitsuba"] = Export(f"{here}.mitsuba:write_mitsuba", of_surface=True)
+        registry.exports[app, "mitsuba"] = Export(f"{here}.mitsuba_surfaces:write_mitsuba", of_surface=True)
         registry.exports[app, "usd"] = Export(f"{here}.usd:write_usd", of_surface=True, needs=("pxr", "usd-core"))
 
 
@@ -35,35 +35,37 @@ def baselines(registry: Registry) -> None:
     for app, names in methods.items():
         for name in names:
             registry.baselines[app, name] = Entry(f"{_HERE}.baselines.{app}:baselines")
-    registry.commands["baseline"] = Entry(f"{_HERE}.baselines.commands:baseline_group")
-    registry.tables["baselines"] = Entry(f"{_HERE}.baselines.table:baselines_table", "Methods without a network")
+    registry.commands["baseline"] = Entry(f"{_HERE}.baselines.baseline_command:baseline_group")
+    registry.tables["baselines"] = Entry(
+        f"{_HERE}.baselines.baselines_table:baselines_table", "Methods without a network"
+    )
 
 
 def capture(registry: Registry) -> None:
     """Light and materials captured by hand: a mirror ball in several photos, flat materials in hand-held photos."""
     here = f"{_HERE}.capture"
-    registry.formats["ball"] = Format(f"{here}.ball.reading", app="illumination", inputs="LDR photos of a ball")
+    registry.formats["ball"] = Format(f"{here}.ball.ball_reader", app="illumination", inputs="LDR photos of a ball")
     registry.merges["illumination", "shutter"] = Entry(f"{here}.ball.capture:merge_photos")
-    registry.commands["data markers"] = Entry(f"{here}.markers.command:markers_command")
-    registry.commands["data rectify"] = Entry(f"{here}.markers.command:rectify_command")
-    registry.commands["data ball"] = Entry(f"{here}.ball.command:ball_command")
+    registry.commands["data markers"] = Entry(f"{here}.markers.marker_commands:markers_command")
+    registry.commands["data rectify"] = Entry(f"{here}.markers.marker_commands:rectify_command")
+    registry.commands["data ball"] = Entry(f"{here}.ball.ball_command:ball_command")
 
 
 def compare(registry: Registry) -> None:
     """Two runs side by side."""
-    registry.commands["compare"] = Entry(f"{_HERE}.compare.command:compare_command")
+    registry.commands["compare"] = Entry(f"{_HERE}.compare.compare_command:compare_command")
 
 
 def doctor(registry: Registry) -> None:
     """A report on the installation."""
-    registry.commands["doctor"] = Entry(f"{_HERE}.doctor.commands:doctor_command")
+    registry.commands["doctor"] = Entry(f"{_HERE}.doctor.doctor_command:doctor_command")
 
 
 def examples(registry: Registry) -> None:
     """Commands that work as they are, and the input files that they name."""
-    registry.commands["examples"] = Entry(f"{_HERE}.examples.commands:examples_command")
+    registry.commands["examples"] = Entry(f"{_HERE}.examples.examples_command:examples_command")
     for app in ("brdf", "illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport"):
-        registry.examples[app] = Entry(f"{_HERE}.examples.lines:{app.upper()}_EXAMPLES")
+        registry.examples[app] = Entry(f"{_HERE}.examples.application_examples:{app.upper()}_EXAMPLES")
 
 
 def guided(registry: Registry) -> None:
@@ -116,16 +118,18 @@ def mitsuba_bsdfs(registry: Registry) -> None:
 
 def native(registry: Registry) -> None:
     """Steps of learning in C, and by torch, compiled."""
-    registry.hooks["steps"] = Entry(f"{_HERE}.native.fastest:choose_steps")
+    registry.hooks["steps"] = Entry(f"{_HERE}.native.step_choice:choose_steps")
 
 
 def onnx_files(registry: Registry) -> None:
     """Fitted BRDFs, and General of flash photographs, as ONNX models."""
     here = f"{_HERE}.onnx_files"
-    registry.exports["brdf", "onnx"] = Export(f"{here}.brdf:write_onnx", needs=("onnxscript", "onnx and onnxscript"))
+    registry.exports["brdf", "onnx"] = Export(
+        f"{here}.brdf_model:write_onnx", needs=("onnxscript", "onnx and onnxscript")
+    )
     for kind in ("onnx", "onnx-page"):
         registry.file_exports[kind] = Entry(
-            f"{here}.checkpoints:write_general", help="General of photos, by a checkpoint or its name"
+            f"{here}.general_files:write_general", help="General of photos, by a checkpoint or its name"
         )
 
 
@@ -133,13 +137,13 @@ def rgl(registry: Registry) -> None:
     """BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
     here = f"{_HERE}.rgl"
     registry.formats["bsdf"] = Format(f"{here}.rgl", app="brdf", inputs="RGL .bsdf files")
-    registry.commands["data bsdf"] = Entry(f"{here}.options:BsdfConverter")
+    registry.commands["data bsdf"] = Entry(f"{here}.bsdf_converter:BsdfConverter")
     registry.exports["brdf", "bsdf"] = Export(f"{here}.rgl:export")
     registry.exports["brdf", "bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
-    registry.exports["brdf", "mitsuba"] = Export(f"{here}.scene:write_brdf_scenes")
+    registry.exports["brdf", "mitsuba"] = Export(f"{here}.brdf_scene:write_brdf_scenes")
     for kind in ("merl", "bsdf", "bsdf-spectral"):
         registry.file_exports[kind] = Entry(
-            f"{here}.convert:write_converted", help="MERL tables, RGL files, NBRDF networks, folders of them"
+            f"{here}.brdf_conversion:write_converted", help="MERL tables, RGL files, NBRDF networks, folders of them"
         )
 
 
@@ -147,30 +151,30 @@ def scene_files(registry: Registry) -> None:
     """Scene files of Mitsuba as inputs of light transport."""
     here = f"{_HERE}.scene_files"
     registry.formats["mitsuba"] = Format(
-        f"{here}.reading", app="transport", inputs="Mitsuba scenes (.xml, .json) with a perspective camera"
+        f"{here}.scene_reader", app="transport", inputs="Mitsuba scenes (.xml, .json) with a perspective camera"
     )
-    registry.objects["transport"] = Entry(f"{here}.reading:task_of_object")
-    registry.hooks["scene"] = Entry(f"{here}.reading:check_stored_scene")
+    registry.objects["transport"] = Entry(f"{here}.scene_reader:task_of_object")
+    registry.hooks["scene"] = Entry(f"{here}.scene_reader:check_stored_scene")
 
 
 def shaders(registry: Registry) -> None:
     """Fitted BRDFs as source code of shaders."""
     weights = ("w1", "b1", "w2", "b2", "w3", "b3")  # 675 numbers; other networks are distilled into these
     for name in ("cpp", "glsl", "hlsl", "materialx", "osl", "wgsl"):
-        registry.exports["brdf", name] = Export(f"{_HERE}.shaders.files:write_{name}", holds=weights)
+        registry.exports["brdf", name] = Export(f"{_HERE}.shaders.shader_files:write_{name}", holds=weights)
 
 
 def vgg(registry: Registry) -> None:
     """ImageNet weights of VGG-16, which losses on pictures read: found or fetched, once."""
-    registry.commands["data vgg"] = Entry(f"{_HERE}.vgg.commands:vgg_command")
+    registry.commands["data vgg"] = Entry(f"{_HERE}.vgg.vgg_command:vgg_command")
 
 
 def viewer(registry: Registry) -> None:
     """Interactive HTML pages of fits."""
     here = f"{_HERE}.viewer"
-    registry.commands["view"] = Entry(f"{here}.commands:view_command")
-    registry.commands["try"] = Entry(f"{here}.commands:try_command")
-    registry.methods["view"] = Entry(f"{here}.viewing:write_fit_page")
+    registry.commands["view"] = Entry(f"{here}.viewer_commands:view_command")
+    registry.commands["try"] = Entry(f"{here}.viewer_commands:try_command")
+    registry.methods["view"] = Entry(f"{here}.runs_page:write_fit_page")
     for app in ("brdf", "illumination", "transport"):
         registry.pages[app] = Entry(f"{here}.pages.{app}:make_{app}_view")
     for app in ("svbrdf_nonstationary", "svbrdf_stationary", "texture"):

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
-from metapp.learning.draws import Rng, clone_rng
 from metapp.learning.learn import DescentState, check_finite_losses, descend, final_item
+from metapp.learning.random_tensors import Rng, clone_rng
 from metapp.learning.recipe import Guard
 from metapp.learning.rules import append_axes, fixed_adam
 from metapp.learning.task import Params, Tasks

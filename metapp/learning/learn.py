@@ -26,7 +26,7 @@ from metapp.learning.adjoint import (
     torch_steps,
 )
 from metapp.learning.app import App
-from metapp.learning.draws import Rng, draw_per_task
+from metapp.learning.random_tensors import Rng, draw_per_task
 from metapp.learning.task import KIND_TENSOR, Params, Tasks
 
 

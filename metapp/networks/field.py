@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from metapp.learning.draws import draw_uniform
+from metapp.learning.random_tensors import draw_uniform
 from metapp.learning.task import Params
 
 STRIP_TEXELS = 2**17  # evaluated at a time: 16 MB of 32 channels, which the next rows get again, still mapped

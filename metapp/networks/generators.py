@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv2d, interpolate
 
-from metapp.learning.draws import draw_normal
+from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Params
 from metapp.networks import layers
 from metapp.networks.layers import apply_styled, apply_styled_by_rows, enlarge_periodic, init_styled

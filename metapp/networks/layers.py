@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, leaky_relu_, pad, pixel_shuffle
 
-from metapp.learning.draws import draw_normal
+from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Params
 
 LEAKY_SLOPE = 0.2

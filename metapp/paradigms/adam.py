@@ -9,8 +9,8 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
-from metapp.learning.draws import Rng, draw_per_task
 from metapp.learning.learn import EncoderPrediction, MetaParameters, after_encoding, over_tasks, task_loss, with_stages
+from metapp.learning.random_tensors import Rng, draw_per_task
 from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.paradigm import Paradigm, Preparation

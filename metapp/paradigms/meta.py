@@ -8,16 +8,16 @@ from typing import Self
 import torch
 from torch import Generator
 
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import Loss, RuleStep, UpdateRule
 from metapp.learning.app import App
-from metapp.learning.draws import Rng
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn, over_tasks, task_loss
+from metapp.learning.random_tensors import Rng
 from metapp.learning.recipe import Adam, Guard, MetaTraining, Recipe
 from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.adam import General, GeneralPreparation, encoder_prediction, predict_parameters
 from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, Preparation, fastest_steps
-from metapp.rules import rule_of
 
 MAX_STATISTICS_TASKS = 32  # tasks whose gradients settle parts of a rule
 

@@ -12,9 +12,9 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
 from metapp.learning.app import App
-from metapp.learning.draws import Rng
 from metapp.learning.guard import descend_with_guard
 from metapp.learning.learn import DescentState, MetaParameters, check_finite_losses, descend, final_item, task_loss
+from metapp.learning.random_tensors import Rng
 from metapp.learning.recipe import Adam, Guard, OuterLoop, Recipe
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from metapp.rendering.types import Mitsuba
-from metapp.storage.cache import code_folder
+from metapp.storage.cache_folders import code_folder
 
 OLDEST_LLVM = 19  # 15 and 16 abort the process at the first render, which no `except` can catch; 14 is refused
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"  # where Dr.Jit, below Mitsuba, looks for the library

@@ -14,17 +14,17 @@ from torch import Tensor
 
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.runs.checkpoints import attach_checkpoint
-from metapp.runs.choose import choose_protocol_and_recipe
+from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.environment import torch_defaults
 from metapp.runs.fit import Fit
+from metapp.runs.fit_options import FitOptions, fit_options
 from metapp.runs.fitting import BadInput, fit_sources
 from metapp.runs.inputs.finding import source_of_tensors
-from metapp.runs.inputs.sources import are_objects, find_inputs, rename_duplicates, task_digest
-from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.outputs.recorded import find_fitted_tasks, read_fit_of_file, read_run_records
+from metapp.runs.inputs.run_inputs import are_objects, find_inputs, rename_duplicates, task_digest
+from metapp.runs.outputs.run_records import find_fitted_tasks, read_fit_of_file, read_run_records
+from metapp.runs.recipe_choice import choose_protocol_and_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
-from metapp.runs.surroundings import torch_defaults
 from metapp.storage.parameters import read_checked_params
 
 COMMAND_LINE_OPTIONS = ("train", "train_steps", "resume", "export")  # options of folders of fits

@@ -20,15 +20,15 @@ from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.registry import registry
-from metapp.runs.options import check_export
-from metapp.runs.outputs.files import export_fit, render_outputs
-from metapp.runs.outputs.pictures import place_side_by_side, srgb_image
+from metapp.runs.environment import torch_defaults
+from metapp.runs.fit_options import check_export
+from metapp.runs.outputs.contact_sheet import place_side_by_side, srgb_image
+from metapp.runs.outputs.fit_files import export_fit, render_outputs
 from metapp.runs.run import Run
-from metapp.runs.surroundings import torch_defaults
 from metapp.storage import Document
 from metapp.storage.files import write_bytes
-from metapp.storage.fits import pack_fit
-from metapp.storage.images import png_data_url
+from metapp.storage.fit_folders import pack_fit
+from metapp.storage.image_writers import png_data_url
 
 # entries of records that are no errors
 NON_ERROR_RECORD_KEYS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}

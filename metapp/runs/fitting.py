@@ -16,16 +16,16 @@ from torch import Generator
 
 from metapp.appearance.pictures import photo_error_percent
 from metapp.learning.app import stack_tasks
-from metapp.learning.draws import Rng, draw_per_task
 from metapp.learning.learn import DescentState, final_item
+from metapp.learning.random_tensors import Rng, draw_per_task
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fit import Fit
-from metapp.runs.inputs.sources import Input, task_digest
+from metapp.runs.inputs.run_inputs import Input, task_digest
 from metapp.runs.reporter import Bar, say
 from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.files import error_about_file
-from metapp.storage.fits import RunFolder
+from metapp.storage.fit_folders import RunFolder
 
 READ_TIME_SHARE, FITTED_TIME_SHARE = 0.2, 0.5  # shares of an input's time until it is read, and fitted, about
 WARM_UP_STEPS = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 
 import torch
 
-from data_tools.readers.source import Source
+from data_tools.readers.input_source import Source
 from metapp.appearance.presenter import Presenter
 from metapp.apps import app_of, is_first_protocol, presenter_of, protocol_entry, recipe_of
+from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -20,22 +21,21 @@ from metapp.names import did_you_mean, rule_words
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.paradigm import Paradigm
-from metapp.rules import rule_of
-from metapp.runs.choose import choose_protocol_and_recipe
-from metapp.runs.inputs.finding import find_sources
-from metapp.runs.options import (
+from metapp.runs.default_recipe import usual_recipe
+from metapp.runs.environment import find_device, software_versions
+from metapp.runs.fit_options import (
     FitOptions,
     app_options_of_record,
     check_options_of_protocol,
     fit_options,
     folder_name_parts,
 )
-from metapp.runs.recipes import usual_recipe
+from metapp.runs.inputs.finding import find_sources
+from metapp.runs.recipe_choice import choose_protocol_and_recipe
 from metapp.runs.reporter import say
-from metapp.runs.surroundings import find_device, software_versions
 from metapp.storage import Document
-from metapp.storage.checkpoints import content_digest
-from metapp.storage.fits import RunFolder
+from metapp.storage.checkpoint_files import content_digest
+from metapp.storage.fit_folders import RunFolder
 
 
 class Checkpoint(NamedTuple):

@@ -8,7 +8,7 @@ from torch import Generator
 from metapp.learning.app import App
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.fits import read_params
+from metapp.storage.fit_folders import read_params
 
 
 def read_checked_params(record: Document, app: App) -> Params:

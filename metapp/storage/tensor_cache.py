@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
 
-from metapp.storage.cache import cache_folder
+from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import open_tensors, write_bytes
 
 

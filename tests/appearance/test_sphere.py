@@ -18,7 +18,7 @@ from metapp.appearance.geometry import (
 )
 from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe
 from metapp.appearance.sphere import SphereScene, environment_radiance, environment_scene, reference_scene, shade_sphere
-from metapp.storage import cache as cache_files
+from metapp.storage import cache_folders as cache_files
 
 KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
 ALPHAS = (0.03, 0.1, 0.3, 0.6)

@@ -9,12 +9,12 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import make_brdf_task
-from data_tools.readers.nbrdf import evaluate_nbrdf, export, read_nbrdf
+from data_tools.readers.nbrdf_files import evaluate_nbrdf, export, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import angle_cosines
 from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.nbrdf import WEIGHT_KNOTS
+from metapp.apps.brdf.nbrdf_network import WEIGHT_KNOTS
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Batch, Params, Task, Tasks
 
@@ -178,7 +178,9 @@ def test_a_made_up_material_is_one_material(tasks: Tasks, rng: Generator) -> Non
 def test_mixtures_are_between_two_materials(tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     grey = weighted(tasks).mean(2, keepdim=True).expand(-1, -1, 3)  # which permuting channels leaves alone
     tasks = Tasks(tasks.names, {**tasks.data, "target": torch.log1p(grey)}, tasks.rows)
-    monkeypatch.setattr("metapp.apps.brdf.augmentation.normal", lambda rng, *shape: torch.zeros(shape))  # no gains
+    monkeypatch.setattr(
+        "metapp.apps.brdf.sample_augmentation.normal", lambda rng, *shape: torch.zeros(shape)
+    )  # no gains
     mixed = 0
     for _ in range(4):
         made = APP.augment(tasks, rng)

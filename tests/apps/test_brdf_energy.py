@@ -11,9 +11,9 @@ from torch import Generator, Tensor
 import metapp
 from metapp.appearance.geometry import angle_cosines, quasirandom_angles, rusinkiewicz_to_directions
 from metapp.apps.brdf.app import Brdf
+from metapp.apps.brdf.brdf_network import find_network
 from metapp.apps.brdf.energy import albedo, conserve_energy, quadrature
-from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
-from metapp.apps.brdf.network import find_network
+from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.apps.brdf.presenter import MIRROR_DEGREES, BrdfPresenter
 from metapp.learning.task import Task
 

@@ -9,23 +9,23 @@ from torch import Generator, Tensor
 from data_tools.readers.brdf_task import make_brdf_task
 from metapp.appearance.geometry import angle_cosines, half_difference_and_cosine, half_difference_vectors
 from metapp.apps.brdf.app import MANY_SAMPLES, Brdf
-from metapp.apps.brdf.augmentation import (
+from metapp.apps.brdf.brdf_network import COUNT_KEY, BrdfNetwork, find_network, parameter_shapes
+from metapp.apps.brdf.feature_network import Featured, isotropic_inputs
+from metapp.apps.brdf.recipes import RECIPES
+from metapp.apps.brdf.sample_augmentation import (
     FEWEST_SAMPLES,
     MAX_MEASURED_RAD,
     draw_measurements,
     is_reachable,
     sample_densities,
 )
-from metapp.apps.brdf.featured import Featured, isotropic_inputs
-from metapp.apps.brdf.network import COUNT_KEY, BrdfNetwork, find_network, parameter_shapes
-from metapp.apps.brdf.recipes import RECIPES
+from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.meta import Meta
 from metapp.registry import registry
-from metapp.rules import rule_of
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
 APP = Brdf(SIZE)

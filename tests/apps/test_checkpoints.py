@@ -12,10 +12,10 @@ from metapp.names import app_names, protocols_of
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.recipes import has_shipped_recipe
-from metapp.storage.checkpoints import load_checkpoint, tensor_digest
-from metapp.storage.shipped import FULL_RECIPE_NAME, QUICK_RECIPE_NAME, shipped_checkpoint_path
+from metapp.runs.checkpoint_selection import checkpoint_name
+from metapp.runs.default_recipe import has_shipped_recipe
+from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
+from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, QUICK_RECIPE_NAME, shipped_checkpoint_path
 from tests.quick import app_by
 
 PACKAGE = shipped_checkpoint_path("brdf", "general").parent.parent

@@ -14,9 +14,9 @@ from metapp.appearance.features import NOISE_DISPLAY_VALUE, detail_statistics
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison
 from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
+from metapp.apps.exemplar.exemplar_statistics import SOFTNESS_WEIGHT
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import MIN_ORDER_SHARE, ExemplarPresenter
-from metapp.apps.exemplar.statistics import SOFTNESS_WEIGHT
 from metapp.apps.texture.app import Texture
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss

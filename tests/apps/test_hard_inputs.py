@@ -12,9 +12,9 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.draws import random_stream
+from data_tools.random_streams import random_stream
 from data_tools.readers.brdf_task import make_brdf_task
-from data_tools.readers.latlong import make_map_task
+from data_tools.readers.environment_maps import make_map_task
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.appearance.flash import Maps, pack_maps
 from metapp.appearance.latlong import solid_angles, sphere_normals, texel_directions
@@ -25,9 +25,9 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.runs.checkpoints import checkpoint_name
-from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.shipped import shipped_checkpoint_path
+from metapp.runs.checkpoint_selection import checkpoint_name
+from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.marked import long
 from tests.quick import app_by
 

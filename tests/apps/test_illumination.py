@@ -8,9 +8,16 @@ from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import develop, photograph_spheres, render_material_spheres
 from metapp.apps import presenter_of
 from metapp.apps.illumination.app import BODY_GAIN, BODY_NUMBERS, BODY_ROUGHNESSES, Illumination, decode_body
-from metapp.apps.illumination.encoder import unwrap_photos
+from metapp.apps.illumination.ball_encoder import unwrap_photos
+from metapp.apps.illumination.map_augmentation import (
+    LAMP_COUNT,
+    add_lamps,
+    mix_maps,
+    regrade_maps,
+    tint_maps,
+    turn_maps,
+)
 from metapp.apps.illumination.mirror import CLIPPED_LIGHT_FACTOR
-from metapp.apps.illumination.variants import LAMP_COUNT, add_lamps, mix_maps, regrade_maps, tint_maps, turn_maps
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField

@@ -28,8 +28,8 @@ from metapp.apps.svbrdf_stationary.app import (
     TRUTH_WEIGHT,
     SvbrdfStationary,
 )
+from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF, FlashStatistics, encode_gloss
 from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR_WEIGHT, QUICK
-from metapp.apps.svbrdf_stationary.statistics import FLASH_FALLOFF, FlashStatistics, encode_gloss
 from metapp.apps.svbrdf_stationary.windows import WINDOWS_PER_SIDE, grams_in_windows
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import learn, task_loss

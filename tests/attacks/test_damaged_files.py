@@ -9,8 +9,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save, save_file
 
-from metapp.storage.checkpoints import CHECKPOINT_SCHEMA, load_checkpoint, save_checkpoint
-from metapp.storage.fits import NUMBER_ENTRIES, RECORD, read_fit_records, write_fit
+from metapp.storage.checkpoint_files import CHECKPOINT_SCHEMA, load_checkpoint, save_checkpoint
+from metapp.storage.fit_folders import NUMBER_ENTRIES, RECORD, read_fit_records, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 

@@ -10,14 +10,14 @@ import torch
 
 from metapp.extensions.native import compiler as module
 from metapp.extensions.native.compiler import find_compiler, load_library
-from metapp.storage.cache import cache_folder
+from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import (
     check_readable,
     open_regular,
     read_bytes,
     read_text,
 )
-from metapp.storage.fits import PARAMS, RECORD, read_fit_records, write_fit
+from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records, write_fit
 
 KEYS = "first\nlast"
 GOLD = {"name": "gold", "error": 1.0, "seconds": 1.0}

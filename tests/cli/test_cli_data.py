@@ -256,16 +256,16 @@ def test_folders_train_and_test_stay_apart(
 def test_small_tensors_are_converted_by_one_thread(
     metapp: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from data_tools.readers import nbrdf
+    from data_tools.readers import nbrdf_files
 
     counts: list[int] = []
-    read = nbrdf.read_task
+    read = nbrdf_files.read_task
 
     def counted(*arguments: Any, **options: Any) -> Task:
         counts.append(torch.get_num_threads())
         return read(*arguments, **options)
 
-    monkeypatch.setattr(nbrdf, "read_task", functools.wraps(read)(counted))
+    monkeypatch.setattr(nbrdf_files, "read_task", functools.wraps(read)(counted))
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(2)

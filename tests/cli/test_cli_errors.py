@@ -18,7 +18,7 @@ from metapp.cli.console import MAX_MESSAGE_CHARACTERS, shorten_to_line
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.runs import fitting
-from metapp.storage.fits import PARAMS, RECORD, read_fit_records
+from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
 from tests.conftest import Result
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

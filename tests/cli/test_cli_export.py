@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from metapp.names import exports_of
-from metapp.storage.fits import PARAMS, RECORD, read_fit_records
+from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

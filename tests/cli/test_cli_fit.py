@@ -19,8 +19,8 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
-from metapp.storage.checkpoints import content_digest, load_checkpoint
-from metapp.storage.fits import RECORD, read_fit_records, read_params
+from metapp.storage.checkpoint_files import content_digest, load_checkpoint
+from metapp.storage.fit_folders import RECORD, read_fit_records, read_params
 from tests.conftest import Result
 
 STEPS = ("--train", "--train-steps", "3")
@@ -397,7 +397,7 @@ def test_a_fit_imports_no_library_of_figures_and_ends_quietly() -> None:
         "import gc, sys",
         "from metapp.cli.console import importing",
         "with importing():",
-        "    import metapp.runs.keeping",
+        "    import metapp.runs.execution",
         "import metapp.apps.illumination, metapp.apps.svbrdf_nonstationary, metapp.apps.texture, OpenImageIO",
         "print(gc.isenabled(), gc.get_freeze_count() > 100_000)",
         "print({'matplotlib', 'scipy', 'torchmetrics', 'mitsuba', 'colour'} & sys.modules.keys())",

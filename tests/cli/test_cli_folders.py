@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from metapp.learning.task import Task
-from metapp.storage.fits import read_fit_records, write_fit
+from metapp.storage.fit_folders import read_fit_records, write_fit
 from metapp.storage.shards import write_data_set
 from tests.extensions.capture.ball_photos import detailed, written
 from tests.extensions.capture.ball_photos import photograph as photograph_of_ball
@@ -153,7 +153,7 @@ def test_runs_among_photos_are_no_inputs(metapp: Callable, folders: Path) -> Non
 @pytest.mark.long
 def test_light_of_a_ball_is_filled_in_from_its_data_set(metapp: Callable, tmp_path: Path, scene: Path) -> None:
     """`metapp data ball PHOTO --out garden; metapp meta illumination garden` fits the ball, and nothing else."""
-    from metapp.extensions.capture.ball.geometry import Ball
+    from metapp.extensions.capture.ball.ball_geometry import Ball
 
     photo = written(tmp_path / "a.png", photograph_of_ball(Ball(80, 75, 60), 150, 160, 0.02, detailed))
     ball = ["--ball", "80,75,60", "--rows", "64"]

@@ -13,8 +13,8 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.task import Params, Tasks
 from metapp.runs import fitting
-from metapp.runs.inputs.sources import Input
-from metapp.storage.fits import name_with_digest, read_fit_records
+from metapp.runs.inputs.run_inputs import Input
+from metapp.storage.fit_folders import name_with_digest, read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NAMES = [f"m{i}" for i in range(5)]

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from data_tools.readers.latlong import read_map
+from data_tools.readers.environment_maps import read_map
 from data_tools.readers.svbrdf_task import render_flash_photo
 from metapp.appearance.colour import tone_map
 from metapp.appearance.flash import Maps, normal_from_height, pack_maps, unpack_maps
@@ -25,20 +25,20 @@ from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.cli.console import Terminal
-from metapp.cli.evaluating import evaluation_runs_of
 from metapp.cli.evaluation_options import EvaluateOptions
-from metapp.cli.fitting import VISIBLE_TILT_DEGREES
+from metapp.cli.evaluation_output import evaluation_runs_of
+from metapp.cli.fit_output import VISIBLE_TILT_DEGREES
 from metapp.evaluation.tables.results import describe_gap
 from metapp.names import exports_of
 from metapp.networks.field import LocalField
 from metapp.registry import registry
-from metapp.runs.keeping import execute_run
-from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import find_fitted_tasks, read_run_records
+from metapp.runs.execution import execute_run
+from metapp.runs.fit_options import fit_options
+from metapp.runs.outputs.run_records import find_fitted_tasks, read_run_records
 from metapp.runs.reporter import Bar, use_reporter
 from metapp.runs.run import Run
-from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.fits import PARAMS, RECORD, read_fit_records
+from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
 from tests.marked import long
 from tests.pictures import write_planes
 from tests.quick import app_by

@@ -20,7 +20,7 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
 from metapp.registry import load_reference
-from metapp.storage.fits import read_fit_records
+from metapp.storage.fit_folders import read_fit_records
 from tests.appearance.test_features import made_up
 from tests.pictures import photograph
 from tests.quick import app_by

@@ -15,12 +15,12 @@ from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport_task import make_transport_task
 from metapp.appearance.pictures import TimedFit
 from metapp.apps import presenter_of
-from metapp.apps.transport import images
+from metapp.apps.transport import guided_pictures
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import make_guide_table
 from metapp.apps.transport.recipes import RECIPES
-from metapp.extensions.scene_files import reading
+from metapp.extensions.scene_files import scene_reader
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
 from tests.quick import app_by
@@ -42,7 +42,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
     app = Transport(Flow(code=3, hidden=8, bins=4), spp=64, reference_spp=16, shown_spp=4, overview_spp=1)
     monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, app=app))
-    monkeypatch.setattr(images, "make_guide_table", functools.partial(make_guide_table, places=8, cells=8))
+    monkeypatch.setattr(guided_pictures, "make_guide_table", functools.partial(make_guide_table, places=8, cells=8))
 
 
 @pytest.mark.long
@@ -50,21 +50,21 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None
     task, app = box, app_by("transport")
     presenter, theta = presenter_of(app), uniform(app)
     found = presenter.picture_errors({"instant": TimedFit(theta, 0.0), "endless": TimedFit(theta, 1e9)}, task)
-    with_nee = [images.REGULAR_NEE, *map(images.row_title, images.extension_integrators())]
+    with_nee = [guided_pictures.REGULAR_NEE, *map(guided_pictures.row_title, guided_pictures.extension_integrators())]
     assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
     for name, each in list(found.items())[1:]:
-        assert set(each) - {images.EQUAL_TIME} == measures | {"PSNR", "time", images.FIXED_TIME}
+        assert set(each) - {guided_pictures.EQUAL_TIME} == measures | {"PSNR", "time", guided_pictures.FIXED_TIME}
         assert all(0 < value < 2 for key, value in each.items() if key in measures)
         # the start's density is uniform, as Regular's is: the same picture but for noise
         same = all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures)
         assert same != (name in with_nee), name
         assert each["MAPE"] <= 1.2 * found["regular"]["MAPE"]
         assert each["time"] > 0
-    assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
-    assert images.EQUAL_TIME not in found["endless"]
-    assert found["endless"][images.FIXED_TIME] > 1e6 * found["instant"][images.FIXED_TIME] > 0
+    assert found["regular"][guided_pictures.EQUAL_TIME] == found["regular"]["MAPE"]
+    assert guided_pictures.EQUAL_TIME not in found["endless"]
+    assert found["endless"][guided_pictures.FIXED_TIME] > 1e6 * found["instant"][guided_pictures.FIXED_TIME] > 0
     assert presenter.picture_errors({"instant": TimedFit(theta, 0.0)}, task._replace(data={})) == {}
 
 
@@ -72,13 +72,13 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None
 def test_pictures_with_nee_come_in_waves(box: Task) -> None:
     asked: list[tuple[int, int]] = []
 
-    class Noted(images.SceneRenderer):
-        def _by(self, integrator: str, spp: int, seed: int) -> images.TimedPicture:
+    class Noted(guided_pictures.SceneRenderer):
+        def _by(self, integrator: str, spp: int, seed: int) -> guided_pictures.TimedPicture:
             asked.append((spp, seed))
             return super()._by(integrator, spp, seed)
 
     scene = box.data["scene"].numpy().tobytes()
-    studio = images.SceneRenderer(scene, size=8)
+    studio = guided_pictures.SceneRenderer(scene, size=8)
     whole = studio.path(4096).picture
     assert torch.equal(whole, studio.path(4096).picture)
     waves = Noted(scene, size=8, wave_paths=1500 * 8 * 8).path(4096, seed=1).picture
@@ -93,27 +93,29 @@ def test_pictures_with_nee_come_in_waves(box: Task) -> None:
 def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task) -> None:
     app, sampled = app_by("transport"), []
 
-    class Slow(images.SceneRenderer):
+    class Slow(guided_pictures.SceneRenderer):
         def sampling(self, samples: torch.Tensor) -> float:
             sampled.append(tuple(samples.shape))
             return 1e9
 
     studio = Slow(box.data["scene"].numpy().tobytes(), size=64, spp=64, reference_spp=16)
-    found = images.picture_errors(studio, app.network, {"instant": TimedFit(uniform(app), 0.0)}, box)
+    found = guided_pictures.picture_errors(studio, app.network, {"instant": TimedFit(uniform(app), 0.0)}, box)
     assert sampled == [(2048, 4)]  # what fits may see, without what is held out
-    assert images.EQUAL_TIME not in found["instant"]
-    assert found["instant"][images.FIXED_TIME] > 1e6
-    assert found["regular"][images.FIXED_TIME] == 0
+    assert guided_pictures.EQUAL_TIME not in found["instant"]
+    assert found["instant"][guided_pictures.FIXED_TIME] > 1e6
+    assert found["regular"][guided_pictures.FIXED_TIME] == 0
 
 
 @pytest.mark.long
 def test_a_reference_knows_its_own_error(box: Task) -> None:
-    studio = images.SceneRenderer(box.data["scene"].numpy().tobytes(), size=8, reference_spp=images.REFERENCE_SPP // 4)
+    studio = guided_pictures.SceneRenderer(
+        box.data["scene"].numpy().tobytes(), size=8, reference_spp=guided_pictures.REFERENCE_SPP // 4
+    )
     told, wanted = (
         studio.reference_error,
-        path_space.render_reference(studio.tracer, 8, 4 * images.REFERENCE_SPP, seed=9),
+        path_space.render_reference(studio.tracer, 8, 4 * guided_pictures.REFERENCE_SPP, seed=9),
     )
-    found = float(images.mape(studio.reference[None], wanted[None]))
+    found = float(guided_pictures.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
     assert studio.sampling(box.data["samples"]) > 0
 
@@ -121,7 +123,7 @@ def test_a_reference_knows_its_own_error(box: Task) -> None:
 @pytest.mark.long
 @pytest.mark.usefixtures("few_paths")
 def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading.read_task, "__defaults__", (512, 128, ()))  # samples, held, roots
+    monkeypatch.setattr(scene_reader.read_task, "__defaults__", (512, 128, ()))  # samples, held, roots
     box = {key: value for key, value in random_scene(0).items() if key != "light"}
     box["bulb"] = {"type": "point", "position": [0.0, 0.7, 0.0]}
     box["fog"] = {"type": "homogeneous"}  # which nothing refers to

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.commands import COMMAND_ORDER
+from metapp.cli.command_tree import COMMAND_ORDER
 from metapp.cli.console import Terminal, run_command
 from metapp.registry import Entry, registry
 

@@ -7,7 +7,7 @@ import torch
 
 from metapp.appearance.flash import Maps, mean_tilt_degrees, normal_from_height, relighting_positions
 from metapp.appearance.surface import photograph_maps, scale_relief
-from metapp.cli.fitting import VISIBLE_TILT_DEGREES, relief_lines
+from metapp.cli.fit_output import VISIBLE_TILT_DEGREES, relief_lines
 
 SIDE = 48  # px
 VISIBLE = 0.02  # of display values, the mean of pictures under three lights

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
+from metapp.evaluation.error_statistics import PairedComparison
 from metapp.evaluation.rows import describe_winner, paired_columns_note, paper_figures, scale_free_figures
-from metapp.evaluation.statistics import PairedComparison
 from metapp.evaluation.table import flatten_row
 from metapp.evaluation.tables.convergence import FURTHER_STEPS, further_steps_needed, is_near
 from metapp.evaluation.tables.results import describe_error_change

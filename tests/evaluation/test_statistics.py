@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from metapp.evaluation.statistics import (
+from metapp.evaluation.error_statistics import (
     PairedComparison,
     central_interval,
     compare_errors,

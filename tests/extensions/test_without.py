@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("compiled")
 
 def call_all(*lines: list[str]) -> None:
     """Be the `metapp` command for each line of words, and print its exit code before them."""
-    from metapp.cli.commands import app
+    from metapp.cli.command_tree import app
     from metapp.cli.console import run_command
 
     for words in lines:

@@ -151,7 +151,7 @@ def merl() -> list[Files]:
 
 
 def networks() -> list[Files]:
-    from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES
+    from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES
 
     rng, found = np.random.default_rng(0), []
     for prefix, kind in (("", "<f4"), ("gold_", "<f8")):
@@ -230,7 +230,7 @@ def shards() -> list[Files]:
 
 
 def checkpoints() -> list[Files]:
-    from metapp.storage.shipped import shipped_checkpoint_path
+    from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 
     names = ("meta-sgd", "meta-curvature")
     return [{f"{name}.safetensors": shipped_checkpoint_path("brdf", name).read_bytes()} for name in names]

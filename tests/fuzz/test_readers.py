@@ -55,8 +55,8 @@ def read_input(app: str, folder: Path, file: Path, **options: str) -> None:
 
 
 def read_scene(folder: Path, file: Path) -> None:
-    from metapp.extensions.scene_files.reading import find, read_scene
-    from metapp.extensions.scene_files.trial import try_scene
+    from metapp.extensions.scene_files.scene_reader import find, read_scene
+    from metapp.extensions.scene_files.trial_loading import try_scene
     from metapp.rendering.scenes.loading import load_scene
     from metapp.rendering.variant import load_mitsuba
 
@@ -74,7 +74,7 @@ def read_scene(folder: Path, file: Path) -> None:
 def read_shard(folder: Path, file: Path) -> None:
     from metapp.apps.brdf.app import Brdf
     from metapp.learning.app import stack_tasks
-    from metapp.runs.inputs.sources import read_test_tasks
+    from metapp.runs.inputs.run_inputs import read_test_tasks
     from metapp.storage.shards import fingerprint, list_data_set_problems
 
     fingerprint(folder)
@@ -96,8 +96,8 @@ def small_tasks() -> Any:
 
 def read_checkpoint(folder: Path, file: Path) -> None:
     """As --checkpoint, and one step of a fit."""
-    from metapp.runs.checkpoints import attach_checkpoint
-    from metapp.runs.options import fit_options
+    from metapp.runs.checkpoint_selection import attach_checkpoint
+    from metapp.runs.fit_options import fit_options
     from metapp.runs.run import Run
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
@@ -111,7 +111,7 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 def read_records(folder: Path, file: Path) -> None:
     """As a table, which shows all finished tasks."""
-    from metapp.storage.fits import NUMBER_ENTRIES, RunFolder, summary
+    from metapp.storage.fit_folders import NUMBER_ENTRIES, RunFolder, summary
 
     place = folder / "fits" / "a"  # of a run's folder
     place.mkdir(parents=True, exist_ok=True)

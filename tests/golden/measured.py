@@ -15,9 +15,9 @@ import OpenImageIO as oiio
 import torch
 from torch import Tensor
 
-from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES
+from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES
 from metapp.cli import console
-from metapp.cli.commands import app as commands
+from metapp.cli.command_tree import app as commands
 from metapp.runs.api import fit_all
 
 PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")

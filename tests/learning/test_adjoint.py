@@ -9,6 +9,7 @@ from torch import Generator, Tensor
 from torch.utils._pytree import tree_map
 
 from metapp.apps.brdf.app import Brdf
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_differentiably, torch_steps
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, task_loss
@@ -16,7 +17,6 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
 from metapp.paradigms.adam import encoder_prediction
-from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 from tests.paradigms.small import FEATURED, SMALL, applicable, small_app
 

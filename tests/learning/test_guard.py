@@ -8,13 +8,13 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.guard import descend_with_guard
 from metapp.learning.learn import DescentState, descend, expand_tasks, final_item, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Params, Tasks
-from metapp.rules import rule_of
 from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
 
 APP = Brdf()

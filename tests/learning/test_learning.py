@@ -11,6 +11,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import (
@@ -31,7 +32,6 @@ from metapp.learning.learn import (
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec, problems_of
-from metapp.rules import rule_of
 from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
 from tests.paradigms.small import applicable
 

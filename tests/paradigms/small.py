@@ -17,8 +17,8 @@ from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import photograph_spheres
 from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
+from metapp.apps.brdf.feature_network import Featured
+from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.illumination.app import Illumination
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, field_of
@@ -26,6 +26,7 @@ from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
+from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, final_item
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
@@ -37,9 +38,8 @@ from metapp.networks.generators import UNet
 from metapp.paradigms import PARADIGMS, paradigm_of
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.training import TrainState
+from metapp.paradigms.phi_training import TrainState
 from metapp.registry import registry
-from metapp.rules import rule_of
 from tests.marked import long
 from tests.small_spheres import shrink_spheres
 

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
+from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
+from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import ADAM_SEARCH, Adam
@@ -20,8 +21,7 @@ from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.training import TrainState, split_validation, train_phi, validation_error
-from metapp.rules import rule_of
+from metapp.paradigms.phi_training import TrainState, split_validation, train_phi, validation_error
 from tests.marked import long
 from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, fits_of, prepared_for, result, rng, small_recipe
 from tests.quick import app_by

@@ -16,8 +16,8 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.training import TrainState, train_phi
-from metapp.storage.checkpoints import load_training_state, save_checkpoint, save_training_state
+from metapp.paradigms.phi_training import TrainState, train_phi
+from metapp.storage.checkpoint_files import load_training_state, save_checkpoint, save_training_state
 from tests.marked import long
 from tests.paradigms.small import OWN_RULES, rng, untrained
 

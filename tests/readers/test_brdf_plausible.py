@@ -9,7 +9,7 @@ import pytest
 from torch import Tensor
 
 from data_tools.readers.brdf_task import make_measured_task
-from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES, evaluate_nbrdf
+from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES, evaluate_nbrdf
 from metapp.appearance.geometry import angle_cosines
 
 SAMPLES = 4096

@@ -20,8 +20,8 @@ from data_tools.readers.merl import (
     tabulate_merl,
     task_of_table,
 )
-from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES, write_nbrdf
-from data_tools.readers.nbrdf import read_task as read_network
+from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES, write_nbrdf
+from data_tools.readers.nbrdf_files import read_task as read_network
 from metapp.appearance.geometry import is_above_horizon
 from metapp.storage.shards import list_data_set_problems, write_data_set
 

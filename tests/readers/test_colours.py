@@ -12,8 +12,8 @@ import torch
 from PIL import Image
 
 from data_tools.readers.colours import states_primaries
-from data_tools.readers.latlong import read_map
-from data_tools.readers.photos import read_photo
+from data_tools.readers.environment_maps import read_map
+from data_tools.readers.square_photos import read_photo
 from metapp.appearance.colorimetry import import_colour_science
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from tests.pictures import planes, png_with, profile, write

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import flash, image_files
-from data_tools.readers.photos import find, read_photo
+from data_tools.readers import flash_photos, image_files
+from data_tools.readers.square_photos import find, read_photo
 from metapp.appearance.colour import linear_to_srgb
 from tests.pictures import P3_TO_SRGB, STORED, planes, profile
 
@@ -77,5 +77,5 @@ def test_the_lens_is_read_from_it(tmp_path: Path) -> None:
     share = np.tan(np.radians(22.5)) / (15.2967 / 20)  # half of 43.2666 / sqrt(2) mm
     side = round(120 * share)
     cropped = planes(values[(120 - side) // 2 :, (120 - side) // 2 :][:side, :side])
-    found = flash.read_task(path, side).data["image"].float()
+    found = flash_photos.read_task(path, side).data["image"].float()
     assert (found - cropped).abs().mean() < 2

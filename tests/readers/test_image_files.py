@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import flash, latlong, material_maps, photos, svbrdf_inputs
+from data_tools.readers import environment_maps, flash_photos, material_maps, square_photos, svbrdf_inputs
+from data_tools.readers.environment_maps import read_map
 from data_tools.readers.image_files import read_pixels, shape_of
-from data_tools.readers.latlong import read_map
 from tests.pictures import check_refused, png_with, write, write_exr
 
 RGB, GRAY = 3, 1
@@ -88,7 +88,12 @@ def test_every_reader_of_pictures_takes_a_layer(tmp_path: Path) -> None:
     values, names = layered(Combined=RGB, albedo=RGB)
     path = write_exr(tmp_path / "a.exr", (f":{names}", values))
     alone = write(tmp_path / "b.exr", values[..., RGB:])
-    for reader, key in ((photos, "image"), (flash, "image"), (svbrdf_inputs, "photo"), (latlong, "map")):
+    for reader, key in (
+        (square_photos, "image"),
+        (flash_photos, "image"),
+        (svbrdf_inputs, "photo"),
+        (environment_maps, "map"),
+    ):
         read, other = reader.read_task(path, layer="albedo"), reader.read_task(alone)
         assert torch.equal(read.data[key], other.data[key]), reader
         assert not torch.equal(read.data[key], reader.read_task(path).data[key]), reader

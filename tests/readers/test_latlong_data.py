@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.readers import latlong
-from data_tools.readers.latlong import find, read_map, read_task
+from data_tools.readers import environment_maps
+from data_tools.readers.environment_maps import find, read_map, read_task
 from metapp.appearance.latlong import mean_luminance, resample_maps, solid_angles
-from metapp.storage.images import write_exr
+from metapp.storage.image_writers import write_exr
 from tests.pictures import check_refused, planes, truncated, write
 from tests.sources import paths_of
 
@@ -140,7 +140,7 @@ def test_a_map_becomes_a_task(tmp_path: Path) -> None:
     values = radiance(128, 256) * np.float32(37)
     task = read_task(write(tmp_path / "my room.v2.exr", values))
     assert task.name == "my room.v2"
-    assert list(task.data) == list(latlong.UNITS) == ["map", "scale", "photos"]
+    assert list(task.data) == list(environment_maps.UNITS) == ["map", "scale", "photos"]
     assert [(each.dtype, each.shape) for each in task.data.values()] == [
         (torch.float32, (3, 64, 128)),
         (torch.float32, ()),
@@ -167,9 +167,9 @@ def test_what_is_recognised_and_found(tmp_path: Path) -> None:
     write(tmp_path / "b.png", ball(), "uint8")
     (tmp_path / "notes.txt").write_text("about")
     for name in ("", "sub", "b.exr"):
-        assert latlong.recognises(tmp_path / name)
+        assert environment_maps.recognises(tmp_path / name)
     for name in ("notes.txt", "b.png"):
-        assert not latlong.recognises(tmp_path / name)
+        assert not environment_maps.recognises(tmp_path / name)
     found, skipped = paths_of(find, tmp_path)
     assert [file.name for file in found] == ["b.exr", "a.HDR"]
     assert [line.partition(": ")[0] for line in skipped] == [str(tmp_path / name) for name in ("b.png", "notes.txt")]

@@ -9,10 +9,10 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from data_tools.readers.flash import read_task
+from data_tools.readers.flash_photos import read_task
 from data_tools.readers.image_files import pixels_of_pil, read_pixels
 from data_tools.readers.lenses import FILM_DIAGONAL_MM, ExifLens, lens_of_exif
-from data_tools.readers.photos import field_of_view_rad
+from data_tools.readers.square_photos import field_of_view_rad
 from tests.pictures import noise
 
 FILM, FOCAL, ACROSS, DOWN, UNIT, WIDTH, HEIGHT = 0xA405, 0x920A, 0xA20E, 0xA20F, 0xA210, 0xA002, 0xA003

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from data_tools.readers.listing import files_below, find_by_suffix, has_suffix
-from data_tools.readers.photos import find
+from data_tools.readers.square_photos import find
 from tests.sources import paths_of
 
 
@@ -35,7 +35,9 @@ def test_folders_within_each_other(tmp_path: Path) -> None:
 
 
 def test_foreign_files_are_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("data_tools.readers.photos.is_readable_image", lambda file: pytest.fail(f"opened {file}"))
+    monkeypatch.setattr(
+        "data_tools.readers.square_photos.is_readable_image", lambda file: pytest.fail(f"opened {file}")
+    )
     for name in ("a.jpg", "b.txt", "c.dat"):
         (tmp_path / name).touch()
     files, skipped = paths_of(find, tmp_path)

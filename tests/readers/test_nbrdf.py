@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers.nbrdf import (
+from data_tools.readers.nbrdf_files import (
     NBRDF_ARRAY_SHAPES,
     evaluate_nbrdf,
     find,

@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from data_tools.readers.material_maps import find, read_task
 from data_tools.readers.normal_maps import complete_normals
-from data_tools.readers.photos import read_photo
+from data_tools.readers.square_photos import read_photo
 from tests.pictures import noise, write
 from tests.sources import paths_of
 

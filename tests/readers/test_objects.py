@@ -9,13 +9,15 @@ import pytest
 import torch
 from PIL import Image
 
-from data_tools.readers import brdf_objects, flash, latlong, photos, svbrdf_inputs
+from data_tools.readers import brdf_objects, environment_maps, flash_photos, square_photos, svbrdf_inputs
 from data_tools.readers.numbers import MAX_ARRAY_VALUES, array_of
-from metapp.extensions.capture.ball import reading
+from metapp.extensions.capture.ball import ball_reader
 from metapp.learning.task import Task
 from tests.pictures import noise, write
 
-texture, flash_photo, material, light = (form.task_of_object for form in (photos, flash, svbrdf_inputs, latlong))
+texture, flash_photo, material, light = (
+    form.task_of_object for form in (square_photos, flash_photos, svbrdf_inputs, environment_maps)
+)
 SIDE = 48
 RGB = noise(SIDE, SIDE)
 
@@ -45,7 +47,7 @@ PICTURES: dict[str, object] = {
 
 
 def test_a_picture_is_read_as_its_file_is(tmp_path: Path) -> None:
-    task = photos.read_task(write(tmp_path / "file.png", RGB))
+    task = square_photos.read_task(write(tmp_path / "file.png", RGB))
     for kind, source in PICTURES.items():
         assert same(read(texture, source), task), kind
 
@@ -61,7 +63,7 @@ def test_a_picture_of_halves_is_the_picture() -> None:
 def test_pictures_of_all_modes_are_read(mode: str, tmp_path: Path) -> None:
     image = Image.fromarray(RGB).convert(mode)
     (image.convert("RGB") if mode in ("CMYK", "YCbCr") else image).save(tmp_path / "file.png")
-    assert same(read(texture, image), photos.read_task(tmp_path / "file.png"))
+    assert same(read(texture, image), square_photos.read_task(tmp_path / "file.png"))
 
 
 def test_exif_of_a_picture_counts_as_that_of_its_file(tmp_path: Path) -> None:
@@ -69,7 +71,7 @@ def test_exif_of_a_picture_counts_as_that_of_its_file(tmp_path: Path) -> None:
     exif[0x112] = 6  # orientation
     exif.get_ifd(0x8769)[0xA405] = 20  # mm: wider than fits are
     Image.fromarray(noise(60, 80)).save(tmp_path / "file.png", exif=exif)
-    task = flash.read_task(tmp_path / "file.png")
+    task = flash_photos.read_task(tmp_path / "file.png")
     assert same(read(flash_photo, Image.open(tmp_path / "file.png")), task)
     assert not same(read(flash_photo, noise(60, 80)), task)
 
@@ -114,7 +116,9 @@ def test_maps_of_integers_are_read_as_their_files_are(tmp_path: Path) -> None:
 def test_the_photo_of_a_material_is_that_of_its_maps(tmp_path: Path) -> None:
     maps = read(material, waves(), size=SIDE).data
     photo = read(flash_photo, waves()).data["image"]
-    expected = flash.read_task(write(tmp_path / "photo.png", maps["photo"].permute(1, 2, 0).numpy())).data["image"]
+    expected = flash_photos.read_task(write(tmp_path / "photo.png", maps["photo"].permute(1, 2, 0).numpy())).data[
+        "image"
+    ]
     assert torch.equal(photo, expected)
 
 
@@ -124,7 +128,7 @@ LIGHT = np.random.default_rng(0).uniform(0.1, 20, (32, 64, 3)).astype(np.float32
 @pytest.mark.parametrize("source", [LIGHT, torch.from_numpy(LIGHT), LIGHT.astype(np.float64)])
 @pytest.mark.parametrize("observe", ["reference", "photo"])
 def test_a_map_of_light_is_read_as_its_file_is(source: object, observe: str, tmp_path: Path) -> None:
-    task = latlong.read_task(write(tmp_path / "object.exr", LIGHT))
+    task = environment_maps.read_task(write(tmp_path / "object.exr", LIGHT))
     assert same(read(light, source, observe), task)
 
 
@@ -132,7 +136,7 @@ def test_a_ball_in_memory_is_a_photo(tmp_path: Path) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     ball = (np.clip(1 - x * x - y * y, 0, None) ** 0.5)[..., None] * np.array([1, 0.8, 0.6])
     eight = (ball * 255 + 0.5).astype(np.uint8)
-    task = reading.read_task(write(tmp_path / "object.png", eight))
+    task = ball_reader.read_task(write(tmp_path / "object.png", eight))
     assert task.data.keys() == {"photos"}
     assert same(read(light, eight, "reference"), task)
     assert same(read(light, eight / 255, "photo"), task)

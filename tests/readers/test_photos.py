@@ -18,10 +18,10 @@ import pytest
 import torch
 from PIL import Image
 
-from data_tools.readers import flash, photos, svbrdf_inputs
-from data_tools.readers.flash import entry_of_photo
+from data_tools.readers import flash_photos, square_photos, svbrdf_inputs
+from data_tools.readers.flash_photos import entry_of_photo
 from data_tools.readers.image_files import Pixels, pixels_of_pil
-from data_tools.readers.photos import field_of_view_rad, find, flash_view, is_photo, read_photo, recognises
+from data_tools.readers.square_photos import field_of_view_rad, find, flash_view, is_photo, read_photo, recognises
 from data_tools.readers.svbrdf_inputs import read_task
 from data_tools.readers.svbrdf_task import correct_exposure, encode_srgb
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
@@ -169,7 +169,7 @@ def test_the_central_square_counts(tmp_path: Path) -> None:
     assert read_photo(path).shape == (3, 256, 256)
 
 
-@pytest.mark.parametrize("reader", [photos, flash, svbrdf_inputs])
+@pytest.mark.parametrize("reader", [square_photos, flash_photos, svbrdf_inputs])
 def test_a_note_says_what_was_cut_and_scaled(reader: Any, tmp_path: Path) -> None:
     for height, width, note in (
         (300, 1200, "1,200 x 300 px: the central 300 x 300 px, scaled to 256 x 256"),
@@ -266,7 +266,9 @@ def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
     text(tmp_path / "bad.jpg")
     text(tmp_path / "bad")
     write(tmp_path / "good.png", noise(64, 64))
-    lines = "import sys\nfrom pathlib import Path\nfrom data_tools.readers.photos import find_images, read_photo\n"
+    lines = (
+        "import sys\nfrom pathlib import Path\nfrom data_tools.readers.square_photos import find_images, read_photo\n"
+    )
     lines += "for file in find_images(Path(sys.argv[1]))[0]:\n    try:\n        kept = read_photo(file)\n"
     lines += "    except ValueError as error:\n        last = error\n"
     done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
@@ -331,7 +333,7 @@ def touch(folder: Path, *names: str) -> None:
 
 def splits_of(folder: Path) -> dict[str, str]:
     """The split of each photograph of a folder, by the name of its task."""
-    found = flash.entries(paths_of(flash.find, folder)[0], [folder], "auto").values()
+    found = flash_photos.entries(paths_of(flash_photos.find, folder)[0], [folder], "auto").values()
     by_group = split_auto(sorted(entry.group for entry in found))
     return {entry.name: entry.split or by_group[entry.group] for entry in found}
 
@@ -378,16 +380,16 @@ def test_every_fifth_material_is_for_tests_whole(tmp_path: Path, layout: str) ->
 def test_stated_splits_hold_where_both_occur(tmp_path: Path) -> None:
     touch(tmp_path, "test_a_1.jpg", "test_a_2.jpg", "train_b_1.jpg", "test/c/1.jpg", "train/d.jpg", "metadata.json")
     assert splits_of(tmp_path) == {"a_1": "test", "a_2": "test", "b_1": "train", "c_1": "test", "d": "train"}
-    assert paths_of(flash.find, tmp_path)[1] == []
+    assert paths_of(flash_photos.find, tmp_path)[1] == []
     touch(tmp_path, "e.jpg")  # one that says nothing: the rule decides on all
     assert {name for name, side in splits_of(tmp_path).items() if side == "test"} == {"e"}
 
 
 def test_a_material_on_both_sides_and_bad_paths_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no image in this folder"):
-        flash.find(tmp_path)
+        flash_photos.find(tmp_path)
     with pytest.raises(ValueError, match=r"none.jpg: no such file"):
-        flash.find(tmp_path / "none.jpg")
+        flash_photos.find(tmp_path / "none.jpg")
     touch(tmp_path, "train_a_1.jpg", "test_a_2.jpg")
     with pytest.raises(ValueError, match=r"test_a_2.jpg and .*train_a_1.jpg: training and test .* material 'a'"):
         splits_of(tmp_path)
@@ -416,7 +418,7 @@ def test_of_a_wide_lens_fits_see_what_their_camera_does(tmp_path: Path, suffix: 
     share = math.tan(math.radians(22.5)) / math.tan(field_of_view_rad(26, 96, 128) / 2)
     side = round(96 * share)
     assert 76 < side < 82
-    found = flash.read_task(path, side).data["image"].float()
+    found = flash_photos.read_task(path, side).data["image"].float()
     low = (128 - side) // 2 + 40
     assert (found[0].mean() - (low + (side - 1) / 2)).abs() < 1
     assert (found[0, side // 2, -1] - found[0, side // 2, 0] - (side - 1)).abs() < 3
@@ -425,13 +427,13 @@ def test_of_a_wide_lens_fits_see_what_their_camera_does(tmp_path: Path, suffix: 
 
 def test_fields_of_view_go_by_the_user_then_the_file(tmp_path: Path) -> None:
     wide, plain = photo(tmp_path / "a.png", focal=26), photo(tmp_path / "b.png")
-    said = [flash.read_task(path, 64, math.radians(70)).data["image"] for path in (wide, plain)]
+    said = [flash_photos.read_task(path, 64, math.radians(70)).data["image"] for path in (wide, plain)]
     assert torch.equal(*said)
-    assert not torch.equal(said[0], flash.read_task(wide, 64).data["image"])
+    assert not torch.equal(said[0], flash_photos.read_task(wide, 64).data["image"])
     texture = photo(tmp_path / "c.png", focal=13)
-    whole = photos.read_task(plain, 96).data["image"]
-    assert torch.equal(flash.read_task(plain, 96).data["image"], whole)
-    assert torch.equal(photos.read_task(texture, 96).data["image"], whole)  # no flash, no camera
+    whole = square_photos.read_task(plain, 96).data["image"]
+    assert torch.equal(flash_photos.read_task(plain, 96).data["image"], whole)
+    assert torch.equal(square_photos.read_task(texture, 96).data["image"], whole)  # no flash, no camera
 
 
 @pytest.mark.parametrize("exif", [b"", b"Exif\0\0", b"Exif\0\0II*\0\xff\xff\xff\xff", b"nonsense" * 9])

@@ -13,23 +13,23 @@ from torch import Generator
 
 from data_tools.readers import placed_photos as photos
 from data_tools.readers import svbrdf_inputs
-from data_tools.readers.photos import SIZE_TEXT
-from data_tools.readers.source import Source
+from data_tools.readers.input_source import Source
+from data_tools.readers.square_photos import SIZE_TEXT
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.apps import recipes_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.names import input_formats
 from metapp.options import BadOption
-from metapp.runs.checkpoints import attach_checkpoint
-from metapp.runs.choose import choose_protocol_and_recipe
+from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import find_sources, source_of_tensors
-from metapp.runs.options import fit_options
+from metapp.runs.recipe_choice import choose_protocol_and_recipe
 from metapp.runs.run import Run
-from metapp.storage.checkpoints import load_checkpoint, tensor_digest
+from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_data_set
-from metapp.storage.shipped import checkpoint_folder, shipped_checkpoint_path
+from metapp.storage.shipped_checkpoints import checkpoint_folder, shipped_checkpoint_path
 
 APP = "svbrdf_nonstationary"
 

@@ -9,7 +9,7 @@ import OpenImageIO as oiio
 import pytest
 from PIL import Image
 
-from data_tools.readers import material_maps, photos
+from data_tools.readers import material_maps, square_photos
 from data_tools.readers.camera_raws import is_raw
 from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, IMAGE_SUFFIXES, read_pixels, shape_of
 from tests.pictures import noise, write
@@ -84,7 +84,7 @@ def test_raws_are_told_by_content_whatever_their_name(tmp_path: Path, kind: str,
     (path := tmp_path / name).write_bytes(raw_of(kind))
     assert is_raw(path)
     with pytest.raises(ValueError, match=r"raw values of a camera, .*; develop it and export it as JPEG or PNG"):
-        photos.read_task(path)
+        square_photos.read_task(path)
 
 
 def test_pictures_are_no_raws(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_what_is_read_by_name_is_found_in_folders(tmp_path: Path, written: str, 
         path = write(tmp_path / role / f"{role}.{written}", noise(64, 64))
         files.append(path.rename(tmp_path / f"{role}.{suffix}"))
         path.parent.rmdir()
-    assert paths_of(photos.find, tmp_path) == (sorted(files), [])
-    assert photos.read_task(files[0]).data["image"].shape == (3, 256, 256)
+    assert paths_of(square_photos.find, tmp_path) == (sorted(files), [])
+    assert square_photos.read_task(files[0]).data["image"].shape == (3, 256, 256)
     (material,), _ = material_maps.list_materials(tmp_path)
     assert material.name == "rock"

@@ -22,7 +22,7 @@ from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import read_tensors, to_json_value
-from metapp.storage.fits import pack_fit, write_fit
+from metapp.storage.fit_folders import pack_fit, write_fit
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba
 from tests.scene_files import OBJ

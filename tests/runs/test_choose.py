@@ -18,10 +18,10 @@ from metapp.extensions.rgl.tensor_file import write_tensor_file
 from metapp.learning.task import Task
 from metapp.options import BadOption
 from metapp.registry import registry
-from metapp.runs.choose import choose_protocol_and_recipe
+from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import source_of_tensors
-from metapp.runs.inputs.sources import find_inputs
-from metapp.runs.options import fit_options
+from metapp.runs.inputs.run_inputs import find_inputs
+from metapp.runs.recipe_choice import choose_protocol_and_recipe
 from metapp.runs.reporter import Reporter, use_reporter
 from metapp.runs.run import Run
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT

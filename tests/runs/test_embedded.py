@@ -14,8 +14,9 @@ import torch
 
 from data_tools.synthetic import brdf, illumination, texture
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.fits import find_training_folder
+from metapp.extensions.baselines.baseline_fits import find_training_folder
 from metapp.learning.task import Task
+from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.embedded import (
     embedded_folders,
     has_embedded_tests,
@@ -23,9 +24,8 @@ from metapp.runs.inputs.embedded import (
     make_embedded_set,
     make_embedded_test_set,
 )
-from metapp.runs.inputs.sources import data_label, read_test_tasks
-from metapp.runs.options import fit_options
-from metapp.runs.outputs.recorded import find_fitted_tasks
+from metapp.runs.inputs.run_inputs import data_label, read_test_tasks
+from metapp.runs.outputs.run_records import find_fitted_tasks
 from metapp.runs.run import Run
 from metapp.storage.shards import list_data_set_problems, read_manifest
 from tests import forks

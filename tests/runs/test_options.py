@@ -13,19 +13,19 @@ from typer.testing import CliRunner
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.presenter import Presenter
 from metapp.apps import app_of, presenter_of, recipes_of
-from metapp.cli.commands import app as cli
+from metapp.cli.command_tree import app as cli
 from metapp.learning.task import Task
 from metapp.names import app_names, protocols_of
 from metapp.options import BadOption, app_options_class, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.runs.checkpoints import attach_checkpoint
-from metapp.runs.inputs.sources import find_inputs
-from metapp.runs.options import FitOptions, fit_options
-from metapp.runs.recipes import has_shipped_recipe
+from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.default_recipe import has_shipped_recipe
+from metapp.runs.fit_options import FitOptions, fit_options
+from metapp.runs.inputs.run_inputs import find_inputs
 from metapp.runs.run import Run
-from metapp.storage.checkpoints import load_checkpoint, save_checkpoint
-from metapp.storage.shipped import shipped_checkpoint_path
+from metapp.storage.checkpoint_files import load_checkpoint, save_checkpoint
+from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -211,6 +211,6 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.runs.checkpoints._require_kind", lambda *_: None)  # VGG may be missing
+    monkeypatch.setattr("metapp.runs.checkpoint_selection._require_kind", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
         attach_checkpoint(Run.of(fit_options("texture", rule="meta-basis", out=tmp_path)))

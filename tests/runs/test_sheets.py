@@ -7,7 +7,7 @@ import OpenImageIO as oiio
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from metapp.runs.outputs.pictures import (
+from metapp.runs.outputs.contact_sheet import (
     MAX_SHEET_ROWS,
     ROW_MARKS_KEY,
     SHEET_FILE_NAME,

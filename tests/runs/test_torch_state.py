@@ -11,7 +11,7 @@ import torch
 
 import metapp
 from data_tools.synthetic.examples import write_example
-from metapp.runs.surroundings import torch_defaults
+from metapp.runs.environment import torch_defaults
 
 
 @pytest.fixture(autouse=True)

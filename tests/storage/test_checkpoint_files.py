@@ -8,7 +8,7 @@ import torch
 from safetensors.torch import save
 
 from metapp.learning.learn import MetaParameters
-from metapp.storage.checkpoints import (
+from metapp.storage.checkpoint_files import (
     CHECKPOINT_SCHEMA,
     content_digest,
     load_checkpoint,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from data_tools.readers import latlong, merl, photos
+from data_tools.readers import environment_maps, merl, square_photos
 from metapp.storage.files import check_readable, open_text, placeholder_line, read_text
 from tests.pictures import noise, write
 
@@ -54,7 +54,7 @@ def test_a_file_that_stands_for_another_one_is_refused_by_every_reader(
     tmp_path: Path, line: str, content: bytes
 ) -> None:
     readers: dict[str, Callable[[Path], object]] = {
-        "gold.binary": merl.find, "sky.hdr": latlong.read_task, "rock.jpg": photos.read_task, "camera.txt": read_text,
+        "gold.binary": merl.find, "sky.hdr": environment_maps.read_task, "rock.jpg": square_photos.read_task, "camera.txt": read_text,
     }  # fmt: skip
     for name, read in readers.items():
         (file := tmp_path / name).write_bytes(content)

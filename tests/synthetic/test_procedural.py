@@ -7,16 +7,24 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.draws import random_stream
-from data_tools.synthetic.draws import Field
+from data_tools.random_streams import random_stream
 from data_tools.synthetic.environments.backdrop import open_ground
 from data_tools.synthetic.environments.light import render_environment, sun_disc
 from data_tools.synthetic.environments.patterns import direction, vector
-from data_tools.synthetic.environments.scene import Backdrop, Box, EnvironmentScene, Finish, Lamp, Window, view_rays
+from data_tools.synthetic.environments.scene_geometry import (
+    Backdrop,
+    Box,
+    EnvironmentScene,
+    Finish,
+    Lamp,
+    Window,
+    view_rays,
+)
 from data_tools.synthetic.environments.sky import Sky, add_clouds, black_sky, clear_sky, sun_irradiance
 from data_tools.synthetic.patterns.fields import height_slopes
+from data_tools.synthetic.random_values import Field
 from data_tools.synthetic.stationary.families import FAMILIES
-from data_tools.synthetic.stationary.maps import PeriodicMaps
+from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from metapp.appearance.latlong import cosine_transfer
 
 SIZE = 128

@@ -14,12 +14,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.draws import random_stream
+from data_tools.random_streams import random_stream
 from data_tools.synthetic import brdf, svbrdf_nonstationary
 from data_tools.synthetic.cornell import random_scene, to_xml
 from data_tools.synthetic.examples import EXAMPLES, write_example
 from data_tools.synthetic.illumination import draw_white_balance
-from data_tools.synthetic.stationary.maps import PeriodicMaps
+from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES, take_flash_photos
 from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.flash import (

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, between, log_between, uniforms
+from data_tools.random_streams import Rng
 from data_tools.synthetic.environments.patterns import BLACK, hash_numbers, look_up_noise, vector
-from data_tools.synthetic.environments.scene import Backdrop, Mask
+from data_tools.synthetic.environments.scene_geometry import Backdrop, Mask
 from data_tools.synthetic.environments.sky import Sky
+from data_tools.synthetic.random_values import Field, between, log_between, uniforms
 from metapp.appearance.latlong import solid_angles, texel_directions
 
 _GRID = (16, 32)

@@ -6,11 +6,19 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.random_streams import Rng
 from data_tools.synthetic.environments.patterns import black_body_rgb, direction, vector
-from data_tools.synthetic.environments.scene import PLANE_AXES, Backdrop, Box, EnvironmentScene, Finish, Lamp, Window
-from data_tools.synthetic.stationary.maps import Range
+from data_tools.synthetic.environments.scene_geometry import (
+    PLANE_AXES,
+    Backdrop,
+    Box,
+    EnvironmentScene,
+    Finish,
+    Lamp,
+    Window,
+)
+from data_tools.synthetic.random_values import Field, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.synthetic.stationary.periodic_maps import Range
 
 WALL_SIDES = (0, 1, 4, 5)  # numbers of a room's sides
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import between, chance, integer_between, log_between, pick
+from data_tools.random_streams import Rng
 from data_tools.synthetic.environments.backdrop import open_ground, skyline
 from data_tools.synthetic.environments.fittings import (
     WALL_SIDES,
@@ -23,8 +22,9 @@ from data_tools.synthetic.environments.fittings import (
     draw_room,
 )
 from data_tools.synthetic.environments.patterns import BLACK, black_body_rgb, vector
-from data_tools.synthetic.environments.scene import Backdrop, EnvironmentScene, Finish
+from data_tools.synthetic.environments.scene_geometry import Backdrop, EnvironmentScene, Finish
 from data_tools.synthetic.environments.sky import Sky, black_sky, day_sky, night_sky, overcast_sky
+from data_tools.synthetic.random_values import between, chance, integer_between, log_between, pick
 
 
 def apartment(rng: Rng) -> EnvironmentScene:

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from data_tools.readers.latlong import MAP_HEIGHT_PX, MAP_WIDTH_PX
-from data_tools.synthetic.draws import Field, Ids
+from data_tools.readers.environment_maps import MAP_HEIGHT_PX, MAP_WIDTH_PX
+from data_tools.synthetic.environments.emitters import Emitters, list_emitters
 from data_tools.synthetic.environments.patterns import look_up_noise
-from data_tools.synthetic.environments.scene import (
+from data_tools.synthetic.environments.scene_geometry import (
     NO_SURFACE,
     PLANE_AXES,
     ROOM_SIDES,
@@ -31,8 +31,8 @@ from data_tools.synthetic.environments.scene import (
     view_rays,
 )
 from data_tools.synthetic.environments.sky import Sky, angles_between
-from data_tools.synthetic.environments.sources import Emitters, list_emitters
 from data_tools.synthetic.environments.surfaces import surface_properties
+from data_tools.synthetic.random_values import Field, Ids
 from metapp.appearance.latlong import resample_maps, solid_angles
 
 _Number = TypeVar("_Number", bound=np.generic)

@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import between, chance, integer_between, log_between
+from data_tools.random_streams import Rng
 from data_tools.synthetic.environments.patterns import BLACK, black_body_rgb, vector
-from data_tools.synthetic.environments.scene import Box, EnvironmentScene, Finish, Lamp
+from data_tools.synthetic.environments.scene_geometry import Box, EnvironmentScene, Finish, Lamp
 from data_tools.synthetic.environments.scenery import (
     NATURAL_GROUNDS,
     PAVED_GROUNDS,
@@ -25,6 +24,7 @@ from data_tools.synthetic.environments.scenery import (
     draw_open_scene,
 )
 from data_tools.synthetic.environments.sky import Sky, day_sky, night_sky, overcast_sky
+from data_tools.synthetic.random_values import between, chance, integer_between, log_between
 
 
 def meadow(rng: Rng) -> EnvironmentScene:

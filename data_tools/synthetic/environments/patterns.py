@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from data_tools.draws import random_stream
-from data_tools.synthetic.draws import Field
+from data_tools.random_streams import random_stream
 from data_tools.synthetic.patterns.fields import fbm
+from data_tools.synthetic.random_values import Field
 
 BLACK = np.zeros(3, np.float32)
 

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.random_streams import Rng
 from data_tools.synthetic.environments.backdrop import open_ground, skyline
 from data_tools.synthetic.environments.patterns import BLACK, direction, vector
-from data_tools.synthetic.environments.scene import Box, Crown, EnvironmentScene, Finish
+from data_tools.synthetic.environments.scene_geometry import Box, Crown, EnvironmentScene, Finish
 from data_tools.synthetic.environments.sky import Sky
-from data_tools.synthetic.stationary.maps import Range
+from data_tools.synthetic.random_values import Field, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.synthetic.stationary.periodic_maps import Range
 
 _Colours = tuple[tuple[float, float, float], tuple[float, float, float]]  # darkest and lightest albedo
 _GROUNDS: dict[str, _Colours] = {

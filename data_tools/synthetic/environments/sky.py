@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, between, chance, log_between, pick
+from data_tools.random_streams import Rng
 from data_tools.synthetic.environments.patterns import (
     BLACK,
     black_body_rgb,
@@ -22,6 +21,7 @@ from data_tools.synthetic.environments.patterns import (
     xyy_to_rgb,
 )
 from data_tools.synthetic.patterns.fields import smoothstep
+from data_tools.synthetic.random_values import Field, between, chance, log_between, pick
 
 # Perez' coefficients A to E: of luminance, of very clear air (turbidity 2) and from 5 on (the CIE's clear sky, type
 # 12); of the chromaticities x and y, slope over turbidity and offset (Preetham, Shirley & Smits 1999).

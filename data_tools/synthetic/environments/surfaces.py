@@ -6,9 +6,16 @@ import math
 
 import numpy as np
 
-from data_tools.synthetic.draws import Field, Ids
 from data_tools.synthetic.environments.patterns import hash_numbers, look_up_noise
-from data_tools.synthetic.environments.scene import NO_SURFACE, PLANE_AXES, EnvironmentScene, Finish, Hits, Mask
+from data_tools.synthetic.environments.scene_geometry import (
+    NO_SURFACE,
+    PLANE_AXES,
+    EnvironmentScene,
+    Finish,
+    Hits,
+    Mask,
+)
+from data_tools.synthetic.random_values import Field, Ids
 
 _TEXEL_RAD = 0.03  # about how far rays are apart
 _PANE_ALBEDO, _PANE_GLOSS = np.float32(0.03), np.float32(0.12)  # of a facade's windows

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, Ids, between, chance, log_between, pick, uniforms
-from data_tools.synthetic.nonstationary.surface import PatchSurface, cloud_noise
+from data_tools.random_streams import Rng
+from data_tools.synthetic.nonstationary.patch_surface import PatchSurface, cloud_noise
 from data_tools.synthetic.patterns.cells import isotropic_cells
 from data_tools.synthetic.patterns.fields import band_noise, texel_centres
+from data_tools.synthetic.random_values import Field, Ids, between, chance, log_between, pick, uniforms
 from data_tools.synthetic.stationary.families import FAMILIES
-from data_tools.synthetic.stationary.maps import draw_dye_colours, draw_palette, uniform_colour, vary_albedo
+from data_tools.synthetic.stationary.periodic_maps import draw_dye_colours, draw_palette, uniform_colour, vary_albedo
 
 # Reflectance at normal incidence, linear RGB.
 METAL_REFLECTANCES: dict[str, tuple[float, float, float]] = {

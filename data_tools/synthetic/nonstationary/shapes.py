@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, Ids, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.random_streams import Rng
 from data_tools.synthetic.patterns.fields import texel_centres
+from data_tools.synthetic.random_values import Field, Ids, between, chance, integer_between, log_between, pick, uniforms
 
 # Strokes of capital letters and digits over the keys of a number pad, 7 8 9 on top.
 _LETTERS = (

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, Ids, uniforms
+from data_tools.random_streams import Rng
 from data_tools.synthetic.patterns.fields import texel_centres
+from data_tools.synthetic.random_values import Field, Ids, uniforms
 
 
 class CellLattice:

@@ -9,8 +9,8 @@ import functools
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, uniforms
+from data_tools.random_streams import Rng
+from data_tools.synthetic.random_values import Field, uniforms
 
 
 @functools.lru_cache(maxsize=4)

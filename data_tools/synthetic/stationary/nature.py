@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.random_streams import Rng
 from data_tools.synthetic.patterns.cells import CellLattice, isotropic_cells, worley_noise
 from data_tools.synthetic.patterns.fields import (
     band_noise,
@@ -21,7 +20,8 @@ from data_tools.synthetic.patterns.fields import (
     smoothstep,
 )
 from data_tools.synthetic.patterns.strokes import scatter_strokes
-from data_tools.synthetic.stationary.maps import (
+from data_tools.synthetic.random_values import Field, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.synthetic.stationary.periodic_maps import (
     PeriodicMaps,
     assemble_maps,
     draw_dye_colours,

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from data_tools.draws import Rng
-from data_tools.synthetic.draws import Field, Ids, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.random_streams import Rng
 from data_tools.synthetic.patterns.cells import CellLattice, isotropic_cells
 from data_tools.synthetic.patterns.fields import (
     band_noise,
@@ -19,7 +18,8 @@ from data_tools.synthetic.patterns.fields import (
     smooth_displacement,
     smoothstep,
 )
-from data_tools.synthetic.stationary.maps import (
+from data_tools.synthetic.random_values import Field, Ids, between, chance, integer_between, log_between, pick, uniforms
+from data_tools.synthetic.stationary.periodic_maps import (
     PeriodicMaps,
     assemble_maps,
     draw_dye_colours,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_tools.readers.source import Source, Sources
+from data_tools.readers.input_source import Source, Sources
 
 if TYPE_CHECKING:
     from metapp.learning.task import Params, Task

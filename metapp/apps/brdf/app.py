@@ -12,11 +12,11 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference_and_cosine
 from metapp.apps.brdf import anisotropic
-from metapp.apps.brdf.augmentation import mix_brdfs
-from metapp.apps.brdf.nbrdf import NBRDF_NETWORK, WEIGHT_KNOTS, sample_weights
-from metapp.apps.brdf.network import COUNT_KEY, BrdfNetwork, gather_samples, opponent_axes, put_distinct_first
+from metapp.apps.brdf.brdf_network import COUNT_KEY, BrdfNetwork, gather_samples, opponent_axes, put_distinct_first
+from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK, WEIGHT_KNOTS, sample_weights
+from metapp.apps.brdf.sample_augmentation import mix_brdfs
 from metapp.learning.app import App, ErrorMeasure
-from metapp.learning.draws import draw_uniform
+from metapp.learning.random_tensors import draw_uniform
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import smooth_absolute
 

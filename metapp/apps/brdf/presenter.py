@@ -17,9 +17,9 @@ from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
 from metapp.apps.brdf.app import CONDITION_SAMPLES, Brdf
-from metapp.apps.brdf.augmentation import AUGMENTED_SAMPLES
+from metapp.apps.brdf.brdf_network import find_network
 from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
-from metapp.apps.brdf.network import find_network
+from metapp.apps.brdf.sample_augmentation import AUGMENTED_SAMPLES
 from metapp.learning.task import Params, Task, Tasks
 
 DRAWN_SAMPLES = 1024  # samples that are drawn in pictures, at most

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.nbrdf import NBRDF_NETWORK, Nbrdf
+from metapp.apps.brdf.feature_network import Featured
+from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK, Nbrdf
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, long_paper_recipe, paper_recipe
 
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a

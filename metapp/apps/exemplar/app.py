@@ -12,10 +12,10 @@ from torch import Generator, Tensor
 from torch.nn.functional import leaky_relu
 
 from metapp.appearance.features import detail_statistics, feature_conditions
+from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.statistics import Statistics
 from metapp.learning.app import App
-from metapp.learning.draws import draw_normal, draw_uniform
+from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import add_decoder, join_encoder

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from metapp.networks.options import PictureOptions, size
+from metapp.networks.picture_options import PictureOptions, size
 from metapp.options import FIT, Option
 
 

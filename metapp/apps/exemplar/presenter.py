@@ -16,7 +16,7 @@ from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings
 from metapp.apps.exemplar.app import ExemplarApp, fixed_noise
-from metapp.learning.draws import draw_normal
+from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Params, Task, Tasks
 
 MIN_ORDER_SHARE = 0.5  # share of an exemplar's order; quilting keeps 0.68 to 1.0

@@ -19,7 +19,8 @@ from metapp.appearance.photograph import (
     photograph_spheres,
     render_material_spheres,
 )
-from metapp.apps.illumination import encoder
+from metapp.apps.illumination import ball_encoder
+from metapp.apps.illumination.map_augmentation import normalise_luminance, vary_maps
 from metapp.apps.illumination.mirror import complete_maps, mirror_loss, resample_seen, shows_mirror
 from metapp.apps.illumination.spheres import (
     FACING_SURFACES,
@@ -29,7 +30,6 @@ from metapp.apps.illumination.spheres import (
     surface_transfer,
 )
 from metapp.apps.illumination.suns import add_suns, find_suns, join_suns, split_suns
-from metapp.apps.illumination.variants import normalise_luminance, vary_maps
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, smooth_absolute
@@ -200,10 +200,12 @@ class Illumination(CodedApp):
         return super().loss_parameters(steps) | light
 
     def init_reader(self, rng: Generator) -> Params:
-        return encoder.init_reader(rng, self.network.code, BODY_NUMBERS)
+        return ball_encoder.init_reader(rng, self.network.code, BODY_NUMBERS)
 
     def read(self, reader: Params, photos: Tensor) -> Params:
-        code, body = encoder.read_ball_photos(reader, photos.to(next(iter(reader.values()))) / 255, *self.encoder_size)
+        code, body = ball_encoder.read_ball_photos(
+            reader, photos.to(next(iter(reader.values()))) / 255, *self.encoder_size
+        )
         return {"z": code / self.network.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

@@ -15,8 +15,8 @@ from metapp.appearance.pictures import Picture, PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
 from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.map_augmentation import normalise_luminance
 from metapp.apps.illumination.mirror import scale_to_seen, shows_mirror
-from metapp.apps.illumination.variants import normalise_luminance
 from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.second_scene import relighting
 

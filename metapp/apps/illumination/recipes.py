@@ -7,7 +7,7 @@ from dataclasses import replace
 from metapp.apps.illumination.app import Illumination
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, long_paper_recipe
 from metapp.networks.field import LocalField
-from metapp.networks.recipes import recipes_by_protocol
+from metapp.networks.protocol_recipes import recipes_by_protocol
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(

@@ -21,7 +21,7 @@ from metapp.appearance.flash import (
     render_maps,
     texel_positions,
 )
-from metapp.learning.draws import draw_uniform
+from metapp.learning.random_tensors import draw_uniform
 
 # Channels of unbounded numbers that stand for a texel: slopes, diffuse colour, roughness, specular colour
 CHANNELS = (2, 3, 1, 3)

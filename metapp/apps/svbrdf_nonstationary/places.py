@@ -8,7 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import camera_distance
-from metapp.learning.draws import draw_normal, draw_uniform
+from metapp.learning.random_tensors import draw_normal, draw_uniform
 
 ASIDE_HALF_SIDES = 0.6  # at most, of all photographs but the first
 NEAREST_TIMES, FARTHEST_TIMES = 0.8, 2.2  # of the distance at which a camera of 45 degrees sees the patch

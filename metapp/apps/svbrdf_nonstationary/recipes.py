@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
-from metapp.networks.recipes import recipes_by_protocol
+from metapp.networks.protocol_recipes import recipes_by_protocol
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(

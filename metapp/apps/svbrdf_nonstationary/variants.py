@@ -30,7 +30,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     normalise,
     render_photo,
 )
-from metapp.learning import draws
+from metapp.learning import random_tensors
 
 # Standard deviations of the unbounded numbers that stand for a flash
 FLASH_DEVIATIONS = (
@@ -74,7 +74,9 @@ def draw_photos(maps: Tensor, rng: Generator) -> Tensor:
 
 def draws_per_material(count: int, rng: Generator) -> tuple[Draw, Draw]:
     """Return two functions of a shape, which draw uniform numbers in [0, 1) and normal ones for `count` materials."""
-    return functools.partial(draws.draw_uniform, rng, count), functools.partial(draws.draw_normal, rng, count)
+    return functools.partial(random_tensors.draw_uniform, rng, count), functools.partial(
+        random_tensors.draw_normal, rng, count
+    )
 
 
 def change_some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: float, rng: Generator) -> Tensor:

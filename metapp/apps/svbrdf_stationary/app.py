@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from metapp.appearance.flash import DISPLAY_GAMMA, STATISTICS_SIDES_PX, Maps, map_statistics, normal_from_height
 from metapp.appearance.highlight import remove_shading
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, fixed_noise, generate_raw
-from metapp.apps.svbrdf_stationary.statistics import FlashStatistics, chroma_deviations, encode_gloss
+from metapp.apps.svbrdf_stationary.flash_statistics import FlashStatistics, chroma_deviations, encode_gloss
 from metapp.apps.svbrdf_stationary.windows import WINDOWS_PER_SIDE
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec

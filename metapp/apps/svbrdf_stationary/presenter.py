@@ -16,7 +16,7 @@ from metapp.appearance.pictures import Picture, PictureComparison
 from metapp.appearance.surface import Surface, map_pictures, scale_relief
 from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.apps.svbrdf_stationary.statistics import FLASH_FALLOFF
+from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.learning.task import Params, Task, Tasks
 
 # By fits of 39 photographs that were graded by eye: on every other one, all 7 intact materials are above 0.89.

@@ -9,10 +9,10 @@ from torch import Generator, Tensor
 
 from metapp.appearance.features import gram, statistics_distance
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
+from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.octaves import Crop
-from metapp.apps.exemplar.statistics import Statistics
 from metapp.learning.app import ErrorMeasure
-from metapp.learning.draws import draw_uniform
+from metapp.learning.random_tensors import draw_uniform
 from metapp.learning.task import Batch, Params, Tasks, TensorSpec
 from metapp.networks.layout import layout_deviation
 

@@ -12,7 +12,7 @@ from metapp.appearance.pictures import Picture, PictureComparison
 from metapp.appearance.surface import Surface
 from metapp.apps.exemplar.presenter import SHOWN_SEED, ExemplarPresenter
 from metapp.apps.texture.app import Texture
-from metapp.learning.draws import draw_normal
+from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Params, Task
 
 # By fits of 66 photographs that were graded by eye: on every other one, 9 of 12 broken textures are below, and 1 of 11

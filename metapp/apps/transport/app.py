@@ -8,10 +8,10 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.transport.encoder import init_reader, read_scene_pictures
 from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.scene_encoder import init_reader, read_scene_pictures
 from metapp.learning.app import App, ErrorMeasure
-from metapp.learning.draws import draw_normal, draw_uniform
+from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 

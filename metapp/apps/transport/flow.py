@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import pad, silu
 
 from metapp.apps.transport import spline
-from metapp.learning.draws import draw_normal
+from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Params
 
 DIRECTION_COORDINATES = 2  # coordinates after the film's two: those of the direction at the first surface that scatters

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from metapp.appearance.pictures import Picture, TimedFit, VisibleData
 from metapp.appearance.presenter import Presenter
-from metapp.apps.transport import images, pictures
+from metapp.apps.transport import density_pictures, guided_pictures
 from metapp.apps.transport.app import Transport
 from metapp.learning.task import Params, Task
 
@@ -24,7 +24,7 @@ class TransportPresenter(Presenter[Transport]):
     @property
     @override
     def picture_measure(self) -> str:
-        notes = "".join(f"{plugin.help}; " for plugin in images.extension_integrators().values())
+        notes = "".join(f"{plugin.help}; " for plugin in guided_pictures.extension_integrators().values())
         return (
             f"pictures of {self.app.picture} px of {self.app.spp} paths a pixel; fits guide three of four paths, "
             f"without next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts "
@@ -38,31 +38,31 @@ class TransportPresenter(Presenter[Transport]):
         """
         network, reference, guided = self.app.network, None, None
         if "scene" in task.data:
-            studio = images.renderer_of(task)
+            studio = guided_pictures.renderer_of(task)
             reference, guided = studio.glance, studio.guided(network, theta, self.app.overview_spp).picture
         return {
-            "reference": pictures.draw_sample_histograms(task.data["samples"], reference),
-            "fit": pictures.draw_flow_density(network, theta, guided),
+            "reference": density_pictures.draw_sample_histograms(task.data["samples"], reference),
+            "fit": density_pictures.draw_flow_density(network, theta, guided),
         }
 
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Return the scene guided by the fit and without a guide; {} if there is no scene."""
         if "scene" not in task.data:
             return {}
-        studio, spp = images.renderer_of(task), self.app.shown_spp
+        studio, spp = guided_pictures.renderer_of(task), self.app.shown_spp
         shots = {"guided": studio.guided(self.app.network, theta, spp), "regular": studio.regular(spp)}
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
 
     def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:
         """Measure MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time.
 
-        Pictures without a guide are measured, too: see :func:`metapp.apps.transport.images.picture_errors`.
+        Pictures without a guide are measured, too: see :func:`metapp.apps.transport.guided_pictures.picture_errors`.
         """
         if "scene" not in task.data:
             return {}
         app = self.app
-        studio = images.renderer_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
-        return images.picture_errors(studio, app.network, fits, task)
+        studio = guided_pictures.renderer_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
+        return guided_pictures.picture_errors(studio, app.network, fits, task)
 
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
         """State that paths have next-event estimation, where the task's samples have."""

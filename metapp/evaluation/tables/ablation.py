@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
+from metapp.evaluation.error_statistics import is_significant
 from metapp.evaluation.rows import comparison_notes, make_row
-from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Column, Table, columns
 from metapp.evaluation.tables.results import COMPARED_ROWS, result_rows
-from metapp.learning.draws import Rng
 from metapp.learning.learn import MetaParameters
+from metapp.learning.random_tensors import Rng
 from metapp.learning.recipe import Guard
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.runs.run import Checkpoint
-from metapp.storage.checkpoints import tensor_digest
-from metapp.storage.fits import Record
+from metapp.storage.checkpoint_files import tensor_digest
+from metapp.storage.fit_folders import Record
 
 ABLATION_COLUMNS = columns(
     Column("initialisation", "start"),

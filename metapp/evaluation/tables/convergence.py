@@ -17,7 +17,7 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fitting import rng_of
-from metapp.storage.fits import Record
+from metapp.storage.fit_folders import Record
 
 TRACED_TASKS = 5  # tasks
 STEP_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)

@@ -13,7 +13,7 @@ from metapp.evaluation.table import Column, Row, Table, columns
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.storage.fits import Record
+from metapp.storage.fit_folders import Record
 from metapp.storage.parameters import read_checked_params
 
 IMAGE_COLUMNS = columns(

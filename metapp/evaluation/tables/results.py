@@ -6,6 +6,7 @@ import statistics
 from collections.abc import Collection
 
 from metapp.apps import is_first_protocol
+from metapp.evaluation.error_statistics import is_significant
 from metapp.evaluation.rows import (
     comparison_notes,
     describe_winner,
@@ -16,7 +17,6 @@ from metapp.evaluation.rows import (
     scale_free_figures,
     subset_note,
 )
-from metapp.evaluation.statistics import is_significant
 from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Row, Table, columns
 from metapp.learning.app import App

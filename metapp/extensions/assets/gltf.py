@@ -19,8 +19,8 @@ import numpy as np
 import torch
 
 from metapp.appearance.surface import DIELECTRIC_F0, Surface
-from metapp.extensions.assets.pictures import write_surface_map
 from metapp.extensions.assets.planes import all_surface_maps
+from metapp.extensions.assets.surface_pictures import write_surface_map
 from metapp.storage.files import add_suffix, read_bytes, to_json_value, write_bytes
 
 GLTF_INDEX_OF_REFRACTION = 1.5  # of refraction; reflects DIELECTRIC

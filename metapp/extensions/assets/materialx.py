@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from metapp.appearance.surface import Surface
-from metapp.extensions.assets.pictures import describe_provenance, fill_in_name, write_surface_maps
 from metapp.extensions.assets.planes import fitted_surface_maps
+from metapp.extensions.assets.surface_pictures import describe_provenance, fill_in_name, write_surface_maps
 from metapp.storage.xml_files import write_xml
 
 MATERIALX_TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}

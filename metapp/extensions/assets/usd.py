@@ -11,8 +11,8 @@ from pathlib import Path
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
 from metapp.appearance.surface import Surface
-from metapp.extensions.assets.pictures import describe_provenance, write_surface_map
 from metapp.extensions.assets.planes import all_surface_maps
+from metapp.extensions.assets.surface_pictures import describe_provenance, write_surface_map
 from metapp.storage.files import write_bytes
 
 USD_PNG_BITS = 8

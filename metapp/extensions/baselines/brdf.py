@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import Cosines
-from metapp.extensions.baselines import lobes
+from metapp.extensions.baselines import ggx_lobes
 from metapp.extensions.baselines.baseline import (
     INDEX_NUMBERS_AND_BYTES,
     Baseline,
@@ -22,7 +22,7 @@ from metapp.extensions.baselines.baseline import (
 from metapp.extensions.baselines.components import REFLECTANCE_EPSILON, Components, principal_components
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.paradigms.training import split_validation
+from metapp.paradigms.phi_training import split_validation
 
 COMPONENT_COUNTS = (20, 66, 150)  # components; 66 take 198 numbers
 CANDIDATE_PENALTIES = (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4)  # times the number of samples
@@ -156,11 +156,13 @@ class TwoLobes(Baseline):
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         """The numbers of `lobes.fit_ggx_lobes`."""
         where, (rows, target) = task_places(tasks), draw_seen_rows(tasks, rng, allowed.samples)
-        numbers = lobes.fit_ggx_lobes(cosines_at_places(where[rows]), target.double()).float()
+        numbers = ggx_lobes.fit_ggx_lobes(cosines_at_places(where[rows]), target.double()).float()
 
         def answer() -> Tensor:
             return (
-                lobes.lobes_reflectance(numbers.double(), cosines_at_places(where[len(where) // 2 :])).float().T[None]
+                ggx_lobes.lobes_reflectance(numbers.double(), cosines_at_places(where[len(where) // 2 :]))
+                .float()
+                .T[None]
             )
 
         return BaselineFit(answer, numbers.numel(), tensor_bytes(numbers))

@@ -8,9 +8,9 @@ from pathlib import Path
 from rich.table import Table
 
 from metapp.cli.console import escape_control_characters
-from metapp.evaluation.statistics import MIN_TASK_GROUPS
-from metapp.extensions.compare.compare import Comparison, draw_comparison, read_comparison
-from metapp.runs.outputs.recorded import holds_fits
+from metapp.evaluation.error_statistics import MIN_TASK_GROUPS
+from metapp.extensions.compare.comparison import Comparison, draw_comparison, read_comparison
+from metapp.runs.outputs.run_records import holds_fits
 from metapp.runs.reporter import format_number, progress
 
 

@@ -17,9 +17,9 @@ from metapp.registry import METAPP_PACKAGE, WITHOUT_VARIABLE, registry
 from metapp.rendering.variant import find_llvm
 from metapp.runs.inputs.embedded import has_embedded_tests
 from metapp.storage import Document
-from metapp.storage.cache import cache_folder
+from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import open_tensors
-from metapp.storage.shipped import shipped_checkpoint_names
+from metapp.storage.shipped_checkpoints import shipped_checkpoint_names
 
 REPORTED_PACKAGES = (
     "metapp",

@@ -13,12 +13,12 @@ import math
 import warnings
 from typing import NoReturn
 
+from metapp.extensions.guided.guided_picture import MIN_SPP_FOR_PARTS, GuidedPicture, sampled_film_size
 from metapp.extensions.guided.path_tracer import PathTracer
-from metapp.extensions.guided.picture import MIN_SPP_FOR_PARTS, GuidedPicture, sampled_film_size
 from metapp.extensions.guided.prior import read_prior
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
-from metapp.runs.surroundings import torch_defaults
+from metapp.runs.environment import torch_defaults
 
 MIN_LEARNING_PATHS = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 MIN_SURVEYED_PATHS = 2**21  # from which the survey and the prior are a small part of the time

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from metapp.extensions.guided.cache import BounceRecords, GuideCache
+from metapp.extensions.guided.guide_cache import BounceRecords, GuideCache
 from metapp.extensions.guided.vertex import Vertex
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi

@@ -31,7 +31,7 @@ from metapp.extensions.guided.histogram import (
     voxels_of_entries,
 )
 from metapp.learning.task import Params
-from metapp.storage.checkpoints import load_checkpoint
+from metapp.storage.checkpoint_files import load_checkpoint
 
 SURVEY_CHANNELS = ("arriving", "emitted", "distance", "cosine", "paths")
 ENTRY_PRIOR_PATHS = 8.0  # that the entries around one count as

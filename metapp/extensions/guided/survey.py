@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from metapp.extensions.guided.cache import MAX_RECORDED_BOUNCES, BounceRecords, GuideCache
+from metapp.extensions.guided.guide_cache import MAX_RECORDED_BOUNCES, BounceRecords, GuideCache
 from metapp.extensions.guided.histogram import (
     CACHE_ENTRIES,
     HISTOGRAM_BINS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from metapp.extensions.guided.cache import GuideCache
+from metapp.extensions.guided.guide_cache import GuideCache
 from metapp.extensions.guided.histogram import HISTOGRAM_BINS
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi

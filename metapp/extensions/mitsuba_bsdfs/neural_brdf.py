@@ -12,13 +12,13 @@ from pathlib import Path
 import torch
 from safetensors import SafetensorError
 
-from data_tools.readers.nbrdf import read_nbrdf
+from data_tools.readers.nbrdf_files import read_nbrdf
 from metapp.appearance.lobes import fit_lobes
 from metapp.apps import app_of, recipes_of
-from metapp.apps.brdf.featured import AZIMUTH_ONSET_RAD2, COSINE_SMOOTHING, VECTOR_SMOOTHING
-from metapp.apps.brdf.network import PlainLayers, find_network, parameter_shapes
+from metapp.apps.brdf.brdf_network import PlainLayers, find_network, parameter_shapes
+from metapp.apps.brdf.feature_network import AZIMUTH_ONSET_RAD2, COSINE_SMOOTHING, VECTOR_SMOOTHING
 from metapp.extensions.mitsuba_bsdfs.mixture import MitsubaLobeMixture, turn_about_normal
-from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, make_bsdf_class
+from metapp.extensions.mitsuba_bsdfs.python_bsdf import LocalReflection, Reflection, make_bsdf_class
 from metapp.learning.task import Params
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, nn, register_plugin
@@ -34,7 +34,7 @@ class MitsubaNetwork:
     Attributes:
         weights, biases: TensorXf [out, in] and Float [out] of each layer; who changes them says so by `changed`.
         featured: whether hidden layers are x sigmoid(x); else ReLU.
-        turn, darkest: as of `metapp.apps.brdf.network.PlainLayers`.
+        turn, darkest: as of `metapp.apps.brdf.brdf_network.PlainLayers`.
     """
 
     def __init__(self, folded: PlainLayers) -> None:
@@ -143,7 +143,7 @@ def half_frame(light: Vector3, viewer: Vector3) -> tuple[Float, Float, Float, Fl
 
 
 def isotropic_features(half: Vector3, difference: Vector3) -> list[Float]:
-    """`metapp.apps.brdf.featured.isotropic_inputs` of half vector, phi_h 0, and difference vector."""
+    """`metapp.apps.brdf.feature_network.isotropic_inputs` of half vector, phi_h 0, and difference vector."""
     angle = dr.atan2(half.x, half.z)
     square = angle * angle
     first, second = dr.square(difference.x), dr.square(difference.y)

@@ -9,7 +9,7 @@ takes as one number only. Normals go around it, as Mitsuba's own `normalmap`.
 from __future__ import annotations
 
 from metapp.appearance.flash import LEAST_ROUGHNESS
-from metapp.extensions.mitsuba_bsdfs.reflection import LocalReflection, Reflection, enabled_components, make_bsdf_class
+from metapp.extensions.mitsuba_bsdfs.python_bsdf import LocalReflection, Reflection, enabled_components, make_bsdf_class
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, register_plugin
 

@@ -15,7 +15,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from metapp.storage.cache import cache_folder, code_folder
+from metapp.storage.cache_folders import cache_folder, code_folder
 from metapp.storage.files import read_text, write_atomically
 
 # no -ffast-math: what it saves here is lost in noise, and it changes results and hides NaN

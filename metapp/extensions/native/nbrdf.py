@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
-from metapp.apps.brdf.network import parameter_shapes
+from metapp.apps.brdf.brdf_network import parameter_shapes
+from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.extensions.native.compiler import load_library
 from metapp.learning.adjoint import Loss
 from metapp.learning.task import Batch, Params

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NoReturn
 from xml.etree.ElementTree import Element, iterparse, tostring
 from xml.parsers import expat
 
-from metapp.extensions.scene_files.places import MAX_TEXT_CHARACTERS, ScenePlaces
+from metapp.extensions.scene_files.scene_places import MAX_TEXT_CHARACTERS, ScenePlaces
 from metapp.rendering.scenes.rules import (
     MAX_NESTED_LEVELS,
     MAX_SCENE_VALUES,

@@ -1,7 +1,7 @@
 """Update rules: plain ones (`descent`), and learned ones, which are made of parts.
 
 A `Part` has hyperparameters and acts at points of a step; a `LearnedRule` passes a step through its parts (`rule`). The
-parts are in `parts`, `network` and `solve`; `metapp.rules` has the parts and rules by name.
+parts are in `parts`, `network` and `solve`; `metapp.learned_rules` has the parts and rules by name.
 """
 
 from metapp.learning.rules.descent import append_axes, fixed_adam, half_cosine, outer_adam, sgd

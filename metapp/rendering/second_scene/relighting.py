@@ -22,7 +22,7 @@ from torch import Tensor
 from metapp.appearance import latlong
 from metapp.rendering.second_scene.geometry import PICTURE_HEIGHT_PX, PICTURE_WIDTH_PX
 from metapp.rendering.variant import load_mitsuba
-from metapp.storage.cache import cache_folder
+from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import read_tensors, write_bytes
 
 MATRIX_VERSION = 1  # of the scene and its matrix, in the name of the cached file

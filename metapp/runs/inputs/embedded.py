@@ -14,10 +14,10 @@ from metapp.apps import class_of
 from metapp.learning.task import Task
 from metapp.names import embedded_apps
 from metapp.registry import registry
+from metapp.runs.environment import torch_defaults
 from metapp.runs.reporter import progress, say
-from metapp.runs.surroundings import torch_defaults
 from metapp.storage import Document
-from metapp.storage.cache import cache_folder
+from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import PARTIAL_PREFIX, partial_path
 from metapp.storage.folders import PathKind, path_kind
 from metapp.storage.shards import read_manifest, write_data_set

@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from data_tools.readers.input_source import Source
 from data_tools.readers.listing import files_below
-from data_tools.readers.source import Source
 from metapp.learning.task import Task
 from metapp.names import application_of, input_formats
 from metapp.registry import WITHOUT_VARIABLE, load_reference, registry
-from metapp.runs.options import FitOptions
+from metapp.runs.fit_options import FitOptions
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
 from metapp.storage.folders import PathKind, cache_lookups, cached_lookup, check_files_of_user, path_kind, path_refusal

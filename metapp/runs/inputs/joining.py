@@ -9,7 +9,7 @@ import torch
 
 from metapp.apps import class_of
 from metapp.learning.task import KIND_TENSOR, Task
-from metapp.runs.inputs.convert import ConversionResult, conversion_result
+from metapp.runs.inputs.conversion import ConversionResult, conversion_result
 from metapp.runs.reporter import progress
 from metapp.storage.shards import read_data_set, read_manifest, write_data_set
 

@@ -9,10 +9,11 @@ from torch import Generator, Tensor
 from data_tools.readers.brdf_task import make_brdf_task
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.featured import isotropic_inputs
+from metapp.apps.brdf.brdf_network import opponent_axes
+from metapp.apps.brdf.feature_network import isotropic_inputs
 from metapp.apps.brdf.few.app import MAX_FEW_SAMPLES, TABLE_SAMPLES, TRAINING_SAMPLE_RANGE, FewSamples
 from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_errors, places_at_angles, plan_directions
-from metapp.apps.brdf.few.network import (
+from metapp.apps.brdf.few.gaussian_model import (
     DARKEST_REFLECTANCE,
     Few,
     cosine_product,
@@ -23,7 +24,6 @@ from metapp.apps.brdf.few.network import (
     ridge_regression,
     sample_precision,
 )
-from metapp.apps.brdf.network import opponent_axes
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Batch, Params, Tasks
 

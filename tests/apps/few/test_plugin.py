@@ -10,7 +10,7 @@ from safetensors.torch import save_file
 from torch import Generator
 
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
-from metapp.apps.brdf.few.network import FEW_NETWORK
+from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK
 from tests.bsdfs import mirrored_pairs, seen_from
 from tests.needs_mitsuba import needs_mitsuba
 

@@ -10,7 +10,7 @@ import torch
 import metapp as api
 from data_tools.readers import gonio
 from data_tools.readers.measured_pairs import MeasuredPairs
-from metapp.apps.brdf.few.network import FEW_NETWORK
+from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK
 from tests.anisotropic import measured
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

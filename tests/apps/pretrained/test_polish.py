@@ -11,8 +11,8 @@ from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_decoder
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import describe_highlight, predict_roughness, roughness_shift
 from metapp.learning.task import Params
 from metapp.networks.coded import select_reader
-from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.shipped import shipped_checkpoint_path
+from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 
 
 @pytest.fixture(scope="module")

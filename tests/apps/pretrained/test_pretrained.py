@@ -31,9 +31,9 @@ from metapp.learning.rules import fixed_adam, outer_adam
 from metapp.learning.task import Batch, Tasks
 from metapp.networks.field import LocalField
 from metapp.paradigms.adam import General
-from metapp.runs.options import fit_options
+from metapp.runs.fit_options import fit_options
 from metapp.runs.run import Run
-from metapp.storage.checkpoints import tensor_digest
+from metapp.storage.checkpoint_files import tensor_digest
 from tests.apps.pretrained.conftest import APP, RECIPE, SIDE
 
 

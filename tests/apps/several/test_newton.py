@@ -15,10 +15,10 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     decode_flashes,
     render_photos,
 )
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss, learn_differentiably
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Batch, Params
-from metapp.rules import rule_of
 from tests.apps.several.test_several_photos import PLACES
 
 SIDE, COUNT = 4, 5

@@ -23,11 +23,11 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     render_photos,
 )
 from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL
+from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import PARADIGMS, paradigm_of
-from metapp.rules import rule_of
 from tests.apps.test_svbrdf_nonstationary import material
 
 SIDE, COUNT = 16, 3

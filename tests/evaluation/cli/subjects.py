@@ -11,7 +11,7 @@ import pytest
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.evaluation.style import FIGURE_STYLE
 from metapp.evaluation.subject import EvaluationRun
-from metapp.runs.options import fit_options
+from metapp.runs.fit_options import fit_options
 from metapp.runs.run import Run
 from tests.small_spheres import shrink_spheres
 
@@ -30,7 +30,7 @@ def few_steps() -> Iterator[None]:
 def call(*arguments: str | Path) -> int:
     """`metapp <arguments>`, where no test is to see what it prints."""
     from metapp.cli import console
-    from metapp.cli.commands import app
+    from metapp.cli.command_tree import app
 
     return int(console.run_command(lambda: app([str(each) for each in arguments], standalone_mode=False)))
 

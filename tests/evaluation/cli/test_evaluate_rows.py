@@ -23,12 +23,12 @@ from metapp.evaluation.tables.ablation import (
 from metapp.evaluation.tables.convergence import CURVE_PARADIGMS, STEP_SHARES, trace_records
 from metapp.evaluation.tables.image import image_notes
 from metapp.evaluation.tables.storage import checkpoint_bytes, parameter_bytes, samples
+from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
-from metapp.rules import rule_of
-from metapp.runs.options import fit_options
+from metapp.runs.fit_options import fit_options
 from metapp.runs.run import Checkpoint, Run
 from tests.evaluation.cli.subjects import rows, subject_of
 from tests.evaluation.test_notes import row

@@ -9,14 +9,14 @@ import pytest
 import torch
 
 from metapp.apps.brdf.app import Brdf
-from metapp.cli.evaluating import evaluation_runs_of
 from metapp.cli.evaluation_options import EvaluateOptions
+from metapp.cli.evaluation_output import evaluation_runs_of
 from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
+from metapp.runs.environment import find_device
 from metapp.runs.reporter import Bar, Reporter, use_reporter
-from metapp.runs.surroundings import find_device
-from metapp.storage.fits import Record, RunFolder
+from metapp.storage.fit_folders import Record, RunFolder
 from tests.evaluation.cli.subjects import subject_of
 from tests.quick import app_by
 
@@ -137,7 +137,7 @@ def test_fits_have_the_threads_of_their_application(measure: Callable, empty: Ev
 
 def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
-    monkeypatch.setattr("metapp.cli.evaluating.app_names", lambda: ["texture", "transport"])
+    monkeypatch.setattr("metapp.cli.evaluation_output.app_names", lambda: ["texture", "transport"])
     monkeypatch.setattr("metapp.evaluation.subject.read_test_tasks", lambda *_: ([], "none"))  # drawn in minutes
     with use_reporter(heard := Heard()):
         assert [one.app.name for one in evaluation_runs_of(EvaluateOptions(out=tmp_path), [])] == ["transport"]

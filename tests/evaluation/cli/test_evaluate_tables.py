@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.evaluating import MAX_NOTE_LINES, rich_table
+from metapp.cli.evaluation_output import MAX_NOTE_LINES, rich_table
 from metapp.evaluation.subject import EvaluationRun
 from metapp.registry import registry
 from tests.evaluation.cli.subjects import rows

@@ -17,7 +17,7 @@ from data_tools.readers.material_maps import find, read_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, unpack_maps
 from metapp.appearance.surface import DIELECTRIC_F0, metallic_to_specular
-from metapp.extensions.assets import gltf, materialx, pictures
+from metapp.extensions.assets import gltf, materialx, surface_pictures
 from metapp.extensions.assets.occlusion import occlusion_from_height
 from metapp.extensions.assets.planes import all_surface_maps, specular_to_metallic
 from metapp.registry import WITHOUT_VARIABLE
@@ -30,7 +30,7 @@ MAPS = ("basecolor", "diffuse", "specular", "metallic", "roughness", "normal_gl"
 
 @pytest.fixture
 def asset(tmp_path: Path) -> Path:
-    pictures.write_asset(rock(), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_asset(rock(), tmp_path / "rock", PROVENANCE)
     return tmp_path / "rock"
 
 
@@ -87,7 +87,7 @@ def test_maps_that_are_made_of_others_are_the_same_material(asset: Path) -> None
 
 def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
     """The maps that were fitted are read, not those that were made of them, unless there are no others."""
-    pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
     (source,) = paths_of(find, tmp_path / "rock")[0]
     assert paths_of(svbrdf_inputs.find, tmp_path / "rock") == ([source], [])  # no preview or height for a photograph
     found, maps = unpack_maps(read_task(source, 64).data["maps"].float()), rock(64).maps
@@ -101,7 +101,7 @@ def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
 
 
 def test_a_texture_has_a_base_colour_alone(tmp_path: Path) -> None:
-    pictures.write_asset(texture(), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_asset(texture(), tmp_path / "rock", PROVENANCE)
     found = {each.name for each in (tmp_path / "rock").iterdir()}
     assert found == {"rock_basecolor.png", "preview.png", "material.json"}
     assert json.loads((tmp_path / "rock" / "material.json").read_text())["kind"] == "texture"
@@ -109,7 +109,7 @@ def test_a_texture_has_a_base_colour_alone(tmp_path: Path) -> None:
 
 
 def test_png16_holds_the_fitted_maps_alone(tmp_path: Path) -> None:
-    pictures.write_png16(rock(), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_png16(rock(), tmp_path / "rock", PROVENANCE)
     found = {each.stem.removeprefix("rock_") for each in (tmp_path / "rock").iterdir()}
     assert found == {"diffuse", "specular", "roughness", "normal_gl", "height"}
     height = file(tmp_path / "rock", "height")
@@ -120,7 +120,7 @@ def test_png16_holds_the_fitted_maps_alone(tmp_path: Path) -> None:
 
 
 def test_exr_is_linear(tmp_path: Path) -> None:
-    pictures.write_exr(rock(), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_exr(rock(), tmp_path / "rock", PROVENANCE)
     maps = rock().maps
     where = tmp_path / "rock"
     assert (stored(where / "rock_specular.exr") - maps.specular).abs().max() < 5e-4  # a half's step below 1
@@ -308,7 +308,7 @@ def test_blender_s_pictures_have_the_f0_of_dielectrics_and_metals(tmp_path: Path
     """Of what is no metal, F0 down to 0 and up to 0.08 is kept, but for its hue."""
     maps = rock().maps
     surface = rock()._replace(maps=maps._replace(specular=0.08 * maps.specular.clamp_max(0.49)))
-    pictures.write_blender(surface, tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_blender(surface, tmp_path / "rock", PROVENANCE)
     base, metallic, level = (
         stored(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")
     )
@@ -318,7 +318,7 @@ def test_blender_s_pictures_have_the_f0_of_dielectrics_and_metals(tmp_path: Path
     base, metallic = torch.full((3, 8, 8), 0.8), torch.linspace(0, 1, 64).reshape(1, 8, 8)
     diffuse, specular = metallic_to_specular(base, metallic)
     maps = rock(8).maps._replace(diffuse=diffuse, specular=specular)
-    pictures.write_blender(rock(8)._replace(base=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
+    surface_pictures.write_blender(rock(8)._replace(base=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
     read = [stored(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")]
     found = 0.08 * read[2] * (1 - read[1]) + srgb_to_linear(read[0]) * read[1]
     assert (found - specular).abs().max() < 1e-3

@@ -17,7 +17,7 @@ from metapp.appearance.flash import (
     render_maps,
     texel_positions,
 )
-from metapp.extensions.assets import mitsuba
+from metapp.extensions.assets import mitsuba_surfaces
 from tests.needs_mitsuba import needs_mitsuba
 from tests.surfaces import PROVENANCE, rock
 
@@ -39,7 +39,7 @@ def mi() -> Any:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scene") / "rock"
-    mitsuba.write_mitsuba(rock(SIDE), path, PROVENANCE)
+    mitsuba_surfaces.write_mitsuba(rock(SIDE), path, PROVENANCE)
     return path
 
 

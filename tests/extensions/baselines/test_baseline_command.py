@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.fits import read_fit_records
+from metapp.storage.fit_folders import read_fit_records
 from tests.pictures import environment, photograph
 
 

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from metapp.appearance.geometry import angle_cosines
 from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 from metapp.apps.brdf.app import Brdf
-from metapp.extensions.baselines import lobes
+from metapp.extensions.baselines import ggx_lobes
 from metapp.extensions.baselines.baseline import CostLimits, TrainingTasks
 from metapp.extensions.baselines.brdf import (
     CANDIDATE_PENALTIES,
@@ -33,7 +33,7 @@ from metapp.extensions.baselines.components import (
 )
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms.training import split_validation
+from metapp.paradigms.phi_training import split_validation
 
 APP = Brdf()
 
@@ -200,55 +200,55 @@ def test_only_materials_at_the_same_angles_are_fitted(rng: Generator) -> None:
 
 
 @pytest.fixture
-def at(random_angles: Callable[..., Tensor]) -> lobes.Cosines:
+def at(random_angles: Callable[..., Tensor]) -> ggx_lobes.Cosines:
     return angle_cosines(random_angles(3000))
 
 
-def seen(numbers: Tensor, at: lobes.Cosines) -> tuple[lobes.Cosines, Tensor]:
-    return (at, torch.log1p(lobes.lobes_reflectance(numbers, at) * at.incident[:, None]))
+def seen(numbers: Tensor, at: ggx_lobes.Cosines) -> tuple[ggx_lobes.Cosines, Tensor]:
+    return (at, torch.log1p(ggx_lobes.lobes_reflectance(numbers, at) * at.incident[:, None]))
 
 
-def test_a_lobe_is_that_of_the_microfacet_model(at: lobes.Cosines) -> None:
+def test_a_lobe_is_that_of_the_microfacet_model(at: ggx_lobes.Cosines) -> None:
     numbers = torch.tensor([0.3, 0.2, 0.1, math.log(0.2), 0.04, 1.0, 1.0, 1.0], dtype=torch.float64)
     expected = microfacet_lobe(at, 0.2, lambda cos: fresnel_schlick(cos, 0.04)) + numbers[:3] / math.pi
-    torch.testing.assert_close(lobes.lobes_reflectance(numbers, at), expected)
+    torch.testing.assert_close(ggx_lobes.lobes_reflectance(numbers, at), expected)
 
 
-def test_slopes_are_those_of_finite_differences(at: lobes.Cosines) -> None:
+def test_slopes_are_those_of_finite_differences(at: ggx_lobes.Cosines) -> None:
     numbers = torch.tensor([0.3, 0.2, 0.1, math.log(0.2), 0.04, 1.0, 0.7, 0.4, math.log(0.5), 0.3, 0.2, 0.1, 0.6])
     numbers, step = numbers.double(), 1e-6
-    found = lobes.lobes_jacobian(numbers, at)
+    found = ggx_lobes.lobes_jacobian(numbers, at)
     for i, unit in enumerate(torch.eye(len(numbers), dtype=torch.float64)):
-        above, below = (lobes.lobes_reflectance(numbers + sign * step * unit, at) for sign in (1, -1))
+        above, below = (ggx_lobes.lobes_reflectance(numbers + sign * step * unit, at) for sign in (1, -1))
         torch.testing.assert_close(found[..., i], (above - below) / (2 * step), atol=1e-7, rtol=1e-5)
 
 
-def near_mirror(rng: Generator, count: int = 3000) -> lobes.Cosines:
+def near_mirror(rng: Generator, count: int = 3000) -> ggx_lobes.Cosines:
     """Angles of which half have the half vector within two degrees of the normal."""
     high = torch.tensor([1.3, 1.2, 2 * math.pi], dtype=torch.float64)
     angles = torch.rand(count, 3, generator=rng, dtype=torch.float64) * high
     angles[::2, 0] *= 0.03
     of = angle_cosines(angles)
     above = (of.incident > 0.05) & (of.outgoing > 0.05)
-    return lobes.Cosines(*(cosine[above] for cosine in of))
+    return ggx_lobes.Cosines(*(cosine[above] for cosine in of))
 
 
 @pytest.mark.parametrize("alpha", [0.006, 0.02, 0.05, 0.3, 1.2])
-def test_lobes_fit_their_own_materials(at: lobes.Cosines, rng: Generator, alpha: float) -> None:
+def test_lobes_fit_their_own_materials(at: ggx_lobes.Cosines, rng: Generator, alpha: float) -> None:
     """From nearly a mirror to nearly none."""
     usual, numbers = 0.05 <= alpha <= 0.3, torch.tensor([0.3, 0.05, 0.6, math.log(alpha), 0.1, 0.5, 0.8, 0.2]).double()
-    found = lobes.fit_ggx_lobes(*seen(numbers, at if usual else near_mirror(rng)), ONE)
+    found = ggx_lobes.fit_ggx_lobes(*seen(numbers, at if usual else near_mirror(rng)), ONE)
     if usual:
         torch.testing.assert_close(found, numbers, atol=0.01, rtol=0.01)
     assert found[3].exp().item() == pytest.approx(alpha, rel=0.05)
 
 
-def test_two_lobes_fit_what_one_does_not(at: lobes.Cosines) -> None:
+def test_two_lobes_fit_what_one_does_not(at: ggx_lobes.Cosines) -> None:
     wide, narrow = [math.log(0.4), 0.05, 0.9, 0.5, 0.4], [math.log(0.06), 0.04, 0.3, 0.3, 0.3]
     target = seen(torch.tensor([0.1, 0.2, 0.05, *wide, *narrow], dtype=torch.float64), at)
     errors = [
-        (seen(lobes.fit_ggx_lobes(*target, each), at)[1] - target[1]).abs().mean().item()
-        for each in (ONE, lobes.INITIAL_ALPHAS)
+        (seen(ggx_lobes.fit_ggx_lobes(*target, each), at)[1] - target[1]).abs().mean().item()
+        for each in (ONE, ggx_lobes.INITIAL_ALPHAS)
     ]
     assert errors[1] < 2e-4
     assert errors[1] < 0.1 * errors[0]
@@ -258,7 +258,7 @@ def test_alphas_stay_in_their_bounds(rng: Generator) -> None:
     at = near_mirror(rng)
     for alpha in (0.001, 4.0):
         numbers = torch.tensor([0.3, 0.05, 0.6, math.log(alpha), 0.04, 0.5, 0.8, 0.2], dtype=torch.float64)
-        found = lobes.fit_ggx_lobes(*seen(numbers, at), ONE)
+        found = ggx_lobes.fit_ggx_lobes(*seen(numbers, at), ONE)
         assert 0.005 * (1 - 1e-9) <= found[3].exp().item() <= 1.5 * (1 + 1e-9)
         assert 0 <= found[4] <= 1
         assert found[[0, 1, 2, 5, 6, 7]].min() >= 0

@@ -11,22 +11,22 @@ from rich.console import Console
 from torch import Generator, Tensor
 
 from metapp.apps import app_of, class_of, presenter_of, recipes_of
-from metapp.cli.evaluating import rich_table
+from metapp.cli.evaluation_output import rich_table
 from metapp.evaluation.figures import draw_figure as draw_figure
 from metapp.evaluation.subject import EvaluationRun
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import CostLimits, TrainingTasks
-from metapp.extensions.baselines.table import baseline_records, baselines_table
-from metapp.extensions.examples.commands import example_lines
+from metapp.extensions.baselines.baselines_table import baseline_records, baselines_table
+from metapp.extensions.examples.examples_command import example_lines
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from metapp.names import app_names, protocols_of
 from metapp.registry import WITHOUT_VARIABLE as LEAVING_OUT
 from metapp.registry import registry
-from metapp.runs.options import fit_options
+from metapp.runs.fit_options import fit_options
 from metapp.runs.reporter import Reporter, use_reporter
 from metapp.runs.run import Run
-from metapp.storage.fits import RunFolder, read_params
+from metapp.storage.fit_folders import RunFolder, read_params
 from metapp.storage.shards import write_data_set
 from tests.marked import long
 from tests.quick import app_by

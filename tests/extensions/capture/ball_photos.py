@@ -8,8 +8,8 @@ import torch
 from data_tools.readers.colours import LINEAR_SPACE
 from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.capture.ball.geometry import Ball, Floats, disc_to_directions
-from metapp.storage.images import write_png
+from metapp.extensions.capture.ball.ball_geometry import Ball, Floats, disc_to_directions
+from metapp.storage.image_writers import write_png
 
 
 def light(towards: Floats) -> Floats:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.extensions.capture.ball.geometry import Ball
+from metapp.extensions.capture.ball.ball_geometry import Ball
 from metapp.storage.shards import list_data_set_problems, read_data_set
 from tests.extensions.capture.ball_photos import detailed, photograph, written
 

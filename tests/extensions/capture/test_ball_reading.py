@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import latlong
-from data_tools.readers.photos import read_photo
+from data_tools.readers import environment_maps
+from data_tools.readers.square_photos import read_photo
 from metapp.appearance.latlong import sphere_normals, texel_directions
+from metapp.extensions.capture.ball.ball_geometry import Ball
+from metapp.extensions.capture.ball.ball_picture import is_mirror_ball, mirror_features
+from metapp.extensions.capture.ball.ball_reader import read_task
 from metapp.extensions.capture.ball.capture import capture_light
-from metapp.extensions.capture.ball.geometry import Ball
-from metapp.extensions.capture.ball.picture import is_mirror_ball, mirror_features
-from metapp.extensions.capture.ball.reading import read_task
 from tests.extensions.capture.ball_photos import detailed, light, photograph, taken, written
 from tests.pictures import write
 
@@ -78,7 +78,7 @@ def test_a_linear_photograph_keeps_its_radiance(tmp_path: Path, alpha: bool) -> 
     picture = photograph(Ball(150, 120, 80), 220, 300, 0.9, lamp_lit).transpose(1, 2, 0).astype(np.float32)
     picture = np.concatenate([picture, np.ones((220, 300, 1), np.float32)], -1) if alpha else picture
     path = write(tmp_path / "mirror.exr", picture)
-    read = latlong.read_task(path, 32, observe="photo").data
+    read = environment_maps.read_task(path, 32, observe="photo").data
     true = torch.from_numpy(lamp_lit(texel_directions(32, 64, dtype=torch.float64).numpy())).float()
     seen = read["certain"][0] > 0.5
     assert read["certain"][1].max() == 0  # nothing clips
@@ -87,7 +87,7 @@ def test_a_linear_photograph_keeps_its_radiance(tmp_path: Path, alpha: bool) -> 
     assert 0.9 < (found["seen"] * seen).sum() / (true * seen).sum() < 1.1
     assert found["certain"][1].max() == 0
     with pytest.raises(ValueError, match=r"300x220 px, expected a lat-long map, .*is for fits with --observe photo"):
-        latlong.read_task(path, 32, observe="reference")
+        environment_maps.read_task(path, 32, observe="reference")
     picture[5, 5] = np.inf
     with pytest.raises(ValueError, match=r"mirror\.exr: .* values are NaN or infinite, expected finite ones"):
         capture_light([write(path, picture)])

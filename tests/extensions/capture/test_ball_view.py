@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from metapp.extensions.capture.ball.geometry import (
+from metapp.extensions.capture.ball.ball_geometry import (
     FAR_CAMERA_ANGLE_RAD,
     Ball,
     PinholeLens,

@@ -8,6 +8,7 @@ import torch
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import texel_directions
+from metapp.extensions.capture.ball.ball_geometry import Ball, disc_places, disc_to_directions
 from metapp.extensions.capture.ball.bracket import (
     align_balls,
     exif_exposure,
@@ -16,7 +17,6 @@ from metapp.extensions.capture.ball.bracket import (
     read_exposures,
 )
 from metapp.extensions.capture.ball.capture import capture_light
-from metapp.extensions.capture.ball.geometry import Ball, disc_places, disc_to_directions
 from tests.extensions.capture.ball_photos import busy, detailed, photograph, taken, written
 
 TIMES = (1 / 20, 1 / 60, 1 / 240)

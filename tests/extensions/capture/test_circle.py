@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from metapp.extensions.capture.ball.ball_geometry import Ball, PinholeLens
 from metapp.extensions.capture.ball.circle import MIN_BALL_SCORE, find_ball
-from metapp.extensions.capture.ball.geometry import Ball, PinholeLens
 from tests.extensions.capture.ball_photos import busy, detailed, photograph
 
 

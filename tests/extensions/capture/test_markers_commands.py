@@ -11,7 +11,7 @@ from PIL import Image
 
 from data_tools.readers.listing import files_below
 from data_tools.readers.placed_photos import read_places
-from metapp.extensions.capture.markers.rectifying import ONE_VIEW_SIDES, describe_single_view
+from metapp.extensions.capture.markers.rectification import ONE_VIEW_SIDES, describe_single_view
 from metapp.storage.folders import PathKind, path_kind
 from tests.extensions.capture.marker_photos import take, tilted
 from tests.pictures import noise, text, write

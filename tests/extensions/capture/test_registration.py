@@ -9,10 +9,10 @@ import pytest
 
 from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted  # isort: skip
 
-from data_tools.readers.photos import field_of_view_rad
 from data_tools.readers.placed_photos import read_task
+from data_tools.readers.square_photos import field_of_view_rad
 from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
-from metapp.extensions.capture.markers.rectified import find_cameras, show_views
+from metapp.extensions.capture.markers.rectified_photos import find_cameras, show_views
 from metapp.extensions.capture.markers.registration import apply_homography, register_photos
 from metapp.extensions.capture.markers.sighting import Sighting, common_focal_length_mm, solve_camera
 from tests.pictures import write

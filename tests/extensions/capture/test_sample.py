@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from metapp.extensions.capture.markers import sample
-from metapp.extensions.capture.markers.rectified import find_cameras
+from metapp.extensions.capture.markers.rectified_photos import find_cameras
 from metapp.extensions.capture.markers.sample import find_largest_square, find_sample, select_middle_region
 from tests.extensions.capture.marker_photos import cv2
 from tests.extensions.capture.test_registration import CAMERAS, material

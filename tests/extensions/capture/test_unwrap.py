@@ -8,8 +8,7 @@ import torch
 
 from data_tools.readers.image_files import Pixels
 from metapp.appearance.latlong import texel_directions
-from metapp.extensions.capture.ball.capture import unwrap_ball
-from metapp.extensions.capture.ball.geometry import (
+from metapp.extensions.capture.ball.ball_geometry import (
     FAR_CAMERA_ANGLE_RAD,
     PARALLEL_LENS,
     Ball,
@@ -17,7 +16,8 @@ from metapp.extensions.capture.ball.geometry import (
     disc_places,
     disc_to_directions,
 )
-from metapp.extensions.capture.ball.picture import lens_of_photo
+from metapp.extensions.capture.ball.ball_picture import lens_of_photo
+from metapp.extensions.capture.ball.capture import unwrap_ball
 from tests.extensions.capture.ball_photos import light
 
 

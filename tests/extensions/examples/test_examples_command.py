@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from metapp.apps.transport.recipes import RECIPES
-from metapp.extensions.examples.commands import EXAMPLE_INPUTS_FOLDER, VGG_APPS, example_lines
+from metapp.extensions.examples.examples_command import EXAMPLE_INPUTS_FOLDER, VGG_APPS, example_lines
 from metapp.names import app_names
 from tests.needs_mitsuba import skip_without_mitsuba
 

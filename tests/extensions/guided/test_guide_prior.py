@@ -55,7 +55,7 @@ def test_voxels_without_paths_get_the_moments_of_those_around_them_of_their_axis
 
 
 def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1, 1)) -> Any:
-    from metapp.extensions.guided.cache import GuideCache
+    from metapp.extensions.guided.guide_cache import GuideCache
 
     return GuideCache(list(low), list(high), np.zeros((3, 0)))
 
@@ -211,7 +211,7 @@ def test_a_survey_weighs_emitters_and_turns_normals_to_the_ray(monkeypatch: pyte
 
 
 def test_voxels_are_narrower_where_there_are_many_points(mi: Any) -> None:
-    from metapp.extensions.guided.cache import POINT_DENSITY_SHARE, GuideCache
+    from metapp.extensions.guided.guide_cache import POINT_DENSITY_SHARE, GuideCache
 
     rng = np.random.default_rng(0)
     points = np.stack([rng.uniform(0, 0.1, 20_000), *rng.uniform(0, 1, (2, 20_000))])
@@ -250,7 +250,7 @@ def learned(cache: Any) -> dict[int, tuple[float, float]]:
 
 def test_a_bounce_carries_what_its_path_gains_after_it(mi: Any) -> None:
     """Radiance in the end less that before, over the throughput; of it the square, times the density, is added."""
-    from metapp.extensions.guided.cache import BounceRecords
+    from metapp.extensions.guided.guide_cache import BounceRecords
 
     records, cache = BounceRecords(3), empty()
     cells = [0, 7 * HISTOGRAM_BINS + 3, 4]  # the first bin of the first entry among them
@@ -265,7 +265,7 @@ def test_a_bounce_carries_what_its_path_gains_after_it(mi: Any) -> None:
 
 
 def test_bounces_are_recorded_by_depth_as_far_as_there_is_room(mi: Any) -> None:
-    from metapp.extensions.guided.cache import MAX_RECORDED_BOUNCES, BounceRecords
+    from metapp.extensions.guided.guide_cache import MAX_RECORDED_BOUNCES, BounceRecords
 
     records, cache = BounceRecords(2), empty()
     for depth in range(MAX_RECORDED_BOUNCES + 2):
@@ -277,7 +277,7 @@ def test_bounces_are_recorded_by_depth_as_far_as_there_is_room(mi: Any) -> None:
 
 def test_what_cannot_be_weighed_is_left_out(mi: Any) -> None:
     """No bounce, a density of 0, radiance that is not finite."""
-    from metapp.extensions.guided.cache import BounceRecords
+    from metapp.extensions.guided.guide_cache import BounceRecords
 
     records, cache = BounceRecords(4), empty()
     records.add(mi.UInt32(0), bounce(mi, index=mi.UInt32([0, 6, 7, 8]), density=[1.0, 0.0, 1.0, 1.0]), mi.Bool(True))
@@ -289,7 +289,7 @@ def test_what_paths_are_expected_to_bring_is_the_mean_of_those_before(mi: Any) -
     """Of outgoing radiance with next-event estimation, the mean; of what is carried, the root mean square."""
     import drjit as dr
 
-    from metapp.extensions.guided.cache import MIN_ROW_BOUNCES, BounceRecords
+    from metapp.extensions.guided.guide_cache import MIN_ROW_BOUNCES, BounceRecords
 
     rng, cache = np.random.default_rng(0), empty()
     cells = np.array(

@@ -25,13 +25,13 @@ def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequ
 
     Every reason may be warned of once a test; none is unless a test expects it.
     """
-    from metapp.extensions.guided import integrator, picture
+    from metapp.extensions.guided import guided_picture, integrator
 
     integrator._WARNED.clear()
     monkeypatch.setattr(integrator, "MIN_LEARNING_PATHS", 2**10)
     monkeypatch.setattr(integrator, "MIN_SURVEYED_PATHS", 2**11)
     if "guard" not in request.node.name:
-        monkeypatch.setattr(picture, "MAX_GUIDED_ERROR_RATIO", math.inf)
+        monkeypatch.setattr(guided_picture, "MAX_GUIDED_ERROR_RATIO", math.inf)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield integrator
@@ -102,7 +102,7 @@ def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp:
 
 @pytest.mark.long
 def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from metapp.extensions.guided.cache import GuideCache
+    from metapp.extensions.guided.guide_cache import GuideCache
 
     scene, noise = loaded(mi, random_scene(101), 64), []
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
@@ -219,9 +219,9 @@ def test_within_another_integrator_it_is_path(mi: Any) -> None:
     ("spp", "pixels"), [(4, 2**20), (7, 2**20), (16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)]
 )
 def test_the_parts_are_the_picture(spp: int, pixels: int) -> None:
-    from metapp.extensions.guided import picture
+    from metapp.extensions.guided import guided_picture
 
-    regular, *guided, last = picture.split_samples(spp, pixels)
+    regular, *guided, last = guided_picture.split_samples(spp, pixels)
     assert regular + sum(guided) + last == spp
     assert last >= spp / 2
     assert regular == max(1, guided[0] // 2)
@@ -232,14 +232,14 @@ def test_the_parts_are_the_picture(spp: int, pixels: int) -> None:
 @pytest.mark.parametrize(("spread", "bounces", "pays"), [(0.1, 4, False), (0.04, 4, True), (0.04, 40, False)])
 def test_the_guard_compares_errors_in_the_same_time(spread: float, bounces: float, pays: bool) -> None:
     """Whose error is 0.4 of the regular one's may take 0.4**-2 of its time; what a picture shows is no noise."""
-    from metapp.extensions.guided import picture
+    from metapp.extensions.guided import guided_picture
 
     rng = np.random.default_rng(0)
     shown = rng.uniform(0, 9, (64, 64, 1))
-    regular = picture.PartCost(shown + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
-    guided = picture.PartCost(shown + spread * rng.standard_normal((64, 64, 16)), bounces)
+    regular = guided_picture.PartCost(shown + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
+    guided = guided_picture.PartCost(shown + spread * rng.standard_normal((64, 64, 16)), bounces)
     assert guided.pays(regular) is pays
-    assert picture.PartCost(np.zeros((40, 3, 8)), 1.0).noise(8) == 0
+    assert guided_picture.PartCost(np.zeros((40, 3, 8)), 1.0).noise(8) == 0
 
 
 @pytest.mark.parametrize("sides", [1, 2])
@@ -280,10 +280,10 @@ def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) 
 def test_pictures_of_few_paths_do_not_pay_for_a_survey(
     mi: Any, monkeypatch: pytest.MonkeyPatch, size: int, surveys: int
 ) -> None:
-    from metapp.extensions.guided import picture
+    from metapp.extensions.guided import guided_picture
 
-    made, survey = [], picture.survey
-    monkeypatch.setattr(picture, "survey", lambda *arguments: made.append(survey(*arguments)) or made[-1])
+    made, survey = [], guided_picture.survey
+    monkeypatch.setattr(guided_picture, "survey", lambda *arguments: made.append(survey(*arguments)) or made[-1])
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
     mi.render(loaded(mi, random_scene(101), size), integrator=integrator, spp=16)
     assert len(made) == surveys
@@ -291,7 +291,7 @@ def test_pictures_of_few_paths_do_not_pay_for_a_survey(
 
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from metapp.extensions.guided.cache import GuideCache
+    from metapp.extensions.guided.guide_cache import GuideCache
     from metapp.extensions.guided.histogram import HISTOGRAM_BINS
 
     # whatever is learned, all paths but the fewest go one way

@@ -14,7 +14,7 @@ from data_tools.synthetic.examples import write_example
 from metapp.apps import presenter_of
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import REGULAR, REGULAR_NEE
+from metapp.apps.transport.guided_pictures import REGULAR, REGULAR_NEE
 from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Task
 from metapp.rendering.scenes.stored_text import encode_scene

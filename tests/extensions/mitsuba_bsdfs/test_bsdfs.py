@@ -23,7 +23,7 @@ from metapp.appearance.geometry import (
 )
 from metapp.appearance.lobes import CANDIDATE_ALPHAS, VIEWER_NODES, LobeMixture
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.network import find_network
+from metapp.apps.brdf.brdf_network import find_network
 from metapp.storage.files import read_tensors
 from tests import anisotropic
 from tests.bsdfs import assert_sampled_as_densely_as_it_says, directions, mirrored_pairs, seen_from
@@ -189,7 +189,7 @@ def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: di
 def total(layers: list[Tensor], network: str, light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
     """The sum of f cos theta over directions and channels, by plain layers."""
     from metapp.appearance.geometry import half_difference_and_cosine
-    from metapp.apps.brdf.featured import isotropic_inputs
+    from metapp.apps.brdf.feature_network import isotropic_inputs
 
     where = half_difference_and_cosine(angles_of(light, viewer)).T[None]
     x = (isotropic_inputs(where) if network == "featured" else where[:, :6])[0]
@@ -211,9 +211,9 @@ def test_xml_finds_files_beside_it(mi: Any, fits: dict[str, Path], tmp_path: Pat
 
 
 def test_a_folder_of_arrays_is_the_same_network(mi: Any, neural: Neural, fits: dict[str, Path], tmp_path: Path) -> None:
-    from data_tools.readers import nbrdf
+    from data_tools.readers import nbrdf_files
 
-    nbrdf.export(Brdf(), read_tensors(fits["nbrdf"]), tmp_path / "gold")
+    nbrdf_files.export(Brdf(), read_tensors(fits["nbrdf"]), tmp_path / "gold")
     folder = mi.load_dict({"type": "neural_brdf", "filename": str(tmp_path / "gold")})
     arguments = mi.BSDFContext(), seen_from(mi, directions(100, 1), 100), mi.Vector3f(directions(100, 2))
     np.testing.assert_array_equal(np.array(folder.eval(*arguments)), np.array(neural("nbrdf").eval(*arguments)))

@@ -7,7 +7,7 @@ import pytest
 
 from metapp.extensions.native import compiler as module
 from metapp.extensions.native.compiler import find_compiler, load_library
-from metapp.storage.cache import cache_folder
+from metapp.storage.cache_folders import cache_folder
 from tests import forks
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")

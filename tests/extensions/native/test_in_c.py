@@ -16,17 +16,18 @@ from torch import Generator, Tensor
 from metapp.apps import app_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.extensions.native import fastest as steps_module
-from metapp.extensions.native import in_c, nbrdf
+from metapp.extensions.native import c_steps, nbrdf
+from metapp.extensions.native import step_choice as steps_module
 from metapp.extensions.native.compiler import find_compiler
-from metapp.extensions.native.fastest import (
+from metapp.extensions.native.packing import ParameterOrder
+from metapp.extensions.native.step_choice import (
     NO_COMPILING_VARIABLE,
     TORCH_CACHE_VARIABLE,
     has_tool_chain,
     make_compiled_steps,
 )
-from metapp.extensions.native.fastest import choose_steps as fastest
-from metapp.extensions.native.packing import ParameterOrder
+from metapp.extensions.native.step_choice import choose_steps as fastest
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss, Steps, StepsOf, UpdateRule, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, descend, expand_tasks, learn, task_loss
 from metapp.learning.recipe import Adam
@@ -35,7 +36,6 @@ from metapp.learning.rules.descent import sgd_step
 from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
 from metapp.paradigms import paradigm
-from metapp.rules import rule_of
 from metapp.runs.reporter import Reporter, use_reporter
 from tests.learning.conftest import randn
 from tests.learning.test_adjoint import assert_alike, brdf_case, value_and_grads
@@ -57,7 +57,7 @@ def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int
     march: str = request.param
     if march != "native" and not (platform.machine() in ("x86_64", "AMD64") and (wide or march == "x86-64-v2")):
         pytest.skip(f"this CPU does not run {march}")
-    for module, load in ((nbrdf, "load_nbrdf_library"), (in_c, "load_step_library")):
+    for module, load in ((nbrdf, "load_nbrdf_library"), (c_steps, "load_step_library")):
         library = getattr(module, load)(march)
         assert library is not None
         monkeypatch.setattr(module, load, lambda library=library: library)
@@ -157,7 +157,7 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int) -> None:
 
     def noted(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
         steps = fastest(rule, loss, theta, order)
-        in_c_of.append(isinstance(getattr(steps.step, "__self__", None), in_c._Steps))
+        in_c_of.append(isinstance(getattr(steps.step, "__self__", None), c_steps._Steps))
         return steps
 
     def grads(kind: Callable[[Params], Params], steps_of: StepsOf) -> Params:
@@ -195,7 +195,7 @@ def test_fits_are_those_of_torch(name: str, tasks: int, form: int) -> None:
     theta, batches = theta_of(rng, tasks), [batch_of(rng, 150, tasks) for _ in range(STEPS)]
     theta = {key: theta[key] for key in sorted(theta)}  # as files have them
     rule = rules_of(theta, rng)[name]
-    assert in_c.make_c_steps(rule, loss_of([]), theta, 1) is not None
+    assert c_steps.make_c_steps(rule, loss_of([]), theta, 1) is not None
     paths = [
         descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=each)
         for each in (fastest, torch_steps)
@@ -227,13 +227,13 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
         "another loss": (rule, loss_of([], registered=False), theta),
         "normal equations": (rule, NormalEquations(loss.draw, loss.value, linear=APP.least_squares), theta),
     }
-    assert in_c.make_c_steps(rule, loss, theta, 1) is not None
+    assert c_steps.make_c_steps(rule, loss, theta, 1) is not None
     assert nbrdf.has_c_loss(task_loss(APP, 8, outer=True), theta)  # the same loss of other samples
     for name, case in cases.items():
-        assert in_c.make_c_steps(*case, 1) is None, name
+        assert c_steps.make_c_steps(*case, 1) is None, name
 
 
-@pytest.mark.parametrize(("module", "load"), [(nbrdf, "load_nbrdf_library"), (in_c, "load_step_library")])
+@pytest.mark.parametrize(("module", "load"), [(nbrdf, "load_nbrdf_library"), (c_steps, "load_step_library")])
 def test_fits_without_a_compiler(module: ModuleType, load: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """All goes on by torch, with the same results, whichever of the two sources cannot be compiled."""
     rng = Generator().manual_seed(6)
@@ -241,7 +241,7 @@ def test_fits_without_a_compiler(module: ModuleType, load: str, monkeypatch: pyt
     rule = fixed_adam(Adam(1e-2), theta, STEPS)
     here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
     monkeypatch.setattr(module, load, lambda: None)
-    assert in_c.make_c_steps(rule, loss_of([]), theta, 1) is None
+    assert c_steps.make_c_steps(rule, loss_of([]), theta, 1) is None
     there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
     for key, value in there.items():
         assert away(here[key], value.double()) < 100 * EPS

@@ -12,12 +12,12 @@ from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
 from metapp.apps import app_of, recipes_of
-from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
-from metapp.apps.brdf.network import BrdfNetwork
-from metapp.extensions.onnx_files import brdf, models, photographs
+from metapp.apps.brdf.brdf_network import BrdfNetwork
+from metapp.apps.brdf.feature_network import Featured
+from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
+from metapp.extensions.onnx_files import brdf_model, models, photographs
 from metapp.learning.task import Params
-from metapp.storage.shipped import shipped_checkpoint_path
+from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.marked import long
 
 pytest.importorskip("onnxscript")
@@ -40,13 +40,13 @@ def theta_of(network: BrdfNetwork) -> Params:
 @pytest.mark.parametrize("name", ["nbrdf", long("featured"), long("anisotropic")])
 def test_reflectance_is_that_of_the_fit(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     theta = theta_of(NETWORKS[name])
-    brdf.write_onnx(APP, theta, tmp_path / "paint")
+    brdf_model.write_onnx(APP, theta, tmp_path / "paint")
     assert capfd.readouterr() == ("", "")
     wi, wo = (normalize(torch.randn(5000, 3, generator=Generator().manual_seed(seed)), dim=1) for seed in (3, 4))
     wo[:, 2] = wo[:, 2].abs()
     (found,) = session(tmp_path / "paint.onnx").run(["reflectance"], {"wi": wi.numpy(), "wo": wo.numpy()})
     with torch.no_grad():
-        exact = brdf.ReflectanceModule(theta)(wi, wo).numpy()
+        exact = brdf_model.ReflectanceModule(theta)(wi, wo).numpy()
     assert not found[wi[:, 2] < 0].any()
     np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-3 * exact.mean())
     assert exact.max() > 0
@@ -85,8 +85,8 @@ def test_maps_are_those_of_general(tmp_path: Path, metapp: Callable) -> None:
 
 
 def _maps(photo: Tensor) -> tuple[Tensor, ...]:
-    from metapp.runs.checkpoints import attach_checkpoint
-    from metapp.runs.options import fit_options
+    from metapp.runs.checkpoint_selection import attach_checkpoint
+    from metapp.runs.fit_options import fit_options
     from metapp.runs.run import Run
 
     found = attach_checkpoint(Run.of(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo")))

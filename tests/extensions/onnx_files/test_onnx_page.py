@@ -13,10 +13,10 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from data_tools.readers.photos import read_photo
+from data_tools.readers.square_photos import read_photo
 from metapp.appearance.colour import linear_to_srgb
-from metapp.extensions.onnx_files import page as pages
-from metapp.extensions.onnx_files.page import write_page_folder
+from metapp.extensions.onnx_files import onnx_page as pages
+from metapp.extensions.onnx_files.onnx_page import write_page_folder
 from tests.browser import browsing
 
 SIDE = 16

@@ -13,8 +13,8 @@ from torch import Tensor
 from metapp.appearance.geometry import angle_cosines, directions_to_four_angles
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.rgl import rgl
+from metapp.extensions.rgl.brdf_scene import write_brdf_scenes
 from metapp.extensions.rgl.rgl import write_rgl
-from metapp.extensions.rgl.scene import write_brdf_scenes
 from metapp.extensions.rgl.tensor_file import write_tensor_file
 from tests import anisotropic
 from tests.anisotropic import APP, VIEWERS, brushed, brushed_directions, direction, directions, viewer_at

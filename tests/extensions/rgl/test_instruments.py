@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.merl import evaluate_merl, merl_centres, read_merl, tabulate_merl, write_merl
-from data_tools.readers.nbrdf import NBRDF_ARRAY_SHAPES, evaluate_nbrdf, write_nbrdf
+from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES, evaluate_nbrdf, write_nbrdf
 from metapp.appearance.colorimetry import spectrum_to_rgb_matrix
 from metapp.appearance.geometry import angle_cosines, directions_to_full_rusinkiewicz
 from metapp.appearance.reflection import microfacet_lobe

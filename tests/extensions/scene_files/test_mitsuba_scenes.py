@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 
 from data_tools.synthetic.cornell import random_scene, to_xml
 from metapp.apps.transport.app import Transport
-from metapp.extensions.scene_files.reading import find, read_scene, read_task, recognises, resolve_scene_in_memory
+from metapp.extensions.scene_files.scene_reader import find, read_scene, read_task, recognises, resolve_scene_in_memory
 from metapp.learning.task import problems_of
 from metapp.registry import WITHOUT_VARIABLE
 from metapp.rendering import variant as mitsuba_variant

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from data_tools.synthetic.cornell import random_scene
-from metapp.extensions.scene_files.places import ScenePlaces, read_scene_text
-from metapp.extensions.scene_files.reading import read_scene, read_task
+from metapp.extensions.scene_files.scene_places import ScenePlaces, read_scene_text
+from metapp.extensions.scene_files.scene_reader import read_scene, read_task
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
 from metapp.rendering.variant import load_mitsuba
@@ -119,7 +119,7 @@ def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[
         mark = evil(tmp_path, plugin.stem)
     (tmp_path / "room.json").write_text(json.dumps(random_scene(0)))
     lines = (
-        "from pathlib import Path\nfrom metapp.extensions.scene_files.reading import read_scene\n"
+        "from pathlib import Path\nfrom metapp.extensions.scene_files.scene_reader import read_scene\n"
         "from metapp.rendering.paths.path_space import Tracer, reference\n"
         "print(reference(Tracer(read_scene(Path('room.json'))), 4, 4).shape)"
     )
@@ -333,7 +333,7 @@ MESHES: dict[str, tuple[bytes, str]] = {
 
 READS = """
 import sys, pathlib
-from metapp.extensions.scene_files.reading import read_task
+from metapp.extensions.scene_files.scene_reader import read_task
 for name in sys.argv[1:]:
     try:
         read_task(pathlib.Path(name), samples=8, held=8)

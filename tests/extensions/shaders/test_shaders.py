@@ -12,8 +12,8 @@ from torch import Generator
 
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
 from metapp.apps import app_of, recipes_of
-from metapp.apps.brdf.nbrdf import NBRDF_NETWORK
-from metapp.extensions.shaders import files
+from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
+from metapp.extensions.shaders import shader_files
 from metapp.learning.task import Params
 from tests.extensions.shaders.running import RUNS, Array
 
@@ -35,12 +35,12 @@ def theta() -> Params:
 def written(theta: Params, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("code")
     for language in ("cpp", "glsl", "hlsl", "materialx", "osl", "wgsl"):
-        getattr(files, f"write_{language}")(APP, theta, folder / NAME)
+        getattr(shader_files, f"write_{language}")(APP, theta, folder / NAME)
     return folder
 
 
 def code(folder: Path, language: str) -> str:
-    return (folder / f"{NAME}.{files.LANGUAGES[language].suffix}").read_text()
+    return (folder / f"{NAME}.{shader_files.LANGUAGES[language].suffix}").read_text()
 
 
 def hemisphere(count: int, seed: int) -> Array:
@@ -55,12 +55,12 @@ def hemisphere(count: int, seed: int) -> Array:
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_values_are_those_of_the_network(language: str, theta: Params, written: Path, tmp_path: Path) -> None:
     light, viewer = hemisphere(10_000, 0), hemisphere(10_000, 1)
-    found = RUNS[language](code(written, language), files.function_prefix(NAME), light, viewer, tmp_path)[:, :3]
+    found = RUNS[language](code(written, language), shader_files.function_prefix(NAME), light, viewer, tmp_path)[:, :3]
     angles = directions_to_full_rusinkiewicz(torch.from_numpy(light).double(), torch.from_numpy(viewer).double())
     exact = NBRDF_NETWORK.evaluate({key: value.double() for key, value in theta.items()}, angles).numpy()
     np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-4 * exact.mean())
     below = light * np.float32([1, 1, -1])
-    nothing = RUNS[language](code(written, language), files.function_prefix(NAME), below, viewer, tmp_path)
+    nothing = RUNS[language](code(written, language), shader_files.function_prefix(NAME), below, viewer, tmp_path)
     assert not nothing[:, :4].any()
 
 
@@ -70,7 +70,7 @@ def test_samples_have_their_density(angle: float, written: Path, tmp_path: Path)
     theta, count = np.radians(angle), 400_000
     viewer = np.tile(np.float32([np.sin(theta), 0, np.cos(theta)]), (count, 1))
     numbers = np.random.default_rng(2).random((count, 3), dtype=np.float32)
-    run, name = RUNS["cpp"], files.function_prefix(NAME)
+    run, name = RUNS["cpp"], shader_files.function_prefix(NAME)
     light = np.ascontiguousarray(run(code(written, "cpp"), name, numbers, viewer, tmp_path)[:, 4:])
     assert (light[:, 2] > 0).all()
     np.testing.assert_allclose(np.linalg.norm(light, axis=1), 1, atol=1e-4)
@@ -110,5 +110,5 @@ def test_a_node_of_materialx(written: Path) -> None:
 
 
 def test_names_are_identifiers() -> None:
-    assert files.function_prefix("gold__paint.v2") == "brdf_gold_paint_v2"
-    assert files.function_prefix("漆") == "brdf"
+    assert shader_files.function_prefix("gold__paint.v2") == "brdf_gold_paint_v2"
+    assert shader_files.function_prefix("漆") == "brdf"

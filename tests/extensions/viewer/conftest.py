@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from metapp.extensions.viewer.page import FitGroup, write_page
 from metapp.extensions.viewer.view import View
+from metapp.extensions.viewer.viewer_page import FitGroup, write_page
 from tests.browser import Page, browsing
 
 

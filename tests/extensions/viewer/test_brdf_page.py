@@ -15,12 +15,12 @@ from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.geometry import directions_to_four_angles, is_above_horizon, rusinkiewicz_to_directions
 from metapp.apps import presenter_of
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.few.network import Few
-from metapp.extensions.viewer.page import encode_array
+from metapp.apps.brdf.feature_network import Featured
+from metapp.apps.brdf.few.gaussian_model import Few
 from metapp.extensions.viewer.pages.anisotropic_residual import RESIDUAL_GRID_CELLS as AZIMUTHAL
 from metapp.extensions.viewer.pages.brdf import SAMPLE_GRID_CELLS
 from metapp.extensions.viewer.view import View, make_view
+from metapp.extensions.viewer.viewer_page import encode_array
 from metapp.learning.task import Params, Task
 from tests import anisotropic
 from tests.anisotropic import APP, TURN, brushed, fitted, interpolated

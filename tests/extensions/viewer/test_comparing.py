@@ -15,7 +15,9 @@ import torch
 from PIL import Image
 
 from metapp.appearance.surface import Surface
-from metapp.extensions.viewer.page import (
+from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
+from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, thumbnail
+from metapp.extensions.viewer.viewer_page import (
     VIEWER_KINDS,
     FitGroup,
     display_png_url,
@@ -24,8 +26,6 @@ from metapp.extensions.viewer.page import (
     viewer_html,
     write_page,
 )
-from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
-from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, thumbnail
 from tests.browser import Page, assert_alike
 from tests.surfaces import rock
 

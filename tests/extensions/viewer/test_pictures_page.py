@@ -20,14 +20,14 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES
 from metapp.apps.texture.app import Texture
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import REGULAR
+from metapp.apps.transport.guided_pictures import REGULAR
 from metapp.extensions.viewer.pages import transport as pages
 from metapp.extensions.viewer.pages.flat import QUILTED_SIDE_RATIO
 from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
 from metapp.rendering.scenes.stored_text import encode_scene
-from metapp.runs.outputs.files import write_pictures
+from metapp.runs.outputs.fit_files import write_pictures
 from tests.browser import LEGEND, Page, assert_alike, browsing, false_colours
 from tests.extensions.viewer.conftest import written
 from tests.needs_mitsuba import needs_mitsuba

@@ -14,12 +14,12 @@ import pytest
 from metapp.appearance.presenter import Presenter
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.viewer.pages import brdf
+from metapp.extensions.viewer.runs_page import fit_synthetic_input
 from metapp.extensions.viewer.view import View, make_view
-from metapp.extensions.viewer.viewing import fit_synthetic_input
 from metapp.learning.task import Params, Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs import api
-from metapp.runs.inputs.sources import Input
+from metapp.runs.inputs.run_inputs import Input
 from metapp.storage.files import file_name
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -160,7 +160,7 @@ def test_what_cannot_be_fitted_is_left_out_of_all(
             raise ValueError(f"{app} needs weights")
         return fit_synthetic_input(app, out, recipe)
 
-    monkeypatch.setattr("metapp.extensions.viewer.viewing.fit_synthetic_input", without)
+    monkeypatch.setattr("metapp.extensions.viewer.runs_page.fit_synthetic_input", without)
     told = metapp("try")
     assert told.code == 0
     assert "warning: texture is left out: texture needs weights" in told.err

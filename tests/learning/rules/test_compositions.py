@@ -7,12 +7,12 @@ import pytest
 from torch import Generator
 
 from metapp.apps import app_of, recipes_of
+from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
 from metapp.names import app_names, protocols_of, rule_words
 from metapp.registry import registry
-from metapp.rules import rule_of
 from tests.quick import app_by
 
 

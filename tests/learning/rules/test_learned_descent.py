@@ -9,6 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.illumination import app as illumination
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import Loss, at_step, learn_differentiably
 from metapp.learning.app import App
 from metapp.learning.learn import expand_tasks
@@ -17,7 +18,6 @@ from metapp.learning.rules.network import MEMORY_CHANNELS, StepNetwork
 from metapp.learning.rules.rule import StepInput
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
-from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 
 TASKS, STEPS = 2, 3

@@ -9,13 +9,13 @@ import torch
 from torch import Generator
 
 from metapp.apps.brdf.app import Brdf
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import UpdateRule, at_step
 from metapp.learning.learn import expand_tasks
 from metapp.learning.recipe import Adam, MetaTraining
 from metapp.learning.rules import META_EPS, fixed_adam, half_cosine, outer_adam, sgd
 from metapp.learning.rules.parts import Average, Basis, Curvature, tail_averaging_weights
 from metapp.learning.task import Params
-from metapp.rules import rule_of
 from tests.paradigms.small import applicable
 
 APP = Brdf()

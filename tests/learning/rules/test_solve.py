@@ -8,12 +8,12 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
+from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, learn_differentiably
 from metapp.learning.learn import expand_tasks, learn
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.solve import MAX_PENALTY, MIN_PENALTY, ROUNDING_FACTOR, NormalEquations, Solve
 from metapp.learning.task import Batch, LeastSquares, Params
-from metapp.rules import rule_of
 from tests.learning.parabolas import unused
 from tests.paradigms.small import FEATURED, small_app
 

@@ -8,11 +8,11 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.augmentation import draw_measurements, mix_brdfs
+from metapp.apps.brdf.brdf_network import COUNT_KEY, BrdfNetwork, gather_samples
 from metapp.apps.brdf.few.design import Posterior, expected_errors
-from metapp.apps.brdf.few.network import FEW_NETWORK, error_slope, ridge_regression
-from metapp.apps.brdf.network import COUNT_KEY, BrdfNetwork, gather_samples
+from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK, error_slope, ridge_regression
 from metapp.apps.brdf.recipes import FULL, RIDGE_TRAINING
+from metapp.apps.brdf.sample_augmentation import draw_measurements, mix_brdfs
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks
 
 MAX_FEW_SAMPLES = 1024  # samples of which a material has few at most

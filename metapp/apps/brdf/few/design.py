@@ -20,8 +20,8 @@ from metapp.appearance.geometry import (
     outgoing_cosine,
     quasirandom_angles,
 )
-from metapp.apps.brdf.few.network import error_slope, model_features, model_reflectance, sample_precision
-from metapp.apps.brdf.network import opponent_axes
+from metapp.apps.brdf.brdf_network import opponent_axes
+from metapp.apps.brdf.few.gaussian_model import error_slope, model_features, model_reflectance, sample_precision
 from metapp.learning.task import Params
 
 CANDIDATE_PAIRS, REFERENCE_PAIRS = 4096, 2048

@@ -26,8 +26,8 @@ from metapp.apps.svbrdf_nonstationary.pretrained.polish import add_polish, descr
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
-from metapp.storage.checkpoints import load_checkpoint
-from metapp.storage.shipped import FULL_RECIPE_NAME, shipped_checkpoint_path
+from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, shipped_checkpoint_path
 
 TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}  # and their channels; each half as fine
 WIDTHS = (32, 64, 96, 128)  # channels of the levels, the finest first

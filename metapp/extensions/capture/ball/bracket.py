@@ -19,9 +19,9 @@ from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels, is_heif, open_largest_picture
 from metapp.appearance.colour import linear_to_srgb
 from metapp.apps.illumination.mirror import CLIPPED_VALUE
-from metapp.extensions.capture.ball.geometry import Ball, disc_places
-from metapp.extensions.capture.ball.picture import extract_ball
-from metapp.extensions.capture.photos import import_opencv
+from metapp.extensions.capture.ball.ball_geometry import Ball, disc_places
+from metapp.extensions.capture.ball.ball_picture import extract_ball
+from metapp.extensions.capture.hand_photos import import_opencv
 from metapp.options import BadOption
 
 _SHORTEST_SECONDS = 1e-6  # 1 over it is the longest exposure

@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers.colours import Floats
+from data_tools.readers.environment_maps import MAP_HEIGHT_PX
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.latlong import MAP_HEIGHT_PX
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.latlong import texel_directions
 from metapp.apps.illumination.mirror import CLIPPED_VALUE
-from metapp.extensions.capture.ball.bracket import align_balls, fit_curve_power, merge_exposures, read_exposures
-from metapp.extensions.capture.ball.circle import MIN_BALL_SCORE, find_ball, score_ball
-from metapp.extensions.capture.ball.geometry import FAR_CAMERA_ANGLE_RAD, Ball, directions_to_disc
-from metapp.extensions.capture.ball.picture import (
+from metapp.extensions.capture.ball.ball_geometry import FAR_CAMERA_ANGLE_RAD, Ball, directions_to_disc
+from metapp.extensions.capture.ball.ball_picture import (
     block_means,
     check_finite_pixels,
     extract_ball,
@@ -30,7 +28,9 @@ from metapp.extensions.capture.ball.picture import (
     lens_of_photo,
     sample_pixels,
 )
-from metapp.extensions.capture.photos import display_values
+from metapp.extensions.capture.ball.bracket import align_balls, fit_curve_power, merge_exposures, read_exposures
+from metapp.extensions.capture.ball.circle import MIN_BALL_SCORE, find_ball, score_ball
+from metapp.extensions.capture.hand_photos import display_values
 from metapp.learning.task import Task
 
 _AS_GOOD = 0.8  # of the best score: other balls are looked for where that one is

@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 from scipy.signal import fftconvolve
 
 from data_tools.readers.colours import Floats
-from metapp.extensions.capture.ball.geometry import PARALLEL_LENS, Ball, PinholeLens
-from metapp.extensions.capture.ball.picture import sample_pixels
+from metapp.extensions.capture.ball.ball_geometry import PARALLEL_LENS, Ball, PinholeLens
+from metapp.extensions.capture.ball.ball_picture import sample_pixels
 
 MIN_BALL_SCORE = 0.34  # of a ball
 

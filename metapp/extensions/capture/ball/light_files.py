@@ -12,11 +12,11 @@ import torch
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.ball.ball_options import BallOptions
 from metapp.extensions.capture.ball.capture import CapturedLight, capture_light
-from metapp.extensions.capture.photos import write_outlines
+from metapp.extensions.capture.hand_photos import write_outlines
 from metapp.learning.task import Task
 from metapp.runs.reporter import progress
 from metapp.storage.folders import DIAGNOSTIC_FOLDER
-from metapp.storage.images import write_exr
+from metapp.storage.image_writers import write_exr
 from metapp.storage.shards import write_data_set
 
 LIGHT_UNITS = {

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.networks.options import fov
+from metapp.networks.picture_options import fov
 from metapp.options import Option
 
 

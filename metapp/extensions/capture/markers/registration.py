@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import read_pixels
-from metapp.extensions.capture.markers.attempt import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.hand_photos import display_values, import_opencv
+from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Sighting, diamond_outlines, focal_length_mm
-from metapp.extensions.capture.photos import display_values, import_opencv
 
 PRINT_MARKERS_ADVICE = "print a frame of markers: metapp data markers sheet.pdf"
 

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_tools.readers.image_files import read_pixels
-from metapp.extensions.capture.markers.attempt import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.hand_photos import display_values, import_opencv
+from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
 from metapp.extensions.capture.markers.plane import cameras_on_part
-from metapp.extensions.capture.markers.rectified import find_cameras
+from metapp.extensions.capture.markers.rectified_photos import find_cameras
 from metapp.extensions.capture.markers.registration import WHOLE_PHOTO_CORNERS
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import Camera, Sighting
-from metapp.extensions.capture.photos import display_values, import_opencv
 
 MIDDLE_CORNERS = (WHOLE_PHOTO_CORNERS + 0.5) / 2  # of a photograph, where the sample is, as people aim at it
 COMPARISON_SIDE_PX = 192  # of the compared pictures

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from metapp.extensions.capture.photos import import_opencv
+from metapp.extensions.capture.hand_photos import import_opencv
 
 OPENINGS_CM = range(4, 14)  # sides of the opening; each has markers of its own, so that photos tell it
 RULER_CM = 10.0

@@ -12,7 +12,8 @@ from scipy.optimize import brute
 
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.lenses import FILM_DIAGONAL_MM
-from metapp.extensions.capture.markers.attempt import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.hand_photos import display_values, import_opencv
+from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
 from metapp.extensions.capture.markers.sheet import (
     RULER_CM,
     Floats,
@@ -20,7 +21,6 @@ from metapp.extensions.capture.markers.sheet import (
     marker_dictionary,
     opening_of_markers,
 )
-from metapp.extensions.capture.photos import display_values, import_opencv
 
 MIN_SEEN_MARKERS = 4  # markers
 
@@ -184,7 +184,7 @@ def diamond_outlines(points: Floats, longer_px: int) -> Floats:
 def focal_length_mm(pixels: Pixels, fov_rad: float) -> float:
     """The focal length in mm, as of 35 mm film, of a field of view along the shorter side; 0: as EXIF says, if so."""
     height, width = pixels.values.shape[:2]
-    # the inverse of `data_tools.readers.photos.field_of_view_rad`
+    # the inverse of `data_tools.readers.square_photos.field_of_view_rad`
     focal = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
     return FILM_DIAGONAL_MM * focal or pixels.focal_mm
 

@@ -14,9 +14,9 @@ from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.lobes import fit_lobes
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_scene, shade_sphere, studio_lights
-from metapp.apps.brdf import anisotropic, featured
+from metapp.apps.brdf import anisotropic, feature_network
 from metapp.apps.brdf.app import Brdf
-from metapp.apps.brdf.network import find_network
+from metapp.apps.brdf.brdf_network import find_network
 from metapp.extensions.viewer.pages import anisotropic_residual
 from metapp.extensions.viewer.view import View, reference_light_map, thumbnail
 from metapp.learning.task import Params, Task
@@ -41,7 +41,11 @@ def make_brdf_view(presenter: Presenter[Brdf], theta: Params, task: Task) -> Vie
         "network": folded.inputs,
         "inputs": folded.layers[0][0].shape[1],
         "hidden": len(folded.layers[0][1]),
-        "smoothing": [featured.AZIMUTH_ONSET_RAD2, featured.VECTOR_SMOOTHING, featured.COSINE_SMOOTHING],
+        "smoothing": [
+            feature_network.AZIMUTH_ONSET_RAD2,
+            feature_network.VECTOR_SMOOTHING,
+            feature_network.COSINE_SMOOTHING,
+        ],
         "turn": folded.turn,
         "darkest": folded.darkest,
         "alphas": [list(alpha) for alpha in lobes.alphas],

@@ -25,8 +25,8 @@ from metapp.appearance.quilting import choose_block_size, quilt
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.presenter import SvbrdfNonstationaryPresenter
+from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
-from metapp.apps.svbrdf_stationary.statistics import FLASH_FALLOFF
 from metapp.apps.texture.presenter import TexturePresenter
 from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, reference_light_map, thumbnail
 from metapp.learning.task import Params, Task

@@ -18,15 +18,15 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import LEAST_SHARE_OF_MEAN, mape
 from metapp.appearance.pictures import REFERENCE_ERROR_NAME
 from metapp.appearance.presenter import Presenter
-from metapp.apps.transport import guide, images
+from metapp.apps.transport import guide, guided_pictures
 from metapp.apps.transport.app import Transport
+from metapp.apps.transport.density_pictures import draw_flow_density, draw_sample_histograms
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import REGULAR, SceneRenderer, renderer_of
-from metapp.apps.transport.pictures import draw_flow_density, draw_sample_histograms
+from metapp.apps.transport.guided_pictures import REGULAR, SceneRenderer, renderer_of
 from metapp.extensions.viewer.view import View, make_pictures_view, thumbnail
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
-from metapp.runs.surroundings import torch_defaults
+from metapp.runs.environment import torch_defaults
 from metapp.storage import Document
 from metapp.storage.tensor_cache import load_or_compute_tensors
 
@@ -115,7 +115,7 @@ def _kept(what: str, of: Sequence[Tensor], effort: Effort, make: Callable[[], di
     """Tensors from the cache, for these inputs and this code."""
     settings = repr(tuple(effort)).encode()
     digest = hashlib.sha256(settings + b"".join(each.detach().cpu().numpy().tobytes() for each in of)).hexdigest()
-    sources = [str(module.__file__) for module in (guide, images, path_space)]
+    sources = [str(module.__file__) for module in (guide, guided_pictures, path_space)]
     return load_or_compute_tensors(f"view-transport-{what}-{digest[:20]}", [__file__, *sources], make)
 
 

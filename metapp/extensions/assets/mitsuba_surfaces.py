@@ -1,0 +1,98 @@
+"""Mitsuba 3: scenes that show a fitted material, beside the pictures that they need.
+
+`<name>.xml` has the BSDF `neural_svbrdf`, which shades as the fit; it needs `import metapp.mitsuba` before
+`mitsuba.load_file`. `<name>_builtin.xml` needs nothing but Mitsuba: `principled`, the nearest material of the
+metallic-roughness workflow, as its `specular` is one number.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from pathlib import Path
+
+from metapp.appearance.flash import camera_distance
+from metapp.appearance.surface import Surface
+from metapp.extensions.assets.planes import all_surface_maps
+from metapp.extensions.assets.surface_pictures import fill_in_name, write_surface_maps
+from metapp.storage.xml_files import write_xml
+
+MITSUBA_MAPS = ("diffuse", "specular", "roughness", "normal_gl", "basecolor", "metallic")
+SURFACE_PLUGINS = {  # by the suffix of the scene: the BSDF, and its textures by name
+    "": ("neural_svbrdf", {"diffuse": "diffuse", "specular": "specular", "roughness": "roughness"}),
+    "_builtin": ("principled", {"base_color": "basecolor", "metallic": "metallic", "roughness": "roughness"}),
+}
+COLOUR_MAPS = ("diffuse", "specular", "basecolor")
+PRINCIPLED_INDEX_XML = '<float name="specular" value="0.5"/>'  # of `principled`: an index of refraction of 1.5
+# "variant", else halves: three digits of 16 bits
+TEXTURE_TEMPLATE = """<texture type="bitmap" name="{key}">
+  <string name="filename" value="NAME_{map}.png"/>
+  <string name="format" value="variant"/>
+  <string name="wrap_mode" value="{wrap}"/>
+  {raw}
+</texture>"""
+# What was fitted has no shadowing function and flips no normals. Row 0 of a bitmap lies at v = 0, which is where
+# meshes, but not rectangles, have their upper edge. The film takes a pixel a texel.
+SURFACE_SCENE_TEMPLATE = """<scene version="3.0.0">
+  <integrator type="path"/>
+  <bsdf type="normalmap" id="NAME">
+    <boolean name="use_shadowing_function" value="false"/>
+    <boolean name="flip_invalid_normals" value="false"/>
+    {normals}
+    <bsdf type="{plugin}">{textures}</bsdf>
+  </bsdf>
+  <shape type="rectangle">
+    <boolean name="flip_normals" value="true"/>
+    <transform name="to_world"><scale x="{x!r}" y="{y!r}"/><rotate x="1" angle="180"/></transform>
+    <ref id="NAME"/>
+  </shape>
+  <sensor type="perspective">
+    <float name="fov" value="45"/>
+    <string name="fov_axis" value="smaller"/>
+    <transform name="to_world"><lookat origin="0, 0, {far!r}" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <film type="hdrfilm">
+      <rfilter type="box"/>
+      <integer name="height" value="{height}"/>
+      <integer name="width" value="{width}"/>
+    </film>
+    <sampler type="independent"><integer name="sample_count" value="64"/></sampler>
+  </sensor>
+  <emitter type="point">
+    <point name="position" x="-0.8" y="0" z="{lamp!r}"/>
+    <rgb name="intensity" value="{intensity!r}"/>
+  </emitter>
+</scene>"""
+
+
+def write_mitsuba(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+    """Write <path>/<name>.xml, <path>/<name>_builtin.xml and the pictures."""
+    planes = all_surface_maps(surface)
+    write_surface_maps({key: planes[key] for key in MITSUBA_MAPS}, path)
+    for suffix, (plugin, textures) in SURFACE_PLUGINS.items():
+        scene = surface_scene(plugin, textures, path.name, surface)
+        write_xml(path / f"{path.name}{suffix}.xml", scene)
+
+
+def surface_scene(plugin: str, textures: Mapping[str, str], name: str, surface: Surface) -> ET.Element:
+    """The material on a rectangle, seen from straight above, under a lamp to the left."""
+    (height, width), shorter, far = surface.size, min(surface.size), camera_distance()
+
+    def texture(key: str, plane: str) -> str:
+        raw = "" if plane in COLOUR_MAPS else '<boolean name="raw" value="true"/>'
+        wrap = "repeat" if surface.tiles else "clamp"
+        return TEXTURE_TEMPLATE.format(key=key, map=plane, wrap=wrap, raw=raw)
+
+    text = SURFACE_SCENE_TEMPLATE.format(
+        plugin=plugin,
+        normals=texture("normalmap", "normal_gl"),
+        textures="".join(texture(*pair) for pair in textures.items())
+        + (PRINCIPLED_INDEX_XML if plugin == "principled" else ""),
+        x=width / shorter,
+        y=height / shorter,
+        far=far,
+        height=height,
+        width=width,
+        lamp=far - 0.8,
+        intensity=3.1416 * far * far,
+    )
+    return fill_in_name(ET.fromstring(text), name)

@@ -1,0 +1,100 @@
+"""A method without a network, run on the inputs of a command, its answers kept as fits are."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.table import Table
+
+from metapp.appearance.presenter import Presenter
+from metapp.cli.fit_output import fit_line, fits_table
+from metapp.extensions.baselines import baselines_of
+from metapp.extensions.baselines.baseline import Baseline
+from metapp.extensions.baselines.baseline_fits import (
+    BASELINE_RECORD_KEYS,
+    baseline_settings,
+    find_training_folder,
+    fit_baselines,
+)
+from metapp.names import did_you_mean
+from metapp.options import BadOption
+from metapp.runs.fit_options import FitOptions
+from metapp.runs.inputs.run_inputs import find_inputs, read_tasks, task_digest
+from metapp.runs.outputs.fit_files import write_pictures
+from metapp.runs.reporter import progress
+from metapp.runs.run import Run
+from metapp.storage import Document
+from metapp.storage.fit_folders import RunFolder
+
+
+class BaselineRun(NamedTuple):
+    """What a method made of the inputs of a command.
+
+    Attributes:
+        method: its name.
+        cannot: what it cannot do, in words.
+        presenter: of the application.
+        path: the folder of its answers.
+        records: of all tasks.
+    """
+
+    method: str
+    cannot: str
+    presenter: Presenter[Any]
+    path: Path
+    records: Sequence[Document]
+
+    def shown(self) -> Table | str:
+        """Return the table of all tasks, or the line about the only one."""
+        if len(self.records) > 1:
+            return fits_table(self.presenter, self.method, self.records)
+        return fit_line(self.presenter, self.records[0])
+
+
+def run_baseline(options: FitOptions, method: str) -> BaselineRun:
+    """Run a method on the inputs of options, and keep its answers, with their records, in a run's folder.
+
+    Args:
+        options: of a fit; those that no method reads have no effect.
+        method: its name.
+
+    Raises:
+        BadOption: the application has no such method, or the method writes files of one size alone.
+        ValueError: bad inputs; no training tasks, of a method that learns from them.
+    """
+    run = Run.of(options)
+    baseline, (sources, label) = _baseline(run, method), find_inputs(run)
+    tasks = read_tasks(sources)
+    if baseline.learns and find_training_folder(run, baseline, make=True) is None:
+        raise ValueError(f"{run.app.name} {method}: no training tasks to learn from; give a data set with --data.")
+    path = run.path(label, f"baseline-{method}")
+    kept = RunFolder(path, baseline_settings(run, baseline, label), BASELINE_RECORD_KEYS)
+    records = []
+    with progress(method, len(tasks), quiet=options.quiet) as bar:
+        fits = fit_baselines(run, baseline, tasks, warm=False)
+        for task, (record, picture, written) in zip(tasks, fits, strict=True):
+            record |= {"content": task_digest(task), "origin": run.origin(run.options.paths)}
+            files = run.presenter.answer_pictures(written(run.presenter.size), task)
+            records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
+            bar.advance(task.name)
+    return BaselineRun(method, baseline.cannot, run.presenter, path, records)
+
+
+def _baseline(run: Run, method: str) -> Baseline:
+    """Return the method of a name.
+
+    Raises:
+        BadOption: the application has no such method, or the method writes files of one size alone.
+    """
+    methods = {baseline.name: baseline for baseline in baselines_of(run.app)}
+    if method not in methods:
+        names = ", ".join(methods) or f"another application: {run.app.name} has no method"
+        hint = did_you_mean(method, methods)
+        raise BadOption(f"--method {method}: not one of {run.app.name}, expected {names}.{hint}")
+    if run.presenter.size and not methods[method].sizes:
+        sized = ", ".join(name for name, other in methods.items() if other.sizes) or "none"
+        raise BadOption(f"--size: {method} writes files of one size, expected a method that makes others: {sized}.")
+    return methods[method]

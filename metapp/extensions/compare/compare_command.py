@@ -1,0 +1,51 @@
+"""`metapp compare`: runs side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from metapp.cli.arguments import FittedData, JsonFlag, Overwrite, Quiet, RunPath, check_new_file
+from metapp.cli.console import print_json, standard_output
+from metapp.runs.reporter import say
+
+
+def compare_command(
+    first: RunPath,
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another run of the same application.")],
+    others: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[RUN|INPUT]...",
+            help="Further runs; original inputs, if they have moved: needed for the picture.",
+        ),
+    ] = None,
+    task: Annotated[str, typer.Option(metavar="NAME", help="Compare this task alone; default: all in common.")] = "",
+    data: FittedData = None,
+    out_file: Annotated[
+        Path | None,
+        typer.Option("--out", dir_okay=False, help="Picture to write; default: comparison.png in the first RUN."),
+    ] = None,
+    overwrite: Overwrite = False,
+    json: JsonFlag = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare runs with the first: errors of each task, the ratio of mean errors with its interval, and a picture.
+
+    Example: metapp compare RUN OTHER_RUN
+    """
+    from metapp.extensions.compare.side_by_side import compare_runs, comparison_table
+
+    check_new_file(out_file, overwrite)
+    compared, picture = compare_runs([first, second], others or [], task, data, out_file, quiet=quiet)
+    if not (quiet or json):
+        standard_output().print(comparison_table(compared))
+    if not quiet:
+        for note in compared.notes:
+            say(f"note: {note}")
+        missing = "no picture: fits or what was fitted are not there; give what was fitted after the runs."
+        say(f"picture: {picture}" if picture else missing)
+    if json:
+        print_json(compared.document(picture))

@@ -1,0 +1,79 @@
+"""General of flash photographs, of a checkpoint, as an ONNX model or as a page that runs it in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
+from metapp.extensions.onnx_files.models import ONNX_OPSET, require_packages
+from metapp.extensions.onnx_files.onnx_page import MODEL_SIDES_PX, RUNTIME_VERSION, provide_runtime, write_page_folder
+from metapp.extensions.onnx_files.photographs import MODEL_SIDE_STEP_PX, VGG_CREDIT, encode_photo_model
+from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.fit_options import FitOptions, check_new_files, fit_options
+from metapp.runs.reporter import progress, say
+from metapp.runs.run import Run
+from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.files import write_bytes
+from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME
+
+PHOTO_APP, PAGE_KIND = "svbrdf_nonstationary", "onnx-page"
+
+
+def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
+    """Write <folder>/<name>.onnx, or the page <folder>/index.html with its files beside it.
+
+    Args:
+        path: a checkpoint, or the name of one that ships: svbrdf_nonstationary, or with a recipe
+            svbrdf_nonstationary/pretrained.
+        kind: onnx or onnx-page.
+        folder: of the files.
+        quiet: no messages.
+
+    Raises:
+        ValueError: no checkpoint of that General; packages, or the browser's part, cannot be had.
+        BadOption: the file is there already.
+    """
+    options = _options(path)
+    file = folder / (
+        "index.html" if kind == PAGE_KIND else f"{path.stem if path.is_file() else '-'.join(path.parts)}.onnx"
+    )
+    check_new_files([file])
+    require_packages()
+    parts = {}
+    if kind == PAGE_KIND:
+        with progress(f"onnxruntime-web {RUNTIME_VERSION}", quiet=quiet) as bar:
+            parts = provide_runtime(lambda done, total: bar.at(done // 10**6, total and total // 10**6, "MB from npm"))
+    found = attach_checkpoint(Run.of(options))
+    app, checkpoint = found.app, found.checkpoint
+    if not isinstance(app, CodedMaps):
+        raise ValueError(f"{path}: General of several photos, expected one of one photo; export maps of its fits.")
+    assert checkpoint is not None
+    about = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
+    if reads_features := bool(app.conditions()):
+        about |= {"features": VGG_CREDIT, "license": f"MIT; of the features: {VGG_CREDIT}"}
+    model, any_size = encode_photo_model(app, checkpoint.phi.encoder, about)
+    side = app.network.height
+    if kind == PAGE_KIND:
+        write_page_folder(folder, model, parts, MODEL_SIDES_PX if any_size else (side,), features=reads_features)
+    else:
+        write_bytes(file, model)
+    if not quiet:
+        sizes = f"whose sides are multiples of {MODEL_SIDE_STEP_PX}" if any_size else f"of {side} x {side}"
+        say(f"{file}: {len(model) / 1e6:.1f} MB of ONNX, opset {ONNX_OPSET}, takes photos {sizes} px")
+    return [file]
+
+
+def _options(path: Path) -> FitOptions:
+    """General of the checkpoint that a file is, or that ships by a name."""
+    app, recipe = path.parts[:1], "".join(path.parts[1:2]) or FULL_RECIPE_NAME
+    if is_file := path.is_file():
+        about = load_checkpoint(path)[1]
+        recipe = str(about.get("recipe", FULL_RECIPE_NAME)) if about.get("app") == PHOTO_APP else FULL_RECIPE_NAME
+    elif app != (PHOTO_APP,) or len(path.parts) > 2:
+        raise ValueError(
+            f"{path}: no such file, expected a run, a checkpoint of General of photos, or {PHOTO_APP} or {PHOTO_APP}/RECIPE, by "
+            "which one ships."
+        )
+    return fit_options(
+        PHOTO_APP, "general", recipe=recipe, observe="photo", checkpoint=path if is_file else None, quiet=True
+    )

@@ -1,0 +1,120 @@
+"""A BRDF as source code of a neutral shading language, which `languages` writes in others.
+
+Its statements are those of HLSL, but that declarations say `let` (a name for a value) or `var` (a variable), functions
+`fn`. No arrays and no loops: every language takes sums of products, which compilers map to the hardware.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from importlib import resources
+
+from torch import Tensor
+
+from metapp.appearance.lobes import LAST_VIEWER_RAD, VIEWER_NODES, LobeMixture
+from metapp.apps.brdf.brdf_network import PlainLayers
+
+COMMON_SOURCE = """\
+// Reflectance in 1/sr, linear RGB, without the cosine; wi and wo point away from the surface, whose normal is z.
+fn float3 NAME_eval(float3 wi, float3 wo) {
+    if (min(wi.z, wo.z) <= 0.0) {
+        return float3(0.0, 0.0, 0.0);
+    }
+    let float3 total = wi + wo;
+    let float len = length(total);
+    let float3 h = total / len;
+    let float3 angle = NAME_azimuth(h);
+    let float3 d = NAME_difference(wi, h, len);
+LAYERS
+}
+
+// Shares of three densities, the cosine's first, for the angle of wo.
+fn float3 NAME_shares(float cosine) {
+    let float place = min(acos(min(cosine, 1.0)) * SCALE, FINAL);
+    var float3 shares = float3(0.0, 0.0, 0.0);
+SHARES
+    return shares;
+}
+
+// NAME_facets with what goes below the surface mirrored up: it integrates to 1 over the directions above.
+fn float NAME_lobe(float3 wi, float3 wo, float3 alpha) {
+    return NAME_facets(wi, wo, alpha) + NAME_facets(float3(wi.x, wi.y, -wi.z), wo, alpha);
+}
+
+// Density of NAME_sample per solid angle.
+fn float NAME_pdf(float3 wi, float3 wo) {
+    if (min(wi.z, wo.z) <= 0.0) {
+        return 0.0;
+    }
+    let float3 shares = NAME_shares(wo.z);
+    return shares.x * wi.z / PI + shares.y * NAME_lobe(wi, wo, FIRST) + shares.z * NAME_lobe(wi, wo, SECOND);
+}
+
+// A direction above the surface, of three numbers in [0, 1).
+fn float3 NAME_sample(float3 wo, float3 u) {
+    let float3 shares = NAME_shares(wo.z);
+    if (u.z < shares.x) {
+        let float phi = 2.0 * PI * u.y;
+        let float radius = sqrt(u.x);
+        return float3(radius * cos(phi), radius * sin(phi), sqrt(max(0.0, 1.0 - u.x)));
+    }
+    var float3 alpha = SECOND;
+    if (u.z < shares.x + shares.y) {
+        alpha = FIRST;
+    }
+    let float3 h = NAME_facet(wo, alpha, u.x, u.y);
+    let float3 wi = h * (2.0 * dot(wo, h)) - wo;
+    return float3(wi.x, wi.y, max(abs(wi.z), 1e-6));
+}
+"""
+NETWORK_INPUT_EXPRESSIONS = ("angle.x", "", "h.z", "d.x", "d.y", "d.z")  # of an NBRDF; half_y is 0
+
+
+def brdf_source(name: str, folded: PlainLayers, lobes: LobeMixture) -> str:
+    """The functions <name>_eval, <name>_sample and <name>_pdf of an NBRDF network and its sampling density."""
+    parts = {
+        "NAME": name,
+        "LAYERS": "\n".join(f"    {line}" for line in _layers(name, folded.layers)),
+        "SHARES": "\n".join(f"    {line}" for line in _shares(lobes)),
+        "SCALE": float_literal((VIEWER_NODES - 1) / LAST_VIEWER_RAD),
+        "FINAL": float_literal(VIEWER_NODES - 1),
+        "FIRST": f"float3({float_literal(lobes.alphas[0][0])}, {float_literal(lobes.alphas[0][1])}, 1.0)",
+        "SECOND": f"float3({float_literal(lobes.alphas[1][0])}, {float_literal(lobes.alphas[1][1])}, 1.0)",
+        "PI": float_literal(math.pi),
+    }
+    shared = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").split("\n\n", 1)[1]
+    return re.sub("|".join(parts), lambda match: parts[match[0]], f"{shared}\n{COMMON_SOURCE}")
+
+
+def float_literal(value: float) -> str:
+    """A number of 32 bits as all languages read it."""
+    text = f"{value:.9g}"
+    return text if set(text) & set(".e") else f"{text}.0"
+
+
+def _layers(name: str, layers: Sequence[tuple[Tensor, Tensor]]) -> list[str]:
+    inputs: tuple[str, ...] = NETWORK_INPUT_EXPRESSIONS
+    lines: list[str] = []
+    for i, (weights, bias) in enumerate(layers):
+        last, outputs = i == len(layers) - 1, []
+        for row, (factors, shift) in enumerate(zip(weights.tolist(), bias.tolist(), strict=True)):
+            terms = [f"{float_literal(factor)} * {of}" for factor, of in zip(factors, inputs, strict=True) if of]
+            total = " + ".join([float_literal(shift), *terms])
+            outputs.append(f"{'abc'[i]}{row}")
+            if last:
+                lines.append(f"let float {outputs[-1]} = {name}_expm1(max(0.0, {total}));")
+            else:
+                lines.append(f"let float {outputs[-1]} = max(0.0, {total});")
+        inputs = tuple(outputs)
+    return [*lines, f"return float3({', '.join(inputs)});"]
+
+
+def _shares(lobes: LobeMixture) -> list[str]:
+    """Linear between nodes: a hat function each."""
+    lines = []
+    for node, shares in enumerate(lobes.shares.tolist()):
+        vector = ", ".join(map(float_literal, shares))
+        lines.append(f"shares = shares + float3({vector}) * max(0.0, 1.0 - abs(place - {float_literal(node)}));")
+    return lines

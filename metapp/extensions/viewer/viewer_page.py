@@ -1,0 +1,124 @@
+"""The page: fits as JSON, the scripts that show them, and three.js, all in one file."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp.extensions.viewer.view import View
+from metapp.storage import Document
+from metapp.storage.files import write_bytes
+from metapp.storage.image_writers import png_data_url, to_8_bit_image
+
+VIEWER_KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
+_BEFORE = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawing", "stage", "raster", "polar")
+PAGE_SCRIPTS = (*_BEFORE, *VIEWER_KINDS, "listing", "main")  # in this order
+ARRAY_TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
+
+HTML_HEAD = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">
+"""
+HTML_BODY = """<header>
+<h1></h1><p class="caption"></p><span class="spacer"></span>
+<button id="options" type="button" aria-controls="controls" aria-expanded="false">Controls</button>
+<button id="save" type="button" title="Save this view as PNG, with its labels">Save PNG</button>
+<button id="help" type="button" title="Keys and pointer" aria-label="Help: keys and pointer">?</button>
+</header>
+<main>
+<nav aria-label="Fits"></nav>
+<section id="stage" aria-label="View"><p class="problem" hidden></p></section>
+<form id="controls" aria-label="Controls"></form>
+</main>
+<footer><span class="said" role="status"></span><output class="numbers"></output></footer>
+<noscript>This page draws with WebGL 2 and needs JavaScript.</noscript>"""
+
+
+class FitGroup(NamedTuple):
+    """Fits that are shown side by side: of one task, and of one kind.
+
+    Attributes:
+        title: of the task.
+        section: of the list, such as the application's title.
+        views: of one fit or more.
+    """
+
+    title: str
+    section: str
+    views: Sequence[View]
+
+
+def page_document(title: str, groups: Sequence[FitGroup]) -> Document:
+    """The document that the scripts read."""
+    shared: dict[str, Document] = {}
+    parts: list[Document] = []
+    for group in groups:
+        fits: list[Document] = []
+        for view in group.views:
+            shared |= {name: encode_array(values) for name, values in view.shared.items() if name not in shared}
+            arrays = {name: encode_array(values) for name, values in view.arrays.items()}
+            pictures = {name: display_png_url(pixels) for name, pixels in view.pictures.items()}
+            thumbnail = "" if view.thumbnail is None else display_png_url(view.thumbnail)
+            fits.append({"label": view.label, "caption": view.caption, "facts": dict(view.facts), "arrays": arrays,
+                         "pictures": pictures, "thumbnail": thumbnail})  # fmt: skip
+        kind = group.views[0].kind
+        parts.append({"title": group.title, "section": group.section, "kind": kind, "fits": fits})
+    return {"title": title, "groups": parts, "shared": shared}
+
+
+def encode_array(values: Tensor) -> Document:
+    """Numbers as text: deflated, base64."""
+    content = zlib.compress(values.detach().cpu().contiguous().numpy().tobytes(), 6)
+    return {"type": ARRAY_TYPES[values.dtype], "shape": list(values.shape), "data": base64.b64encode(content).decode()}
+
+
+def display_png_url(pixels: Tensor) -> str:
+    """Display values [H, W, 1, 3 or 4] in [0, 1] as the address of a PNG."""
+    return png_data_url(to_8_bit_image(pixels.detach().cpu().numpy()))
+
+
+def viewer_html(data: Document) -> str:
+    """The page of a document, as of `page_document`; ValueError if a number is not finite."""
+    facets = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").replace("NAME_", "")
+    scripts = [f"const FACETS = {json.dumps(facets)};", *(_text(f"scripts/{name}.js") for name in PAGE_SCRIPTS)]
+    content = json.dumps(data, allow_nan=False).replace("<", "\\u003c")  # no text can end the script
+    lines = [
+        f"{HTML_HEAD}<title>{escape(data['title'])}</title>",
+        f"<style>{_text('page.css')}</style>",
+        f"</head>\n<body>\n{HTML_BODY}",
+        f"<script>{_text('three.min.js')}</script>",
+        f'<script type="application/json" id="data">{content}</script>',
+        *("<script>", *scripts, "</script>"),
+        "</body>\n</html>\n",
+    ]
+    return "\n".join(lines)
+
+
+def write_page(title: str, groups: Sequence[FitGroup], path: Path) -> Path:
+    """Write the page of fits, whole or not at all.
+
+    Returns:
+        The file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    text = viewer_html(page_document(title, groups))
+    write_bytes(path, text.encode(errors="backslashreplace"))
+    return path
+
+
+def _text(name: str) -> str:
+    return (resources.files("metapp.extensions.viewer") / name).read_text(encoding="utf-8")
