@@ -18,7 +18,7 @@ from metapp.appearance.geometry import (
 )
 from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe
 from metapp.appearance.sphere import SphereScene, environment_radiance, environment_scene, reference_scene, shade_sphere
-from metapp.storage import cache_folders as cache_files
+from metapp.storage import tensor_cache as cache_files
 
 KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
 ALPHAS = (0.03, 0.1, 0.3, 0.6)
@@ -96,12 +96,12 @@ def test_cached_tensors_are_remade_if_damaged_or_of_other_code(
         return {"mask": torch.ones(3, dtype=torch.bool), "angles": torch.arange(6.0).reshape(2, 3).T}
 
     def same() -> None:
-        found = cache_files.cached_tensors("some", [__file__], make)
+        found = cache_files.load_or_compute_tensors("some", [__file__], make)
         assert all(torch.equal(value, found[key]) and value.dtype == found[key].dtype for key, value in made.items())
 
     with monkeypatch.context() as patch:
         patch.setattr(cache_files, "_maker", lambda sources: "of another version")
-        made = cache_files.cached_tensors("some", [__file__], make)
+        made = cache_files.load_or_compute_tensors("some", [__file__], make)
     for expected in (2, 3):
         for _ in range(2):
             same()

@@ -179,7 +179,7 @@ def test_mixtures_are_between_two_materials(tasks: Tasks, rng: Generator, monkey
     grey = weighted(tasks).mean(2, keepdim=True).expand(-1, -1, 3)  # which permuting channels leaves alone
     tasks = Tasks(tasks.names, {**tasks.data, "target": torch.log1p(grey)}, tasks.rows)
     monkeypatch.setattr(
-        "metapp.apps.brdf.sample_augmentation.normal", lambda rng, *shape: torch.zeros(shape)
+        "metapp.apps.brdf.sample_augmentation.draw_normal", lambda rng, *shape: torch.zeros(shape)
     )  # no gains
     mixed = 0
     for _ in range(4):

@@ -25,7 +25,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("matrix")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("METAPP_CACHE", str(folder))
-        patch.setattr(relighting, "SAMPLES", 4096)
+        patch.setattr(relighting, "PATHS_PER_PIXEL", 4096)
         transfer_matrix(ROWS, COLUMNS)
     return folder
 

@@ -38,7 +38,7 @@ def test_the_likelihood_moves_the_predicted_error_alone(
     theta = {key: value.detach().requires_grad_() for key, value in start.items()}
     batch, grads = app.sample(windows, rng, 1), []
     for weight in (pretrained.LIKELIHOOD_WEIGHT, 0.0):
-        monkeypatch.setattr(pretrained, "LIKELIHOOD", weight)
+        monkeypatch.setattr(pretrained, "LIKELIHOOD_WEIGHT", weight)
         loss = app.outer_loss(theta, batch, {}).sum()
         grads.append(torch.autograd.grad(loss, list(theta.values()), materialize_grads=True))
     for key, grad, other in zip(theta, *grads, strict=True):

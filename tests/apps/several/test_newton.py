@@ -33,7 +33,7 @@ def app() -> SeveralPhotos:
 @pytest.fixture(autouse=True)
 def all_texels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Flashes from all texels of maps this small."""
-    monkeypatch.setattr(newton, "COARSE", 1)
+    monkeypatch.setattr(newton, "FLASH_STRIDE", 1)
 
 
 def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
