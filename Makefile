@@ -137,7 +137,7 @@ report: setup  ## all tables as Markdown, with the figures: runs/report/index.md
 	$(EVALUATE) --which all --report $(RUNS)/report --overwrite --format markdown
 
 paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trains everything, then tables and report
-	bash tools/paper.sh "$(METAPP)" "$(RUNS)" $$($(VENV)/bin/python -c 'from metapp.apps import app_names; print(*app_names())')
+	bash tools/paper.sh "$(METAPP)" "$(RUNS)" $$($(VENV)/bin/python -c 'from metapp.names import app_names; print(*app_names())')
 
 # PAPER=paper-long: at ten times the outer rate, which decays
 PAPER ?= paper

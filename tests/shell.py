@@ -32,11 +32,11 @@ SECONDS = 600  # of a script, at most
 MANY = """
 import json, sys
 from metapp.cli.command_tree import app
-from metapp.cli.console import run
-from metapp.evaluation.style import STYLE
-STYLE["savefig.dpi"] = 40  # nobody looks at these figures
+from metapp.cli.console import run_command
+from metapp.evaluation.style import FIGURE_STYLE
+FIGURE_STYLE["savefig.dpi"] = 40  # nobody looks at these figures
 for line in sys.stdin:
-    code = run(lambda: app(json.loads(line), standalone_mode=False, prog_name="metapp"))
+    code = run_command(lambda: app(json.loads(line), standalone_mode=False, prog_name="metapp"))
     print(f"\\n== {code}", flush=True)
 """
 

@@ -22,7 +22,7 @@ UNPICKLES = (
 )
 
 # Commands: typer reads their signatures for --help, which imports no torch.
-COMMANDS = r"metapp/cli/\w+\.py|metapp/extensions/\w+/(\w+/)?commands?\.py"
+COMMANDS = r"metapp/cli/\w+\.py|metapp/extensions/\w+/(\w+/)?\w*commands?\.py"
 SEVERAL_IMPORTS = {"metapp/extensions/few/commands.py"}  # commands of extensions whose work is still inside them
 # Files beside commands that import inside functions, each with its reason.
 LATE_IMPORTS = {

@@ -70,7 +70,7 @@ def install(folder: Path, text: str, name: str = "stranger", point: str = "") ->
     info = folder / f"{name}-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{module.GROUP}]\n{name} = {point or f'{name}_module'}\n")
+    (info / "entry_points.txt").write_text(f"[{module.ENTRY_POINT_GROUP}]\n{name} = {point or f'{name}_module'}\n")
     (folder / f"{name}_module.py").write_text(text)
     (folder / "antigravity_exit.py").write_text("raise SystemExit(7)\n")
 

@@ -103,7 +103,7 @@ fi
 if ! renders; then
   echo "setup: Mitsuba cannot render scenes; it needs: apt-get install libllvm19 libatomic1" >&2
 else
-  "$venv/bin/python" -c "from metapp.rendering.second_scene.relighting import transfer; transfer()"
+  "$venv/bin/python" -c "from metapp.rendering.second_scene.relighting import transfer_matrix; transfer_matrix()"
 fi
 if ! "$venv/bin/metapp" data vgg; then
   echo "setup: no VGG weights: until 'metapp data vgg' gets them, features fall back to fixed random filters" >&2

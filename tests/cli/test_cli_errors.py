@@ -37,13 +37,13 @@ SLOW_WRITER = """
 import sys, time, torch
 from pathlib import Path
 from typing import Any
-from metapp.storage.shards import write_shard
+from metapp.storage.shards import write_data_set
 from metapp.learning.task import Task
 def slow():
     yield Task("slow", {"x": torch.ones(2)}), "train", ""
     print("writing", flush=True)
     time.sleep(60)
-write_shard(Path(sys.argv[1]), "brdf", {"x": "1"}, slow())
+write_data_set(Path(sys.argv[1]), "brdf", {"x": "1"}, slow())
 """
 
 

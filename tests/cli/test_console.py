@@ -54,9 +54,9 @@ def test_a_full_standard_output_is_named(flush: bool, capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize("streams", ["1>&-", "0<&- 1>&-", "0<&- 1>&- 2>&-", "2>&-"])
 def test_closed_streams_are_one_line_and_no_file_gets_their_numbers(streams: str, tmp_path: Path) -> None:
-    lines = "from metapp.cli.console import run\nimport sys\n"
+    lines = "from metapp.cli.console import run_command\nimport sys\n"
     lines += "def command():\n    file = open('made', 'w')\n    print('printed')\n    print(file.fileno(), file=file)\n"
-    lines += "    file.close()\nsys.exit(run(command))"
+    lines += "    file.close()\nsys.exit(run_command(command))"
     done = subprocess.run(
         ["bash", "-c", f'"$0" -c "$1" {streams}', sys.executable, lines], capture_output=True, text=True, cwd=tmp_path
     )

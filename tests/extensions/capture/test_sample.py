@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metapp.extensions.capture.markers import sample
+from metapp.extensions.capture.markers import rectification
 from metapp.extensions.capture.markers.rectified_photos import find_cameras
 from metapp.extensions.capture.markers.sample import find_largest_square, find_sample, select_middle_region
 from tests.extensions.capture.marker_photos import cv2
@@ -76,7 +76,7 @@ def test_a_line_says_how_much_is_kept(metapp: Callable, monkeypatch: pytest.Monk
             "\nwarning: leaf2: the square shows surfaces at several heights, and no plane in the middle, expected",
         ),
     ):
-        monkeypatch.setattr(sample, "find_sample", lambda *_, share=kept: (*found[:3], share))
+        monkeypatch.setattr(rectification, "find_sample", lambda *_, share=kept: (*found[:3], share))
         result = metapp("data", "rectify", *paths, "--out", name, "--json")
         assert result.done["kept"] == kept
         assert line in result.err

@@ -120,8 +120,8 @@ def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[
     (tmp_path / "room.json").write_text(json.dumps(random_scene(0)))
     lines = (
         "from pathlib import Path\nfrom metapp.extensions.scene_files.scene_reader import read_scene\n"
-        "from metapp.rendering.paths.path_space import Tracer, reference\n"
-        "print(reference(Tracer(read_scene(Path('room.json'))), 4, 4).shape)"
+        "from metapp.rendering.paths.path_space import Tracer, render_reference\n"
+        "print(render_reference(Tracer(read_scene(Path('room.json'))), 4, 4).shape)"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
