@@ -88,7 +88,7 @@ def adapt(size: ProblemSize, start: MetaParameters, loss: Loss) -> None:
 
 def differentiate_adaptation(size: ProblemSize, start: MetaParameters, loss: Loss) -> None:
     """Take the second-order gradient of an outer step."""
-    phi = {key: value.requires_grad_() for key, value in start.flat().items()}
+    phi = {key: value.requires_grad_() for key, value in start.flatten().items()}
     outer = after_learning(loss, GROWTH_RULE.rule, steps=size.steps, order=2, clip=0.1, steps_of=fastest)
     seen = outer.draw(None, Generator().manual_seed(0), 1.0)
     torch.autograd.grad(outer.value(phi, seen.batch, {}).sum(), list(phi.values()), allow_unused=True)

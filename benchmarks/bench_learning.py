@@ -319,7 +319,7 @@ def bench_brdf() -> None:
         lifted = after_learning(loss, make, steps=INNER_STEPS, order=2, steps_of=steps_of)
 
         def step() -> tuple[Tensor, list[Tensor]]:
-            phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flat().items()}
+            phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flatten().items()}
             total = lifted.value(phi, (batches, last, None), {}).mean()
             return total.detach(), list(torch.autograd.grad(total, list(phi.values())))
 
@@ -481,7 +481,7 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
     peaks = []
     for order in (1, 2):
         lifted = after_learning(loss, sgd, steps=steps, order=order)
-        phi = {key: each.clone().requires_grad_() for key, each in MetaParameters(theta, alpha).flat().items()}
+        phi = {key: each.clone().requires_grad_() for key, each in MetaParameters(theta, alpha).flatten().items()}
         with LiveBytes() as counter:
             total = lifted.value(phi, ([batch] * steps, batch, None), {}).mean()
             torch.autograd.grad(total, list(phi.values()))

@@ -44,12 +44,12 @@ theta |= {f"b{i + 1}": torch.zeros(sizes[i + 1], 1) for i in range(3)}
 random = MetaParameters(theta, alpha={"rate": torch.full((STEPS,), 0.01)})  # a rate for each step, learned, too
 
 meta_loss = over_tasks(after_learning(loss, sgd, steps=STEPS, order=2, clip=10.0), count=25)
-adam = fixed_adam(Adam(5e-3, final=0.1), random.flat(), OUTER_STEPS)
-learned = learn(random.flat(), adam, sinusoids(1000), meta_loss, steps=OUTER_STEPS, rng=rng)
+adam = fixed_adam(Adam(5e-3, final=0.1), random.flatten(), OUTER_STEPS)
+learned = learn(random.flatten(), adam, sinusoids(1000), meta_loss, steps=OUTER_STEPS, rng=rng)
 
 unseen = sinusoids(200)
 print(f"mean squared error   before   after {STEPS} steps")
-for name, phi in (("random weights", random), ("learned by MAML", MetaParameters.unflat(learned))):
+for name, phi in (("random weights", random), ("learned by MAML", MetaParameters.unflatten(learned))):
     before = expand_tasks(phi.theta, len(unseen), 0)
     after = learn(before, sgd(phi.alpha), unseen, loss, steps=STEPS, rng=rng)
     batch = draw(unseen, rng, 1.0).batch

@@ -33,7 +33,7 @@ def copy_checkpoint(source: Path, target: Path, rounded: dict[str, str]) -> None
     info["curve"] = info["curve"][:: max(1, len(info["curve"]) // MAX_CURVE_POINTS)]
     tensors = {key: _on_small_grid(value) if key.startswith("alpha.") else value for key, value in tensors.items()}
     tensors = {key: value.half() if _is_large(key, value) else value for key, value in tensors.items()}
-    encoder = MetaParameters.unflat(tensors).encoder
+    encoder = MetaParameters.unflatten(tensors).encoder
     if not source.stem.startswith("general") and encoder and _digest(encoder) in rounded.values():
         tensors = {key: value for key, value in tensors.items() if not key.startswith("encoder.")}
         info["general"] = _digest(encoder)

@@ -37,19 +37,19 @@ class MetaParameters(NamedTuple):
     alpha: Params = {}  # noqa: RUF012
     encoder: Params = {}  # noqa: RUF012
 
-    def flat(self) -> Params:
+    def flatten(self) -> Params:
         """phi as one flat tree, with the part's name before each parameter's.
 
-        >>> sorted(MetaParameters({"weight": torch.zeros(2)}, {"rate": torch.ones(1)}).flat())
+        >>> sorted(MetaParameters({"weight": torch.zeros(2)}, {"rate": torch.ones(1)}).flatten())
         ['alpha.rate', 'theta.weight']
         """
         return {f"{part}.{key}": value for part in self._fields for key, value in getattr(self, part).items()}
 
     @classmethod
-    def unflat(cls, phi: Params) -> MetaParameters:
-        """The inverse of `flat`.
+    def unflatten(cls, phi: Params) -> MetaParameters:
+        """The inverse of `flatten`.
 
-        >>> MetaParameters.unflat({"theta.weight": torch.zeros(2)}).theta
+        >>> MetaParameters.unflatten({"theta.weight": torch.zeros(2)}).theta
         {'weight': tensor([0., 0.])}
         """
         parts: dict[str, Params] = {part: {} for part in cls._fields}
@@ -297,7 +297,7 @@ def after_learning(
     >>> from metapp.learning.rules import sgd
     >>> batch = {"target": torch.zeros(1)}
     >>> loss = Loss(lambda data, rng, done: Draw((), batch), lambda theta, batch, learned: theta["x"].square())
-    >>> phi = MetaParameters({"x": torch.tensor(1.0)}, {"rate": torch.tensor([0.25])}).flat()
+    >>> phi = MetaParameters({"x": torch.tensor(1.0)}, {"rate": torch.tensor([0.25])}).flatten()
     >>> lifted = after_learning(loss, sgd, steps=1, order=2)
     >>> drawn = lifted.draw(None, Generator(), 0.0).batch
     >>> gradient, losses = lifted.gradient(phi, drawn, {}, graph=False)
@@ -314,7 +314,7 @@ def after_learning(
     def value(phi: Params, batch: AnyBatch, _: Params) -> Tensor:
         inner, outer, condition = batch
         count = next(iter(outer.values())).shape[0]
-        parts = MetaParameters.unflat(phi)
+        parts = MetaParameters.unflatten(phi)
         theta = encoding.encode(parts.encoder, condition) if encoding else expand_tasks(parts.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
         theta, alpha = clip_task_gradients(theta, expand_tasks(parts.alpha, count, 1), clip / count)
@@ -333,7 +333,7 @@ def after_encoding(loss: Loss, encoding: EncoderPrediction) -> Loss:
         return DrawnBatch(names, (encoding.condition(tasks, rng), batch))
 
     def value(prepared: Params, batch: AnyBatch, learned: Params) -> Tensor:
-        return loss.value(encoding.encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
+        return loss.value(encoding.encode(MetaParameters.unflatten(prepared).encoder, batch[0]), batch[1], learned)
 
     return Loss(draw, value)
 

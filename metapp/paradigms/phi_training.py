@@ -53,7 +53,7 @@ class TrainState(NamedTuple):
     @property
     def phi(self) -> MetaParameters:
         """The best phi."""
-        return MetaParameters.unflat(self.best)
+        return MetaParameters.unflatten(self.best)
 
 
 Validate = Callable[[Paradigm, MetaParameters, Tasks], float]
@@ -113,7 +113,7 @@ def train_phi(
     training, adam = preparation.outer_loop, preparation.searched_from
     if since:
         rng.set_state(since.rng)
-    state = since or TrainState((first or preparation.first_phi(general, to_fit, rng)).flat(), rng.get_state())
+    state = since or TrainState((first or preparation.first_phi(general, to_fit, rng)).flatten(), rng.get_state())
     if adam and not first and not state.moments:
         # where outer steps follow, their number says nothing about the search
         for tried in _search(preparation, adam, state, to_validate, validate, None if training.steps else steps):
@@ -140,7 +140,7 @@ def _outer_loop(
     validate: Validate,
 ) -> Iterator[TrainState]:
     """Outer steps, with a validation before the first, at the end, and every so many."""
-    loss, steps = preparation.outer_loss(MetaParameters.unflat(state.current)), training.steps
+    loss, steps = preparation.outer_loss(MetaParameters.unflatten(state.current)), training.steps
     if ranks.rank_count() > 1:
         loss = ranks.LossOverRanks(loss.draw, loss.value, loss.shared)
     rule, paradigm = outer_adam(training, state.current), preparation.paradigm
@@ -164,7 +164,7 @@ def _outer_loop(
         if state.curve[-1:] and state.curve[-1][0] == now.step:
             continue  # it was cut off after this validation
         if now.step == steps or now.step % training.validate_every == 0:
-            error = validate(paradigm, MetaParameters.unflat(now.theta), to_validate)
+            error = validate(paradigm, MetaParameters.unflatten(now.theta), to_validate)
             mean = paradigm.app.error_measure.scale * float(losses.mean()) if len(losses) else None
             state = state._replace(losses=losses[:0], curve=(*state.curve, (now.step, mean, error)))
             if error < state.validation:
@@ -181,7 +181,7 @@ def _search(
     preparation: Preparation, first: Adam, state: TrainState, tasks: Tasks, validate: Validate, most: int | None
 ) -> Iterator[TrainState]:
     """A coordinate search from an Adam on, one setting or two at a time; errors that `state` knows stay."""
-    paradigm, known, phi = preparation.paradigm, state.searched, MetaParameters.unflat(state.current)
+    paradigm, known, phi = preparation.paradigm, state.searched, MetaParameters.unflatten(state.current)
     lines = paradigm.recipe.search
     tasks = _search_tasks(paradigm.app, tasks)
     total = min(1 + sum(map(len, lines)), most or sys.maxsize)
@@ -202,7 +202,7 @@ def _search(
         state = state._replace(searched=tuple(errors), step=step)
         if error < state.validation:
             curve, best = (*state.curve, (step, None, error)), adam
-            state = state._replace(best=tried.flat(), validation=error, best_step=step, curve=curve)
+            state = state._replace(best=tried.flatten(), validation=error, best_step=step, curve=curve)
         if step >= len(known):
             yield state._replace(note=f"rate {adam.rate:.1e}, validation {error:.3f}, best {state.validation:.3f}")
 

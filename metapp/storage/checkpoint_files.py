@@ -26,7 +26,7 @@ FLOAT_TYPES = (torch.half, torch.float32, torch.float64)
 
 def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
     """Write a checkpoint with its description, as safetensors; `previous` names the one it replaces."""
-    tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
+    tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flatten().items()}
     metadata = {"metapp": json.dumps({**info, "schema": CHECKPOINT_SCHEMA})}
     # bytes: save_file writes under a name of its own, which a kill would leave behind
     write_bytes(path, save(tensors, metadata), previous)
@@ -70,7 +70,7 @@ def load_checkpoint(
             raise KeyError(path)
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
-        prepared = MetaParameters.unflat(tensors)
+        prepared = MetaParameters.unflatten(tensors)
         return (
             _with_general(path, prepared, info["general"], device, general) if "general" in info else prepared
         ), info

@@ -55,7 +55,7 @@ def brdf_phi(rule: str, randn: Callable[..., Tensor], steps: int = STEPS) -> Par
         key: value + 0.05 * randn(*value.shape)
         for key, value in rule_of(rule).alpha(APP, theta, steps, Adam(5e-3, beta2=0.99, eps=META_EPS)).items()
     }
-    return MetaParameters(theta, alpha).flat()
+    return MetaParameters(theta, alpha).flatten()
 
 
 def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable[..., Callable[[Params], Tensor]]]:
@@ -65,7 +65,7 @@ def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable
 
     def mean(order: int, steps_of: StepsOf | None = torch_steps) -> Callable[[Params], Tensor]:
         def unrolled_mean(phi: Params) -> Tensor:
-            start = MetaParameters.unflat(phi)
+            start = MetaParameters.unflatten(phi)
             learned = rule_of(rule).rule(expand_tasks(start.alpha, TASKS, 1))
             return APP.loss(
                 unrolled(expand_tasks(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}
@@ -152,7 +152,7 @@ def test_derivatives_are_finite_differences(kind: str, rule: str, encoded: bool,
     encoder = {key: value.double() for key, value in app.init_encoder(Generator().manual_seed(3)).items()}
     alpha = learned.alpha(app, theta, 3, Adam(5e-3, beta2=0.99, eps=1e-3))
     alpha = {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}
-    phi = (MetaParameters({}, alpha, encoder) if encoded else MetaParameters(theta, alpha)).flat()
+    phi = (MetaParameters({}, alpha, encoder) if encoded else MetaParameters(theta, alpha)).flatten()
     _, grads = value_and_grads(lambda phi: loss.value(phi, batch, {}).mean(), phi)
     assert any(grad.any() for key, grad in grads.items() if not key.startswith("alpha."))
     for key, value in phi.items():

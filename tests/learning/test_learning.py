@@ -64,7 +64,7 @@ def rate(value: float) -> Params:
 @pytest.fixture
 def phi() -> Params:
     """A random initialisation and a rate of 0.1, flat."""
-    return MetaParameters({"x": torch.randn(3, generator=Generator().manual_seed(0)).double()}, rate(0.1)).flat()
+    return MetaParameters({"x": torch.randn(3, generator=Generator().manual_seed(0)).double()}, rate(0.1)).flatten()
 
 
 # learn
@@ -228,16 +228,16 @@ def test_after_encoding(tasks: Tasks, rng: Generator) -> None:
         return {"x": observed["seen"] @ encoder["w"]}
 
     loss = over_tasks(after_encoding(EXACT, EncoderPrediction(condition, encode)), count=5)
-    phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flat()
+    phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flatten()
     trained = learn(phi, fixed_adam(Adam(0.05, final=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
     torch.testing.assert_close(trained["encoder.w"], torch.eye(3).double(), rtol=0, atol=1e-3)
 
 
 def test_flat_and_unflat_are_inverse() -> None:
     start = MetaParameters({"w.x": torch.ones(2)}, {"beta": torch.ones(3)}, {"in.w": torch.ones(4)})
-    assert list(start.flat()) == ["theta.w.x", "alpha.beta", "encoder.in.w"]
+    assert list(start.flatten()) == ["theta.w.x", "alpha.beta", "encoder.in.w"]
     for each in (start, MetaParameters()):
-        assert MetaParameters.unflat(each.flat()) == each
+        assert MetaParameters.unflatten(each.flatten()) == each
 
 
 def test_stacked_tasks_keep_what_they_show_and_their_kinds() -> None:
@@ -303,7 +303,7 @@ def test_a_task_that_overflows_adds_nothing(bad: float, limit: float, rng: Gener
 
 def test_meta_gradient_is_the_mean_of_clipped_ones(tasks: Tasks, rng: Generator) -> None:
     """Through after_learning and over_tasks: each task's gradient, over start and rate together, within the limit."""
-    phi = MetaParameters({"x": torch.zeros(3).double()}, {"rate.x": torch.full((1, 3), 0.1).double()}).flat()
+    phi = MetaParameters({"x": torch.zeros(3).double()}, {"rate.x": torch.full((1, 3), 0.1).double()}).flatten()
 
     def gradient(subset: Tasks, clip: float) -> Tensor:
         loss = over_tasks(after_learning(EXACT, sgd, steps=2, order=2, clip=clip), count=5)

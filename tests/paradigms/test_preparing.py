@@ -61,7 +61,7 @@ def test_trainings_follow_the_outer_loss(name: str, app: App, tasks: Tasks) -> N
     (preparation,) = fits_of(judged, small_recipe(judged))[name].preparations
     phi = preparation.first_phi(None, tasks, rng())
     loss = preparation.outer_loss(phi)
-    values = loss.value(phi.flat(), loss.draw(tasks, rng(), 0.0).batch, {})
+    values = loss.value(phi.flatten(), loss.draw(tasks, rng(), 0.0).batch, {})
     assert torch.equal(values, torch.full_like(values, 7))
 
 
@@ -108,7 +108,7 @@ def test_the_best_state_is_kept(trained: Paradigm, tasks: Tasks) -> None:
     assert math.isclose(validation_error(trained, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
     again = look(trained, tasks)
     assert again.curve[1:] == prepared.curve[1:]
-    assert all(torch.equal(again.phi.flat()[key], value) for key, value in prepared.phi.flat().items())
+    assert all(torch.equal(again.phi.flatten()[key], value) for key, value in prepared.phi.flatten().items())
 
 
 @ONE_APP
@@ -131,7 +131,7 @@ def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks) -
     prepared = look(trained, tasks, validate=lambda *_: float(next(errors)))
     assert (prepared.best_step, prepared.validation) == (0, 1.0)
     assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
-    assert all(torch.equal(prepared.phi.flat()[key], value) for key, value in before.phi.flat().items())
+    assert all(torch.equal(prepared.phi.flatten()[key], value) for key, value in before.phi.flatten().items())
 
 
 @pytest.mark.parametrize("app", ONE_QUICK, indirect=True)

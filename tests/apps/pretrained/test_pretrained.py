@@ -127,8 +127,8 @@ def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: 
     flat = app.maps_of(app.encode(phi.encoder, app.condition(tasks, rng)), tasks.data["photo"])
     assert float(flat.normal[:, 2].mean()) > 0.99
     same = replace(loss, draw=lambda data, own, done: loss.draw(data, Generator().manual_seed(0), done))
-    end = final_item(descend(phi.flat(), outer_adam(training, phi.flat()), tasks, same, steps=12, rng=rng)).theta
-    before, after = (float(loss.value(each, drawn, {}).mean()) for each in (phi.flat(), end))
+    end = final_item(descend(phi.flatten(), outer_adam(training, phi.flatten()), tasks, same, steps=12, rng=rng)).theta
+    before, after = (float(loss.value(each, drawn, {}).mean()) for each in (phi.flatten(), end))
     assert after < 0.9 * before
     encoder = {key.removeprefix("encoder."): value for key, value in end.items()}
     assert set(app.errors(app.encode(encoder, app.condition(tasks, rng)), tasks)) >= {"error", "normal"}

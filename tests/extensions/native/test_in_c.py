@@ -151,7 +151,7 @@ def moved(rule: str, rng: Generator) -> Params:
 def test_meta_gradients_are_those_of_torch(rule: str, order: int) -> None:
     """Rounding moves samples over the kinks of ReLU, which Adam amplifies: by torch these are up to 2e-3 away."""
     rng = Generator().manual_seed(3)
-    phi = MetaParameters({key: value[0] for key, value in theta_of(rng, 1).items()}, moved(rule, rng)).flat()
+    phi = MetaParameters({key: value[0] for key, value in theta_of(rng, 1).items()}, moved(rule, rng)).flatten()
     batches, last = [batch_of(rng, 150) for _ in range(STEPS)], batch_of(rng, 150)
     in_c_of: list[bool] = []
 
