@@ -245,7 +245,7 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
 
     def draw(tasks: Tasks, rng: Generator, done: float) -> DrawnBatch:
         if KIND_TENSOR in tasks.data:
-            rows = torch.multinomial(tasks.weights(), min(count, len(tasks)), generator=rng)
+            rows = torch.multinomial(tasks.kind_weights(), min(count, len(tasks)), generator=rng)
         else:
             rows = torch.randperm(len(tasks), generator=rng, device=rng.device)[:count]
         picked = tasks.select(rows)

@@ -162,14 +162,14 @@ class Tasks:
         """The names of the tasks in this view, in order."""
         return tuple(self.names[row] for row in self.rows.tolist())
 
-    def weights(self) -> Tensor:
+    def kind_weights(self) -> Tensor:
         """The weights of the tasks of this view, [T], equal in sum for all kinds; 1 without kinds."""
         if KIND_TENSOR not in self.data:
             return torch.ones(len(self), device=self.rows.device)
         kinds = self.data[KIND_TENSOR][self.rows, 0].long()
         return 1 / kinds.bincount()[kinds]
 
-    def variants(self, data: dict[str, Tensor]) -> Tasks:
+    def make_variants(self, data: dict[str, Tensor]) -> Tasks:
         """Augmented tasks of tensors [T, ...], one of each task of this view, in order."""
         names = tuple(f"variant of {name}" for name in self.selected_names)
         return Tasks(names, data, torch.arange(len(names), device=self.rows.device))

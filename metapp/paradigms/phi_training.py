@@ -65,7 +65,7 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
     Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
     """
     app = paradigm.app
-    total, weights, seeds = 0.0, tasks.weights(), 1 if app.deterministic else 2
+    total, weights, seeds = 0.0, tasks.kind_weights(), 1 if app.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for rows in torch.arange(len(tasks)).split(PARALLEL_TASKS):

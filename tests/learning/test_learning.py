@@ -245,11 +245,11 @@ def test_stacked_tasks_keep_what_they_show_and_their_kinds() -> None:
     data = {"angles": torch.rand(8, 3), "reflectance": torch.rand(8, 3)}
     stacked = stack_tasks(Plain(), [Task("a", data, "wood"), Task("b", data, "wood"), Task("c", data)])
     assert (stacked.names, stacked.groups) == (("a", "b", "c"), ("wood", "wood", "c"))
-    assert stacked.weights().tolist() == [1, 1, 1]
+    assert stacked.kind_weights().tolist() == [1, 1, 1]
     kinds = [torch.tensor([kind], dtype=torch.uint8) for kind in (0, 3, 0, 0)]
     stacked = stack_tasks(Plain(), [Task(str(i), data | {"kind": kind}) for i, kind in enumerate(kinds)])
-    assert stacked.weights().tolist() == pytest.approx([1 / 3, 1, 1 / 3, 1 / 3])
-    assert stacked.select([0, 2]).weights().tolist() == [0.5, 0.5]
+    assert stacked.kind_weights().tolist() == pytest.approx([1 / 3, 1, 1 / 3, 1 / 3])
+    assert stacked.select([0, 2]).kind_weights().tolist() == [0.5, 0.5]
 
 
 # Clipping

@@ -128,7 +128,7 @@ class Brdf(App):
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Mixtures of these materials, with samples as the network learns from them."""
-        return tasks.variants(self.network.augment(mix_brdfs(tasks, rng), rng))
+        return tasks.make_variants(self.network.augment(mix_brdfs(tasks, rng), rng))
 
     def postprocess(self, theta: Params) -> Params:
         """Limited to reflecting no more than all, if that is asked for."""

@@ -164,7 +164,7 @@ class ExemplarApp(App):
         channels = draw_uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        return tasks.variants(self._targets(images, octave) | self.carried(tasks, channels[..., 0, 0]))
+        return tasks.make_variants(self._targets(images, octave) | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """Further data of these exemplars, once their channels are those [T, 3] of before."""

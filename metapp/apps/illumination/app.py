@@ -212,7 +212,7 @@ class Illumination(CodedApp):
         """Augmented maps, and new photographs of spheres under them."""
         maps = vary_maps(tasks.data["map"][tasks.rows], rng)
         photos = (photograph_spheres(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
-        return tasks.variants({"photo": photos} | self.described(maps))
+        return tasks.make_variants({"photo": photos} | self.described(maps))
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

@@ -155,7 +155,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
         size = (self.network.height, self.network.width)
         fine = vary_materials(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
         photo = adaptive_avg_pool2d(draw_photos(fine, rng), size)
-        return tasks.variants({"photo": photo} | self.described(pool_maps(fine, size)))
+        return tasks.make_variants({"photo": photo} | self.described(pool_maps(fine, size)))
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ class Transport(App):
         across[0], across[2::2] = True, True
         turned = (1 - samples).clamp_max(1 - 2**-24)
         samples = torch.where(mirrored & across, turned, samples)
-        return tasks.variants({"samples": samples, "image": image})
+        return tasks.make_variants({"samples": samples, "image": image})
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

@@ -44,7 +44,7 @@ class FewSamples(Brdf):
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Return mixtures of these materials, with few samples as instruments take them."""
-        return tasks.variants(
+        return tasks.make_variants(
             draw_measurements(mix_brdfs(tasks, rng), rng, dense_share=0.0, counts=TRAINING_SAMPLE_RANGE)
         )
 

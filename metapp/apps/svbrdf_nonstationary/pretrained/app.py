@@ -120,7 +120,7 @@ class FromFeatures(FromPhoto):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Draw windows of half the field's side of augmented materials, photographed anew."""
         fine, known = (tasks.data[key][tasks.rows].float() for key in ("fine", "known"))
-        return tasks.variants(draw_variants(fine, known, self.network.height // 2, rng))
+        return tasks.make_variants(draw_variants(fine, known, self.network.height // 2, rng))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return the photographs; of windows also the inputs of the field and what is known of the whole patch."""

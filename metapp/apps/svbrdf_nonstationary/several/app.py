@@ -213,7 +213,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         fine = vary_materials(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
         photos, places = draw_photo_sets(fine, tasks.data["places"].shape[1], rng)
         small = _pool_photos(photos, size)
-        return tasks.variants(
+        return tasks.make_variants(
             {"photo": small[:, 0], "photos": small, "places": places} | self.described(pool_maps(fine, size))
         )
 
