@@ -77,7 +77,7 @@ def adapt(size: ProblemSize, start: MetaParameters, loss: Loss) -> None:
     theta, rng = expand_tasks(start.theta, size.tasks, 0), Generator().manual_seed(0)
     learn(
         theta,
-        GROWTH_RULE.rule(expand_tasks(start.alpha, size.tasks, 1)),
+        GROWTH_RULE.update_rule(expand_tasks(start.alpha, size.tasks, 1)),
         None,
         loss,
         steps=size.steps,
@@ -89,7 +89,7 @@ def adapt(size: ProblemSize, start: MetaParameters, loss: Loss) -> None:
 def differentiate_adaptation(size: ProblemSize, start: MetaParameters, loss: Loss) -> None:
     """Take the second-order gradient of an outer step."""
     phi = {key: value.requires_grad_() for key, value in start.flatten().items()}
-    outer = after_learning(loss, GROWTH_RULE.rule, steps=size.steps, order=2, clip=0.1, steps_of=fastest)
+    outer = after_learning(loss, GROWTH_RULE.update_rule, steps=size.steps, order=2, clip=0.1, steps_of=fastest)
     seen = outer.draw(None, Generator().manual_seed(0), 1.0)
     torch.autograd.grad(outer.value(phi, seen.batch, {}).sum(), list(phi.values()), allow_unused=True)
 
@@ -109,7 +109,7 @@ def measure_cost(what: Callable[[ProblemSize, MetaParameters, Loss], None], size
 def random_meta_parameters(size: ProblemSize) -> MetaParameters:
     """A random initialisation and the rule before any training."""
     theta = {key: value[0] for key, value in GROWTH_APP.init(Generator().manual_seed(0), 1).items()}
-    return MetaParameters(theta, GROWTH_RULE.alpha(GROWTH_APP, theta, size.steps, FIRST_ORDER_STEPS))
+    return MetaParameters(theta, GROWTH_RULE.initial_alpha(GROWTH_APP, theta, size.steps, FIRST_ORDER_STEPS))
 
 
 def peak_memory_mb() -> float:

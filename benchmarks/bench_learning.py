@@ -303,7 +303,10 @@ def bench_brdf() -> None:
     first = Adam(5e-3, beta2=0.99, eps=META_EPS)
     rules = {
         "sgd": (sgd, alpha),
-        "default": (rule_of(DEFAULT_RULE).rule, rule_of(DEFAULT_RULE).alpha(LEARNING_APP, theta, INNER_STEPS, first)),
+        "default": (
+            rule_of(DEFAULT_RULE).update_rule,
+            rule_of(DEFAULT_RULE).initial_alpha(LEARNING_APP, theta, INNER_STEPS, first),
+        ),
     }
 
     def plain() -> tuple[Tensor, list[Tensor]]:

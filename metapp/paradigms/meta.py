@@ -72,7 +72,7 @@ class Meta(Paradigm):
     def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
         """Return the learned rule, for so many steps."""
         alpha = self.learned_rule.for_steps(phi.alpha, steps)
-        return self.learned_rule.rule(expand_tasks(alpha, next(iter(theta.values())).shape[0], 1))
+        return self.learned_rule.update_rule(expand_tasks(alpha, next(iter(theta.values())).shape[0], 1))
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class MetaPreparation(Preparation):
         paradigm, app, training = self.paradigm, self.paradigm.app, self.outer_loop
         lifted = after_learning(
             paradigm.loss,
-            paradigm.learned_rule.rule,
+            paradigm.learned_rule.update_rule,
             steps=paradigm.steps,
             order=training.order,
             clip=training.clip,
@@ -155,7 +155,7 @@ class MetaPreparation(Preparation):
     def _alpha(self, theta: Params, adam: Adam) -> Params:
         """Return the hyperparameters by which the rule is an Adam, for parameters of one task."""
         paradigm = self.paradigm
-        return paradigm.learned_rule.alpha(paradigm.app, theta, paradigm.steps, adam)
+        return paradigm.learned_rule.initial_alpha(paradigm.app, theta, paradigm.steps, adam)
 
     def _with_gradients(self, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
         """Return phi with the values that parts of its rule, if any, take from gradients of fits of training tasks."""

@@ -228,7 +228,7 @@ def _rule_name(options: FitOptions, recipe: Recipe) -> str:
         rule = rule_of(options.rule)
         app = app_of(options.app, recipe, options.observe, rule=rule.name)
         theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
-        rule.require(app, theta)
+        rule.check_app(app, theta)
     except ValueError as error:
         words = rule_words()
         unknown = [word for word in options.rule.split("+") if word not in words]

@@ -88,7 +88,7 @@ def test_ridge_recovers_a_material_that_its_features_span(theta: Params) -> None
     """From a last layer of zeros, in five steps of 512 samples."""
     start = MetaParameters(
         {key: value[0] for key, value in (theta | {"last": 0 * theta["last"]}).items()},
-        rule_of("ridge").alpha(APP, {key: value[0] for key, value in theta.items()}, 5, Adam(1e-3)),
+        rule_of("ridge").initial_alpha(APP, {key: value[0] for key, value in theta.items()}, 5, Adam(1e-3)),
     )
     start.alpha["penalty.last"].fill_(-20.0)
     tasks = tasks_of(theta)

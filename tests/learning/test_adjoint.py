@@ -53,7 +53,7 @@ def brdf_phi(rule: str, randn: Callable[..., Tensor], steps: int = STEPS) -> Par
     theta = {key: value[0].double() for key, value in APP.init(Generator().manual_seed(2), 1).items()}
     alpha = {
         key: value + 0.05 * randn(*value.shape)
-        for key, value in rule_of(rule).alpha(APP, theta, steps, Adam(5e-3, beta2=0.99, eps=META_EPS)).items()
+        for key, value in rule_of(rule).initial_alpha(APP, theta, steps, Adam(5e-3, beta2=0.99, eps=META_EPS)).items()
     }
     return MetaParameters(theta, alpha).flatten()
 
@@ -66,14 +66,14 @@ def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable
     def mean(order: int, steps_of: StepsOf | None = torch_steps) -> Callable[[Params], Tensor]:
         def unrolled_mean(phi: Params) -> Tensor:
             start = MetaParameters.unflatten(phi)
-            learned = rule_of(rule).rule(expand_tasks(start.alpha, TASKS, 1))
+            learned = rule_of(rule).update_rule(expand_tasks(start.alpha, TASKS, 1))
             return APP.loss(
                 unrolled(expand_tasks(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}
             ).mean()
 
         if steps_of is None:  # one unrolled graph
             return unrolled_mean
-        lifted = after_learning(BRDF, rule_of(rule).rule, steps=STEPS, order=order, steps_of=steps_of)
+        lifted = after_learning(BRDF, rule_of(rule).update_rule, steps=STEPS, order=order, steps_of=steps_of)
         return lambda phi: lifted.value(phi, (batches, last, None), {}).mean()
 
     return phi, mean
@@ -145,12 +145,12 @@ def test_derivatives_are_finite_differences(kind: str, rule: str, encoded: bool,
     """Through the steps of every rule, in float64, along a random direction of each parameter of phi."""
     app, learned, start = small_app(kind), rule_of(rule), encoder_prediction(small_app(kind)) if encoded else None
     inner = learned.loss(app, task_loss(app, 16))
-    loss = after_learning(inner, learned.rule, steps=3, order=2, encoding=start)
+    loss = after_learning(inner, learned.update_rule, steps=3, order=2, encoding=start)
     drawn = loss.draw(stack_tasks(app, SMALL[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
     batch = tree_map(lambda leaf: leaf.double() if isinstance(leaf, Tensor) else leaf, drawn)
     theta = {key: value[0].double() for key, value in app.init(Generator().manual_seed(2), 1).items()}
     encoder = {key: value.double() for key, value in app.init_encoder(Generator().manual_seed(3)).items()}
-    alpha = learned.alpha(app, theta, 3, Adam(5e-3, beta2=0.99, eps=1e-3))
+    alpha = learned.initial_alpha(app, theta, 3, Adam(5e-3, beta2=0.99, eps=1e-3))
     alpha = {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}
     phi = (MetaParameters({}, alpha, encoder) if encoded else MetaParameters(theta, alpha)).flatten()
     _, grads = value_and_grads(lambda phi: loss.value(phi, batch, {}).mean(), phi)

@@ -159,8 +159,8 @@ def test_every_rule_is_guarded(rule: str, rate: float, rng: Generator) -> None:
     materials = Tasks(NAMES[:4], {"where": where, "target": target}, torch.arange(4))
     theta = APP.init(rng, 4)
     learned = rule_of(rule)
-    alpha = learned.alpha(APP, {key: value[0] for key, value in theta.items()}, STEPS, Adam(rate))
-    own, loss = learned.rule(expand_tasks(alpha, 4, 1)), task_loss(APP, 512)
+    alpha = learned.initial_alpha(APP, {key: value[0] for key, value in theta.items()}, STEPS, Adam(rate))
+    own, loss = learned.update_rule(expand_tasks(alpha, 4, 1)), task_loss(APP, 512)
     draws = [Generator().manual_seed(2) for _ in range(2)]
     found = final_item(guarded_descent(theta, own, materials, loss, draws[0], Guard(Adam(1e-3))))
     alone = final_item(descend(theta, own, materials, loss, steps=STEPS, rng=draws[1])).theta

@@ -87,12 +87,14 @@ def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: G
     """With a generator for each task, its fit does not depend on those beside it."""
     steps, count = 6, len(materials)
     start = {key: value.double() for key, value in APP.init(rng, count).items()}
-    alpha = rule_of(rule).alpha(APP, {key: value[0] for key, value in start.items()}, steps, Adam(5e-3, beta2=0.99))
+    alpha = rule_of(rule).initial_alpha(
+        APP, {key: value[0] for key, value in start.items()}, steps, Adam(5e-3, beta2=0.99)
+    )
 
     def fit(rows: range) -> Params:
         theta, own = (
             {key: value[rows] for key, value in start.items()},
-            rule_of(rule).rule(expand_tasks(alpha, len(rows), 1)),
+            rule_of(rule).update_rule(expand_tasks(alpha, len(rows), 1)),
         )
         draws = tuple(Generator().manual_seed(row) for row in rows)
         return learn(theta, own, materials.select(rows), task_loss(APP, 16), steps=steps, rng=draws)

@@ -172,7 +172,7 @@ def untrained(paradigm: Paradigm) -> MetaParameters:
     app = paradigm.app
     theta = {key: value[0] for key, value in app.init(rng(1), 1).items()}
     rule = paradigm.learned_rule if isinstance(paradigm, Meta) else rule_of(paradigm.recipe.rule)
-    alpha = rule.alpha(app, theta, paradigm.recipe.steps, Adam(5e-3, beta2=0.99))
+    alpha = rule.initial_alpha(app, theta, paradigm.recipe.steps, Adam(5e-3, beta2=0.99))
     return MetaParameters(theta, alpha, app.init_encoder(rng(2)))
 
 

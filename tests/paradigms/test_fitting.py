@@ -151,10 +151,10 @@ def test_a_rule_that_fails_is_guarded(app: App, fits: dict[str, Paradigm], tasks
     meta, few = fits["meta"], tasks.select([0, 1, 2])
     assert isinstance(meta, Meta)
     prepared, rule = prepared_for(meta), meta.learned_rule
-    alpha = rule.alpha(app, prepared.theta, meta.recipe.steps, Adam(1e4))
+    alpha = rule.initial_alpha(app, prepared.theta, meta.recipe.steps, Adam(1e4))
     found = final_item(meta.descend(prepared._replace(alpha=alpha), few, rng()))
     assert found.guarded is not None
-    if not rule.has("solve"):  # which has no rates
+    if not rule.has_part("solve"):  # which has no rates
         assert found.guarded.tolist() == [True] * 3
     first, batch = meta.initialisation(prepared, few, rng()), app.sample(few, rng(), meta.recipe.batch)
     assert (app.loss(found.theta, batch, {}) <= app.loss(first, batch, {})).all()

@@ -315,7 +315,7 @@ def test_a_rule_is_tuned_as_quickft_is(
     meta = Meta.of(app, replace(recipe, meta={rule: tuned}), rule)
     encoder = MetaParameters(encoder=app.init_encoder(rng()))
     made = result(train_phi(meta.preparations[-1], tasks, rng(), general=encoder))
-    plain = rule_of(rule).alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, tuned.first)
+    plain = rule_of(rule).initial_alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, tuned.first)
     assert made.phi.alpha.keys() == plain.keys()
     assert not made.phi.theta
     for name, value in made.phi.alpha.items():

@@ -110,11 +110,11 @@ class LearnedRule:
     name: str
     parts: tuple[Part, ...]
 
-    def has(self, part: str) -> bool:
+    def has_part(self, part: str) -> bool:
         """True if it has a part of this name."""
         return any(each.name == part for each in self.parts)
 
-    def require(self, app: App, theta: Params) -> None:
+    def check_app(self, app: App, theta: Params) -> None:
         """Refuse an application that a part does not apply to.
 
         Args:
@@ -131,7 +131,7 @@ class LearnedRule:
                     "without it."
                 )
 
-    def alpha(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial_alpha(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Learned hyperparameters [K, ...] before training.
 
         They make the rule the plain Adam `first` (but for its eps if the rule has none of its own), or SGD of its
@@ -146,12 +146,12 @@ class LearnedRule:
         Raises:
             ValueError: a part does not apply to the application.
         """
-        self.require(app, theta)
+        self.check_app(app, theta)
         other = next(iter(theta.values()))
         parts = (part.initial(app, theta, steps, first) for part in self.parts)
         return {key: value.to(other) for initial in parts for key, value in initial.items()}
 
-    def rule(self, alpha: Params) -> UpdateRule:
+    def update_rule(self, alpha: Params) -> UpdateRule:
         """The update rule of learned hyperparameters [K, ...], or [K, T, ...] if each task has its own."""
 
         def init(theta: Params) -> Params:
@@ -254,7 +254,7 @@ def compose(
             "(adam has rates, tied has shared)."
         )
     for part in rule.parts:
-        if part.needs_one_of and not any(map(rule.has, part.needs_one_of)):
+        if part.needs_one_of and not any(map(rule.has_part, part.needs_one_of)):
             raise ValueError(
                 f"rule '{usual}': {part.name} says nothing by itself, expected {' or '.join(part.needs_one_of)} beside "
                 "it; add that."

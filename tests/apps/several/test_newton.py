@@ -106,10 +106,12 @@ def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralP
     theta, batch, true = problem()
     loss = newton.GaussNewton(lambda *_: DrawnBatch((), batch), app.loss, settings=app.settings)
     rule = rule_of("gauss-newton")
-    alpha = {key: value[:, None].double() for key, value in rule.alpha(app, {"maps": true[0]}, 2, Adam(1.0)).items()}
+    alpha = {
+        key: value[:, None].double() for key, value in rule.initial_alpha(app, {"maps": true[0]}, 2, Adam(1.0)).items()
+    }
 
     def left(*values: Tensor) -> Tensor:
-        learned = rule.rule(dict(zip(alpha, values, strict=True)))
+        learned = rule.update_rule(dict(zip(alpha, values, strict=True)))
         moved = learn_differentiably(theta, learned, [batch, batch], loss, order=2)
         return (moved["maps"] - true).square().sum() + moved["flash"].square().sum()
 
@@ -119,6 +121,6 @@ def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralP
 def test_other_applications_are_refused_in_a_line(app: SeveralPhotos) -> None:
     other = type("Other", (), {"name": "texture"})()
     with pytest.raises(ValueError, match="its part newton does not apply to texture: its fits are not maps"):
-        rule_of("gauss-newton").require(other, {})
+        rule_of("gauss-newton").check_app(other, {})
     plain = Loss(lambda *_: DrawnBatch((), {}), app.loss)
     assert isinstance(rule_of("gauss-newton").loss(app, plain), newton.GaussNewton)

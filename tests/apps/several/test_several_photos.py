@@ -158,7 +158,7 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
     recipe = replace(SEVERAL, app=app, steps=3, overfit_steps=5, finetune_steps=4)
     encoder = app.init_encoder(Generator().manual_seed(0))
     random = {key: value[0] for key, value in app.init(Generator(), 1).items()}
-    alpha = rule_of(SEVERAL.rule).alpha(app, random, 3, recipe.quickft)
+    alpha = rule_of(SEVERAL.rule).initial_alpha(app, random, 3, recipe.quickft)
     phis = {"overfit": MetaParameters(), "meta": MetaParameters(alpha=alpha, encoder=encoder)}
     batch = app.condition(tasks, Generator())
     for name in PARADIGMS:

@@ -102,7 +102,7 @@ def test_the_papers_rule_stores_two_networks(subject: EvaluationRun) -> None:
     """An initialisation and a rate a weight: its compression factor is 2 / m, as the paper has it."""
     app = subject.app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    alpha = rule_of("meta-sgd").alpha(app, theta, 10, Adam(0.1))
+    alpha = rule_of("meta-sgd").initial_alpha(app, theta, 10, Adam(0.1))
     found = checkpoint_bytes(Checkpoint(MetaParameters(theta, alpha), "", ""))
     assert found == paper_figures()["storage"]["meta_networks"] * parameter_bytes(theta)
 

@@ -141,7 +141,7 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
 def moved(rule: str, rng: Generator) -> Params:
     """A rule's hyperparameters, away from their first values."""
     one = {key: value[0] for key, value in theta_of(rng, 1).items()}
-    alpha = rule_of(rule).alpha(APP, one, STEPS, Adam(5e-3, beta2=0.99, eps=META_EPS))
+    alpha = rule_of(rule).initial_alpha(APP, one, STEPS, Adam(5e-3, beta2=0.99, eps=META_EPS))
     return {key: value + 0.02 * torch.randn(value.shape, generator=rng) for key, value in alpha.items()}
 
 
@@ -161,7 +161,9 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int) -> None:
         return steps
 
     def grads(kind: Callable[[Params], Params], steps_of: StepsOf) -> Params:
-        lifted = after_learning(loss_of([]), rule_of(rule).rule, steps=STEPS, order=order, clip=0.05, steps_of=steps_of)
+        lifted = after_learning(
+            loss_of([]), rule_of(rule).update_rule, steps=STEPS, order=order, clip=0.05, steps_of=steps_of
+        )
         leaves = {key: value.clone().requires_grad_() for key, value in kind(phi).items()}
         value = lifted.value(leaves, ([kind(batch) for batch in batches], kind(last), None), {}).mean()
         pulls = torch.autograd.grad(value, list(leaves.values()), allow_unused=True, materialize_grads=True)
@@ -183,7 +185,7 @@ def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
         "sgd": sgd({"rate": torch.tensor([0.05, 0.03])}),
         "sgd by task": sgd({"rate": torch.rand(1, tasks, generator=rng) / 10}),
         "adam": fixed_adam(Adam(1e-2, beta1=0.8, final=0.1), theta, STEPS),
-        **{name: rule_of(name).rule(expand_tasks(moved(name, rng), tasks, 1)) for name in IN_C},
+        **{name: rule_of(name).update_rule(expand_tasks(moved(name, rng), tasks, 1)) for name in IN_C},
     }
 
 
@@ -215,7 +217,8 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
     rng = Generator().manual_seed(5)
     theta, rule, loss = theta_of(rng), sgd({"rate": torch.ones(1)}), loss_of([])
     mean, basis = (
-        rule_of(name).rule(expand_tasks(moved(name, rng), TASKS, 1)) for name in ("meta-encoder+average", "meta-axes")
+        rule_of(name).update_rule(expand_tasks(moved(name, rng), TASKS, 1))
+        for name in ("meta-encoder+average", "meta-axes")
     )
     ridge = app_of("brdf", RECIPES["quick"], rule="ridge")
     cases = {

@@ -80,7 +80,7 @@ def test_what_is_no_rule_is_refused_in_one_line(name: str, line: str) -> None:
 def test_a_part_that_does_not_apply_is_refused_by_name(app: str, rule: str, part: str) -> None:
     of = app_by(app)
     with pytest.raises(ValueError, match=f"its part {part}"):
-        rule_of(rule).alpha(of, one(of), 5, Adam(1e-3))
+        rule_of(rule).initial_alpha(of, one(of), 5, Adam(1e-3))
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -89,7 +89,7 @@ def test_all_rules_of_recipes_apply(name: str) -> None:
         for recipe in recipes_of(name, observe).values():
             for rule in (*recipe.meta, recipe.rule):
                 own = app_of(name, recipe, observe, rule=rule)
-                rule_of(rule).require(own, one(own))
+                rule_of(rule).check_app(own, one(own))
 
 
 def test_recipes_train_other_rules_as_their_default() -> None:

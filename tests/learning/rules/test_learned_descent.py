@@ -47,8 +47,8 @@ def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, ra
     theta, batches = expand_tasks(one(app), TASKS, 0), batches_for(app, randn, STEPS)
     moved = []
     for name in names:
-        alpha = rule_of(name).alpha(app, one(app), STEPS, FIRST)
-        rule = rule_of(name).rule(expand_tasks(alpha, TASKS, 1))
+        alpha = rule_of(name).initial_alpha(app, one(app), STEPS, FIRST)
+        rule = rule_of(name).update_rule(expand_tasks(alpha, TASKS, 1))
         moved.append(learn_differentiably(theta, rule, batches, Loss(unused, app.loss), order=1))
     torch.testing.assert_close(*moved, rtol=0, atol=0)
     assert not torch.equal(moved[0]["z"], theta["z"])

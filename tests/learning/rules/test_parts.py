@@ -90,7 +90,7 @@ BASIS = Basis()
 def path_of(name: str, start: Params, single: list[Params], changes: Params | None = None) -> list[Params]:
     """The parameters of one task after each step by a composition, as it is at first but for some changes."""
     rule = rule_of(name)
-    return run(rule.rule(rule.alpha(APP, start, len(single), FIRST) | (changes or {})), start, single)
+    return run(rule.update_rule(rule.initial_alpha(APP, start, len(single), FIRST) | (changes or {})), start, single)
 
 
 # What changes nothing before it has learned
@@ -201,7 +201,7 @@ def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
 @pytest.mark.parametrize("rule", [name for name in ON_MATRICES if name != "meta-sgd"])
 def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, single: list[Params]) -> None:
     own = dataclasses.replace(settings, eps=1e-3)
-    learned = rule_of(rule).rule(rule_of(rule).alpha(APP, start, STEPS, own))
+    learned = rule_of(rule).update_rule(rule_of(rule).initial_alpha(APP, start, STEPS, own))
     plain = fixed_adam(own if "eps" in learned.alpha else dataclasses.replace(own, eps=META_EPS), start, STEPS)
     until = -1 if "mean" in learned.alpha else None  # the last answer is a mean then
     assert_same(run(learned, start, single)[:until], run(plain, start, single)[:until])

@@ -75,12 +75,12 @@ def ridge(theta: Params, batches: list[Batch], penalty: Tensor) -> Tensor:
 def test_steps_add_up_to_ridge_regression_on_all_samples(theta: Params, batches: list[Batch]) -> None:
     """And plain fits take the same steps."""
     alpha = alpha_of(theta)
-    final = learn_differentiably(theta, SOLVE.rule(alpha), batches, LOSS, order=2)
+    final = learn_differentiably(theta, SOLVE.update_rule(alpha), batches, LOSS, order=2)
     torch.testing.assert_close(final["W"], ridge(theta, batches, alpha["penalty.W"][0, 0, 0]))
     assert torch.equal(final["scale"], theta["scale"])
     supply = iter(batches)
     loss = replace(LOSS, draw=lambda data, rng, done: DrawnBatch((), next(supply)))
-    plain = learn(theta, SOLVE.rule(alpha), None, loss, steps=STEPS, rng=Generator())
+    plain = learn(theta, SOLVE.update_rule(alpha), None, loss, steps=STEPS, rng=Generator())
     assert torch.equal(plain["W"], final["W"])
 
 
@@ -91,7 +91,7 @@ def test_a_prior_adds_to_the_penalties_of_each_output(theta: Params, batches: li
     def informed(theta: Params, batch: Batch, learned: Params) -> LeastSquares:
         return linear(theta, batch, learned)._replace(prior=prior.expand(TASKS, -1, -1))
 
-    final = learn_differentiably(theta, SOLVE.rule(alpha), batches, replace(LOSS, linear=informed), order=2)
+    final = learn_differentiably(theta, SOLVE.update_rule(alpha), batches, replace(LOSS, linear=informed), order=2)
     for output in range(OUTPUTS):
         total = (alpha["penalty.W"][0, 0, output].exp() + prior[0, output]).log()
         expected = ridge(theta, batches, total)
@@ -108,7 +108,7 @@ def test_penalties_hold_along_the_axes_of_outputs(theta: Params, batches: list[B
     def rotated(theta: Params, batch: Batch, learned: Params) -> LeastSquares:
         return linear(theta, batch, learned)._replace(axes=axes)
 
-    final = learn_differentiably(theta, SOLVE.rule(alpha), batches, replace(LOSS, linear=rotated), order=2)
+    final = learn_differentiably(theta, SOLVE.update_rule(alpha), batches, replace(LOSS, linear=rotated), order=2)
     turned = [batch | {"y": axes.T @ batch["y"]} for batch in batches]
     for output in range(OUTPUTS):
         expected = ridge(theta | {"W": axes.T @ theta["W"]}, turned, alpha["penalty.W"][0, 0, output])
@@ -117,7 +117,7 @@ def test_penalties_hold_along_the_axes_of_outputs(theta: Params, batches: list[B
 
 def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, batches: list[Batch]) -> None:
     alpha = alpha_of(theta, keep=-40.0)
-    rule = SOLVE.rule(alpha)
+    rule = SOLVE.update_rule(alpha)
     before = learn_differentiably(theta, rule, batches[:-1], LOSS, order=2)
     final = learn_differentiably(theta, rule, batches, LOSS, order=2)
     torch.testing.assert_close(final["W"], ridge(before, batches[-1:], alpha["penalty.W"][0, 0, 0]))
@@ -127,7 +127,7 @@ def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
     """Training cannot take them to where the solve is ill-conditioned."""
     for far, bound in ((-99.0, MIN_PENALTY), (99.0, MAX_PENALTY)):
         alphas = (alpha_of(theta, penalties=(each, each)) for each in (far, math.log(bound)))
-        ends = [learn_differentiably(theta, SOLVE.rule(alpha), batches, LOSS, order=2)["W"] for alpha in alphas]
+        ends = [learn_differentiably(theta, SOLVE.update_rule(alpha), batches, LOSS, order=2)["W"] for alpha in alphas]
         torch.testing.assert_close(*ends)
 
 
@@ -137,7 +137,7 @@ def test_penalties_are_at_least_the_rounding_of_gram_matrices() -> None:
     batch = {"x": torch.diag(size)[None], "y": torch.ones(1, OUTPUTS, FEATURES).double()}
     batch["weights"] = torch.ones(1, FEATURES).double()
     theta = {"W": torch.zeros(1, OUTPUTS, FEATURES).double(), "scale": torch.ones(1, FEATURES).double()}
-    rule = SOLVE.rule(alpha_of(theta, penalties=(-99.0, -99.0)))
+    rule = SOLVE.update_rule(alpha_of(theta, penalties=(-99.0, -99.0)))
     final = learn_differentiably(theta, rule, [batch], LOSS, order=2)
     gram, moment = size.square() / FEATURES, size / FEATURES
     penalty = MIN_PENALTY + ROUNDING_FACTOR * torch.finfo(torch.float64).eps * gram.sum()
