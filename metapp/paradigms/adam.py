@@ -163,12 +163,12 @@ class QuickFTPreparation(Preparation):
         return True
 
     @property
-    def completes_general(self) -> bool:
+    def takes_encoder_from_general(self) -> bool:
         """True: General's file holds the encoder."""
         return True
 
     @property
-    def searched_from(self) -> Adam:
+    def first_adam(self) -> Adam:
         """The recipe's Adam: a win over a badly tuned baseline is no win."""
         return self.paradigm.recipe.quickft
 
@@ -179,7 +179,7 @@ class QuickFTPreparation(Preparation):
 
     def template(self, phi: MetaParameters) -> MetaParameters:
         """Return the settings of one Adam, scalars."""
-        return self.with_adam(MetaParameters(), self.searched_from)
+        return self.with_adam(MetaParameters(), self.first_adam)
 
     def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
         """Return the encoder, and an Adam's settings as alpha: scalars on the CPU."""

@@ -102,7 +102,7 @@ class MetaPreparation(Preparation):
         return self.paradigm.recipe.training(self.name)
 
     @property
-    def searched_from(self) -> Adam | None:
+    def first_adam(self) -> Adam | None:
         """The Adam that the rule is at first, if the recipe searches it."""
         return self.outer_loop.first if self.outer_loop.tuned else None
 

@@ -169,7 +169,7 @@ class Preparation(ABC):
         return False
 
     @property
-    def completes_general(self) -> bool:
+    def takes_encoder_from_general(self) -> bool:
         """True if the checkpoint holds hyperparameters alone, for fits that take an encoder from a General's file."""
         return False
 
@@ -184,7 +184,7 @@ class Preparation(ABC):
         return NO_OUTER_LOOP
 
     @property
-    def searched_from(self) -> Adam | None:
+    def first_adam(self) -> Adam | None:
         """The first Adam of a search on validation tasks, before the outer loop; None for no search."""
         return None
 

@@ -110,7 +110,7 @@ def train_phi(
         FloatingPointError: the training loss is not finite; names tasks and step.
     """
     to_fit, to_validate = split_validation(tasks)
-    training, adam = preparation.outer_loop, preparation.searched_from
+    training, adam = preparation.outer_loop, preparation.first_adam
     if since:
         rng.set_state(since.rng)
     state = since or TrainState((first or preparation.first_phi(general, to_fit, rng)).flatten(), rng.get_state())

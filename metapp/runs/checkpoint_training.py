@@ -47,7 +47,7 @@ def train_run(run: Run) -> Run:
     with ranks.connect_ranks(run.device):
         path, general = train_checkpoint(run)
     run = replace(run, options=replace(run.options, checkpoint=path))
-    if general and run.paradigm.preparations[-1].completes_general:  # which may ship
+    if general and run.paradigm.preparations[-1].takes_encoder_from_general:  # which may ship
         return replace(run, checkpoint=merge_tuned_adam(general, load_checkpoint(path)[0], path))
     return attach_checkpoint(run) if ranks.rank_number() == 0 else run
 
@@ -80,7 +80,7 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
 
     def keep(state: TrainState, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
-        phi = state.phi._replace(encoder={}) if preparation.completes_general else state.phi
+        phi = state.phi._replace(encoder={}) if preparation.takes_encoder_from_general else state.phi
         result = {"validation_error": state.validation, "best_step": state.best_step, "curve": state.curve}
         save_checkpoint(file, phi, header | about | result, previous)
 
@@ -162,7 +162,7 @@ def _first(run: Run, preparation: Preparation) -> Checkpoint | None:
     general = preparation.general.name
     if not given or (preparation.begins_at_general and load_checkpoint(given)[1].get("checkpoint") == general):
         return None
-    if preparation.completes_general:
+    if preparation.takes_encoder_from_general:
         raise ValueError(f"{given}: expected the General that an Adam is searched for; name its file, or leave it out.")
     checkpoint = attach_checkpoint(run).checkpoint
     assert checkpoint is not None
