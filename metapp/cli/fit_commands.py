@@ -32,7 +32,7 @@ def make_fit_command(paradigm: str, app: str) -> Callable[..., None]:
             from metapp.cli.fit_output import fit_and_print
         fit_and_print(options, json=json)
 
-    unused = [options_by_name(FitOptions)[name] for name in PARADIGMS[paradigm].ignores]
+    unused = [options_by_name(FitOptions)[name] for name in PARADIGMS[paradigm].ignored_options]
     exports = ", ".join(exports_of(app))
     texts = {  # that differ between applications; "" of an option that one does not have
         "observe": options_by_name(FitOptions)["observe"].help if protocols_of(app) else "",

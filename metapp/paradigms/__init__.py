@@ -19,10 +19,10 @@ class ParadigmEntry(Entry["type[Paradigm]"]):
     """A subclass of `metapp.paradigms.paradigm.Paradigm`; `help` is its command's.
 
     Attributes:
-        ignores: the names of options of fits that it has no use for; scripts give all paradigms the same options.
+        ignored_options: the names of options of fits that it has no use for; scripts give all paradigms the same options.
     """
 
-    ignores: tuple[str, ...] = ()
+    ignored_options: tuple[str, ...] = ()
 
 
 # by name, in the order of the paper's tables
@@ -30,22 +30,22 @@ PARADIGMS = {
     "general": ParadigmEntry(
         reference="metapp.paradigms.adam:General",
         help="One forward pass of an encoder trained over all tasks.",
-        ignores=("rule", "steps"),
+        ignored_options=("rule", "steps"),
     ),
     "overfit": ParadigmEntry(
         reference="metapp.paradigms.adam:Overfit",
         help="Train on each task alone, from a random initialisation.",
-        ignores=("rule", "checkpoint", "train", "train_steps"),
+        ignored_options=("rule", "checkpoint", "train", "train_steps"),
     ),
     "finetune": ParadigmEntry(
         reference="metapp.paradigms.adam:Finetune",
         help="A tenth of Overfit's steps, from General's result.",
-        ignores=("rule",),
+        ignored_options=("rule",),
     ),
     "quickft": ParadigmEntry(
         reference="metapp.paradigms.adam:QuickFT",
         help="As many Adam steps as Meta takes, from General's result.",
-        ignores=("rule",),
+        ignored_options=("rule",),
     ),
     "meta": ParadigmEntry(
         reference="metapp.paradigms.meta:Meta",
