@@ -61,7 +61,7 @@ class Option:
     default: object = None
     flag: str = ""
 
-    def value(self, given: object) -> object:
+    def parse_value(self, given: object) -> object:
         """The field's value of a given one.
 
         Raises:
@@ -129,7 +129,7 @@ def parse_options(options: type[Options], values: Mapping[str, object], **checke
         BadOption: a value that an option cannot have.
     """
     known = options_by_name(options)
-    given = {name: known[name].value(value) for name, value in values.items() if value is not None}
+    given = {name: known[name].parse_value(value) for name, value in values.items() if value is not None}
     return options(**given, **checked)
 
 
@@ -137,7 +137,7 @@ def parse_options(options: type[Options], values: Mapping[str, object], **checke
 class AppOptions:
     """The options of an application beside those of all; each application extends it by its own."""
 
-    def given(self, *panels: str) -> dict[str, Any]:
+    def non_default_values(self, *panels: str) -> dict[str, Any]:
         """The options of these panels (of all if none is named) that are not at their default."""
         return {
             name: getattr(self, name)
@@ -145,11 +145,11 @@ class AppOptions:
             if (not panels or option.panel in panels) and getattr(self, name) != option.default
         }
 
-    def reading(self) -> dict[str, Any]:
+    def reader_keywords(self) -> dict[str, Any]:
         """Keywords of readers; a reader takes those that it has."""
-        return self.given(INPUT)
+        return self.non_default_values(INPUT)
 
-    def adapt(self, recipe: Any) -> Any:
+    def adapt_recipe(self, recipe: Any) -> Any:
         """The recipe, a `metapp.learning.recipe.Recipe`, as these options change it.
 
         Raises:
@@ -157,9 +157,9 @@ class AppOptions:
         """
         return recipe
 
-    def recorded(self) -> dict[str, object]:
+    def recorded_values(self) -> dict[str, object]:
         """The options that errors of fits depend on, or that later exports follow, as JSON holds them."""
-        return {name: _as_json(value) for name, value in sorted(self.given(INPUT, FIT).items())}
+        return {name: _as_json(value) for name, value in sorted(self.non_default_values(INPUT, FIT).items())}
 
 
 def app_options_class(app: str) -> type[AppOptions]:

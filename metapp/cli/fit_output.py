@@ -86,7 +86,7 @@ def _show(report: RunReport, *, json: bool) -> None:
                 for remark in _of_guard(run.paradigm.name, records):
                     say(remark)
         remarks = [remark for outcome in outcomes for remark in outcome.remarks]
-        for line in (*remarks, *relief_lines(records, changed="relief" in run.options.own.given())):
+        for line in (*remarks, *relief_lines(records, changed="relief" in run.options.own.non_default_values())):
             say(line)
         if skipped := sum(outcome.is_earlier for outcome in outcomes):
             line = f"{skipped} of {len(records)} inputs have such a fit already, and are skipped"

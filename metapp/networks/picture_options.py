@@ -67,9 +67,9 @@ class CameraOptions(PictureOptions):
 
     fov: Annotated[float, fov("EXIF's, else 45")] = 0.0
 
-    def reading(self) -> dict[str, Any]:
+    def reader_keywords(self) -> dict[str, Any]:
         """Readers take the field of view in rad."""
-        return super().reading() | ({"fov_rad": math.radians(self.fov)} if self.fov else {})
+        return super().reader_keywords() | ({"fov_rad": math.radians(self.fov)} if self.fov else {})
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,9 @@ class ReliefOptions(AppOptions):
         ),
     ] = 1.0
 
-    def recorded(self) -> dict[str, object]:
+    def recorded_values(self) -> dict[str, object]:
         """With the factor, by which later exports and pages show the fit, too."""
-        return super().recorded() | ({"relief": self.relief} if self.relief != 1 else {})
+        return super().recorded_values() | ({"relief": self.relief} if self.relief != 1 else {})
 
 
 @dataclass(frozen=True)

@@ -169,7 +169,7 @@ def check_options_of_protocol(options: FitOptions) -> None:
         raise BadOption(
             f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{did_you_mean(options.recipe, recipes)}"
         )
-    for name in options.own.given():
+    for name in options.own.non_default_values():
         option = options_by_name(type(options.own))[name]
         if options.observe and option.protocol not in ("", options.observe):
             raise BadOption(f"{option.flag}: only with --observe {option.protocol}; add that.")
@@ -219,7 +219,7 @@ def _check(options: FitOptions) -> None:
         check_export(form, app)
     if options.train_steps and not options.train:
         raise BadOption("--train-steps: only with --train.")
-    for name in options.own.given():
+    for name in options.own.non_default_values():
         option = options_by_name(type(options.own))[name]
         if option.panel == INPUT and not options.inputs:
             remedy = f"not about the data set {options.data}; leave it out" if options.data else "name what to fit"
@@ -243,5 +243,5 @@ def app_options_of_record(app: str, recorded: Mapping[str, object], *, inputs: b
 
 def folder_name_parts(own: AppOptions) -> list[str]:
     """The parts of a run folder's name that state options that fits depend on: conserve, detail512."""
-    recorded = {name: value for name, value in own.recorded().items() if not isinstance(value, list)}
+    recorded = {name: value for name, value in own.recorded_values().items() if not isinstance(value, list)}
     return [file_name(name if value is True else f"{name}{value}") for name, value in recorded.items()]

@@ -87,11 +87,11 @@ class Run:
         usual = recipe_of(options.app, name, options.observe)
         recipe = _adapted(options, name, usual)
         if recipe == usual:  # by options that say what it does anyway
-            options = replace(options, own=type(options.own)(**options.own.given(INPUT, OUTPUT)))
+            options = replace(options, own=type(options.own)(**options.own.non_default_values(INPUT, OUTPUT)))
         rule = _rule_name(options, recipe)
         app = app_of(options.app, recipe, options.observe, rule=rule if kind.has_learned_rule else "")
         try:
-            files = options.own.given(OUTPUT)
+            files = options.own.non_default_values(OUTPUT)
             presenter_of(app, files)
         except ValueError as error:
             raise BadOption(str(error)) from None
@@ -134,7 +134,7 @@ class Run:
     @functools.cached_property
     def presenter(self) -> Presenter[Any]:
         """What people look at of its fits, with the options of output such as the size of files."""
-        return presenter_of(self.app, self.options.own.given(OUTPUT))
+        return presenter_of(self.app, self.options.own.non_default_values(OUTPUT))
 
     @functools.cached_property
     def recipe(self) -> Recipe:
@@ -150,7 +150,7 @@ class Run:
     def settings(self, label: str) -> Document:
         """All that errors and seconds of fits to this data depend on: the settings in their records."""
         paradigm, app = self.paradigm, self.app
-        own = self.options.own.recorded()
+        own = self.options.own.recorded_values()
         adam, guard = paradigm.adam(self.phi), paradigm.guard
         assert self.checkpoint is not None
         return {
@@ -213,9 +213,9 @@ class Run:
 def _adapted(options: FitOptions, name: str, recipe: Recipe) -> Recipe:
     """A recipe as the application's own options change it, or a usage error."""
     try:
-        adapted: Recipe = options.own.adapt(recipe)
+        adapted: Recipe = options.own.adapt_recipe(recipe)
     except ValueError as error:
-        own = ", ".join(f"--{key} {value}" for key, value in options.own.given(FIT).items())
+        own = ", ".join(f"--{key} {value}" for key, value in options.own.non_default_values(FIT).items())
         raise BadOption(f"{own}, by recipe {name}: {error}.") from None
     return adapted
 

@@ -120,8 +120,8 @@ def test_an_application_has_what_its_entry_says(name: str) -> None:
 @pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
 def test_a_finer_detail_fits_as_many_parameters(app: str) -> None:
     usual, fine = (Run.of(fit_options(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
-    assert usual.options.own.given() == {}
-    assert fine.options.own.given() == {"detail": 512}
+    assert usual.options.own.non_default_values() == {}
+    assert fine.options.own.non_default_values() == {"detail": 512}
     assert (usual.app.read_size, fine.app.read_size) == (0, 512)
     shapes = [{key: value.shape for key, value in of.app.init(Generator(), 1).items()} for of in (usual, fine)]
     assert shapes[0] == shapes[1]

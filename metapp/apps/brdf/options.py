@@ -14,7 +14,7 @@ class BrdfOptions(AppOptions):
 
     conserve: Annotated[bool, Option("Limit fits to reflecting no more light than they receive.", panel=FIT)] = False
 
-    def adapt(self, recipe: Any) -> Any:
+    def adapt_recipe(self, recipe: Any) -> Any:
         """The recipe with fits that reflect no more than all light."""
         from metapp.apps.brdf.energy import set_conservation
 

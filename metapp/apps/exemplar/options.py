@@ -24,7 +24,7 @@ class ExemplarOptions(PictureOptions):
         ),
     ] = 0
 
-    def adapt(self, recipe: Any) -> Any:
+    def adapt_recipe(self, recipe: Any) -> Any:
         """Return the recipe for exemplars of `detail` px a side."""
         from metapp.apps.exemplar.app import set_detail
 

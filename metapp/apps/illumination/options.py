@@ -25,6 +25,6 @@ class IlluminationOptions(CameraOptions):
         ),
     ] = ""
 
-    def reading(self) -> dict[str, Any]:
+    def reader_keywords(self) -> dict[str, Any]:
         """Each photo is read without the shutter times, by which photos are merged."""
-        return {name: value for name, value in super().reading().items() if name != "shutter"}
+        return {name: value for name, value in super().reader_keywords().items() if name != "shutter"}

@@ -40,6 +40,6 @@ class TransportOptions(AppOptions):
         ),
     ] = 0
 
-    def reading(self) -> dict[str, Any]:
+    def reader_keywords(self) -> dict[str, Any]:
         """The reader calls the folders roots."""
         return {"roots": self.scene_root} if self.scene_root else {}

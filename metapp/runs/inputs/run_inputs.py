@@ -88,7 +88,7 @@ def find_inputs(run: Run) -> tuple[list[Input], str]:
     if not options.paths:
         tasks, label = read_test_tasks(app, options.data, options.quiet)
         return inputs_of_tasks(tasks), label
-    merges = [option for option in registry().merges.of(app.name) if option in options.own.given()]
+    merges = [option for option in registry().merges.of(app.name) if option in options.own.non_default_values()]
     for path in options.paths:
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder; give existing input files.")
@@ -153,7 +153,7 @@ def _arguments(run: Run) -> dict[str, object]:
 
     `size` is px a side, or `rows`; `least` px of photos.
     """
-    arguments = {"observe": run.options.observe} | run.options.own.reading()
+    arguments = {"observe": run.options.observe} | run.options.own.reader_keywords()
     if reads := run.app.read_size:
         arguments = {"size": reads, "rows": reads, "least": min(reads, DEFAULT_PHOTO_PX)} | arguments
     return arguments

@@ -31,7 +31,7 @@ WRITER_THREADS = 2  # pictures compressed at a time
 
 def render_outputs(run: Run, task: Task, theta: Params) -> ScenePictures:
     """The pictures of a fit, parameters without a task axis, by the registered outputs whose options were given."""
-    given, made = run.options.own.given(OUTPUT), ScenePictures({}, [])
+    given, made = run.options.own.non_default_values(OUTPUT), ScenePictures({}, [])
     for name, output in registry().outputs.of(run.app.name).items():
         if name in given:
             files, lines = output.load()(run.app, task, theta, given[name])
