@@ -19,5 +19,5 @@ from __future__ import annotations
 import metapp.rendering.jit  # noqa: F401  (chooses a libLLVM that works)
 from metapp.registry import registry
 
-for register in registry().loaded("plugins").values():
+for register in registry().load_table("plugins").values():
     register()

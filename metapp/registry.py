@@ -180,14 +180,14 @@ class Entries(UserDict[Any, Value]):
     ValueError: count: there is one of this name already
     """
 
-    def __init__(self, kind: type[Value], words: int = 1) -> None:
+    def __init__(self, kind: type[Value], key_length: int = 1) -> None:
         super().__init__()
-        self.kind, self.words = kind, words
+        self.kind, self.key_length = kind, key_length
 
     def __setitem__(self, key: Any, value: Value) -> None:
         words = _words(key)
-        if len(words) != self.words or not words[-1] or not all(isinstance(word, str) for word in words):
-            raise TypeError(f"{key!r}: no name of {self.words} words")
+        if len(words) != self.key_length or not words[-1] or not all(isinstance(word, str) for word in words):
+            raise TypeError(f"{key!r}: no name of {self.key_length} words")
         if not isinstance(value, self.kind):
             raise TypeError(f"{_line(*words)}: a {type(value).__name__}, expected {self.kind.__name__}")
         if key in self:
@@ -264,7 +264,7 @@ class Registry:
         """
         new: dict[str, str] = {}
         for table, key, entry in other.entries():
-            names = [other.name(table, key)]
+            names = [other.unique_name(table, key)]
             if isinstance(entry, RecipeEntry) and entry.suits:
                 facts = ", ".join(f"{fact} {wanted}" for fact, wanted in sorted(entry.suits.items()))
                 names.append(f"recipes of {_line(*key[:2])} for inputs of {facts}")
@@ -283,7 +283,7 @@ class Registry:
                 yield from ((name, key, entry) for key, entry in table.items())
 
     @staticmethod
-    def name(table: str, key: Any) -> str:
+    def unique_name(table: str, key: Any) -> str:
         """The name that one package alone may have: of rules and their compositions it is "rules NAME"."""
         return _line("rules" if table in ("parts", "compositions") else table, *_words(key))
 
@@ -302,7 +302,7 @@ class Registry:
             if not callable(entry.load()):
                 raise TypeError(f"commands {key}: {entry.reference} is no function")
 
-    def loaded(self, table: str, *first: str) -> dict[str, Any]:
+    def load_table(self, table: str, *first: str) -> dict[str, Any]:
         """The objects of a table, or of keys that begin with these words; ImportError as of `load_reference`.
 
         Entries that another package has, or that cannot be loaded, are left out with a warning.
@@ -312,7 +312,7 @@ class Registry:
             try:
                 objects[name] = entry.load()
             except ImportError as error:
-                if (owner := self.owners[self.name(table, (*first, name))]) == METAPP_PACKAGE:
+                if (owner := self.owners[self.unique_name(table, (*first, name))]) == METAPP_PACKAGE:
                     raise
                 warnings.warn(f"extension of {owner}: {error}; {name} is left out.", stacklevel=2)
         return objects

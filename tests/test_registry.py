@@ -174,7 +174,7 @@ def test_of_others_what_cannot_be_loaded_is_left_out_with_a_warning(installed: C
     with pytest.warns(
         UserWarning, match="extension of stranger: math:nothing cannot be loaded: .*; strange is left out"
     ):
-        assert list(there.loaded("networks", "brdf")) == list(there.networks.of("brdf"))[:-1]
+        assert list(there.load_table("networks", "brdf")) == list(there.networks.of("brdf"))[:-1]
 
 
 def test_all_that_ships_can_be_loaded() -> None:

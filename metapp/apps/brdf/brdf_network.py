@@ -171,7 +171,7 @@ def find_network(theta: Params) -> BrdfNetwork:
     Raises:
         ValueError: they are of none.
     """
-    for network in registry().loaded("networks", "brdf").values():
+    for network in registry().load_table("networks", "brdf").values():
         if parameter_shapes(network).keys() == theta.keys():
             result: BrdfNetwork = network
             return result

@@ -13,5 +13,5 @@ if TYPE_CHECKING:
 
 def baselines_of(app: App) -> tuple[Baseline, ...]:
     """The baselines of an application under its protocol; () if no extension has any."""
-    functions = dict.fromkeys(registry().loaded("baselines", app.name).values())
+    functions = dict.fromkeys(registry().load_table("baselines", app.name).values())
     return tuple(method for function in functions for method in function(app))
