@@ -1,4 +1,10 @@
-"""One step of learning, and differentiating through many: the adjoint recursion, one step at a time."""
+"""One step of learning, and derivatives through many steps by the adjoint recursion.
+
+Meta-learning differentiates a loss at the end of a fit in the fit's initialisation and hyperparameters. The graph of
+all steps together would not fit into memory; here the states of all steps are kept, and each step's graph is
+recomputed when its derivatives are needed. Other implementations of a step, such as one in C, provide the functions of
+:class:`Steps`. This module knows neither tasks nor applications: a loss is two functions.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +15,17 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+from typing_extensions import override
 
 from metapp.learning.task import Params
 
-AnyData = Any  # the source of a loss's samples: tasks, most often
-AnyBatch = Any  # its samples: tensors by name, or a tuple of such
+AnyData = Any  # the source that a loss draws samples from, most often tasks
+AnyBatch = Any  # drawn samples: tensors by name, or a tuple of such batches
 RuleStep = Callable[[Params, Params, Params, Params], tuple[Params, Params]]
 
 
 class DrawnBatch(NamedTuple):
-    """A batch, and the names of the tasks whose samples it holds."""
+    """A batch of samples, and the names of the tasks that they are samples of."""
 
     names: tuple[str, ...]
     batch: AnyBatch
@@ -26,16 +33,19 @@ class DrawnBatch(NamedTuple):
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss (alg. 2): `draw` holds all randomness, `value` is deterministic, differentiated and compiled.
+    """A loss (alg. 2 in the paper), as a random function that draws and a deterministic one that is differentiated.
 
     Attributes:
-        draw: (data, rng, done) -> Draw; all randomness is here; rng is a generator, or one for each task (`draws`);
-            done is the share of the descent's steps that were taken, in [0, 1]: at 1 all of the data is drawn from.
-        value: (params, batch, learned) -> the loss of each task, [T]; `learned` are its learned parameters.
-        shared: True if all tasks share the parameters (the descent follows the mean over tasks), False if
-            each task has its own (it follows the sum, which moves each as if it were alone).
+        draw: a function (data, rng, done) -> :class:`DrawnBatch`, the only one that draws random numbers. `rng` is a
+            generator, or one for each task (see :mod:`metapp.learning.random_tensors`). `done` is the share of the
+            descent's steps that were taken, in [0, 1]; at 1 the batch is drawn from all of the data.
+        value: a function (params, batch, learned) -> the loss of each task, [T]. It is deterministic, differentiated
+            and compiled. `learned` holds loss parameters that a rule has learned; {} gives the plain loss.
+        shared: whether all tasks share their parameters, so that a descent follows the gradient of the mean over tasks.
+            Otherwise each task has parameters for itself, and a descent follows the gradient of the sum, which moves
+            each task as if it were alone.
 
-    >>> loss = Loss(lambda data, rng, done: Draw((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
     >>> loss.gradient({"x": torch.tensor([3.0])}, {}, {}, graph=False)
     ({'x': tensor([6.])}, tensor([9.]))
     """
@@ -45,15 +55,15 @@ class Loss:
     shared: bool = False
 
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """The gradient that a step follows, and the detached loss of each task, [T].
+        """Return the gradient that a step follows, and the detached loss of each task, [T].
 
         Args:
-            theta: parameters.
-            batch: as drawn.
-            learned: the loss's learned parameters.
-            graph: whether the gradient will be differentiated itself.
+            theta: parameters, [T, ...] unless tasks share them.
+            batch: a batch that `draw` returned.
+            learned: the loss parameters that a rule has learned.
+            graph: whether the gradient is going to be differentiated itself.
         """
-        theta = theta if graph else _leaves(theta)
+        theta = theta if graph else _detach_leaves(theta)
         losses = self.value(theta, batch, learned)
         total = losses.mean() if self.shared else losses.sum()
         grads = torch.autograd.grad(total, list(theta.values()), create_graph=graph, materialize_grads=True)
@@ -61,13 +71,13 @@ class Loss:
 
 
 class UpdateRule(NamedTuple):
-    """An optimiser as pure functions and their hyperparameters.
+    """An optimiser, as pure functions and their hyperparameters.
 
     Attributes:
-        alpha: hyperparameters by name, [K, ...]: step i uses entry min(i, K - 1), so K = 1 is the same at every step.
-            Those named `loss.*` go to the loss instead of the rule.
-        init: theta -> state.
-        step: (alpha at this step, theta, gradient, state) -> (theta, state).
+        alpha: hyperparameters by name, [K, ...]: step i uses entry min(i, K - 1), so that K = 1 means equal values at
+            all steps. Hyperparameters named `loss.*` are parameters of the loss, not of the rule.
+        init: a function theta -> the rule's state before the first step.
+        step: a function (alpha of this step, theta, gradient, state) -> (theta, state).
     """
 
     alpha: Params
@@ -76,7 +86,7 @@ class UpdateRule(NamedTuple):
 
 
 def at_step(alpha: Params, i: int) -> Params:
-    """The hyperparameters of step i.
+    """Select the hyperparameters of step i.
 
     >>> at_step({"rate": torch.tensor([0.5, 0.25])}, 7)
     {'rate': tensor(0.2500)}
@@ -85,9 +95,9 @@ def at_step(alpha: Params, i: int) -> Params:
 
 
 def select_loss_parameters(alpha: Params) -> Params:
-    """The learned parameters of the loss among hyperparameters.
+    """Select the loss parameters among hyperparameters, without the prefix of their names.
 
-    >>> loss_parameters({"rate": torch.ones(1), "loss.smoothing": torch.zeros(1)})
+    >>> select_loss_parameters({"rate": torch.ones(1), "loss.smoothing": torch.zeros(1)})
     {'smoothing': tensor([0.])}
     """
     return {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
@@ -97,12 +107,13 @@ class Steps(NamedTuple):
     """Steps of a rule down a loss, their vector-Jacobian product, and the loss itself.
 
     Attributes:
-        alpha: the rule's hyperparameters as the steps read them, [K, ...]; differentiable in the rule's own.
-        init: theta -> state.
-        value: (theta, batch) -> the plain loss of each task, [T], differentiable once in theta.
-        step: (alpha of this step, theta, state, batch) -> (theta, state, losses [T], gradient).
-        vjp: (alpha, theta, state, batch, gradient, cotangents of both results) -> those of theta, state and alpha;
-            the batch is {} for order 1, which does not read it.
+        alpha: the rule's hyperparameters as the steps read them, [K, ...]; differentiable in the hyperparameters of the
+            rule.
+        init: a function theta -> the rule's state before the first step.
+        value: a function (theta, batch) -> the plain loss of each task, [T], differentiable once in theta.
+        step: a function (alpha of this step, theta, state, batch) -> (theta, state, losses [T], gradient).
+        vjp: a function (alpha of this step, theta, state, batch, gradient, cotangent of the new theta, cotangent of the
+            new state) -> (cotangents of theta, state and alpha). The batch is {} for order 1, which does not read it.
     """
 
     alpha: Params
@@ -112,15 +123,21 @@ class Steps(NamedTuple):
     vjp: Callable[[Params, Params, Params, AnyBatch, Params, Params, Params], tuple[Params, Params, Params]]
 
 
-# (rule, loss, theta, order) -> steps from parameters of these shapes; order 2 differentiates the gradient, 1 does not
+# a function that makes steps: (rule, loss, theta, order) -> steps; see `torch_steps` for the arguments
 StepsOf = Callable[[UpdateRule, Loss, Params, int], Steps]
 
 
 def torch_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
-    """Steps by automatic differentiation; the reference of all others.
+    """Make steps by automatic differentiation in torch, the reference for all other implementations.
+
+    Args:
+        rule: the update rule with its hyperparameters.
+        loss: the loss that steps descend.
+        theta: parameters [T, ...] of the shapes that steps will see; their values are not read.
+        order: 2 differentiates the gradient of a step in the vector-Jacobian product, 1 treats it as a constant.
 
     >>> from metapp.learning.rules import sgd
-    >>> loss = Loss(lambda data, rng, done: Draw((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
     >>> theta = {"x": torch.ones(1)}
     >>> steps = torch_steps(sgd({"rate": torch.tensor([0.25])}), loss, theta, 1)
     >>> moved, state, losses, gradient = steps.step(at_step(steps.alpha, 0), theta, steps.init(theta), {})
@@ -133,13 +150,13 @@ def torch_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Step
 
 
 def step_and_vjp(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """`step` and `vjp` of `Steps`; the only two functions that are worth compiling."""
+    """Return the functions `step` and `vjp` of :class:`Steps`, the only two that are worth compiling."""
 
     def step(alpha: Params, theta: Params, state: Params, batch: AnyBatch) -> tuple[Params, Params, Tensor, Params]:
         grads, losses = loss.gradient(theta, batch, select_loss_parameters(alpha), graph=False)
         with torch.no_grad():
-            moved, state = rule_step(alpha, theta, grads, state)
-        return moved, state, losses, grads
+            new_theta, state = rule_step(alpha, theta, grads, state)
+        return new_theta, state, losses, grads
 
     def vjp(
         alpha: Params,
@@ -150,58 +167,65 @@ def step_and_vjp(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Callable[
         d_theta: Params,
         d_state: Params,
     ) -> tuple[Params, Params, Params]:
-        alpha, theta, state = _leaves(alpha), _leaves(theta), _leaves(state)
+        alpha, theta, state = _detach_leaves(alpha), _detach_leaves(theta), _detach_leaves(state)
         if order == 2:
             grads = loss.gradient(theta, batch, select_loss_parameters(alpha), graph=True)[0]
-        moved, after = rule_step(alpha, theta, grads, state)
-        outputs = [*moved.values(), *(after[key] for key in state)]
-        d_outputs = [*(d_theta[key] for key in moved), *(d_state[key] for key in state)]
+        new_theta, new_state = rule_step(alpha, theta, grads, state)
+        outputs = [*new_theta.values(), *(new_state[key] for key in state)]
+        d_outputs = [*(d_theta[key] for key in new_theta), *(d_state[key] for key in state)]
         inputs = [*theta.values(), *state.values(), *alpha.values()]
-        live = [pair for pair in zip(outputs, d_outputs, strict=True) if pair[0].requires_grad]
-        outputs, d_outputs = ([pair[i] for pair in live] for i in (0, 1))
+        # autograd refuses outputs that depend on none of the inputs
+        differentiable = [pair for pair in zip(outputs, d_outputs, strict=True) if pair[0].requires_grad]
+        outputs, d_outputs = ([pair[i] for pair in differentiable] for i in (0, 1))
         d_inputs = iter(torch.autograd.grad(outputs, inputs, d_outputs, materialize_grads=True))
         return dict(zip(theta, d_inputs)), dict(zip(state, d_inputs)), dict(zip(alpha, d_inputs))  # noqa: B905
 
     return torch.enable_grad()(step), torch.enable_grad()(vjp)
 
 
-def _leaves(params: Params) -> Params:
+def _detach_leaves(params: Params) -> Params:
+    """Detach parameters and make them leaves of a new graph."""
     return {key: value.detach().requires_grad_() for key, value in params.items()}
 
 
-class _LearnThrough(torch.autograd.Function):
-    """K steps of learning as one node of the graph: keeps the K states, backpropagates one recomputed at a time."""
+class _LearningNode(torch.autograd.Function):
+    """Several steps of learning as one node of the graph.
+
+    The forward pass keeps the state before each step. The backward pass recomputes one step's graph at a time.
+    """
 
     steps: Steps
     names: Sequence[str]
     alpha: Params
-    taken: list[tuple[Params, Params, AnyBatch, Params]]
-    last_state: Params
+    records: list[tuple[Params, Params, AnyBatch, Params]]
+    last_state: Params  # the rule's state after the last step
 
     @staticmethod
+    @override
     def forward(
-        ctx: _LearnThrough, steps: Steps, order: int, names: Sequence[str], batches: Sequence[AnyBatch], *leaves: Tensor
+        ctx: _LearningNode, steps: Steps, order: int, names: Sequence[str], batches: Sequence[AnyBatch], *leaves: Tensor
     ) -> tuple[Tensor, ...]:
         values = (leaf.detach() for leaf in leaves)
         theta, ctx.alpha = ({key: next(values) for key in keys} for keys in (names, steps.alpha))
         state = steps.init(theta)
-        ctx.steps, ctx.names, ctx.taken = steps, names, []
+        ctx.steps, ctx.names, ctx.records = steps, names, []
         for i, batch in enumerate(batches):
             before = (theta, state)
             theta, state, _, grads = steps.step(at_step(ctx.alpha, i), theta, state, batch)
-            ctx.taken.append((*before, batch if order == 2 else {}, grads))
+            ctx.records.append((*before, batch if order == 2 else {}, grads))
         ctx.last_state = state
         return tuple(theta[key] for key in names)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: _LearnThrough, *d_final: Tensor) -> tuple[Tensor | None, ...]:
+    @override
+    def backward(ctx: _LearningNode, *d_final: Tensor) -> tuple[Tensor | None, ...]:
         d_theta = dict(zip(ctx.names, (value.contiguous() for value in d_final), strict=True))
         d_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
         d_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
-        for i, taken in reversed(list(enumerate(ctx.taken))):
+        for i, record in reversed(list(enumerate(ctx.records))):
             alpha = at_step(ctx.alpha, i)
-            d_theta, d_state, d_alpha_i = ctx.steps.vjp(alpha, *taken, d_theta, d_state)
+            d_theta, d_state, d_alpha_i = ctx.steps.vjp(alpha, *record, d_theta, d_state)
             for key, value in d_alpha_i.items():
                 d_alpha[key][min(i, d_alpha[key].shape[0] - 1)].add_(value)
         return None, None, None, None, *(d_theta[key] for key in ctx.names), *d_alpha.values()
@@ -216,20 +240,30 @@ def learn_differentiably(
     order: int,
     steps_of: StepsOf = torch_steps,
 ) -> Params:
-    """Learn on given batches, differentiably in the initialisation and in the rule's alpha.
+    """Learn on given batches, differentiably in the initialisation and in the rule's hyperparameters.
 
-    The gradient is the adjoint recursion over the steps: memory is one step's graph and K copies of the parameters,
-    of their gradient and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is
-    exact (MAML).
+    The derivative is the adjoint recursion over the steps. It needs memory for the graph of one step, and for as many
+    copies of the parameters, of their gradient and of the rule's state as there are batches.
+
+    Args:
+        theta: the initialisation, [T, ...].
+        rule: the update rule; derivatives flow to its alpha.
+        batches: the samples of each step, one batch a step.
+        loss: the loss that steps descend.
+        order: 2 is exact (MAML), 1 treats each step's gradient as a constant (FOMAML).
+        steps_of: a function that makes the steps.
+
+    Returns:
+        The parameters after the last step, [T, ...].
 
     >>> from metapp.learning.rules import sgd
-    >>> loss = Loss(lambda data, rng, done: Draw((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
     >>> x = torch.ones(1, requires_grad=True)
-    >>> theta = learn_through({"x": x}, sgd({"rate": torch.tensor([0.25])}), [{}, {}], loss, order=2)
+    >>> theta = learn_differentiably({"x": x}, sgd({"rate": torch.tensor([0.25])}), [{}, {}], loss, order=2)
     >>> torch.autograd.grad(theta["x"], x)
     (tensor([0.2500]),)
     """
     steps = steps_of(rule, loss, theta, order)
-    apply: Callable[..., tuple[Tensor, ...]] = _LearnThrough.apply
+    apply: Callable[..., tuple[Tensor, ...]] = _LearningNode.apply
     final = apply(steps, order, list(theta), batches, *theta.values(), *steps.alpha.values())
     return dict(zip(theta, final, strict=True))

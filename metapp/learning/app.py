@@ -1,4 +1,8 @@
-"""Applications: a network, the samples it is fitted to, and the distance that says how well it fits."""
+"""The contract of an application: a network, the samples it is fitted to, and the distance that says how well it fits.
+
+Learning needs these few methods and nothing else, so that an application runs in a notebook without the command line.
+What people look at, such as pictures and surfaces, is made elsewhere, by `metapp.appearance.presenter.Presenter`.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +20,14 @@ from metapp.learning.task import RESERVED_TENSORS, Batch, LeastSquares, Params, 
 
 @dataclass(frozen=True)
 class ErrorMeasure:
-    """How an application measures the errors of fits.
+    """The meaning and the scale of an application's errors.
 
     Attributes:
-        text: the error, in one line.
-        scale: factor of errors in records and tables; 100 if the paper prints x100.
-        logarithmic: True if the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
-        further: other errors whose means tables state, each in one line, by their names in records.
+        text: what the error is, in one line.
+        scale: the factor by which errors are multiplied in records and tables; 100 where the paper prints x100.
+        logarithmic: whether the error is a logarithm and may have any sign: two errors are then compared by their
+            difference, not by their ratio.
+        further: further errors whose means are printed in tables: one line each, by the names that records give them.
 
     >>> ErrorMeasure("mean absolute error", scale=100).factor
     ' x100'
@@ -35,7 +40,7 @@ class ErrorMeasure:
 
     @property
     def factor(self) -> str:
-        """The factor that errors are printed with: " x100"; "" if it is 1."""
+        """The factor by which printed errors are multiplied, such as " x100"; "" if it is 1."""
         return f" x{self.scale:g}" if self.scale != 1 else ""
 
 
@@ -43,22 +48,22 @@ class ErrorMeasure:
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
-    All methods are batched over tasks: parameters and batches have a leading task axis T. Every application has the
-    abstract methods; the others have defaults that do nothing, or leave it to the network. What people look at is made
-    by its `metapp.appearance.presenter.Presenter`, which learning does not need. A recipe holds an application, with
-    all sizes as its fields; two with the same fields are equal.
+    All methods are batched over tasks: parameters and batches have a leading task axis T. Every application defines the
+    abstract methods. The other methods have defaults, which do nothing or call the network. A recipe holds an
+    application; all sizes are fields of it, so that two applications with equal fields are equal.
 
     Attributes:
-        network: the network of one task, which has `init`; None if the application has that itself. Rules also read its
-            `periodic`, whether parameters on a grid go on at the other edge, and its `linear_parameter`, the name of a
-            parameter [C, F] in which it is linear, where a network has these.
-        protocol: the part of a task that a fit may see, a value of --observe; "" if there is but one.
-        name: as on the command line.
-        error_measure: how `errors` measures.
-        tensors: of each task, by the tensor's name.
-        single_threaded: True if tensors of one task are so small that threads and GPUs only slow down its fit, and that
-            compiling the inner step pays in training.
-        deterministic: True if nothing that a fit sees is drawn at random, so that one fit says what two would.
+        network: the network of one task, which has a method `init`; None if the application initialises parameters
+            itself. Update rules also read two attributes of networks that have them: `periodic`, whether parameters on
+            a grid continue at the opposite edge, and `linear_parameter`, the name of a parameter [C, F] in which the
+            output is linear.
+        protocol: which part of a task a fit may observe, a value of --observe; "" if there is only one protocol.
+        name: the application's name on the command line.
+        error_measure: the meaning and the scale of the errors that `errors` returns.
+        tensors: the form of each tensor of a task, by the tensor's name.
+        single_threaded: whether the tensors of one task are so small that threads and GPUs only slow its fit down, and
+            that compiling the inner step pays in training.
+        deterministic: whether a fit observes nothing random, so that a second fit would give the first one's result.
     """
 
     network: Any = None
@@ -71,112 +76,137 @@ class App(ABC):
 
     @property
     def cheap_fits(self) -> bool:
-        """True if a search can afford to fit all validation tasks."""
+        """Whether fits are so quick that a search of an Adam can fit all validation tasks."""
         return False
 
     @property
     def read_size(self) -> int:
-        """The px a side, or rows of a map, that a user's files are read at; 0: as their readers do."""
+        """The size at which a user's files are read, in px a side or rows of a map; 0 leaves it to the readers."""
         return 0
 
     def conditions(self, device: torch.device | None = None) -> dict[str, str]:
-        """Return further conditions of its errors, by name: part of every record and caption.
+        """Return conditions that errors depend on, by name; every record and caption states them.
 
         Args:
-            device: of the steps of fits, whose `precision` is then one of the conditions, unless it is float32
-                throughout; None for errors alone.
+            device: the device on which fits take their steps: the precision of steps there is then one of the
+                conditions, `precision`, unless it is float32 throughout. None returns the conditions of errors alone.
         """
         return {}
 
     @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Prepare a task for fitting, once: tensors without a task axis."""
+        """Prepare one task for fitting, once, and return tensors without a task axis, by name."""
 
     def init(self, rng: Generator, count: int) -> Params:
-        """Random network parameters for `count` tasks, each tensor [count, ...]."""
+        """Draw random network parameters for `count` tasks; each tensor is [count, ...]."""
         theta: Params = self.network.init(rng, count)
         return theta
 
     def task_parameters(self, tasks: Tasks) -> Params:
-        """Return parameters that tasks determine, [T, ...]: constants of the steps, or their first values."""
+        """Return parameters [T, ...] that tasks determine: constants of fits, or first values of what they learn."""
         return {}
 
     @abstractmethod
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`count` random samples of each task, from the part a fit may see; tensors [T, ...]."""
+        """Draw `count` random samples of each task from the part that a fit may observe; tensors are [T, ...]."""
 
     def stage(self, tasks: Tasks, done: float) -> Tasks:
-        """The part of tasks that a descent sees after this share of its steps, in [0, 1], such as coarse to fine."""
+        """Return the tasks as a descent observes them at some share of its steps, for example coarse tasks first.
+
+        Args:
+            tasks: the complete tasks.
+            done: the share of the steps that were taken, in [0, 1].
+        """
         return tasks
 
     @abstractmethod
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The inner loss of each task, [T]; `learned` are its learned parameters, {} for the plain loss."""
+        """Compute the inner loss of each task, [T].
+
+        Args:
+            theta: network parameters [T, ...].
+            batch: samples [T, ...] that :meth:`sample` drew.
+            learned: the loss parameters [T, ...] that a rule has learned; {} gives the plain loss.
+        """
 
     def loss_parameters(self, steps: int) -> Params:
-        """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""
+        """Return initial values [steps, ...] of the loss parameters that a rule may learn, by name."""
         return {}
 
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
-        """Least squares near the inner loss, in the network's `linear_parameter`; without one it is not called."""
+        """Return least squares near the inner loss in the network's `linear_parameter`.
+
+        It is called only for networks that have a linear parameter. See :meth:`loss` for the arguments.
+        """
         raise NotImplementedError
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`count` samples for the outer loss, tensors [T, ...]: those of fits."""
+        """Draw `count` samples of each task for the outer loss; tensors are [T, ...].
+
+        By default they are drawn like samples of fits. See :meth:`sample`.
+        """
         return self.sample(tasks, rng, count)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The outer loss of each fit, [T]: the inner loss, if training tasks hold no more than a fit may see."""
+        """Compute the outer loss of each fit, [T].
+
+        The default is the inner loss, for training tasks that contain no more than a fit may observe. See
+        :meth:`loss` for the arguments.
+        """
         return self.loss(theta, batch, learned)
 
     def init_encoder(self, rng: Generator) -> Params:
-        """Random parameters of General's encoder."""
+        """Draw random parameters of General's encoder."""
         encoder: Params = self.network.init_encoder(rng)
         return encoder
 
     @abstractmethod
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        """The condition I that General's encoder reads of each task."""
+        """Return the condition that General's encoder reads of each task (I in the paper); tensors are [T, ...]."""
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """Network parameters from the condition, one forward pass; tensors [T, ...]."""
+        """Predict network parameters [T, ...] from the condition, in one forward pass of the encoder."""
         theta: Params = self.network.encode(encoder, condition)
         return theta
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Data augmentation: as many other tasks, each changed at random, for training only."""
+        """Return as many augmented tasks, each a random variation of one of the tasks; for training only."""
         return tasks
 
     def postprocess(self, theta: Params) -> Params:
-        """Return fits [T, ...] as they are kept, after the last step."""
+        """Change fits [T, ...] after their last step, before they are evaluated and stored."""
         return theta
 
     @abstractmethod
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """Error measures [T] on the part of each task that fits never see; "error" is the table's, unscaled.
+        """Measure errors [T], by name, on the part of each task that fits never observe.
 
-        Empty if the tasks hold no reference.
+        Returns:
+            The error of tables as "error", without the scale of :attr:`error_measure`, and further errors; {} if the
+            tasks contain no reference to compare with.
         """
 
 
 def stack_tasks(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:
-    """Prepare tasks and put them side by side.
+    """Prepare tasks and stack their tensors along a new task axis.
+
+    Tensors that some of the tasks lack, because they are optional, are left out. See :meth:`App.prepare`.
 
     Raises:
-        ValueError: there is no task, or they differ in their tensors' shapes.
+        ValueError: there is no task, or the tensors of tasks differ in their shapes.
     """
     if not tasks:
         raise ValueError(f"{app.name}: 0 tasks, expected at least one; give input files or another data set.")
     prepared = [
         app.prepare(task) | {key: task.data[key] for key in RESERVED_TENSORS if key in task.data} for task in tasks
     ]
-    # a task may lack what is optional
+    # a task may lack optional tensors, and a stack has only those that all tasks have
     common = [key for key in prepared[0] if all(key in tensors for tensors in prepared)]
     for task, tensors in zip(tasks, prepared, strict=True):
         for key in common:
             if tensors[key].shape != prepared[0][key].shape:
                 raise ValueError(
-                    f"{task.name}: {key} {tuple(tensors[key].shape)}, expected {tuple(prepared[0][key].shape)} as of "
+                    f"{task.name}: {key} {tuple(tensors[key].shape)}, expected {tuple(prepared[0][key].shape)} like "
                     f"{tasks[0].name}; convert both with the same settings."
                 )
     data = {key: _stack([tensors[key] for tensors in prepared], device) for key in common}
@@ -185,7 +215,7 @@ def stack_tasks(app: App, tasks: Sequence[Task], device: torch.device | str = "c
 
 
 def _stack(tensors: list[Tensor], device: torch.device | str) -> Tensor:
-    """Stack, or share one copy if all are the same tensor, as sample positions of a data set often are."""
+    """Stack tensors, or expand one of them if all are equal, as sample positions of a data set often are."""
     first = tensors[0]
     if all(torch.equal(first, other) for other in tensors[1:]):
         return first.to(device).expand(len(tensors), *first.shape)

@@ -1,7 +1,8 @@
-"""The guard of learned rules: a fit that fails goes on by a plain Adam.
+"""The guard of learned rules: a fit that fails is continued by a plain Adam.
 
-A learned rule promises nothing on a task unlike those that it was trained on. Safeguarded learned optimisation (Heaton
-et al. 2023) keeps a learned step if the loss falls, and falls back to a plain one where it does not.
+A learned rule promises nothing on a task unlike its training tasks. Safeguarded learned optimisation (Heaton et al.
+2023) keeps a learned step if the loss falls, and replaces it by a plain step otherwise. Here a whole fit is judged, at
+its end. The guard sees nothing but what the fit itself may observe.
 """
 
 from __future__ import annotations
@@ -31,70 +32,72 @@ def descend_with_guard(
     steps: int,
     steps_of: StepsOf = torch_steps,
 ) -> Iterator[DescentState]:
-    """Steps of a learned rule, then of Adam for doubtful fits; the result has the lowest visible loss of each task.
+    """Descend by a learned rule, then by Adam where a fit is doubtful, and keep the lowest loss of each task.
 
-    The initialisation, the rule's result and Adam's result are compared on one batch, by the plain loss: neither other
-    samples nor learned loss parameters make one look better.
+    The initialisation, the rule's result and Adam's result are compared by the plain loss on one batch, so that no
+    result looks better because of its samples or because of learned loss parameters.
 
     Args:
         params: the initialisations, [T, ...].
         rule: the learned rule.
-        tasks: T of them.
-        loss: of the rule's steps; each task has its own parameters.
-        rng: source of the rule's draws, one for all tasks or one for each; the guard draws from copies.
-        guard: which fits are doubtful, and their Adam.
-        steps: number of the rule's steps, and of Adam's.
-        steps_of: maker of the steps.
+        tasks: T tasks.
+        loss: the loss that the rule descends; each task has parameters for itself.
+        rng: the source of the rule's random numbers, one for all tasks or one for each; the guard draws from copies.
+        guard: which fits are doubtful, and the Adam that continues them.
+        steps: the number of the rule's steps, and of Adam's.
+        steps_of: a function that makes the steps of a rule; see :func:`metapp.learning.adjoint.torch_steps`.
 
     Yields:
-        The rule's steps, then one more with the result.
+        The states of the rule's descent, then one more state with the results.
 
     Raises:
         FloatingPointError: the loss of an initialisation is not finite.
     """
     batch = loss.draw(tasks, clone_rng(rng), 1.0).batch
 
-    def visible(theta: Params) -> Tensor:
+    def plain_loss(theta: Params) -> Tensor:
         with torch.no_grad():
             return loss.value(theta, batch, {}).nan_to_num(math.inf, math.inf, math.inf)
 
     losses: list[Tensor] = []
-    for end in check_finite_losses(
+    for state in check_finite_losses(
         descend(params, rule, tasks, loss, steps=steps, rng=rng, steps_of=steps_of), every=0
     ):
-        losses += [] if end.loss is None else [end.loss]
-        yield end
-    first, after = visible(params), visible(end.theta)
-    best, lowest = _lower(end.theta, after, params, first)
-    doubtful = ~(after <= guard.fall * first)
+        losses += [] if state.loss is None else [state.loss]
+        yield state
+    first_loss, rule_loss = plain_loss(params), plain_loss(state.theta)
+    best, lowest = _select_lower(state.theta, rule_loss, params, first_loss)
+    doubtful = ~(rule_loss <= guard.fall * first_loss)
     if math.isfinite(guard.rise):
-        doubtful |= _rises(losses, guard.rise)
+        doubtful |= _find_rising(losses, guard.rise)
     if rows := doubtful.nonzero()[:, 0].tolist():
         theta = {key: value[rows] for key, value in best.items()}
         adam = fixed_adam(guard.adam, theta, steps)
-        plain = Loss(loss.draw, loss.value)  # Adam follows the gradient, whatever the rule follows
-        own = clone_rng(rng)
-        own = tuple(own[row] for row in rows) if isinstance(own, tuple) else own
-        further = final_item(
-            descend(theta, adam, tasks.select(rows), plain, steps=steps, rng=own, steps_of=steps_of)
+        # a rule such as `solve` follows other things than the gradient, Adam does not
+        gradient_loss = Loss(loss.draw, loss.value)
+        adam_rng = clone_rng(rng)
+        adam_rng = tuple(adam_rng[row] for row in rows) if isinstance(adam_rng, tuple) else adam_rng
+        continued = final_item(
+            descend(theta, adam, tasks.select(rows), gradient_loss, steps=steps, rng=adam_rng, steps_of=steps_of)
         ).theta
-        further = {key: value.index_put((doubtful,), further[key]) for key, value in best.items()}
-        best, lowest = _lower(best, lowest, further, visible(further))
-    yield end._replace(theta=best, guarded=lowest < after)
+        continued = {key: value.index_put((doubtful,), continued[key]) for key, value in best.items()}
+        best, lowest = _select_lower(best, lowest, continued, plain_loss(continued))
+    yield state._replace(theta=best, guarded=lowest < rule_loss)
 
 
-def _rises(losses: list[Tensor], factor: float) -> Tensor:
-    """Losses that rise, in the second half of the steps, above so many times the lowest before, bool [T].
+def _find_rising(losses: list[Tensor], factor: float) -> Tensor:
+    """Return which fits rise in the second half of their steps, bool [T].
 
-    Learned rules often climb early, on their way to something better.
+    A fit rises if a loss exceeds `factor` times the lowest loss before it. The first half is not looked at: learned
+    rules often climb early, on their way to something better.
     """
-    stacked = torch.stack(losses)
-    above = stacked[1:] > factor * stacked.cummin(0).values[:-1]
+    curves = torch.stack(losses)
+    above = curves[1:] > factor * curves.cummin(0).values[:-1]
     return above[max(len(losses) // 2 - 1, 0) :].any(0)
 
 
-def _lower(theta: Params, loss: Tensor, other: Params, other_loss: Tensor) -> tuple[Params, Tensor]:
-    """The parameters and loss [T] of the lower loss, task by task; the first if they are equal."""
-    wins = other_loss < loss
-    lower = {key: torch.where(append_axes(wins, value), other[key], value) for key, value in theta.items()}
-    return lower, torch.where(wins, other_loss, loss)
+def _select_lower(theta: Params, loss: Tensor, other: Params, other_loss: Tensor) -> tuple[Params, Tensor]:
+    """Select the parameters and the loss [T] with the lower loss, task by task; of equal ones the first."""
+    is_lower = other_loss < loss
+    lower = {key: torch.where(append_axes(is_lower, value), other[key], value) for key, value in theta.items()}
+    return lower, torch.where(is_lower, other_loss, loss)

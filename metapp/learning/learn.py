@@ -1,7 +1,8 @@
-"""learn: the one descent behind every paradigm, and the combinators that make Meta out of General.
+"""The one descent behind every paradigm, and the functions that lift losses and so make Meta out of General.
 
-The paper's three algorithms map to three names here: `learn` (alg. 1), a `Loss` (alg. 2), and
-`over_tasks(after_learning(loss))` (alg. 3). Update rules are in `rules`.
+The paper's three algorithms are three names here: :func:`learn` (alg. 1), a :class:`Loss` (alg. 2), and
+`over_tasks(after_learning(loss))` (alg. 3). Update rules are in `metapp.learning.rules`; which loss, rule and
+initialisation a paradigm has is decided in `metapp.paradigms`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.learning.adjoint import (
     AnyBatch,
@@ -31,14 +33,20 @@ from metapp.learning.task import KIND_TENSOR, Params, Tasks
 
 
 class MetaParameters(NamedTuple):
-    """phi: an initialisation theta_0, or the encoder that predicts it, and the rule's hyperparameters alpha."""
+    """Phi, the parameters of a checkpoint: what a fit begins at, and the hyperparameters of its rule.
+
+    Attributes:
+        theta: the initialisation theta_0 of one task, without a task axis; {} if an encoder predicts it.
+        alpha: the rule's hyperparameters, [K, ...].
+        encoder: the parameters of the encoder that predicts initialisations; {} if there is none.
+    """
 
     theta: Params = {}  # noqa: RUF012  (never written to)
     alpha: Params = {}  # noqa: RUF012
     encoder: Params = {}  # noqa: RUF012
 
     def flatten(self) -> Params:
-        """phi as one flat tree, with the part's name before each parameter's.
+        """Return phi as one flat tree, in which names begin with "theta.", "alpha." or "encoder.".
 
         >>> sorted(MetaParameters({"weight": torch.zeros(2)}, {"rate": torch.ones(1)}).flatten())
         ['alpha.rate', 'theta.weight']
@@ -47,7 +55,7 @@ class MetaParameters(NamedTuple):
 
     @classmethod
     def unflatten(cls, phi: Params) -> MetaParameters:
-        """The inverse of `flatten`.
+        """Restore phi from a flat tree. This is the inverse of :meth:`flatten`.
 
         >>> MetaParameters.unflatten({"theta.weight": torch.zeros(2)}).theta
         {'weight': tensor([0., 0.])}
@@ -60,15 +68,18 @@ class MetaParameters(NamedTuple):
 
 
 class DescentState(NamedTuple):
-    """The state of a descent between two steps: with the state of its generator, all that the rest depends on.
+    """The state of a descent between two steps.
+
+    Together with the state of the random generator it is all that the remaining steps depend on.
 
     Attributes:
-        step: steps that were taken.
+        step: the number of steps that were taken.
         theta: the parameters, detached.
-        state: the rule's own, as the steps have it.
-        loss: of each task before the last step, [T], detached; None before the first.
-        names: of the tasks that the last step saw.
-        guarded: bool [T], True for tasks whose fit is not the rule's but the guard's (`guard`); None without a guard.
+        state: the state of the update rule, as its steps return it.
+        loss: the loss of each task before the last step, [T], detached; None before the first step.
+        names: the names of the tasks that the last step saw.
+        guarded: bool [T], True for tasks whose result is the guard's instead of the rule's (see
+            :mod:`metapp.learning.guard`); None without a guard.
     """
 
     step: int
@@ -93,20 +104,21 @@ def descend(
     """Descend a loss from an initialisation by a rule (alg. 1), one step at a time.
 
     Args:
-        params: the initialisation; tensors [T, ...] if each task has its own.
+        params: the initialisation; tensors [T, ...] if each task has parameters for itself.
         rule: the update rule.
-        data: whatever the loss draws from.
-        loss: to descend.
-        steps: number of steps.
-        rng: source of all random draws; one for all tasks, or one for each.
-        since: the state of an earlier descent by the same steps, to go on from; `rng` must be in its state of then.
-        steps_of: maker of the steps.
+        data: the data that the loss draws from, most often tasks.
+        loss: the loss.
+        steps: the number of steps.
+        rng: the source of all random numbers, one for all tasks or one for each.
+        since: the state of an earlier descent by the same steps, which is continued; `rng` must be in the state that it
+            had then.
+        steps_of: a function that makes the steps; see :func:`metapp.learning.adjoint.torch_steps`.
 
     Yields:
-        The state before the first step, and after each; nothing is drawn for a step before it is asked for.
+        The state before the first step, and after each step. Random numbers of a step are drawn when it is asked for.
 
     >>> from metapp.learning.rules import sgd
-    >>> loss = Loss(lambda data, rng, done: Draw((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
     >>> rule = sgd({"rate": torch.tensor([0.25])})
     >>> steps = descend({"x": torch.ones(1)}, rule, None, loss, steps=2, rng=Generator())
     >>> [float(step.theta["x"]) for step in steps]
@@ -124,16 +136,18 @@ def descend(
 
 
 def check_finite_losses(descent: Iterator[DescentState], every: int = 50) -> Iterator[DescentState]:
-    """The same descent; the losses of some steps, of the first and of the last must be finite.
+    """Pass on the states of a descent, and require that losses are finite.
+
+    Reading losses waits for a GPU: besides the first and the last step, only every so many are checked.
 
     Args:
-        descent: as `descend` yields it.
-        every: steps between two checks; 0: the first alone.
+        descent: the states of a descent, from :func:`descend`.
+        every: the number of steps between two checks; 0 checks the first step alone.
 
     Raises:
-        FloatingPointError: a loss is not finite; names the tasks and the step.
+        FloatingPointError: a loss is not finite; the message names the tasks and the step.
 
-    >>> list(check_finite(iter([DescentState(1, {}, {}, torch.tensor([float("nan")]), ("gold",))])))
+    >>> list(check_finite_losses(iter([DescentState(1, {}, {}, torch.tensor([float("nan")]), ("gold",))])))
     Traceback (most recent call last):
     FloatingPointError: gold: the loss is not finite at step 0; lower the learning rate or clip earlier.
     """
@@ -150,8 +164,9 @@ def check_finite_losses(descent: Iterator[DescentState], every: int = 50) -> Ite
 
 
 def _require_finite(now: DescentState) -> None:
+    """Raise FloatingPointError, with the names of tasks, if losses before the last step are not finite."""
     assert now.loss is not None
-    bad = [name for name, fine in zip(now.names, torch.isfinite(now.loss).tolist(), strict=False) if not fine]
+    bad = [name for name, finite in zip(now.names, torch.isfinite(now.loss).tolist(), strict=False) if not finite]
     if bad:
         raise FloatingPointError(
             f"{', '.join(bad[:3])}: the loss is not finite at step {now.step - 1}; lower the learning rate or clip "
@@ -163,7 +178,7 @@ Item = TypeVar("Item")
 
 
 def final_item(items: Iterable[Item]) -> Item:
-    """The last of at least one.
+    """Exhaust an iterator of at least one item and return the last one.
 
     >>> final_item(iter("abc"))
     'c'
@@ -183,13 +198,15 @@ def learn(
     rng: Rng,
     steps_of: StepsOf = torch_steps,
 ) -> Params:
-    """The parameters at the end of a descent (`descend`), detached.
+    """Learn (alg. 1): descend a loss from an initialisation, and return the final parameters, detached.
+
+    See :func:`descend` for the arguments.
 
     Raises:
-        FloatingPointError: a loss is not finite; names the tasks and the step.
+        FloatingPointError: a loss is not finite; the message names the tasks and the step.
 
     >>> from metapp.learning.rules import sgd
-    >>> loss = Loss(lambda data, rng, done: Draw((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
     >>> learn({"x": torch.ones(1)}, sgd({"rate": torch.tensor([0.25])}), None, loss, steps=2, rng=Generator())
     {'x': tensor([0.2500])}
     """
@@ -198,34 +215,41 @@ def learn(
     ).theta
 
 
-# Losses and the combinators that lift them
+# Losses, and functions that lift them
 
 
 def task_loss(app: App, batch: int, *, outer: bool = False) -> Loss:
-    """The loss of an application on samples of tasks (alg. 2), [T].
+    """Return the loss of an application on random samples of tasks (alg. 2), [T].
 
     Args:
-        app: the application; equal ones give one object, by which compiled steps are found.
-        batch: samples of each task.
-        outer: whether it is the outer loss, on samples of training tasks.
+        app: the application; equal ones give one object, by which compiled steps are found again.
+        batch: the number of samples of each task.
+        outer: whether to return the outer loss, on samples of training tasks, instead of the inner loss.
     """
-    return _task_loss(replace(app), batch, outer)  # a copy, so that the cache holds no pictures of fits
+    return _task_loss(
+        replace(app), batch, outer
+    )  # a copy, so that the cache keeps no pictures of fits that the application holds
 
 
 @functools.lru_cache(maxsize=32)
 def _task_loss(app: App, batch: int, outer: bool) -> Loss:
     sample = app.outer_sample if outer else app.sample
-    # not the inherited one: steps in C know `Brdf.loss` by its name
+    # not App.outer_loss where it is inherited: steps in C recognise the method `Brdf.loss`
     value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
 
     def draw(tasks: Tasks, rng: Rng, done: float) -> DrawnBatch:
-        return DrawnBatch(tasks.selected_names, draw_per_task(lambda some, own: sample(some, own, batch), tasks, rng))
+        return DrawnBatch(tasks.selected_names, draw_per_task(lambda tasks, rng: sample(tasks, rng, batch), tasks, rng))
 
     return with_stages(Loss(draw, value), app.stage)
 
 
 def with_stages(loss: Loss, stage: Callable[[AnyData, float], AnyData]) -> Loss:
-    """The same loss of a part of the data, (data, done) -> data, that depends on how far a descent is."""
+    """Return a loss that draws from a part of the data, which depends on the share of steps that were taken.
+
+    Args:
+        loss: the loss that draws from complete data.
+        stage: a function (data, done) -> the part of the data to draw from; `done` is in [0, 1].
+    """
     return replace(loss, draw=lambda data, rng, done: loss.draw(stage(data, done), rng, done))
 
 
@@ -233,12 +257,19 @@ Augment = Callable[[Tasks, Generator], Tasks]
 
 
 def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Loss:
-    """Lift a loss on given tasks to the mean over `count` random ones of a set, drawn without replacement.
+    """Lift a loss on given tasks to the mean over random tasks of a set.
 
-    Of several kinds as many are drawn of each on average. `augment` is applied to the drawn tasks before sampling.
+    The tasks are drawn without replacement. If tasks are of several kinds, on average as many of each kind are drawn.
+
+    Args:
+        loss: the loss on given tasks.
+        count: the number of tasks that a step draws.
+        augment: a function (tasks, rng) -> augmented tasks, applied before samples are drawn; None for no augmentation.
 
     >>> tasks = Tasks(("gold", "chalk", "felt"), {}, torch.arange(3))
-    >>> loss = Loss(lambda tasks, rng, done: Draw(tasks.selected_names, {}), lambda theta, batch, learned: theta["x"])
+    >>> def draw_names(tasks, rng, done):
+    ...     return DrawnBatch(tasks.selected_names, {})
+    >>> loss = Loss(draw_names, lambda theta, batch, learned: theta["x"])
     >>> over_tasks(loss, count=2).draw(tasks, Generator().manual_seed(0), 0.0).names
     ('felt', 'gold')
     """
@@ -248,18 +279,18 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
             rows = torch.multinomial(tasks.kind_weights(), min(count, len(tasks)), generator=rng)
         else:
             rows = torch.randperm(len(tasks), generator=rng, device=rng.device)[:count]
-        picked = tasks.select(rows)
-        return loss.draw(augment(picked, rng) if augment else picked, rng, done)
+        drawn = tasks.select(rows)
+        return loss.draw(augment(drawn, rng) if augment else drawn, rng, done)
 
     return Loss(draw, loss.value, shared=True)
 
 
 class EncoderPrediction(NamedTuple):
-    """An encoder's prediction of initialisations.
+    """The prediction of initialisations by an encoder, as two functions.
 
     Attributes:
-        condition: (tasks, rng) -> the condition that it reads of each task.
-        encode: (encoder, condition) -> parameters [T, ...].
+        condition: a function (tasks, rng) -> the condition that the encoder reads of each task.
+        encode: a function (encoder parameters, condition) -> parameters [T, ...].
     """
 
     condition: Callable[[AnyData, Generator], AnyBatch]
@@ -273,30 +304,30 @@ def after_learning(
     steps: int,
     order: int,
     clip: float = float("inf"),
-    encoding: EncoderPrediction | None = None,
+    prediction: EncoderPrediction | None = None,
     outer_loss: Loss | None = None,
     steps_of: StepsOf = torch_steps,
 ) -> Loss:
-    """Lift a loss on theta to a loss on phi: the loss after learning from phi's theta by phi's rule (alg. 3).
+    """Lift a loss on theta to a loss on phi: the loss after a fit that phi initialises (alg. 3).
 
     Args:
         loss: the loss that the inner steps descend.
-        rule: alpha -> update rule.
-        steps: inner steps.
-        order: derivative carried through the steps: 1 leaves out second derivatives (FOMAML), 2 is exact (MAML).
-        clip: each task's gradient, over all of phi, is scaled down to this norm.
-        encoding: the encoder of phi, if its predictions are the initialisations.
+        rule: a function from hyperparameters alpha to an update rule.
+        steps: the number of inner steps.
+        order: 2 carries exact derivatives through the steps (MAML), 1 leaves out second derivatives (FOMAML).
+        clip: the norm to which each task's gradient, over all of phi, is scaled down if it is longer.
+        prediction: how phi's encoder predicts initialisations; None if phi holds the initialisation itself.
         outer_loss: the loss of the final theta; None for `loss` itself.
-        steps_of: maker of the inner steps, and of the loss of the final theta.
+        steps_of: a function that makes the inner steps, and evaluates the loss of the final theta.
 
     Returns:
-        A loss on the flat tree of MetaParameters, on all of the data however far the outer loop is.
+        A loss on the flat tree of MetaParameters. It draws from all of the data at every outer step.
 
     The loss x^2 is left at 0.25 by one step of rate 0.25 from x = 1, and its gradient in x is 2 (1 - 2 rate)^2 x:
 
     >>> from metapp.learning.rules import sgd
     >>> batch = {"target": torch.zeros(1)}
-    >>> loss = Loss(lambda data, rng, done: Draw((), batch), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), batch), lambda theta, batch, learned: theta["x"].square())
     >>> phi = MetaParameters({"x": torch.tensor(1.0)}, {"rate": torch.tensor([0.25])}).flatten()
     >>> lifted = after_learning(loss, sgd, steps=1, order=2)
     >>> drawn = lifted.draw(None, Generator(), 0.0).batch
@@ -309,37 +340,45 @@ def after_learning(
     def draw(tasks: AnyData, rng: Generator, done: float) -> DrawnBatch:
         inner = [loss.draw(tasks, rng, i / steps).batch for i in range(steps)]
         outer = last_loss.draw(tasks, rng, 1.0)
-        return DrawnBatch(outer.names, (inner, outer.batch, encoding.condition(tasks, rng) if encoding else None))
+        return DrawnBatch(outer.names, (inner, outer.batch, prediction.condition(tasks, rng) if prediction else None))
 
     def value(phi: Params, batch: AnyBatch, _: Params) -> Tensor:
         inner, outer, condition = batch
         count = next(iter(outer.values())).shape[0]
         parts = MetaParameters.unflatten(phi)
-        theta = encoding.encode(parts.encoder, condition) if encoding else expand_tasks(parts.theta, count, 0)
-        # the mean over tasks has divided each one's gradient by their number
+        theta = prediction.encode(parts.encoder, condition) if prediction else expand_tasks(parts.theta, count, 0)
+        # the mean over tasks divides the gradient of each task by their number, so that the limit is divided, too
         theta, alpha = clip_task_gradients(theta, expand_tasks(parts.alpha, count, 1), clip / count)
         update_rule = rule(alpha)
         final = learn_differentiably(theta, update_rule, inner, loss, order=order, steps_of=steps_of)
-        return steps_of(update_rule, last_loss, final, 1).value(final, outer)  # in C where that is to be had
+        return steps_of(update_rule, last_loss, final, 1).value(final, outer)  # steps may evaluate the loss in C
 
     return Loss(draw, value)
 
 
-def after_encoding(loss: Loss, encoding: EncoderPrediction) -> Loss:
-    """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
+def after_encoding(loss: Loss, prediction: EncoderPrediction) -> Loss:
+    """Lift a loss on theta to a loss on an encoder that predicts theta: the loss by which General is trained.
+
+    Args:
+        loss: the loss on theta.
+        prediction: how an encoder predicts theta.
+
+    Returns:
+        A loss on the flat tree of MetaParameters that hold an encoder.
+    """
 
     def draw(tasks: AnyData, rng: Generator, done: float) -> DrawnBatch:
         names, batch = loss.draw(tasks, rng, done)
-        return DrawnBatch(names, (encoding.condition(tasks, rng), batch))
+        return DrawnBatch(names, (prediction.condition(tasks, rng), batch))
 
-    def value(prepared: Params, batch: AnyBatch, learned: Params) -> Tensor:
-        return loss.value(encoding.encode(MetaParameters.unflatten(prepared).encoder, batch[0]), batch[1], learned)
+    def value(phi: Params, batch: AnyBatch, learned: Params) -> Tensor:
+        return loss.value(prediction.encode(MetaParameters.unflatten(phi).encoder, batch[0]), batch[1], learned)
 
     return Loss(draw, value)
 
 
 def expand_tasks(params: Params, count: int, axis: int) -> Params:
-    """The same parameters for each of `count` tasks, along a new task axis; nothing is copied.
+    """Expand parameters to `count` tasks along a new task axis, without copying them.
 
     >>> expand_tasks({"x": torch.zeros(2)}, 3, 0)["x"].shape
     torch.Size([3, 2])
@@ -350,45 +389,52 @@ def expand_tasks(params: Params, count: int, axis: int) -> Params:
     }
 
 
-class _ClipPerTask(torch.autograd.Function):
-    """Identity whose gradient is scaled down, task by task, to a norm; meta-gradients are heavy-tailed."""
+class _ClippedIdentity(torch.autograd.Function):
+    """An identity whose gradient is scaled down, task by task, to a greatest norm; meta-gradients are heavy-tailed."""
 
     limit: float
     axes: tuple[int, ...]
 
     @staticmethod
-    def forward(ctx: _ClipPerTask, limit: float, axes: tuple[int, ...], *tensors: Tensor) -> tuple[Tensor, ...]:
+    @override
+    def forward(ctx: _ClippedIdentity, limit: float, axes: tuple[int, ...], *tensors: Tensor) -> tuple[Tensor, ...]:
         ctx.limit, ctx.axes = limit, axes
         return tuple(tensor.view_as(tensor) for tensor in tensors)
 
     @staticmethod
-    def backward(ctx: _ClipPerTask, *grads: Tensor) -> tuple[Tensor | None, ...]:
+    @override
+    def backward(ctx: _ClippedIdentity, *grads: Tensor) -> tuple[Tensor | None, ...]:
         norms = []
         for grad, axis in zip(grads, ctx.axes, strict=True):
             others = [i for i in range(grad.ndim + 1) if i != axis]
             norms.append(torch.linalg.vector_norm(grad.unsqueeze(-1), dim=others))
         norm = torch.linalg.vector_norm(torch.stack(norms), dim=0)
         # a task whose gradient overflowed says nothing about the direction: it is left out of the mean
-        lost = ~torch.isfinite(norm)
+        overflowed = ~torch.isfinite(norm)
         scale = (ctx.limit / norm.clamp_min(1e-30)).clamp_max(1.0)
         clipped = []
         for grad, axis in zip(grads, ctx.axes, strict=True):
             shape = [1] * grad.ndim
             shape[axis] = -1
-            clipped.append((grad * scale.reshape(shape)).masked_fill_(lost.reshape(shape), 0.0))
+            clipped.append((grad * scale.reshape(shape)).masked_fill_(overflowed.reshape(shape), 0.0))
         return None, None, *clipped
 
 
 def clip_task_gradients(theta: Params, alpha: Params, limit: float) -> tuple[Params, Params]:
-    """The same values; on the way back each task's gradient over both trees has at most the norm `limit`.
+    """Return parameters unchanged, and limit the norm of each task's gradient in the backward pass.
+
+    Args:
+        theta: parameters [T, ...].
+        alpha: hyperparameters [K, T, ...].
+        limit: the greatest norm of one task's gradient, over both trees together.
 
     >>> x = torch.tensor([3.0, 0.1], requires_grad=True)
-    >>> theta, _ = clip_per_task({"x": x}, {}, 1.0)
+    >>> theta, _ = clip_task_gradients({"x": x}, {}, 1.0)
     >>> torch.autograd.grad(theta["x"].square().sum(), x)
     (tensor([1.0000, 0.2000]),)
     """
     keys = [*theta, *alpha]
     axes = (0,) * len(theta) + (1,) * len(alpha)
-    apply: Callable[..., tuple[Tensor, ...]] = _ClipPerTask.apply
+    apply: Callable[..., tuple[Tensor, ...]] = _ClippedIdentity.apply
     clipped = dict(zip(keys, apply(limit, axes, *theta.values(), *alpha.values()), strict=True))
     return {key: clipped[key] for key in theta}, {key: clipped[key] for key in alpha}

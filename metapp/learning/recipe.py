@@ -1,4 +1,8 @@
-"""The settings of a run, for one application: the optimisers, how checkpoints are trained, sizes."""
+"""The settings of a run for one application: optimisers, the training of checkpoints, and sizes.
+
+Settings are plain frozen dataclasses: what differs between two runs is a field, and a record stores all fields.
+Recipes themselves are beside their applications; this module only imports an application's type.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Adam:
-    """Settings of a plain Adam descent: the rate decays from `rate` by a half cosine to `rate * final`."""
+    """The settings of a plain Adam descent.
+
+    Attributes:
+        rate: the first learning rate.
+        beta1, beta2: the decay factors of the first and the second moment.
+        eps: the number that is added to the root of the second moment.
+        final: the last rate as a share of the first, to which the rate falls by half a cosine.
+    """
 
     rate: float
     beta1: float = 0.9
@@ -23,30 +34,32 @@ class Adam:
     final: float = 1.0
 
 
-# a coordinate search: lines of changes, one line after the other around the best so far; a rate is a factor of its rate
+# a coordinate search in lines: all changes of a line are tried around the best Adam of the lines before; a rate is a
+# factor of the rate of that Adam, all other settings replace its own
 AdamSearch = tuple[Sequence[Mapping[str, float]], ...]
 ADAM_SEARCH: AdamSearch = (
-    [{"rate": 2.0**i} for i in (-1, 1, -2, 2, -3, 3, -4, 4, -5, 5)],
+    [{"rate": 2.0**power} for power in (-1, 1, -2, 2, -3, 3, -4, 4, -5, 5)],
     [
         {"beta1": beta1, "beta2": beta2}
         for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
     ],
     [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
     [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
-    [{"rate": 2 ** (i / 8)} for i in (-5, -3, -2, -1, 1, 2, 3, 5)],
+    [{"rate": 2 ** (eighth / 8)} for eighth in (-5, -3, -2, -1, 1, 2, 3, 5)],
 )
 
 
 @dataclass(frozen=True)
 class Guard:
-    """Which fits by a learned rule are doubtful, and the Adam used as fallback (`metapp.learning.guard`).
+    """Which fits by a learned rule are doubtful, and the Adam that continues them; see :mod:`metapp.learning.guard`.
 
     Attributes:
-        adam: the fallback, which continues a doubtful fit for as many steps again, from its end or its initialisation.
-        fall: a fit is doubtful whose visible loss ends above this share of its initialisation's; 1 or less, and 1 if
-            losses may be negative.
-        rise: a fit is also doubtful whose loss, in the second half of its steps, exceeds this many times its minimum so
-            far; infinite if losses of different steps are not comparable (other samples, learned loss parameters).
+        adam: the Adam that continues a doubtful fit for as many steps again, from its end or its initialisation.
+        fall: a fit is doubtful if its plain loss ends above this share of the loss of its initialisation; at most 1,
+            and 1 if losses may be negative.
+        rise: a fit is also doubtful if its loss, in the second half of its steps, exceeds this many times the lowest
+            loss before it; infinite if losses of different steps cannot be compared (other samples, learned loss
+            parameters).
     """
 
     adam: Adam
@@ -59,17 +72,17 @@ class OuterLoop:
     """The outer loop that trains a checkpoint on the training tasks.
 
     Attributes:
-        steps: outer steps.
-        tasks: tasks per outer step.
-        rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
-        warmup: outer steps of linear warm-up.
-        final: the rate's last value over its first, reached by a half cosine.
-        hold: share of the steps before this decay begins.
-        decay: weight decay (L2) of the outer Adam.
-        validate_every: outer steps between two validations.
-        augment: train on augmented tasks.
-        validation_variants: augmented variants of each validation task that validate in its place, drawn once; 0: the
-            validation tasks themselves.
+        steps: the number of outer steps.
+        tasks: the number of tasks that an outer step sees.
+        rates: learning rates of the outer Adam by the beginning of a parameter's name; "" is the rate of all others.
+        warmup: the number of outer steps of linear warm-up.
+        final: the last rate as a share of the first, reached by half a cosine.
+        hold: the share of the outer steps before the rate begins to fall.
+        decay: the weight decay (L2) of the outer Adam.
+        validate_every: the number of outer steps between two validations.
+        augment: whether to train on augmented tasks.
+        validation_variants: how many augmented variants of each validation task replace it, drawn once; 0 validates on
+            the tasks themselves.
     """
 
     steps: int
@@ -89,19 +102,19 @@ Initialisation = Literal["random", "mean", "encoder", "untrained"]
 
 @dataclass(frozen=True)
 class MetaTraining(OuterLoop):
-    """The same through the steps of fits: how an initialisation and a rule are learned.
+    """The training of an initialisation and a rule, by an outer loop through the steps of fits.
 
     Attributes:
-        first: the Adam that a learned rule is before training; SGD of this rate for meta-sgd.
-        tuned: search that Adam on validation tasks, as QuickFT's, before the outer steps, if any.
-        order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML).
-        clip: each task's outer gradient is scaled down to this norm before the mean is taken.
-        initialisation: the first one: "random"; "mean" of General's predictions; "encoder", General's own, which
-            begins each task at its prediction and which outer steps, if any, train through the inner ones; "untrained",
-            the same for an encoder that nothing has trained before.
-        app: the application with this rule's own network; None for the recipe's.
-        guard: which fits by the rule are doubtful, as validation tasks show; None: those that end above their
-            initialisation.
+        first: the Adam that a learned rule equals before training; SGD of its rate for meta-sgd.
+        tuned: whether that Adam is searched on validation tasks before the outer steps, as QuickFT's is.
+        order: the order of derivatives through the inner steps: 1 (FOMAML) or 2 (MAML).
+        clip: the norm to which each task's outer gradient is scaled down before the mean over tasks is taken.
+        initialisation: where fits begin before training. "random" is a random theta_0, "mean" the mean of General's
+            predictions as theta_0. "encoder" is General's encoder: each fit begins at its prediction, and outer steps,
+            if any, train it through the inner ones. "untrained" is such an encoder with random parameters.
+        app: the application with the network of this rule; None for the recipe's application.
+        guard: which fits by the rule are doubtful, chosen on validation tasks; None for fits that end above the loss of
+            their initialisation.
     """
 
     first: Adam = Adam(5e-3, beta2=0.99)
@@ -114,25 +127,25 @@ class MetaTraining(OuterLoop):
 
     @property
     def from_general(self) -> bool:
-        """True if the first initialisation comes from a prepared General."""
+        """Whether the first initialisation is taken from a trained General."""
         return self.initialisation in ("mean", "encoder")
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything a run may vary, for one application; a record stores the one it used.
+    """All settings of runs of one application; a record stores the recipe that it used.
 
     Attributes:
-        steps: n_l, Meta's and QuickFT's number of gradient steps.
-        batch: samples b that one gradient step sees.
-        overfit_steps, overfit: Overfit's number of steps and its Adam.
-        finetune_steps, finetune: the same for Finetune.
-        quickft: QuickFT's Adam, tuned on validation tasks.
-        general: how General's encoder is trained.
-        meta: how each rule's checkpoint is trained, by the rule's name.
-        rule: the rule that is best on validation tasks: Meta's default.
+        steps: the number of gradient steps of Meta and QuickFT, n_l in the paper.
+        batch: the number of samples of each task that one gradient step sees.
+        overfit_steps, overfit: the number of steps and the Adam of Overfit.
+        finetune_steps, finetune: the number of steps and the Adam of Finetune.
+        quickft: the Adam of QuickFT, tuned on validation tasks.
+        general: the training of General's encoder.
+        meta: the training of each rule's checkpoint, by the rule's name.
+        rule: the rule that is best on validation tasks, which Meta uses unless --rule names another.
         app: the application, with the sizes of its network.
-        search: what a search of an Adam on validation tasks tries, for QuickFT and for rules that are tuned.
+        search: which Adams a search on validation tasks tries, for QuickFT and for rules that are tuned.
     """
 
     steps: int
@@ -149,24 +162,24 @@ class Recipe:
     search: AdamSearch = ADAM_SEARCH
 
     def training(self, rule: str) -> MetaTraining:
-        """The training of a rule, its network, and the guard of its fits after the recipe's number of steps.
+        """Return the training of a rule: its network, its outer loop, and the guard of its fits.
 
-        A rule that the recipe does not have is trained as its default rule, with that one's network and initialisation,
-        and has no guard of its own.
+        The guard holds for fits of the recipe's number of steps. A rule that the recipe does not list is trained like
+        the recipe's default rule, with the network and the initialisation of that rule, but without its guard.
         """
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
 
 
 def paper_recipe(recipe: Recipe, app: App, **changes: Any) -> Recipe:
-    """The recipe of Fischer & Ritschel 2022: MAML with Meta-SGD from a random initialisation, Overfit for 10,000 steps.
+    """Return the recipe of Fischer & Ritschel 2022: first-order MAML with Meta-SGD from a random initialisation.
 
-    Outer steps, rates and weight decay are those of the authors' code (config/*.yaml of mfischer-ucl/metappearance),
-    which has no clip: here it takes rare spikes of the gradient.
+    Overfit takes 10,000 steps. Outer steps, rates and weight decay are taken from the authors' code (config/*.yaml of
+    mfischer-ucl/metappearance). That code does not clip gradients; here a clip removes rare spikes.
 
     Args:
-        recipe: all else.
-        app: with the paper's network.
-        changes: fields of the training if it is not of first order with a meta-batch of 5.
+        recipe: the recipe that all other settings are taken from.
+        app: the application with the paper's network.
+        changes: fields of the training of Meta-SGD that differ, such as `order` or the number of `tasks`.
     """
     training = MetaTraining(
         steps=1_000_000,
@@ -183,9 +196,13 @@ def paper_recipe(recipe: Recipe, app: App, **changes: Any) -> Recipe:
 
 
 def long_paper_recipe(published: Recipe, rate: float = 1e-3) -> Recipe:
-    """The recipe of the paper at a higher outer rate, which decays to 0 in the last quarter of the outer steps.
+    """Return the paper's recipe with a higher outer rate, which falls to 0 in the last quarter of the outer steps.
 
     At the published constant rate, step sizes and initialisation still move after 10^6 outer steps.
+
+    Args:
+        published: the paper's recipe.
+        rate: the higher outer rate.
     """
     training = published.training("meta-sgd")
     return replace(published, meta={"meta-sgd": replace(training, rates={"": rate}, hold=0.75, final=0.0)})

@@ -136,7 +136,7 @@ class MetaPreparation(Preparation):
             steps=paradigm.steps,
             order=training.order,
             clip=training.clip,
-            encoding=encoder_prediction(app) if phi.encoder else None,
+            prediction=encoder_prediction(app) if phi.encoder else None,
             outer_loss=task_loss(app, paradigm.recipe.batch, outer=True),
             steps_of=fastest_steps(compiles=app.single_threaded),
         )

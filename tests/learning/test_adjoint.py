@@ -145,7 +145,7 @@ def test_derivatives_are_finite_differences(kind: str, rule: str, encoded: bool,
     """Through the steps of every rule, in float64, along a random direction of each parameter of phi."""
     app, learned, start = small_app(kind), rule_of(rule), encoder_prediction(small_app(kind)) if encoded else None
     inner = learned.loss(app, task_loss(app, 16))
-    loss = after_learning(inner, learned.update_rule, steps=3, order=2, encoding=start)
+    loss = after_learning(inner, learned.update_rule, steps=3, order=2, prediction=start)
     drawn = loss.draw(stack_tasks(app, SMALL[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
     batch = tree_map(lambda leaf: leaf.double() if isinstance(leaf, Tensor) else leaf, drawn)
     theta = {key: value[0].double() for key, value in app.init(Generator().manual_seed(2), 1).items()}

@@ -1,7 +1,8 @@
-"""Update rules: plain ones (`descent`), and learned ones, which are made of parts.
+"""Update rules: plain ones with fixed settings, and learned ones, which are composed of parts.
 
-A `Part` has hyperparameters and acts at points of a step; a `LearnedRule` passes a step through its parts (`rule`). The
-parts are in `parts`, `network` and `solve`; `metapp.learned_rules` has the parts and rules by name.
+In order of reading: :mod:`descent` has the plain rules. :mod:`rule` says what a `Part` is, and how a `LearnedRule`
+passes a step through its parts. :mod:`parts` has most of the parts, :mod:`network` and :mod:`solve` have one large part
+each. `metapp.learned_rules` finds parts and rules by their names.
 """
 
 from metapp.learning.rules.descent import append_axes, fixed_adam, half_cosine, outer_adam, sgd

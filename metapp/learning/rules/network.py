@@ -1,11 +1,12 @@
-"""Learned gradient descent: a convolutional network that adds to a rule's steps of a parameter that lies on a grid.
+"""Learned gradient descent: a convolutional network adds to a rule's steps of parameters that lie on a grid.
 
-The network reads the parameter, its gradient, the rule's direction and a memory of its own from the steps before. Its
-output is added to the rule's own step (Adler & Oektem 2017; Putzky & Welling 2017). It thus learns which changes of
-its neighbourhood a gradient calls for, if the loss alone leaves that open.
+The network reads the parameter, its gradient, the rule's direction and a memory of the steps before. Its output is
+added to the rule's step (Adler & Oektem 2017; Putzky & Welling 2017). So it learns which changes of a texel's
+neighbourhood a gradient calls for, where the loss alone leaves that open.
 
-Its weights are learned hyperparameters, `around.<parameter>.*` if the grid's columns go on at the other edge, else
-`within.<parameter>.*`; all but the shifts are shared by all steps.
+The network's weights are learned hyperparameters: `around.<parameter>.*` if the grid's columns continue at the opposite
+edge, else `within.<parameter>.*`. Three layers have a `kernel` and a `shift` for each step; `place` is a shift for each
+texel, which all steps share like the kernels, and `unit` the logarithm of the length in which moves are measured.
 """
 
 from __future__ import annotations
@@ -15,20 +16,21 @@ import math
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, leaky_relu, pad
+from typing_extensions import override
 
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import Params
 
-HIDDEN_CHANNELS = 32  # channels of its two inner layers
-MEMORY_CHANNELS = 16  # channels of what it remembers from step to step
-PARAMETER_UNIT_STEPS = 10  # how many times a step's length the parameter is measured in
+HIDDEN_CHANNELS = 32  # channels of the network's two inner layers
+MEMORY_CHANNELS = 16  # channels of the memory from step to step
+PARAMETER_UNIT_STEPS = 10  # the unit of the parameter as the network reads it, in lengths of a step
 LEAKY_RELU_SLOPE = 0.1
 
 
 def is_periodic(app: App) -> bool:
-    """Return whether the columns of an application's parameters on a grid go on at the grid's other edge."""
+    """Return whether columns of an application's grid parameters continue at the opposite edge."""
     return bool(getattr(app.network, "periodic", False))
 
 
@@ -37,15 +39,16 @@ class StepNetwork(Part):
 
     name = "network"
 
+    @override
     def refusal(self, app: App, theta: Params) -> str:
-        """It needs a parameter on a grid."""
         on_grid = any(value.ndim == 3 for value in theta.values())
         return "" if on_grid else "no parameter lies on a grid, which has three axes"
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Random inner layers and last ones of zeros: such a network adds nothing and leaves its memory empty.
+        """Draw random inner layers; last layers are 0, so that a network adds nothing and leaves its memory empty.
 
-        Its moves are measured in the rate of `first`, the length of the rule's own steps.
+        The network's moves are measured in the rate of `first`, the length of the rule's own steps.
         """
         alpha: Params = {}
         rng = Generator().manual_seed(0)
@@ -66,59 +69,70 @@ class StepNetwork(Part):
                 }
         return alpha
 
+    @override
     def state(self, alpha: Params, theta: Params) -> Params:
-        """Empty memories, `memory.<parameter>` [T, MEMORY, rows, columns]."""
+        """Return empty memories, `memory.<parameter>` [T, MEMORY_CHANNELS, rows, columns]."""
         return {
             f"memory.{key}": value.new_zeros(len(value), MEMORY_CHANNELS, *value.shape[2:])
             for key, value in theta.items()
-            if _name_of(alpha, key)
+            if _network_name(alpha, key)
         }
 
+    @override
     def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
-        """The parameters plus the output of the networks."""
+        """Add the networks' outputs to the parameters, and return the new memories."""
         results, memories = dict(moved), {}
         for key, value in before.theta.items():
-            if name := _name_of(alpha, key):
+            if name := _network_name(alpha, key):
                 memory = state[f"memory.{key}"]
-                added, written = _move(alpha, name, value, before.grads[key], before.directions[key], memory)
-                results[key], memories[f"memory.{key}"] = moved[key] + added, written
+                added, new_memory = _evaluate_network(
+                    alpha, name, value, before.grads[key], before.directions[key], memory
+                )
+                results[key], memories[f"memory.{key}"] = moved[key] + added, new_memory
         return results, memories
 
 
-def _name_of(alpha: Params, key: str) -> str:
-    """The name of a parameter's network in alpha; "" if it has none."""
+def _network_name(alpha: Params, key: str) -> str:
+    """Return the name of the network of a parameter in alpha; "" if the parameter has none."""
     return next((f"{edge}.{key}" for edge in ("around", "within") if f"{edge}.{key}.unit" in alpha), "")
 
 
-def _move(
+def _evaluate_network(
     alpha: Params, name: str, value: Tensor, grad: Tensor, direction: Tensor, memory: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """The addition of a network to a parameter, and its memory after that.
+    """Evaluate a network, and return what it adds to its parameter, and its new memory.
 
     Args:
         alpha: the hyperparameters of this step, with a task axis.
-        name: the network's.
+        name: the name of the network.
         value: the parameter [T, channels, rows, columns].
-        grad: its gradient; the network reads each task's at length 1, and the logarithm of its length.
-        direction: the rule's own, before any rate.
-        memory: its own from the steps before, [T, MEMORY, rows, columns].
+        grad: its gradient [T, channels, rows, columns]; the network reads it at length 1, and the logarithm of its
+            length.
+        direction: the rule's direction [T, channels, rows, columns], before any rate.
+        memory: the network's memory of the steps before, [T, MEMORY_CHANNELS, rows, columns].
+
+    Returns:
+        The addition to the parameter [T, channels, rows, columns], and the memory after this step.
     """
     unit = torch.exp(alpha[f"{name}.unit"])[:, None, None, None]
-    size = (grad.square().mean((1, 2, 3), keepdim=True) + 1e-24).sqrt()
-    log_size = 0.3 * size.log().expand(-1, 1, *grad.shape[2:])
-    x = torch.cat([value / (PARAMETER_UNIT_STEPS * unit), grad / size, direction, log_size, memory], 1)
-    x = _layer(alpha, name, 0, x) + alpha[f"{name}.place"]
-    x = _layer(alpha, name, 1, leaky_relu(x, LEAKY_RELU_SLOPE))
-    x = _layer(alpha, name, 2, leaky_relu(x, LEAKY_RELU_SLOPE))
-    moves, written = x.split([value.shape[1], MEMORY_CHANNELS], 1)
-    return unit * moves, memory + written
+    grad_length = (grad.square().mean((1, 2, 3), keepdim=True) + 1e-24).sqrt()
+    log_length = 0.3 * grad_length.log().expand(-1, 1, *grad.shape[2:])
+    features = torch.cat([value / (PARAMETER_UNIT_STEPS * unit), grad / grad_length, direction, log_length, memory], 1)
+    features = _convolve(alpha, name, 0, features) + alpha[f"{name}.place"]
+    features = _convolve(alpha, name, 1, leaky_relu(features, LEAKY_RELU_SLOPE))
+    output = _convolve(alpha, name, 2, leaky_relu(features, LEAKY_RELU_SLOPE))
+    moves, memory_change = output.split([value.shape[1], MEMORY_CHANNELS], 1)
+    return unit * moves, memory + memory_change
 
 
-def _layer(alpha: Params, name: str, i: int, x: Tensor) -> Tensor:
-    """A 3x3 convolution of each task's channels by its own kernel; beyond the edges are zeros, or the other edge."""
-    around = name.startswith("around.")
-    x = pad(x, (1, 1, 0, 0), mode="circular") if around else x
-    # task by task: of groups of such numbers of channels the library makes slow work
-    pairs = zip(x.split(1), alpha[f"{name}.kernel{i}"], strict=True)
-    convolved = torch.cat([conv2d(one, kernel, padding=(1, 0 if around else 1)) for one, kernel in pairs])
-    return convolved + alpha[f"{name}.shift{i}"]
+def _convolve(alpha: Params, name: str, layer: int, features: Tensor) -> Tensor:
+    """Convolve each task's channels [T, C, rows, columns] with kernels of 3x3 of that task, and add a shift.
+
+    Outside the edges are zeros, or the texels of the opposite edge.
+    """
+    periodic = name.startswith("around.")
+    features = pad(features, (1, 1, 0, 0), mode="circular") if periodic else features
+    # task by task, as grouped convolutions of so few channels are slow in the library
+    pairs = zip(features.split(1), alpha[f"{name}.kernel{layer}"], strict=True)
+    convolved = torch.cat([conv2d(task, kernel, padding=(1, 0 if periodic else 1)) for task, kernel in pairs])
+    return convolved + alpha[f"{name}.shift{layer}"]

@@ -1,4 +1,8 @@
-"""The parts of learned rules that are a few lines each; `network` and `solve` are beside them."""
+"""The parts of learned rules that take a few lines each.
+
+Each class says which hyperparameters it has, under which names, and what they do to a step. The two large parts are in
+:mod:`metapp.learning.rules.network` and :mod:`metapp.learning.rules.solve`.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import math
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
@@ -13,152 +18,174 @@ from metapp.learning.rules.descent import adam_directions, adam_state, append_ax
 from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import Params
 
-META_EPS = 1e-6  # of rules without the part "eps"
-TAIL_SHARE = 0.4  # of the steps, by tail averaging
-BASIS_EQUATIONS = {"out": "{0}ji,{0}j...->{0}i...", "in": "{0}ji,{0}kj...->{0}ki..."}  # of bases
+META_EPS = 1e-6  # Adam's eps in rules without the part "eps"
+TAIL_SHARE = 0.4  # the share of the steps whose parameters tail averaging averages
+# einsum of a basis and a gradient, by the axis that the basis rotates; {0} is the task axis
+BASIS_EQUATIONS = {"out": "{0}ji,{0}j...->{0}i...", "in": "{0}ji,{0}kj...->{0}ki..."}
 
 
 class SignedRates(Part):
-    """One rate per weight, the same at every step, of any sign: `rate.<parameter>` [1, ...] (Li et al. 2017)."""
+    """A rate of any sign for each weight, shared by all steps: `rate.<parameter>` [1, ...] (Li et al. 2017)."""
 
     name = "sgd"
     is_rate = True
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """The rate of `first` for all."""
+        """Return the rate of `first` for all weights."""
         return {f"rate.{key}": torch.full_like(value, first.rate)[None] for key, value in theta.items()}
 
+    @override
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Rate times update; parameters without a rate stay."""
+        """Multiply the updates by their rates; parameters without a rate get no update."""
         return {
-            key: append_axes(alpha[f"rate.{key}"], up) * up for key, up in updates.items() if f"rate.{key}" in alpha
+            key: append_axes(alpha[f"rate.{key}"], update) * update
+            for key, update in updates.items()
+            if f"rate.{key}" in alpha
         }
 
 
 class Rates(Part):
-    """The logarithm of a rate per weight and step: `rate.<parameter>` [steps, ...]."""
+    """The logarithm of a rate for each weight and step: `rate.<parameter>` [steps, ...]."""
 
     name = "rates"
     is_rate = True
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """The half cosine of `first` for all."""
+        """Return the half cosine of `first` for all weights."""
         rates = half_cosine(first.rate, steps, first.final).log()
         return {f"rate.{key}": append_axes(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
 
+    @override
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Rate times update; the logarithms of rate and pace, if there is one, add up. No rate: no update."""
-        rated = {key: update for key, update in updates.items() if f"rate.{key}" in alpha}
-        return {key: append_axes(torch.exp(_logarithm(alpha, key)), update) * update for key, update in rated.items()}
+        """Multiply the updates by their rates and paces; parameters without a rate get no update."""
+        with_rate = {key: update for key, update in updates.items() if f"rate.{key}" in alpha}
+        return {
+            key: append_axes(torch.exp(_log_rate(alpha, key)), update) * update for key, update in with_rate.items()
+        }
 
 
 class SharedRates(Rates):
-    """The logarithm of a rate per weight, the same at every step: `rate.<parameter>` [1, ...]."""
+    """The logarithm of a rate for each weight, shared by all steps: `rate.<parameter>` [1, ...]."""
 
     name = "shared"
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """The first rate of `first` for all."""
+        """Return the first rate of `first` for all weights."""
         return {key: value[:1] for key, value in super().initial(app, theta, steps, first).items()}
 
 
 class Paces(Part):
-    """The logarithm of a factor per parameter tensor and step: `pace.<parameter>` [steps].
+    """The logarithm of a factor of rates for each parameter tensor and step: `pace.<parameter>` [steps].
 
-    With shared rates, a rule is as small as one of signed rates: "tied".
+    With shared rates, a rule is then nearly as small as a rule of signed rates; this composition is named "tied".
     """
 
     name = "pace"
     needs_one_of = (Rates.name, SharedRates.name)
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """The half cosine of `first`, relative to its first rate."""
+        """Return the half cosine of `first`, relative to its first rate."""
         paces = half_cosine(1.0, steps, first.final).log()
         return {f"pace.{key}": paces.clone() for key in theta}
 
 
-def _logarithm(alpha: Params, key: str) -> Tensor:
+def _log_rate(alpha: Params, key: str) -> Tensor:
+    """Return the logarithm of a parameter's rate, times its pace if it has one."""
     rate = alpha[f"rate.{key}"]
     return rate + append_axes(alpha[f"pace.{key}"], rate) if f"pace.{key}" in alpha else rate
 
 
 class Betas(Part):
-    """Adam's moments and normalised directions; `beta1` and `beta2` [steps] hold the logits of its betas."""
+    """Adam's moments and normalised directions; `beta1` and `beta2` [steps] hold the logits of its decay factors."""
 
     name = "betas"
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """The betas of `first` at every step."""
+        """Return the decay factors of `first` for all steps."""
         betas = {"beta1": first.beta1, "beta2": first.beta2}
         return {name: torch.full((steps,), math.log(beta / (1 - beta))) for name, beta in betas.items()}
 
+    @override
     def state(self, alpha: Params, theta: Params) -> Params:
-        """Both moments, 0."""
+        """Return moments of 0. See :func:`metapp.learning.rules.descent.adam_state`."""
         return adam_state(theta)
 
+    @override
     def directions(self, alpha: Params, directions: Params, state: Params) -> tuple[Params, Params]:
-        """Adam's directions."""
+        """Replace gradients by Adam's normalised directions, and return the new moments."""
         beta1, beta2 = torch.sigmoid(alpha["beta1"]), torch.sigmoid(alpha["beta2"])
         eps = torch.exp(alpha["eps"]) if "eps" in alpha else META_EPS
         return adam_directions(beta1, beta2, eps, directions, state)
 
 
 class Eps(Part):
-    """The logarithm of Adam's eps, `eps` [1], which the part "betas" reads instead of its own."""
+    """The logarithm of Adam's eps, `eps` [1], which the part "betas" reads instead of META_EPS."""
 
     name = "eps"
     needs_one_of = (Betas.name,)
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """The eps of `first`."""
+        """Return the eps of `first`."""
         return {"eps": torch.tensor([math.log(first.eps)], dtype=torch.float64)}
 
 
 class LossParameters(Part):
-    """The loss parameters `loss.<name>` [steps, ...] of an application, if it has any.
+    """The loss parameters of an application, `loss.<name>` [steps, ...], if it has any.
 
-    They go to the inner loss (`adjoint.loss_parameters`), so that this part says nothing about a step.
+    The inner loss reads them (see :func:`metapp.learning.adjoint.select_loss_parameters`), so that this part changes
+    nothing else about a step.
     """
 
     name = "loss"
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """As the application has them."""
+        """Return the initial values that the application gives its loss parameters."""
         return {f"loss.{key}": value for key, value in app.loss_parameters(steps).items()}
 
 
 class Curvature(Part):
-    """Matrices that mix a layer's directions: Meta-Curvature (Park & Oliva 2019).
+    """Matrices that mix the directions of a layer: Meta-Curvature (Park & Oliva 2019).
 
-    `left.<parameter>`, `right.<parameter>`, per step, are on both sides of each parameter of two axes.
+    For each parameter of two axes, `left.<parameter>` and `right.<parameter>` [steps, size, size] multiply its
+    direction from both sides.
     """
 
     name = "curvature"
 
+    @override
     def refusal(self, app: App, theta: Params) -> str:
-        """It needs a matrix."""
-        return "" if any(_sides(value) for value in theta.values()) else "no parameter has two axes"
+        return "" if any(_matrix_sizes(value) for value in theta.values()) else "no parameter has two axes"
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """The identity, [steps, size, size], for each axis of more than one entry."""
+        """Return identity matrices for all axes of more than one entry."""
         return {
             f"{side}.{key}": torch.eye(size).repeat(steps, 1, 1)
             for key, value in theta.items()
-            for side, size in _sides(value).items()
+            for side, size in _matrix_sizes(value).items()
         }
 
+    @override
     def directions(self, alpha: Params, directions: Params, state: Params) -> tuple[Params, Params]:
-        """Left matrix times direction times right matrix."""
-        return {key: _mixed(alpha, key, direction) for key, direction in directions.items()}, {}
+        """Multiply each direction by its left and its right matrix."""
+        return {key: _mix_direction(alpha, key, direction) for key, direction in directions.items()}, {}
 
 
-def _sides(value: Tensor) -> dict[str, int]:
-    """The sizes of a parameter's matrices, of one task."""
+def _matrix_sizes(value: Tensor) -> dict[str, int]:
+    """Return the sizes of the left and the right matrix of a parameter of one task, by side; {} if it has none."""
     sides = zip(("left", "right"), value.shape, strict=True) if value.ndim == 2 else ()
     return {side: size for side, size in sides if size > 1}
 
 
-def _mixed(alpha: Params, key: str, direction: Tensor) -> Tensor:
+def _mix_direction(alpha: Params, key: str, direction: Tensor) -> Tensor:
+    """Multiply a direction by the left and the right matrix of its parameter, where there are such."""
     if f"left.{key}" in alpha:
         direction = alpha[f"left.{key}"] @ direction
     if f"right.{key}" in alpha:
@@ -167,66 +194,76 @@ def _mixed(alpha: Params, key: str, direction: Tensor) -> Tensor:
 
 
 class Average(Part):
-    """Tail averaging: the mean of the last parameters as the result, for losses of random samples.
+    """Tail averaging: the result of a fit is the mean of its last parameters, for losses of random samples.
 
-    `mean` [steps] is the new parameters' weight in the running mean; `answer` is the mean's own in the result.
+    `mean` [steps] is the weight of a step's parameters in the running mean. `answer` [steps] is the weight of the
+    running mean in the parameters that the step returns.
     """
 
     name = "average"
 
+    @override
     def refusal(self, app: App, theta: Params) -> str:
-        """It needs samples that scatter the parameters."""
         return "its fits see nothing random that would scatter the parameters" if app.deterministic else ""
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Tail averaging over AVERAGED of the steps."""
+        """Return weights that average the last TAIL_SHARE of the steps."""
         return tail_averaging_weights(steps)
 
+    @override
     def state(self, alpha: Params, theta: Params) -> Params:
-        """The mean, which the first parameters replace."""
-        # not theta: derivatives are not carried through a state's first values, which the first mean forgets anyway
+        """Return means of 0, which the first parameters replace."""
+        # not theta: derivatives do not flow through the first state, and the first weight of 1 replaces the mean anyway
         return {f"mean.{key}": torch.zeros_like(value) for key, value in theta.items()}
 
+    @override
     def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
-        """The parameters, or the mean at the last step."""
+        """Update the running mean, and return it in place of the parameters at the last step."""
         means, results = {}, {}
         for key, value in moved.items():
-            last = state[f"mean.{key}"]
-            mean = means[f"mean.{key}"] = torch.lerp(last, value, append_axes(alpha["mean"], last))
-            results[key] = torch.lerp(value, mean, append_axes(alpha["answer"], last))
+            old_mean = state[f"mean.{key}"]
+            mean = means[f"mean.{key}"] = torch.lerp(old_mean, value, append_axes(alpha["mean"], old_mean))
+            results[key] = torch.lerp(value, mean, append_axes(alpha["answer"], old_mean))
         return results, means
 
+    @override
     def for_steps(self, alpha: Params, steps: int) -> Params:
-        """The mean is over the last of the steps, however many they are."""
+        """Return weights that average the last TAIL_SHARE of these steps."""
         return alpha | {name: value.to(alpha[name]) for name, value in tail_averaging_weights(steps).items()}
 
 
 def tail_averaging_weights(steps: int) -> Params:
-    """`mean` and `answer` [steps]: the last step gives the running mean over the last AVERAGED of the steps."""
-    after = torch.arange(steps) - round((1 - TAIL_SHARE) * steps)
+    """Return `mean` and `answer` [steps], by which the last step returns the mean over the last of the steps.
+
+    TAIL_SHARE is the share of the steps that the mean is taken over.
+    """
+    step_of_tail = torch.arange(steps) - round((1 - TAIL_SHARE) * steps)
     return {
-        "mean": 1 / (1 + after).clamp_min(1),
+        "mean": 1 / (1 + step_of_tail).clamp_min(1),
         "answer": (torch.arange(steps) == steps - 1).float(),
     }
 
 
 class Basis(Part):
-    """The eigenbasis of gradients, in which Adam's entries depend least on each other.
+    """The eigenbasis of gradients, in which the entries that Adam scales depend least on each other.
 
-    `out.<parameter>`, `in.<parameter>` [1, size, size] are bases of a parameter's first two axes. Gradients are turned
-    to them, and updates back: rates are of the axes that bases turn to. That is SOAP (Vyas et al. 2024), but for axes
-    that are learned once, on the training tasks, not anew in each fit, which has no time for it.
+    `out.<parameter>` and `in.<parameter>` [1, size, size] are orthonormal bases of the first two axes of a parameter.
+    Gradients are rotated into them and updates back, so that rates belong to the axes of the bases. This is SOAP (Vyas
+    et al. 2024), except that the bases are found once, on the training tasks: a fit of a few steps has no time to find
+    them.
     """
 
     name = "basis"
     settled = ("out.", "in.")
 
+    @override
     def refusal(self, app: App, theta: Params) -> str:
-        """It needs a matrix, of however many further axes."""
         return "" if any(value.ndim > 1 for value in theta.values()) else "no parameter has two axes"
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """The identity."""
+        """Return identity matrices, until :meth:`settle` replaces them."""
         return {
             f"{axis}.{key}": torch.eye(size)[None]
             for key, value in theta.items()
@@ -234,18 +271,21 @@ class Basis(Part):
             for axis, size in zip(BASIS_EQUATIONS, value.shape[:2], strict=True)
         }
 
+    @override
     def gradients(self, alpha: Params, grads: Params) -> Params:
-        """Gradients in the bases."""
-        return {key: _rotated(alpha, key, grad) for key, grad in grads.items()}
+        """Rotate gradients into the bases."""
+        return {key: _rotate(alpha, key, grad) for key, grad in grads.items()}
 
+    @override
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Updates back from the bases."""
-        return {key: _rotated(alpha, key, update, back=True) for key, update in updates.items()}
+        """Rotate updates back from the bases."""
+        return {key: _rotate(alpha, key, update, back=True) for key, update in updates.items()}
 
+    @override
     def gather(self, alpha: Params, grads: Params) -> Params:
-        """Sums of products of gradients [T, out, in, ...] for each basis, [size, size].
+        """Return sums of products of gradients [T, out, in, ...] along the axis of each basis, [size, size].
 
-        Each gradient is brought to length 1, so that tasks weigh alike.
+        Each gradient is scaled to length 1, so that all tasks weigh alike.
         """
         moments = {}
         for name in alpha:
@@ -257,16 +297,17 @@ class Basis(Part):
                 moments[name] = rows @ rows.mT
         return moments
 
+    @override
     def settle(self, alpha: Params, sums: Params) -> Params:
-        """Alpha with its bases turned to the principal axes of gradients."""
+        """Replace the bases by the principal axes of gradients."""
         return alpha | {name: torch.linalg.eigh(value).eigenvectors[None] for name, value in sums.items()}
 
 
-def _rotated(alpha: Params, key: str, value: Tensor, *, back: bool = False) -> Tensor:
-    """A gradient [T, out, in, ...] in the bases that alpha holds for its first two axes, or back from there."""
+def _rotate(alpha: Params, key: str, value: Tensor, *, back: bool = False) -> Tensor:
+    """Rotate a gradient [T, out, in, ...] into the bases of its parameter, or an update back from them."""
     for name, equation in BASIS_EQUATIONS.items():
         if f"{name}.{key}" in alpha:
             basis = alpha[f"{name}.{key}"]
-            terms = equation.format("t" if basis.ndim == 3 else "")  # where there is a task axis
+            terms = equation.format("t" if basis.ndim == 3 else "")  # with or without a task axis
             value = torch.einsum(terms, basis.mT if back else basis, value)
     return value

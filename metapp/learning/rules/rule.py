@@ -1,4 +1,8 @@
-"""A learned rule: parts, one after the other, as one update rule; and compositions of parts by name."""
+"""Learned rules: parts that act one after the other as one update rule, and compositions of parts by name.
+
+What is learned about a step is split into parts, so that a user can compose rules, and an ablation can leave one out.
+This module knows the points of a step at which parts act, but no part by its name.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +17,15 @@ from metapp.learning.task import Params
 
 
 class StepInput(NamedTuple):
-    """The state of a step before it moves: trees of tensors [T, ...], but for `solve` of the names of theta.
+    """The state of a step before the parameters move; each field holds tensors [T, ...] by name.
+
+    Names are those of parameters. Only the gradients of the part `solve` have other names: see
+    :class:`metapp.learning.rules.solve.NormalEquations`.
 
     Attributes:
         theta: the parameters.
-        grads: their gradients, as the loss gave them.
-        directions: of all parts together, before any rate.
+        grads: the gradients that the loss returned.
+        directions: the directions that all parts together made of the gradients, before any rate.
     """
 
     theta: Params
@@ -27,18 +34,19 @@ class StepInput(NamedTuple):
 
 
 class Part:
-    """A part of a learned rule; methods that it does not define change nothing.
+    """A part of a learned rule: hyperparameters, and what they change at some points of a step.
 
-    A step passes the gradients through `gradients` of all parts, then through their `directions`, then through their
-    `updates`, which are subtracted, and the parameters that this gives through their `moved`. Wherever a step is
-    concerned, `alpha` holds the hyperparameters of that step, with a task axis.
+    Methods that a part does not define change nothing. A step passes the gradients through :meth:`gradients` of all
+    parts and the result through their :meth:`directions`. It passes the directions through :meth:`updates`, and
+    subtracts the updates from the parameters. Last, it passes the new parameters through :meth:`moved`. In all these
+    methods `alpha` holds the hyperparameters of one step, with a task axis.
 
     Attributes:
-        name: in compositions, such as "adam+curvature".
-        is_rate: whether it says how far parameters move: of such parts a rule has one.
-        needs_one_of: names of parts; a rule that has this part must have one of them, if there are any.
-        settled: prefixes of hyperparameters that are estimated from gradients of training tasks, before the
-            outer loop and before any search of an Adam.
+        name: the name in compositions such as "adam+curvature".
+        is_rate: whether the part decides how far parameters move; a rule has exactly one such part.
+        needs_one_of: names of parts of which a rule with this part must have at least one; () if it needs none.
+        settled: beginnings of the names of hyperparameters that are computed from gradients of training tasks, before
+            the outer loop and before any search of an Adam.
     """
 
     name: str
@@ -47,26 +55,31 @@ class Part:
     settled: tuple[str, ...] = ()
 
     def refusal(self, app: App, theta: Params) -> str:
-        """The reason that it does not apply to an application with these parameters of one task; "" if it does."""
-        return ""
-
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Hyperparameters [K, ...] before training, those of the plain Adam `first` if it has them.
+        """Return why the part does not apply to an application; "" if it does.
 
         Args:
             app: the application.
             theta: parameters of one task.
-            steps: of a fit; K is this, or 1 for values that are the same at all steps.
-            first: settings of an Adam.
+        """
+        return ""
+
+    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+        """Return hyperparameters [K, ...] before training, equal to the settings of `first` where it has such settings.
+
+        Args:
+            app: the application.
+            theta: parameters of one task.
+            steps: the number of steps of a fit. K is this number, or 1 for hyperparameters that all steps share.
+            first: settings of a plain Adam.
         """
         return {}
 
     def loss(self, app: App, loss: Loss) -> Loss:
-        """The loss that steps descend, of the application's own."""
+        """Return the loss that steps descend in place of the application's own loss."""
         return loss
 
     def state(self, alpha: Params, theta: Params) -> Params:
-        """The memory that it keeps from step to step, before the first one; `theta` has a task axis."""
+        """Return the part's memory before the first step; `theta` has a task axis."""
         return {}
 
     def gradients(self, alpha: Params, grads: Params) -> Params:
@@ -74,27 +87,34 @@ class Part:
         return grads
 
     def directions(self, alpha: Params, directions: Params, state: Params) -> tuple[Params, Params]:
-        """Transform the directions, and return its memory with them."""
+        """Transform the directions, and return with them what the part remembers for the next step."""
         return directions, {}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Transform the updates, the directions at first; they are subtracted from the parameters."""
+        """Transform the updates, which are subtracted from the parameters; before all parts they are the directions."""
         return updates
 
     def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
-        """Transform the parameters after the step, and return its memory with them."""
+        """Transform the parameters after the step, and return with them what the part remembers for the next step.
+
+        Args:
+            alpha: the hyperparameters of this step, with a task axis.
+            moved: the parameters after the step, [T, ...].
+            before: the state before the step.
+            state: what all parts remember from the step before.
+        """
         return moved, {}
 
     def for_steps(self, alpha: Params, steps: int) -> Params:
-        """Alpha [K, ...] for a fit of so many steps, whatever it was prepared for."""
+        """Return hyperparameters [K, ...] for a fit of another number of steps than they were trained for."""
         return alpha
 
     def gather(self, alpha: Params, grads: Params) -> Params:
-        """Statistics of the gradients [T, ...] of a step on training tasks, which are summed over steps."""
+        """Return statistics of one step's gradients [T, ...] on training tasks, to be summed over steps and tasks."""
         return {}
 
     def settle(self, alpha: Params, sums: Params) -> Params:
-        """Alpha [K, ...] with the values that follow from these sums."""
+        """Return hyperparameters [K, ...]; those that :attr:`settled` names follow from sums of statistics."""
         return alpha
 
 
@@ -103,16 +123,16 @@ class LearnedRule:
     """An update rule whose hyperparameters Meta learns.
 
     Attributes:
-        name: of the rule or composition.
-        parts: in the order in which they act.
+        name: the name of the rule or of its composition.
+        parts: the parts, in the order in which they act.
     """
 
     name: str
     parts: tuple[Part, ...]
 
     def has_part(self, part: str) -> bool:
-        """True if it has a part of this name."""
-        return any(each.name == part for each in self.parts)
+        """Return whether the rule has a part of this name."""
+        return any(own_part.name == part for own_part in self.parts)
 
     def check_app(self, app: App, theta: Params) -> None:
         """Refuse an application that a part does not apply to.
@@ -122,7 +142,7 @@ class LearnedRule:
             theta: parameters of one task.
 
         Raises:
-            ValueError: names the part and the reason.
+            ValueError: a part does not apply; the message names it and the reason.
         """
         for part in self.parts:
             if reason := part.refusal(app, theta):
@@ -132,27 +152,27 @@ class LearnedRule:
                 )
 
     def initial_alpha(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Learned hyperparameters [K, ...] before training.
+        """Return the hyperparameters [K, ...] before training.
 
-        They make the rule the plain Adam `first` (but for its eps if the rule has none of its own), or SGD of its
-        rate; tail averaging acts on the last step.
+        With them the rule is the plain Adam `first`, or SGD of its rate. Two things differ: a rule without the part
+        "eps" has an eps of META_EPS, and the part "average" replaces the last parameters by their mean.
 
         Args:
             app: the application.
             theta: parameters of one task.
-            steps: of a fit.
-            first: settings of an Adam.
+            steps: the number of steps of a fit.
+            first: settings of a plain Adam.
 
         Raises:
             ValueError: a part does not apply to the application.
         """
         self.check_app(app, theta)
-        other = next(iter(theta.values()))
+        example = next(iter(theta.values()))
         parts = (part.initial(app, theta, steps, first) for part in self.parts)
-        return {key: value.to(other) for initial in parts for key, value in initial.items()}
+        return {key: value.to(example) for initial in parts for key, value in initial.items()}
 
     def update_rule(self, alpha: Params) -> UpdateRule:
-        """The update rule of learned hyperparameters [K, ...], or [K, T, ...] if each task has its own."""
+        """Return the update rule with hyperparameters [K, ...], or [K, T, ...] if each task has its own."""
 
         def init(theta: Params) -> Params:
             return {key: value for part in self.parts for key, value in part.state(alpha, theta).items()}
@@ -160,46 +180,46 @@ class LearnedRule:
         return UpdateRule(alpha, init, self)
 
     def loss(self, app: App, loss: Loss) -> Loss:
-        """The loss that its steps descend, of the application's own."""
+        """Return the loss that steps of the rule descend in place of the application's own loss."""
         for part in self.parts:
             loss = part.loss(app, loss)
         return loss
 
     def __call__(self, alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
-        """One step, as `UpdateRule.step`."""
+        """Take one step; arguments and results are described at :class:`metapp.learning.adjoint.UpdateRule`."""
         directions = grads
-        after: Params = {}
+        new_state: Params = {}
         for part in self.parts:
             directions = part.gradients(alpha, directions)
         for part in self.parts:
-            directions, kept = part.directions(alpha, directions, state)
-            after |= kept
+            directions, memory = part.directions(alpha, directions, state)
+            new_state |= memory
         updates = directions
         for part in self.parts:
             updates = part.updates(alpha, updates)
         moved = {key: value - updates[key] if key in updates else value for key, value in theta.items()}
         for part in self.parts:
-            moved, kept = part.moved(alpha, moved, StepInput(theta, grads, directions), state)
-            after |= kept
-        return moved, after
+            moved, memory = part.moved(alpha, moved, StepInput(theta, grads, directions), state)
+            new_state |= memory
+        return moved, new_state
 
     def for_steps(self, alpha: Params, steps: int) -> Params:
-        """Alpha for a fit of so many steps, whatever it was prepared for."""
+        """Return hyperparameters [K, ...] for a fit of another number of steps than they were trained for."""
         for part in self.parts:
             alpha = part.for_steps(alpha, steps)
         return alpha
 
     @property
     def settled(self) -> tuple[str, ...]:
-        """The prefixes of hyperparameters that are taken from gradients of training tasks."""
+        """Beginnings of the names of hyperparameters that are computed from gradients of training tasks."""
         return tuple(prefix for part in self.parts for prefix in part.settled)
 
     def gather(self, alpha: Params, grads: Params) -> Params:
-        """Statistics of the gradients [T, ...] of a step on training tasks, which are summed over steps."""
+        """Return statistics of one step's gradients [T, ...] on training tasks, to be summed over steps and tasks."""
         return {key: value for part in self.parts for key, value in part.gather(alpha, grads).items()}
 
     def settle(self, alpha: Params, sums: Params) -> Params:
-        """Alpha with the values that follow from these sums."""
+        """Return hyperparameters [K, ...]; those that :attr:`settled` names follow from sums of statistics."""
         for part in self.parts:
             alpha = part.settle(alpha, sums)
         return alpha
@@ -212,16 +232,16 @@ def compose(
     rules: Mapping[str, str],
     compositions: Mapping[str, str],
 ) -> LearnedRule:
-    """The learned rule of a composition: names of parts, rules and compositions with "+" between them, in any order.
+    """Compose a learned rule of names of parts, rules and compositions with "+" between them, in any order.
 
-    Equal sets of parts give equal rules.
+    Equal sets of parts give equal rules, under the name by which they are known.
 
     Args:
-        name: of the composition.
-        names: of all parts, in the order in which they act on a step.
-        part_of: name -> part; only those of the rule are made.
-        rules, compositions: compositions by name; the name of a rule stands for it alone, that of a composition also
-            within longer ones.
+        name: the names, joined by "+".
+        names: names of all parts, in the order in which they act on a step.
+        part_of: a function from a name to the part; it is called for the parts of the rule.
+        rules: compositions by the name of a rule; such a name stands alone.
+        compositions: further compositions by name; such a name may also be a part of a longer one.
 
     Raises:
         ValueError: a name is unknown, or the parts do not go together.
@@ -233,30 +253,31 @@ def compose(
     """
 
     def expand(word: str) -> set[str]:
+        """Return the names of all parts that a name or composition stands for."""
         if word in names:
             return {word}
-        inner = {**compositions, **rules}.get(word) if "+" not in word else word
-        if inner is None:
+        joined = {**compositions, **rules}.get(word) if "+" not in word else word
+        if joined is None:
             expected = ", ".join((*rules, *compositions, *names))
             raise ValueError(f"rule '{name}': '{word}' is unknown, expected names of these, joined by +: {expected}.")
-        return {part for each in inner.split("+") for part in expand(each)}
+        return {part for inner in joined.split("+") for part in expand(inner)}
 
     chosen = expand(name)
-    short = {word: expand(word) for word in compositions if expand(word) <= chosen}
-    rest = [part for part in names if part in chosen.difference(*short.values())]
-    usual = next((rule for rule in rules if expand(rule) == chosen), "+".join([*short, *rest]))
-    rule = LearnedRule(usual, tuple(part_of(part) for part in names if part in chosen))
+    contained = {word: expand(word) for word in compositions if expand(word) <= chosen}
+    rest = [part for part in names if part in chosen.difference(*contained.values())]
+    known_name = next((rule for rule in rules if expand(rule) == chosen), "+".join([*contained, *rest]))
+    rule = LearnedRule(known_name, tuple(part_of(part) for part in names if part in chosen))
     rates = [part.name for part in rule.parts if part.is_rate]
     if len(rates) != 1:
-        kinds = ", ".join(part for part in names if part_of(part).is_rate)
+        choices = ", ".join(part for part in names if part_of(part).is_rate)
         raise ValueError(
-            f"rule '{usual}': {' and '.join(rates) or 'no part'} for rates, expected one of {kinds} "
+            f"rule '{known_name}': {' and '.join(rates) or 'no part'} for rates, expected one of {choices} "
             "(adam has rates, tied has shared)."
         )
     for part in rule.parts:
         if part.needs_one_of and not any(map(rule.has_part, part.needs_one_of)):
             raise ValueError(
-                f"rule '{usual}': {part.name} says nothing by itself, expected {' or '.join(part.needs_one_of)} beside "
-                "it; add that."
+                f"rule '{known_name}': {part.name} says nothing by itself, expected {' or '.join(part.needs_one_of)} "
+                "beside it; add that."
             )
     return rule

@@ -1,9 +1,9 @@
 """A closed-form step: recursive least squares for the layer that a network is linear in.
 
 Bertinetto et al. 2019 ("Meta-learning with differentiable closed-form solvers", R2-D2) solve a ridge regression on
-learned features and differentiate through it. Here each step adds its samples' normal equations to those of the steps
-before and solves, so that the result of all steps is a ridge regression on all samples around the initialisation. The
-weights of samples may depend on the parameters so far, as those of a mean absolute error do.
+learned features and differentiate through it. Here each step adds the normal equations of its samples to the normal
+equations of the steps before, and solves. The result of all steps is thus a ridge regression on all samples around the
+initialisation. Sample weights may depend on the parameters so far, as the weights of a mean absolute error do.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
@@ -21,25 +22,29 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules.rule import Part, StepInput
 from metapp.learning.task import LeastSquares, Params
 
-INITIAL_PENALTY = 1e-3  # before training
+INITIAL_PENALTY = 1e-3  # penalty of each feature before training; Gram matrices of a step are means over samples
 MIN_PENALTY, MAX_PENALTY = 1e-6, 1e2  # bounds of learned penalties
-ROUNDING_FACTOR = 8  # times the precision of a Gram matrix, of its trace: what rounding may take from its eigenvalues
+# rounding may lower eigenvalues of a Gram matrix by so many times its trace and the epsilon of its type
+ROUNDING_FACTOR = 8
 
 
 @dataclass(frozen=True)
 class NormalEquations(Loss):
-    """A loss whose steps see normal equations in place of a gradient, near it and of a linear layer W [T, C, F].
+    """A loss whose steps see normal equations of a linear layer W [T, C, F] in place of a gradient.
 
     Attributes:
-        linear: (params, batch, learned) -> least squares near the loss.
+        linear: a function (params, batch, learned) -> least squares near the loss.
     """
 
     linear: Callable[[Params, AnyBatch, Params], LeastSquares] = field(kw_only=True)
 
+    @override
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """Return means over samples: `gram.<W>` [T, F, F] of features, `moment.<W>` [T, C, F] of residuals, too.
+        """Return the normal equations by name in place of gradients, and the loss of each task, [T].
 
-        Beside them `prior.<W>` [T, C, F] and `axes.<W>` [T, C, C] if the least squares have these.
+        Returns:
+            Means over samples: `gram.<W>` [T, F, F] of products of features, and `moment.<W>` [T, C, F] of products of
+            residuals and features. If the least squares have them, also `prior.<W>` [T, C, F] and `axes.<W>` [T, C, C].
         """
         with torch.set_grad_enabled(graph):
             linear = self.linear(theta, batch, learned)
@@ -47,8 +52,8 @@ class NormalEquations(Loss):
             gram, moment = linear.features @ weighted, linear.residual @ weighted
         sums = {f"gram.{linear.name}": gram, f"moment.{linear.name}": moment}
         axes = None if linear.axes is None else linear.axes.expand(len(gram), -1, -1)
-        beside = {f"prior.{linear.name}": linear.prior, f"axes.{linear.name}": axes}
-        return sums | {name: value for name, value in beside.items() if value is not None}, linear.losses.detach()
+        optional = {f"prior.{linear.name}": linear.prior, f"axes.{linear.name}": axes}
+        return sums | {name: value for name, value in optional.items() if value is not None}, linear.losses.detach()
 
 
 def linear_parameter(app: App) -> str:
@@ -57,48 +62,55 @@ def linear_parameter(app: App) -> str:
 
 
 class Solve(Part):
-    """Least squares: `penalty.<W>` [1, C, F], logs of penalties, and `keep.<W>` [steps], logits of forgetting factors.
+    """Recursive least squares in the parameter W [T, C, F] that the network is linear in.
 
-    With the normal equations G of a step (Gram matrix) and M (moments of residuals), P = keep P + G and
-    W += M (P + diag(exp(penalty)))^-1, each output by its own penalties, and a prior of the least squares adds its
-    precision to them. Where the least squares have axes, W moves along these. Penalties are at least the rounding
-    error of P: longer training lets them fall, and without that bound the factorisation fails.
+    Hyperparameters are `penalty.<W>` [1, C, F], logarithms of penalties, and `keep.<W>` [steps], logits of the share of
+    earlier normal equations that a step keeps. With the Gram matrix G and the moments M of a step, P becomes keep P +
+    G, and W becomes W + M (P + diag(exp(penalty)))^-1, each output by its own penalties. A prior of the least squares
+    adds its precision to the penalties. Where the least squares have axes, the outputs are solved for along these.
+
+    Penalties are at least the rounding error of P: in long training they fall, and without that bound the factorisation
+    fails.
     """
 
     name = "solve"
     is_rate = True
 
+    @override
     def refusal(self, app: App, theta: Params) -> str:
-        """It needs a network that is linear in a parameter."""
         return "" if linear_parameter(app) else "its network is not linear in any parameter of one task"
 
+    @override
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Penalties of PENALTY for all features, and steps that keep nearly all of the ones before."""
+        """Return penalties of INITIAL_PENALTY for all features, and steps that keep nearly all earlier equations."""
         name = linear_parameter(app)
         return {
             f"penalty.{name}": theta[name].new_full((1, *theta[name].shape), math.log(INITIAL_PENALTY)),
             f"keep.{name}": theta[name].new_full((steps,), 3.0),
         }
 
+    @override
     def loss(self, app: App, loss: Loss) -> Loss:
-        """Normal equations of its least squares."""
+        """Return a loss whose steps see the normal equations of the application's least squares."""
         return NormalEquations(loss.draw, loss.value, loss.shared, linear=app.least_squares)
 
+    @override
     def state(self, alpha: Params, theta: Params) -> Params:
-        """The Gram matrix of all samples so far: none."""
-        names = _names(alpha)
+        """Return Gram matrices of 0, `gram.<W>` [T, F, F], for the sums over all samples so far."""
+        names = _solved_names(alpha)
         return {f"gram.{key}": theta[key].new_zeros(len(theta[key]), *2 * theta[key].shape[-1:]) for key in names}
 
+    @override
     def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
-        """W after the solve, and the Gram matrix."""
-        results, after = dict(moved), {}
-        for key in _names(alpha):
+        """Return W after the solve, and the Gram matrix of all samples so far."""
+        results, grams = dict(moved), {}
+        for key in _solved_names(alpha):
             keep = torch.sigmoid(alpha[f"keep.{key}"])[..., None, None]
-            gram = after[f"gram.{key}"] = keep * state[f"gram.{key}"] + before.grads[f"gram.{key}"]
+            gram = grams[f"gram.{key}"] = keep * state[f"gram.{key}"] + before.grads[f"gram.{key}"]
             precision = torch.exp(alpha[f"penalty.{key}"].clamp(math.log(MIN_PENALTY), math.log(MAX_PENALTY)))
             trace = gram.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
             precision = precision + ROUNDING_FACTOR * torch.finfo(gram.dtype).eps * trace
-            # in double precision: features are far from orthogonal
+            # in double precision, as features are far from orthogonal
             precision, moment = precision.double(), before.grads[f"moment.{key}"].double()
             if f"prior.{key}" in before.grads:
                 precision = precision + before.grads[f"prior.{key}"].double()
@@ -106,8 +118,9 @@ class Solve(Part):
             factors = torch.linalg.cholesky(gram.double()[:, None] + torch.diag_embed(precision))
             change = axes @ torch.cholesky_solve((axes.mT @ moment)[..., None], factors)[..., 0]
             results[key] = moved[key] + change.to(gram.dtype)
-        return results, after
+        return results, grams
 
 
-def _names(alpha: Params) -> list[str]:
+def _solved_names(alpha: Params) -> list[str]:
+    """Return the names of the parameters that have penalties."""
     return [name.removeprefix("penalty.") for name in alpha if name.startswith("penalty.")]
