@@ -1,4 +1,10 @@
-"""Five ways of training, each an initialisation and a rule: their table, by name; nothing large is imported."""
+"""The five paradigms, each an initialisation, a rule and a number of steps: their table, by name.
+
+In order of reading: :mod:`paradigm` has the contracts of a paradigm and of the training of its checkpoints. :mod:`adam`
+has General, Overfit, Finetune and QuickFT, :mod:`meta` has Meta. :mod:`phi_training` trains checkpoints, :mod:`ranks`
+shares that work between processes. This table is read before torch is loaded, and imports nothing large. Paradigms
+never name an application.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +22,17 @@ __all__ = ["PARADIGMS", "ParadigmEntry", "paradigm_of"]
 
 @dataclass(frozen=True, kw_only=True)
 class ParadigmEntry(Entry["type[Paradigm]"]):
-    """A subclass of `metapp.paradigms.paradigm.Paradigm`; `help` is its command's.
+    """The entry of a paradigm, a subclass of `metapp.paradigms.paradigm.Paradigm`.
 
     Attributes:
-        ignored_options: the names of options of fits that it has no use for; scripts give all paradigms the same options.
+        ignored_options: names of options of fits that the paradigm has no use for. The command line accepts them all
+            the same, so that scripts give all paradigms equal options.
     """
 
     ignored_options: tuple[str, ...] = ()
 
 
-# by name, in the order of the paper's tables
+# paradigms by name, in the order of the paper's tables; `help` describes the command of a paradigm
 PARADIGMS = {
     "general": ParadigmEntry(
         reference="metapp.paradigms.adam:General",
@@ -58,7 +65,7 @@ def paradigm_of(name: str) -> type[Paradigm]:
     """Return the paradigm of a name.
 
     Raises:
-        ValueError: there is none; lists those that there are.
+        ValueError: there is no such paradigm; the message lists all names.
 
     >>> paradigm_of("quickft").name
     'quickft'

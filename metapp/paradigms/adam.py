@@ -1,4 +1,8 @@
-"""The paradigms without a learned rule: a plain Adam from random parameters, or from an encoder's prediction."""
+"""The paradigms without a learned rule: a plain Adam from random parameters, or from an encoder's prediction.
+
+Overfit stands alone. General predicts parameters, and Finetune and QuickFT continue its prediction for different
+numbers of steps, so that they are subclasses of General.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Generator
+from typing_extensions import override
 
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
@@ -15,13 +20,8 @@ from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.paradigm import Paradigm, Preparation
 
-QUICKFT_ADAM_SETTINGS = (
-    "rate",
-    "beta1",
-    "beta2",
-    "eps",
-    "final",
-)  # settings of QuickFT's Adam, as its checkpoints name them
+# fields of `Adam` that QuickFT's checkpoints hold, each as a tensor of the field's name
+QUICKFT_ADAM_SETTINGS = ("rate", "beta1", "beta2", "eps", "final")
 
 
 class Overfit(Paradigm):
@@ -31,35 +31,38 @@ class Overfit(Paradigm):
     takes_long = True
 
     @staticmethod
+    @override
     def _usual_steps(recipe: Recipe) -> int:
-        """Return Overfit's number of gradient steps."""
         return recipe.overfit_steps
 
+    @override
     def adam(self, phi: MetaParameters) -> Adam:
-        """Return the recipe's Adam for Overfit."""
         return self.recipe.overfit
 
+    @override
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """Return random parameters, but those that the tasks give themselves."""
-        drawn = draw_per_task(lambda some, own: self.app.init(own, len(some)), tasks, rng)
+        """Return random parameters; parameters that tasks determine replace random ones."""
+        drawn = draw_per_task(lambda tasks, rng: self.app.init(rng, len(tasks)), tasks, rng)
         return drawn | self.app.task_parameters(tasks)
 
 
 class General(Paradigm):
-    """theta = encode(I): an encoder, trained over all tasks, predicts the parameters in one forward pass; no steps."""
+    """An encoder, trained over all tasks, that predicts the parameters in one forward pass: theta = encode(I)."""
 
     name = "general"
 
     @staticmethod
+    @override
     def _usual_steps(recipe: Recipe) -> int:
-        """Return 0: General only predicts."""
+        """Return 0, as General only predicts."""
         return 0
 
     @property
+    @override
     def preparations(self) -> tuple[Preparation, ...]:
-        """The training of General's encoder."""
         return (GeneralPreparation(General.of(self.app, self.recipe)),)
 
+    @override
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Return the encoder's prediction."""
         return predict_parameters(self.app, phi, tasks, rng)
@@ -72,37 +75,44 @@ class Finetune(General):
     takes_long = True
 
     @staticmethod
+    @override
     def _usual_steps(recipe: Recipe) -> int:
-        """Return Finetune's number of gradient steps."""
         return recipe.finetune_steps
 
+    @override
     def adam(self, phi: MetaParameters) -> Adam:
-        """Return the recipe's Adam for Finetune."""
         return self.recipe.finetune
 
+    @override
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """Return the encoder's prediction, with the parameters that tasks give themselves."""
+        """Return the encoder's prediction; parameters that it does not predict are determined by tasks."""
         return self.app.task_parameters(tasks) | super().initialisation(phi, tasks, rng)
 
 
 class QuickFT(Finetune):
-    """As many Adam steps as Meta takes, from General's prediction; the Adam is searched on validation tasks."""
+    """Adam from General's prediction, for as many steps as Meta takes, with settings from a search.
+
+    The search looks for the lowest error of fits of validation tasks. See :class:`QuickFTPreparation`.
+    """
 
     name = "quickft"
     takes_long = False
 
     @staticmethod
+    @override
     def _usual_steps(recipe: Recipe) -> int:
-        """Return the number of gradient steps that Meta takes, too."""
+        """Return Meta's number of gradient steps."""
         return recipe.steps
 
     @property
+    @override
     def preparations(self) -> tuple[Preparation, ...]:
         """The training of General's encoder, and the search of an Adam for it."""
         return (*super().preparations, QuickFTPreparation(QuickFT.of(self.app, self.recipe)))
 
+    @override
     def adam(self, phi: MetaParameters) -> Adam:
-        """Return the Adam that was tuned on this data's validation tasks, else the recipe's."""
+        """Return the Adam that a search found on validation tasks; the recipe's Adam if phi holds none."""
         tuned = {key: float(value) for key, value in phi.alpha.items()}
         return Adam(**tuned) if tuned else self.recipe.quickft
 
@@ -114,88 +124,103 @@ class GeneralPreparation(Preparation):
     paradigm: General
 
     @property
+    @override
     def general(self) -> Preparation:
-        """This preparation itself."""
         return self
 
     @property
+    @override
     def shared_by_protocols(self) -> bool:
-        """True: an encoder learns nothing of the protocol but by what it reads."""
+        """True, as an encoder depends on the protocol only by the condition that it reads."""
         return True
 
     @property
+    @override
     def outer_loop(self) -> OuterLoop:
-        """The encoder's training."""
         return self.paradigm.recipe.general
 
+    @override
     def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
         """Return an untrained encoder."""
         return MetaParameters(encoder=self.paradigm.app.init_encoder(rng))
 
+    @override
     def template(self, phi: MetaParameters) -> MetaParameters:
         """Return an untrained encoder, whatever phi holds."""
         return MetaParameters(encoder=self.paradigm.app.init_encoder(Generator().manual_seed(0)))
 
+    @override
     def outer_loss(self, phi: MetaParameters) -> Loss:
-        """Return the loss of the encoder's predictions."""
+        """Return the outer loss of the encoder's predictions."""
         app, training = self.paradigm.app, self.outer_loop
-        encoded = EncoderPrediction(app.condition, app.encode)
-        loss = after_encoding(task_loss(app, self.paradigm.recipe.batch, outer=True), encoded)
+        prediction = EncoderPrediction(app.condition, app.encode)
+        loss = after_encoding(task_loss(app, self.paradigm.recipe.batch, outer=True), prediction)
         outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
-        # staged before tasks are augmented: what is not seen need not be made
+        # stages select tasks before these are augmented, so that nothing is augmented in vain
         return with_stages(outer, app.stage)
 
 
 @dataclass(frozen=True)
 class QuickFTPreparation(Preparation):
-    """The search of QuickFT's Adam for the encoder of a trained General."""
+    """The search of QuickFT's Adam, for the encoder of a trained General."""
 
     paradigm: QuickFT
 
     @property
+    @override
     def general(self) -> Preparation:
-        """The preparation of the General that the Adam is tuned for."""
+        """The preparation of the General whose predictions the Adam continues."""
         return self.paradigm.preparations[0]
 
     @property
+    @override
     def begins_at_general(self) -> bool:
-        """True: the Adam descends from General's predictions."""
+        """True, as the Adam descends from General's predictions."""
         return True
 
     @property
+    @override
     def takes_encoder_from_general(self) -> bool:
-        """True: General's file holds the encoder."""
+        """True, as QuickFT's checkpoint holds the settings of an Adam alone."""
         return True
 
     @property
+    @override
     def first_adam(self) -> Adam:
-        """The recipe's Adam: a win over a badly tuned baseline is no win."""
+        """The recipe's Adam for QuickFT. It is searched because a win over a badly tuned baseline is no win."""
         return self.paradigm.recipe.quickft
 
+    @override
     def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
         """Return General's encoder."""
         assert general is not None
         return general
 
+    @override
     def template(self, phi: MetaParameters) -> MetaParameters:
         """Return the settings of one Adam, scalars."""
         return self.with_adam(MetaParameters(), self.first_adam)
 
+    @override
     def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
-        """Return the encoder, and an Adam's settings as alpha: scalars on the CPU."""
+        """Return the encoder of phi with an Adam's settings as alpha, scalars on the CPU."""
         return phi._replace(
             alpha={key: torch.tensor(getattr(adam, key), dtype=torch.float64) for key in QUICKFT_ADAM_SETTINGS}
         )
 
 
 def predict_parameters(app: App, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-    """encode(I), the parameters that an encoder predicts of tasks, [T, ...]."""
-    encoded = app.encode(phi.encoder, draw_per_task(app.condition, tasks, rng))
-    return {key: value.detach() for key, value in encoded.items()}
+    """Predict parameters of tasks by the encoder of phi, encode(I): detached tensors [T, ...]."""
+    theta = app.encode(phi.encoder, draw_per_task(app.condition, tasks, rng))
+    return {key: value.detach() for key, value in theta.items()}
 
 
 def encoder_prediction(app: App) -> EncoderPrediction:
-    """General's prediction, with the parameters that tasks give themselves, as a function of tasks."""
+    """Return General's prediction as a differentiable function of the encoder.
+
+    Parameters that the encoder does not predict are determined by tasks. See
+    :meth:`metapp.learning.app.App.task_parameters`.
+    """
 
     def condition(tasks: Tasks, rng: Generator) -> tuple[Batch, Params]:
         return app.condition(tasks, rng), app.task_parameters(tasks)

@@ -1,4 +1,9 @@
-"""Paradigms as fits see them, an initialisation, a rule and a number of steps, and as trainings see them."""
+"""The contracts of a paradigm, as fits see it, and of a preparation, as the training of checkpoints sees it.
+
+A fit needs an initialisation, a rule and a number of steps. A checkpoint needs a search, an outer loop, or both. No
+code outside this package asks for a paradigm by its name: whatever differs between paradigms is a method or a
+property here.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +25,12 @@ from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
 
-PARALLEL_TASKS = 8  # tasks that are fitted side by side where memory would grow with a data set
+PARALLEL_TASKS = 8  # tasks that are fitted at once in loops over a data set, which bounds the memory
 NO_OUTER_LOOP = OuterLoop(steps=0, tasks=0, rates={})
 
 
 def fastest_steps(*, compiles: bool = False) -> StepsOf:
-    """The steps of an extension; torch's if there is none.
+    """Return the function that makes steps: an extension's if one is installed, else torch's.
 
     Args:
         compiles: whether the steps are so many that compiling them pays.
@@ -40,11 +45,12 @@ class Paradigm(ABC):
 
     Attributes:
         app: the application.
-        recipe: its settings.
-        steps: number of gradient steps.
+        recipe: the settings.
+        steps: the number of gradient steps.
         name: the name on the command line.
-        has_learned_rule: whether the rule of the steps is a learned one, which --rule names.
-        takes_long: whether fits take so many steps that they are kept; others are made anew from a checkpoint.
+        has_learned_rule: whether the rule is a learned one, which --rule names.
+        takes_long: whether fits take so many steps that their results are stored to be read again; quick fits are
+            repeated from a checkpoint instead.
     """
 
     app: App
@@ -60,17 +66,18 @@ class Paradigm(ABC):
 
         Args:
             app: the application.
-            recipe: its settings.
-            rule: the name of a learned rule, "" for the recipe's; a paradigm without a learned rule ignores it.
-            steps: number of gradient steps, None for the recipe's; General ignores it.
+            recipe: the settings.
+            rule: the name of a learned rule, "" for the recipe's default rule; paradigms without a learned rule ignore
+                it.
+            steps: the number of gradient steps, None for the recipe's number; General ignores it.
         """
         return cls(app, recipe, cls._steps(recipe, steps))
 
     @classmethod
-    def _steps(cls, recipe: Recipe, asked: int | None) -> int:
-        """Return the number of gradient steps: a paradigm that takes none by its recipe never takes any."""
+    def _steps(cls, recipe: Recipe, requested: int | None) -> int:
+        """Return the number of gradient steps; a paradigm whose recipe has 0 steps always has 0."""
         usual = cls._usual_steps(recipe)
-        return usual if asked is None or usual == 0 else asked
+        return usual if requested is None or usual == 0 else requested
 
     @staticmethod
     @abstractmethod
@@ -79,7 +86,7 @@ class Paradigm(ABC):
 
     @property
     def preparations(self) -> tuple[Preparation, ...]:
-        """The trainings of the checkpoints that fits read: of the initialisation's first, then of its tuning."""
+        """The trainings of the checkpoints that fits read: of the initialisation, then of its tuning."""
         return ()
 
     @property
@@ -89,11 +96,11 @@ class Paradigm(ABC):
 
     @property
     def loss(self) -> Loss:
-        """The loss that the steps descend."""
+        """The loss that the steps of a fit descend."""
         return task_loss(self.app, self.recipe.batch)
 
     def adam(self, phi: MetaParameters) -> Adam | None:
-        """Return the plain Adam of the steps; None if the rule is a learned one, or there are no steps."""
+        """Return the plain Adam of the steps; None if the rule is a learned one, or if there are no steps."""
         return None
 
     @abstractmethod
@@ -101,32 +108,34 @@ class Paradigm(ABC):
         """Return the parameters [T, ...] before the first step."""
 
     def rule(self, phi: MetaParameters, theta: Params, steps: int) -> UpdateRule:
-        """Return the rule of so many steps from the initialisation `theta`."""
+        """Return the update rule for a fit of some number of steps from the initialisation `theta`."""
         adam = self.adam(phi)
         assert adam is not None
         return fixed_adam(adam, theta, steps)
 
     def fit(self, phi: MetaParameters, tasks: Tasks, rng: Rng, *, guarded: bool = True) -> Params:
-        """Fit tasks, one or many at once, and return the parameters of the network for each task, [T, ...].
+        """Fit tasks, one or many at once, and return the parameters of the network of each task, [T, ...].
 
-        Arguments are those of :meth:`descend`.
+        See :meth:`descend` for the arguments.
         """
         return final_item(self.descend(phi, tasks, rng, guarded=guarded)).theta
 
     def descend(self, phi: MetaParameters, tasks: Tasks, rng: Rng, *, guarded: bool = True) -> Iterator[DescentState]:
-        """Fit tasks, one or many: descend from the initialisation by the rule, one step at a time.
+        """Fit tasks, one or many at once: descend from the initialisation by the rule, one step at a time.
 
         Args:
-            phi: the parameters of its checkpoint.
-            tasks: one or many.
-            rng: of all random draws; one for all tasks, or one for each, which is then fitted as if it were alone.
+            phi: the parameters of the checkpoint.
+            tasks: the tasks.
+            rng: the source of all random numbers, one for all tasks or one for each. With one for each, a task is
+                fitted as if it were alone.
             guarded: whether the guard of a learned rule looks at the fits.
 
         Yields:
-            The fit before its first step and after each; a learned rule's guard may add a last one.
+            The state before the first step, and after each step; the guard of a learned rule adds one more with its
+            results.
 
         Raises:
-            FloatingPointError: a loss is not finite; names the tasks and the step.
+            FloatingPointError: a loss is not finite; the message names the tasks and the step.
         """
         theta, steps = self.initialisation(phi, tasks, rng), self.steps
         if steps == 0:
@@ -148,14 +157,14 @@ class Preparation(ABC):
     """The training of a checkpoint: a search of an Adam on validation tasks, an outer loop on training tasks, or both.
 
     Attributes:
-        paradigm: the paradigm whose fits validate the checkpoint, with its recipe's number of steps.
+        paradigm: the paradigm whose fits validate the checkpoint, with the recipe's number of steps.
     """
 
     paradigm: Paradigm
 
     @property
     def name(self) -> str:
-        """The name of the checkpoint, of which its file's name is made: its paradigm's."""
+        """The name of the checkpoint, from which its file is named; by default the paradigm's name."""
         return self.paradigm.name
 
     @property
@@ -165,27 +174,27 @@ class Preparation(ABC):
 
     @property
     def begins_at_general(self) -> bool:
-        """True if the training begins at a trained General."""
+        """Whether the training begins at a trained General."""
         return False
 
     @property
     def takes_encoder_from_general(self) -> bool:
-        """True if the checkpoint holds hyperparameters alone, for fits that take an encoder from a General's file."""
+        """Whether the checkpoint holds hyperparameters alone, and fits take the encoder from General's checkpoint."""
         return False
 
     @property
     def shared_by_protocols(self) -> bool:
-        """True if the checkpoint depends on the protocol by its network alone."""
+        """Whether two protocols with equal networks share the checkpoint."""
         return False
 
     @property
     def outer_loop(self) -> OuterLoop:
-        """The outer loop; of 0 steps if there is none."""
+        """The settings of the outer loop, which has 0 steps if there is none."""
         return NO_OUTER_LOOP
 
     @property
     def first_adam(self) -> Adam | None:
-        """The first Adam of a search on validation tasks, before the outer loop; None for no search."""
+        """The Adam at which a search on validation tasks begins, before the outer loop; None for no search."""
         return None
 
     @abstractmethod
@@ -193,19 +202,19 @@ class Preparation(ABC):
         """Return phi before training.
 
         Args:
-            general: a trained General, if there is one.
-            tasks: training tasks.
-            rng: of all random draws.
+            general: a trained General; None if there is none.
+            tasks: the training tasks.
+            rng: the source of all random numbers.
         """
 
     @abstractmethod
     def template(self, phi: MetaParameters) -> MetaParameters:
-        """Return untrained parameters of the names and shapes that this checkpoint's phi must have."""
+        """Return untrained parameters with the names and shapes that phi must have in this checkpoint."""
 
     def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
-        """Return phi whose fits begin with an Adam of the search."""
+        """Return phi whose fits begin with an Adam that the search tries."""
         raise NotImplementedError
 
     def outer_loss(self, phi: MetaParameters) -> Loss:
-        """Return the loss of the outer loop, on flat trees of phi's names."""
+        """Return the loss of the outer loop, on flat trees with phi's names."""
         raise NotImplementedError

@@ -1,4 +1,8 @@
-"""The training of a checkpoint: a search of an Adam on validation tasks, an outer loop on training tasks, or both."""
+"""The training of phi, the parameters of a checkpoint: a search of an Adam, an outer loop, or both.
+
+The states of a training are yielded one by one, so that the caller can show progress, write them to a file and
+continue an interrupted training. Files, and which paradigm is trained, are the caller's business.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +24,22 @@ from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, Preparation
 
 
 class TrainState(NamedTuple):
-    """The state of a training between two steps, which is saved and gone on from, and at the end its result.
+    """The state of a training between two steps, from which it can be continued; the last one is the result.
 
     Attributes:
-        current: phi now, a flat tree.
-        rng: state of the generator of all draws, uint8.
-        moments: state of the outer Adam; {} before the outer loop.
-        step: outer steps taken; before the outer loop, Adams tried.
-        losses: training losses since the last validation, [n].
-        searched: validation errors of the Adams tried, in the order of the search.
-        best: the phi of the lowest validation error, a flat tree.
-        validation: its error, the mean over validation tasks as tables print it.
-        best_step: the step that it is of.
-        curve: (step, mean training loss since the last entry, validation error), scaled as in tables; None for no loss.
-        total: number of steps at the end.
+        current: the present phi, a flat tree.
+        rng: the state of the random generator, uint8.
+        moments: the state of the outer Adam; {} before the outer loop.
+        step: the number of outer steps that were taken; during a search, of Adams that were tried.
+        losses: the training losses since the last validation, [n].
+        searched: the validation errors of the Adams that were tried, in the order of the search.
+        best: the phi with the lowest validation error, a flat tree.
+        validation: the validation error of `best`: the mean over validation tasks, scaled like in tables.
+        best_step: the step of `best`.
+        curve: for each validation the step, the mean training loss since the validation before (None without outer
+            steps), and the validation error, scaled like in tables. In a search, only for Adams that are better than
+            all before.
+        total: the number of steps at the end.
         note: a line about the validation that was just made; "" for none.
     """
 
@@ -52,29 +58,30 @@ class TrainState(NamedTuple):
 
     @property
     def phi(self) -> MetaParameters:
-        """The best phi."""
+        """The phi with the lowest validation error."""
         return MetaParameters.unflatten(self.best)
 
 
-Validate = Callable[[Paradigm, MetaParameters, Tasks], float]
+Validate = Callable[[Paradigm, MetaParameters, Tasks], float]  # returns the error of fits of tasks from a phi
 
 
 def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> float:
-    """The mean error of fits of all tasks with fixed seeds, as tables print it; infinite if a fit diverges.
+    """Return the mean error of fits of all tasks, scaled like in tables; infinite if a fit diverges.
 
-    Kinds of tasks count alike. Learned rules fit without their guard: the best rule is kept, not the best fallback.
+    Seeds are fixed: one is enough where fits are deterministic, else two are averaged. All kinds of tasks weigh alike.
+    Learned rules fit without their guard, so that the best rule is kept and not the best fallback.
     """
     app = paradigm.app
     total, weights, seeds = 0.0, tasks.kind_weights(), 1 if app.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for rows in torch.arange(len(tasks)).split(PARALLEL_TASKS):
-            part = tasks.select(rows)
+            selected_tasks = tasks.select(rows)
             try:
-                theta = paradigm.fit(phi, part, rng, guarded=False)
+                theta = paradigm.fit(phi, selected_tasks, rng, guarded=False)
             except FloatingPointError:
                 return float("inf")
-            total += float((weights[rows] * app.errors(theta, part)["error"]).sum())
+            total += float((weights[rows] * app.errors(theta, selected_tasks)["error"]).sum())
     return app.error_measure.scale * total / (seeds * float(weights.sum()))
 
 
@@ -89,99 +96,117 @@ def train_phi(
     since: TrainState | None = None,
     validate: Validate = validation_error,
 ) -> Iterator[TrainState]:
-    """Train a checkpoint.
+    """Train the phi of a checkpoint.
 
     Args:
-        preparation: of the checkpoint.
-        tasks: training tasks; every eighth validates.
-        rng: of all random draws.
-        general: a trained General, which QuickFT and most recipes of Meta begin at.
-        first: a checkpoint of the same kind whose outer steps go on, in place of a fresh phi.
-        steps: outer steps in place of the recipe's; the most Adams to try if there is only a search.
-        since: state of the same training when it was cut off; `first` and `general` are not read.
-        validate: the error of a checkpoint's fits of validation tasks, by which the best state is chosen.
+        preparation: the paradigm's preparation of the checkpoint.
+        tasks: the training tasks, of which every eighth group validates.
+        rng: the source of all random numbers.
+        general: a trained General, at which QuickFT and most recipes of Meta begin.
+        first: a trained phi of the same kind, which outer steps continue to train in place of a fresh phi.
+        steps: the number of outer steps, in place of the recipe's number; without an outer loop the greatest number of
+            Adams to try.
+        since: a state of the same training, which is continued; `first` and `general` are then not read.
+        validate: a function that returns the error of fits of validation tasks, by which the best state is chosen.
 
     Yields:
-        Its state after each Adam tried, before and after each outer step, and after each validation; the last one is
-        the result.
+        The state after each Adam that was tried, before the outer loop, after each outer step, and after each
+        validation. The last state is the result.
 
     Raises:
-        ValueError: there are fewer than 4 tasks.
-        FloatingPointError: the training loss is not finite; names tasks and step.
+        ValueError: the tasks have fewer than 4 groups.
+        FloatingPointError: the training loss is not finite; the message names tasks and step.
     """
-    to_fit, to_validate = split_validation(tasks)
+    training_tasks, validation_tasks = split_validation(tasks)
     training, adam = preparation.outer_loop, preparation.first_adam
     if since:
         rng.set_state(since.rng)
-    state = since or TrainState((first or preparation.first_phi(general, to_fit, rng)).flatten(), rng.get_state())
+    state = since or TrainState(
+        (first or preparation.first_phi(general, training_tasks, rng)).flatten(), rng.get_state()
+    )
     if adam and not first and not state.moments:
-        # where outer steps follow, their number says nothing about the search
-        for tried in _search(preparation, adam, state, to_validate, validate, None if training.steps else steps):
-            yield tried
+        # where outer steps follow, `steps` is their number, and does not limit the search
+        for search_state in _search(
+            preparation, adam, state, validation_tasks, validate, None if training.steps else steps
+        ):
+            yield search_state
         if not training.steps:
             return
-        # the best of a search is where the outer loop begins, not what it competes with
-        state = TrainState(tried.best, tried.rng, searched=tried.searched)
+        # the outer loop begins at the best Adam of the search, and forgets its error: validations of outer steps are
+        # compared with each other alone
+        state = TrainState(search_state.best, search_state.rng, searched=search_state.searched)
     training = training if steps is None else replace(training, steps=steps)
     if training.validation_variants:
-        rows = list(range(len(to_validate))) * training.validation_variants
-        fixed = Generator(tasks.rows.device).manual_seed(0)
-        to_validate = preparation.paradigm.app.augment(to_validate.select(rows), fixed)
-    yield from _outer_loop(preparation, training, state, to_fit, to_validate, rng, validate)
+        rows = list(range(len(validation_tasks))) * training.validation_variants
+        variants_rng = Generator(tasks.rows.device).manual_seed(0)
+        validation_tasks = preparation.paradigm.app.augment(validation_tasks.select(rows), variants_rng)
+    yield from _outer_loop(preparation, training, state, training_tasks, validation_tasks, rng, validate)
 
 
 def _outer_loop(
     preparation: Preparation,
     training: OuterLoop,
     state: TrainState,
-    to_fit: Tasks,
-    to_validate: Tasks,
+    training_tasks: Tasks,
+    validation_tasks: Tasks,
     rng: Generator,
     validate: Validate,
 ) -> Iterator[TrainState]:
-    """Outer steps, with a validation before the first, at the end, and every so many."""
+    """Take outer steps, and validate before the first one, at intervals, and after the last one."""
     loss, steps = preparation.outer_loss(MetaParameters.unflatten(state.current)), training.steps
     if ranks.rank_count() > 1:
         loss = ranks.LossOverRanks(loss.draw, loss.value, loss.shared)
     rule, paradigm = outer_adam(training, state.current), preparation.paradigm
     since = DescentState(state.step, state.current, state.moments) if state.moments else None
-    for now in check_finite_losses(
-        descend(state.current, rule, to_fit, loss, steps=steps, rng=rng, since=since), every=1
+    for descent in check_finite_losses(
+        descend(state.current, rule, training_tasks, loss, steps=steps, rng=rng, since=since), every=1
     ):
         losses = state.losses
-        if now.loss is not None:
-            losses = torch.cat([losses.to(now.loss), now.loss.mean()[None]])
+        if descent.loss is not None:
+            losses = torch.cat([losses.to(descent.loss), descent.loss.mean()[None]])
         state = state._replace(
-            current=now.theta,
-            moments=now.state,
+            current=descent.theta,
+            moments=descent.state,
             rng=rng.get_state(),
             losses=losses,
-            step=now.step,
+            step=descent.step,
             total=steps,
             note="",
         )
         yield state
-        if state.curve[-1:] and state.curve[-1][0] == now.step:
-            continue  # it was cut off after this validation
-        if now.step == steps or now.step % training.validate_every == 0:
-            error = validate(paradigm, MetaParameters.unflatten(now.theta), to_validate)
+        if state.curve[-1:] and state.curve[-1][0] == descent.step:
+            continue  # the training was interrupted after this validation
+        if descent.step == steps or descent.step % training.validate_every == 0:
+            error = validate(paradigm, MetaParameters.unflatten(descent.theta), validation_tasks)
             mean = paradigm.app.error_measure.scale * float(losses.mean()) if len(losses) else None
-            state = state._replace(losses=losses[:0], curve=(*state.curve, (now.step, mean, error)))
+            state = state._replace(losses=losses[:0], curve=(*state.curve, (descent.step, mean, error)))
             if error < state.validation:
-                best = {key: value.clone() for key, value in now.theta.items()}
-                state = state._replace(best=best, validation=error, best_step=now.step)
+                best = {key: value.clone() for key, value in descent.theta.items()}
+                state = state._replace(best=best, validation=error, best_step=descent.step)
             note = f"validation {error:.3f}, best {state.validation:.3f}"
             yield state._replace(note=note if mean is None else f"loss {mean:.3f}, {note}")
 
 
-MAX_SEARCH_TASKS = 8  # validation tasks, where a fit takes longer than an instant
+MAX_SEARCH_TASKS = 8  # validation tasks of a search whose fits are not cheap
 
 
 def _search(
     preparation: Preparation, first: Adam, state: TrainState, tasks: Tasks, validate: Validate, most: int | None
 ) -> Iterator[TrainState]:
-    """A coordinate search from an Adam on, one setting or two at a time; errors that `state` knows stay."""
-    paradigm, known, phi = preparation.paradigm, state.searched, MetaParameters.unflatten(state.current)
+    """Search an Adam by changing one setting or two at a time, from an Adam on.
+
+    Args:
+        preparation: the preparation, which applies an Adam to phi.
+        first: the Adam that is tried first.
+        state: the state before the search, or of an interrupted search, whose validation errors are not computed again.
+        tasks: the validation tasks.
+        validate: a function that returns the error of fits.
+        most: the greatest number of Adams to try; None for no limit.
+
+    Yields:
+        The state after each Adam that was tried.
+    """
+    paradigm, known_errors, phi = preparation.paradigm, state.searched, MetaParameters.unflatten(state.current)
     lines = paradigm.recipe.search
     tasks = _search_tasks(paradigm.app, tasks)
     total = min(1 + sum(map(len, lines)), most or sys.maxsize)
@@ -190,25 +215,25 @@ def _search(
 
     def candidates() -> Iterator[Adam]:
         yield best
-        for choices in lines:
-            around = best
-            for changes in choices[: total - len(errors)]:
-                yield replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)})
+        for line in lines:
+            centre = best
+            for changes in line[: total - len(errors)]:
+                yield replace(centre, **{**changes, "rate": centre.rate * changes.get("rate", 1.0)})
 
     for step, adam in enumerate(candidates(), 1):
-        tried = preparation.with_adam(phi, adam)
-        error = known[step - 1] if step <= len(known) else validate(paradigm, tried, tasks)
+        candidate = preparation.with_adam(phi, adam)
+        error = known_errors[step - 1] if step <= len(known_errors) else validate(paradigm, candidate, tasks)
         errors.append(error)
         state = state._replace(searched=tuple(errors), step=step)
         if error < state.validation:
             curve, best = (*state.curve, (step, None, error)), adam
-            state = state._replace(best=tried.flatten(), validation=error, best_step=step, curve=curve)
-        if step >= len(known):
+            state = state._replace(best=candidate.flatten(), validation=error, best_step=step, curve=curve)
+        if step >= len(known_errors):
             yield state._replace(note=f"rate {adam.rate:.1e}, validation {error:.3f}, best {state.validation:.3f}")
 
 
 def _search_tasks(app: App, tasks: Tasks) -> Tasks:
-    """All validation tasks if fits are cheap, else up to SEARCH_TASKS of them, evenly spaced."""
+    """Return all validation tasks if fits are cheap, else up to MAX_SEARCH_TASKS of them, evenly spaced."""
     if app.cheap_fits:
         return tasks
     count = min(len(tasks), MAX_SEARCH_TASKS)
@@ -216,12 +241,13 @@ def _search_tasks(app: App, tasks: Tasks) -> Tasks:
 
 
 def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
-    """The tasks to train on, and those to validate on: of the groups, sorted by name, every eighth from the fourth on.
+    """Split tasks into tasks to train on and tasks to validate on.
 
-    Sorting spreads the validation tasks over the families that names begin with.
+    Of the groups, sorted by name, every eighth validates, beginning with the fourth. Sorting spreads the validation
+    tasks over the families that names begin with.
 
     Raises:
-        ValueError: fewer than 4 groups.
+        ValueError: there are fewer than 4 groups.
 
     >>> train, validate = split_validation(Tasks(tuple("abcdef"), {}, torch.arange(6)))
     >>> train.selected_names, validate.selected_names
@@ -233,9 +259,9 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
             f"training set: {len(tasks)} tasks that show {len(set(groups))} things, expected at least 4 (some are kept "
             "for validation)."
         )
-    validating = set(sorted(set(groups))[3::8])
+    validation_groups = set(sorted(set(groups))[3::8])
     rows = range(len(tasks))
     return (
-        tasks.select([row for row in rows if groups[row] not in validating]),
-        tasks.select([row for row in rows if groups[row] in validating]),
+        tasks.select([row for row in rows if groups[row] not in validation_groups]),
+        tasks.select([row for row in rows if groups[row] in validation_groups]),
     )

@@ -1,6 +1,6 @@
-"""Training by several processes, ranks, that `torchrun` starts: each differentiates its part of every meta-batch.
+"""Training by several processes, called ranks, that `torchrun` starts; each differentiates its part of a meta-batch.
 
-All ranks draw the same tasks and samples from the same seed and take the same outer steps; rank 0 alone writes.
+All ranks draw the same tasks and samples from the same seed and take the same outer steps. Rank 0 alone writes files.
 """
 
 from __future__ import annotations
@@ -15,55 +15,61 @@ import torch
 from torch import Tensor
 from torch import distributed as dist
 from torch.utils._pytree import tree_leaves, tree_map
+from typing_extensions import override
 
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.task import Params
 
-RANK_TIMEOUT = timedelta(minutes=30)  # for a slower rank, before it counts as lost
+RANK_TIMEOUT = timedelta(minutes=30)  # the time that ranks wait for a slower one before it counts as lost
+# names of the network interface for connections within a machine, by `sys.platform`
 LOOPBACK_INTERFACES = {"linux": "lo", "darwin": "lo0"}
 
 
 def rank_number() -> int:
-    """The rank of this process; 0 of a single one."""
+    """Return the number of this process among the ranks, 0 if there is only one."""
     return int(os.environ.get("RANK", "0"))
 
 
 def rank_count() -> int:
-    """The number of ranks; 1 without `torchrun`."""
+    """Return the number of ranks, 1 without `torchrun`."""
     return int(os.environ.get("WORLD_SIZE", "1"))
 
 
 @contextlib.contextmanager
 def connect_ranks(device: torch.device) -> Iterator[None]:
-    """The connection of the ranks: by nccl on GPUs, one each, by gloo on CPUs."""
+    """Connect the ranks within a context: by nccl on GPUs, one GPU a rank, and by gloo on CPUs."""
     if rank_count() == 1:
         yield
         return
     if device.type == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
     elif sys.platform in LOOPBACK_INTERFACES and os.environ.get("LOCAL_WORLD_SIZE") == os.environ["WORLD_SIZE"]:
-        # on one machine; gloo warns of one that cannot resolve its own name, as in containers
+        # all ranks are on one machine; gloo would warn if the machine cannot resolve its own name, as in containers
         os.environ.setdefault("GLOO_SOCKET_IFNAME", LOOPBACK_INTERFACES[sys.platform])
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=RANK_TIMEOUT)
     try:
         yield
     finally:
-        with contextlib.suppress(RuntimeError):  # of ranks that are gone
+        with contextlib.suppress(RuntimeError):  # other ranks may have ended
             dist.destroy_process_group()
 
 
 def wait_for_ranks() -> None:
-    """Wait for all ranks.
+    """Wait until all ranks have come to this call.
 
     Raises:
-        ConnectionError: one has ended.
+        ConnectionError: another rank has ended.
     """
     if rank_count() > 1:
-        _summed(torch.zeros(1, device="cuda" if dist.get_backend() == "nccl" else "cpu")).tolist()
+        _sum_over_ranks(torch.zeros(1, device="cuda" if dist.get_backend() == "nccl" else "cpu")).tolist()
 
 
-def _summed(value: Tensor) -> Tensor:
-    """The sum of a tensor over all ranks, in its place."""
+def _sum_over_ranks(value: Tensor) -> Tensor:
+    """Sum a tensor over all ranks, in place, and return it.
+
+    Raises:
+        ConnectionError: another rank has ended.
+    """
     try:
         dist.all_reduce(value)
     except RuntimeError as error:
@@ -73,10 +79,11 @@ def _summed(value: Tensor) -> Tensor:
 
 
 class LossOverRanks(Loss):
-    """A mean over tasks, each rank's part of which is differentiated there; the same on all ranks."""
+    """A loss that all tasks share, of which each rank differentiates its part of the tasks."""
 
+    @override
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """The gradient of all tasks, and the loss of each, [T].
+        """Return the gradient over the tasks of all ranks, and the loss of each task, [T]; equal on all ranks.
 
         Raises:
             ValueError: there are more ranks than tasks.
@@ -86,10 +93,12 @@ class LossOverRanks(Loss):
             raise ValueError(f"{rank_count()} ranks: an outer step has {tasks} tasks, expected at most as many ranks.")
         rows = slice(rank_number(), tasks, rank_count())
 
-        def part(leaf: object) -> object:
+        def select_rows(leaf: object) -> object:
             return leaf[rows] if isinstance(leaf, Tensor) and leaf.shape[:1] == (tasks,) else leaf
 
-        grads, part_losses = super().gradient(theta, tree_map(part, batch), learned, graph=graph)
-        losses = part_losses.new_zeros(tasks)
-        losses[rows] = part_losses
-        return {key: _summed(grad * (len(part_losses) / tasks)) for key, grad in grads.items()}, _summed(losses)
+        grads, own_losses = super().gradient(theta, tree_map(select_rows, batch), learned, graph=graph)
+        losses = own_losses.new_zeros(tasks)
+        losses[rows] = own_losses
+        return {key: _sum_over_ranks(grad * (len(own_losses) / tasks)) for key, grad in grads.items()}, _sum_over_ranks(
+            losses
+        )
