@@ -1,10 +1,12 @@
-"""metapp: reproduce visual appearance by machine learning; see how the way of training decides speed and quality.
+"""metapp: reproduce visual appearance by machine learning, and compare how training decides speed and quality.
 
-import metapp
+This module has the Python API alone:
 
-fit = metapp.fit("brdf", "gold.binary")
-fit.error, fit.seconds, fit.parameters
-fit.save("gold.safetensors")
+    import metapp
+
+    fit = metapp.fit("brdf", "gold.binary")
+    fit.error, fit.seconds, fit.parameters
+    fit.save("gold.safetensors")
 """
 
 from __future__ import annotations
@@ -21,12 +23,12 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    """Import the API on first use, as torch takes a second or more to load."""
+    """Import the API at its first use, as torch takes a second or more to load."""
     if name in ("Fit", "fit", "fit_all", "load"):
         return getattr(importlib.import_module("metapp.runs.api"), name)
     raise AttributeError(f"module 'metapp' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:
-    """What `dir` and completion list: the API, imported yet or not."""
+    """List the names of the API for `dir` and completion, whether they are imported yet or not."""
     return sorted(__all__)

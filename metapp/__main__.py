@@ -1,4 +1,4 @@
-"""`python -m metapp` is the `metapp` command."""
+"""The command `metapp`, for `python -m metapp`."""
 
 from metapp.cli import main
 

@@ -1,4 +1,7 @@
-"""All that the core has, by name: one page of entries, each imported at first use."""
+"""All that the core registers, by name, on one page: each entry is imported at its first use.
+
+Extensions register their entries in modules of their own. This one imports nothing that a listed module needs.
+"""
 
 import math
 
@@ -53,12 +56,12 @@ APPLICATIONS = {
         presenter="metapp.apps.transport.presenter:TransportPresenter",
     ),
 }
-NONSTATIONARY_PACKAGE = "metapp.apps.svbrdf_nonstationary"
-FURTHER_RECIPES = {  # of --observe reference
+NONSTATIONARY_PACKAGE = "metapp.apps.svbrdf_nonstationary"  # the package of non-stationary svBRDFs
+FURTHER_RECIPES = {  # names of recipes beside quick, full and paper, for fits that observe the reference
     **dict.fromkeys(("texture", "svbrdf_stationary", "svbrdf_nonstationary"), ("paper-64",)),
     **dict.fromkeys(("brdf", "illumination", "transport"), ("paper-long",)),
 }
-SYNTHETIC_SET_HELP = {
+SYNTHETIC_SET_HELP = {  # help on each application's embedded data set, with numbers of training + test tasks
     "brdf": "metals, plastics, paints, fabrics; 1.6 MB, as MERL 35 MB (80 + 20)",
     "texture": "photos of 20 kinds of flat materials; 0.2 MB (240 + 20)",
     "svbrdf_stationary": "flash photos of 16 of these kinds; 0.2 MB (120 + 16)",
@@ -66,14 +69,14 @@ SYNTHETIC_SET_HELP = {
     "illumination": "HDR maps of 16 kinds, photos of spheres; 0.15 MB (900 + 16)",
     "transport": "light paths of Cornell boxes; 0.7 MB and 2 s each (40 + 8)",
 }
-OBJECT_READERS = {
+OBJECT_READERS = {  # module and function of data_tools.readers that make a task of an object in memory
     "brdf": "brdf_objects:task_of_object",
     "texture": "square_photos:task_of_object",
     "svbrdf_stationary": "flash_photos:task_of_object",
     "svbrdf_nonstationary": "svbrdf_inputs:task_of_object",
     "illumination": "environment_maps:task_of_object",
 }
-INPUT_FORMATS = {  # module of data_tools.readers, application, inputs
+INPUT_FORMATS = {  # module of data_tools.readers, application, and what fits accept as INPUT
     "merl": ("merl", "brdf", "MERL .binary files"),
     "nbrdf": ("nbrdf_files", "brdf", "NBRDF networks (.h5, folders of .npy)"),
     "gonio": ("gonio", "brdf", "goniometer .csv files"),
@@ -83,7 +86,7 @@ INPUT_FORMATS = {  # module of data_tools.readers, application, inputs
     "strips": ("strips", "svbrdf_nonstationary", ""),
     "laval": ("environment_maps", "illumination", "HDR maps (.exr, .hdr)"),
 }
-RULE_PARTS = {  # of rules, in the order in which they act on a step
+RULE_PARTS = {  # module and class of metapp.learning.rules, in the order in which parts act on a step
     "sgd": "parts:SignedRates",
     "rates": "parts:Rates",
     "shared": "parts:SharedRates",
@@ -97,7 +100,7 @@ RULE_PARTS = {  # of rules, in the order in which they act on a step
     "average": "parts:Average",
     "basis": "parts:Basis",
 }
-TABLES = {  # function, heading in a report
+TABLES = {  # module and function of metapp.evaluation.tables, and the heading in a report
     "results": ("results:results", "Error and time"),
     "quickft": ("results:quickft", "Against as many steps of fine-tuning"),
     "image": ("image:image", "In image space"),
@@ -113,17 +116,17 @@ def register(registry: Registry) -> None:
     for app, entry in APPLICATIONS.items():
         registry.applications[app] = entry
         for protocol in entry.protocols or ("",):
-            further = FURTHER_RECIPES[app] if protocol in ("", "reference") else ()
-            for name in ("quick", "full", "paper", *further):
-                place = ".".join(filter(None, ("RECIPES", protocol, name)))
-                registry.recipes[app, protocol, name] = RecipeEntry(f"metapp.apps.{app}.recipes:{place}")
+            further_recipes = FURTHER_RECIPES[app] if protocol in ("", "reference") else ()
+            for name in ("quick", "full", "paper", *further_recipes):
+                path = ".".join(filter(None, ("RECIPES", protocol, name)))
+                registry.recipes[app, protocol, name] = RecipeEntry(f"metapp.apps.{app}.recipes:{path}")
         registry.synthetic[app] = Entry(f"data_tools.synthetic.{app}", SYNTHETIC_SET_HELP[app])
         if app in OBJECT_READERS:
             registry.objects[app] = Entry(f"data_tools.readers.{OBJECT_READERS[app]}")
     for name, (module, app, inputs) in INPUT_FORMATS.items():
         registry.formats[name] = Format(f"data_tools.readers.{module}", app=app, inputs=inputs)
         registry.commands[f"data {name}"] = Entry(f"data_tools.converters:{name.capitalize()}Converter")
-    registry.formats["svbrdf"] = Format(  # of fits: photos, strips and maps
+    registry.formats["svbrdf"] = Format(  # inputs of fits; "maps" and "strips" above only convert data sets
         "data_tools.readers.svbrdf_inputs",
         app="svbrdf_nonstationary",
         inputs="flash photos, strips, a material's maps",
@@ -141,13 +144,13 @@ def register(registry: Registry) -> None:
         "metapp.apps.brdf.recipes:RECIPES.anisotropic",
         help="reflectance that depends on phi_h",
         suits={"anisotropic": True},
-        mixed="anisotropic",  # which fits isotropic materials, too
+        mixed="anisotropic",  # its network can also fit isotropic materials
         paradigms=("meta", "overfit"),
     )
     registry.recipes["brdf", "", "few"] = RecipeEntry(
         "metapp.apps.brdf.few.app:FEW_RECIPE",
         help="200 samples or fewer",
-        suits={"samples": (1, 200)},  # up to which it has lower errors than the usual one
+        suits={"samples": (1, 200)},  # with more samples the recipe "full" has lower errors
         mixed="full",
         paradigms=("meta",),
     )
@@ -174,7 +177,7 @@ def register(registry: Registry) -> None:
     for name, part in RULE_PARTS.items():
         registry.parts[name] = Entry(f"metapp.learning.rules.{part}")
     registry.parts["newton"] = Entry(f"{NONSTATIONARY_PACKAGE}.several.newton:Newton")
-    # names for compositions
+    # short names that users write in compositions
     registry.compositions["adam"] = "rates+betas"
     registry.compositions["tied"] = "shared+pace"
     # the paper's rule: one rate per weight, the same at every step, any sign
@@ -184,15 +187,15 @@ def register(registry: Registry) -> None:
     # Adam with one rate per weight for all steps, times one per parameter tensor and step, and a learned eps, for
     # recipes that start from General's encoder and train it through the steps
     registry.rules["meta-encoder"] = "tied+betas+loss+eps"
-    # the same, and a convolutional network that adds to the steps of parameters on a grid
+    # meta-encoder with a convolutional network that adds to the steps of parameters on a grid
     registry.rules["meta-lgd"] = "meta-encoder+network"
     # meta-encoder in the eigenbasis of the training tasks' gradients
     registry.rules["meta-axes"] = "meta-encoder+basis"
-    # the same with tail averaging, where samples are random, which lets the parameters scatter
+    # meta-axes with tail averaging, for random samples, which scatter the parameters
     registry.rules["meta-basis"] = "meta-axes+average"
     # ridge regression in the last layer, on learned features
     registry.rules["ridge"] = "solve+loss"
-    # Gauss-Newton steps of the maps of several photographs and of their flashes
+    # Gauss-Newton steps of the maps that several photographs show, and of their flashes
     registry.rules["gauss-newton"] = "newton+loss"
 
     for name, (table, heading) in TABLES.items():

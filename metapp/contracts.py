@@ -1,9 +1,9 @@
-"""The contracts of the registry's tables: what the object that an entry names takes and gives.
+"""The contracts of the registry's tables: what the object that an entry names takes and returns.
 
-A class here is a `typing.Protocol`: a function or module of a matching signature fulfils it without naming it. Tables
-of :class:`metapp.registry.Registry` name their contracts, so that mypy checks calls of what they load. Types are those
-of `metapp.learning`, for mypy alone: nothing is imported at run time. A type of a layer above is `Any`, and its
-docstring names it.
+A class here is a `typing.Protocol`: a function or module with a matching signature fulfils it without naming it. Tables
+of :class:`metapp.registry.Registry` name their contracts, so that mypy checks calls of the objects that they load. The
+types are types of `metapp.learning`, for mypy alone: nothing is imported at run time. A type of a layer above is `Any`,
+and the docstring names it.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class ReadObject(Protocol):
 
         Args:
             source: the object, of any type but a path or text.
-            name: the task's name, which begins error messages.
-            **arguments: `observe`, the value of --observe; `size`, `rows` and `least`, in px, where the application
-                reads pictures to a size; the options about INPUT that the user gave. The function takes all that it
-                does not know as `**_`.
+            name: the task's name, with which error messages begin.
+            **arguments: `observe`, the value of --observe; `size`, `rows` and `least`, in px, if the application reads
+                pictures to a size; and the options about INPUT that the user gave. The function must accept further
+                ones as `**_`.
 
         Raises:
-            ValueError: the application fits no objects of this type, or its values are not usable.
+            ValueError: the application fits no objects of this type, or the values are not usable.
         """
         ...
 
@@ -67,12 +67,12 @@ class MergeInputs(Protocol):
         """Return the one task of all files.
 
         Args:
-            paths: the files that the application's formats find in the inputs, in their order.
-            value: the option's value, of the type of its field.
-            **arguments: of those that :class:`ReadObject` lists the ones that the function names.
+            paths: the files that the application's formats find in the inputs, in the order of the inputs.
+            value: the option's value, with the type of its field.
+            **arguments: the arguments that :class:`ReadObject` lists, as far as the function names them.
 
         Raises:
-            ValueError: files that do not belong together, are damaged, or do not go with the option's value.
+            ValueError: the files do not belong together, are damaged, or do not go with the option's value.
         """
         ...
 
@@ -81,25 +81,25 @@ class RenderFit(Protocol):
     """A function that makes further pictures of a fit, called if the option of its key is given, such as --render.
 
     >>> import torch
-    >>> from metapp.appearance.pictures import Picture, Rendered
+    >>> from metapp.appearance.pictures import Picture, ScenePictures
     >>> def mean_colour(app, task, theta, side):
     ...     picture = theta["map"].mean((1, 2)).expand(side, side, 3)
-    ...     return Rendered({"mean": Picture(picture, "radiance")}, [f"mean: {side} px"])
+    ...     return ScenePictures({"mean": Picture(picture, "radiance")}, [f"mean: {side} px"])
     >>> mean_colour(None, None, {"map": torch.ones(3, 8, 16)}, 4).files["mean"].pixels.shape
     torch.Size([4, 4, 3])
     """
 
     def __call__(self, app: App, task: Task, theta: Params, value: Any, /) -> Any:
-        """Return a `metapp.appearance.pictures.ScenePictures`: pictures by their files' names, and lines that are printed.
+        """Return a `metapp.appearance.pictures.ScenePictures`: pictures by file name, and lines to print.
 
         Args:
             app: the application.
-            task: what was fitted.
+            task: the task that was fitted.
             theta: the fit's parameters, without a task axis.
-            value: the option's value, of the type of its field.
+            value: the option's value, with the type of its field.
 
         Raises:
-            ValueError: the task lacks what the pictures are made of.
+            ValueError: the task lacks data that the pictures need.
         """
         ...
 
@@ -117,8 +117,8 @@ class ExportParameters(Protocol):
 
         Args:
             app: the application.
-            theta: the fit's parameters, without a task axis; of the names that `Export.holds` lists, if any.
-            path: the file without suffix; its last part is the task's name. Its folder may not be there yet.
+            theta: the fit's parameters, without a task axis; if `Export.holds` lists names, exactly these.
+            path: the path of the file without suffix; its last part is the task's name. Its folder may not exist yet.
 
         Raises:
             ValueError: the form cannot hold this fit.
@@ -139,9 +139,10 @@ class ExportSurface(Protocol):
         """Write a surface.
 
         Args:
-            surface: a :class:`metapp.appearance.surface.Surface`, as `Presenter.surface` returns it.
-            path: the file, or the folder of several, without suffix; its last part is the task's name.
-            provenance: the task's name, as `task`, and the settings of its fit, as records have them.
+            surface: a :class:`metapp.appearance.surface.Surface` that `Presenter.surface` returned.
+            path: the path of the file, or of the folder of several files, without suffix; its last part is the task's
+                name.
+            provenance: the task's name, as `task`, and the settings of its fit, by the keys of records.
 
         Raises:
             ValueError: the form cannot hold this surface.
@@ -151,7 +152,7 @@ class ExportSurface(Protocol):
 
 
 class ExportFiles(Protocol):
-    """A function of `metapp export` that writes files which are no fits in another form.
+    """A function for `metapp export` of files that are no fits: it writes them in another form.
 
     >>> def write(path, kind, folder, quiet):
     ...     target = folder / f"{path.stem}.{kind}"
@@ -160,16 +161,16 @@ class ExportFiles(Protocol):
     """
 
     def __call__(self, path: Path, kind: str, folder: Path, quiet: bool, /) -> Iterable[Path]:
-        """Write a file, or the files of a folder, and return the paths that were written.
+        """Write a file, or the files of a folder, in the form, and return the paths that were written.
 
         Args:
             path: the file or folder.
-            kind: the form, the entry's key.
-            folder: where to write; it may not be there yet.
+            kind: the form, which is the entry's key.
+            folder: the folder to write to; it may not exist yet.
             quiet: whether to show no progress.
 
         Raises:
-            ValueError: none of the files that the form is made of, or a damaged one; a target that is there already.
+            ValueError: no file can be written in this form, a file is damaged, or a target exists already.
         """
         ...
 
@@ -191,10 +192,10 @@ class ViewFit(Protocol):
         Args:
             presenter: the application's :class:`metapp.appearance.presenter.Presenter`.
             theta: the fit's parameters, without a task axis.
-            task: what was fitted; without data if that is not at hand.
+            task: the task that was fitted; without data if its file is not available.
 
         Raises:
-            KeyError: the view needs data of the task that it lacks.
+            KeyError: the view needs data that the task lacks.
         """
         ...
 
@@ -207,7 +208,9 @@ class MakeBaselines(Protocol):
     """
 
     def __call__(self, app: Any, /) -> tuple[Any, ...]:
-        """Return objects of :class:`metapp.extensions.baselines.baseline.Baseline`, the entry's own among them.
+        """Return the application's baselines, among them the one of the entry's key.
+
+        Each is a :class:`metapp.extensions.baselines.baseline.Baseline`.
 
         Args:
             app: the application under its protocol.
@@ -224,33 +227,34 @@ class MakeTable(Protocol):
     """
 
     def __call__(self, subject: Any, /) -> Any:
-        """Return the :class:`metapp.evaluation.table.Table` of an application; without rows if it has nothing to show.
+        """Return the :class:`metapp.evaluation.table.Table` of an application, without rows if none apply.
 
         Args:
             subject: a :class:`metapp.evaluation.subject.EvaluationRun`: the application under a protocol, its tasks and
-                runs; it fits what the table asks for.
+                runs; it makes the fits that the table asks for.
         """
         ...
 
 
 class FitMethod(Protocol):
-    """A function that becomes a method of fits in the Python API, by the entry's key.
+    """A function that becomes a method of fits in the Python API, under the name of the entry's key.
 
     >>> def first_word(fit):
     ...     return fit.name.split("-")[0]
     """
 
     def __call__(self, fit: Any, /, *arguments: Any, **keywords: Any) -> object:
-        """Return what the method returns.
+        """Return the result of the method.
 
         Args:
-            fit: a :class:`metapp.runs.fit.Fit`; further arguments are those of the call.
+            fit: a :class:`metapp.runs.fit.Fit`.
+            *arguments, **keywords: the further arguments of the method's call.
         """
         ...
 
 
 class MakeSteps(Protocol):
-    """A function that makes the steps of a rule down a loss, faster than torch's where it can; the hook "steps".
+    """A function that makes the steps of a rule down a loss, faster than torch where it can; the hook "steps".
 
     >>> from metapp.learning.adjoint import torch_steps
     >>> def steps(rule, loss, theta, order, *, compiles=False):
@@ -258,14 +262,14 @@ class MakeSteps(Protocol):
     """
 
     def __call__(self, rule: UpdateRule, loss: Loss, theta: Params, order: int, /, *, compiles: bool = False) -> Steps:
-        """Return steps that give what :func:`metapp.learning.adjoint.torch_steps` gives, to rounding.
+        """Return steps with the results of :func:`metapp.learning.adjoint.torch_steps`, up to rounding.
 
         Args:
             rule: the rule with its hyperparameters.
-            loss: the loss of the task.
-            theta: parameters [T, ...] of the shapes that steps will see; their values are not read.
-            order: 2 differentiates through the gradient, 1 does not.
-            compiles: whether steps are so many that compiling code for them pays.
+            loss: the loss of the tasks.
+            theta: parameters [T, ...] with the shapes that steps will see; their values are not read.
+            order: 2 differentiates the gradient of a step in the vector-Jacobian product, 1 treats it as a constant.
+            compiles: whether the steps are so many that compiling code for them pays.
         """
         ...
 
@@ -280,13 +284,13 @@ class CheckScene(Protocol):
     """
 
     def __call__(self, scene: SceneDict, /) -> SceneDict:
-        """Return the scene, with nothing in it that Mitsuba may not load.
+        """Return the scene, in which nothing is left that Mitsuba may not load.
 
         Args:
             scene: a dictionary of type "scene", as JSON holds it.
 
         Raises:
-            ValueError: it holds a plugin or a file that a scene may not hold.
+            ValueError: the scene holds a plugin or a file that scenes of data sets may not hold.
         """
         ...
 
@@ -294,20 +298,21 @@ class CheckScene(Protocol):
 class EmbeddedSet(Protocol):
     """A module that draws an application's embedded data set.
 
-    It may have these names, too:
+    It may have further names:
 
     - `VERSION`, an integer that is raised when the drawn values change;
-    - `units_of(**options)`, the units of a set that is drawn by these options, in place of `UNITS`;
-    - `BESIDE`, a tensor's name and a suffix: the tensor of each task is written as a file beside its shard;
-    - `FILES`, other forms by name, each a function `write(folder, split, count, seed)`, which yields the names of the
-      files that it writes, and the size of a file in bytes;
+    - `units_of(**options)`, the units of a set that is drawn with these options, in place of `UNITS`;
+    - `BESIDE`, the name of a tensor and a suffix: this tensor of each task is also written as a file beside the task's
+      shard;
+    - `FILES`, other forms of the set by name, each a pair: a function `write(folder, split, count, seed)`, which yields
+      the names of the files that it writes, and the size of one file in bytes;
     - a constant for each option, in capitals: its default.
 
     Attributes:
         COUNTS: the number of tasks of the default set, by split ("train", "test").
         UNITS: units or encodings of the tasks' tensors in words, by name.
-        synthetic_tasks: `synthetic_tasks(split, count, seed, **options)` yields so many tasks. A seed gives equal
-            tasks on every machine; further parameters are options of `metapp data synth`.
+        synthetic_tasks: a function `synthetic_tasks(split, count, seed, **options)` that yields so many tasks. A seed
+            gives equal tasks on every machine; further parameters are options of `metapp data synth`.
 
     >>> from metapp.registry import registry
     >>> registry().synthetic["brdf"].load().COUNTS

@@ -1,4 +1,7 @@
-"""Learned rules by name: those of the registry and compositions of them."""
+"""Learned rules by name: rules, parts and compositions of the registry, as --rule names them.
+
+`metapp.learning.rules` composes parts, and knows no registry; this module gives it the registered ones.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from metapp.registry import registry
 
 @cache
 def rule_of(name: str) -> LearnedRule:
-    """The learned rule of a name, or of a composition of names with "+" between them.
+    """Return the learned rule of a name, or of a composition of names with "+" between them.
 
     Raises:
         ValueError: a name is unknown, or the parts do not go together.
@@ -21,10 +24,11 @@ def rule_of(name: str) -> LearnedRule:
     """
     tables = registry()
     return compose(
-        name, list(tables.parts), lambda part: _part(tables.parts[part].load()), tables.rules, tables.compositions
+        name, list(tables.parts), lambda part: _make_part(tables.parts[part].load()), tables.rules, tables.compositions
     )
 
 
-@cache  # compiled steps are found by the part
-def _part(kind: Callable[[], Part]) -> Part:
-    return kind()
+@cache
+def _make_part(factory: Callable[[], Part]) -> Part:
+    """Make the part of an entry, once for all rules, as the cache of compiled steps compares parts by identity."""
+    return factory()

@@ -1,4 +1,8 @@
-"""Names that options, help and errors list: applications, protocols, recipes, rules, inputs and exports."""
+"""Names that options, help and errors list: applications, protocols, recipes, rules, inputs and exports.
+
+Every list comes from the registry, so that an extension's names are listed like the core's. Nothing is loaded to list
+its name.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +13,20 @@ from metapp.registry import Application, Export, Format, RecipeEntry, registry
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """A question after an error about a word that is no name, if some names begin so or one is like it; else "".
+    """Return a question that ends an error about an unknown word, if names begin with it or resemble it; else "".
 
     >>> did_you_mean("mreta", ["general", "meta"])
     " Did you mean 'meta'?"
     """
     choices = list(names)
-    near = [name for name in choices if word and name.startswith(word)] or difflib.get_close_matches(word, choices, 1)
-    return f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
+    similar = [name for name in choices if word and name.startswith(word)] or difflib.get_close_matches(
+        word, choices, 1
+    )
+    return f" Did you mean {' or '.join(map(repr, similar))}?" if similar else ""
 
 
 def app_names() -> list[str]:
-    """The names of all applications.
+    """Return the names of all applications, sorted.
 
     >>> app_names()[:2]
     ['brdf', 'illumination']
@@ -29,10 +35,10 @@ def app_names() -> list[str]:
 
 
 def application_of(name: str) -> Application:
-    """The entry of an application.
+    """Return the entry of an application.
 
     Raises:
-        ValueError: there is none of that name; the message lists those that exist.
+        ValueError: there is no application of that name; the message lists all names.
 
     >>> application_of("illumination").protocols
     {'reference': 'map', 'photo': 'photos'}
@@ -45,30 +51,30 @@ def application_of(name: str) -> Application:
 
 
 def protocols_of(app: str) -> tuple[str, ...]:
-    """The protocols of an application, the values of --observe, the default first; () if there is no choice."""
+    """Return the protocols of an application (the values of --observe), the default first; () if there is only one."""
     return tuple(application_of(app).protocols)
 
 
 def protocol_or_default(app: str, protocol: str = "") -> str:
-    """The protocol, the default one if none is named; "" if there is no choice.
+    """Return the given protocol, or the application's default one if it is ""; "" if there is only one.
 
-    >>> protocol_of("illumination")
+    >>> protocol_or_default("illumination")
     'reference'
     """
     return protocol or next(iter(application_of(app).protocols), "")
 
 
 def recipe_names(app: str) -> list[str]:
-    """The recipes of an application under all its protocols.
+    """Return the names of an application's recipes under all its protocols.
 
     >>> recipe_names("illumination")
     ['quick', 'full', 'paper', 'paper-long']
     """
-    return list(dict.fromkeys(name for other, _, name in registry().recipes if other == app))
+    return list(dict.fromkeys(name for recipe_app, _, name in registry().recipes if recipe_app == app))
 
 
 def recipe_entries(app: str, protocol: str = "") -> dict[str, RecipeEntry]:
-    """The recipes of an application under a protocol, its default one if none is named."""
+    """Return the recipes of an application under a protocol, by name; "" stands for the default protocol."""
     return registry().recipes.of(app, protocol_or_default(app, protocol))
 
 
@@ -82,7 +88,7 @@ def embedded_apps() -> list[str]:
 
 
 def rule_words() -> list[str]:
-    """The words of --rule, which + joins: rules, short names of compositions, and parts.
+    """Return the words that --rule accepts, joined by +: rules, compositions and parts.
 
     >>> rule_words()[:2]
     ['meta-sgd', 'meta-curvature']
@@ -92,16 +98,16 @@ def rule_words() -> list[str]:
 
 
 def input_formats(app: str) -> dict[str, Format]:
-    """The formats that fits of an application take as INPUT, sorted by name.
+    """Return the formats that fits of an application accept as INPUT, by name, sorted.
 
-    >>> list(inputs_of("texture"))
+    >>> list(input_formats("texture"))
     ['images']
     """
-    return {name: form for name, form in sorted(registry().formats.items()) if form.app == app and form.inputs}
+    return {name: entry for name, entry in sorted(registry().formats.items()) if entry.app == app and entry.inputs}
 
 
 def exports_of(app: str) -> dict[str, Export]:
-    """The forms that fits of an application can be written in, sorted by name.
+    """Return the forms that fits of an application can be written in, by name, sorted.
 
     >>> list(exports_of("texture"))
     ['asset', 'exr', 'png16']

@@ -1,6 +1,6 @@
-"""Options as fields of dataclasses: the command line, the Python API and records have the same ones.
+"""Options as fields of dataclasses, which the command line, the Python API and records have in common.
 
-A field is annotated by an `Option`, which says all that a command line shows and all that is checked:
+A field is annotated by an :class:`Option`, which says all that a command line shows and all that is checked:
 
     @dataclass(frozen=True)
     class Sizes:
@@ -21,30 +21,33 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 from metapp.names import application_of, did_you_mean
 from metapp.registry import load_reference
 
-PANELS = INPUT, FIT, OUTPUT = "Input", "Fit", "Output"  # of --help
+PANELS = INPUT, FIT, OUTPUT = "Input", "Fit", "Output"  # sections of --help
 Options = TypeVar("Options")
 
 
 class BadOption(ValueError):
-    """An option that does not exist, or has a value that it cannot have."""
+    """An error of an option that does not exist, or of a value that an option cannot have."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """An option: help and limits, and, of the field that it annotates, name, type and default.
+    """An option: its help and limits, and the name, types and default of the field that it annotates.
 
     Attributes:
         help: one or two sentences.
-        metavar: placeholder of the value.
-        low, high: least and greatest value of a number.
-        choices: values of a word; () for any.
-        panel: of --help. Of an application's own options it also says their effect: INPUT on reading files, FIT on
-            the recipe, OUTPUT on the files of a fit.
+        metavar: the placeholder of the value in help.
+        low, high: the least and the greatest value of a number; None for no limit.
+        choices: the words that a value may be; () for any.
+        panel: the section of --help. For an application's own options it also says what they influence: INPUT the
+            reading of files, FIT the recipe, OUTPUT the files of a fit.
         protocol: the value of --observe that the option needs; "" for any.
-        parse: value -> value of the field; ValueError states the expected form.
-        short: the letter of a further name on the command line; "" for none.
-        name, kinds, default: of the field; a value has one of the types `kinds`.
-        flag: the name on the command line.
+        parse: a function from a given value to the field's value; its ValueError states the expected form. None if the
+            given value is the field's value.
+        short: the letter of a short name on the command line; "" for none.
+        name: the name of the field.
+        kinds: the types that the field's value may have.
+        default: the default of the field.
+        flag: the name on the command line, with two hyphens.
     """
 
     help: str = ""
@@ -62,10 +65,10 @@ class Option:
     flag: str = ""
 
     def parse_value(self, given: object) -> object:
-        """The field's value of a given one.
+        """Check a given value, and convert it to the field's value.
 
         Raises:
-            BadOption: another type, or a value that the option cannot have.
+            BadOption: the value has another type, or the option cannot have it.
         """
         kinds = self.kinds
         if given is None and NoneType in kinds:
@@ -73,14 +76,14 @@ class Option:
         if Path in kinds and isinstance(given, str):
             given = Path(given)
         elif any(get_origin(kind) is tuple and get_args(kind)[0] is Path for kind in kinds):
-            some = [given] if isinstance(given, str | Path) else given
-            given = tuple(Path(path) for path in some)  # type: ignore[attr-defined]
-        elif not (self.parse and get_origin(kinds[0]) is tuple) and not _is_one_of(given, kinds):
+            paths = [given] if isinstance(given, str | Path) else given
+            given = tuple(Path(path) for path in paths)  # type: ignore[attr-defined]
+        elif not (self.parse and get_origin(kinds[0]) is tuple) and not _has_type(given, kinds):
             names = " or ".join(getattr(kind, "__name__", str(kind)).replace("NoneType", "None") for kind in kinds)
             raise BadOption(f"{self.flag} {given!r}: expected {names}.")
-        low, high = (given if end is None else end for end in (self.low, self.high))
+        low, high = (given if limit is None else limit for limit in (self.low, self.high))
         if isinstance(given, int | float) and not low <= given <= high:  # type: ignore[operator]
-            least, most = (f"{end:,}" if end is not None else "" for end in (self.low, self.high))
+            least, most = (f"{limit:,}" if limit is not None else "" for limit in (self.low, self.high))
             expected = f"{least} to {most}" if least and most else f"{least} or more" if least else f"{most} or less"
             raise BadOption(f"{self.flag} {given}: expected {expected}.")
         if self.choices and given not in self.choices:
@@ -95,50 +98,55 @@ class Option:
             raise BadOption(f"{self.flag} '{text}': {error}.") from None
 
 
-def _is_one_of(value: object, kinds: tuple[Any, ...]) -> bool:
-    plain = tuple(kind for kind in kinds if isinstance(kind, type))
-    plain += (int,) * (float in plain)
-    return isinstance(value, plain) and (bool in plain or not isinstance(value, bool))
+def _has_type(value: object, kinds: tuple[Any, ...]) -> bool:
+    """Return whether a value has one of the types; an integer is also a float, and a bool is no number."""
+    types = tuple(kind for kind in kinds if isinstance(kind, type))
+    types += (int,) * (float in types)
+    return isinstance(value, types) and (bool in types or not isinstance(value, bool))
 
 
 def options_by_name(options: type) -> Mapping[str, Option]:
-    """The options of a dataclass by name, in the order of its fields."""
-    return _declared(options)
+    """Return the options of a dataclass by name, in the order of its fields."""
+    return _collect_options(options)
 
 
 @functools.cache
-def _declared(options: type) -> Mapping[str, Option]:
-    hints, found = get_type_hints(options, include_extras=True), {}
+def _collect_options(options: type) -> Mapping[str, Option]:
+    """Collect the options of a dataclass from the annotations of its fields."""
+    hints, options_found = get_type_hints(options, include_extras=True), {}
     for field in fields(options):
         kind, *notes = get_args(hints[field.name]) if get_origin(hints[field.name]) is Annotated else (None,)
-        if about := next((note for note in notes if isinstance(note, Option)), None):
+        if option := next((note for note in notes if isinstance(note, Option)), None):
             kinds, flag = get_args(kind) if isinstance(kind, UnionType) else (kind,), field.name.replace("_", "-")
-            found[field.name] = replace(about, name=field.name, kinds=kinds, default=field.default, flag=f"--{flag}")
-    return found
+            options_found[field.name] = replace(
+                option, name=field.name, kinds=kinds, default=field.default, flag=f"--{flag}"
+            )
+    return options_found
 
 
 def parse_options(options: type[Options], values: Mapping[str, object], **checked: object) -> Options:
-    """An instance of a dataclass of options.
+    """Make an instance of a dataclass of options from given values.
 
     Args:
         options: the dataclass.
-        values: by name of its options, as a command line or a program gives them; those of None are left out.
-        checked: further fields, taken as they are.
+        values: values by the names of options, from a command line or a program; options whose value is None have their
+            default.
+        checked: values of further fields, which are not checked.
 
     Raises:
-        BadOption: a value that an option cannot have.
+        BadOption: an option cannot have its value.
     """
     known = options_by_name(options)
-    given = {name: known[name].parse_value(value) for name, value in values.items() if value is not None}
-    return options(**given, **checked)
+    parsed = {name: known[name].parse_value(value) for name, value in values.items() if value is not None}
+    return options(**parsed, **checked)
 
 
 @dataclass(frozen=True)
 class AppOptions:
-    """The options of an application beside those of all; each application extends it by its own."""
+    """The options that an application has in addition to the options of all fits; applications extend this class."""
 
     def non_default_values(self, *panels: str) -> dict[str, Any]:
-        """The options of these panels (of all if none is named) that are not at their default."""
+        """Return the values that differ from their default, by name, of options in these panels or in all panels."""
         return {
             name: getattr(self, name)
             for name, option in options_by_name(type(self)).items()
@@ -146,49 +154,61 @@ class AppOptions:
         }
 
     def reader_keywords(self) -> dict[str, Any]:
-        """Keywords of readers; a reader takes those that it has."""
+        """Return keyword arguments for readers, each of which is given those that its function has."""
         return self.non_default_values(INPUT)
 
     def adapt_recipe(self, recipe: Any) -> Any:
-        """The recipe, a `metapp.learning.recipe.Recipe`, as these options change it.
+        """Change a recipe as the options ask.
+
+        Args:
+            recipe: a `metapp.learning.recipe.Recipe`.
 
         Raises:
-            ValueError: the recipe has no such choice; the message states the expected one.
+            ValueError: the recipe does not have this choice; the message states what is expected.
         """
         return recipe
 
     def recorded_values(self) -> dict[str, object]:
-        """The options that errors of fits depend on, or that later exports follow, as JSON holds them."""
+        """Return the values for a fit's record, as JSON holds them.
+
+        These are options that the errors of fits depend on, and options that later exports of the fit must know.
+        """
         return {name: _as_json(value) for name, value in sorted(self.non_default_values(INPUT, FIT).items())}
 
 
 def app_options_class(app: str) -> type[AppOptions]:
-    """The dataclass of an application's own options."""
+    """Import the dataclass of an application's own options."""
     result: type[AppOptions] = load_reference(application_of(app).options)
     return result
 
 
 def _as_json(value: object) -> object:
+    """Return a value as JSON holds it: tuples as lists, and paths as absolute text."""
     if isinstance(value, tuple):
-        return [_as_json(each) for each in value]
+        return [_as_json(item) for item in value]
     return str(value.absolute()) if isinstance(value, Path) else value
 
 
 def split_option(auto: str) -> Option:
-    """The option --split of commands that write data sets; `auto` says how names and files tell the split of a task."""
+    """Return the option --split of commands that write data sets.
+
+    Args:
+        auto: how names or files tell the split of a task, for the help on the value "auto".
+    """
     splits = ("train", "test", "auto")
     return Option(f"Where the tasks belong. auto: {auto}", "|".join(splits), choices=splits)
 
 
 @dataclass(frozen=True)
 class Converter:
-    """The command `metapp data NAME` that converts files of the format NAME: its options are fields, its help the text.
+    """The command `metapp data NAME`, which converts files of the format NAME to a data set.
 
-    A subclass whose files or names tell more of the split has `split` anew.
+    A subclass declares the command: its fields are the options, and its docstring is the help. If names or files tell
+    more about the split than their order, it declares `split` again.
     """
 
     split: Annotated[str, split_option("of the sorted names, every fifth is a test task (80 give 64 + 16).")] = "auto"
 
     def arguments(self) -> dict[str, object]:
-        """The options as keywords of the format's `read_task`."""
+        """Return the options as keyword arguments of the format's `read_task`."""
         return {name: value for name, value in vars(self).items() if name != "split"}

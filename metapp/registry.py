@@ -1,9 +1,9 @@
-"""Tables by name: applications, recipes, formats, exports, commands and more.
+"""Tables of what metapp has, by name: applications, recipes, formats, exports, commands and more.
 
-Their entries are references "module:attribute", imported at first use. An extension is a
-module that is cheap to import and has `register(registry) -> None`, or such a function; an entry point of the group
-"metapp.extensions" names it. `metapp.contents` has the core's entries, `metapp.extensions.contents` those of extensions
-that ship.
+Entries are references "module:attribute", which are imported at first use, so that a command imports only what it
+needs. An extension is a module that is cheap to import and has a function `register(registry) -> None`; an entry point
+of the group "metapp.extensions" names the module or the function. The core is registered like an extension, by
+`metapp.contents`, and extensions that ship by `metapp.extensions.contents`. Nothing here knows any entry by its name.
 """
 
 from __future__ import annotations
@@ -19,51 +19,57 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from typing_extensions import override
+
 if TYPE_CHECKING:
     from metapp import contracts
 
-ENTRY_POINT_GROUP, CORE_MODULE = "metapp.extensions", "metapp.contents"
+ENTRY_POINT_GROUP = "metapp.extensions"  # group of the entry points that name extensions
+CORE_MODULE = "metapp.contents"  # module that registers the core
 WITHOUT_VARIABLE = "METAPP_WITHOUT"  # environment variable: names of extensions to leave out, separated by commas
-METAPP_PACKAGE = "metapp"  # the package whose extensions come first, and whose errors are raised
+METAPP_PACKAGE = "metapp"  # package whose extensions are registered first, and whose errors are raised
 
-Value = TypeVar("Value")
+Value = TypeVar("Value")  # the type of a table's entries
 Contract = TypeVar("Contract")  # the type of the object that an entry names
 
 
 def load_reference(reference: str) -> Any:
-    """The object of "module:attribute", the entry of "module:TABLE.key" or a module; it is imported now.
+    """Import what a reference names, and return it.
+
+    Args:
+        reference: "module:attribute", "module:TABLE.key" for the entry of a table, or "module".
 
     Raises:
-        ImportError: no such module, attribute or entry, or whatever ends the import.
+        ImportError: there is no such module, attribute or entry, or an error ends the import.
 
-    >>> load("math:tau")
+    >>> load_reference("math:tau")
     6.283185307179586
     """
     name, _, path = reference.partition(":")
     try:
-        thing: Any = importlib.import_module(name)
+        found: Any = importlib.import_module(name)
         for part in path.split(".") if path else ():
-            thing = thing[part] if isinstance(thing, Mapping) else getattr(thing, part)
+            found = found[part] if isinstance(found, Mapping) else getattr(found, part)
     except KeyboardInterrupt:
         raise
     except BaseException as error:
         raise ImportError(f"{reference} cannot be loaded: {describe_error(error)}") from error
-    return thing
+    return found
 
 
 def describe_error(error: BaseException) -> str:
-    """An error in one line."""
+    """Return the type and the message of an error, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 @dataclass(frozen=True)
 class Entry(Generic[Contract]):
-    """The reference to an object, with its help and conditions, which are known before it is imported.
+    """A reference to an object, with its help and conditions, which are known before it is imported.
 
     Attributes:
-        reference: "module:attribute", or "module:TABLE.key".
-        help: a few words.
-        apps: the applications that it is for, if its key names none.
+        reference: "module:attribute", or "module:TABLE.key" for the entry of a table.
+        help: a few words that help texts and lists show.
+        apps: the applications that the object is for, if the entry's key does not name one.
 
     >>> Entry("math:gcd").load()(12, 18)
     6
@@ -77,24 +83,26 @@ class Entry(Generic[Contract]):
         """Import and return the object.
 
         Raises:
-            ImportError: there is no such module or attribute, or the import fails.
+            ImportError: there is no such module or attribute, or an error ends the import.
         """
-        named: Contract = load_reference(self.reference)
-        return named
+        loaded: Contract = load_reference(self.reference)
+        return loaded
 
 
 @dataclass(frozen=True, kw_only=True)
 class Application(Entry[Any]):
-    """An application: a subclass of `metapp.learning.app.App`.
+    """An application: a reference to a subclass of `metapp.learning.app.App`.
 
     Attributes:
-        title: its name in tables and pictures.
-        protocols: the values of --observe, the default first, each with the tensor that fits see; {} if there is no
-            choice.
-        options: "module:attribute" of its own, a dataclass that extends `metapp.options.AppOptions`.
-        presenter: "module:attribute" of its subclass of `metapp.appearance.presenter.Presenter`, which shows nothing.
-        facts: "module:function" of what tensors of a task tell, `facts_of(tensors)` with None for those whose names
-            alone are known, as of data sets; recipes are chosen by it. "" for nothing.
+        title: the name in tables and pictures.
+        protocols: the values of --observe, the default first, each with the name of the tensor that fits observe; {} if
+            there is only one protocol.
+        options: a reference to the application's options, a dataclass that extends `metapp.options.AppOptions`.
+        presenter: a reference to a subclass of `metapp.appearance.presenter.Presenter`; that class itself shows
+            nothing.
+        facts: a reference to a function `facts_of(tensors)` that returns facts about a task, by which a recipe is
+            chosen. It gets tensors by name, or None in place of a tensor of which only the name is known, as in a data
+            set. "" if no recipe depends on facts.
     """
 
     title: str
@@ -104,18 +112,21 @@ class Application(Entry[Any]):
     facts: str = ""
 
 
-FactRange = bool | int | tuple[float, float]  # the value of a fact, or its least and greatest one
+FactRange = bool | int | tuple[float, float]  # a value of a fact, or the least and the greatest value of a range
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecipeEntry(Entry[Any]):
-    """A `metapp.learning.recipe.Recipe`; `help` says in words what inputs have that it suits.
+    """A reference to a `metapp.learning.recipe.Recipe`; `help` says which inputs the recipe suits.
 
     Attributes:
-        suits: facts of the inputs that take it if none is named, each with its value or range; {} if it must be named.
-        mixed: the recipe for all inputs of folders in which it suits some and not all; "" if these are refused.
-        paradigms: those that take it so; () for all.
-        lacks: a function `lacks() -> str`, a line that names a file it needs and does not find; "" for none.
+        suits: facts of inputs, each with its value or range; the recipe is chosen for inputs that have all of them,
+            unless the user names a recipe. {} if the recipe is only used where it is named.
+        mixed: the recipe that is chosen if a folder has inputs of which this recipe suits some but not all; "" if such
+            folders are refused.
+        paradigms: the paradigms for which the recipe is chosen; () for all.
+        lacks: a reference to a function `lacks() -> str` that returns a line about a file that the recipe needs and
+            that is missing, or ""; "" if the recipe needs no file.
     """
 
     suits: Mapping[str, FactRange] = field(default_factory=dict)
@@ -126,24 +137,24 @@ class RecipeEntry(Entry[Any]):
 
 @dataclass(frozen=True, kw_only=True)
 class Format(Entry[Any]):
-    """A format of files that tasks come from: a module that finds and reads them.
+    """A file format that tasks are read from: a reference to a module that finds and reads its files.
 
     The module has these names:
 
-    - `recognises(path)`, of inputs of fits: True for a file of the format and for a folder with such files, by suffixes
-      and first bytes;
-    - `find(path)`: a `data_tools.readers.input_source.Source` for each task, with all that is to be known before it is read,
-      and a message for each skipped file of a folder; ValueError for a bad path;
-    - `read_task(path, ...)`: the task; ValueError if the source is damaged. Fits pass the parameters that it names,
-      among them `content`, what `find` has parsed already;
+    - `recognises(path)`, for inputs of fits: returns whether a path is a file of the format, or a folder with such
+      files, by suffixes and first bytes;
+    - `find(path)`: returns a `data_tools.readers.input_source.Source` for each task, with all that must be known before
+      it is read, and a message for each skipped file of a folder; raises ValueError for a bad path;
+    - `read_task(path, ...)`: returns the task; raises ValueError if the file is damaged. Fits pass those keyword
+      arguments that it names, among them `content`, which is what `find` has parsed already;
     - `UNITS`, if the command "data NAME" (a `metapp.options.Converter`) converts files: units of tensors by name;
-    - `entries(paths, folders, split)`, optional: names, groups and splits as `metapp.storage.shards.ManifestEntry`, of all
-      paths of sources that are not left out.
+    - `entries(paths, folders, split)`, optional: returns names, groups and splits, each as a
+      `metapp.storage.data_sets.ManifestEntry`, for the paths of all sources.
 
     Attributes:
-        app: the application whose tasks its files hold.
-        inputs: the files in words, for help and errors; "" if fits do not take them as INPUT.
-        data_sets: whether its command "data NAME" takes data sets, too.
+        app: the application whose tasks the files hold.
+        inputs: what the files are, in words, for help and errors; "" if fits do not accept them as INPUT.
+        data_sets: whether the command "data NAME" also accepts data sets.
     """
 
     app: str
@@ -153,16 +164,18 @@ class Format(Entry[Any]):
 
 @dataclass(frozen=True, kw_only=True)
 class Export(Entry[Any]):
-    """A form that fits are written in for other programs.
+    """A form in which fits are written for other programs: a reference to a function.
 
-    A function `write(app, theta, path)` for the parameters of one fit without a task axis, or, if `of_surface`,
-    `write(surface, path, provenance)`; `path` has no suffix, its last part is the fit's name.
+    The function is `write(app, theta, path)` for the parameters of one fit without a task axis. If `of_surface` is set,
+    it is `write(surface, path, provenance)`. The path has no suffix, and its last part is the fit's name. See
+    :class:`metapp.contracts.ExportParameters` and :class:`metapp.contracts.ExportSurface`.
 
     Attributes:
-        of_surface: whether it is made of the flat surface that a fit is of.
-        holds: the parameters that a file holds; a fit of another network is distilled into them first; () for what is
-            made of what a fit evaluates to.
-        needs: the module and the package of a library that is not always installed; () for none.
+        of_surface: whether the function writes the flat surface of a fit instead of its parameters.
+        holds: the names of the parameters that the form can hold; fits with another network are distilled into these
+            first. () if the form is made of what any network evaluates to.
+        needs: the module and the package of a library that the function needs and that is not always installed; ()
+            for none.
     """
 
     of_surface: bool = False
@@ -171,60 +184,65 @@ class Export(Entry[Any]):
 
 
 class Entries(UserDict[Any, Value]):
-    """Entries by name, or by several words such as the application and the name; each name is given once.
+    """Entries by name, or by several words such as an application and a name. Each key can be set once.
 
     >>> commands = Entries(Entry)
     >>> commands["count"] = Entry("mine:count")
     >>> commands["count"] = Entry("mine:count_all")
     Traceback (most recent call last):
-    ValueError: count: there is one of this name already
+    ValueError: count: an entry of this name exists already
     """
 
     def __init__(self, kind: type[Value], key_length: int = 1) -> None:
         super().__init__()
         self.kind, self.key_length = kind, key_length
 
+    @override
     def __setitem__(self, key: Any, value: Value) -> None:
         words = _words(key)
         if len(words) != self.key_length or not words[-1] or not all(isinstance(word, str) for word in words):
-            raise TypeError(f"{key!r}: no name of {self.key_length} words")
+            raise TypeError(f"{key!r}: expected a name of {self.key_length} word(s)")
         if not isinstance(value, self.kind):
-            raise TypeError(f"{_line(*words)}: a {type(value).__name__}, expected {self.kind.__name__}")
+            raise TypeError(f"{_join_words(*words)}: a {type(value).__name__}, expected {self.kind.__name__}")
         if key in self:
-            raise ValueError(f"{_line(*words)}: there is one of this name already")
+            raise ValueError(f"{_join_words(*words)}: an entry of this name exists already")
         self.data[key] = value
 
-    def of(self, *first: str) -> dict[str, Value]:
-        """Entries whose keys are these words and one more, by the last one."""
-        return {_words(key)[-1]: value for key, value in self.items() if _words(key)[:-1] == first}
+    def of(self, *first_words: str) -> dict[str, Value]:
+        """Return the entries whose keys begin with these words and have one more, by their last word."""
+        return {_words(key)[-1]: value for key, value in self.items() if _words(key)[:-1] == first_words}
 
 
 def _words(key: Any) -> tuple[str, ...]:
+    """Return the words of a key."""
     return key if isinstance(key, tuple) else (key,)
 
 
-def _line(*words: str) -> str:
+def _join_words(*words: str) -> str:
+    """Join words that are not empty by spaces."""
     return " ".join(filter(None, words))
 
 
 class Registry:
-    """Tables of entries, and who filled them.
+    """Tables of entries, and which package filled them.
 
     The keys of a table are names unless a comment says more. The type of a table's entries names their contract: what
-    the object that an entry loads takes and gives. See :mod:`metapp.contracts`.
+    the object that an entry loads takes and returns. See :mod:`metapp.contracts`.
 
     Attributes:
-        owners: packages by table and name.
-        extensions: packages by name of the extension.
-        problems: why extensions cannot be used, by "NAME of PACKAGE".
+        owners: the package that registered a name, by table and name.
+        extensions: the package of each extension, by the extension's name.
+        problems: why some extensions cannot be used, by "NAME of PACKAGE".
     """
 
     def __init__(self) -> None:
         self.applications = Entries(Application)
-        self.recipes = Entries(RecipeEntry, 3)  # by application, protocol ("" where there is but one) and name
-        self.networks: Entries[Entry[Any]] = Entries(Entry, 2)  # by application and name: parameters tell the right one
-        # parts of learned rules, in the order in which they act on a step; rules and short names of compositions are
-        # names joined by +, of which rules alone are offered
+        self.recipes = Entries(RecipeEntry, 3)  # by application, protocol ("" if there is only one) and name
+        self.networks: Entries[Entry[Any]] = Entries(
+            Entry, 2
+        )  # by application and name; a fit's parameters tell its network
+        # parts of learned rules, in the order in which they act on a step; rules and compositions are names joined by
+        # +, and lists of choices show rules alone
         self.parts: Entries[Entry[Callable[[], contracts.Part]]] = Entries(Entry)
         self.rules = Entries(str)
         self.compositions = Entries(str)
@@ -234,64 +252,76 @@ class Registry:
         self.merges: Entries[Entry[contracts.MergeInputs]] = Entries(Entry, 2)  # by application and option
         self.outputs: Entries[Entry[contracts.RenderFit]] = Entries(Entry, 2)  # by application and option
         self.exports = Entries(Export, 2)  # by application and name
-        self.file_exports: Entries[Entry[contracts.ExportFiles]] = Entries(Entry)  # `help` says of which files
+        self.file_exports: Entries[Entry[contracts.ExportFiles]] = Entries(
+            Entry
+        )  # `help` says which files are exported
         self.pages: Entries[Entry[contracts.ViewFit]] = Entries(Entry)  # by application
-        # plugins of Mitsuba: functions that register one; of integrators `help` says what they do
+        # functions that register a plugin of Mitsuba; for an integrator `help` says what it does
         self.plugins: Entries[Entry[Callable[[], None]]] = Entries(Entry)
         self.measures: Entries[Entry[Any]] = Entries(Entry)  # a `metapp.appearance.picture_measures.PictureMeasure`
         self.baselines: Entries[Entry[contracts.MakeBaselines]] = Entries(Entry, 2)  # by application and method
-        self.tables: Entries[Entry[contracts.MakeTable]] = Entries(Entry)  # of `metapp evaluate`; `help` is the heading
-        # a function that typer reads, or a group of typer; of "data FORMAT" a subclass of `metapp.options.Converter`
+        self.tables: Entries[Entry[contracts.MakeTable]] = Entries(Entry)  # of `metapp evaluate`; `help`: the heading
+        # functions that typer reads, or groups of typer; for "data FORMAT" subclasses of `metapp.options.Converter`
         self.commands: Entries[Entry[Any]] = Entries(Entry)
-        # by application: pairs of words after `metapp`, in which {} is the folder of inputs, and of what they give
+        # by application: pairs of the words after `metapp`, in which {} is the folder of inputs, and of a line about
+        # what they produce
         self.examples: Entries[Entry[Sequence[tuple[str, str]]]] = Entries(Entry)
-        self.methods: Entries[Entry[contracts.FitMethod]] = Entries(Entry)  # of fits in the Python API
-        self.hooks: Entries[Entry[Any]] = Entries(Entry)  # "steps": `contracts.MakeSteps`, "scene": `CheckScene`
+        self.methods: Entries[Entry[contracts.FitMethod]] = Entries(Entry)  # methods of fits in the Python API
+        self.hooks: Entries[Entry[Any]] = Entries(Entry)  # "steps" is a `contracts.MakeSteps`, "scene" a `CheckScene`
         self.owners: dict[str, str] = {}
         self.extensions: dict[str, str] = {}
         self.problems: dict[str, str] = {}
 
+    @override
     def __setattr__(self, name: str, value: object) -> None:
         if "problems" in vars(self):
             raise AttributeError(f"{name}: cannot be set; add entries to tables")
         super().__setattr__(name, value)
 
     def add(self, other: Registry, package: str) -> None:
-        """Take over all that another one holds, or nothing.
+        """Add all entries of another registry, or none if an error is raised.
+
+        Args:
+            other: the registry.
+            package: the name of the package that filled it.
 
         Raises:
-            ValueError: a name that is there already; two recipes that suit the same facts. It names both packages.
+            ValueError: a name is registered already, or two recipes suit equal facts; the message names both packages.
         """
-        new: dict[str, str] = {}
+        new_owners: dict[str, str] = {}
         for table, key, entry in other.entries():
             names = [other.unique_name(table, key)]
             if isinstance(entry, RecipeEntry) and entry.suits:
-                facts = ", ".join(f"{fact} {wanted}" for fact, wanted in sorted(entry.suits.items()))
-                names.append(f"recipes of {_line(*key[:2])} for inputs of {facts}")
+                facts = ", ".join(f"{fact} {value}" for fact, value in sorted(entry.suits.items()))
+                names.append(f"recipes of {_join_words(*key[:2])} for inputs of {facts}")
             for name in names:
-                if owner := self.owners.get(name, new.get(name)):
-                    raise ValueError(f"{name}: of {package}, but there is one of {owner} already")
-                new[name] = package
+                if owner := self.owners.get(name, new_owners.get(name)):
+                    raise ValueError(f"{name}: registered by {package}, but {owner} has registered it already")
+                new_owners[name] = package
         for table, key, entry in other.entries():
             getattr(self, table)[key] = entry
-        self.owners.update(new)
+        self.owners.update(new_owners)
 
     def entries(self) -> Iterator[tuple[str, Any, Any]]:
-        """The table, the key and the entry of all."""
+        """Yield the name of the table, the key and the entry, for all entries."""
         for name, table in vars(self).items():
             if isinstance(table, Entries):
                 yield from ((name, key, entry) for key, entry in table.items())
 
     @staticmethod
     def unique_name(table: str, key: Any) -> str:
-        """The name that one package alone may have: of rules and their compositions it is "rules NAME"."""
-        return _line("rules" if table in ("parts", "compositions") else table, *_words(key))
+        """Return the name that only one package may register for a table and a key.
+
+        Parts, rules and compositions share their names, as users write all of them after --rule.
+        """
+        return _join_words("rules" if table in ("parts", "compositions") else table, *_words(key))
 
     def check(self) -> None:
-        """Refuse entries of modules that are missing, and commands that are no functions.
+        """Check that the modules of all entries exist, and that commands are functions.
 
         Raises:
-            ImportError, TypeError: there is such a one.
+            ImportError: a module is missing, or a command cannot be loaded.
+            TypeError: a command is not a function.
         """
         for _, _, entry in self.entries():
             for name in ("reference", "options", "presenter", "lacks", "facts"):
@@ -300,56 +330,61 @@ class Registry:
                     raise ImportError(f"{reference}: no such module")
         for key, entry in self.commands.items():
             if not callable(entry.load()):
-                raise TypeError(f"commands {key}: {entry.reference} is no function")
+                raise TypeError(f"commands {key}: {entry.reference} is not a function")
 
-    def load_table(self, table: str, *first: str) -> dict[str, Any]:
-        """The objects of a table, or of keys that begin with these words; ImportError as of `load_reference`.
+    def load_table(self, table: str, *first_words: str) -> dict[str, Any]:
+        """Load the objects of a table, by name, or of keys that begin with these words.
 
-        Entries that another package has, or that cannot be loaded, are left out with a warning.
+        Entries of other packages that cannot be loaded are left out with a warning.
+
+        Raises:
+            ImportError: an entry of metapp itself cannot be loaded.
         """
         objects = {}
-        for name, entry in getattr(self, table).of(*first).items():
+        for name, entry in getattr(self, table).of(*first_words).items():
             try:
                 objects[name] = entry.load()
             except ImportError as error:
-                if (owner := self.owners[self.unique_name(table, (*first, name))]) == METAPP_PACKAGE:
+                if (owner := self.owners[self.unique_name(table, (*first_words, name))]) == METAPP_PACKAGE:
                     raise
                 warnings.warn(f"extension of {owner}: {error}; {name} is left out.", stacklevel=2)
         return objects
 
 
 def registry() -> Registry:
-    """The registry of all installed extensions but those that METAPP_WITHOUT names.
+    """Return the registry of all installed extensions, except those that METAPP_WITHOUT names.
 
     >>> registry().rules["meta-sgd"]
     'sgd'
     """
-    return _built(os.environ.get(WITHOUT_VARIABLE, ""))
+    return _build_registry(os.environ.get(WITHOUT_VARIABLE, ""))
 
 
 @functools.cache
-def _built(without: str) -> Registry:
-    result, names = Registry(), {name.strip() for name in without.split(",")}
+def _build_registry(without: str) -> Registry:
+    """Build the registry of all extensions, except those that a value of METAPP_WITHOUT names."""
+    result, left_out = Registry(), {name.strip() for name in without.split(",")}
     importlib.import_module(CORE_MODULE).register(core := Registry())
     result.add(core, METAPP_PACKAGE)
-    points = [(_package(point.dist), point) for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP)]
-    points = [(package, point) for package, point in points if point.name not in names]
-    for package, point in sorted(points, key=lambda each: (each[0] != METAPP_PACKAGE, each[0], each[1].value)):
+    points = [(_package_name(point.dist), point) for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP)]
+    points = [(package, point) for package, point in points if point.name not in left_out]
+    for package, point in sorted(points, key=lambda pair: (pair[0] != METAPP_PACKAGE, pair[0], pair[1].value)):
         try:
-            (point.load() if point.attr else point.load().register)(part := Registry())
+            (point.load() if point.attr else point.load().register)(extension := Registry())
             if package != METAPP_PACKAGE:
-                part.check()
-            result.add(part, package)
+                extension.check()
+            result.add(extension, package)
             result.extensions[point.name] = package
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # whatever a stranger's module does, the rest of metapp works
+        except BaseException as error:  # whatever the module of another package does, the rest of metapp works
             if package == METAPP_PACKAGE:
                 raise
             result.problems[f"{point.name} of {package}"] = describe_error(error)
     return result
 
 
-@functools.cache  # each look at a name parses the package's metadata
-def _package(dist: importlib.metadata.Distribution | None) -> str:
+@functools.cache  # each access to a distribution's name parses its metadata
+def _package_name(dist: importlib.metadata.Distribution | None) -> str:
+    """Return the name of a distribution's package."""
     return (dist.name if dist else "") or "a package without a name"

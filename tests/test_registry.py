@@ -25,28 +25,33 @@ GOOD += '    registry.tables["strange"] = Entry("math:gcd")\n'
 BROKEN = {
     'registry.tables["more"] = Entry("nothing_at_all:TABLE")': "ImportError: nothing_at_all:TABLE: no such module",
     'registry.objects["brdf"] = Entry("nothing.at_all:read")': "ModuleNotFoundError: No module named 'nothing'",
-    'registry.commands["more"] = Entry("math:pi")': "TypeError: commands more: math:pi is no function",
+    'registry.commands["more"] = Entry("math:pi")': "TypeError: commands more: math:pi is not a function",
     'registry.commands["more"] = Entry("math:nothing")': "ImportError: math:nothing cannot be loaded: AttributeError: ",
     'registry.commands["more"] = Entry("antigravity_exit:run")': "antigravity_exit:run cannot be loaded: SystemExit: 7",
     'registry.exports["brdf", "glsl"] = Export("math:gcd")': (
-        "ValueError: exports brdf glsl: of stranger, but there is one of metapp already"
+        "ValueError: exports brdf glsl: registered by stranger, but metapp has registered it already"
     ),
-    'registry.exports.update({("brdf", "glsl"): Export("math:gcd")})': "but there is one of metapp already",
-    'registry.tables["strange"] = Entry("math:lcm")': "ValueError: strange: there is one of this name already",
-    'registry.hooks["steps"] = Entry("math:gcd")': "ValueError: hooks steps: of stranger, but there is one of metapp",
-    'registry.parts["adam"] = Entry("math:gcd")': "ValueError: rules adam: of stranger, but there is one of metapp",
-    'registry.commands["data merl"] = Entry("math:gcd")': "ValueError: commands data merl: of stranger, but there",
-    'registry.commands["meta"] = Entry("math:gcd")': "ValueError: commands meta: of stranger, but there",
+    'registry.exports.update({("brdf", "glsl"): Export("math:gcd")})': "but metapp has registered it already",
+    'registry.tables["strange"] = Entry("math:lcm")': "ValueError: strange: an entry of this name exists already",
+    'registry.hooks["steps"] = Entry("math:gcd")': (
+        "ValueError: hooks steps: registered by stranger, but metapp has registered it"
+    ),
+    'registry.parts["adam"] = Entry("math:gcd")': (
+        "ValueError: rules adam: registered by stranger, but metapp has registered it"
+    ),
+    'registry.commands["data merl"] = Entry("math:gcd")': "commands data merl: registered by stranger, but metapp has",
+    'registry.commands["meta"] = Entry("math:gcd")': "ValueError: commands meta: registered by stranger, but metapp",
     'registry.recipes["brdf", "", "mine"] = RecipeEntry("math:gcd", suits={"samples": (1, 200)})': (
-        "ValueError: recipes of brdf for inputs of samples (1, 200): of stranger, but there is one of metapp already"
+        "ValueError: recipes of brdf for inputs of samples (1, 200): registered by stranger, "
+        "but metapp has registered it already"
     ),
     'registry.exports["brdf", "mine"] = "math:gcd"': "TypeError: brdf mine: a str, expected Export",
     'registry.exports.update({("brdf", "mine"): Entry("math:gcd")})': "TypeError: brdf mine: a Entry, expected Export",
     'registry.applications["mine"] = Application("math:gcd", title="Mine", options="nothing_at_all:Options")': (
         "ImportError: nothing_at_all:Options: no such module"
     ),
-    'registry.exports["mine"] = Export("math:gcd")': "TypeError: 'mine': no name of 2 words",
-    'registry.tables[""] = Entry("math:gcd")': "TypeError: '': no name of 1 words",
+    'registry.exports["mine"] = Export("math:gcd")': "TypeError: 'mine': expected a name of 2 word(s)",
+    'registry.tables[""] = Entry("math:gcd")': "TypeError: '': expected a name of 1 word(s)",
     "registry.exports = {}": "AttributeError: exports: cannot be set; add entries to tables",
     "registry.steps = 7": "AttributeError: steps: cannot be set; add entries to tables",
     "registry.smells": "AttributeError: 'Registry' object has no attribute 'smells'",
@@ -120,7 +125,7 @@ def test_a_broken_extension_is_left_out_as_a_whole(text: str, reason: str, insta
 def test_of_two_packages_with_one_name_the_second_is_left_out(installed: Callable[..., Registry]) -> None:
     installed(GOOD, "a")
     there = installed(GOOD, "b")
-    assert there.problems == {"b of b": "ValueError: tables strange: of b, but there is one of a already"}
+    assert there.problems == {"b of b": "ValueError: tables strange: registered by b, but a has registered it already"}
     assert there.owners["tables strange"] == "a"
 
 
@@ -163,7 +168,7 @@ def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
     assert f"warning: extension {name} of {name}: SystemExit: 7; it is left out.\n" in done.stderr
     extensions = json.loads(done.stdout)["extensions"]
     assert "good of good" in extensions
-    assert "broken5 of broken5 (left out: ValueError: exports brdf glsl: of broken5, but there is one of" in extensions
+    assert "broken5 of broken5 (left out: ValueError: exports brdf glsl: registered by broken5, but" in extensions
     assert extensions.count("left out") == count
     listed = metapp("--help")
     assert "good" not in listed.stdout  # typer makes no command of its function
