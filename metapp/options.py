@@ -173,7 +173,7 @@ class AppOptions:
 
         These are options that the errors of fits depend on, and options that later exports of the fit must know.
         """
-        return {name: _as_json(value) for name, value in sorted(self.non_default_values(INPUT, FIT).items())}
+        return {name: _to_json(value) for name, value in sorted(self.non_default_values(INPUT, FIT).items())}
 
 
 def app_options_class(app: str) -> type[AppOptions]:
@@ -182,10 +182,10 @@ def app_options_class(app: str) -> type[AppOptions]:
     return result
 
 
-def _as_json(value: object) -> object:
+def _to_json(value: object) -> object:
     """Return a value as JSON holds it: tuples as lists, and paths as absolute text."""
     if isinstance(value, tuple):
-        return [_as_json(item) for item in value]
+        return [_to_json(item) for item in value]
     return str(value.absolute()) if isinstance(value, Path) else value
 
 

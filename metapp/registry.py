@@ -199,7 +199,7 @@ class Entries(UserDict[Any, Value]):
 
     @override
     def __setitem__(self, key: Any, value: Value) -> None:
-        words = _words(key)
+        words = _key_words(key)
         if len(words) != self.key_length or not words[-1] or not all(isinstance(word, str) for word in words):
             raise TypeError(f"{key!r}: expected a name of {self.key_length} word(s)")
         if not isinstance(value, self.kind):
@@ -210,10 +210,10 @@ class Entries(UserDict[Any, Value]):
 
     def of(self, *first_words: str) -> dict[str, Value]:
         """Return the entries whose keys begin with these words and have one more, by their last word."""
-        return {_words(key)[-1]: value for key, value in self.items() if _words(key)[:-1] == first_words}
+        return {_key_words(key)[-1]: value for key, value in self.items() if _key_words(key)[:-1] == first_words}
 
 
-def _words(key: Any) -> tuple[str, ...]:
+def _key_words(key: Any) -> tuple[str, ...]:
     """Return the words of a key."""
     return key if isinstance(key, tuple) else (key,)
 
@@ -314,7 +314,7 @@ class Registry:
 
         Parts, rules and compositions share their names, as users write all of them after --rule.
         """
-        return _join_words("rules" if table in ("parts", "compositions") else table, *_words(key))
+        return _join_words("rules" if table in ("parts", "compositions") else table, *_key_words(key))
 
     def check(self) -> None:
         """Check that the modules of all entries exist, and that commands are functions.

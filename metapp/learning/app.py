@@ -165,7 +165,12 @@ class App(ABC):
         """Return the condition that General's encoder reads of each task (I in the paper); tensors are [T, ...]."""
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """Predict network parameters [T, ...] from the condition, in one forward pass of the encoder."""
+        """Predict network parameters [T, ...] in one forward pass of the encoder.
+
+        Args:
+            encoder: the parameters of the encoder.
+            condition: the condition [T, ...] of each task, from :meth:`condition`.
+        """
         theta: Params = self.network.encode(encoder, condition)
         return theta
 

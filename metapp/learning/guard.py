@@ -56,6 +56,7 @@ def descend_with_guard(
     batch = loss.draw(tasks, clone_rng(rng), 1.0).batch
 
     def plain_loss(theta: Params) -> Tensor:
+        """Return the loss [T] on the common batch, without learned loss parameters; infinite if it is not finite."""
         with torch.no_grad():
             return loss.value(theta, batch, {}).nan_to_num(math.inf, math.inf, math.inf)
 
@@ -97,7 +98,17 @@ def _find_rising(losses: list[Tensor], factor: float) -> Tensor:
 
 
 def _select_lower(theta: Params, loss: Tensor, other: Params, other_loss: Tensor) -> tuple[Params, Tensor]:
-    """Select the parameters and the loss [T] with the lower loss, task by task; of equal ones the first."""
+    """Select the parameters and the loss with the lower loss, task by task.
+
+    Args:
+        theta: parameters [T, ...], which are selected where losses are equal.
+        loss: their loss [T].
+        other: other parameters [T, ...].
+        other_loss: the loss [T] of the other parameters.
+
+    Returns:
+        The selected parameters [T, ...], and their loss [T].
+    """
     is_lower = other_loss < loss
     lower = {key: torch.where(append_axes(is_lower, value), other[key], value) for key, value in theta.items()}
     return lower, torch.where(is_lower, other_loss, loss)

@@ -126,13 +126,13 @@ def descend(
     """
     theta = {key: value.detach() for key, value in params.items()}
     functions = steps_of(rule, loss, theta, 1)
-    now = since or DescentState(0, theta, functions.init(theta))
-    yield now
-    for i in range(now.step, steps):
+    latest = since or DescentState(0, theta, functions.init(theta))
+    yield latest
+    for i in range(latest.step, steps):
         names, batch = loss.draw(data, rng, i / steps)
-        theta, state, losses, _ = functions.step(at_step(functions.alpha, i), now.theta, now.state, batch)
-        now = DescentState(i + 1, theta, state, losses, names)
-        yield now
+        theta, state, losses, _ = functions.step(at_step(functions.alpha, i), latest.theta, latest.state, batch)
+        latest = DescentState(i + 1, theta, state, losses, names)
+        yield latest
 
 
 def check_finite_losses(descent: Iterator[DescentState], every: int = 50) -> Iterator[DescentState]:
@@ -152,24 +152,24 @@ def check_finite_losses(descent: Iterator[DescentState], every: int = 50) -> Ite
     FloatingPointError: gold: the loss is not finite at step 0; lower the learning rate or clip earlier.
     """
     unchecked = None
-    for now in descent:
-        if now.loss is not None:
-            index = now.step - 1
-            unchecked = now if every and index % every else None
+    for state in descent:
+        if state.loss is not None:
+            index = state.step - 1
+            unchecked = state if every and index % every else None
             if index == 0 or (every and unchecked is None):
-                _require_finite(now)
-        yield now
+                _require_finite(state)
+        yield state
     if unchecked is not None:
         _require_finite(unchecked)
 
 
-def _require_finite(now: DescentState) -> None:
+def _require_finite(state: DescentState) -> None:
     """Raise FloatingPointError, with the names of tasks, if losses before the last step are not finite."""
-    assert now.loss is not None
-    bad = [name for name, finite in zip(now.names, torch.isfinite(now.loss).tolist(), strict=False) if not finite]
+    assert state.loss is not None
+    bad = [name for name, finite in zip(state.names, torch.isfinite(state.loss).tolist(), strict=False) if not finite]
     if bad:
         raise FloatingPointError(
-            f"{', '.join(bad[:3])}: the loss is not finite at step {now.step - 1}; lower the learning rate or clip "
+            f"{', '.join(bad[:3])}: the loss is not finite at step {state.step - 1}; lower the learning rate or clip "
             "earlier."
         )
 
@@ -233,6 +233,7 @@ def task_loss(app: App, batch: int, *, outer: bool = False) -> Loss:
 
 @functools.lru_cache(maxsize=32)
 def _task_loss(app: App, batch: int, outer: bool) -> Loss:
+    """Return a loss that is made once for equal arguments. See :func:`task_loss`."""
     sample = app.outer_sample if outer else app.sample
     # not App.outer_loss where it is inherited: steps in C recognise the method `Brdf.loss`
     value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss

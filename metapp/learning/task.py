@@ -138,10 +138,12 @@ def _has_shape(tensor: Tensor, shape: tuple[int | str, ...], sizes: dict[str, in
 
 
 def _describe_tensor(tensor: Tensor) -> str:
+    """Describe a tensor by its type and shape, such as "float32 [2, 8]"."""
     return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
 
 
 def _describe_spec(spec: TensorSpec) -> str:
+    """Describe a specification by its kind and shape, such as "float [3, N]"."""
     return f"{spec.kind} [{', '.join(map(str, spec.shape))}]"
 
 

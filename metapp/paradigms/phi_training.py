@@ -126,7 +126,7 @@ def train_phi(
     )
     if adam and not first and not state.moments:
         # where outer steps follow, `steps` is their number, and does not limit the search
-        for search_state in _search(
+        for search_state in _search_adam(
             preparation, adam, state, validation_tasks, validate, None if training.steps else steps
         ):
             yield search_state
@@ -140,10 +140,10 @@ def train_phi(
         rows = list(range(len(validation_tasks))) * training.validation_variants
         variants_rng = Generator(tasks.rows.device).manual_seed(0)
         validation_tasks = preparation.paradigm.app.augment(validation_tasks.select(rows), variants_rng)
-    yield from _outer_loop(preparation, training, state, training_tasks, validation_tasks, rng, validate)
+    yield from _run_outer_loop(preparation, training, state, training_tasks, validation_tasks, rng, validate)
 
 
-def _outer_loop(
+def _run_outer_loop(
     preparation: Preparation,
     training: OuterLoop,
     state: TrainState,
@@ -190,7 +190,7 @@ def _outer_loop(
 MAX_SEARCH_TASKS = 8  # validation tasks of a search whose fits are not cheap
 
 
-def _search(
+def _search_adam(
     preparation: Preparation, first: Adam, state: TrainState, tasks: Tasks, validate: Validate, most: int | None
 ) -> Iterator[TrainState]:
     """Search an Adam by changing one setting or two at a time, from an Adam on.
@@ -204,16 +204,17 @@ def _search(
         most: the greatest number of Adams to try; None for no limit.
 
     Yields:
-        The state after each Adam that was tried.
+        The state after each Adam; after an interruption beginning with the last one whose error is known.
     """
     paradigm, known_errors, phi = preparation.paradigm, state.searched, MetaParameters.unflatten(state.current)
     lines = paradigm.recipe.search
-    tasks = _search_tasks(paradigm.app, tasks)
+    tasks = _select_search_tasks(paradigm.app, tasks)
     total = min(1 + sum(map(len, lines)), most or sys.maxsize)
     state, best = TrainState(state.current, state.rng, total=total), first
     errors: list[float] = []
 
     def candidates() -> Iterator[Adam]:
+        """Yield the Adams to try: the first one, then each line of changes around the best one so far."""
         yield best
         for line in lines:
             centre = best
@@ -232,7 +233,7 @@ def _search(
             yield state._replace(note=f"rate {adam.rate:.1e}, validation {error:.3f}, best {state.validation:.3f}")
 
 
-def _search_tasks(app: App, tasks: Tasks) -> Tasks:
+def _select_search_tasks(app: App, tasks: Tasks) -> Tasks:
     """Return all validation tasks if fits are cheap, else up to MAX_SEARCH_TASKS of them, evenly spaced."""
     if app.cheap_fits:
         return tasks

@@ -74,7 +74,9 @@ def _sum_over_ranks(value: Tensor) -> Tensor:
         dist.all_reduce(value)
     except RuntimeError as error:
         ended = f"rank {rank_number()} of {rank_count()}: another rank has ended"
-        raise ConnectionError(f"{ended}; the same command goes on from the training checkpoint.") from error
+        raise ConnectionError(
+            f"{ended}; run the same command again to continue from the training checkpoint."
+        ) from error
     return value
 
 

@@ -71,6 +71,7 @@ def outer_adam(training: OuterLoop, params: Params) -> UpdateRule:
 
 
 def _constant(value: float, device: torch.device) -> Tensor:
+    """Return hyperparameters [1] of one value, which all steps share."""
     return torch.full((1,), value, device=device)
 
 
@@ -102,6 +103,7 @@ def sgd_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tupl
 
 
 def _rate_of(alpha: Params, key: str, grad: Tensor) -> Tensor:
+    """Return the rate of a parameter, with axes appended so that it broadcasts with the gradient."""
     return append_axes(alpha[f"rate.{key}"] if f"rate.{key}" in alpha else alpha["rate"], grad)
 
 

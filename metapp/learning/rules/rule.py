@@ -17,10 +17,9 @@ from metapp.learning.task import Params
 
 
 class StepInput(NamedTuple):
-    """The state of a step before the parameters move; each field holds tensors [T, ...] by name.
+    """The state of a step before the parameters move; each field holds tensors [T, ...] by the names of parameters.
 
-    Names are those of parameters. Only the gradients of the part `solve` have other names: see
-    :class:`metapp.learning.rules.solve.NormalEquations`.
+    Only the gradients of the part `solve` have other names: see :class:`metapp.learning.rules.solve.NormalEquations`.
 
     Attributes:
         theta: the parameters.
@@ -79,19 +78,33 @@ class Part:
         return loss
 
     def state(self, alpha: Params, theta: Params) -> Params:
-        """Return the part's memory before the first step; `theta` has a task axis."""
+        """Return the part's memory before the first step, by name.
+
+        Args:
+            alpha: the hyperparameters.
+            theta: the initialisation [T, ...].
+        """
         return {}
 
     def gradients(self, alpha: Params, grads: Params) -> Params:
-        """Transform the gradients."""
+        """Transform gradients [T, ...], before directions are made of them."""
         return grads
 
     def directions(self, alpha: Params, directions: Params, state: Params) -> tuple[Params, Params]:
-        """Transform the directions, and return with them what the part remembers for the next step."""
+        """Transform directions, and return with them what the part remembers for the next step.
+
+        Args:
+            alpha: the hyperparameters of this step, with a task axis.
+            directions: gradients, or what parts before this one made of them, [T, ...].
+            state: what all parts remember from the step before.
+        """
         return directions, {}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Transform the updates, which are subtracted from the parameters; before all parts they are the directions."""
+        """Transform updates [T, ...], which are subtracted from the parameters.
+
+        Before all parts the updates are the directions.
+        """
         return updates
 
     def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
@@ -106,15 +119,25 @@ class Part:
         return moved, {}
 
     def for_steps(self, alpha: Params, steps: int) -> Params:
-        """Return hyperparameters [K, ...] for a fit of another number of steps than they were trained for."""
+        """Return hyperparameters [K, ...] for a fit of this number of steps, whatever number they were trained for."""
         return alpha
 
     def gather(self, alpha: Params, grads: Params) -> Params:
-        """Return statistics of one step's gradients [T, ...] on training tasks, to be summed over steps and tasks."""
+        """Return statistics of one step's gradients on training tasks, to be summed over steps and tasks.
+
+        Args:
+            alpha: hyperparameters [K, ...] before training.
+            grads: gradients [T, ...].
+        """
         return {}
 
     def settle(self, alpha: Params, sums: Params) -> Params:
-        """Return hyperparameters [K, ...]; those that :attr:`settled` names follow from sums of statistics."""
+        """Return hyperparameters [K, ...] in which those that :attr:`settled` names follow from statistics.
+
+        Args:
+            alpha: hyperparameters [K, ...] before training.
+            sums: the sums of what :meth:`gather` returned.
+        """
         return alpha
 
 
@@ -204,7 +227,7 @@ class LearnedRule:
         return moved, new_state
 
     def for_steps(self, alpha: Params, steps: int) -> Params:
-        """Return hyperparameters [K, ...] for a fit of another number of steps than they were trained for."""
+        """Return hyperparameters [K, ...] for a fit of this number of steps, whatever number they were trained for."""
         for part in self.parts:
             alpha = part.for_steps(alpha, steps)
         return alpha
@@ -215,11 +238,11 @@ class LearnedRule:
         return tuple(prefix for part in self.parts for prefix in part.settled)
 
     def gather(self, alpha: Params, grads: Params) -> Params:
-        """Return statistics of one step's gradients [T, ...] on training tasks, to be summed over steps and tasks."""
+        """Return statistics of one step's gradients on training tasks. See :meth:`Part.gather`."""
         return {key: value for part in self.parts for key, value in part.gather(alpha, grads).items()}
 
     def settle(self, alpha: Params, sums: Params) -> Params:
-        """Return hyperparameters [K, ...]; those that :attr:`settled` names follow from sums of statistics."""
+        """Return hyperparameters in which some follow from statistics of gradients. See :meth:`Part.settle`."""
         for part in self.parts:
             alpha = part.settle(alpha, sums)
         return alpha
@@ -264,8 +287,8 @@ def compose(
 
     chosen = expand(name)
     contained = {word: expand(word) for word in compositions if expand(word) <= chosen}
-    rest = [part for part in names if part in chosen.difference(*contained.values())]
-    known_name = next((rule for rule in rules if expand(rule) == chosen), "+".join([*contained, *rest]))
+    other_parts = [part for part in names if part in chosen.difference(*contained.values())]
+    known_name = next((rule for rule in rules if expand(rule) == chosen), "+".join([*contained, *other_parts]))
     rule = LearnedRule(known_name, tuple(part_of(part) for part in names if part in chosen))
     rates = [part.name for part in rule.parts if part.is_rate]
     if len(rates) != 1:
@@ -277,7 +300,7 @@ def compose(
     for part in rule.parts:
         if part.needs_one_of and not any(map(rule.has_part, part.needs_one_of)):
             raise ValueError(
-                f"rule '{known_name}': {part.name} says nothing by itself, expected {' or '.join(part.needs_one_of)} "
-                "beside it; add that."
+                f"rule '{known_name}': {part.name} has no effect alone, expected {' or '.join(part.needs_one_of)} "
+                "beside it; add one of these."
             )
     return rule
