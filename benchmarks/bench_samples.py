@@ -70,13 +70,13 @@ def errors_of_method(
     """Errors x100 of fits of tasks that have so many samples."""
     if not way.recipe:
         return _errors_of_baselines(way, tasks, count, training)
-    planned = Run.of(fit_options("brdf", way.name, recipe=way.recipe, data=data, device="cpu", quiet=True))
+    planned = Run.from_options(fit_options("brdf", way.name, recipe=way.recipe, data=data, device="cpu", quiet=True))
     return {fit.name: fit.record["error"] for fit in fit_tasks(attach_checkpoint(planned), tasks)}
 
 
 @torch.no_grad()
 def _errors_of_baselines(way: ComparedMethod, tasks: list[Task], count: int, training: TrainingTasks) -> ErrorsByName:
-    planned = Run.of(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
+    planned = Run.from_options(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
     baseline = next(each for each in baselines_of(planned.app) if each.name == way.name)
     allowed = cost_limits_of_run(planned)
     baseline.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
@@ -140,7 +140,7 @@ def main() -> None:
     """Print the table, draw the figure."""
     torch.set_num_threads(1)
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    app = Run.of(fit_options("brdf", "general", recipe="quick")).app
+    app = Run.from_options(fit_options("brdf", "general", recipe="quick")).app
     tasks, label = read_test_tasks(app, data, quiet=True)
     training = read_training_tasks(app, training_data_folder(app, data, quiet=True))
     cut = [[simulate_measurement(task, 0.0, samples=count) for task in tasks] for count in MEASURED_COUNTS]

@@ -150,7 +150,7 @@ def evaluation_runs_of(options: EvaluateOptions, apps: list[str]) -> list[Evalua
         recipe = options.recipe if apps or options.recipe in recipe_entries(name) else "quick"
         protocols = protocols_of(name)[: None if options.whole else 1] or ("",)
         for protocol in [options.observe] if options.observe and any(protocols) else protocols:
-            runs.append(Run.of(fit_options(name, "general", observe=protocol, recipe=recipe, **given)))
+            runs.append(Run.from_options(fit_options(name, "general", observe=protocol, recipe=recipe, **given)))
     subjects = []
     for run in runs:  # all checkpoints before the first fit
         try:

@@ -51,7 +51,7 @@ def fit_and_print(options: FitOptions, *, json: bool) -> None:
         Exit: an input was not fitted, or a file was not written.
         ValueError: bad inputs; nothing could be fitted.
     """
-    run = Run.of(options)
+    run = Run.from_options(options)
     if options.train:
         from metapp.runs.checkpoint_training import train_run  # here: most runs train nothing
 
@@ -61,8 +61,8 @@ def fit_and_print(options: FitOptions, *, json: bool) -> None:
     if report is None:
         return
     _show(report, json=json)
-    counted = [failure for failure in report.failures if failure.counted]
-    unwritten = sum(failure.kept for failure in counted)
+    counted = [failure for failure in report.failures if failure.fails_run]
+    unwritten = sum(failure.is_fit_kept for failure in counted)
     if failed := len(counted) - unwritten:
         say(f"error: {failed} of {failed + len(report.records)} inputs were not fitted.")
     if unwritten:
@@ -86,13 +86,13 @@ def _show(report: RunReport, *, json: bool) -> None:
                 for remark in _of_guard(run.paradigm.name, records):
                     say(remark)
         remarks = [remark for outcome in outcomes for remark in outcome.remarks]
-        for line in (*remarks, *relief_lines(records, changed="relief" in run.options.own.non_default_values())):
+        for line in (*remarks, *relief_lines(records, changed="relief" in run.options.app_options.non_default_values())):
             say(line)
         if skipped := sum(outcome.is_earlier for outcome in outcomes):
             line = f"{skipped} of {len(records)} inputs have such a fit already, and are skipped"
             asked = run.options.exports or run.presenter.size
             say(f"{line}; metapp export writes other files of these" if asked else line)
-        if replaced := sum(outcome.replaces for outcome in outcomes):
+        if replaced := sum(outcome.replaces_earlier for outcome in outcomes):
             fits = f"{replaced} of {len(records)} fits, and their pictures,"
             say(f"{fits} replace earlier ones; --resume keeps these")
         for line in _of_exports(outcomes):
@@ -101,7 +101,7 @@ def _show(report: RunReport, *, json: bool) -> None:
         if "view" in registry().commands:
             say(f"to look at: metapp view {shlex.quote(str(report.path))}")
     for failure in report.failures:
-        what = "failed" if failure.counted else "warning: skipped"
+        what = "failed" if failure.fails_run else "warning: skipped"
         say(f"{what}: {shorten_to_line(failure.reason)}")
     if json:
         print_json(_document(report))
@@ -163,7 +163,7 @@ def _of_exports(outcomes: Sequence[Outcome]) -> Iterator[str]:
     """The paths of files in other forms, those of a form together if they are many."""
     by_form: dict[str, list[Path]] = {}
     for outcome in outcomes:
-        for form, file in outcome.exported:
+        for form, file in outcome.exports:
             by_form.setdefault(form, []).append(file)
     for form, files in by_form.items():
         if len(files) > MAX_LISTED_PATHS:

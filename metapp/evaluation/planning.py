@@ -42,7 +42,7 @@ def plan_brdf(
     Raises:
         ValueError: no direction is within the limits.
     """
-    run = attach_checkpoint(Run.of(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
+    run = attach_checkpoint(Run.from_options(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
     assert run.checkpoint is not None  # or it would have been refused
     encoder = run.checkpoint.phi.encoder
     seen = directions_to_full_rusinkiewicz(before.wi, before.wo)

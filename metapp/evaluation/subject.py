@@ -65,7 +65,7 @@ class EvaluationRun:
         self._tables: dict[str, Table] = {}
         self.runs: dict[str, Run] = {}
         for name in PARADIGMS:
-            self.runs[name] = Run.of(replace(run.options, paradigm=name, steps=None))
+            self.runs[name] = Run.from_options(replace(run.options, paradigm=name, steps=None))
             try:
                 self.runs[name] = attach_checkpoint(self.runs[name])
             except ValueError as error:
@@ -76,7 +76,9 @@ class EvaluationRun:
         others = run.recipe.meta if run.options.checkpoint or not run.options.data else ()
         for rule in (rule for rule in others if rule != run.options.rule):
             with suppress(ValueError):  # there is no checkpoint of this rule
-                self.runs[f"meta:{rule}"] = attach_checkpoint(Run.of(replace(run.options, paradigm="meta", rule=rule)))
+                self.runs[f"meta:{rule}"] = attach_checkpoint(
+                    Run.from_options(replace(run.options, paradigm="meta", rule=rule))
+                )
         make_folder(run.options.out)
         self.tasks: list[Task] = []
         self.label = "none"
@@ -158,10 +160,10 @@ class EvaluationRun:
             name, each, total = f"{full_name(self.app)} {title}", steps + 1, (steps + 1) * len(missing)
             bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
             with bars as bar, torch_defaults(single=self.app.single_threaded):
-                bar.at(0, total, name)
+                bar.set_done(0, total, name)
                 for i, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
-                    folder.write({**record, "content": task_digest(task), "origin": self.run.origin(())}, tensors)
-                    bar.at(each * i, total, f"{name} {task.name}")
+                    folder.write({**record, "content": task_digest(task), "origin": self.run.input_places(())}, tensors)
+                    bar.set_done(each * i, total, f"{name} {task.name}")
             records = _read(folder, tasks)
             if not self.run.options.quiet:
                 say(f"{name}: {_summary_of(records)}")

@@ -1,4 +1,7 @@
-"""The Python API: fit files or data sets, in memory."""
+"""The Python API: functions that fit files, objects in memory and data sets, and that read fits back.
+
+They return fits and write no folder of a run: `metapp.runs.execution` does that for the command line.
+"""
 
 from __future__ import annotations
 
@@ -27,36 +30,41 @@ from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.storage.parameters import read_checked_params
 
-COMMAND_LINE_OPTIONS = ("train", "train_steps", "resume", "export")  # options of folders of fits
+# Options that only fits in folders have, which the command line keeps and a Python program does not
+COMMAND_LINE_OPTIONS = ("train", "train_steps", "resume", "export")
 
 
 def fit(app: str, source: object, *, paradigm: str = "meta", **options: object) -> Fit:
-    """Fit one file, a material, a texture, a map, a scene; or one in memory.
+    """Fit one input: a file of a material, a texture, an environment map or a scene, or such an input in memory.
 
     Objects in memory are read as files are, at the same sizes and with the same checks. A picture is one of PIL, or an
-    array or tensor [H, W, 3] or gray [H, W], rows from the top: integers of 8 or 16 bits are sRGB, floating-point
-    values display values in [0, 1]. Maps of a material are a dictionary of pictures `diffuse`, `normal`, `roughness`,
-    `specular`: integers as files hold them, colours sRGB, normals 0..255 for -1..1; floating-point values linear,
-    colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface. Functions get float32
-    arrays and return arrays or tensors, [N, 3], or gray [N].
+    array or a tensor [H, W, 3] or grey [H, W], with rows from the top: integers of 8 or 16 bits are sRGB,
+    floating-point numbers are display values in [0, 1]. Maps of a material are a dictionary of pictures `diffuse`,
+    `normal`, `roughness` and `specular`. If they are integers, they are as files hold them: colours in sRGB, normals
+    with 0..255 for -1..1. If they are floating-point numbers, they are linear: colours and roughness in [0, 1], normals
+    unit vectors with x right, y up and z out of the surface. Functions get float32 arrays and return arrays or tensors
+    [N, 3], or grey [N].
 
     Args:
         app: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.
-        source: an INPUT of `metapp meta APP INPUT`, holding one task; or, in memory,
-            of brdf f(wi, wo) -> reflectance, arrays (wi, wo, reflectance) or a BSDF of Mitsuba, as of
-            `data_tools.readers.brdf_objects.task_of_object`;
-            of texture a picture;
-            of svbrdf_stationary a picture, the flash photo; or maps, of which a flash photo is rendered;
-            of svbrdf_nonstationary maps, or a picture, the flash photo;
-            of illumination linear radiance [H, 2 H, 3], floating point, the middle looks to +z, or a picture, the
-            photo of a ball;
-            of transport a scene as Mitsuba's `load_dict` takes it, or the text of an XML scene; files that it names
-            are looked for in the current folder and in those of scene_root.
+        source: an INPUT of `metapp meta APP INPUT` that holds one task, or an object in memory. Objects are,
+            for brdf, a function f(wi, wo) -> reflectance, arrays (wi, wo, reflectance) or a BSDF of Mitsuba, see
+            :func:`data_tools.readers.brdf_objects.task_of_object`;
+            for texture, a picture;
+            for svbrdf_stationary, a picture (the flash photo), or maps, of which a flash photo is rendered;
+            for svbrdf_nonstationary, maps, or a picture (the flash photo);
+            for illumination, linear radiance [H, 2 H, 3] in floating point, whose middle looks to +z, or a picture
+            (the photo of a ball);
+            for transport, a scene as Mitsuba's `load_dict` takes it, or the text of an XML scene, which may name files
+            in the current folder and in the folders of scene_root.
         paradigm: general, overfit, finetune, quickft or meta.
-        options: as `fit_all` takes them.
+        options: further options by name, see :func:`fit_all`.
+
+    Returns:
+        The fit.
 
     Raises:
-        ValueError: a bad file or array, or a file with several tasks; an option that the application does not have.
+        ValueError: a file or an array is bad, a file holds several tasks, or the application does not have an option.
 
     >>> import metapp
     >>> fit = metapp.fit("brdf", lambda wi, wo: np.full((len(wi), 3), 0.3 / np.pi))
@@ -76,21 +84,21 @@ def fit_all(
     paradigm: str = "meta",
     **options: object,
 ) -> list[Fit]:
-    """Fit files and folders, things in memory, or the test tasks of a data set.
+    """Fit files and folders, objects in memory, or the test tasks of a data set.
 
     Args:
-        app: the application.
-        sources: files and folders, or things in memory, as of `fit`; None: the test tasks of `data`, else of the
-            embedded set.
+        app: the name of the application.
+        sources: files and folders, or objects in memory, see :func:`fit`. None stands for the test tasks of the data
+            set `data`, and of the embedded set if there is no `data`.
         paradigm: general, overfit, finetune, quickft or meta.
-        options: observe, rule, recipe, steps, data, checkpoint, seed, device, batch, and those of the application,
-            with the names of the command line.
+        options: observe, rule, recipe, steps, data, checkpoint, seed, device and batch, and the application's own
+            options, by the names that they have on the command line.
 
     Returns:
-        The fits.
+        The fits of all sources that could be read.
 
     Raises:
-        ValueError: a bad file or array, no checkpoint; an option that the application does not have.
+        ValueError: a file or an array is bad, there is no checkpoint, or the application does not have an option.
         FloatingPointError: a fit is not finite.
     """
     if isinstance(sources, str | PathLike | Mapping | np.ndarray | Tensor) or not isinstance(sources or (), Iterable):
@@ -99,15 +107,14 @@ def fit_all(
         raise ValueError("0 sources, expected a list of one or more; leave it out to fit a data set's test tasks.")
     for name in COMMAND_LINE_OPTIONS:
         if options.get(name):
-            raise BadOption(f"{name}: of the command line, where fits are kept in folders; leave it out.")
+            raise BadOption(f"{name}: an option of the command line, which keeps fits in folders; leave it out.")
     try:
-        with torch_defaults(
-            single=False
-        ):  # a default device of the program would take the tensors of what tells inputs apart
-            given = sources or []
-            if not are_objects(given):
-                given = [Path(source) for source in given]
-            return _fitted(fit_options(app, paradigm, given, quiet=True, **options))
+        # tensors tell inputs apart; they must not be made on a default device that the program has set
+        with torch_defaults(single=False):
+            inputs = sources or []
+            if not are_objects(inputs):
+                inputs = [Path(source) for source in inputs]
+            return _fit_inputs(fit_options(app, paradigm, inputs, quiet=True, **options))
     except ValueError as error:
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
@@ -115,12 +122,13 @@ def fit_all(
 
 
 def load(place: str | bytes | PathLike[str]) -> Fit:
-    """Read a fit back: a file of `Fit.save`, or a folder such as runs/brdf/meta/gold of `metapp meta brdf gold.binary`.
+    """Read a fit back from a file that `Fit.save` wrote, or from a folder such as runs/brdf/meta/gold of a command.
 
-    Its task has data if the input is in its place, unchanged.
+    The task of the fit has data only if its input is still in its place and has not changed.
 
     Raises:
-        ValueError: no fit, or several; damaged files, parameters of another network than the settings say.
+        ValueError: there is no fit or there are several, files are damaged, or the parameters are those of another
+            network than the settings describe.
 
     >>> import metapp, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -134,32 +142,34 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
         if len(records) != 1:
             raise ValueError(f"{path}: {len(records)} fits, expected the folder of one task; take one inside it.")
         (record,) = records
-        run, name = Run.of_settings(record["settings"]), record["name"]
+        run, name = Run.from_settings(record["settings"]), record["name"]
         parameters = read_checked_params(record, run.app)
         task = find_fitted_tasks(records, run.app, [], None).get(name, Task(name, {}))
         return Fit(run, task, record, parameters)
 
 
-def _fitted(options: FitOptions) -> list[Fit]:
-    """Fits of the inputs that options name."""
-    run = Run.of(options)
+def _fit_inputs(options: FitOptions) -> list[Fit]:
+    """Fit the inputs that options name; a bad file that was found in a folder is left out with a warning."""
+    run = Run.from_options(options)
     with torch_defaults(single=run.app.single_threaded):
         sources, label = find_inputs(run)
         if options.objects:
-            tasks = [source.task() for source in sources]
-            told = [source_of_tensors(options.app, task.name, task.data) for task in tasks]
-            chosen = Run.of(replace(options, observe=choose_protocol_and_recipe(options, told).protocol), told)
-            if chosen.app.read_size != run.app.read_size:
-                sources, label = find_inputs(chosen)
-            run = chosen
+            tasks = [source.read_task() for source in sources]
+            memory_sources = [source_of_tensors(options.app, task.name, task.data) for task in tasks]
+            chosen_run = Run.from_options(
+                replace(options, observe=choose_protocol_and_recipe(options, memory_sources).protocol), memory_sources
+            )
+            if chosen_run.app.read_size != run.app.read_size:
+                sources, label = find_inputs(chosen_run)
+            run = chosen_run
         run = attach_checkpoint(run)
         fits, places, settings = [], [], run.settings(label)
         for source, fit in fit_sources(run, sources):
             if isinstance(fit, Fit):
                 fit.record["settings"] = settings
                 if not options.objects:
-                    found = {"source": source.place, "content": task_digest(fit.task)}
-                    fit.record |= found | {"origin": run.origin(source.given)}
+                    fit.record |= {"source": source.place, "content": task_digest(fit.task)}
+                    fit.record |= {"origin": run.input_places(source.given)}
                 fits.append(fit)
                 places.append(source.place)
             elif isinstance(fit, Exception):

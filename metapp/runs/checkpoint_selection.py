@@ -1,4 +1,8 @@
-"""Checkpoints: the one that is named, else the one that ships, and checks of its tensors."""
+"""The checkpoint of a run: the one that --checkpoint names, else the one that ships with metapp.
+
+A file that anybody may have written is checked before a fit begins at it: it must belong to the application, the
+paradigm or rule, the protocol and the network of the run. Training a checkpoint is `metapp.runs.checkpoint_training`.
+"""
 
 from __future__ import annotations
 
@@ -26,29 +30,27 @@ from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME, shipped_checkp
 
 
 def attach_checkpoint(run: Run) -> Run:
-    """The run with the checkpoint that --checkpoint names, a file or a folder of these, else with the one that ships.
+    """Return a run with its checkpoint read: the one that --checkpoint names, else the one that ships.
 
     Raises:
-        ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
+        ValueError: there is no checkpoint, or it is one for another application, paradigm, protocol or network.
     """
     preparations = run.paradigm.preparations
     if not preparations:
         return replace(run, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
-    needed, *tunings = preparations
-    path, options = _checkpoint_path(run, needed), run.options
-    phi, header = load_checkpoint(path, run.device, _shipped(run, needed.general))
-    _require_kind(path, run, needed, phi, header)
-    template = needed.template(phi)
+    preparation, *tunings = preparations
+    path, options = _checkpoint_path(run, preparation), run.options
+    phi, header = load_checkpoint(path, run.device, _shipped_path(run, preparation.general))
+    _require_kind(path, run, preparation, phi, header)
+    template = preparation.template(phi)
     phi = resample_alpha_grids(run.app, phi, template.alpha)
     try:
         require_matching_tensors(path, phi, template)
     except ValueError as error:
-        if (
-            path.parent == shipped_checkpoint_path(run.app.name, needed.name).parent
-            and options.recipe != QUICK_RECIPE_NAME
-        ):
+        quick_folder = shipped_checkpoint_path(run.app.name, preparation.name).parent
+        if path.parent == quick_folder and options.recipe != QUICK_RECIPE_NAME:
             raise ValueError(
-                f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK_RECIPE_NAME}."
+                f"{str(error).removesuffix('.')}; this checkpoint ships for --recipe {QUICK_RECIPE_NAME}."
             ) from None
         raise
     source = str(path)
@@ -57,187 +59,224 @@ def attach_checkpoint(run: Run) -> Run:
         source = f"the checkpoint that ships{note}"
     checkpoint = Checkpoint(phi, source, content_digest(path))
     for tuning in tunings:
-        checkpoint = _with_tuning(run, checkpoint, tuning)
+        checkpoint = _add_tuned_adam(run, checkpoint, tuning)
     return replace(run, checkpoint=checkpoint)
 
 
 def trained_checkpoint_path(run: Run, preparation: Preparation) -> Path:
-    """Return the path of a checkpoint that is trained on this data."""
+    """Return the path of the checkpoint that --train writes: its folder names the data, the recipe and the seed."""
     label = data_label(training_data_folder(run.app, run.options.data, run.options.quiet))
     folder = run.options.out / run.app.name / "checkpoints" / f"{label}-{run.options.recipe}-seed{run.options.seed}"
     return folder / f"{checkpoint_name(run.app, preparation)}.safetensors"
 
 
 def checkpoint_name(app: App, preparation: Preparation) -> str:
-    """Return a checkpoint's file name without its suffix: with the protocol, unless it is the first.
+    """Return a checkpoint's file name without its suffix, such as "general" or "meta-photo".
 
-    General's is without it, too, if the network is one of the first protocol's: it learns nothing of the protocol.
+    The name ends with the protocol unless that is the application's first one. General learns nothing of the protocol,
+    so that its name has none either if a recipe of the first protocol has an equal network.
     """
     name = preparation.name
     if is_first_protocol(app):
         return name
-    others = (recipe.app for recipe in recipes_of(app.name).values())
-    shared = preparation.shared_by_protocols and any(_sizes(app) == _sizes(other) for other in others)
-    return name if shared else f"{name}-{app.protocol}"
+    first_apps = (recipe.app for recipe in recipes_of(app.name).values())
+    is_shared = preparation.shared_by_protocols and any(
+        _network_and_fields(app) == _network_and_fields(first_app) for first_app in first_apps
+    )
+    return name if is_shared else f"{name}-{app.protocol}"
 
 
-def _sizes(app: App) -> tuple[object, ...]:
-    """Return the kind of an application's network and all its fields but the protocol."""
+def _network_and_fields(app: App) -> tuple[object, ...]:
+    """Return the type of an application's network and the values of all fields but the protocol."""
     return type(app.network), *(getattr(app, field.name) for field in fields(app) if field.name != "protocol")
 
 
 def has_shipped_checkpoint(run: Run, preparation: Preparation) -> bool:
     """Return whether a checkpoint ships that training may begin at.
 
-    On a data set of the user's own none may: the shipped one may have seen its test tasks.
+    Training on a data set of the user must not begin at one: the shipped checkpoint may have seen its test tasks.
     """
-    return not run.options.data and _ships(run) and _shipped(run, preparation).is_file()
+    return not run.options.data and _has_shipped_recipe(run) and _shipped_path(run, preparation).is_file()
 
 
-def _require_kind(path: Path, run: Run, needed: Preparation, phi: MetaParameters, header: Document) -> None:
-    """Refuse a checkpoint of another application, paradigm, rule or protocol, and one whose encoder reads other things.
+def _require_kind(path: Path, run: Run, preparation: Preparation, phi: MetaParameters, header: Document) -> None:
+    """Refuse a checkpoint for another application, paradigm, rule or protocol, or whose encoder reads other features.
 
-    General's, which all protocols share, names none. Other features, which no encoder reads, are said.
+    A file of General, which all protocols share, may name no protocol. A checkpoint without an encoder that was trained
+    under other conditions gets a warning only.
+
+    Args:
+        path: the file of the checkpoint.
+        run: the run that needs it.
+        preparation: what the run needs.
+        phi: the parameters in the file.
+        header: the description in the file.
     """
-    app, of, name = run.app, header.get("app"), header.get("checkpoint")
-    if (of, name) != (app.name, needed.name):
-        a_rule = isinstance(name, str) and name not in PARADIGMS
-        remedy = f"; add --rule {name}" if of == app.name and a_rule and run.paradigm.has_learned_rule else ""
-        raise ValueError(f"{path}: a checkpoint of {of} {name}, expected {app.name} {needed.name}{remedy}.")
+    app, found_app, name = run.app, header.get("app"), header.get("checkpoint")
+    if (found_app, name) != (app.name, preparation.name):
+        is_rule = isinstance(name, str) and name not in PARADIGMS
+        remedy = f"; add --rule {name}" if found_app == app.name and is_rule and run.paradigm.has_learned_rule else ""
+        raise ValueError(f"{path}: a checkpoint of {found_app} {name}, expected {app.name} {preparation.name}{remedy}.")
+    # a file without an entry was written before there was one, or holds for all protocols
     protocol = header.get("observe", app.protocol)
     if protocol != app.protocol:
         raise ValueError(
             f"{path}: a checkpoint for --observe {protocol}, expected one for {app.protocol}; give --observe "
             f"{protocol} or another checkpoint."
         )
-    for key, now in app.conditions().items():
-        then = header.get(key, now)
-        if then != now and phi.encoder:
-            raise ValueError(f"{path}: its encoder reads {then}; here: {now}; or train one with --train.")
-        if then != now:
-            say(f"warning: {path.name} was trained with {then}; here: {now}.")
+    for key, condition in app.conditions().items():
+        trained_condition = header.get(key, condition)
+        if trained_condition != condition and phi.encoder:
+            raise ValueError(
+                f"{path}: its encoder reads {trained_condition}, expected {condition}; give another checkpoint, or "
+                "train one with --train."
+            )
+        if trained_condition != condition:
+            say(f"warning: {path.name} was trained with {trained_condition}, but this run has {condition}.")
 
 
-def _with_tuning(run: Run, checkpoint: Checkpoint, tuning: Preparation) -> Checkpoint:
-    """Put the Adam that was tuned for this very encoder into its checkpoint: one beside that, or the one that ships."""
+def _add_tuned_adam(run: Run, checkpoint: Checkpoint, tuning: Preparation) -> Checkpoint:
+    """Add to General's checkpoint the Adam that was tuned for this very encoder.
+
+    It is read from a file beside the checkpoint that the user named, else from the one that ships.
+
+    Args:
+        run: the run that needs a tuned Adam.
+        checkpoint: General's.
+        tuning: the search for an Adam whose result is wanted.
+    """
     options, app = run.options, run.app
     encoder = tensor_digest(checkpoint.phi.encoder)
-    candidates = [_shipped(run, tuning)]
+    candidates = [_shipped_path(run, tuning)]
     if options.checkpoint:
         folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
         candidates.insert(0, folder / f"{checkpoint_name(app, tuning)}.safetensors")
     for path in candidates:
         if path.is_file():
-            tuned, info = load_checkpoint(path)
-            if info.get("encoder") == encoder:
+            tuned, header = load_checkpoint(path)
+            if header.get("encoder") == encoder:
                 require_tuned_adam(path, tuned)
                 return merge_tuned_adam(checkpoint, tuned, path)
     words = ["metapp", tuning.name, app.name, "--train"]
     words += ["--observe", app.protocol] if app.protocol else []
-    remedy = shlex.join(words + (["--data", str(options.data)] if options.data else []))
-    say(f"{tuning.name}: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
+    command = shlex.join(words + (["--data", str(options.data)] if options.data else []))
+    say(f"{tuning.name}: no Adam was tuned for this encoder, so that the recipe's Adam is used; tune one by {command}")
     return checkpoint
 
 
 def merge_tuned_adam(general: Checkpoint, tuned: MetaParameters, path: Path) -> Checkpoint:
-    """General's checkpoint with an Adam that was tuned for it."""
+    """Return General's checkpoint with the Adam that was tuned for it, read from the file `path`."""
     return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", content_digest(path))
 
 
-def _checkpoint_path(run: Run, needed: Preparation) -> Path:
-    given = run.options.checkpoint
-    if given and given.is_dir():
-        path = given / f"{checkpoint_name(run.app, needed)}.safetensors"
+def _checkpoint_path(run: Run, preparation: Preparation) -> Path:
+    """Return the file of the checkpoint that a run needs: the one that --checkpoint names, else the one that ships.
+
+    Raises:
+        ValueError: the folder that --checkpoint names has no such file, or no such checkpoint ships.
+    """
+    named_path = run.options.checkpoint
+    if named_path and named_path.is_dir():
+        path = named_path / f"{checkpoint_name(run.app, preparation)}.safetensors"
         if not path.is_file():
-            if path_kind(given) is not PathKind.FILES:
-                raise ValueError(path_refusal(given, f"a folder of checkpoints with {path.name}"))
-            held = ", ".join(sorted(file.stem for file in given.glob("*.safetensors"))) or "no checkpoints"
+            if path_kind(named_path) is not PathKind.FILES:
+                raise ValueError(path_refusal(named_path, f"a folder of checkpoints with {path.name}"))
+            names = ", ".join(sorted(file.stem for file in named_path.glob("*.safetensors"))) or "no checkpoints"
             raise ValueError(
-                f"{given}: holds {held}, expected {path.name}; train it with --train, or name another one."
+                f"{named_path}: holds {names}, expected {path.name}; train it with --train, or name another folder."
             )
         return path
-    if given:
-        return given
-    path = _shipped(run, needed)
-    if path.is_file() and _ships(run):
+    if named_path:
+        return named_path
+    path = _shipped_path(run, preparation)
+    if path.is_file() and _has_shipped_recipe(run):
         return path
     raise ValueError(
-        f"{full_name(run.app)} {needed.name}, recipe {run.options.recipe}: no checkpoint ships; train one with "
+        f"{full_name(run.app)} {preparation.name}, recipe {run.options.recipe}: no checkpoint ships; train one with "
         "--train, or name one with --checkpoint."
     )
 
 
-def _ships(run: Run) -> bool:
+def _has_shipped_recipe(run: Run) -> bool:
     return has_shipped_recipe(run.app.name, run.options.recipe)
 
 
-def _shipped(run: Run, preparation: Preparation) -> Path:
+def _shipped_path(run: Run, preparation: Preparation) -> Path:
     return shipped_checkpoint_path(run.app.name, checkpoint_name(run.app, preparation), run.options.recipe)
 
 
 def resample_alpha_grids(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:
-    """Return phi whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own grid.
+    """Resample learned hyperparameters on a grid to the grid of an application's network.
 
-    They may have been learned on a coarser one, by another recipe of the same network.
+    They may have been learned on a coarser grid, by another recipe of an equal network.
 
     Args:
         app: the application.
-        phi: as its file holds it.
-        fresh: untrained hyperparameters, on the application's grid.
+        phi: the meta-parameters of a file; hyperparameters on a grid are [K, C, H, W], with K steps.
+        fresh: untrained hyperparameters on the application's grid, [K, C, H, W].
+
+    Returns:
+        The meta-parameters with resampled hyperparameters; all other tensors are as in the file.
     """
     alpha = dict(phi.alpha)
-    for key, wanted in fresh.items():
-        value = alpha.get(key, wanted)
-        if value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0:
-            alpha[key] = regrid(value, *wanted.shape[2:], periodic=is_periodic(app))
+    for key, untrained in fresh.items():
+        value = alpha.get(key, untrained)
+        if value.ndim == untrained.ndim == 4 and value.shape[1] == untrained.shape[1] and min(value.shape) > 0:
+            alpha[key] = regrid(value, *untrained.shape[2:], periodic=is_periodic(app))
     return phi._replace(alpha={key: alpha[key] for key in phi.alpha})
 
 
 def require_matching_tensors(path: Path, phi: MetaParameters, template: MetaParameters) -> None:
-    """Refuse tensors that are not this application's, or not this rule's.
+    """Refuse a checkpoint whose tensors have other names or shapes than the application and its rule need.
 
     Args:
-        path: of the checkpoint.
-        phi: as its file holds it.
-        template: untrained parameters of the names and shapes that fits read.
+        path: the file of the checkpoint, which messages name.
+        phi: the meta-parameters in the file.
+        template: untrained meta-parameters with the names and shapes that fits read.
 
     Raises:
-        ValueError: a tensor is missing or has another shape; names it.
+        ValueError: a tensor is missing or has another shape; the message names it.
     """
-    _require(path, "alpha", phi.alpha, template.alpha, steps=True)
+    _require_tensors(path, "alpha", phi.alpha, template.alpha, steps=True)
     if template.theta:
-        _require(path, "theta", phi.theta, template.theta)
+        _require_tensors(path, "theta", phi.theta, template.theta)
     else:
-        _require(path, "encoder", phi.encoder, template.encoder)
+        _require_tensors(path, "encoder", phi.encoder, template.encoder)
 
 
-def require_tuned_adam(path: Path, prepared: MetaParameters) -> None:
-    """Refuse other hyperparameters than the settings of one Adam.
+def require_tuned_adam(path: Path, tuned: MetaParameters) -> None:
+    """Refuse a file of a tuned Adam whose hyperparameters are not one number for each setting of an Adam.
 
     Raises:
-        ValueError: one is missing, or no number.
+        ValueError: a setting is missing or no single number, or there is another one.
     """
-    if set(prepared.alpha) != set(QUICKFT_ADAM_SETTINGS) or any(
-        value.numel() != 1 for value in prepared.alpha.values()
-    ):
+    if set(tuned.alpha) != set(QUICKFT_ADAM_SETTINGS) or any(value.numel() != 1 for value in tuned.alpha.values()):
         raise ValueError(
-            f"{path}: holds {', '.join(sorted(prepared.alpha)) or 'no settings'}, expected one number each for "
+            f"{path}: holds {', '.join(sorted(tuned.alpha)) or 'no settings'}, expected one number each for "
             f"{', '.join(QUICKFT_ADAM_SETTINGS)}; tune again with metapp quickft APP --train."
         )
 
 
-def _require(path: Path, part: str, held: Params, expected: Params, *, steps: bool = False) -> None:
-    """Refuse a part of a checkpoint that lacks a tensor or has another; `steps`: the first axis may have any length."""
+def _require_tensors(path: Path, part: str, params: Params, expected: Params, *, steps: bool = False) -> None:
+    """Refuse a part of a checkpoint that lacks a tensor, has a further one, or one of another shape.
 
-    def shape_of(params: Params, key: str) -> str:
-        if key not in params:
+    Args:
+        path: the file of the checkpoint.
+        part: the name of the part: alpha, theta or encoder.
+        params: the tensors in the file.
+        expected: tensors with the expected names and shapes.
+        steps: whether the first axis is one of steps, which may have any length.
+    """
+
+    def describe_shape(tensors: Params, key: str) -> str:
+        if key not in tensors:
             return "missing"
-        sizes = list(map(str, params[key].shape))
-        sizes[:1] = ["steps"] if steps and sizes and key in held and key in expected else sizes[:1]
+        sizes = list(map(str, tensors[key].shape))
+        sizes[:1] = ["steps"] if steps and sizes and key in params and key in expected else sizes[:1]
         return f"({', '.join(sizes)})"
 
-    for key in sorted(expected | held, key=lambda key: key not in expected):
-        found, wanted = shape_of(held, key), shape_of(expected, key)
-        if found != wanted:
+    for key in sorted(expected | params, key=lambda key: key not in expected):
+        shape, expected_shape = describe_shape(params, key), describe_shape(expected, key)
+        if shape != expected_shape:
             remedy = "give a checkpoint of this application, rule and recipe, or train one with --train"
-            raise ValueError(f"{path}: {part} {key} is {found}, expected {wanted}; {remedy}.")
+            raise ValueError(f"{path}: {part} {key} is {shape}, expected {expected_shape}; {remedy}.")

@@ -1,4 +1,8 @@
-"""Train a checkpoint on the training tasks of a data set, and keep it for later runs on this data."""
+"""The training of a checkpoint on the training tasks of a data set, and its files, by which a cut-off one goes on.
+
+How phi is learned is decided in `metapp.paradigms.phi_training`; here are the options, the data, the ranks that train
+together, progress, and the files that later runs read.
+"""
 
 from __future__ import annotations
 
@@ -39,15 +43,16 @@ from metapp.storage.checkpoint_files import (
 from metapp.storage.files import remove_partial
 from metapp.storage.shards import fingerprint, read_data_set
 
-SAVE_INTERVAL_SECONDS = 60.0  # between two training checkpoints; METAPP_CHECKPOINT_SECONDS is another number
+SAVE_INTERVAL_SECONDS = 60.0  # between two training checkpoints, unless METAPP_CHECKPOINT_SECONDS says another time
 
 
 def train_run(run: Run) -> Run:
-    """The run with the checkpoint that is trained for it, which all ranks but the first do not read."""
+    """Train the checkpoint that a run needs, and return the run with it; only the first rank reads the file back."""
     with ranks.connect_ranks(run.device):
         path, general = train_checkpoint(run)
     run = replace(run, options=replace(run.options, checkpoint=path))
-    if general and run.paradigm.preparations[-1].takes_encoder_from_general:  # which may ship
+    # the trained file holds no encoder, and its General may be the one that ships, which lies in another folder
+    if general and run.paradigm.preparations[-1].takes_encoder_from_general:
         return replace(run, checkpoint=merge_tuned_adam(general, load_checkpoint(path)[0], path))
     return attach_checkpoint(run) if ranks.rank_number() == 0 else run
 
@@ -56,85 +61,95 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
     """Train the checkpoint that the paradigm of a run needs, together with the other ranks if there are any.
 
     Returns:
-        The file of the checkpoint (the one it replaces is kept as `<name>.previous.safetensors`), and the General that
-        training began at, if it did.
+        The file of the checkpoint, and the General that training began at, None if it began at none. A checkpoint that
+        is replaced is kept as `<name>.previous.safetensors`.
 
     Raises:
-        BadOption: there is nothing to train, or a folder of checkpoints was given.
-        ValueError: the checkpoint is neither a General that this training begins at nor one that it goes on from.
+        BadOption: there is nothing to train, or --checkpoint names a folder.
+        ValueError: --checkpoint names neither a General that this training begins at nor a checkpoint of its own kind.
     """
-    preparation, options, steps = _preparation_of(run), run.options, run.options.train_steps
+    preparation, options, steps = _last_preparation(run), run.options, run.options.train_steps
     path = trained_checkpoint_path(run, preparation)
     make_folder(options.out)
     make_folder(path.parent)
-    first = _first(run, preparation)
-    general = _general_of(run, preparation) if not first and preparation.begins_at_general else None
+    first = _read_first_checkpoint(run, preparation)
+    general = _provide_general(run, preparation) if not first and preparation.begins_at_general else None
     general_phi = general.phi if general else None
-    tasks = _tasks_of(run, preparation)
-    header = _settings(run, preparation, general_phi, first)
-    training = preparation.outer_loop
-    if training.steps and steps:
-        training = replace(training, steps=steps)
-    about = {"inner_steps": run.recipe.steps, "batch": run.recipe.batch, "training": asdict(training)}
-    settings = header | {"device": str(run.device), "threads": get_num_threads()}  # what rounding depends on
+    tasks = _read_training_tasks(run, preparation)
+    header = _training_settings(run, preparation, general_phi, first)
+    outer_loop = preparation.outer_loop
+    if outer_loop.steps and steps:
+        outer_loop = replace(outer_loop, steps=steps)
+    description = {"inner_steps": run.recipe.steps, "batch": run.recipe.batch, "training": asdict(outer_loop)}
+    # rounding depends on device and threads, so that a training goes on only where these are equal
+    settings = header | {"device": str(run.device), "threads": get_num_threads()}
 
-    def keep(state: TrainState, file: Path, previous: Path | None = None) -> None:
-        # General's file holds the encoder that QuickFT is tuned for
+    def write(state: TrainState, file: Path, previous: Path | None = None) -> None:
+        # QuickFT's file holds no encoder: the file of General has the one that QuickFT was tuned for
         phi = state.phi._replace(encoder={}) if preparation.takes_encoder_from_general else state.phi
         result = {"validation_error": state.validation, "best_step": state.best_step, "curve": state.curve}
-        save_checkpoint(file, phi, header | about | result, previous)
+        save_checkpoint(file, phi, header | description | result, previous)
 
-    writes, seconds, saved = ranks.rank_number() == 0, _seconds(), time.monotonic()
-    state = since = _since(path, settings, run)
+    is_writer, interval_seconds, save_time = ranks.rank_number() == 0, _save_interval_seconds(), time.monotonic()
+    state = since = _read_interrupted_state(path, settings, run)
     with progress(f"train {preparation.name}", long=True, quiet=options.quiet) as bar:
         rng, phi = Generator(run.device).manual_seed(options.seed), first and first.phi
         try:
             for state in train_phi(preparation, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
-                if writes and time.monotonic() - saved >= seconds:
+                if is_writer and time.monotonic() - save_time >= interval_seconds:
                     save_training_state(_training_path(path), state._asdict(), settings)
-                    saved = time.monotonic()
+                    save_time = time.monotonic()
                 if state.note:
-                    bar.at(state.step, state.total, state.note)
+                    bar.set_done(state.step, state.total, state.note)
         except (KeyboardInterrupt, ConnectionError) as error:
-            if writes and state:
+            if is_writer and state:
                 save_training_state(_training_path(path), state._asdict(), settings)
-            if writes and isinstance(error, KeyboardInterrupt) and state and state.curve:
-                kept = path.with_suffix(".interrupted.safetensors")
-                keep(state, kept)
-                say(f"validation error {state.validation:.3f}; to use it as it is: --checkpoint {kept}")
+            if is_writer and isinstance(error, KeyboardInterrupt) and state and state.curve:
+                interrupted_path = path.with_suffix(".interrupted.safetensors")
+                write(state, interrupted_path)
+                say(f"validation error {state.validation:.3f}; to use it as it is: --checkpoint {interrupted_path}")
             raise
     assert state is not None
-    if writes:
-        keep(state, path, _previous(path))
+    if is_writer:
+        write(state, path, _previous_path(path))
         _training_path(path).unlink(missing_ok=True)
-    ranks.wait_for_ranks()  # until the file is there, from which all go on
-    at = f"validation error {state.validation:.3f} at step {state.best_step}"
-    say(f"{preparation.name}: {at}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
+    ranks.wait_for_ranks()  # until the file is there, which all ranks go on from
+    result = f"validation error {state.validation:.3f} at step {state.best_step}"
+    say(f"{preparation.name}: {result}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
     return path, general
 
 
-def _since(path: Path, settings: Document, run: Run) -> TrainState | None:
-    """The state of the training that was cut off, read by all ranks, rank 0 first: it puts a damaged file aside."""
+def _read_interrupted_state(path: Path, settings: Document, run: Run) -> TrainState | None:
+    """Return the state of a training of equal settings that was cut off; None if there is none.
+
+    All ranks read it. Rank 0 does so before the others, since it puts a damaged file aside.
+
+    Args:
+        path: the file of the finished checkpoint.
+        settings: all that the training depends on.
+        run: the run that trains.
+    """
     if ranks.rank_number() > 0:
         ranks.wait_for_ranks()
     else:
-        for file in (path, _previous(path)):
+        for file in (path, _previous_path(path)):
             remove_partial(file)
-    since = None
+    state = None
     try:
         if fields := load_training_state(_training_path(path), settings, run.device):
-            since = TrainState(**fields)
-            at = f"step {since.step:,} of {since.total:,}" if since.moments else f"{since.step} Adams of the search"
-            say(f"going on from {at} (training checkpoint {_training_path(path)})")
+            state = TrainState(**fields)
+            step = f"step {state.step:,} of {state.total:,}" if state.moments else f"{state.step} Adams of the search"
+            say(f"going on from {step} (training checkpoint {_training_path(path)})")
     except ValueError as error:
         say(f"{error}; training from the beginning")
     if ranks.rank_number() == 0:
         ranks.wait_for_ranks()
     ranks.wait_for_ranks()  # until all have read it
-    return since
+    return state
 
 
-def _seconds() -> float:
+def _save_interval_seconds() -> float:
+    """Return the time between two training checkpoints, in seconds: METAPP_CHECKPOINT_SECONDS if that is set."""
     text = os.environ.get("METAPP_CHECKPOINT_SECONDS", "")
     try:
         return float(text) if text else SAVE_INTERVAL_SECONDS
@@ -143,46 +158,50 @@ def _seconds() -> float:
 
 
 def _training_path(path: Path) -> Path:
-    """The file of a checkpoint's training."""
+    """Return the file that holds the state of a checkpoint's training while it runs."""
     return path.with_suffix(".training.safetensors")
 
 
-def _tasks_of(run: Run, preparation: Preparation) -> Tasks:
-    """The training tasks of a data set."""
+def _read_training_tasks(run: Run, preparation: Preparation) -> Tasks:
+    """Read the training tasks of a run's data set, and say how many there are."""
     app, folder = run.app, training_data_folder(run.app, run.options.data, run.options.quiet)
     tasks = stack_tasks(app, read_data_set(folder, "train", app.name, app.tensors), run.device)
-    on = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
-    say(f"training {full_name(app)} {preparation.name} on {on}")
+    data = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
+    say(f"training {full_name(app)} {preparation.name} on {data}")
     return tasks
 
 
-def _first(run: Run, preparation: Preparation) -> Checkpoint | None:
-    """The checkpoint that a training goes on from; None if none was given, or a General to begin at."""
-    given = run.options.checkpoint
+def _read_first_checkpoint(run: Run, preparation: Preparation) -> Checkpoint | None:
+    """Read the checkpoint of its own kind that a training goes on from.
+
+    Returns:
+        The checkpoint; None if --checkpoint is not set, or names a General for the training to begin at.
+    """
+    path = run.options.checkpoint
     general = preparation.general.name
-    if not given or (preparation.begins_at_general and load_checkpoint(given)[1].get("checkpoint") == general):
+    if not path or (preparation.begins_at_general and load_checkpoint(path)[1].get("checkpoint") == general):
         return None
     if preparation.takes_encoder_from_general:
-        raise ValueError(f"{given}: expected the General that an Adam is searched for; name its file, or leave it out.")
+        raise ValueError(f"{path}: expected the General that an Adam is searched for; name its file, or leave it out.")
     checkpoint = attach_checkpoint(run).checkpoint
     assert checkpoint is not None
     say(f"going on from {checkpoint.source}")
     return checkpoint
 
 
-def _previous(path: Path) -> Path:
-    """The path of the checkpoint that is replaced."""
+def _previous_path(path: Path) -> Path:
+    """Return the file in which a checkpoint that is replaced is kept."""
     return path.with_suffix(".previous.safetensors")
 
 
-def _general_of(run: Run, preparation: Preparation) -> Checkpoint:
-    """Return the General that a training begins at.
+def _provide_general(run: Run, preparation: Preparation) -> Checkpoint:
+    """Return the General that a training begins at, trained first if there is none.
 
-    It is the one that --checkpoint names, else the one that ships, else one that is trained now, for as many steps. A
-    training with the same settings that has ended is not repeated.
+    It is the one that --checkpoint names, else the one that ships, else one that is trained now for as many steps as
+    the run trains. A finished training of equal settings is not repeated.
 
     Raises:
-        ValueError: there is a General of other settings in its place, which is not replaced.
+        ValueError: the file of a General of other settings is in the way; it is not replaced.
     """
     general = preparation.general
     options = replace(run.options, paradigm=general.paradigm.name)
@@ -192,9 +211,11 @@ def _general_of(run: Run, preparation: Preparation) -> Checkpoint:
         if not path.is_file():
             say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
             train_checkpoint(run)
-        elif not _settings(run, general).items() <= load_checkpoint(path)[1].items():
-            found = "a General that was trained by other settings"
-            raise ValueError(f"{path}: {found}; begin at it with --checkpoint {path}, or move it to train another one.")
+        elif not _training_settings(run, general).items() <= load_checkpoint(path)[1].items():
+            raise ValueError(
+                f"{path}: a General that was trained by other settings; begin at it with --checkpoint {path}, or move "
+                "it to train another one."
+            )
         run = replace(run, options=replace(options, checkpoint=path))
     checkpoint = attach_checkpoint(run).checkpoint
     assert checkpoint is not None
@@ -202,8 +223,8 @@ def _general_of(run: Run, preparation: Preparation) -> Checkpoint:
     return checkpoint
 
 
-def _preparation_of(run: Run) -> Preparation:
-    """Return what to train: the last of the checkpoints that the paradigm needs."""
+def _last_preparation(run: Run) -> Preparation:
+    """Return the preparation that --train runs: the last one that the paradigm needs."""
     preparations = run.paradigm.preparations
     if not preparations:
         raise BadOption(f"--train: {run.paradigm.name} needs no preparation; leave the option out.")
@@ -212,10 +233,17 @@ def _preparation_of(run: Run) -> Preparation:
     return preparations[-1]
 
 
-def _settings(
+def _training_settings(
     run: Run, preparation: Preparation, general: MetaParameters | None = None, first: Checkpoint | None = None
 ) -> Document:
-    """Return all that the result of a training depends on but for rounding: the header of its checkpoint."""
+    """Return all that the result of a training depends on, except for rounding: the header of its checkpoint.
+
+    Args:
+        run: the run that trains.
+        preparation: what is trained.
+        general: the General that training begins at.
+        first: the checkpoint that training goes on from.
+    """
     folder, name = training_data_folder(run.app, run.options.data, run.options.quiet), preparation.name
     return (
         {"app": run.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}

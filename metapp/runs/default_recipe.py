@@ -1,4 +1,7 @@
-"""The recipe that a fit takes if none is named, and whether a recipe can be fitted without a training."""
+"""The recipe of a fit that names none, and whether checkpoints of a recipe ship, so that it needs no training.
+
+Only names and files are looked at; which recipe suits the inputs is chosen in `metapp.runs.recipe_choice`.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,18 @@ from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, QUICK_RECIPE_NA
 
 
 def has_shipped_recipe(app: str, recipe: str) -> bool:
-    """Return whether checkpoints of a recipe ship: its own, or those of "quick" if it fits the same network."""
-    own = recipe == QUICK_RECIPE_NAME or checkpoint_folder(app, recipe).is_dir()
-    return own or (
+    """Return whether checkpoints ship by which a recipe can fit.
+
+    The recipe "full" needs none for itself where its application has the network of the recipe "quick".
+    """
+    has_checkpoints = recipe == QUICK_RECIPE_NAME or checkpoint_folder(app, recipe).is_dir()
+    return has_checkpoints or (
         recipe == FULL_RECIPE_NAME and recipe_of(app, FULL_RECIPE_NAME).app == recipe_of(app, QUICK_RECIPE_NAME).app
     )
 
 
 def usual_recipe(app: str) -> str:
-    """Return the recipe of a fit that names none: "full", the best rule and size, if it ships, else "quick"."""
+    """Return the recipe of a fit that names none: "full" (the best rule and size) if it ships, else "quick"."""
     return (
         FULL_RECIPE_NAME
         if FULL_RECIPE_NAME in recipe_entries(app) and has_shipped_recipe(app, FULL_RECIPE_NAME)

@@ -1,4 +1,7 @@
-"""Fits of a run, kept: its inputs are read and fitted, and each fit is written to a folder of its own."""
+"""A run from its options to its folder: the checkpoint is provided, inputs are fitted, and each fit is written.
+
+What became of each input is reported as plain data, which the command line prints; nothing here prints.
+"""
 
 from __future__ import annotations
 
@@ -27,60 +30,60 @@ from metapp.storage.files import error_about_file
 from metapp.storage.fit_folders import RunFolder, summary
 from metapp.storage.parameters import read_checked_params
 
-ERROR_RECORD_KEYS = ("error", "photo_error")  # of a record, the first that there is
-DRAWN_TIME_SHARE = 0.9  # share of an input's time until its pictures are drawn, about
-FORESEEN_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError)  # errors of inputs and fits
+ERROR_RECORD_KEYS = ("error", "photo_error")  # entries of a record; progress shows the first one that has a value
+DRAWN_TIME_SHARE = 0.9  # about the share of an input's time that has passed when its pictures are drawn
+FORESEEN_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError)  # errors by which an input or a fit may fail
 
 
 class Failure(NamedTuple):
-    """An input that was not fitted, or a form that a fit was not written in.
+    """An input that was not fitted, or a file format that a fit could not be written in.
 
     Attributes:
-        source: its place.
-        reason: the error, with the source named.
-        counted: whether the run fails by it; not by a damaged file that was found in a folder.
-        kept: whether the fit is kept, and only an export was not written.
+        source: the place of the input, or the path of the file that was not written.
+        reason: the error message, which names the source.
+        fails_run: whether the run counts as failed; a damaged file that was found in a folder does not count.
+        is_fit_kept: whether the fit is kept, and only an export was not written.
     """
 
     source: str
     reason: str
-    counted: bool = True
-    kept: bool = False
+    fails_run: bool = True
+    is_fit_kept: bool = False
 
 
 class Outcome(NamedTuple):
-    """What became of a source of a run.
+    """The outcome of one input of a run.
 
     Attributes:
-        place: of the source.
-        record: of its fit; None if there is none.
+        place: the place of the input.
+        record: the record of its fit; None if it was not fitted.
         is_earlier: whether --resume kept an earlier fit.
-        replaces: whether the fit replaced an earlier one.
-        exported: the files that the fit was written to in other forms, each with the form.
-        remarks: of outputs.
-        failures: why the source was not fitted, or which exports were not written.
-        tiles: its pictures in the picture of the run, of the first ROWS fits.
+        replaces_earlier: whether the fit replaced an earlier one.
+        exports: the exports of the fit: pairs of a file format and the file that a user opens.
+        remarks: lines about outputs, such as renderings.
+        failures: why the input was not fitted, or which exports were not written.
+        tiles: the pictures of the fit in the contact sheet of the run; None if the sheet does not show it.
     """
 
     place: str
     record: Document | None = None
     is_earlier: bool = False
-    replaces: bool = False
-    exported: Sequence[tuple[str, Path]] = ()
+    replaces_earlier: bool = False
+    exports: Sequence[tuple[str, Path]] = ()
     remarks: Sequence[str] = ()
     failures: Sequence[Failure] = ()
     tiles: Tiles | None = None
 
 
 class RunReport(NamedTuple):
-    """What became of all sources of a run.
+    """The outcomes of all inputs of a run.
 
     Attributes:
-        run: with its checkpoint.
-        folder: of the run.
-        outcomes: in the order of the sources.
-        tasks_per_second: fits of now in a second, all that takes time counted: reading, fitting, keeping, pictures;
-            None if there was nothing left to fit.
+        run: the run, with its checkpoint.
+        folder: the folder of the run.
+        outcomes: one outcome for each input, in the order of the inputs.
+        tasks_per_second: number of new fits per second, where reading, fitting, writing and drawing count; None if
+            there was nothing left to fit.
     """
 
     run: Run
@@ -90,7 +93,7 @@ class RunReport(NamedTuple):
 
     @property
     def records(self) -> list[Document]:
-        """The records of all fits, of now and of before."""
+        """The records of all fits, both new ones and earlier ones that --resume kept."""
         return [outcome.record for outcome in self.outcomes if outcome.record]
 
     @property
@@ -100,22 +103,23 @@ class RunReport(NamedTuple):
 
     @property
     def path(self) -> Path:
-        """The folder of the run; of a single fit the task's."""
+        """The folder of the run, or the folder of the task if the run has a single fit."""
         return Path(self.records[0]["folder"]) if len(self.records) == 1 else self.folder.path
 
 
 def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> RunReport | None:
-    """Get the checkpoint of a run, then fit all inputs and keep each fit in its folder.
+    """Provide the checkpoint of a run, then fit all inputs and keep each fit in its folder.
 
     Args:
-        run: without its checkpoint.
-        provide: gives the run its checkpoint; of --train it is `metapp.runs.checkpoint_training.train_run`, which few runs need.
+        run: a run without its checkpoint.
+        provide: a function that returns a run with its checkpoint. With --train it is
+            :func:`metapp.runs.checkpoint_training.train_run`, a module that most runs need not import.
 
     Returns:
-        What became of the inputs; None on all but the first of several ranks, which train alone.
+        The report of all outcomes. None on all but the first of several ranks: the others only help to train.
 
     Raises:
-        ValueError: bad inputs, no checkpoint, a folder that cannot be written to; nothing could be fitted.
+        ValueError: inputs are bad, there is no checkpoint, a folder cannot be written to, or nothing could be fitted.
         FloatingPointError: training is not finite.
     """
     with torch_defaults(single=run.app.single_threaded):
@@ -135,114 +139,122 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
             say(f"{full_name(run.app)} {run.paradigm.name}: {count}; {steps}{size}")
         begin, folder = time.perf_counter(), run.folder(label)
         outcomes = list(keep_fits(run, folder, sources))
-        fitted = sum(outcome.record is not None and not outcome.is_earlier for outcome in outcomes)
-        rate = fitted / (time.perf_counter() - begin) if fitted else None
+        fit_count = sum(outcome.record is not None and not outcome.is_earlier for outcome in outcomes)
+        rate = fit_count / (time.perf_counter() - begin) if fit_count else None
         order = {source.place: number for number, source in enumerate(sources)}
         report = RunReport(run, folder, sorted(outcomes, key=lambda outcome: order[outcome.place]), rate)
         if not report.records:
-            several = f"none of {len(sources)} inputs could be fitted; the first: " if len(sources) > 1 else ""
-            raise ValueError(f"{several}{report.failures[0].reason}")
-        _draw(report)
+            introduction = f"none of {len(sources)} inputs could be fitted; the first: " if len(sources) > 1 else ""
+            raise ValueError(f"{introduction}{report.failures[0].reason}")
+        _write_contact_sheet(report)
         return report
 
 
 def keep_fits(run: Run, folder: RunFolder, sources: Sequence[Input]) -> Iterator[Outcome]:
-    """Fit sources and keep each fit, with progress.
+    """Fit inputs, keep each fit in the folder of the run, and show progress.
 
     Args:
-        run: with its checkpoint.
-        folder: of the run.
-        sources: to fit, one or more.
+        run: a run with its checkpoint.
+        folder: the folder of the run.
+        sources: the inputs to fit, one or more.
 
     Yields:
-        What became of each source, as soon as it is known.
+        The outcome of each input, as soon as it is known.
     """
-    drawn, count = 0, len(sources)
+    drawn_count, count = 0, len(sources)
     with progress(run.paradigm.name, count, long=count > 1, quiet=run.options.quiet) as bar:
-        bar.name(f"{Path(sources[0].place).name}: reading")
+        bar.set_label(f"{Path(sources[0].place).name}: reading")
         for source, fit in fit_sources(run, sources, folder, bar):
             if isinstance(fit, Exception):
                 if count == 1 and not isinstance(fit, FORESEEN_ERRORS):
                     raise fit
-                outcome = _failed(source, fit, bar)
+                outcome = _report_failure(source, fit, bar)
             else:
                 try:
-                    outcome = _kept(folder, source, fit, bar, is_shown=drawn < MAX_SHEET_ROWS)
-                    drawn += 1
+                    outcome = _keep_fit(folder, source, fit, bar, is_shown=drawn_count < MAX_SHEET_ROWS)
+                    drawn_count += 1
                 except ValueError as error:
-                    outcome = _failed(source, error, bar)
+                    outcome = _report_failure(source, error, bar)
             yield outcome
 
 
-def _failed(source: Input, error: Exception, bar: Bar) -> Outcome:
-    """Return the outcome of a source that was not fitted, by its error."""
+def _report_failure(source: Input, error: Exception, bar: Bar) -> Outcome:
+    """Return the outcome of an input that an error kept from being fitted, and show it in the progress."""
     bar.advance(f"failed: {Path(source.place).name}")
-    counted = source.named or not isinstance(error, BadInput)
-    return Outcome(
-        source.place, failures=[Failure(source.place, str(error_about_file(error, Path(source.place))), counted)]
-    )
+    fails_run = source.named or not isinstance(error, BadInput)
+    reason = str(error_about_file(error, Path(source.place)))
+    return Outcome(source.place, failures=[Failure(source.place, reason, fails_run)])
 
 
-def _kept(folder: RunFolder, source: Input, fit: Fit | EarlierFit, bar: Bar, *, is_shown: bool) -> Outcome:
+def _keep_fit(folder: RunFolder, source: Input, fit: Fit | EarlierFit, bar: Bar, *, is_shown: bool) -> Outcome:
     """Write the parameters, the pictures and the record of a fit, in this order, then its exports.
 
     Args:
-        folder: of the run.
-        source: that was fitted.
-        fit: of now, or an earlier one, which stays as it is.
-        bar: of the run.
-        is_shown: whether the picture of the run shows the fit.
+        folder: the folder of the run.
+        source: the input that was fitted.
+        fit: a new fit, or an earlier one, whose files stay as they are.
+        bar: the progress of the run.
+        is_shown: whether the contact sheet of the run shows the fit.
     """
     run, task = fit.run, fit.task
     if isinstance(fit, EarlierFit):
-        tiles = _tiles(run, task, read_checked_params(fit.record, run.app), fit.record) if is_shown else None
+        tiles = _draw_tiles(run, task, read_checked_params(fit.record, run.app), fit.record) if is_shown else None
         bar.advance(f"{task.name}: fitted before")
         return Outcome(source.place, fit.record, is_earlier=True, tiles=tiles)
-    bar.name(f"{fit.name}: pictures", FITTED_TIME_SHARE)
+    bar.set_label(f"{fit.name}: pictures", FITTED_TIME_SHARE)
     remarks: list[str] = []
 
-    def draw(place: Path) -> None:
+    def draw(fit_folder: Path) -> None:
         with torch.no_grad():
-            files, lines = render_outputs(run, task, fit.parameters)
-            write_pictures(run.presenter.pictures(fit.parameters, task) | files, place)
+            renders, lines = render_outputs(run, task, fit.parameters)
+            write_pictures(run.presenter.pictures(fit.parameters, task) | renders, fit_folder)
             remarks.extend(f"{fit.name}: {line}" for line in lines)
 
-    origin = run.origin(source.given)
+    origin = run.input_places(source.given)
     record = fit.record | {"source": source.place, "content": task_digest(task), "origin": origin}
-    replaces = folder.earlier(task.name, source.place) is not None
-    kept = folder.write(record, fit.parameters, draw)
-    tiles = _tiles(run, task, fit.parameters, kept) if is_shown else None
-    exported, failures = _export(fit, kept, bar)
-    errors = [f"{key.replace('_', ' ')} {kept[key]:.3f}" for key in ERROR_RECORD_KEYS if kept.get(key) is not None]
-    bar.advance(", ".join([kept["name"], *errors[:1], f"{kept['seconds']:.4f} s"]))
-    return Outcome(source.place, kept, False, replaces, exported, remarks, failures, tiles)
+    replaces_earlier = folder.earlier_record(task.name, source.place) is not None
+    record = folder.write(record, fit.parameters, draw)
+    tiles = _draw_tiles(run, task, fit.parameters, record) if is_shown else None
+    exports, failures = _write_exports(fit, record, bar)
+    errors = [f"{key.replace('_', ' ')} {record[key]:.3f}" for key in ERROR_RECORD_KEYS if record.get(key) is not None]
+    bar.advance(", ".join([record["name"], *errors[:1], f"{record['seconds']:.4f} s"]))
+    return Outcome(source.place, record, False, replaces_earlier, exports, remarks, failures, tiles)
 
 
-def _export(fit: Fit, record: Document, bar: Bar) -> tuple[list[tuple[str, Path]], list[Failure]]:
-    """Write a fit that is kept in the forms of --export; return the files that were written, and which were not."""
-    exported, failures = [], []
+def _write_exports(fit: Fit, record: Document, bar: Bar) -> tuple[list[tuple[str, Path]], list[Failure]]:
+    """Write a fit in the file formats of --export.
+
+    Args:
+        fit: the fit.
+        record: its record as it is kept, with the folder of the fit.
+        bar: the progress of the run.
+
+    Returns:
+        Pairs of a format and the file that a user opens, and the formats that could not be written.
+    """
+    exports, failures = [], []
     for form in fit.run.options.exports:
-        bar.name(f"{fit.name}: {form}", DRAWN_TIME_SHARE)
+        bar.set_label(f"{fit.name}: {form}", DRAWN_TIME_SHARE)
         path = export_path(record, form)
         try:
             with torch.no_grad():
                 export_fit(fit.run, fit.task, fit.parameters, path, form, record["settings"])
-            exported.append((form, file_to_open(path)))
+            exports.append((form, file_to_open(path)))
         except (ValueError, OSError) as error:
-            why = getattr(error, "strerror", None) or str(error).removesuffix(".")
-            again = f"metapp export {record['folder']} {form}"
-            line = f"{path}: not written as {form}: {why}; the fit is kept, write it by {again} --out FOLDER."
-            failures.append(Failure(str(path), line, kept=True))
-    return exported, failures
+            reason = getattr(error, "strerror", None) or str(error).removesuffix(".")
+            command = f"metapp export {record['folder']} {form}"
+            line = f"{path}: not written as {form}: {reason}; the fit is kept, write it by {command} --out FOLDER."
+            failures.append(Failure(str(path), line, is_fit_kept=True))
+    return exports, failures
 
 
-def _tiles(run: Run, task: Task, theta: Params, record: Document) -> Tiles:
+def _draw_tiles(run: Run, task: Task, theta: Params, record: Document) -> Tiles:
     with torch.no_grad():
         return tiles_of_fit(run.presenter, task, theta, record)
 
 
-def _draw(report: RunReport) -> None:
-    """Write `pictures.png`: the first of these fits beside their photos or references, then fits of before."""
+def _write_contact_sheet(report: RunReport) -> None:
+    """Write `pictures.png` of a run: its first fits beside their photos or references, then fits of earlier runs."""
     app, records = report.run.app, report.records
     mean = summary(records)["error"]
     title = f"{report.run.presenter.title}, {report.run.paradigm.name}"

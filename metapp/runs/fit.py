@@ -1,4 +1,7 @@
-"""A fit: parameters of a network, their errors and seconds, maps, pictures and files."""
+"""A fit of one task, as Python programs get it: its parameters and figures, maps, pictures and files.
+
+It is plain data and what can be computed of them. How tasks are fitted is decided in `metapp.runs.fitting`.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ import numpy as np
 import torch
 from PIL.Image import Image
 from torch import Tensor
+from typing_extensions import override
 
 from data_tools.readers.numbers import unit_vectors
 from metapp.appearance.geometry import directions_to_four_angles
@@ -30,7 +34,7 @@ from metapp.storage.files import write_bytes
 from metapp.storage.fit_folders import pack_fit
 from metapp.storage.image_writers import png_data_url
 
-# entries of records that are no errors
+# Entries of a fit's record that are not errors; all others are
 NON_ERROR_RECORD_KEYS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}
 NON_ERROR_RECORD_KEYS |= {"source", "content", "origin", "settings", "folder", "batch"}
 
@@ -40,24 +44,27 @@ class HasReflectance(Protocol):
     """An application whose fits are BRDFs, which :class:`Fit` evaluates for any pairs of directions."""
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
-        """Return reflectance in 1/sr without the cosine, linear RGB [..., 3].
+        """Return the reflectance of a fitted BRDF.
 
         Args:
-            theta: the fit, without a task axis.
+            theta: the parameters of the fit, without a task axis.
             angles: half and difference angles and phi_h, [..., 4] in rad.
+
+        Returns:
+            Reflectance in 1/sr without the cosine, linear RGB [..., 3].
         """
 
 
 class Fit:
-    """A fit of a task.
+    """A fit of one task.
+
+    Extensions add methods, such as `view` of the viewer.
 
     Attributes:
         run: the options, the application and the checkpoint of the fit.
-        task: its input.
-        record: its figures, as `record.json` of its folder states them: name, error, seconds, warning, settings.
-        parameters: of the network, by name, without a task axis, on the CPU.
-
-    Extensions add methods, such as `view` of the viewer.
+        task: the task that was fitted.
+        record: the figures in `record.json` of the fit's folder: name, error, seconds, warning, settings and others.
+        parameters: the parameters of the network by name, without a task axis, on the CPU.
     """
 
     def __init__(self, run: Run, task: Task, record: Document, parameters: Params) -> None:
@@ -66,7 +73,7 @@ class Fit:
 
     @property
     def app(self) -> App:
-        """The application, at its recipe and protocol."""
+        """The application of the fit, with the network of its recipe and with its protocol."""
         return self.run.app
 
     @property
@@ -76,51 +83,53 @@ class Fit:
 
     @property
     def settings(self) -> Document:
-        """All that the error and the seconds depend on."""
+        """The settings in the record: all that the error and the seconds depend on."""
         settings: Document = self.record["settings"]
         return settings
 
     @property
     def error(self) -> float | None:
-        """The error as tables print it; None if the task holds no reference."""
+        """The error in the unit of tables (BRDF x100); None if the task holds no reference."""
         error: float | None = self.record["error"]
         return error
 
     @property
     def errors(self) -> dict[str, float]:
-        """All measures, by name."""
+        """The errors and further measures of the fit, by name."""
         return {
             key: value for key, value in self.record.items() if key not in NON_ERROR_RECORD_KEYS and value is not None
         }
 
     @property
     def seconds(self) -> float:
-        """The time of inference."""
+        """The time of inference in seconds: from the samples of the task to the final parameters."""
         seconds: float = self.record["seconds"]
         return seconds
 
     @property
     def warning(self) -> str:
-        """Doubts about the fit; "" for none."""
+        """The clauses that doubt the fit, joined by "; "; "" for none."""
         warning: str = self.record.get("warning", "")
         return warning
 
     def __getattr__(self, name: str) -> Callable[..., object]:
-        """A method that an extension adds."""
+        """Return a method that an extension adds, bound to this fit."""
         if name in registry().methods:
             return functools.partial(registry().methods[name].load(), self)
         raise AttributeError(f"'Fit' object has no attribute '{name}'")
 
+    @override
     def __dir__(self) -> list[str]:
-        """Its attributes, with the methods that extensions add."""
+        """List the methods that extensions add, too."""
         return [*super().__dir__(), *registry().methods]
 
+    @override
     def __repr__(self) -> str:
         error = "no reference" if self.error is None else f"error {self.error:.3f}"
         return f"<Fit of {self.app.name} {self.name}: {error}, {self.seconds:.4f} s>"
 
     def _repr_html_(self) -> str:
-        """The view in notebooks: the picture and one line."""
+        """Return the page that notebooks show: the picture of the fit and one line about it."""
         error = "no reference" if self.error is None else f"error{self.app.error_measure.factor} {self.error:.3f}"
         line = f"{self.name}: {self.run.presenter.title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
         line += f", {self.settings['steps']} steps" + (f"; warning: {self.warning}" if self.warning else "")
@@ -130,14 +139,15 @@ class Fit:
         """Evaluate a fitted BRDF.
 
         Args:
-            wi, wo: unit vectors [N, 3] to light and viewer in the surface's frame, z its normal, arrays or tensors.
+            wi: unit vectors to the light, [N, 3], in the frame of the surface, whose normal is z; an array or a tensor.
+            wo: unit vectors to the viewer, [N, 3], in the same frame.
 
         Returns:
-            Reflectance in 1/sr without the cosine, linear RGB [N, 3], float32: a tensor if `wi` is one, else an
-            array; 0 if a direction is not above the surface.
+            Reflectance in 1/sr without the cosine, linear RGB [N, 3], float32: a tensor if `wi` is one, else an array.
+            It is 0 where a direction is not above the surface.
 
         Raises:
-            ValueError: a fit of another application; no unit vectors, another shape.
+            ValueError: the fit is of another application, or the vectors have another length or shape.
         """
         light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
         if len(light) != len(viewer):
@@ -155,11 +165,12 @@ class Fit:
 
     @functools.cached_property
     def maps(self) -> dict[str, np.ndarray]:
-        """The maps of the fit, linear, float32, rows from the top; {} of brdf and transport.
+        """The maps of the fit by name, linear, float32, with rows from the top; {} for brdf and transport.
 
-        Of svBRDFs `diffuse` and `specular` [H, W, 3], `roughness` [H, W], `normal` [H, W, 3] (unit vectors: x right, y
-        up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
-        of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
+        svBRDFs have `diffuse` and `specular` [H, W, 3], `roughness` [H, W] and `normal` [H, W, 3] (unit vectors: x
+        right, y up, z out of the surface); stationary svBRDFs have `height` [H, W] in texels, too. Textures have
+        `basecolor` [H, W, 3], illumination has `radiance` [H, 2 H, 3]. The maps are as fine as the files that
+        `metapp meta` writes.
         """
         with torch_defaults(single=self.app.single_threaded):
             maps = self.run.presenter.linear_maps(self.parameters, self.task)
@@ -171,22 +182,24 @@ class Fit:
             return self.run.presenter.preview(self.parameters, self.task)
 
     @functools.cached_property
-    def rendered(self) -> dict[str, np.ndarray]:
-        """The outputs that options ask for, such as `render` of transport: pictures [H, W, 3] by name, linear."""
+    def renders(self) -> dict[str, np.ndarray]:
+        """The renderings that options ask for, such as `render` of transport: linear pictures [H, W, 3] by name."""
         with torch_defaults(single=self.app.single_threaded):
-            files, _ = render_outputs(self.run, self.task, self.parameters)
-        return {name: picture.pixels.numpy() for name, picture in files.items()}
+            pictures, _ = render_outputs(self.run, self.task, self.parameters)
+        return {name: picture.pixels.numpy() for name, picture in pictures.items()}
 
     def picture(self) -> Image:
-        """Return a picture of PIL, 8 bits of sRGB: the reference, if there is one, left and the fit right."""
-        shown = self.preview()
+        """Return a picture of PIL in 8 bits of sRGB, with the reference, if there is one, left of the fit."""
+        previews = self.preview()
         with torch_defaults(single=self.app.single_threaded):
             return place_side_by_side(
-                [srgb_image(linear) for name, linear in shown.items() if name in ("reference", "fit")]
+                [srgb_image(linear) for name, linear in previews.items() if name in ("reference", "fit")]
             )
 
     def save(self, path: str | bytes | PathLike[str]) -> Path:
-        """Write the parameters, with the record, as safetensors, whole or not at all; `metapp.load` reads them.
+        """Write the parameters and the record as a safetensors file, which :func:`metapp.load` reads.
+
+        The file is there whole or not at all.
 
         Raises:
             OSError: the file cannot be written.
@@ -196,10 +209,14 @@ class Fit:
         return file
 
     def export(self, form: str, path: str | bytes | PathLike[str]) -> None:
-        """Write the fit in another form, such as "merl" of a BRDF or "gltf" of a material; `path` needs no suffix.
+        """Write the fit in another file format.
+
+        Args:
+            form: the name of the format, such as "merl" for a BRDF or "gltf" for a material.
+            path: the file to write, without suffix.
 
         Raises:
-            BadOption: fits of this application cannot be written so, or a library for it is missing.
+            BadOption: fits of this application cannot be written in this format, or a library for it is missing.
         """
         check_export(form, self.app.name)
         with torch_defaults(single=self.app.single_threaded):

@@ -1,4 +1,8 @@
-"""The options of a fit: of the command line, keywords of `metapp.fit`, and entries of records."""
+"""The options of a fit in one dataclass: options of the command line, keywords of `metapp.fit`, entries of records.
+
+Options are checked here, before anything large is imported. What their names stand for is looked up in
+`metapp.runs.run`.
+"""
 
 from __future__ import annotations
 
@@ -25,25 +29,25 @@ from metapp.storage.files import file_name
 from metapp.storage.folders import is_data_set
 
 MAX_GRADIENT_STEPS, MAX_SEED = 10**9, 2**63 - 1
-DEFAULT_TASKS_HELP = "default: tests of --data"
+DEFAULT_TASKS_HELP = "default: tests of --data"  # a clause of help texts about INPUT
 
 
 @dataclass(frozen=True)
 class FitOptions:
-    """The options of all fits; those of one application are `own`.
+    """The options of a fit, with the application's own options as a field.
 
     Attributes:
-        app: name of the application.
+        app: the name of the application.
         paradigm: general, overfit, finetune, quickft or meta.
-        inputs: files and folders, or objects in memory; (): the test tasks of the data set.
-        own: the application's own options.
+        inputs: files and folders, or objects in memory; () stands for the test tasks of the data set.
+        app_options: the options that only this application has.
     """
 
     app: str
     paradigm: str = "meta"
     inputs: Sequence[object] = ()
-    own: AppOptions = field(default_factory=AppOptions)
-    data: Annotated[Path | None, Option("Folder of task shards; default: the embedded set.")] = None
+    app_options: AppOptions = field(default_factory=AppOptions)
+    data: Annotated[Path | None, Option("Folder of a data set; default: the embedded set.")] = None
     observe: Annotated[str, Option("What fits see, reference or photo; default: what INPUT holds.")] = ""
     recipe: Annotated[str, Option("Recipe; default: full, the best that ships.", panel=FIT)] = ""
     rule: Annotated[
@@ -55,7 +59,7 @@ class FitOptions:
     ] = None
     checkpoint: Annotated[
         Path | None,
-        Option("Checkpoint or folder of these; default: shipped.", "FILE", panel=FIT),
+        Option("Checkpoint, or folder of checkpoints; default: the one that ships.", "FILE", panel=FIT),
     ] = None
     train: Annotated[bool, Option("Train first, on the training tasks of --data.", panel=FIT)] = False
     train_steps: Annotated[
@@ -72,11 +76,11 @@ class FitOptions:
         str, Option("Also write each fit in these file formats, separated by commas.", "KIND", panel=OUTPUT)
     ] = ""
     out: Annotated[Path, Option("Folder for runs and checkpoints; default: runs.", panel=OUTPUT)] = Path("runs")
-    quiet: Annotated[bool, Option("No progress bar, no table.", short="q", panel=OUTPUT)] = False
+    quiet: Annotated[bool, Option("Show no progress bar and no table.", short="q", panel=OUTPUT)] = False
 
     @property
     def exports(self) -> tuple[str, ...]:
-        """The forms to write fits in, each once."""
+        """The names of file formats to write fits in, each once."""
         return tuple(dict.fromkeys(name for name in self.export.split(",") if name))
 
     @property
@@ -87,32 +91,37 @@ class FitOptions:
     @property
     def objects(self) -> list[object]:
         """The inputs that are objects in memory."""
-        return [one for one in self.inputs if not isinstance(one, Path)]
+        return [item for item in self.inputs if not isinstance(item, Path)]
 
 
 def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (), **values: Any) -> FitOptions:
-    """The options of a fit, checked; nothing large is imported.
+    """Check the options of a fit and return them as one object; nothing large is imported.
 
     Args:
-        app: name of the application.
-        paradigm: name of the paradigm.
+        app: the name of the application.
+        paradigm: the name of the paradigm.
         inputs: paths, or objects in memory.
-        values: general options and the application's own, by name, as a command line or a program gives them.
+        values: options of all fits and the application's own, by name, as a command line or a program gives them.
 
     Raises:
-        BadOption: no such application, option, protocol, recipe or export; a value that an option cannot have; options
-            that exclude each other.
+        BadOption: there is no such application, option, protocol, recipe or export, an option has a wrong value, or
+            options exclude each other.
     """
     if not isinstance(paradigm, str):
         raise BadOption(f"paradigm: {paradigm!r}, expected str.")
     check_app_name(app)
-    own_kind = app_options_class(app)
-    own = {name: values.pop(name) for name in options_by_name(own_kind) if name in values}
+    options_class = app_options_class(app)
+    app_values = {name: values.pop(name) for name in options_by_name(options_class) if name in values}
     for name in values:
         if name not in options_by_name(FitOptions):
-            raise BadOption(_unknown(name, app))
+            raise BadOption(_describe_unknown_option(name, app))
     options = parse_options(
-        FitOptions, values, app=app, paradigm=paradigm, inputs=tuple(inputs), own=parse_options(own_kind, own)
+        FitOptions,
+        values,
+        app=app,
+        paradigm=paradigm,
+        inputs=tuple(inputs),
+        app_options=parse_options(options_class, app_values),
     )
     paths, data = extract_data_set(options.paths, options.data)
     if len(paths) < len(options.paths):
@@ -122,40 +131,52 @@ def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (),
 
 
 def extract_data_set(paths: Sequence[Path], data: Path | None) -> tuple[Sequence[Path], Path | None]:
-    """Take a data set among the inputs of a fit for the data set whose test tasks are fitted.
+    """Take a data set that is given as INPUT as the data set whose test tasks are fitted.
 
     Args:
-        paths: inputs.
-        data: the data set of --data.
+        paths: the inputs that are paths.
+        data: the data set of --data, None if it is not set.
 
     Returns:
         The inputs and the data set; no inputs if one of them is a data set.
 
     Raises:
-        BadOption: a data set beside other inputs, or beside another data set by --data.
+        BadOption: a data set is given beside other inputs, or --data names another one.
     """
-    found = next(filter(is_data_set, paths), None)
-    if found is None:
+    data_set = next(filter(is_data_set, paths), None)
+    if data_set is None:
         return paths, data
     if len(paths) > 1:
         raise BadOption(
-            f"{found}: a data set beside {len(paths) - 1} more INPUT, expected it alone; fit others by another "
+            f"{data_set}: a data set beside {len(paths) - 1} more INPUT, expected it alone; fit others by another "
             "command, or join data sets by metapp data join."
         )
-    if data and data.resolve() != found.resolve():
-        raise BadOption(f"{found}: a data set, and another by --data {data}, expected one; leave one out.")
-    return (), found
+    if data and data.resolve() != data_set.resolve():
+        raise BadOption(f"{data_set}: a data set, and another by --data {data}, expected one; leave one out.")
+    return (), data_set
 
 
 def check_app_name(app: str) -> None:
-    """A usage error that lists the applications if there is none of that name."""
+    """Refuse a name that no application has.
+
+    Raises:
+        BadOption: there is no such application; the message lists all.
+    """
     if app not in app_names():
         names = app_names()
         raise BadOption(f"'{app}' is not an application; expected one of {', '.join(names)}.{did_you_mean(app, names)}")
 
 
 def check_protocol(protocol: str, app: str) -> None:
-    """A usage error if the application of a name has no such protocol."""
+    """Refuse a protocol that an application does not have.
+
+    Args:
+        protocol: the value of --observe, "" if it is not set.
+        app: the name of the application.
+
+    Raises:
+        BadOption: the application has no such protocol.
+    """
     protocols = protocols_of(app)
     if protocol and protocol not in protocols:
         expected = f"expects one of {', '.join(protocols)}" if protocols else "has one protocol; leave it out"
@@ -163,30 +184,42 @@ def check_protocol(protocol: str, app: str) -> None:
 
 
 def check_options_of_protocol(options: FitOptions) -> None:
-    """A usage error about a recipe or an option that there is not under the protocol of a fit."""
+    """Refuse a recipe or an option that the application does not have under the protocol of a fit.
+
+    Raises:
+        BadOption: there is no such recipe, or an option belongs to another protocol.
+    """
     recipes = recipe_entries(options.app, options.observe)
     if options.recipe and options.recipe not in recipes:
         raise BadOption(
             f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{did_you_mean(options.recipe, recipes)}"
         )
-    for name in options.own.non_default_values():
-        option = options_by_name(type(options.own))[name]
+    for name in options.app_options.non_default_values():
+        option = options_by_name(type(options.app_options))[name]
         if options.observe and option.protocol not in ("", options.observe):
             raise BadOption(f"{option.flag}: only with --observe {option.protocol}; add that.")
 
 
 def check_new_files(paths: Iterable[Path]) -> None:
-    """A usage error if a file that is to be written is there already: it may be a measurement."""
+    """Refuse to overwrite files: one that is there already may be a measurement.
+
+    Raises:
+        BadOption: one of the files is there already.
+    """
     for path in paths:
         if os.path.lexists(path):
             raise BadOption(f"{path}: is there already, expected a new file; choose another --out, or remove it.")
 
 
 def check_export(name: str, app: str) -> None:
-    """Refuse a form that fits of an application cannot be written in.
+    """Refuse a file format that fits of an application cannot be written in.
+
+    Args:
+        name: the name of the format, one value of --export.
+        app: the name of the application.
 
     Raises:
-        BadOption: it cannot, or a library for it is missing.
+        BadOption: the application has no such format, or a library for it is missing.
     """
     forms = exports_of(app)
     if name not in forms:
@@ -197,12 +230,12 @@ def check_export(name: str, app: str) -> None:
         raise BadOption(f'--export {name} needs {needs[1]}: pip install "metapp[export]"')
 
 
-def _unknown(name: str, app: str) -> str:
-    """An error line about an option that an application does not have."""
-    others = [other for other in app_names() if name in options_by_name(app_options_class(other))]
-    if others:
+def _describe_unknown_option(name: str, app: str) -> str:
+    """Return the error message about an option that an application does not have."""
+    apps_with_option = [other for other in app_names() if name in options_by_name(app_options_class(other))]
+    if apps_with_option:
         flag = f"--{name.replace('_', '-')}"
-        return f"{flag}: {app} has no such option, only {', '.join(others)}; leave it out."
+        return f"{flag}: {app} has no such option, only {', '.join(apps_with_option)}; leave it out."
     names = {**options_by_name(FitOptions), **options_by_name(app_options_class(app))}
     return f"{name}: no option of a fit, expected one of {', '.join(sorted(names))}.{did_you_mean(name, names)}"
 
@@ -211,7 +244,7 @@ def _check(options: FitOptions) -> None:
     """Refuse names that the application does not have and options that exclude each other.
 
     Raises:
-        BadOption: there is such a one.
+        BadOption: there is such a name, or there are such options.
     """
     app = options.app
     check_protocol(options.observe, app)
@@ -219,8 +252,8 @@ def _check(options: FitOptions) -> None:
         check_export(form, app)
     if options.train_steps and not options.train:
         raise BadOption("--train-steps: only with --train.")
-    for name in options.own.non_default_values():
-        option = options_by_name(type(options.own))[name]
+    for name in options.app_options.non_default_values():
+        option = options_by_name(type(options.app_options))[name]
         if option.panel == INPUT and not options.inputs:
             remedy = f"not about the data set {options.data}; leave it out" if options.data else "name what to fit"
             raise BadOption(f"{option.flag}: about INPUT alone; {remedy}.")
@@ -229,19 +262,22 @@ def _check(options: FitOptions) -> None:
 
 
 def app_options_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> dict[str, object]:
-    """An application's own options as a record states them; those about INPUT only with `inputs`.
+    """Return an application's own options as a record states them.
 
-    Options that the application does not have are left out.
+    Args:
+        app: the name of the application.
+        recorded: the options in the record; one that the application does not have is left out.
+        inputs: whether to return options about INPUT, too.
     """
-    known = options_by_name(app_options_class(app))
+    known_options = options_by_name(app_options_class(app))
     return {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in recorded.items()
-        if name in known and (inputs or known[name].panel != INPUT)
+        if name in known_options and (inputs or known_options[name].panel != INPUT)
     }
 
 
-def folder_name_parts(own: AppOptions) -> list[str]:
-    """The parts of a run folder's name that state options that fits depend on: conserve, detail512."""
-    recorded = {name: value for name, value in own.recorded_values().items() if not isinstance(value, list)}
+def folder_name_parts(app_options: AppOptions) -> list[str]:
+    """Return the parts of a run folder's name that state options of the application, such as conserve, detail512."""
+    recorded = {name: value for name, value in app_options.recorded_values().items() if not isinstance(value, list)}
     return [file_name(name if value is True else f"{name}{value}") for name, value in recorded.items()]

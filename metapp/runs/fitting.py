@@ -1,4 +1,8 @@
-"""Fitting: tasks one by one, or some side by side, with their errors and times; sources as they are read."""
+"""The fitting of tasks, one by one or side by side, with errors, times and warnings.
+
+Inputs are read when their turn comes, so that a large set need not fit into memory. Nothing is written here: what is
+kept of a fit is decided in `metapp.runs.execution`.
+"""
 
 from __future__ import annotations
 
@@ -27,24 +31,25 @@ from metapp.storage import Document
 from metapp.storage.files import error_about_file
 from metapp.storage.fit_folders import RunFolder
 
-READ_TIME_SHARE, FITTED_TIME_SHARE = 0.2, 0.5  # shares of an input's time until it is read, and fitted, about
-WARM_UP_STEPS = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
-MAX_NOTED_INPUTS = 3  # inputs of which it is said that they were cut or scaled
-LOSS_ROSE_CLAUSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
-FIT_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError)  # of inputs and fits
+READ_TIME_SHARE, FITTED_TIME_SHARE = 0.2, 0.5  # about the shares of an input's time when it is read, and when fitted
+# Gradient steps of the fit that loads kernels: a fit after it takes at most 2 % longer than after more steps
+WARM_UP_STEPS = 1
+MAX_NOTED_INPUTS = 3  # number of inputs for which a line says that they were cut or scaled
+LOSS_ROSE_CLAUSE = "the visible loss rose"  # the beginning of a clause of warnings, which tables count by itself
+FIT_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError, RuntimeError)  # errors by which a fit may fail
 
 
 class BadInput(ValueError):
-    """An input that cannot be read, with its place."""
+    """An input that cannot be read; the message names its place."""
 
 
 class EarlierFit(NamedTuple):
-    """An earlier fit of a task, which --resume takes for the fit of now.
+    """An earlier fit of a task that --resume keeps instead of a new one.
 
     Attributes:
-        run: of now.
-        task: as it was read now.
-        record: of the fit.
+        run: the present run.
+        task: the task as it was read by the present run.
+        record: the record of the earlier fit.
     """
 
     run: Run
@@ -55,23 +60,23 @@ class EarlierFit(NamedTuple):
 def fit_sources(
     run: Run, sources: Sequence[Input], folder: RunFolder | None = None, bar: Bar | None = None
 ) -> Iterator[tuple[Input, Fit | EarlierFit | Exception]]:
-    """Fit sources, each read when its turn comes, `--batch` of them side by side; their warnings are said.
+    """Read and fit inputs, `--batch` of them side by side, and say the warnings of each fit.
 
     Args:
-        run: with a checkpoint.
-        sources: to fit.
-        folder: of the run; None if fits are not kept.
-        bar: is told the name of each task that was read.
+        run: a run with its checkpoint.
+        sources: the inputs to fit; each is read when its turn comes.
+        folder: the folder of the run; None if fits are not kept.
+        bar: the progress, which shows the name of each task that was read.
 
     Yields:
-        Each source with its fit, or with the error by which it has none; with --resume an earlier fit if there is one.
+        Each input with its fit, or with the error by which it has none. With --resume it may be an earlier fit.
     """
     is_warm = False
-    waiting: list[tuple[Input, Task]] = []
+    pending: list[tuple[Input, Task]] = []
 
-    def fits() -> Iterator[tuple[Input, Fit | Exception]]:
+    def fit_pending() -> Iterator[tuple[Input, Fit | Exception]]:
         nonlocal is_warm
-        for group in group_by_tensor_sizes(waiting):
+        for group in group_by_tensor_sizes(pending):
             if not is_warm:
                 warm_up(run, group[0][1])
                 is_warm = True
@@ -80,34 +85,39 @@ def fit_sources(
                     _say_warnings(fit)
                 yield source, fit
 
-    for source, read in _readable(run, sources, folder, bar or Bar()):
-        if isinstance(read, Task):
-            waiting.append((source, read))
+    for source, result in _read_tasks(run, sources, folder, bar or Bar()):
+        if isinstance(result, Task):
+            pending.append((source, result))
         else:
-            yield source, read
-        if len(waiting) == (run.options.batch or 1):
-            yield from fits()
-            waiting.clear()
-    yield from fits()
+            yield source, result
+        if len(pending) == (run.options.batch or 1):
+            yield from fit_pending()
+            pending.clear()
+    yield from fit_pending()
 
 
-def _readable(
+def _read_tasks(
     run: Run, sources: Iterable[Input], folder: RunFolder | None, bar: Bar
 ) -> Iterator[tuple[Input, Task | EarlierFit | Exception]]:
-    noted = 0
+    """Read inputs one after the other, and say what was cut or scaled.
+
+    Yields:
+        Each input with its task, with an earlier fit that --resume keeps, or with the error of a bad input.
+    """
+    note_count = 0
     for source in sources:
         try:
-            task = source.task()
-            record = folder.earlier(task.name, source.place) if folder and run.options.resume else None
-            if folder and record and folder.holds(record, task_digest(task)):
+            task = source.read_task()
+            record = folder.earlier_record(task.name, source.place) if folder and run.options.resume else None
+            if folder and record and folder.matches(record, task_digest(task)):
                 yield source, EarlierFit(run, task, record)
             else:
-                bar.name(f"{task.name}: fitting", READ_TIME_SHARE)
+                bar.set_label(f"{task.name}: fitting", READ_TIME_SHARE)
                 check_task(run, task)
-                noted += bool(task.note)
-                if task.note and noted <= MAX_NOTED_INPUTS:
+                note_count += bool(task.note)
+                if task.note and note_count <= MAX_NOTED_INPUTS:
                     say(f"{Path(source.place).name}: {task.note}")
-                elif task.note and noted == MAX_NOTED_INPUTS + 1:
+                elif task.note and note_count == MAX_NOTED_INPUTS + 1:
                     say("further inputs are cut and scaled likewise")
                 yield source, task
         except (ValueError, OSError) as error:
@@ -115,12 +125,16 @@ def _readable(
 
 
 def _fit_group(run: Run, pairs: Sequence[tuple[Input, Task]]) -> Iterator[tuple[Input, Fit | Exception]]:
-    """Fits side by side; if that fails, one by one."""
+    """Fit tasks side by side, or one by one if a fit side by side fails.
+
+    Yields:
+        Each input with its fit, or with the error of its fit.
+    """
     failure: Exception | None = None
     try:
         fits = fit_side_by_side(run, [task for _, task in pairs])
     except FIT_ERRORS as error:
-        failure = error.with_traceback(None)  # whose frames hold the tensors of the batch
+        failure = error.with_traceback(None)  # the frames of a traceback would hold the tensors of the batch
     if failure is None:
         yield from zip([source for source, _ in pairs], fits, strict=True)
     elif len(pairs) == 1:
@@ -139,7 +153,7 @@ def _say_warnings(fit: Fit) -> None:
 
 
 def group_by_tensor_sizes(pairs: Iterable[tuple[Input, Task]]) -> list[list[tuple[Input, Task]]]:
-    """Groups of tasks whose tensors are of equal sizes, which can be fitted side by side."""
+    """Group tasks whose tensors have equal sizes, so that they can be fitted side by side."""
     groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Input, Task]]] = {}
     for source, task in pairs:
         sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
@@ -148,18 +162,18 @@ def group_by_tensor_sizes(pairs: Iterable[tuple[Input, Task]]) -> list[list[tupl
 
 
 def fit_tasks(run: Run, tasks: Sequence[Task]) -> Iterator[Fit]:
-    """Fits of tasks, each alone, so that its time is its own; warnings are recorded, not said.
+    """Fit tasks one after the other, so that each has its own time; warnings are recorded, not said.
 
     Args:
-        run: with a checkpoint.
-        tasks: to fit.
+        run: a run with its checkpoint.
+        tasks: the tasks to fit.
 
     Yields:
-        Each fit as it comes.
+        The fit of each task, in order.
 
     Raises:
         FloatingPointError: a fit is not finite.
-        ValueError: a task lacks a tensor, before the first fit.
+        ValueError: a task lacks a tensor; this is found before the first fit.
     """
     for task in tasks:
         check_task(run, task)
@@ -170,31 +184,32 @@ def fit_tasks(run: Run, tasks: Sequence[Task]) -> Iterator[Fit]:
 
 
 def check_task(run: Run, task: Task) -> None:
-    """Refuse a task without the tensors that a fit reads: that should not be found after hours.
+    """Refuse a task that lacks a tensor which a fit reads, rather than fail after hours of other fits.
 
     Raises:
-        ValueError: one is missing.
+        ValueError: a tensor is missing.
     """
     if run.app.protocol:
         run.app.prepare(task)
 
 
 def warm_up(run: Run, task: Task) -> None:
-    """Take a step before the first fit, as first calls load kernels."""
-    few = min(run.paradigm.steps, WARM_UP_STEPS)
-    # what a guard looks at takes longer than a step
-    stacked, paradigm = stack_tasks(run.app, [task], run.device), replace(run.paradigm, steps=few)
+    """Take a gradient step before the first fit: first calls load kernels, which would count as time of the fit."""
+    step_count = min(run.paradigm.steps, WARM_UP_STEPS)
+    stacked, paradigm = stack_tasks(run.app, [task], run.device), replace(run.paradigm, steps=step_count)
+    # without a guard, whose losses take longer than a step
     paradigm.fit(run.phi, stacked, rng_of(run, task), guarded=False)
 
 
 def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
-    """Fits of tasks of equal sizes, each as if it were alone; its seconds are its share of those that all took.
+    """Fit tasks of equal sizes side by side, each as if it were fitted alone.
 
-    The time is from the tasks' samples to the final parameters, warm. The error is None if a task holds no reference.
+    The seconds of a fit are its share of the time that all fits took, from the tasks' samples to the final parameters,
+    without the first loading of kernels. The error of a fit is None if its task holds no reference.
 
     Args:
-        run: with a checkpoint.
-        tasks: one or more.
+        run: a run with its checkpoint.
+        tasks: one or more tasks whose tensors have equal sizes.
 
     Raises:
         FloatingPointError: a fit is not finite.
@@ -202,14 +217,14 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
     """
     app = run.app
     rng: Rng = tuple(rng_of(run, task) for task in tasks) if len(tasks) > 1 else rng_of(run, tasks[0])
-    begin = _now(run.device)
+    begin_seconds = _clock_seconds(run.device)
     stacked = stack_tasks(app, tasks, run.device)
     descent = run.paradigm.descend(run.phi, stacked, rng)
     first = next(descent)
-    end = final_item(chain([first], descent))
-    theta = app.postprocess(end.theta)
-    seconds = (_now(run.device) - begin) / len(tasks)
-    measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, end)
+    last = final_item(chain([first], descent))
+    theta = app.postprocess(last.theta)
+    seconds = (_clock_seconds(run.device) - begin_seconds) / len(tasks)
+    measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, last)
     fits = []
     for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
         errors = {
@@ -217,65 +232,75 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
         }
         parameters = {key: value[i].detach().cpu() for key, value in theta.items()}
         _require_finite(task, parameters, errors)
-        # sums depend on the number of threads, in their last digits: the record says it, but not its settings, since
-        # that is no reason to fit anew
+        # the last digits of sums depend on the number of threads: the record states it, but outside of the settings,
+        # since another number is no reason to fit anew
         record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds}
         record |= {"threads": torch.get_num_threads(), **run.presenter.remarks(parameters, task)}
-        record |= {"guarded": end.guarded is not None and bool(end.guarded[i])} if run.paradigm.guard else {}
+        record |= {"guarded": last.guarded is not None and bool(last.guarded[i])} if run.paradigm.guard else {}
         record |= {"warning": "; ".join(clauses)} if clauses else {}
         record |= {"batch": len(tasks)} if len(tasks) > 1 else {}
-        if record["error"] is None and (compared := run.presenter.photo_comparison(parameters, task)):
-            record |= {"photo_error": photo_error_percent(compared)}
+        if record["error"] is None and (comparison := run.presenter.photo_comparison(parameters, task)):
+            record |= {"photo_error": photo_error_percent(comparison)}
         fits.append(Fit(run, task, record, parameters))
     return fits
 
 
-def _now(device: torch.device) -> float:
-    """Seconds on a clock, once the device is idle."""
+def _clock_seconds(device: torch.device) -> float:
+    """Wait until the device is idle, and return the seconds on a clock."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
 
 
 def _require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
-    """Refuse a fit of a task, parameters without a task axis, that holds NaN or infinite values, or has such an error.
+    """Refuse a fit whose parameters or error are NaN or infinite.
+
+    Args:
+        task: the task that was fitted, which the message names.
+        theta: the parameters of the fit, without a task axis.
+        errors: the errors of the fit, by name.
 
     Raises:
-        FloatingPointError: it does.
+        FloatingPointError: a parameter or the error is not finite.
     """
-    finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
-    if not finite or not math.isfinite(errors.get("error", 0.0)):
-        what = "error is" if finite else "parameters are"
+    are_params_finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
+    if not are_params_finite or not math.isfinite(errors.get("error", 0.0)):
+        subject = "error is" if are_params_finite else "parameters are"
         raise FloatingPointError(
-            f"{task.name}: the fit's {what} not finite; use another checkpoint or paradigm, or fewer steps."
+            f"{task.name}: the fit's {subject} not finite; use another checkpoint or paradigm, or fewer steps."
         )
 
 
-def warnings_of(run: Run, stacked: Tasks, first: DescentState, end: DescentState) -> list[list[str]]:
-    """Clauses about each fit that is doubtful, as some applications see themselves, or whose visible loss rose.
+def warnings_of(run: Run, stacked: Tasks, first: DescentState, last: DescentState) -> list[list[str]]:
+    """Return clauses of warnings for each fit, [] for a fit without doubt.
 
-    Learned rules can fail; a guard has compared its fits with their beginning.
+    A fit is doubtful where the application's presenter says so, and where its loss on visible samples rose: learned
+    rules can fail. The loss is not compared where a guard has already compared each fit with its beginning.
 
     Args:
-        run: of the fits.
-        stacked: the tasks.
-        first, end: of their descent.
+        run: the run of the fits.
+        stacked: the fitted tasks.
+        first: the first state of their descent.
+        last: the last state of their descent.
     """
-    doubts = run.presenter.quality_warnings(end.theta, stacked)
-    if end.guarded is not None or not run.paradigm.steps:
-        return doubts
-    again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
+    clauses_by_task = run.presenter.quality_warnings(last.theta, stacked)
+    if last.guarded is not None or not run.paradigm.steps:
+        return clauses_by_task
+    generators = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
-        batch = draw_per_task(lambda some, own: run.app.sample(some, own, run.recipe.batch), stacked, again)
-        before, after = (run.app.loss(state.theta, batch, {}).tolist() for state in (first, end))
+        batch = draw_per_task(lambda tasks, rng: run.app.sample(tasks, rng, run.recipe.batch), stacked, generators)
+        losses_before, losses_after = (run.app.loss(state.theta, batch, {}).tolist() for state in (first, last))
     return [
-        [*([] if high <= low else [f"{LOSS_ROSE_CLAUSE} from {low:.4g} to {high:.4g}"]), *doubt]
-        for low, high, doubt in zip(before, after, doubts, strict=True)
+        [*([] if after <= before else [f"{LOSS_ROSE_CLAUSE} from {before:.4g} to {after:.4g}"]), *clauses]
+        for before, after, clauses in zip(losses_before, losses_after, clauses_by_task, strict=True)
     ]
 
 
 def rng_of(run: Run, task: Task) -> Generator:
-    """The source of a fit's draws: it depends on the task's name alone, whatever is fitted beside it."""
+    """Return the generator of a fit's random draws, which depends on the seed and the task's name alone.
+
+    A fit is therefore the same whatever is fitted beside it.
+    """
     text = f"{run.options.seed} {task.name}"
     seed = int.from_bytes(hashlib.sha256(text.encode(errors="surrogatepass")).digest()[:6], "big")
     return Generator(run.device).manual_seed(seed)

@@ -1,4 +1,8 @@
-"""A run: the application, recipe, rule, paradigm and device that options name, its settings and its folder."""
+"""A run: the application, recipe, rule, paradigm and device that options name, its settings and its folder.
+
+A run is what one command does, as data: it is looked up before anything is read or fitted, and writes nothing. Its
+checkpoint is read by `metapp.runs.checkpoint_selection`, its inputs are fitted by `metapp.runs.fitting`.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +43,13 @@ from metapp.storage.fit_folders import RunFolder
 
 
 class Checkpoint(NamedTuple):
-    """A checkpoint: phi, the place it was read from, and a digest of its file ("" if a paradigm needs none)."""
+    """The checkpoint that fits of a run begin at.
+
+    Attributes:
+        phi: the meta-parameters.
+        source: the place that they were read from, in words.
+        digest: 12 hexadecimal digits of the file's content; "" if the paradigm needs no checkpoint.
+    """
 
     phi: MetaParameters
     source: str
@@ -48,14 +58,16 @@ class Checkpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """Options with all that they name looked up.
+    """The options of one command or one call, with all that they name looked up.
 
     Attributes:
-        options: as given, with recipe and rule by their names; steps None if they are the recipe's.
-        paradigm: of the application under its protocol, with the network of the recipe and of the rule.
-        device: of all tensors.
-        checkpoint: initialisation and rule of the fits; None until `checkpoints.with_checkpoint` has read it.
-        sources: what its inputs were found to be.
+        options: the options as given, with the names of the chosen recipe and rule; `steps` is None if it is the
+            recipe's number.
+        paradigm: the paradigm for the application under its protocol, with the network of the recipe and of the rule.
+        device: the device of all tensors.
+        checkpoint: initialisation and rule of the fits; None until
+            :func:`metapp.runs.checkpoint_selection.attach_checkpoint` has read it.
+        sources: the files, folders or data set that the inputs were found to be.
     """
 
     options: FitOptions
@@ -65,62 +77,63 @@ class Run:
     sources: Sequence[Source] = ()
 
     @classmethod
-    def of(cls, options: FitOptions, sources: Sequence[Source] | None = None) -> Run:
-        """Look up the names in options, and choose by the sources what they leave open; nothing is written.
+    def from_options(cls, options: FitOptions, sources: Sequence[Source] | None = None) -> Run:
+        """Look up the names in options, and choose by the sources what options leave open; nothing is written.
 
         Args:
-            options: of the run.
-            sources: of its inputs, as `find_sources` finds them; None: they are found now.
+            options: the options of the run.
+            sources: the sources of its inputs, which `find_sources` returns; None to find them now.
 
         Raises:
-            BadOption: a rule that the application cannot have, or options that the recipe does not have.
-            ValueError: no such device, paradigm or data set; an input that no format reads.
+            BadOption: the application cannot have the rule, or the recipe does not have an option.
+            ValueError: there is no such device, paradigm or data set, or no format reads an input.
         """
-        kind = paradigm_of(options.paradigm)
-        found = tuple(find_sources(options) if sources is None else sources)
-        choice = choose_protocol_and_recipe(options, found)
+        paradigm_class = paradigm_of(options.paradigm)
+        sources_found = tuple(find_sources(options) if sources is None else sources)
+        choice = choose_protocol_and_recipe(options, sources_found)
         for line in filter(None, [choice.missing] if options.quiet else choice.reasons):
             say(line)
-        name = choice.recipe
+        recipe_name = choice.recipe
         options = replace(options, observe="" if options.objects and not options.observe else choice.protocol)
         check_options_of_protocol(options)
-        usual = recipe_of(options.app, name, options.observe)
-        recipe = _adapted(options, name, usual)
-        if recipe == usual:  # by options that say what it does anyway
-            options = replace(options, own=type(options.own)(**options.own.non_default_values(INPUT, OUTPUT)))
+        unchanged = recipe_of(options.app, recipe_name, options.observe)
+        recipe = _adapt_recipe(options, recipe_name, unchanged)
+        if recipe == unchanged:  # the options only say what the recipe does anyway: the run's folder need not name them
+            options = replace(
+                options, app_options=type(options.app_options)(**options.app_options.non_default_values(INPUT, OUTPUT))
+            )
         rule = _rule_name(options, recipe)
-        app = app_of(options.app, recipe, options.observe, rule=rule if kind.has_learned_rule else "")
+        app = app_of(options.app, recipe, options.observe, rule=rule if paradigm_class.has_learned_rule else "")
         try:
-            files = options.own.non_default_values(OUTPUT)
-            presenter_of(app, files)
+            presenter_of(app, options.app_options.non_default_values(OUTPUT))
         except ValueError as error:
             raise BadOption(str(error)) from None
-        paradigm = kind.of(app, recipe, rule, options.steps)
-        steps = None if paradigm == kind.of(app, recipe, rule) else paradigm.steps
-        options = replace(options, recipe=name, rule=rule, steps=steps)
-        return cls(options, paradigm, find_device(options.device, app), sources=found)
+        paradigm = paradigm_class.of(app, recipe, rule, options.steps)
+        steps = None if paradigm == paradigm_class.of(app, recipe, rule) else paradigm.steps
+        options = replace(options, recipe=recipe_name, rule=rule, steps=steps)
+        return cls(options, paradigm, find_device(options.device, app), sources=sources_found)
 
     @classmethod
-    def of_settings(cls, settings: Document, options: Mapping[str, object] | None = None, **more: Any) -> Run:
-        """The run that a fit was made by, as far as the settings of its record say it.
+    def from_settings(cls, settings: Document, options: Mapping[str, object] | None = None, **more: Any) -> Run:
+        """Return the run that a fit was made by, as far as the settings in its record state it.
 
         Args:
-            settings: of the record.
-            options: of extensions, beside those that the record states.
-            more: further options, as of `FitOptions`.
+            settings: the settings in the record.
+            options: the application's own options that are set beside those of the record.
+            more: fields of `FitOptions`, by name.
 
         Raises:
-            BadOption: one of `options`.
-            ValueError: settings that are not known here.
+            BadOption: one of `options` is wrong.
+            ValueError: this version of metapp does not know the settings.
         """
         app, inputs = settings["app"], more.pop("inputs", ())
-        own = app_options_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
+        app_values = app_options_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
         paradigm = settings.get("paradigm", FitOptions.paradigm)
         rule = settings.get("rule", "") if paradigm_of(paradigm).has_learned_rule else ""
-        given = {"rule": rule, "recipe": settings["recipe"]}
-        given |= {"observe": settings.get("observe", ""), "quiet": True, **more}
+        values = {"rule": rule, "recipe": settings["recipe"]}
+        values |= {"observe": settings.get("observe", ""), "quiet": True, **more}
         try:
-            return cls.of(fit_options(app, paradigm, inputs, **own, **given))
+            return cls.from_options(fit_options(app, paradigm, inputs, **app_values, **values))
         except BadOption as error:
             if options:
                 raise
@@ -128,29 +141,33 @@ class Run:
 
     @functools.cached_property
     def app(self) -> App:
-        """The application of its paradigm."""
+        """The application of the run."""
         return self.paradigm.app
 
     @functools.cached_property
     def presenter(self) -> Presenter[Any]:
-        """What people look at of its fits, with the options of output such as the size of files."""
-        return presenter_of(self.app, self.options.own.non_default_values(OUTPUT))
+        """The presenter of the application's fits, with options of output such as the size of files."""
+        return presenter_of(self.app, self.options.app_options.non_default_values(OUTPUT))
 
     @functools.cached_property
     def recipe(self) -> Recipe:
-        """The recipe of its paradigm."""
+        """The recipe of the run."""
         return self.paradigm.recipe
 
     @property
     def phi(self) -> MetaParameters:
-        """The parameters of the checkpoint, which must have been read."""
+        """The meta-parameters of the checkpoint, which must have been read."""
         assert self.checkpoint is not None
         return self.checkpoint.phi
 
     def settings(self, label: str) -> Document:
-        """All that errors and seconds of fits to this data depend on: the settings in their records."""
+        """Return the settings that records of fits state: all that errors and seconds depend on.
+
+        Args:
+            label: the label of the data that is fitted.
+        """
         paradigm, app = self.paradigm, self.app
-        own = self.options.own.recorded_values()
+        app_options = self.options.app_options.recorded_values()
         adam, guard = paradigm.adam(self.phi), paradigm.guard
         assert self.checkpoint is not None
         return {
@@ -165,7 +182,7 @@ class Run:
             "checkpoint": self.checkpoint.digest,
             "data": label,
             "recipe": self.options.recipe,
-            **({"options": own} if own else {}),
+            **({"options": app_options} if app_options else {}),
             "seed": self.options.seed,
             "device": str(self.device),
             "versions": software_versions(),
@@ -173,35 +190,44 @@ class Run:
         }
 
     def folder(self, label: str) -> RunFolder:
-        """Return the folder of fits to data of this label."""
+        """Return the folder of fits to data of a label, which compares records with the settings of this run."""
         return RunFolder(self.path(label), self.settings(label))
 
     def path(self, label: str, kind: str = "") -> Path:
-        """runs/<app>/<paradigm>, with the options that are not at their default, as meta-materials-1a2b3c-quick-seed3.
+        """Return the path of the run's folder, such as runs/brdf/meta-materials-1a2b3c-quick-seed3.
+
+        The name has the paradigm and all options that are not at their default.
 
         Args:
-            label: of the data.
-            kind: of records that are no paradigm's fits, in place of its name.
+            label: the label of the data.
+            kind: the kind of records that are not fits by the paradigm, which then stands in place of its name.
         """
         options, app = self.options, self.app
         rule = options.rule if kind or self.paradigm.has_learned_rule else ""
-        given = str(options.checkpoint.resolve()) if options.checkpoint else ""
-        origin = self.checkpoint.digest if self.checkpoint else content_digest(given)
+        checkpoint_path = str(options.checkpoint.resolve()) if options.checkpoint else ""
+        digest = self.checkpoint.digest if self.checkpoint else content_digest(checkpoint_path)
         words = [
             kind or self.paradigm.name,
             label if options.data and not options.paths else "",
             options.recipe if options.recipe != usual_recipe(app.name) else "",
             rule if rule != self.recipe.rule else "",
-            *folder_name_parts(options.own),
+            *folder_name_parts(options.app_options),
             "" if options.steps is None else f"{options.steps}steps",
             "" if is_first_protocol(app) else app.protocol,
-            f"checkpoint-{origin[:6]}" if given and origin else "",
+            f"checkpoint-{digest[:6]}" if checkpoint_path and digest else "",
             f"seed{options.seed}" if options.seed else "",
         ]
         return options.out / app.name / "-".join(filter(None, words))
 
-    def origin(self, inputs: Sequence[Path]) -> Document:
-        """The places of inputs and data set, by which they are found again: absolute paths, as far as given."""
+    def input_places(self, inputs: Sequence[Path]) -> Document:
+        """Return the absolute paths of inputs and data set, by which a later command finds them again.
+
+        Args:
+            inputs: the inputs, as the user gave them.
+
+        Returns:
+            The paths by "inputs" and "data"; an entry is left out if there is nothing to name.
+        """
         data = self.options.data
         places: Document = {
             "inputs": [str(path.absolute()) for path in inputs],
@@ -210,18 +236,31 @@ class Run:
         return {key: value for key, value in places.items() if value}
 
 
-def _adapted(options: FitOptions, name: str, recipe: Recipe) -> Recipe:
-    """A recipe as the application's own options change it, or a usage error."""
+def _adapt_recipe(options: FitOptions, name: str, recipe: Recipe) -> Recipe:
+    """Change a recipe as the application's own options ask for.
+
+    Args:
+        options: the options of the run.
+        name: the name of the recipe.
+        recipe: the recipe.
+
+    Raises:
+        BadOption: the recipe cannot be changed so.
+    """
     try:
-        adapted: Recipe = options.own.adapt_recipe(recipe)
+        adapted: Recipe = options.app_options.adapt_recipe(recipe)
     except ValueError as error:
-        own = ", ".join(f"--{key} {value}" for key, value in options.own.non_default_values(FIT).items())
-        raise BadOption(f"{own}, by recipe {name}: {error}.") from None
+        flags = ", ".join(f"--{key} {value}" for key, value in options.app_options.non_default_values(FIT).items())
+        raise BadOption(f"{flags}, by recipe {name}: {error}.") from None
     return adapted
 
 
 def _rule_name(options: FitOptions, recipe: Recipe) -> str:
-    """The one name of a rule or composition, the recipe's default if none is asked for, or a usage error."""
+    """Return the unique name of a rule or of a composition of parts, the recipe's rule if options name none.
+
+    Raises:
+        BadOption: there is no such rule, or the application cannot have it.
+    """
     if not options.rule:
         return recipe.rule
     try:
@@ -231,6 +270,7 @@ def _rule_name(options: FitOptions, recipe: Recipe) -> str:
         rule.check_app(app, theta)
     except ValueError as error:
         words = rule_words()
-        unknown = [word for word in options.rule.split("+") if word not in words]
-        raise BadOption(f"--rule: {error}{did_you_mean(unknown[0], words) if unknown else ''}") from None
+        unknown_words = [word for word in options.rule.split("+") if word not in words]
+        hint = did_you_mean(unknown_words[0], words) if unknown_words else ""
+        raise BadOption(f"--rule: {error}{hint}") from None
     return rule.name

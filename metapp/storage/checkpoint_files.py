@@ -1,4 +1,8 @@
-"""Checkpoints on disk, trained ones and those of running trainings, and the digests by which records name them."""
+"""Files of checkpoints and of the states of running trainings, and the digests by which records name them.
+
+A file that is read may be damaged or written by anybody; no file is unpickled. Which checkpoint a run needs is decided
+in `metapp.runs.checkpoint_selection`.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +24,22 @@ from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import open_tensors, read_bytes, remove_partial, write_bytes
 
-CHECKPOINT_SCHEMA, STATE_SCHEMA = 1, 3
-FLOAT_TYPES = (torch.half, torch.float32, torch.float64)
+CHECKPOINT_SCHEMA, STATE_SCHEMA = 1, 3  # versions of the layouts of checkpoints and of training states
+FLOAT_TYPES = (torch.half, torch.float32, torch.float64)  # types that tensors of a checkpoint may have
 
 
-def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
-    """Write a checkpoint with its description, as safetensors; `previous` names the one it replaces."""
-    tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flatten().items()}
-    metadata = {"metapp": json.dumps({**info, "schema": CHECKPOINT_SCHEMA})}
-    # bytes: save_file writes under a name of its own, which a kill would leave behind
+def save_checkpoint(path: Path, phi: MetaParameters, header: Document, previous: Path | None = None) -> None:
+    """Write a checkpoint with its description, as safetensors.
+
+    Args:
+        path: the file to write.
+        phi: the meta-parameters.
+        header: the description, JSON-ready.
+        previous: the file in which a checkpoint that is replaced is kept; None to keep none.
+    """
+    tensors = {key: value.detach().cpu().contiguous().clone() for key, value in phi.flatten().items()}
+    metadata = {"metapp": json.dumps({**header, "schema": CHECKPOINT_SCHEMA})}
+    # save_file would write under a name that it chooses, and leave that file behind if the program is killed
     write_bytes(path, save(tensors, metadata), previous)
 
 
@@ -37,111 +48,124 @@ def load_checkpoint(
 ) -> tuple[MetaParameters, Document]:
     """Read a checkpoint; tensors in half precision become float32.
 
-    One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it, or from
-    that of its protocol, such as `general-photo.safetensors`.
+    A checkpoint may name General's encoder by its digest instead of holding it. The encoder is then read from
+    `general.safetensors` beside the file, or from the file of its protocol, such as `general-photo.safetensors`.
 
     Args:
         path: the file.
-        device: of its tensors.
-        general: another file of General that it may name.
+        device: the device of the tensors.
+        general: another file of General that may have the encoder.
 
     Returns:
-        The checkpoint and its description, as of `save_checkpoint`.
+        The meta-parameters and the description that :func:`save_checkpoint` wrote.
 
     Raises:
-        ValueError: there is no such file, or it is not a checkpoint of metapp's.
+        ValueError: there is no such file, it is not a checkpoint of metapp, or General's encoder is not found.
     """
     if not path.is_file():
         raise ValueError(f"{path}: no such checkpoint; give --checkpoint an existing .safetensors file, or train one.")
     try:
         with open_tensors(path, str(device)) as file:
-            info = json.loads((file.metadata() or {})["metapp"])
-            if not isinstance(info, dict) or type(info["schema"]) is not int:
+            header = json.loads((file.metadata() or {})["metapp"])
+            if not isinstance(header, dict) or type(header["schema"]) is not int:
                 raise KeyError(path)
             stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
-        if "start" in info:  # as most files that ship name themselves; writing them anew would double their history
-            info["checkpoint"] = info.pop("start")
-        if info["schema"] > CHECKPOINT_SCHEMA:
-            raise ValueError(f"{path}: schema {info['schema']}, expected at most {CHECKPOINT_SCHEMA}; update metapp.")
+        if "start" in header:  # the key in most files that ship; writing them anew would double their history in Git
+            header["checkpoint"] = header.pop("start")
+        if header["schema"] > CHECKPOINT_SCHEMA:
+            raise ValueError(f"{path}: schema {header['schema']}, expected at most {CHECKPOINT_SCHEMA}; update metapp.")
         if not all(value.dtype in FLOAT_TYPES for value in tensors.values()):
             raise KeyError(path)
         if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
             raise KeyError(path)
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
-        prepared = MetaParameters.unflatten(tensors)
-        return (
-            _with_general(path, prepared, info["general"], device, general) if "general" in info else prepared
-        ), info
+        phi = MetaParameters.unflatten(tensors)
+        if "general" in header:
+            phi = _add_general_encoder(path, phi, header["general"], device, general)
+        return phi, header
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError):
         raise ValueError(
             f"{path}: not a checkpoint that metapp wrote (safetensors with its description); train one with --train."
         ) from None
 
 
-def _with_general(
-    path: Path, prepared: MetaParameters, wanted: str, device: torch.device | str, other: Path | None
+def _add_general_encoder(
+    path: Path, phi: MetaParameters, encoder_digest: str, device: torch.device | str, general: Path | None
 ) -> MetaParameters:
-    """The checkpoint with the encoder of the General that it names; General's own names none."""
-    names = ("general", f"general-{path.stem.rpartition('-')[2]}")  # a protocol's own has its name
+    """Add to a checkpoint the encoder of the General that its description names.
+
+    Args:
+        path: the file of the checkpoint.
+        phi: the meta-parameters in the file.
+        encoder_digest: the digest of General's encoder.
+        device: the device of the tensors.
+        general: a file of General beside those in the checkpoint's folder.
+
+    Raises:
+        ValueError: no file of General has this encoder.
+    """
+    names = ("general", f"general-{path.stem.rpartition('-')[2]}")  # the second is a file for the protocol alone
     files = [path.with_name(f"{name}.safetensors") for name in names]
-    for file in [*files, other] if other else files:
-        if file.is_file() and file != path:
+    for file in [*files, general] if general else files:
+        if file.is_file() and file != path:  # a file of General itself names no other
             encoder = load_checkpoint(file, device)[0].encoder
-            if tensor_digest(encoder) == wanted:
-                return prepared._replace(encoder=encoder)
+            if tensor_digest(encoder) == encoder_digest:
+                return phi._replace(encoder=encoder)
     raise ValueError(
-        f"{path}: goes on from General {wanted}, which is not beside it, as general.safetensors; keep both together."
+        f"{path}: goes on from General {encoder_digest}, which is not beside it, as general.safetensors; keep both "
+        "files together."
     )
 
 
 def content_digest(document: object) -> str:
-    """12 hex digits that change with a JSON-ready document, or, given a path, with a file's bytes.
+    """Return 12 hexadecimal digits that change with a JSON-ready document or, given a path, with the file's bytes.
 
-    >>> digest({"seed": 0, "steps": 10}) == digest({"steps": 10, "seed": 0})
+    >>> content_digest({"seed": 0, "steps": 10}) == content_digest({"steps": 10, "seed": 0})
     True
     """
-    raw = read_bytes(document) if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
-    return hashlib.sha256(raw).hexdigest()[:12]
+    content = read_bytes(document) if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def tensor_digest(params: Params) -> str:
-    """12 hex digits that change with any value of a tree.
+    """Return 12 hexadecimal digits that change with any name or value of a dictionary of tensors.
 
     >>> tensor_digest({"x": torch.zeros(2)}) == tensor_digest({"x": torch.tensor([0.0, 1e-30])})
     False
     """
-    total = hashlib.sha256()
+    digest = hashlib.sha256()
     for key in sorted(params):
-        total.update(key.encode() + params[key].detach().cpu().contiguous().numpy().tobytes())
-    return total.hexdigest()[:12]
+        digest.update(key.encode() + params[key].detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:12]
 
 
 def save_training_state(path: Path, fields: Mapping[str, Any], settings: Document) -> None:
-    """Write the state of a training, from which the same command goes on; after a failure, a warning, the last stays.
+    """Write the state of a running training, from which an equal command goes on if the training is cut off.
 
-    On the CPU a training that goes on from it ends bit for bit as one that was never cut off.
+    On the CPU a training that goes on from it ends bit for bit like one that was never cut off. If the file cannot be
+    written, a warning says so, and the file that was there stays.
 
     Args:
-        path: of the file.
-        fields: of the state by name: tensors, flat trees of tensors, and JSON-ready values.
-        settings: all that the training's result depends on, JSON-ready.
+        path: the file to write.
+        fields: the fields of the state by name: tensors, dictionaries of tensors, and JSON-ready values.
+        settings: all that the result of the training depends on, JSON-ready.
     """
     trees = {name: value for name, value in fields.items() if isinstance(value, dict)}
-    named = {f"{tree}.{key}": value for tree, values in trees.items() for key, value in values.items()}
-    named |= {name: value for name, value in fields.items() if isinstance(value, Tensor)}
+    tensors = {f"{tree}.{key}": value for tree, values in trees.items() for key, value in values.items()}
+    tensors |= {name: value for name, value in fields.items() if isinstance(value, Tensor)}
     document = {
         "schema": STATE_SCHEMA,
         "settings": settings,
-        "fields": {name: value for name, value in fields.items() if name not in {*trees, *named}},
+        "fields": {name: value for name, value in fields.items() if name not in {*trees, *tensors}},
         "trees": {name: list(tree) for name, tree in trees.items()},
-        "strides": {name: value.stride() for name, value in named.items() if not value.is_contiguous()},
+        "strides": {name: value.stride() for name, value in tensors.items() if not value.is_contiguous()},
     }
     text = json.dumps(document)
-    # no two of which share memory
-    tensors = {name: value.detach().cpu().contiguous().clone() for name, value in named.items()}
-    metadata = {"training": text, "digest": _digest(text, tensors)}
+    # clones, since safetensors refuses tensors that share memory
+    tensors = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
+    metadata = {"training": text, "digest": _state_digest(text, tensors)}
     try:
         write_bytes(path, save(tensors, metadata))
     except OSError as error:
@@ -149,50 +173,65 @@ def save_training_state(path: Path, fields: Mapping[str, Any], settings: Documen
 
 
 def load_training_state(path: Path, settings: Document, device: torch.device | str = "cpu") -> dict[str, Any] | None:
-    """Read the fields of a state that `save_training_state` wrote with equal settings; None if there is no file.
+    """Read the state of a training that :func:`save_training_state` wrote with equal settings.
 
-    Floats are on the device, integers on the CPU.
+    Args:
+        path: the file.
+        settings: all that the result of the training depends on, JSON-ready.
+        device: the device of tensors of floats; tensors of integers stay on the CPU.
+
+    Returns:
+        The fields of the state by name; None if there is no file.
 
     Raises:
-        ValueError: the file is damaged, or of other settings, and was put aside.
+        ValueError: the file is damaged or has other settings, and was put aside.
     """
     remove_partial(path)
     if not path.is_file():
         return None
-    aside, now = path.with_suffix(".aside.safetensors"), json.loads(json.dumps(settings))
+    aside_path, settings = path.with_suffix(".aside.safetensors"), json.loads(json.dumps(settings))
     try:
         with open_tensors(path) as file:
-            text, written = (file.metadata()[key] for key in ("training", "digest"))
+            text, digest = (file.metadata()[key] for key in ("training", "digest"))
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         document = json.loads(text)
-        if written != _digest(text, tensors) or document["schema"] != STATE_SCHEMA:
+        if digest != _state_digest(text, tensors) or document["schema"] != STATE_SCHEMA:
             raise ValueError(path)
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, RecursionError):
-        os.replace(path, aside)
-        raise ValueError(f"{path}: a damaged training checkpoint, put aside as {aside.name}") from None
-    then = document["settings"]
-    if then != now:
-        unlike = ", ".join(sorted(key for key in {*then, *now} if then.get(key) != now.get(key)))
-        os.replace(path, aside)
-        raise ValueError(f"{path}: a training checkpoint of other settings ({unlike}), put aside as {aside.name}")
+        os.replace(path, aside_path)
+        raise ValueError(f"{path}: a damaged training checkpoint, put aside as {aside_path.name}") from None
+    saved_settings = document["settings"]
+    if saved_settings != settings:
+        keys = {*saved_settings, *settings}
+        differing = ", ".join(sorted(key for key in keys if saved_settings.get(key) != settings.get(key)))
+        os.replace(path, aside_path)
+        raise ValueError(
+            f"{path}: a training checkpoint of other settings ({differing}), put aside as {aside_path.name}"
+        )
     strides, trees = document["strides"], document["trees"]
-    placed = {name: _laid_out(value, strides.get(name), device) for name, value in tensors.items()}
-    fields = {name: _tuples(value) for name, value in document["fields"].items()}
-    fields |= {tree: {key: placed.pop(f"{tree}.{key}") for key in keys} for tree, keys in trees.items()}
-    return fields | placed
+    tensors = {name: _copy_with_strides(value, strides.get(name), device) for name, value in tensors.items()}
+    fields = {name: _lists_to_tuples(value) for name, value in document["fields"].items()}
+    fields |= {tree: {key: tensors.pop(f"{tree}.{key}") for key in keys} for tree, keys in trees.items()}
+    return fields | tensors
 
 
-def _digest(text: str, tensors: Params) -> str:
+def _state_digest(text: str, tensors: Params) -> str:
     return content_digest(text) + tensor_digest(tensors)
 
 
-def _tuples(value: Any) -> Any:
-    """A JSON document with tuples for lists."""
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+def _lists_to_tuples(value: Any) -> Any:
+    """Replace the lists in a JSON document by tuples."""
+    return tuple(map(_lists_to_tuples, value)) if isinstance(value, list) else value
 
 
-def _laid_out(value: Tensor, stride: list[int] | None, device: torch.device | str) -> Tensor:
-    """A copy in memory of its own, laid out as it was: sums may be taken in another order if it is not."""
+def _copy_with_strides(value: Tensor, stride: list[int] | None, device: torch.device | str) -> Tensor:
+    """Copy a tensor with the strides that it had when it was saved, since sums depend on the order in memory.
+
+    Args:
+        value: the tensor, contiguous on the CPU; integers are copied as they are.
+        stride: the strides; None for a contiguous tensor.
+        device: the device of the copy.
+    """
     if not value.is_floating_point():
         return value.clone()
     if not stride or 0 in stride:

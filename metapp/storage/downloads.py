@@ -1,4 +1,4 @@
-"""Files of the web."""
+"""Downloads of files from the web, with progress and with errors that name the address."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ import http.client
 import urllib.request
 from collections.abc import Callable
 
-TIMEOUT_SECONDS, BLOCK_BYTES = 30.0, 1 << 20  # until a silent server is given up; bytes that are read at a time
+TIMEOUT_SECONDS = 30.0  # without an answer, after which a server is given up
+BLOCK_BYTES = 1 << 20  # read at a time
 
 
 def download(url: str, report: Callable[[int, int | None], None]) -> bytes:
-    """Return the content of a file of the web.
+    """Download a file from the web and return its content.
 
     Args:
-        url: its address.
-        report: gets the number of bytes that are there and of those expected, None if unknown, as they come.
+        url: the address.
+        report: a function that is called after each block with the number of bytes that have arrived and the number of
+            all bytes, None if the server does not say it.
 
     Raises:
-        ValueError: no answer, or the connection breaks.
+        ValueError: the server does not answer, or the connection breaks.
     """
     content = bytearray()
     try:

@@ -1,8 +1,8 @@
-"""Files: those that are read are regular ones, those that are written are there whole or not at all.
+"""Single files: only regular files are read, and a file that is written is there whole or not at all.
 
-A new file gets a temporary name in the same folder and is renamed: a link that lies there is replaced, never
-followed. Only regular files are opened. Names of files may have bytes that are no UTF-8, which Python passes on as
-lone surrogates.
+A new file gets a temporary name in its folder and is then renamed: a link of its name is replaced, never followed.
+Names of files may have bytes that are not UTF-8, which Python passes on as lone surrogates. What files mean is not
+known here.
 """
 
 from __future__ import annotations
@@ -33,19 +33,29 @@ from metapp.storage.placeholders import START_BYTES, placeholder_of
 if TYPE_CHECKING:
     from torch import Tensor
 
-PARTIAL_PREFIX = ".partial-"  # what the name of an unfinished file begins with
-MAX_NAME_BYTES = 100  # of a name at most; file systems take 255, of which suffixes and temporary names need some
-_PROGRAM = os.urandom(3).hex()  # programs on two machines of a cluster may have the same process id
+PARTIAL_PREFIX = ".partial-"  # the beginning of the name of an unfinished file
+MAX_NAME_BYTES = 100  # of a task's name; file systems take 255, of which suffixes and temporary names need some
+# A number of this program: programs on two machines of a cluster may have equal process ids
+_PROGRAM = os.urandom(3).hex()
+DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
+_UNENDING = "{}: a pipe or device, expected a file; copy what it gives to a file."
+_BYTE_ORDER_MARKS = (  # UTF-32 comes before UTF-16: one of its marks begins with a mark of UTF-16
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+_TYPE_NAMES = {int: "a whole number", str: "text", list: "a list", dict: "an object"}  # types of JSON entries, in words
 
 
 def open_regular(path: str | Path) -> io.BufferedReader:
-    """Open a file to read.
+    """Open a regular file to read.
 
     Raises:
-        ValueError: it is no file, such as a pipe that has no end.
-        OSError: it cannot be read.
+        ValueError: the path is a pipe or a device, which may have no end.
+        OSError: it cannot be read, or is a folder.
     """
-    # a pipe that nobody writes to would be waited for
+    # non-blocking, since opening a pipe that nobody writes to would wait without end
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):
@@ -56,30 +66,20 @@ def open_regular(path: str | Path) -> io.BufferedReader:
     raise ValueError(_UNENDING.format(path))
 
 
-_UNENDING = "{}: a pipe or device, expected a file; copy what it gives to a file."
-
-
 def read_bytes(path: str | Path) -> bytes:
-    """The content of a file; errors as of `open_regular`."""
+    """Read the content of a regular file; see :func:`open_regular` for the errors."""
     with open_regular(path) as file:
         return file.read()
 
 
-_BYTE_ORDER_MARKS = (  # those of UTF-32 first: one of them begins as that of UTF-16 does
-    (codecs.BOM_UTF32_LE, "utf-32"),
-    (codecs.BOM_UTF32_BE, "utf-32"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
-)
-
-
 def open_text(path: str | Path) -> io.TextIOWrapper:
-    """Open a text file of a user, in UTF-8 or in what its byte order mark says, with line ends of Unix, Windows or Mac.
+    """Open a text file of a user, in UTF-8 or in the encoding that its byte order mark names.
 
-    The mark is no part of the text, and all line ends are read as those of Unix.
+    The mark is no part of the text. Line ends of Unix, Windows and Mac are read as line ends of Unix.
 
     Raises:
-        ValueError, OSError: as `open_regular`; a placeholder, as `check_readable`.
+        ValueError: the path is a pipe or a device, or the file only stands for another one, see :func:`check_readable`.
+        OSError: the file cannot be read, or is a folder.
     """
     check_readable(Path(path))
     stream = open_regular(path)
@@ -89,42 +89,48 @@ def open_text(path: str | Path) -> io.TextIOWrapper:
 
 
 def read_text(path: str | Path) -> str:
-    """Read a whole text file; errors as of `open_text`, and UnicodeDecodeError."""
+    """Read a whole text file; see :func:`open_text` for the encoding and the errors.
+
+    Raises:
+        UnicodeDecodeError: the file holds bytes that are not text in this encoding.
+    """
     with open_text(path) as file:
         return file.read()
 
 
 @contextlib.contextmanager
 def open_tensors(path: str | Path, device: str = "cpu") -> Iterator[Any]:
-    """A file as `safetensors.safe_open` gives it.
+    """Open a safetensors file by `safetensors.safe_open` for the time of a `with` block.
+
+    Args:
+        path: the file.
+        device: the device that tensors are read to.
 
     Raises:
-        OSError: it cannot be opened.
-        ValueError: it is no file, or stands for another one.
-        SafetensorError: it is damaged.
+        OSError: the file cannot be opened.
+        ValueError: the path is no file, or the file only stands for another one.
+        SafetensorError: the file is damaged.
     """
     check_readable(Path(path))
     with open_regular(path) as file:
-        place = path if str(path).isprintable() else f"/dev/fd/{file.fileno()}"  # it takes no bytes that are not UTF-8
+        # safe_open takes no path with bytes that are not UTF-8
+        place = path if str(path).isprintable() else f"/dev/fd/{file.fileno()}"
         with safe_open(place, "pt", device=device) as stored:
             yield stored
 
 
 def read_tensors(path: str | Path) -> dict[str, Tensor]:
-    """All tensors of a file, on the CPU.
-
-    Raises:
-        OSError, SafetensorError: as `open_tensors`.
-    """
+    """Read all tensors of a safetensors file to the CPU, by name; see :func:`open_tensors` for the errors."""
     with open_tensors(path) as stored:
         return {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118  (not a mapping)
 
 
 def check_readable(path: Path) -> None:
-    """Refuse a pipe or a device, which libraries would read without an end, and a file that stands for another one.
+    """Refuse a path that libraries must not read: a pipe, a device, or a file that only stands for another one.
 
     Raises:
-        ValueError: neither a file nor a folder, though it is there; a placeholder, such as a Git LFS pointer.
+        ValueError: the path exists and is neither a file nor a folder (libraries would read it without end), or it is a
+            placeholder, such as a Git LFS pointer.
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise ValueError(_UNENDING.format(path))
@@ -133,25 +139,30 @@ def check_readable(path: Path) -> None:
 
 
 def placeholder_line(path: Path) -> str:
-    """Return the line about a file that stands for another one (`placeholder_of`); "" for all others and folders."""
+    """Return the error message about a file that only stands for another one.
+
+    Returns:
+        The message, see :func:`metapp.storage.placeholders.placeholder_of`; "" for any other path.
+    """
     try:
         with open_regular(path) as file:
-            found = placeholder_of(file.read(START_BYTES))
-    except (OSError, ValueError):  # its reader says so
+            description = placeholder_of(file.read(START_BYTES))
+    except (OSError, ValueError):  # whoever reads the file will say that it cannot be read
         return ""
-    return f"{path}: {found}" if found else ""
+    return f"{path}: {description}" if description else ""
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], object], previous: Path | None = None) -> None:
     """Write a file so that it is there whole or not at all, even if the program is killed or the power fails.
 
     Args:
-        path: the file; an existing one is replaced at the end, missing folders are made.
-        write: writes everything to the path it is given: a name in the same folder, with the same suffix.
-        previous: another name in that folder for the file that is replaced, if there is one of other content.
+        path: the file; an existing file is replaced at the end, missing folders are made.
+        write: a function that writes all content to the path it is given, a name in the same folder with an equal
+            suffix.
+        previous: the path in the same folder where a replaced file is kept if its content differs; None to keep none.
 
     Raises:
-        OSError: it cannot be written; names the folder. The file of before is still there.
+        OSError: the file cannot be written, and an existing file stays; the message names the folder.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -166,49 +177,55 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
         with name_file_in_errors(path):
             partial.unlink(missing_ok=True)
             write(partial)
-            _sync(partial, os.O_RDWR)  # as Windows needs it
-            # one of the same bytes is what this program wrote before it was killed: the one before that stays
+            _sync(partial, os.O_RDWR)  # opened to write, too, which Windows needs to sync a file
+            # a file of equal content was written by this command before it was killed, so that `previous` already
+            # holds the file to keep
             if previous and path.is_file() and not filecmp.cmp(partial, path, shallow=False):
                 write_atomically(previous, functools.partial(shutil.copyfile, path))
             os.replace(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
-    with contextlib.suppress(OSError):  # not every system opens folders
+    with contextlib.suppress(OSError):  # some systems do not open folders
         _sync(path.parent, os.O_RDONLY)
 
 
 def write_bytes(path: str | Path, content: bytes, previous: Path | None = None) -> None:
-    """Write a file of this content, as `write_atomically`."""
+    """Write a file of given content so that it is there whole or not at all; see :func:`write_atomically`."""
     write_atomically(path, lambda partial: partial.write_bytes(content), previous)
 
 
 @contextlib.contextmanager
 def name_file_in_errors(path: Path) -> Iterator[None]:
-    """Errors of writing a file name it and its folder, which those of the system often do not.
+    """Let errors of writing a file name the file and its folder, which the system's errors often do not.
+
+    Args:
+        path: the file that is written in the `with` block, perhaps under a temporary name.
 
     Raises:
-        OSError: instead of one without a file name or of an unfinished file.
+        OSError: instead of an error of the system that names no file or an unfinished one.
     """
     try:
         yield
     except OSError as error:
-        place = Path(str(error.filename or path)).parent
-        if not error.errno or (place != path.parent and not place.name.startswith(PARTIAL_PREFIX)):
+        folder = Path(str(error.filename or path)).parent
+        if not error.errno or (folder != path.parent and not folder.name.startswith(PARTIAL_PREFIX)):
             raise
-        room = (
-            "free some space or choose another folder" if error.errno in DISK_FULL_ERRNOS else "choose another folder"
-        )
-        error_about_file = OSError(f"{path.parent}: {os.strerror(error.errno)}; {path.name} was not written; {room}.")
-        error_about_file.errno = error.errno
-        raise error_about_file from error
-
-
-DISK_FULL_ERRNOS = (errno.ENOSPC, errno.EDQUOT)
+        remedy = "choose another folder"
+        if error.errno in DISK_FULL_ERRNOS:
+            remedy = "free some space or choose another folder"
+        naming_error = OSError(f"{path.parent}: {os.strerror(error.errno)}; {path.name} was not written; {remedy}.")
+        naming_error.errno = error.errno
+        raise naming_error from error
 
 
 def _sync(path: Path, mode: int) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Wait until the content of a file, or the list of names in a folder, is on the disk.
+
+    Args:
+        path: the file or the folder.
+        mode: flags to open it with.
+    """
     handle = os.open(path, mode)
     try:
         os.fsync(handle)
@@ -217,40 +234,41 @@ def _sync(path: Path, mode: int) -> None:
 
 
 def add_suffix(path: Path, suffix: str) -> Path:
-    """A path with this suffix, such as ".glb", added unless it is there: other dots may be part of a name.
+    """Add a suffix such as ".glb" to a path unless the path has it already: other dots may be part of a name.
 
-    >>> suffixed(Path("stone-v1.2"), ".glb").name
+    >>> add_suffix(Path("stone-v1.2"), ".glb").name
     'stone-v1.2.glb'
     """
     return path if path.suffix == suffix else path.with_name(f"{path.name}{suffix}")
 
 
 def partial_path(path: Path) -> Path:
-    """The temporary name of a file that is being written: in the same folder, with the same suffix."""
-    # The suffix stays, since image writers choose the format by it; the rest keeps two programs apart.
+    """Return the temporary path of a file that is being written: in the same folder, with an equal suffix."""
+    # the suffix stays, since image writers choose the format by it; process and program keep two writers apart
     return path.with_name(f"{PARTIAL_PREFIX}{os.getpid()}-{_PROGRAM}-{path.name}")
 
 
 def remove_partial(path: Path) -> None:
-    """Remove unfinished files and folders of this name by programs that were killed; those of running ones stay."""
-    for left in path.parent.glob(f"{PARTIAL_PREFIX}*-{glob.escape(path.name)}"):
-        number = left.name.removeprefix(PARTIAL_PREFIX).split("-")[0]
-        if number.isdigit() and int(number) != os.getpid() and not _runs(int(number)):
-            shutil.rmtree(left) if left.is_dir() else left.unlink(missing_ok=True)
+    """Remove unfinished files and folders of a path that killed programs left; files of running programs stay."""
+    for unfinished in path.parent.glob(f"{PARTIAL_PREFIX}*-{glob.escape(path.name)}"):
+        process = unfinished.name.removeprefix(PARTIAL_PREFIX).split("-")[0]
+        if process.isdigit() and int(process) != os.getpid() and not _is_running(int(process)):
+            shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink(missing_ok=True)
 
 
-def _runs(process: int) -> bool:
-    if os.name == "nt":  # where asking would end it
+def _is_running(process: int) -> bool:
+    """Test whether a process of this id runs on this machine; True where this cannot be asked."""
+    if os.name == "nt":  # on Windows, signal 0 would end the process
         return True
     try:
         os.kill(process, 0)
     except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # else it is another user's
+        return not isinstance(error, ProcessLookupError)  # a process of another user may not be signalled, but runs
     return True
 
 
 def error_about_file(error: Exception, source: Path) -> ValueError:
-    """An error that a reader met, with the file named.
+    """Return an error that a reader met as a ValueError whose message names the file.
 
     >>> error_about_file(ValueError("12 bytes, expected 16"), Path("brdfs/gold.binary"))
     ValueError('brdfs/gold.binary: 12 bytes, expected 16')
@@ -260,28 +278,35 @@ def error_about_file(error: Exception, source: Path) -> ValueError:
 
 
 def get_json_entry(document: object, key: str, kind: type, where: str, remedy: str, absent: object = None) -> Any:
-    """An entry of a JSON object; `absent` if there is none.
+    """Return an entry of a JSON object, which must be of a type.
+
+    Args:
+        document: the JSON document, which anybody may have written.
+        key: the name of the entry.
+        kind: the type that the entry must have.
+        where: the beginning of the message, which names the file.
+        remedy: the end of the message.
+        absent: the value if there is no such entry; None if there must be one.
 
     Raises:
-        ValueError: it is of another type; the message begins with `place` and ends with the remedy.
+        ValueError: the entry is of another type, or the document is no object.
 
-    >>> entry_of({"steps": "3"}, "steps", int, "record.json: ", "fit again")
+    >>> get_json_entry({"steps": "3"}, "steps", int, "record.json: ", "fit again")
     Traceback (most recent call last):
     ValueError: record.json: 'steps' is "3", expected a whole number; fit again.
     """
     value = document.get(key, absent) if isinstance(document, dict) else None
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise ValueError(f"{where}'{key}' is {json.dumps(value)[:60]}, expected {_KINDS[kind]}; {remedy}.")
+        raise ValueError(f"{where}'{key}' is {json.dumps(value)[:60]}, expected {_TYPE_NAMES[kind]}; {remedy}.")
     return value
 
 
-_KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}
-
-
 def to_json_value(value: Any) -> Any:
-    r"""A text, or a document, as JSON holds it: lone surrogates escaped, as \udcff, None for numbers not finite.
+    r"""Convert a value to one that a JSON file can hold.
 
-    >>> as_text({"error": float("nan"), "seconds": (0.5, 1.0)})
+    Lone surrogates in texts are escaped, such as \udcff, tuples become lists, and numbers that are not finite None.
+
+    >>> to_json_value({"error": float("nan"), "seconds": (0.5, 1.0)})
     {'error': None, 'seconds': [0.5, 1.0]}
     """
     if isinstance(value, str):
@@ -294,36 +319,44 @@ def to_json_value(value: Any) -> Any:
 
 
 def path_from_json_text(text: str) -> Path:
-    """The path that `to_json_value` made a text of, if it is there; else that of the text itself."""
+    """Return the path of a text in a JSON file, whose escaped bytes are put back if there is such a path.
+
+    The text was written by :func:`to_json_value`. If the path with bytes put back does not exist, the text is taken as
+    it is.
+    """
     path = Path(re.sub(r"\\udc([89a-f][0-9a-f])", lambda escaped: chr(0xDC00 + int(escaped[1], 16)), text))
     return path if os.path.lexists(path) else Path(text)
 
 
 def printable_name(name: str) -> str:
-    """A name that can be printed and drawn, of NAME_BYTES bytes at most; others get a digest of the whole.
+    """Return a name that can be printed and drawn, of MAX_NAME_BYTES bytes at most.
 
-    Control characters, line ends and bytes that are no text (lone surrogates) become underscores.
+    Control characters, line ends and bytes that are no text (lone surrogates) become underscores. A name that is
+    changed or cut ends with a digest of the whole name.
 
-    >>> safe_name("old gold"), safe_name("old" + chr(10) + "gold")
+    >>> printable_name("old gold"), printable_name("old" + chr(10) + "gold")
     ('old gold', 'old_gold-1c7b39')
     """
-    return _marked("".join("_" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in name), name)
+    return _add_digest_if_changed(
+        "".join("_" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in name), name
+    )
 
 
 def file_name(task: str) -> str:
-    """A task's name as a file name: letters, digits, dot, underscore and hyphen, the rest as underscores.
+    """Return a task's name as a file name: letters, digits, dot, underscore and hyphen, the rest as underscores.
 
-    It has NAME_BYTES bytes at most; one that differs from the task's name ends with a digest of that.
+    It has MAX_NAME_BYTES bytes at most. A name that is changed or cut ends with a digest of the task's name.
 
     >>> file_name("old-gold"), file_name("old gold")
     ('old-gold', 'old_gold-0d18a0')
     """
-    return _marked("".join(c if c.isalnum() or c in "._-" else "_" for c in task).lstrip(".") or "task", task)
+    safe_name = "".join(c if c.isalnum() or c in "._-" else "_" for c in task).lstrip(".") or "task"
+    return _add_digest_if_changed(safe_name, task)
 
 
-def _marked(safe: str, name: str) -> str:
-    """`safe` if it is the name itself and short, else with a digest of the name."""
-    if safe == name and len(safe.encode()) <= MAX_NAME_BYTES:
-        return safe
-    mark = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:6]
-    return f"{safe.encode()[: MAX_NAME_BYTES - 7].decode(errors='ignore')}-{mark}"
+def _add_digest_if_changed(safe_name: str, name: str) -> str:
+    """Return a safe form of a name, cut and with a digest of the name unless it is the name itself and short enough."""
+    if safe_name == name and len(safe_name.encode()) <= MAX_NAME_BYTES:
+        return safe_name
+    digest = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:6]
+    return f"{safe_name.encode()[: MAX_NAME_BYTES - 7].decode(errors='ignore')}-{digest}"

@@ -1,7 +1,7 @@
-"""Fits on disk: a folder each, with parameters, pictures and a record, so that any number of programs write at once.
+"""The folders of fits: each fit has its own, with parameters, pictures and a record, so that many programs can write.
 
-Nothing is locked or appended: a new fit is written under a temporary name and its folder renamed as a whole, one that
-was there before is replaced file by file, its record last.
+Nothing is locked or appended. A new fit is written under a temporary name, and its folder renamed as a whole; a fit
+that was there before is replaced file by file, its record last. What figures and pictures mean is not known here.
 """
 
 from __future__ import annotations
@@ -37,72 +37,88 @@ from metapp.storage.files import (
 from metapp.storage.folders import PARAMS as PARAMS
 from metapp.storage.folders import RECORD as RECORD
 
-Record = Document  # of a task
-NUMBER_ENTRIES = ("error", "seconds")  # entries of a fit's record, beside its name
-TEXT_ENTRIES = ("name", "source", "content")  # entries that are texts, where a record has them
+Record = Document  # the record of a fit: its name, figures and settings
+NUMBER_ENTRIES = ("error", "seconds")  # entries of a record that are numbers; the error may be None
+TEXT_ENTRIES = ("name", "source", "content")  # entries of a record that are texts
 
 
 def write_fit(
     run_folder: Path, record: Document, theta: Params | None = None, draw: Callable[[Path], None] = lambda folder: None
 ) -> Document:
-    """Keep a finished task: its parameters, its pictures and its record, in this order, in a folder of its own.
+    """Write a fit into a folder of its own: its parameters, its pictures and its record, in this order.
 
-    The folder has the task's name, with a digest of the input if another input has taken that. A fit of the same
-    input that is there is replaced. Numbers that are not finite, which JSON lacks, become None.
+    The folder has the name of the task; a digest of the input is added if another input's fit has this name. An earlier
+    fit of the same input is replaced. Numbers that are not finite, which JSON lacks, become None.
 
     Args:
-        run_folder: of a run, made if missing.
-        record: with `name`, and `source`, the input's path, unless it has the same name in a data set.
-        theta: the parameters, if there are any.
-        draw: writes pictures into the folder that it is given.
+        run_folder: the folder of the run, made if it is missing.
+        record: the record of the fit, with `name`, and with `source`, the path of the input, unless the input is the
+            task of this name in a data set.
+        theta: the parameters; None for a method without parameters.
+        draw: a function that writes pictures into the folder that it is given.
 
     Returns:
-        The record as it is kept, with the task's `folder`; its name is the folder's if that has a digest.
+        The record as it was written, with the `folder` of the fit; its name has a digest if the folder's name has one.
 
     Raises:
-        OSError: the disk is full; a record that was there stays.
+        OSError: the disk is full; an earlier record stays.
 
     >>> import tempfile, torch
     >>> with tempfile.TemporaryDirectory() as place:
     ...     kept = write_fit(Path(place), {"name": "gold", "error": 1.5}, {"weight": torch.zeros(2)})
-    ...     [record["error"] for record in read_fits(Path(place))], read_params(kept["folder"])
+    ...     [record["error"] for record in read_fit_records(Path(place))], read_params(kept["folder"])
     ([1.5], {'weight': tensor([0., 0.])})
     """
     record = {"source": record["name"], **record}
-    plain, marked = folders = _folders(run_folder, record["name"], record["source"])
-    earlier = _fit_in(folders, record["source"])
-    folder = Path(earlier["folder"]) if earlier else partial_path(plain)
+    plain_folder, digest_folder = folders = _candidate_folders(run_folder, record["name"], record["source"])
+    earlier_record = _find_record(folders, record["source"])
+    folder = Path(earlier_record["folder"]) if earlier_record else partial_path(plain_folder)
     try:
-        with name_file_in_errors(plain):
+        with name_file_in_errors(plain_folder):
             folder.mkdir(parents=True, exist_ok=True)
             if theta is not None:
                 content = save({key: value.detach().cpu().contiguous() for key, value in theta.items()})
                 write_bytes(folder / PARAMS, content)
             draw(folder)
-            for target in [folder] if earlier else [plain, marked]:
+            for target in [folder] if earlier_record else [plain_folder, digest_folder]:
                 try:
-                    return _record_as(record, folder, target, marked)
+                    return _write_record(record, folder, target, digest_folder)
                 except OSError:
-                    if earlier or not os.path.lexists(target):
+                    if earlier_record or not os.path.lexists(target):
                         raise
-                    if _fit_in(folders, record["source"]):  # of another program, since a moment ago
+                    # another program has written a fit of this input since a moment ago: replace it
+                    if _find_record(folders, record["source"]):
                         return write_fit(run_folder, record, theta, draw)
-        raise ValueError(f"{marked}: no fit of this input, expected one or a new folder; remove it.")
+        raise ValueError(f"{digest_folder}: no fit of this input, expected one or a new folder; remove it.")
     finally:
-        if not earlier:
+        if not earlier_record:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _record_as(record: Document, folder: Path, target: Path, marked: Path) -> Document:
-    """Write a record into a folder, which is then renamed; OSError if the target is another fit's."""
-    kept: Document = to_json_value(record) | ({"name": marked.name} if target == marked else {})
-    write_bytes(folder / RECORD, json.dumps(kept, allow_nan=False, indent=1).encode())
+def _write_record(record: Document, folder: Path, target: Path, digest_folder: Path) -> Document:
+    """Write the record of a fit into its folder, and give the folder its final name.
+
+    Args:
+        record: the record.
+        folder: the folder that the fit was written to.
+        target: the folder that it becomes.
+        digest_folder: the folder whose name has a digest; if it is the target, the record gets its name.
+
+    Returns:
+        The record as it was written, with the `folder` of the fit.
+
+    Raises:
+        OSError: the target is there already, with a fit of another input.
+    """
+    json_record: Document = to_json_value(record) | ({"name": digest_folder.name} if target == digest_folder else {})
+    write_bytes(folder / RECORD, json.dumps(json_record, allow_nan=False, indent=1).encode())
     if folder != target:
         os.rename(folder, target)
-    return kept | {"folder": str(target)}
+    return json_record | {"folder": str(target)}
 
 
-def _fit_in(folders: Iterable[Path], source: str) -> Document | None:
+def _find_record(folders: Iterable[Path], source: str) -> Document | None:
+    """Return the record of a fit of an input that one of the folders holds; None if none does."""
     for folder in folders:
         try:
             record = read_fit_record(folder) if folder.is_dir() and not folder.is_symlink() else None
@@ -113,30 +129,40 @@ def _fit_in(folders: Iterable[Path], source: str) -> Document | None:
     return None
 
 
-def _folders(run_folder: Path, name: str, source: str) -> tuple[Path, Path]:
-    """The folders that a fit may be in: that of the task's name, and that with a digest of its input."""
-    plain, digest = file_name(to_json_value(name)), hashlib.sha256(to_json_value(source).encode()).hexdigest()[:6]
-    return run_folder / plain, run_folder / file_name(f"{plain}-{digest}")
+def _candidate_folders(run_folder: Path, name: str, source: str) -> tuple[Path, Path]:
+    """Return the two folders that a fit may lie in: by the name of its task, and by this name with a digest.
+
+    Args:
+        run_folder: the folder of the run.
+        name: the name of the task.
+        source: the path of the input, of which the digest is made.
+    """
+    plain_name = file_name(to_json_value(name))
+    digest = hashlib.sha256(to_json_value(source).encode()).hexdigest()[:6]
+    return run_folder / plain_name, run_folder / file_name(f"{plain_name}-{digest}")
 
 
 def name_with_digest(name: str, source: str) -> str:
-    """The name of a task, as a file name, with a digest of its input, for a second input of that name.
+    """Return the name of a task, as a file name, with a digest of its input, for a second input of this name.
 
-    >>> marked_name("gold", "/brdfs/second/gold.binary")
+    >>> name_with_digest("gold", "/brdfs/second/gold.binary")
     'gold-21ab9d'
     """
-    return _folders(Path(), name, source)[1].name
+    return _candidate_folders(Path(), name, source)[1].name
 
 
 def read_fit_record(folder: Path, entries: Collection[str] = ()) -> Document | None:
-    """The record in a task's folder, with the `folder`; None if there is none.
+    """Read the record in the folder of a fit.
 
     Args:
-        folder: the task's.
-        entries: that the record must have, beside a name.
+        folder: the folder of the fit.
+        entries: the entries that the record must have, beside a name.
+
+    Returns:
+        The record, with the `folder`; None if the folder has no record.
 
     Raises:
-        ValueError: there is one, which anybody may have written, of another form.
+        ValueError: the file of the record, which anybody may have written, holds something else.
     """
     file = folder / RECORD
     try:
@@ -148,32 +174,49 @@ def read_fit_record(folder: Path, entries: Collection[str] = ()) -> Document | N
         record = None
     if record is None:
         raise ValueError(f"{file}: no record, expected one of a task; passed over, as if not there.")
-    return _shown(record) | {"folder": str(folder)}
+    return _mask_format_characters(record) | {"folder": str(folder)}
 
 
-def _shown(record: Document) -> Document:
-    """A record whose name is as fits name tasks: in a run of somebody else it could turn the text beside it."""
+def _mask_format_characters(record: Document) -> Document:
+    """Replace invisible format characters in a record's name, which could turn the direction of the text beside it.
+
+    Names of tasks have none; a record that somebody else wrote may have.
+    """
     return {**record, "name": "".join("_" if unicodedata.category(c) == "Cf" else c for c in record["name"])}
 
 
 def read_fit_records(run_folder: Path, entries: Collection[str] = ()) -> list[Document]:
-    """The records in a run's folder, by name, as `read_fit_record` gives them; one warning names the first that is none."""
-    records, damaged = [], []
+    """Read the records in the folder of a run; see :func:`read_fit_record`.
+
+    A single warning names the first file that should be a record and is not.
+
+    Args:
+        run_folder: the folder of the run.
+        entries: the entries that records must have, beside a name.
+
+    Returns:
+        The records, in the order of their folders' names.
+    """
+    records, problems = [], []
     for folder in sorted(run_folder.iterdir()) if run_folder.is_dir() else ():
         try:
             record = None if folder.name.startswith(PARTIAL_PREFIX) else read_fit_record(folder, entries)
         except ValueError as error:
-            damaged.append(str(error))
+            problems.append(str(error))
         else:
             records += [record] if record else []
-    if damaged:
-        more = f" {len(damaged) - 1} more in {run_folder} alike." if len(damaged) > 1 else ""
-        warnings.warn(f"{damaged[0]}{more}", stacklevel=2)
+    if problems:
+        more = f" {len(problems) - 1} more in {run_folder} alike." if len(problems) > 1 else ""
+        warnings.warn(f"{problems[0]}{more}", stacklevel=2)
     return records
 
 
 def is_record(value: object, entries: Collection[str] = ()) -> bool:
-    """True if a document, which anybody may have written, is a task's record with these entries.
+    """Test whether a JSON document, which anybody may have written, is the record of a fit.
+
+    Args:
+        value: the document.
+        entries: the entries that the record must have, beside a name.
 
     >>> is_record({"name": "gold", "error": 1.5}), is_record({"name": "gold", "error": "low"}), is_record(["gold"])
     (True, False, False)
@@ -183,46 +226,55 @@ def is_record(value: object, entries: Collection[str] = ()) -> bool:
     numbers = [value[key] for key in NUMBER_ENTRIES if key in value and (key, value[key]) != ("error", None)]
     return (
         all(isinstance(value.get(key, ""), str) for key in TEXT_ENTRIES)
-        and all(type(each) in (int, float) and abs(each) <= sys.float_info.max for each in numbers)
+        and all(type(number) in (int, float) and abs(number) <= sys.float_info.max for number in numbers)
         and isinstance(value.get("settings", {}), dict)
     )
 
 
 def read_params(folder: str | Path) -> Params:
-    """The parameters in a task's folder, or in a file of `pack_fit`.
+    """Read the parameters of a fit.
+
+    Args:
+        folder: the folder of the fit, or a file that has the bytes of :func:`pack_fit`.
 
     Raises:
-        ValueError: their file is missing or damaged.
+        ValueError: the file of the parameters is missing or damaged.
     """
     path = Path(folder) if Path(folder).is_file() else Path(folder) / PARAMS
     try:
         return read_tensors(path)
     except (SafetensorError, OSError) as error:
-        again = "to fit anew" if path.name == PARAMS else "and fit anew"
-        raise ValueError(f"{path}: fitted parameters not readable ({error}); remove {folder} {again}.") from None
+        purpose = "to fit anew" if path.name == PARAMS else "and fit anew"
+        raise ValueError(f"{path}: fitted parameters not readable ({error}); remove {folder} {purpose}.") from None
 
 
 def pack_fit(record: Document, theta: Params) -> bytes:
-    """A fit as one file of safetensors, whose header holds the record; `read_packed_record` reads that."""
+    """Return the bytes of a safetensors file that holds the parameters of a fit, and in its header the record.
+
+    :func:`read_packed_record` reads the record back, :func:`read_params` the parameters.
+    """
     text = json.dumps(to_json_value(record), allow_nan=False)
     return save({key: value.detach().cpu().contiguous() for key, value in theta.items()}, {RECORD: text})
 
 
 def read_packed_record(path: Path, entries: Collection[str] = ()) -> Document:
-    """The record in a file of one fit, as `pack_fit` makes it, with the file as its `folder`.
+    """Read the record in a file of one fit, which has the bytes of :func:`pack_fit`.
 
     Args:
-        path: of the file.
-        entries: that the record must have, beside a name.
+        path: the file.
+        entries: the entries that the record must have, beside a name.
+
+    Returns:
+        The record, with the file as its `folder`.
 
     Raises:
-        ValueError: the file is none, or damaged.
+        ValueError: the file holds no fit, or is damaged.
 
     >>> import tempfile, torch
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder, "gold.safetensors")
-    ...     _ = file.write_bytes(packed({"name": "gold", "error": 1.5}, {"weight": torch.zeros(2)}))
-    ...     read_packed(file)["error"], read_params(file)
+    ...     _ = file.write_bytes(pack_fit({"name": "gold", "error": 1.5}, {"weight": torch.zeros(2)}))
+    ...     read_packed_record(file)["error"], read_params(file)
     (1.5, {'weight': tensor([0., 0.])})
     """
     try:
@@ -234,22 +286,22 @@ def read_packed_record(path: Path, entries: Collection[str] = ()) -> Document:
         raise ValueError(
             f"{path}: no fit, expected a file of Fit.save or a folder of a fit, such as runs/brdf/meta/gold."
         )
-    return _shown(record) | {"folder": str(path)}
+    return _mask_format_characters(record) | {"folder": str(path)}
 
 
 class RunFolder(NamedTuple):
     """The folder of a run's fits, which may hold fits of other settings, too.
 
     Attributes:
-        path: of the folder, which need not be there.
+        path: the folder, which need not exist.
         settings: all that figures of the run's fits depend on.
-        entries: the entries of their records, beside the name.
+        entries: the entries that records of the fits have, beside the name.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as place:
     ...     ten, twenty = (RunFolder(Path(place), {"steps": steps}) for steps in (10, 20))
     ...     record = ten.write({"name": "gold", "error": 1.5, "content": "1a2b"})
-    ...     list(ten.records()), list(twenty.records()), ten.holds(record, "1a2b"), twenty.holds(record, "1a2b")
+    ...     list(ten.records()), list(twenty.records()), ten.matches(record, "1a2b"), twenty.matches(record, "1a2b")
     (['gold'], [], True, False)
     """
 
@@ -260,52 +312,61 @@ class RunFolder(NamedTuple):
     def write(
         self, record: Document, theta: Params | None = None, draw: Callable[[Path], None] = lambda folder: None
     ) -> Document:
-        """Keep a finished task with the settings; see :func:`write_fit`."""
+        """Write a fit with the settings of the run; see :func:`write_fit`."""
         return write_fit(self.path, {**record, "settings": self.settings}, theta, draw)
 
-    def earlier(self, name: str, source: str) -> Document | None:
-        """Return the record of the fit of an input, of whatever settings; None if there is none.
+    def earlier_record(self, name: str, source: str) -> Document | None:
+        """Return the record of an earlier fit of an input, which may have other settings; None if there is none.
 
         Args:
-            name: of the task.
-            source: the input's place.
+            name: the name of the task.
+            source: the place of the input.
         """
-        return _fit_in(_folders(self.path, name, source), source)
+        return _find_record(_candidate_folders(self.path, name, source), source)
 
-    def holds(self, record: Document, content: str | None = None) -> bool:
-        """Return whether a record is of these settings, and, if a digest is given, of an input of this content."""
-        is_same = bool(record.get("settings") == to_json_value(self.settings))
-        return is_same and (content is None or record.get("content") == content)
+    def matches(self, record: Document, content: str | None = None) -> bool:
+        """Test whether a record states the settings of this run, and the content of an input.
+
+        Args:
+            record: the record.
+            content: the digest of the input's content; None if any content will do.
+        """
+        has_equal_settings = bool(record.get("settings") == to_json_value(self.settings))
+        return has_equal_settings and (content is None or record.get("content") == content)
 
     def records(self) -> dict[str, Document]:
-        """Return the records of these settings, by their sources; none of fits whose seconds are a batch's shares."""
+        """Read the records with the settings of this run, by the places of their inputs.
+
+        Fits that were made side by side are left out, since their seconds are shares of a batch's time.
+        """
         records = read_fit_records(self.path, ("source", "settings", *self.entries))
-        alone = [record for record in records if record.get("batch", 1) == 1 and self.holds(record)]
-        return {record["source"]: record | {"name": record["source"]} for record in alone}
+        single_fits = [record for record in records if record.get("batch", 1) == 1 and self.matches(record)]
+        return {record["source"]: record | {"name": record["source"]} for record in single_fits}
 
 
 def summary(records: Sequence[Document]) -> dict[str, float | None]:
-    """Mean error, as the table prints it, and median inference time of a task, of those that have one.
+    """Summarise records: the mean error in the unit of tables, and the median inference time of a task in seconds.
 
-    Of photos without a reference there is the mean of `photo_error`, too.
+    Records without an error or a time are left out. Fits of photos without a reference have the mean of `photo_error`,
+    too.
 
     >>> summary([{"error": 1.0, "seconds": 0.5}, {"error": 3.0, "seconds": 0.7}, {"error": None}])
     {'error': 2.0, 'seconds': 0.6}
     """
-    of_photos = [record["photo_error"] for record in records if record.get("photo_error") is not None]
+    photo_errors = [record["photo_error"] for record in records if record.get("photo_error") is not None]
     errors = [record["error"] for record in records if record["error"] is not None]
     seconds = [record["seconds"] for record in records if "seconds" in record]
     return {
         "error": statistics.fmean(errors) if errors else None,
-        **({"photo_error": statistics.fmean(of_photos)} if of_photos else {}),
+        **({"photo_error": statistics.fmean(photo_errors)} if photo_errors else {}),
         "seconds": statistics.median(seconds) if seconds else None,
     }
 
 
 def count_guarded(records: Sequence[Document]) -> int | None:
-    """On how many tasks the guard of a learned rule acted; None if fits have none.
+    """Count the tasks on which the guard of a learned rule acted; None if the fits had no guard.
 
-    >>> guarded([{"guarded": True}, {"guarded": False}]), guarded([{}])
+    >>> count_guarded([{"guarded": True}, {"guarded": False}]), count_guarded([{}])
     (1, None)
     """
     flags = [record["guarded"] for record in records if "guarded" in record]

@@ -1,4 +1,7 @@
-"""Images: files, written whole or not at all, as PNG of 8 or 16 bits or EXR; pictures of 8 bits that pages hold."""
+"""Writers of pictures: PNG of 8 or 16 bits and EXR, each written whole or not at all, and pictures inside of pages.
+
+What a picture shows, and in which colour space it is, is decided by who writes it.
+"""
 
 from __future__ import annotations
 
@@ -14,69 +17,79 @@ from torch import Tensor
 
 from metapp.storage.files import write_atomically
 
-PNG_COMPRESSION_LEVEL = 2  # of 9, of deflation
-PNG_AVERAGE_FILTER = 64  # libpng's filter by the average of the pixels left and above
+PNG_COMPRESSION_LEVEL = 2  # of deflation, whose highest level is 9
+PNG_AVERAGE_FILTER = 64  # libpng's number of the filter that predicts a pixel by the mean of its left and upper pixel
 
 
 def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 8) -> None:
     """Write a picture as PNG.
 
     Args:
-        pixels: [H, W, 1 or 3]; clamped to [0, 1].
-        texts: kept in the file by their keys; `encoding` is "sRGB" or, of data that are no colours, "linear".
-        path: the file.
-        bits: 8 or 16.
+        pixels: the values, [H, W, 1 or 3], which are clamped to [0, 1].
+        texts: texts that the file holds, by their keys; `encoding` is "sRGB", or "linear" for data that are no colours.
+        path: the file to write.
+        bits: number of bits a channel, 8 or 16.
 
     Raises:
-        OSError: it cannot be written; names the folder.
+        OSError: the file cannot be written; the message names the folder.
     """
     levels = np.clip(pixels.numpy(), 0, 1) * (2**bits - 1) + 0.5
     attributes = {
-        # whoever honours a PNG's colour space would decode roughness and normals wrongly
+        # a program that honours the colour space of a PNG must not decode roughness and normals like colours
         "oiio:ColorSpace": "data" if texts["encoding"] == "linear" else "sRGB",
-        # the library's own take twice the time, for files of noisy pictures 2 % smaller
+        # the library's defaults take twice the time, and make files of noisy pictures only 2 % smaller
         "png:compressionLevel": PNG_COMPRESSION_LEVEL,
         "png:filter": PNG_AVERAGE_FILTER,
         **texts,
     }
-    _write(levels.astype(np.uint8 if bits == 8 else np.uint16), attributes, f"uint{bits}", path)
+    _write_image(levels.astype(np.uint8 if bits == 8 else np.uint16), attributes, f"uint{bits}", path)
 
 
 def write_exr(pixels: Tensor, path: Path, *, half: bool | None = None) -> None:
-    """Write linear values [H, W, 1 or 3] of any range as EXR: half floats if they are precise enough.
+    """Write linear values of any range as EXR.
 
     Args:
-        pixels: to write.
-        path: the file.
-        half: half floats or not; None: of radiance, if its maximum says that no dark part loses digits.
+        pixels: the values, [H, W, 1 or 3].
+        path: the file to write.
+        half: whether to write half floats. None chooses them for radiance whose maximum they can hold and is so large
+            that dark parts lose no digits.
 
     Raises:
-        OSError: it cannot be written; names the folder.
+        OSError: the file cannot be written; the message names the folder.
     """
     values = pixels.numpy().astype(np.float32)
     if half is None:
-        half = bool(1 <= values.max() <= np.finfo(np.float16).max)  # below, dark parts would lose digits
-    _write(values, {"oiio:ColorSpace": "lin_rec709_scene"}, "half" if half else "float", path)
+        # with a maximum below 1, dark parts would lie where half floats lose digits
+        half = bool(1 <= values.max() <= np.finfo(np.float16).max)
+    _write_image(values, {"oiio:ColorSpace": "lin_rec709_scene"}, "half" if half else "float", path)
 
 
-def _write(values: np.ndarray, attributes: Mapping[str, str | int], form: str, path: Path) -> None:
-    import OpenImageIO as oiio  # here: most fits of BRDFs write no such file, and it takes 20 ms
+def _write_image(values: np.ndarray, attributes: Mapping[str, str | int], pixel_type: str, path: Path) -> None:
+    """Write an image by OpenImageIO.
+
+    Args:
+        values: the pixels, [H, W, C].
+        attributes: entries of the file's header, by name.
+        pixel_type: the type of the pixels in the file, as OpenImageIO names it.
+        path: the file to write.
+    """
+    import OpenImageIO as oiio  # not above: the import takes 20 ms, and most fits of BRDFs write no such file
 
     image = oiio.ImageBuf(np.ascontiguousarray(values))
     for key, value in attributes.items():
         image.specmod().attribute(key, value)
 
     def write(partial: Path) -> None:
-        if not image.write(str(partial), form):
+        if not image.write(str(partial), pixel_type):
             raise ValueError(f"{path}: not written ({image.geterror()}); is the disk full?")
 
     write_atomically(path, write)
 
 
 def to_8_bit_image(display: np.ndarray) -> Image:
-    """Display values [H, W, 1, 3 or 4], clamped to [0, 1], as a picture of PIL.
+    """Convert display values [H, W, 1, 3 or 4], clamped to [0, 1], to a PIL image of 8 bits.
 
-    >>> in_8_bits(np.full((2, 3, 3), 0.5)).getpixel((0, 0))
+    >>> to_8_bit_image(np.full((2, 3, 3), 0.5)).getpixel((0, 0))
     (128, 128, 128)
     """
     pixels = (np.clip(display, 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -84,7 +97,7 @@ def to_8_bit_image(display: np.ndarray) -> Image:
 
 
 def png_data_url(image: Image) -> str:
-    """The address of a picture that is part of a page, as PNG."""
+    """Return the data URL of a picture as PNG, by which a page holds the picture itself."""
     buffer = io.BytesIO()
     image.save(buffer, "PNG")
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"

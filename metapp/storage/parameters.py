@@ -1,4 +1,7 @@
-"""Parameters of fits that are read back: those of the network that their settings describe, or refused."""
+"""The check of parameters that are read back from fits: they must be those of the network that the settings describe.
+
+Anybody may have written the files, so that names, shapes and values are compared before a network is evaluated.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,14 @@ from metapp.storage.fit_folders import read_params
 
 
 def read_checked_params(record: Document, app: App) -> Params:
-    """The parameters of a fit of an application, checked.
+    """Read the parameters of a fit and check that they fit the network of its application.
+
+    Args:
+        record: the record of the fit, with its folder.
+        app: the application, with the network that the settings of the fit describe.
 
     Raises:
-        ValueError: they are missing or damaged; as `check_params`.
+        ValueError: the parameters are missing or damaged, or :func:`check_params` refuses them.
     """
     theta = read_params(record["folder"])
     check_params(theta, app, record["folder"])
@@ -23,17 +30,17 @@ def read_checked_params(record: Document, app: App) -> Params:
 
 
 def check_params(theta: Params, app: App, place: str) -> None:
-    """Compare parameters of one fit, which anybody may have written, with the network of an application.
+    """Compare parameters of one fit with the network of an application.
 
-    Fits may hold more than the network: what an application knows of a task, such as suns.
+    A fit may have more tensors than the network: what the application found out about the task, such as suns.
 
     Args:
-        theta: without a task axis.
-        app: of the fit.
-        place: of the fit, named in errors.
+        theta: the parameters, without a task axis.
+        app: the application, with the network that the settings of the fit describe.
+        place: the place of the fit, which messages name.
 
     Raises:
-        ValueError: names, shapes or kinds of numbers of another network; values that are not finite.
+        ValueError: a tensor of the network is missing or has another shape, or values are integers or not finite.
 
     >>> from metapp.apps import app_of, recipe_of
     >>> app = app_of("brdf", recipe_of("brdf", "quick"))
@@ -45,9 +52,9 @@ def check_params(theta: Params, app: App, place: str) -> None:
         if key not in theta:
             found = f"{', '.join(sorted(theta))[:80] or 'none'} without {key!r}"
             raise ValueError(f"{place}: parameters {found}, expected those of the network of its settings; fit anew.")
-        shape, of_network = tuple(theta[key].shape), tuple(expected.shape[1:])
-        if shape != of_network:
-            found = f"{key!r} of shape {shape}, expected {of_network}"
+        shape, network_shape = tuple(theta[key].shape), tuple(expected.shape[1:])
+        if shape != network_shape:
+            found = f"{key!r} of shape {shape}, expected {network_shape}"
             raise ValueError(f"{place}: parameters {found} of the network of its settings; fit anew.")
     for key, value in theta.items():
         kind = "NaN or infinite values" if value.is_floating_point() else str(value.dtype).removeprefix("torch.")

@@ -1,7 +1,7 @@
-"""Task shards: a folder with one `safetensors` file per task and a `manifest.json` that lists them.
+"""Data sets on disk: a folder with one safetensors file per task (a shard) and a `manifest.json` that lists them.
 
-Nothing is ever unpickled, no path of a manifest leads out of its folder, and every field is checked, since anybody may
-have written the files.
+Anybody may have written the files: nothing is unpickled, no path in a manifest leads out of its folder, and every field
+is checked. What the tensors mean to an application is not known here.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from metapp.storage.files import (
 from metapp.storage.folders import MANIFEST as MANIFEST
 from metapp.storage.folders import SHARD_SUFFIX, PathKind, path_kind, path_refusal
 
-MANIFEST_SCHEMA = 1
+MANIFEST_SCHEMA = 1  # the version of the layout of manifests
 SPLITS = ("train", "test")
-AUTO_SPLIT = "auto"  # the split of `split_auto`
+AUTO_SPLIT = "auto"  # stands for the split that `split_auto` chooses
 
 
 class ManifestEntry(NamedTuple):
-    """One task of a manifest, whose file may be still to write.
+    """One task in a manifest, whose file may be still to write.
 
     Attributes:
-        name: the task's name, as tables print it.
-        file: its file's name inside the folder.
-        split: "train" or "test"; before it is written also "", for that of the rule.
-        source: base name of the file or folder it was made of; "" if there is none.
-        sha256: of the file's bytes, 64 hexadecimal digits.
-        group: the thing that several tasks show, which no split parts; "" if it shows something of its own.
+        name: the name of the task, as tables print it.
+        file: the name of the task's file in the folder.
+        split: "train" or "test"; "" before the file is written, if :func:`split_auto` is to choose.
+        source: the base name of the file or folder that the task was made of; "" if there is none.
+        sha256: the SHA-256 digest of the file's bytes, 64 hexadecimal digits.
+        group: the name of a thing that several tasks show, which all get one split; "" if no other task shows it.
     """
 
     name: str
@@ -63,11 +63,11 @@ class Manifest(NamedTuple):
     """The content of a data set.
 
     Attributes:
-        app: the application its tasks belong to.
-        tasks: its tasks, in the order they were added.
+        app: the name of the application that its tasks belong to.
+        tasks: the entries of its tasks, in the order in which they were written.
         units: unit and meaning of each tensor, by the tensor's name.
         notes: anything else worth knowing, such as converter and seed.
-        schema: version of the layout.
+        schema: the version of the manifest's layout.
     """
 
     app: str
@@ -81,8 +81,8 @@ def read_manifest(folder: str | Path) -> Manifest:
     """Read the manifest of a data set.
 
     Raises:
-        ValueError: no such folder, no manifest in it, one that is damaged or of a newer version, or one whose file
-            names lead out of the folder.
+        ValueError: there is no such folder or no manifest in it, or the manifest is damaged, is of a newer version, or
+            has file names that lead out of the folder.
     """
     folder = Path(folder)
     path = folder / MANIFEST
@@ -97,46 +97,51 @@ def read_manifest(folder: str | Path) -> Manifest:
             "interrupted: convert again with `metapp data`."
         )
     try:
-        raw = json.loads(read_bytes(path))
+        document = json.loads(read_bytes(path))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not readable as JSON ({error}); convert the data again.") from None
-    return _from_json(raw, path)
+    return _manifest_from_json(document, path)
 
 
 def fingerprint(folder: str | Path) -> str:
-    """Short name of a data set's content: 12 hexadecimal digits, the same wherever and whenever it was converted.
+    """Return 12 hexadecimal digits of a data set's content, which do not depend on where and when it was converted.
 
-    It covers application, task names, splits and the files' hashes as the manifest states them; not notes, not order.
+    They change with the application, the tasks' names, the splits and the files' digests as the manifest states them;
+    not with notes or the order of tasks.
 
     Raises:
-        ValueError: as `read_manifest`.
+        ValueError: the manifest cannot be read, see :func:`read_manifest`.
     """
     manifest = read_manifest(folder)
     content = [manifest.app, sorted([entry.name, entry.split, entry.sha256] for entry in manifest.tasks)]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
 
 
-def _from_json(raw: object, path: Path) -> Manifest:
-    """Check every field, since anybody may have written the file."""
+def _manifest_from_json(document: object, path: Path) -> Manifest:
+    """Make a manifest of a JSON document, and check every field, since anybody may have written the file.
 
-    def field(record: object, key: str, kind: type, where: str = "") -> Any:
+    Args:
+        document: the document.
+        path: the file that it was read from, which messages name.
+    """
+
+    def read_field(record: object, key: str, kind: type, where: str = "") -> Any:
         return get_json_entry(record, key, kind, f"{path}: {where}", "convert the data again")
 
-    schema = field(raw, "schema", int)
+    schema = read_field(document, "schema", int)
     if schema != MANIFEST_SCHEMA:
-        newer = schema > MANIFEST_SCHEMA
-        remedy = "update metapp" if newer else "convert the data again"
-        raise ValueError(
-            f"{path}: schema {schema}{', written by a newer metapp' if newer else ''}, expected {MANIFEST_SCHEMA}; {remedy}."
-        )
+        found, remedy = f"schema {schema}", "convert the data again"
+        if schema > MANIFEST_SCHEMA:
+            found, remedy = f"schema {schema}, written by a newer metapp", "update metapp"
+        raise ValueError(f"{path}: {found}, expected {MANIFEST_SCHEMA}; {remedy}.")
     entries: list[ManifestEntry] = []
-    for index, record in enumerate(field(raw, "tasks", list)):
+    for index, record in enumerate(read_field(document, "tasks", list)):
         where = f"task {index + 1}: "
-        entry = ManifestEntry(**{key: field(record, key, str, where) for key in ManifestEntry._fields})
+        entry = ManifestEntry(**{key: read_field(record, key, str, where) for key in ManifestEntry._fields})
         if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SHARD_SUFFIX):
             raise ValueError(
-                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SHARD_SUFFIX} file in the "
-                "same folder; convert the data again."
+                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SHARD_SUFFIX} file in "
+                "the same folder; convert the data again."
             )
         if entry.split not in SPLITS:
             raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")
@@ -145,21 +150,27 @@ def _from_json(raw: object, path: Path) -> Manifest:
         values = [getattr(entry, key) for entry in entries]
         if len(set(values)) < len(values):
             raise ValueError(f"{path}: two tasks have the same {key}, expected them to differ; convert the data again.")
-    units = field(raw, "units", dict)
+    units = read_field(document, "units", dict)
     for key in units:
-        field(units, key, str, "units: ")
-    return Manifest(field(raw, "app", str), tuple(entries), units, field(raw, "notes", dict), schema)
+        read_field(units, key, str, "units: ")
+    app, notes = read_field(document, "app", str), read_field(document, "notes", dict)
+    return Manifest(app, tuple(entries), units, notes, schema)
 
 
-def split_auto(in_line: Iterable[str]) -> dict[str, str]:
-    """The stated rule of splits, "train" or "test" by name: of names in line, every fifth is for tests.
+def split_auto(names: Iterable[str]) -> dict[str, str]:
+    """Choose splits by the rule that the documentation states: every fifth name is for tests, all others for training.
 
-    Names of tasks and of groups are sorted for it, so that neither a seed nor the order of files counts.
+    Args:
+        names: names of tasks and of groups. :func:`write_data_set` sorts them, so that neither a seed nor the order of
+            files counts.
+
+    Returns:
+        The split, "train" or "test", by name.
 
     >>> "".join(name for name, split in split_auto("abcdefghijk").items() if split == "test")
     'ej'
     """
-    return {name: "test" if index % 5 == 4 else "train" for index, name in enumerate(dict.fromkeys(in_line))}
+    return {name: "test" if index % 5 == 4 else "train" for index, name in enumerate(dict.fromkeys(names))}
 
 
 def write_data_set(
@@ -174,82 +185,87 @@ def write_data_set(
 ) -> list[ManifestEntry]:
     """Write a data set, all or nothing.
 
-    Files are written into a folder with a temporary name; only at the end do they move, and the manifest comes last.
-    If the iterator of tasks raises, the folder is as it was.
+    Files are written into a folder with a temporary name. They move to their place at the end, and the manifest moves
+    last. If the iterator of tasks raises an error, the folder stays as it was.
 
     Args:
-        folder: of the data set, made if missing.
-        app: the application the tasks belong to.
-        units: unit and meaning of every tensor, by name; the manifest has those of tensors that a task holds.
-        tasks: each with its split, "train", "test", or "auto" (by the rule of `split_auto` among all groups of tasks
-            so), and the file or folder it was made of, of which the base name is kept; "" for none.
-        notes: anything else worth keeping, as JSON can hold it.
-        beside: name of a tensor whose bytes, a text, are kept as a file beside each task, and that file's suffix.
-        overwrite: whether a data set of the same application that is there is replaced as a whole.
+        folder: the folder of the data set, made if it is missing.
+        app: the name of the application that the tasks belong to.
+        units: unit and meaning of every tensor, by name; the manifest has the units of tensors that a task holds.
+        tasks: for each task the task, its split and its source. The split is "train", "test", or "auto", for which
+            :func:`split_auto` chooses among the names of all such tasks and groups. The source is the file or folder
+            that the task was made of, whose base name is kept; "" for none.
+        notes: anything else worth keeping, JSON-ready.
+        beside: the name of a tensor that holds the bytes of a text, which is written as a file beside each task, and
+            the suffix of this file; None for no such text.
+        overwrite: whether a data set of an equal application that is in the folder is replaced as a whole.
 
     Returns:
         The entries of the manifest.
 
     Raises:
-        ValueError: the folder is a file or holds another data set (before the first task is asked for); no task; an
-            unknown split, an empty or repeated name, a task without tensors, a tensor without a unit, a value that is
-            not finite.
+        ValueError: the folder is a file or holds another data set (this is found before the first task is asked for),
+            there is no task, a split is unknown, a name is empty or occurs twice, a task has no tensors, a tensor has
+            no unit, or a value is not finite.
 
     >>> import tempfile
     >>> gold = Task("gold", {"angles": torch.zeros(2, 3)})
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     (entry,) = write_shard(folder, "brdf", {"angles": "rad"}, [(gold, "train", "brdfs/gold.binary")])
-    ...     entry.source, read_shard(folder)[0].data["angles"].shape
+    ...     (entry,) = write_data_set(folder, "brdf", {"angles": "rad"}, [(gold, "train", "brdfs/gold.binary")])
+    ...     entry.source, read_data_set(folder)[0].data["angles"].shape
     ('gold.binary', torch.Size([2, 3]))
     """
     folder, notes = Path(folder), dict(notes or {})
-    # A note that JSON cannot hold should be refused now, not after an hour of converting.
+    # a note that JSON cannot hold is refused now, rather than after an hour of converting
     try:
         json.dumps(notes, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{folder}: notes hold {error}; expected plain text, numbers, lists.") from None
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: a file, expected a folder to write to; choose another one.")
-    _replaced(folder, app, overwrite)
+    _require_replaceable(folder, app, overwrite)
     remove_partial(folder / "tasks")
     partial = partial_path(folder / "tasks")
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    new_folders = [path for path in (folder, *folder.parents) if not path.exists()]
     partial.mkdir(parents=True)
     entries: list[ManifestEntry] = []
-    held: set[str] = set()  # names of tensors
-    taken = (
-        {MANIFEST.replace(".json", SHARD_SUFFIX)} if beside else set()
-    )  # its text would take the name of the manifest
+    tensor_names: set[str] = set()
+    # the text beside a task "manifest" would take the name of the manifest
+    file_names = {MANIFEST.replace(".json", SHARD_SUFFIX)} if beside else set()
     try:
         for task, split, source in tasks:
             _check_task(task, split, units, entries, source or folder)
-            held |= set(task.data)
-            # A copy of its own each: safetensors refuses tensors that share memory.
-            own = torch.contiguous_format
-            content = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
-            file = _file_name(task.name, taken)
-            taken.add(file.lower())
+            tensor_names |= set(task.data)
+            # each tensor is copied, since safetensors refuses tensors that share memory
+            layout = torch.contiguous_format
+            content = save(
+                {key: tensor.detach().cpu().clone(memory_format=layout) for key, tensor in task.data.items()}
+            )
+            file = _shard_name(task.name, file_names)
+            file_names.add(file.lower())
             with name_file_in_errors(folder / file):
                 (partial / file).write_bytes(content)
                 if beside:
                     text = task.data[beside[0]].cpu().numpy().tobytes().rstrip() + b"\n"
                     (partial / file).with_suffix(beside[1]).write_bytes(text)
-            base = re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
-            entries.append(ManifestEntry(task.name, file, split, base, hashlib.sha256(content).hexdigest(), task.group))
+            base_name = re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
+            digest = hashlib.sha256(content).hexdigest()
+            entries.append(ManifestEntry(task.name, file, split, base_name, digest, task.group))
         if not entries:
             raise ValueError(f"{folder}: 0 tasks to write, expected at least one.")
-        auto = split_auto(sorted(entry.group or entry.name for entry in entries if entry.split == AUTO_SPLIT))
+        split_by_name = split_auto(sorted(entry.group or entry.name for entry in entries if entry.split == AUTO_SPLIT))
         entries = [
-            entry._replace(split=auto[entry.group or entry.name]) if entry.split == AUTO_SPLIT else entry
+            entry._replace(split=split_by_name[entry.group or entry.name]) if entry.split == AUTO_SPLIT else entry
             for entry in entries
         ]
-        manifest = Manifest(app, tuple(entries), {key: unit for key, unit in units.items() if key in held}, notes)
-        _publish(folder, partial, manifest, _replaced(folder, app, overwrite), beside)
+        tensor_units = {key: unit for key, unit in units.items() if key in tensor_names}
+        manifest = Manifest(app, tuple(entries), tensor_units, notes)
+        _publish(folder, partial, manifest, _require_replaceable(folder, app, overwrite), beside)
     finally:
         if isinstance(tasks, Generator):
             tasks.close()  # ends a progress bar before an error is shown
         shutil.rmtree(partial, ignore_errors=True)
-        for path in made:
+        for path in new_folders:
             if any(path.iterdir()):
                 break
             path.rmdir()
@@ -257,13 +273,26 @@ def write_data_set(
 
 
 def _check_task(
-    task: Task, split: str, units: Mapping[str, str], before: Sequence[ManifestEntry], subject: str | Path
+    task: Task, split: str, units: Mapping[str, str], previous: Sequence[ManifestEntry], subject: str | Path
 ) -> None:
+    """Refuse a task that a data set cannot hold.
+
+    Args:
+        task: the task.
+        split: its split.
+        units: the units of tensors, by name.
+        previous: the entries of tasks that are written already, whose names must differ.
+        subject: what a message names if the task has no name.
+
+    Raises:
+        ValueError: the split is unknown, the name is empty or occurs twice, the task has no tensors, a tensor has no
+            unit, or a value is not finite.
+    """
     if split not in (*SPLITS, AUTO_SPLIT):
         raise ValueError(f"{task.name}: split '{split}', expected 'train', 'test' or 'auto'.")
     if not task.name.strip():
         raise ValueError(f"{subject}: a task with an empty name; give it one.")
-    if any(entry.name == task.name for entry in before):
+    if any(entry.name == task.name for entry in previous):
         raise ValueError(f"{task.name}: two tasks of this name, expected names that differ; rename one source.")
     if not task.data:
         raise ValueError(f"{task.name}: a task without tensors.")
@@ -274,38 +303,50 @@ def _check_task(
             raise ValueError(f"{task.name}: tensor '{key}' holds NaN or infinite values, expected finite ones.")
 
 
-def _replaced(folder: Path, app: str, overwrite: bool) -> Manifest | None:
-    """The manifest of the data set to replace; ValueError if that must stay."""
+def _require_replaceable(folder: Path, app: str, overwrite: bool) -> Manifest | None:
+    """Return the manifest of the data set in a folder, which is to be replaced; None if there is none.
+
+    Raises:
+        ValueError: the data set is of another application, or must not be overwritten.
+    """
     try:
-        before = read_manifest(folder)
-    except ValueError:  # there is none
+        manifest = read_manifest(folder)
+    except ValueError:  # the folder holds no data set
         return None
-    if before.app != app:
+    if manifest.app != app:
         raise ValueError(
-            f"{folder}: holds tasks of '{before.app}', expected an empty folder or tasks of '{app}'; choose another "
+            f"{folder}: holds tasks of '{manifest.app}', expected an empty folder or tasks of '{app}'; choose another "
             "folder."
         )
     if not overwrite:
         raise ValueError(
-            f"{folder}: holds a data set of {len(before.tasks)} tasks, expected a new folder; add --overwrite to "
+            f"{folder}: holds a data set of {len(manifest.tasks)} tasks, expected a new folder; add --overwrite to "
             "replace it."
         )
-    return before
+    return manifest
 
 
 def _publish(
-    folder: Path, partial: Path, manifest: Manifest, before: Manifest | None, beside: tuple[str, str] | None
+    folder: Path, partial: Path, manifest: Manifest, replaced: Manifest | None, beside: tuple[str, str] | None
 ) -> None:
-    """Move all files to their place, the manifest last; while there is no manifest, there is no data set."""
-    raw = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
+    """Move all files to their place, the manifest last: without a manifest, a folder holds no data set.
+
+    Args:
+        folder: the folder of the data set.
+        partial: the folder that the files were written to.
+        manifest: the new manifest.
+        replaced: the manifest of the data set that is replaced; None if there is none.
+        beside: the name of a tensor and the suffix of the texts beside tasks; None if there are no texts.
+    """
+    document = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
     (folder / MANIFEST).unlink(missing_ok=True)
-    for entry in before.tasks if before else ():
+    for entry in replaced.tasks if replaced else ():
         for suffix in (SHARD_SUFFIX, beside[1] if beside else SHARD_SUFFIX):
             (folder / entry.file).with_suffix(suffix).unlink(missing_ok=True)
     for file in sorted(partial.iterdir()):
         os.replace(file, folder / file.name)
-    # ASCII: a file name may hold bytes that no encoding takes, which Python passes on as lone surrogates.
-    write_bytes(folder / MANIFEST, json.dumps(raw, indent=1, allow_nan=False).encode("ascii") + b"\n")
+    # ASCII, since a file name may have bytes that are no text, which Python passes on as lone surrogates
+    write_bytes(folder / MANIFEST, json.dumps(document, indent=1, allow_nan=False).encode("ascii") + b"\n")
 
 
 def read_data_set(
@@ -313,19 +354,20 @@ def read_data_set(
 ) -> list[Task]:
     """Read the tasks of a data set; the tensors are mapped from disk and loaded when they are used.
 
+    The digests of files are not compared; see :func:`list_data_set_problems`.
+
     Args:
-        folder: of the data set.
-        split: only the "train" or only the "test" tasks; None is all.
-        app: the application that the tasks must belong to; None takes any.
-        holds: the tensors of each task, as the application says; None takes any.
+        folder: the folder of the data set.
+        split: "train" or "test" to read the tasks of one split only; None for all.
+        app: the name of the application that the tasks must belong to; None for any.
+        holds: the tensors that the application asks of each task, by name; None for any.
 
     Returns:
-        The tasks in the manifest's order; an empty list if the split has none. Hashes are not compared: see
-        `list_data_set_problems`.
+        The tasks in the order of the manifest; [] if the split has none.
 
     Raises:
-        ValueError: as `read_manifest`; another application's tasks; a file that is missing or damaged, or lacks
-            tensors.
+        ValueError: the manifest cannot be read, the tasks are of another application, or a file is missing or damaged,
+            or lacks tensors.
     """
     folder = Path(folder)
     if split is not None and split not in SPLITS:
@@ -346,11 +388,15 @@ def read_data_set(
 
 
 def list_data_set_problems(folder: str | Path, holds: Mapping[str, TensorSpec] | None = None) -> list[str]:
-    """Check a data set against its manifest, and its tasks against the tensors that the application asks for.
+    """Compare a data set with its manifest, and its tasks with the tensors that the application asks for.
+
+    Args:
+        folder: the folder of the data set.
+        holds: the tensors that the application asks of each task, by name; None for any.
 
     Returns:
-        One line a problem: files that are missing, changed, damaged or not listed, values that are not finite,
-        tensors that are missing or of another shape or type. An empty list means that all is well.
+        One line for each problem; [] for none. Problems are files that are missing, changed, damaged or not listed,
+        values that are not finite, and tensors that are missing or of another shape or type.
     """
     folder = Path(folder)
     try:
@@ -372,28 +418,39 @@ def list_data_set_problems(folder: str | Path, holds: Mapping[str, TensorSpec] |
                 f"{path}: SHA-256 {digest[:12]}..., expected {entry.sha256[:12]}...; the file has changed since."
             )
         problems += [f"{path}: {problem}; convert the data again." for problem in problems_of(task, holds or {})]
-    beside = manifest.notes.get("files")  # what else its command wrote there
-    listed = {MANIFEST, *(map(str, beside) if isinstance(beside, list) else ())}
-    stems = {entry.file.removesuffix(SHARD_SUFFIX) for entry in manifest.tasks}  # a task's text has its name
+    other_files = manifest.notes.get("files")  # files that the command wrote beside the tasks
+    listed_names = {MANIFEST, *(map(str, other_files) if isinstance(other_files, list) else ())}
+    # the text beside a task has the stem of the task's file
+    stems = {entry.file.removesuffix(SHARD_SUFFIX) for entry in manifest.tasks}
     problems += [
         f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
         for path in sorted(folder.iterdir())
-        if path.name not in listed and path.stem not in stems
+        if path.name not in listed_names and path.stem not in stems
     ]
     return problems
 
 
-def _file_name(name: str, taken: Collection[str]) -> str:
-    """A file name that every file system takes, and that differs from those taken even if case does not count."""
+def _shard_name(name: str, used_names: Collection[str]) -> str:
+    """Return a file name for a task that every file system takes.
+
+    Args:
+        name: the name of the task.
+        used_names: names of files in lower case, from which it must differ even where case does not count.
+    """
     stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
     file, count = stem + SHARD_SUFFIX, 1
-    while file.lower() in taken:
+    while file.lower() in used_names:
         count += 1
         file = f"{stem}-{count}{SHARD_SUFFIX}"
     return file
 
 
 def _read_task(folder: Path, entry: ManifestEntry) -> Task:
+    """Read the task of an entry in a manifest.
+
+    Raises:
+        ValueError: the file is missing or damaged, or is a link that leads out of the folder.
+    """
     path = folder / entry.file
     if not path.is_file():
         raise ValueError(f"{path}: missing, expected a file as {MANIFEST} lists it; convert the data again.")
@@ -401,5 +458,10 @@ def _read_task(folder: Path, entry: ManifestEntry) -> Task:
         raise ValueError(f"{path}: a link that leads out of the data set's folder; copy the file there instead.")
     try:
         return Task(entry.name, read_tensors(path), entry.group)
-    except (SafetensorError, RuntimeError, TypeError, AttributeError) as error:  # torch's, of types it lacks
+    except (
+        SafetensorError,
+        RuntimeError,
+        TypeError,
+        AttributeError,
+    ) as error:  # by torch, for types that it lacks
         raise ValueError(f"{path}: not readable as safetensors ({error}); convert the data again.") from None

@@ -1,6 +1,6 @@
-"""Where the checkpoints lie that ship with the package.
+"""The places of the checkpoints that ship with the package.
 
-Applications and runs ask for them by name; which recipe is the usual one is decided in `metapp.runs.default_recipe`.
+Applications and runs ask for them by name; which recipe a fit takes is decided in `metapp.runs.default_recipe`.
 """
 
 from __future__ import annotations
@@ -9,39 +9,51 @@ from importlib import resources
 from pathlib import Path
 
 QUICK_RECIPE_NAME, FULL_RECIPE_NAME = "quick", "full"
-CHECKPOINT_PACKAGE = "metapp.checkpoints"
+CHECKPOINT_PACKAGE = "metapp.checkpoints"  # the package that has the files, one folder an application
 
 
 def shipped_checkpoint_path(app: str, name: str, recipe: str = QUICK_RECIPE_NAME) -> Path:
     """Return the path of a checkpoint that ships.
 
-    Checkpoints that a recipe does not share with "full" and "quick" lie in a folder of the recipe's name.
+    A checkpoint of one recipe alone lies in a folder of the recipe's name. If there is none, the recipe takes the
+    checkpoint of "full", else of "quick".
 
     Args:
-        app: the application.
+        app: the name of the application.
         name: the file's name without suffix, such as "general-photo".
-        recipe: the recipe that fits.
+        recipe: the recipe by which the checkpoint is fitted.
 
-    >>> shipped_path("brdf", "general").name
+    Returns:
+        The file; if there is none, the place where it would lie for "quick".
+
+    >>> shipped_checkpoint_path("brdf", "general").name
     'general.safetensors'
     """
-    folders = (
-        [checkpoint_folder(app, recipe), checkpoint_folder(app, FULL_RECIPE_NAME)]
-        if recipe != QUICK_RECIPE_NAME
-        else []
-    )
+    folders = []
+    if recipe != QUICK_RECIPE_NAME:
+        folders = [checkpoint_folder(app, recipe), checkpoint_folder(app, FULL_RECIPE_NAME)]
     files = [folder / f"{name}.safetensors" for folder in (*folders, checkpoint_folder(app))]
     return next((path for path in files if path.is_file()), files[-1])
 
 
 def shipped_checkpoint_names(app: str) -> dict[str, list[str]]:
-    """List the checkpoints that ship for an application, by it, and for its recipe of another size, by "<app> full"."""
+    """List the names of checkpoints that ship for an application.
+
+    Returns:
+        The names by the application's name, and, if its recipe "full" has checkpoints of another size, these by
+        "<app> full".
+    """
     folders = {app: checkpoint_folder(app), f"{app} {FULL_RECIPE_NAME}": checkpoint_folder(app, FULL_RECIPE_NAME)}
-    names = {key: sorted(path.stem for path in folder.glob("*.safetensors")) for key, folder in folders.items()}
-    return {key: found for key, found in names.items() if found or key == app}
+    names_by_key = {key: sorted(path.stem for path in folder.glob("*.safetensors")) for key, folder in folders.items()}
+    return {key: names for key, names in names_by_key.items() if names or key == app}
 
 
 def checkpoint_folder(app: str, recipe: str = QUICK_RECIPE_NAME) -> Path:
-    """Return the folder of the checkpoints of an application, or of those that one recipe alone has."""
+    """Return the folder of an application's checkpoints.
+
+    Args:
+        app: the name of the application.
+        recipe: "quick" for the checkpoints of all recipes, another recipe for those that it alone has.
+    """
     folder = Path(str(resources.files(CHECKPOINT_PACKAGE))) / app
     return folder if recipe == QUICK_RECIPE_NAME else folder / recipe

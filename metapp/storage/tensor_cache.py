@@ -1,4 +1,7 @@
-"""Tensors that take long to compute, kept in the cache folder."""
+"""The cache of tensors that take long to compute, one file in the cache folder for each set of tensors.
+
+A file is taken only if the code and the torch that made its tensors are those of now.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,15 @@ from metapp.storage.files import open_tensors, write_bytes
 def load_or_compute_tensors(
     name: str, sources: Sequence[str], make: Callable[[], dict[str, Tensor]]
 ) -> dict[str, Tensor]:
-    """Return tensors of the cache if the same code made them; else make them, and keep them there if that can be.
+    """Load tensors from the cache if the present code made them, else compute them and keep them there if possible.
 
     Args:
-        name: of the file.
-        sources: paths of the code that makes them.
-        make: makes them.
+        name: the name of the file, without suffix.
+        sources: the files of the code that computes the tensors.
+        make: the function that computes them.
+
+    Returns:
+        The tensors by name.
     """
     path, maker = cache_folder() / f"{name}.safetensors", {"maker": _maker(sources)}
     with contextlib.suppress(OSError, SafetensorError), open_tensors(path) as stored:
@@ -37,6 +43,6 @@ def load_or_compute_tensors(
 
 
 def _maker(sources: Sequence[str]) -> str:
-    """Return a digest of code and the version of torch."""
+    """Return a text that changes with the content of code files and with the version of torch."""
     digest = hashlib.sha256(b"".join(Path(file).read_bytes() for file in sources))
     return f"{digest.hexdigest()[:16]} {torch.__version__}"

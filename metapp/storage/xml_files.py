@@ -1,4 +1,4 @@
-"""XML documents, written whole or not at all."""
+"""The writing of XML documents, whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from metapp.storage.files import write_bytes
 
 
 def write_xml(path: Path, root: Element) -> None:
-    """Write an XML document, indented, whole or not at all."""
+    """Write an XML document with indentation, so that the file is there whole or not at all."""
     indent(root)
     content: bytes = tostring(root, encoding="utf-8", xml_declaration=True)
     write_bytes(path, content + b"\n")

@@ -175,7 +175,7 @@ def test_inputs_choose_the_protocol(app: str, photo: Path, reference: Path, caps
 
     def chosen(*inputs: Path, **more: Any) -> tuple[str, str]:
         with use_reporter(Terminal()):
-            run = Run.of(fit_options(app, "general", inputs, recipe="quick", **more))
+            run = Run.from_options(fit_options(app, "general", inputs, recipe="quick", **more))
         return run.app.protocol, capsys.readouterr().err.strip()
 
     assert chosen(photo) == ("photo", f"{app}: fits see: photo, since every input is a photo alone")
@@ -232,7 +232,9 @@ def test_what_is_cut_is_said_and_the_bar_moves(shot: Path, capsys: Any) -> None:
             return nullcontext(bar)
 
     with use_reporter(Shown()):
-        execute_run(Run.of(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16")))
+        execute_run(
+            Run.from_options(fit_options(SVBRDF, "overfit", [shot.parent], recipe="quick", steps=1, export="png16"))
+        )
     lines = capsys.readouterr().err.splitlines()
     notes = [f"wide{number}.png: 96 x 64 px: the central 64 x 64 px, scaled to 256 x 256" for number in range(2)]
     assert [line for line in lines if "px" in line][1:] == notes
@@ -299,7 +301,7 @@ def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
     assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
     runs = [read_run_records(Path(fit["out"])).records for fit in fits.values()]
     (one,), (other,) = (
-        find_fitted_tasks(run, Run.of_settings(run[0]["settings"]).app, [], None).values() for run in runs
+        find_fitted_tasks(run, Run.from_settings(run[0]["settings"]).app, [], None).values() for run in runs
     )
     assert not torch.equal(one.data["photo"], other.data["photo"])  # each is read again as it was read then
     misuse = metapp("overfit", SVBRDF, shot, "--observe", "reference", "--stops", "1").misuse

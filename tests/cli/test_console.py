@@ -120,7 +120,7 @@ def test_the_time_left_is_shown_once_a_tenth_is_done(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("FORCE_COLOR", "1")
     with contextlib.redirect_stderr(io.StringIO()) as drawn, Terminal().bar("job", 100, 0, False) as bar:
         for step in range(30):
-            bar.at(step, 100)
+            bar.set_done(step, 100)
             bar.bars.refresh()
             assert bool(re.search(r"\d:\d\d:\d\d", drawn.getvalue())) == (step >= 10)
 
@@ -129,7 +129,7 @@ def test_a_wait_is_said_where_there_is_no_terminal(capsys: pytest.CaptureFixture
     terminal = Terminal(wait_seconds=0.05)
     with terminal.bar("photos", 3, 0, False) as bar:
         bar.advance("a.jpg")
-        bar.name("b.jpg: finding features")
+        bar.set_label("b.jpg: finding features")
         time.sleep(0.3)  # in one step, which tells nothing
     assert capsys.readouterr().err == "photos: 1 of 3, b.jpg: finding features\n"
     with terminal.bar("plan", None, 0, False):
@@ -147,7 +147,7 @@ def test_longer_waits_are_said_now_and_then(capsys: pytest.CaptureFixture[str]) 
         bar.advance("a.jpg")
         terminal.next_seconds = 3600.0
         bar.advance("b.jpg")
-        bar.at(2, 2, "c.jpg")
+        bar.set_done(2, 2, "c.jpg")
     assert capsys.readouterr().err.splitlines() == ["photos: 1 of 2, a.jpg", "photos: 2 of 2, b.jpg"]
 
 

@@ -101,7 +101,7 @@ def read_checkpoint(folder: Path, file: Path) -> None:
     from metapp.runs.run import Run
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
-    by = attach_checkpoint(Run.of(fit_options("brdf", **options, device="cpu", quiet=True)))
+    by = attach_checkpoint(Run.from_options(fit_options("brdf", **options, device="cpu", quiet=True)))
     try:
         theta = by.paradigm.fit(by.phi, small_tasks(), torch.Generator().manual_seed(0))
     except FloatingPointError:  # a fit that says that it diverged

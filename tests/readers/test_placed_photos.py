@@ -108,7 +108,7 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: s
     one = "full" if lacking else "pretrained"
 
     def recipe(*inputs: Path, observe: str = "photo") -> str:
-        return Run.of(fit_options(APP, "general", inputs, observe=observe)).options.recipe
+        return Run.from_options(fit_options(APP, "general", inputs, observe=observe)).options.recipe
 
     assert recipe(folder) == recipe(folder.parent) == "several"
     assert recipe(folder / "a.png") == one
@@ -142,9 +142,12 @@ def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, m
     )
     for inputs in ((folder, plain), (plain, folder), (folder.parent,), (folder.parent, plain)):
         with pytest.raises(BadOption, match=re.escape(line)):
-            Run.of(fit_options(APP, "general", inputs, observe="photo"))
+            Run.from_options(fit_options(APP, "general", inputs, observe="photo"))
         for recipe in ("full", "several"):
-            assert Run.of(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe == recipe
+            assert (
+                Run.from_options(fit_options(APP, "general", inputs, observe="photo", recipe=recipe)).options.recipe
+                == recipe
+            )
     result = metapp("general", APP, folder, plain, "--observe", "photo", "--out", folder.parent / "runs")
     assert "recipes for these differ; fit them by two commands" in result.misuse
     assert not (folder.parent / "runs").exists()
@@ -228,7 +231,7 @@ def test_five_photos_say_more_than_one_by_default() -> None:
     tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
     errors = {}
     for recipe, paradigm in (("full", "meta"), ("several", "general"), ("several", "quickft"), ("several", "meta")):
-        by = attach_checkpoint(Run.of(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
+        by = attach_checkpoint(Run.from_options(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
         of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
         theta = [by.paradigm.fit(by.phi, stack_tasks(by.app, [task]), Generator()) for task in of]
         found = [by.app.errors(each, stack_tasks(by.app, [t])) for each, t in zip(theta, of, strict=True)]

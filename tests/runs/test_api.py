@@ -287,7 +287,7 @@ REFUSED: tuple[tuple[str, object, dict[str, Any], str], ...] = (
     ("brdf", lambertian, {"paradigm": 3}, "paradigm: 3, expected str"),
     ("brdf", lambertian, {"rule": "magic"}, r"^--rule: rule 'magic': 'magic' is unknown"),
     ("brdf", lambertian, {"recipe": "paper", "rule": "meta-encoder"}, "train one with --train"),
-    *(("brdf", lambertian, {name: value}, f"^{name}: of the command line")
+    *(("brdf", lambertian, {name: value}, f"^{name}: an option of the command line")
       for name, value in {"train": True, "train_steps": 2, "resume": True, "export": "merl"}.items()),
 )  # fmt: skip
 

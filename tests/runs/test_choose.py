@@ -226,7 +226,7 @@ class Heard(Reporter):
 def chosen(app: str, paths: Sequence[Path], **options: Any) -> tuple[str, str, tuple[str, ...]]:
     """Recipe, protocol and the lines that are said of inputs that are paths, or of a data set."""
     with use_reporter(heard := Heard()):
-        run = Run.of(fit_options(app, options.pop("paradigm", "meta"), paths, **options))
+        run = Run.from_options(fit_options(app, options.pop("paradigm", "meta"), paths, **options))
     return run.options.recipe, run.app.protocol, tuple(heard.lines)
 
 
@@ -259,7 +259,7 @@ def test_a_folder_is_listed_once(app: str, folder: str, inputs: Path, monkeypatc
             return real(path)
 
         monkeypatch.setattr(os, name, count)
-    run = Run.of(fit_options(app, "general", [inputs / folder], quiet=True))
+    run = Run.from_options(fit_options(app, "general", [inputs / folder], quiet=True))
     assert find_inputs(run)[0]
     assert listed.count(str(inputs / folder)) == 1
 
@@ -267,7 +267,7 @@ def test_a_folder_is_listed_once(app: str, folder: str, inputs: Path, monkeypatc
 def test_files_that_come_later_are_found_by_the_next_command(tmp_path: Path) -> None:
     for seed in (1, 2):
         picture(tmp_path / f"{seed}.png", seed)
-        assert len(Run.of(fit_options("texture", "general", [tmp_path])).sources) == seed
+        assert len(Run.from_options(fit_options("texture", "general", [tmp_path])).sources) == seed
 
 
 def tasks_of(app: str, *objects: Any) -> list[Task]:

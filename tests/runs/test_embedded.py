@@ -132,13 +132,13 @@ def test_a_damaged_folder_of_test_tasks_is_made_again(splits: list[str]) -> None
 
 
 def test_baselines_that_learn_have_training_tasks_drawn_where_they_are_measured(splits: list[str]) -> None:
-    plan = Run.of(fit_options("brdf", "general", quiet=True))
+    plan = Run.from_options(fit_options("brdf", "general", quiet=True))
     learning, other = (
         next(each for each in baselines_of(plan.app) if bool(each.learns) is kind) for kind in (True, False)
     )
     assert find_training_folder(plan, learning) is None
     assert find_training_folder(plan, other, make=True) is None
-    of_file = Run.of(fit_options("brdf", "general", inputs=[Path("gold.binary")], quiet=True))
+    of_file = Run.from_options(fit_options("brdf", "general", inputs=[Path("gold.binary")], quiet=True))
     assert find_training_folder(of_file, learning, make=True) is None  # as a file is fitted
     assert splits == []
     assert (

@@ -33,8 +33,8 @@ def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert {"quick", "full", "paper"} <= set(recipes_of(name))
     assert has_shipped_recipe(name, "full")
     for more in ({}, {"paradigm": "general"}, {"inputs": [Path("a")]}, {"data": Path("data")}, {"train": True}):
-        assert Run.of(fit_options(name, **more)).options.recipe == "full", more
-    assert Run.of(fit_options(name, recipe="quick")).options.recipe == "quick"
+        assert Run.from_options(fit_options(name, **more)).options.recipe == "full", more
+    assert Run.from_options(fit_options(name, recipe="quick")).options.recipe == "quick"
 
 
 OWN = {"conserve", "observe", "export", "size", "detail", "render", "fov", "stops", "shutter", "scene-root", "layer"}
@@ -69,8 +69,8 @@ def test_help_fits_a_screen_and_shows_the_options_that_are_used(paradigm: str, n
 
 
 def test_values_are_parsed_at_the_edge() -> None:
-    assert fit_options("texture", size="512").own.size == (512, 512)
-    assert fit_options("texture", size=(256, 512)).own.size == (256, 512)
+    assert fit_options("texture", size="512").app_options.size == (512, 512)
+    assert fit_options("texture", size=(256, 512)).app_options.size == (256, 512)
     assert fit_options("brdf", inputs=["gold.binary"], data="merl").data == Path("merl")
 
 
@@ -105,7 +105,7 @@ REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
 @pytest.mark.parametrize(("app", "options", "line"), REFUSED)
 def test_options_that_fits_cannot_have_are_refused(app: str, options: dict[str, Any], line: str) -> None:
     with pytest.raises(BadOption, match=line):
-        Run.of(fit_options(app, inputs=["gold.binary"], **options))
+        Run.from_options(fit_options(app, inputs=["gold.binary"], **options))
 
 
 @pytest.mark.parametrize("name", app_names())
@@ -119,9 +119,9 @@ def test_an_application_has_what_its_entry_says(name: str) -> None:
 
 @pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
 def test_a_finer_detail_fits_as_many_parameters(app: str) -> None:
-    usual, fine = (Run.of(fit_options(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
-    assert usual.options.own.non_default_values() == {}
-    assert fine.options.own.non_default_values() == {"detail": 512}
+    usual, fine = (Run.from_options(fit_options(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
+    assert usual.options.app_options.non_default_values() == {}
+    assert fine.options.app_options.non_default_values() == {"detail": 512}
     assert (usual.app.read_size, fine.app.read_size) == (0, 512)
     shapes = [{key: value.shape for key, value in of.app.init(Generator(), 1).items()} for of in (usual, fine)]
     assert shapes[0] == shapes[1]
@@ -138,18 +138,18 @@ def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
     first, link = tmp_path / "first.csv", tmp_path / "newest.csv"
     first.write_text("")
     link.symlink_to(first)
-    planned = Run.of(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True))
+    planned = Run.from_options(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True))
     (source,) = find_inputs(planned)[0]
-    assert planned.origin(source.given) == {"inputs": [str(link)]}
+    assert planned.input_places(source.given) == {"inputs": [str(link)]}
     assert source.place == str(first)
 
 
 def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
     for app, side in (("illumination", 128), ("texture", 256)):
-        planned = Run.of(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
+        planned = Run.from_options(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
         (source,) = find_inputs(planned)[0]
         assert planned.app.read_size in (0, side)
-        assert side in source.task().data["map" if app == "illumination" else "image"].shape
+        assert side in source.read_task().data["map" if app == "illumination" else "image"].shape
 
 
 NO_FIGURE = {
@@ -165,9 +165,9 @@ NO_FIGURE = {
 
 
 def test_records_state_all_options_that_figures_depend_on() -> None:
-    run = attach_checkpoint(Run.of(fit_options("illumination", recipe="quick", observe="photo")))
-    named = {"options" if field.name == "own" else field.name for field in fields(FitOptions)} - NO_FIGURE
-    run = replace(run, options=replace(run.options, own=replace(run.options.own, fov=60.0)))
+    run = attach_checkpoint(Run.from_options(fit_options("illumination", recipe="quick", observe="photo")))
+    named = {"options" if field.name == "app_options" else field.name for field in fields(FitOptions)} - NO_FIGURE
+    run = replace(run, options=replace(run.options, app_options=replace(run.options.app_options, fov=60.0)))
     assert named <= run.settings("none").keys()
 
 
@@ -181,7 +181,7 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
         with pytest.raises(
             ValueError, match=r"paint\.csv: the formats acme and gonio both read it, expected one; leave"
         ):
-            Run.of(options)
+            Run.from_options(options)
 
 
 # What was learned at the quick size fits at the full one
@@ -190,7 +190,7 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize("observe", ["reference", "photo"])
 @pytest.mark.parametrize("name", ["illumination", "svbrdf_nonstationary"])
 def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
-    planned = Run.of(fit_options(name, observe=observe, recipe="full", out=tmp_path))
+    planned = Run.from_options(fit_options(name, observe=observe, recipe="full", out=tmp_path))
     assert planned.app == replace(planned.recipe.app, protocol=observe)
     prepared = attach_checkpoint(planned).phi
     field = planned.app.network
@@ -207,10 +207,10 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
     options = fit_options("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        attach_checkpoint(Run.of(options))
+        attach_checkpoint(Run.from_options(options))
 
 
 def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.runs.checkpoint_selection._require_kind", lambda *_: None)  # VGG may be missing
-    with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
-        attach_checkpoint(Run.of(fit_options("texture", rule="meta-basis", out=tmp_path)))
+    with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this checkpoint ships for --recipe quick\."):
+        attach_checkpoint(Run.from_options(fit_options("texture", rule="meta-basis", out=tmp_path)))

@@ -215,10 +215,10 @@ def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
     assert {each["name"]: each["error"] for each in read_fit_records(tmp_path)} == {"wall": 3.0, marked: 4.0}
     assert {each.name for each in tmp_path.iterdir()} == {"wall", marked}
     assert read_params(tmp_path / marked)["w"] == 4.0
-    found = RunFolder(tmp_path, {}).earlier("wall", "/b/wall.jpg")
+    found = RunFolder(tmp_path, {}).earlier_record("wall", "/b/wall.jpg")
     assert found is not None
     assert (found["name"], found["ssim"], found["curve"]) == (marked, None, [[1, None]])
-    assert RunFolder(tmp_path, {}).earlier("wall", "/c/wall.jpg") is None
+    assert RunFolder(tmp_path, {}).earlier_record("wall", "/c/wall.jpg") is None
 
 
 def test_fits_of_other_settings_and_batches_do_not_count(tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ def cost_limits_of_run(run: Run) -> CostLimits:
 def baseline_settings(run: Run, baseline: Baseline, label: str) -> Record:
     """Everything that figures of a baseline on data of this name depend on."""
     app, options = run.app, run.options
-    own, source = options.own.recorded_values(), find_training_folder(run, baseline)
+    own, source = options.app_options.recorded_values(), find_training_folder(run, baseline)
     return {
         "app": app.name,
         **protocol_entry(app),

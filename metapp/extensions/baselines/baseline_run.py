@@ -65,7 +65,7 @@ def run_baseline(options: FitOptions, method: str) -> BaselineRun:
         BadOption: the application has no such method, or the method writes files of one size alone.
         ValueError: bad inputs; no training tasks, of a method that learns from them.
     """
-    run = Run.of(options)
+    run = Run.from_options(options)
     baseline, (sources, label) = _baseline(run, method), find_inputs(run)
     tasks = read_tasks(sources)
     if baseline.learns and find_training_folder(run, baseline, make=True) is None:
@@ -76,7 +76,7 @@ def run_baseline(options: FitOptions, method: str) -> BaselineRun:
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(run, baseline, tasks, warm=False)
         for task, (record, picture, written) in zip(tasks, fits, strict=True):
-            record |= {"content": task_digest(task), "origin": run.origin(run.options.paths)}
+            record |= {"content": task_digest(task), "origin": run.input_places(run.options.paths)}
             files = run.presenter.answer_pictures(written(run.presenter.size), task)
             records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)

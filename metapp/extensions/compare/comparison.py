@@ -126,7 +126,7 @@ def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: 
             counts = f"{before} and {len(of)} tasks, none in common"
             raise ValueError(f"{path}: {counts}, expected some; compare runs of the same data.")
     sides = [
-        ComparedRun(label, Run.of_settings(each).presenter, place.folder, [of[name] for name in names])
+        ComparedRun(label, Run.from_settings(each).presenter, place.folder, [of[name] for name in names])
         for label, each, place, of in zip(_labels(settings), settings, found, by_name, strict=True)
     ]
     app = sides[0].presenter.app

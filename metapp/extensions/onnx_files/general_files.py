@@ -42,8 +42,10 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
     parts = {}
     if kind == PAGE_KIND:
         with progress(f"onnxruntime-web {RUNTIME_VERSION}", quiet=quiet) as bar:
-            parts = provide_runtime(lambda done, total: bar.at(done // 10**6, total and total // 10**6, "MB from npm"))
-    found = attach_checkpoint(Run.of(options))
+            parts = provide_runtime(
+                lambda done, total: bar.set_done(done // 10**6, total and total // 10**6, "MB from npm")
+            )
+    found = attach_checkpoint(Run.from_options(options))
     app, checkpoint = found.app, found.checkpoint
     if not isinstance(app, CodedMaps):
         raise ValueError(f"{path}: General of several photos, expected one of one photo; export maps of its fits.")

@@ -37,7 +37,7 @@ def vgg_command(
     with progress("VGG-16", quiet=quiet) as bar:
 
         def show(note: str, done: int, total: int | None) -> None:
-            bar.at(done // 10**6, total and total // 10**6, note)
+            bar.set_done(done // 10**6, total and total // 10**6, note)
 
         origin, there = provide_weights(weights, show)
     file = vgg_weights_path()

@@ -66,7 +66,7 @@ def write_runs_page(
             records = [record for record in records if (record["settings"]["app"], record["name"]) in shown]
             missing = 0
             for some in group_by_settings(records):
-                run = Run.of_settings(some[-1]["settings"])
+                run = Run.from_settings(some[-1]["settings"])
                 tasks = find_fitted_tasks(some, run.app, list(inputs), data)
                 missing += sum(record["name"] not in tasks for record in some)
                 for record in some:
@@ -167,7 +167,7 @@ def fit_synthetic_input(app: str, out: Path, recipe: str = "") -> tuple[Path, Do
     """
     begin = time.perf_counter()
     source = write_example(app, out / INPUTS_FOLDER)[0]
-    report = execute_run(Run.of(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
+    report = execute_run(Run.from_options(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
     assert report is not None  # of several ranks only
     (fit,) = report.records
     told = {key: fit[key] for key in ("name", "error", "seconds")}

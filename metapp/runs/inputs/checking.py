@@ -1,4 +1,7 @@
-"""Data sets verified: what one holds, and what is wrong with it."""
+"""The check of a data set: what it holds, and what is wrong with it.
+
+Files are compared with the manifest, and tensors with what the application reads; nothing is fitted.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,13 @@ from metapp.storage.shards import list_data_set_problems, read_manifest
 
 
 class CheckedData(NamedTuple):
-    """The content of a data set.
+    """The content of a data set, and its problems.
 
     Attributes:
-        app: name of the application.
-        counts: the number of tasks of the splits "train" and "test".
-        bytes: of all files of tasks that are there.
-        units: the meaning of tensors by name.
+        app: the name of the application.
+        counts: number of tasks in each of the splits "train" and "test".
+        bytes: the size of all files of tasks that are there, in bytes.
+        units: unit and meaning of each tensor, by the tensor's name.
         problems: a line for each thing that is wrong; [] for none.
     """
 

@@ -1,4 +1,8 @@
-"""Turning a user's files into a data set: one loop for every format."""
+"""The conversion of a user's files into a data set, by one loop for every format.
+
+How a file is read is the format's matter (`data_tools.readers`), how a data set lies on disk is the matter of
+`metapp.storage.shards`. Here files are found, named, read one by one, and skipped if they are damaged.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,15 @@ from metapp.storage.shards import AUTO_SPLIT, SPLITS, ManifestEntry, write_data_
 
 
 class ConversionResult(NamedTuple):
-    """The result of a conversion: names by split, and a line for each file that was skipped."""
+    """The result of a conversion.
+
+    Attributes:
+        app: the name of the application.
+        out: the folder of the data set, as text.
+        train: names of the training tasks.
+        test: names of the test tasks.
+        skipped: a line for each file that was skipped.
+    """
 
     app: str
     out: str
@@ -32,7 +44,14 @@ class ConversionResult(NamedTuple):
 def conversion_result(
     app: str, out: Path, entries: Sequence[ManifestEntry], skipped: Iterable[str] = ()
 ) -> ConversionResult:
-    """The names in a data set that was written."""
+    """Return the result of a conversion by the data set that was written.
+
+    Args:
+        app: the name of the application.
+        out: the folder of the data set.
+        entries: the entries of its manifest.
+        skipped: a line for each file that was skipped.
+    """
     names = {split: [entry.name for entry in entries if entry.split == split] for split in ("train", "test")}
     return ConversionResult(app, str(out), names["train"], names["test"], list(skipped))
 
@@ -47,22 +66,22 @@ def convert_files(
     overwrite: bool = False,
     quiet: bool = False,
 ) -> ConversionResult:
-    """Write the tasks of files and folders to `out`, all or nothing.
+    """Convert files and folders into a data set, all or nothing.
 
-    A file that was named must be good; one that was found in a folder may be bad: it is skipped with a warning.
+    A file that the user named must be good. A damaged file that was found in a folder is skipped with a warning.
 
     Args:
-        name: of the format.
+        name: the name of the format.
         paths: files, and folders to search.
-        out: folder of the data set.
+        out: the folder of the data set.
         split: "train", "test" or "auto".
-        options: keywords of the format's `read_task`; those that are set become notes of the data set, of paths the
-            base name.
-        overwrite: whether a data set that is there is replaced.
-        quiet: no progress.
+        options: keywords of the format's `read_task`. Those that are set become notes of the data set; of a path its
+            base name does.
+        overwrite: whether a data set that is in `out` is replaced.
+        quiet: whether no progress is shown.
 
     Raises:
-        ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
+        ValueError: a path or a named file is bad, a folder has no usable file, or two tasks have one name.
     """
     form = registry().formats[name]
     reader = form.load()
@@ -71,60 +90,72 @@ def convert_files(
         check_files_of_user(path, expected, data_sets=form.data_sets)
     try:
         with cache_lookups():
-            found, skipped = _find(reader.find, paths)
+            sources, skipped = _find_sources(reader.find, paths)
     except ValueError:
-        if runs := [path for path in paths if path_kind(path) is PathKind.RUN_FOLDERS]:  # nothing of a user beside them
-            raise ValueError(path_refusal(runs[0], expected)) from None
+        # no format reads them, and folders of runs are likely the reason: they hold no file of a user
+        if run_folders := [path for path in paths if path_kind(path) is PathKind.RUN_FOLDERS]:
+            raise ValueError(path_refusal(run_folders[0], expected)) from None
         raise
-    searched = {folder for _, folder in found.values()} - {None}
-    own = getattr(reader, "entries", entries_by_place)(list(found), searched, split)
-    entries: dict[Path, ManifestEntry] = {place: own[place] for place in found if place in own}
-    _require_distinct(entries)
-    bad: dict[Path, list[str]] = {}  # by the folder that was searched
-    usable: set[Path | None] = set()
-    shown = {key: value.name if isinstance(value, Path) else value for key, value in options.items() if value}
-    notes = {"made_by": f"metapp data {name}", **shown, "split": split}
+    searched_folders = {folder for _, folder in sources.values()} - {None}
+    format_entries = getattr(reader, "entries", entries_by_place)(list(sources), searched_folders, split)
+    entries: dict[Path, ManifestEntry] = {place: format_entries[place] for place in sources if place in format_entries}
+    _require_distinct_names(entries)
+    errors_by_folder: dict[Path, list[str]] = {}  # by the folder that was searched
+    usable_folders: set[Path | None] = set()
+    option_notes = {key: value.name if isinstance(value, Path) else value for key, value in options.items() if value}
+    notes = {"made_by": f"metapp data {name}", **option_notes, "split": split}
 
-    def read() -> Iterator[tuple[Task, str, Path]]:
+    def read_tasks() -> Iterator[tuple[Task, str, Path]]:
         with progress(name, len(entries), quiet=quiet) as bar:
             for place, entry in entries.items():
-                bar.name(entry.name)
-                source, folder = found[place]
+                bar.set_label(entry.name)
+                source, folder = sources[place]
                 try:
                     check_readable(place)
                     task = bind_reader_arguments(reader.read_task, {"content": source.content})(place, **options)
                 except (ValueError, OSError) as error:
                     if folder is None:
                         raise error_about_file(error, place) from None
-                    bad.setdefault(folder, []).append(str(error_about_file(error, place)))
+                    errors_by_folder.setdefault(folder, []).append(str(error_about_file(error, place)))
                 else:
-                    part = entry.split or AUTO_SPLIT if split == AUTO_SPLIT else split
-                    yield task._replace(name=entry.name, group=entry.group), part, place
-                    usable.add(folder)
+                    task_split = entry.split or AUTO_SPLIT if split == AUTO_SPLIT else split
+                    yield task._replace(name=entry.name, group=entry.group), task_split, place
+                    usable_folders.add(folder)
                 bar.advance(entry.name)
-        empty = [folder for folder in bad if folder not in usable]
-        if empty and len(bad[empty[0]]) == 1:
-            raise ValueError(bad[empty[0]][0])  # the one thing in it is likely what was meant
-        skipped.extend(line for lines in bad.values() for line in lines)
+        useless_folders = [folder for folder in errors_by_folder if folder not in usable_folders]
+        if useless_folders and len(errors_by_folder[useless_folders[0]]) == 1:
+            # the folder holds one file, which is likely what the user meant
+            raise ValueError(errors_by_folder[useless_folders[0]][0])
+        skipped.extend(line for lines in errors_by_folder.values() for line in lines)
         for line in skipped:
             say(f"warning: skipped: {line}")
-        if empty:
-            raise ValueError(f"{empty[0]}: {len(bad[empty[0]])} sources, none usable; expected at least one.")
+        if useless_folders:
+            count = len(errors_by_folder[useless_folders[0]])
+            raise ValueError(f"{useless_folders[0]}: {count} sources, none usable; expected at least one.")
 
     with torch_defaults(single=class_of(form.app).single_threaded):  # small tensors, for which threads only wait
-        written = write_data_set(out, form.app, reader.UNITS, read(), notes, overwrite=overwrite)
+        written = write_data_set(out, form.app, reader.UNITS, read_tasks(), notes, overwrite=overwrite)
     return conversion_result(form.app, out, written, skipped)
 
 
 def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> dict[Path, ManifestEntry]:
-    """Sources by the names of their files, and their splits: those of folders train/ and test/, which is said.
+    """Name sources by their files, and take their splits from folders train/ and test/ if they lie in these.
 
-    The innermost folder that stands beside the other counts; whether only one of the two was named does not matter.
+    The innermost folder of such a pair counts, even if the user named only one of the two. A line says that splits were
+    taken from folders.
+
+    Args:
+        sources: the files, or the folders of a single task.
+        folders: the folders that were searched, which this naming does not need.
+        split: "train", "test" or "auto"; folders count for "auto" alone.
+
+    Returns:
+        The entries of the manifest to be, by source.
     """
     entries = {source: ManifestEntry(source.stem if source.is_file() else source.resolve().name) for source in sources}
     for source in sources if split == AUTO_SPLIT else ():
-        inner = Path(os.path.abspath(source.parent))
-        for folder in (inner, *inner.parents):
+        parent = Path(os.path.abspath(source.parent))
+        for folder in (parent, *parent.parents):
             if folder.name in SPLITS and all((folder.parent / name).is_dir() for name in SPLITS):
                 entries[source] = entries[source]._replace(split=folder.name)
                 break
@@ -133,13 +164,18 @@ def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> di
     return entries
 
 
-def _find(
+def _find_sources(
     find: Callable[[Path], Sources], paths: Iterable[Path]
 ) -> tuple[dict[Path, tuple[Source, Path | None]], list[str]]:
-    """Find all sources by their paths, each once, with the folder it was found in (None: it was named).
+    """Find all sources in files and folders, each once.
+
+    Args:
+        find: the format's function that finds sources in a path.
+        paths: files, and folders to search.
 
     Returns:
-        These, and lines about skipped files.
+        By its path each source with the folder it was found in, None if the user named it; and lines about skipped
+        files.
     """
     sources_by_path: dict[Path, tuple[Source, Path | None]] = {}
     skipped: list[str] = []
@@ -154,11 +190,15 @@ def _find(
     return {source.path: (source, folder) for source, folder in sources_by_path.values()}, skipped
 
 
-def _require_distinct(entries: Mapping[Path, ManifestEntry]) -> None:
-    """Refuse two tasks of one name."""
-    names: dict[str, Path] = {}
+def _require_distinct_names(entries: Mapping[Path, ManifestEntry]) -> None:
+    """Refuse two tasks of one name.
+
+    Raises:
+        ValueError: there are two; the message names their sources.
+    """
+    sources_by_name: dict[str, Path] = {}
     for source, entry in entries.items():
-        other = names.setdefault(entry.name, source)
+        other = sources_by_name.setdefault(entry.name, source)
         if other is not source:
             raise ValueError(
                 f"{other} and {source}: two tasks named '{entry.name}', expected names that differ; rename one, or "

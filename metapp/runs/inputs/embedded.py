@@ -1,4 +1,8 @@
-"""The data sets that metapp makes by itself: on first use, into the user's cache."""
+"""The embedded data sets: synthetic data that metapp draws on first use into the user's cache.
+
+A set in the cache is drawn once and found again by the notes in its manifest, which say how it was drawn. What its
+tasks look like is decided by the application's own module of synthetic data.
+"""
 
 from __future__ import annotations
 
@@ -25,17 +29,19 @@ from metapp.storage.shards import read_manifest, write_data_set
 if TYPE_CHECKING:
     from metapp.contracts import EmbeddedSet
 
-DEFAULT_SET_VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
+# The version of a set whose module states none. A module raises its version when it draws other tasks, so that an older
+# set in the cache is not taken for a new one.
+DEFAULT_SET_VERSION = 1
 
-_PART = "part"  # the note that names the one split of a set that its folder holds; a whole set has none
-_STALE_SECONDS = 3600.0
+_SPLIT_NOTE = "part"  # the note of a folder that holds one split only, whose value names the split
+_STALE_SECONDS = 3600.0  # the age from which an unfinished folder is taken as left by a program that was killed
 
 
 def embedded_module(app: str) -> EmbeddedSet:
     """Import and return the module that draws an application's embedded set.
 
     Raises:
-        ValueError: there is none; the message lists the applications that have one.
+        ValueError: the application has no embedded set; the message lists the applications that have one.
     """
     if app not in registry().synthetic:
         raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
@@ -46,20 +52,21 @@ def split_counts(app: str, count: int | None = None) -> dict[str, int]:
     """Count the tasks of each split of an embedded set.
 
     Args:
-        app: the application.
-        count: of both splits, in the proportion of the default set (four to one); two or more give both splits one.
+        app: the name of the application.
+        count: number of tasks in both splits together, shared in the proportion of the default set (about four to
+            one). If it is 2 or more, each split gets at least one task. None stands for the default set.
 
     Raises:
-        ValueError: an unknown application; a count below 1.
+        ValueError: the application has no embedded set, or the count is below 1.
     """
-    default = embedded_module(app).COUNTS
+    default_counts = embedded_module(app).COUNTS
     if count is None:
-        return dict(default)
+        return dict(default_counts)
     if count < 1:
         raise ValueError(f"{app}: {count} tasks, expected 1 or more.")
-    test = round(count * default["test"] / sum(default.values()))
-    test = max(test, min(1, count - 1))
-    return {"train": count - test, "test": test}
+    test_count = round(count * default_counts["test"] / sum(default_counts.values()))
+    test_count = max(test_count, min(1, count - 1))
+    return {"train": count - test_count, "test": test_count}
 
 
 def make_embedded_set(
@@ -72,78 +79,86 @@ def make_embedded_set(
     *,
     overwrite: bool = False,
 ) -> Path:
-    """The folder of an application's embedded data set, made now if it is not there yet.
+    """Make an application's embedded data set if it is not there yet, and return its folder.
 
     Args:
-        app: the application.
-        seed: of all draws, >= 0.
-        count: how many tasks; None is the default set.
-        out: the folder of the set; None is the cache, from which a finished set of the same application, seed and count
-            is taken as it is.
-        quiet: no progress.
-        options: of the set, by name.
+        app: the name of the application.
+        seed: the seed of all random draws, 0 or more.
+        count: number of tasks; None for the default set.
+        out: the folder to write to. None for the cache, from which a finished set of equal application, seed, count and
+            options is taken as it is.
+        quiet: whether no progress is shown.
+        options: the options of the set, by name.
         overwrite: whether a data set that is in `out` is replaced.
 
     Raises:
-        ValueError: an application without embedded set, or without one of the options; a count below 1, a negative
-            seed, a folder that holds other data.
+        ValueError: the application has no embedded set or not one of the options, the count is below 1, the seed is
+            negative, or the folder holds other data.
     """
     counts = split_counts(app, count)
     notes = _notes(app, seed, sum(counts.values()), options or {})
     if out is not None:
-        _make(app, out, counts, notes, overwrite=overwrite, quiet=quiet)
+        _write_set(app, out, counts, notes, overwrite=overwrite, quiet=quiet)
         return out
-    return _in_cache(app, counts, notes, quiet=quiet)
+    return _provide_cached_set(app, counts, notes, quiet=quiet)
 
 
 def make_embedded_test_set(app: str, quiet: bool = False) -> Path:
-    """Return a folder that holds the test tasks of an application's default embedded set.
+    """Make the test tasks of an application's default embedded set if they are not there yet, and return their folder.
 
-    Fits and tables need no training tasks, which are nine of ten and take minutes to draw. Test tasks drawn alone are
-    those of the whole set, bit by bit, but lie in a folder of their own in the cache, which has its own label. Once
-    that folder is there it is taken even if the whole set is made later, so that a training changes no label of fits.
-    A whole set that was there first is taken as it is, and its label stays, too.
+    Fits and tables need no training tasks, which are nine of ten and take minutes to draw. Test tasks that are drawn
+    alone equal the test tasks of the whole set bit by bit, but lie in a folder of their own in the cache, which has its
+    own label. Once this folder is there it is taken even if the whole set is made later, so that a training does not
+    change the label of fits. If the whole set was there first, it is taken, and its label stays, too.
 
     Args:
-        app: the application.
-        quiet: no progress.
+        app: the name of the application.
+        quiet: whether no progress is shown.
 
     Returns:
-        The folder of the test tasks, made now if neither it nor the whole set is there.
+        The folder of the test tasks, or of the whole set.
 
     Raises:
-        ValueError: an application without embedded set; a cache that cannot be written to.
+        ValueError: the application has no embedded set, or the cache cannot be written to.
     """
     counts, notes = split_counts(app), _default_notes(app)
-    part = notes | {_PART: "test"}
-    whole = _cached(app, notes)
-    if not _is_finished(_cached(app, part), app, part) and _is_finished(whole, app, notes):
-        return whole
-    return _in_cache(app, {"test": counts["test"]}, part, quiet=quiet)
+    test_notes = notes | {_SPLIT_NOTE: "test"}
+    whole_folder = _cached_set_path(app, notes)
+    has_test_folder = _is_finished(_cached_set_path(app, test_notes), app, test_notes)
+    if not has_test_folder and _is_finished(whole_folder, app, notes):
+        return whole_folder
+    return _provide_cached_set(app, {"test": counts["test"]}, test_notes, quiet=quiet)
 
 
 def embedded_folders(app: str) -> list[Path]:
-    """Return the folders of an application's default embedded set that are there: of its test tasks, of all tasks."""
+    """Return the existing folders of an application's default embedded set: of its test tasks, then of all tasks."""
     if app not in embedded_apps():
         return []
     notes = _default_notes(app)
-    folders = [_cached(app, notes | {_PART: "test"}), _cached(app, notes)]
+    folders = [_cached_set_path(app, notes | {_SPLIT_NOTE: "test"}), _cached_set_path(app, notes)]
     return [folder for folder in folders if path_kind(folder) is PathKind.DATA_SET]
 
 
 def has_embedded_training(app: str) -> bool:
-    """True if the whole default embedded set has been made already, with its training tasks."""
-    return app in embedded_apps() and _cached(app, _default_notes(app)) in embedded_folders(app)
+    """Test whether the whole default embedded set has been made already, with its training tasks."""
+    return app in embedded_apps() and _cached_set_path(app, _default_notes(app)) in embedded_folders(app)
 
 
 def has_embedded_tests(app: str) -> bool:
-    """True if the test tasks of the default embedded set have been made already."""
+    """Test whether the test tasks of the default embedded set have been made already."""
     return bool(embedded_folders(app))
 
 
-def _in_cache(app: str, counts: dict[str, int], notes: Document, *, quiet: bool) -> Path:
-    """Return the folder in the cache of the set that is drawn as the notes say, made now if it is not there."""
-    folder = _cached(app, notes)
+def _provide_cached_set(app: str, counts: dict[str, int], notes: Document, *, quiet: bool) -> Path:
+    """Make a set in the cache if it is not there yet, and return its folder.
+
+    Args:
+        app: the name of the application.
+        counts: number of tasks in each split that the folder holds.
+        notes: the manifest's notes, which say how the set is drawn.
+        quiet: whether no progress is shown.
+    """
+    folder = _cached_set_path(app, notes)
     if _is_finished(folder, app, notes):
         return folder
     try:
@@ -153,22 +168,23 @@ def _in_cache(app: str, counts: dict[str, int], notes: Document, *, quiet: bool)
             f"{folder.parent}: {error.strerror}, expected a folder that can be written; set METAPP_CACHE to one."
         ) from None
     if not quiet:
-        what = f"{notes[_PART]} tasks of the embedded data set" if _PART in notes else "embedded data set"
-        say(f"{app}: making the {what}, once: {folder}")
-    for left in folder.parent.glob(f"{PARTIAL_PREFIX}*"):  # by programs that were killed
-        if time.time() - left.stat().st_mtime > _STALE_SECONDS:
-            shutil.rmtree(left, ignore_errors=True)
-    work = partial_path(folder)  # another program may be making the same set
+        is_part = _SPLIT_NOTE in notes
+        content = f"{notes[_SPLIT_NOTE]} tasks of the embedded data set" if is_part else "embedded data set"
+        say(f"{app}: making the {content}, once: {folder}")
+    for unfinished in folder.parent.glob(f"{PARTIAL_PREFIX}*"):  # left by programs that were killed
+        if time.time() - unfinished.stat().st_mtime > _STALE_SECONDS:
+            shutil.rmtree(unfinished, ignore_errors=True)
+    partial = partial_path(folder)  # under a name of its own, since another program may be making the same set
     try:
-        _make(app, work, counts, notes, quiet=quiet)
+        _write_set(app, partial, counts, notes, quiet=quiet)
         try:
-            os.replace(work, folder)
-        except OSError:  # there is one: of another program that was faster, or a damaged one
+            os.replace(partial, folder)
+        except OSError:  # a folder is there: another program was faster, or the folder is damaged
             if not _is_finished(folder, app, notes):
                 shutil.rmtree(folder, ignore_errors=True)
-                os.replace(work, folder)
+                os.replace(partial, folder)
     finally:
-        shutil.rmtree(work, ignore_errors=True)
+        shutil.rmtree(partial, ignore_errors=True)
     return folder
 
 
@@ -178,53 +194,76 @@ def _default_notes(app: str) -> Document:
 
 
 def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
-    """The manifest's notes of how a set is drawn; ValueError if it has not such an option."""
-    module, offered = embedded_module(app), _options(app)
+    """Return the manifest's notes of how a set is drawn: seed, count and the options that are not at their default.
+
+    Args:
+        app: the name of the application.
+        seed: the seed of all random draws.
+        count: number of tasks in both splits together.
+        options: the options of the set, by name.
+
+    Raises:
+        ValueError: the set does not have one of the options.
+    """
+    module, option_names = embedded_module(app), _option_names(app)
     notes = {"made_by": "metapp data synth", "version": getattr(module, "VERSION", DEFAULT_SET_VERSION), "seed": seed}
     for name, value in options.items():
-        if name not in offered:
+        if name not in option_names:
             raise ValueError(f"{app}: {name} {value}, but its embedded set has no such option; leave --{name} out.")
-    own = {name: value for name, value in options.items() if value != getattr(module, name.upper(), None)}
-    return notes | {"count": count} | own
+    changed_options = {name: value for name, value in options.items() if value != getattr(module, name.upper(), None)}
+    return notes | {"count": count} | changed_options
 
 
-def _options(app: str) -> list[str]:
+def _option_names(app: str) -> list[str]:
+    """Return the names of an embedded set's options: what `synthetic_tasks` takes after split, count and seed."""
     return [*inspect.signature(embedded_module(app).synthetic_tasks).parameters][3:]
 
 
-def _drawn(app: str, notes: Document) -> dict[str, object]:
-    """The options that a set was drawn by."""
-    return {name: notes[name] for name in _options(app) if name in notes}
+def _options_in_notes(app: str, notes: Document) -> dict[str, object]:
+    """Return the options in the notes of a set, by name."""
+    return {name: notes[name] for name in _option_names(app) if name in notes}
 
 
-def _cached(app: str, notes: Document) -> Path:
-    """The folder in the cache of a set that is drawn so."""
-    ways = "".join(f"-{name}" if value is True else f"-{name}{value}" for name, value in _drawn(app, notes).items())
-    part = f"-{notes[_PART]}" if _PART in notes else ""
-    return cache_folder() / "data" / f"{app}-{notes['count']}{ways}-seed{notes['seed']}-v{notes['version']}{part}"
+def _cached_set_path(app: str, notes: Document) -> Path:
+    """Return the folder in the cache of the set that is drawn as its notes say."""
+    options = _options_in_notes(app, notes)
+    words = "".join(f"-{name}" if value is True else f"-{name}{value}" for name, value in options.items())
+    split = f"-{notes[_SPLIT_NOTE]}" if _SPLIT_NOTE in notes else ""
+    return cache_folder() / "data" / f"{app}-{notes['count']}{words}-seed{notes['seed']}-v{notes['version']}{split}"
 
 
-def _make(
+def _write_set(
     app: str, folder: Path, counts: dict[str, int], notes: Document, *, overwrite: bool = False, quiet: bool
 ) -> None:
-    module, drawn = embedded_module(app), _drawn(app, notes)
-    units = module.units_of(**drawn) if hasattr(module, "units_of") else module.UNITS
+    """Draw the tasks of an embedded set as its notes say, and write them as a data set.
 
-    def draw() -> Iterator[tuple[Task, str, str]]:
+    Args:
+        app: the name of the application.
+        folder: the folder to write to.
+        counts: number of tasks in each split to draw.
+        notes: the notes of the set, which become those of the manifest.
+        overwrite: whether a data set that is in the folder is replaced.
+        quiet: whether no progress is shown.
+    """
+    module, options = embedded_module(app), _options_in_notes(app, notes)
+    units = module.units_of(**options) if hasattr(module, "units_of") else module.UNITS
+
+    def draw_tasks() -> Iterator[tuple[Task, str, str]]:
         with progress(f"{app} data", sum(counts.values()), quiet=quiet) as bar:
             for split, count in counts.items():
-                for task in module.synthetic_tasks(split, count, notes["seed"], **drawn):
+                for task in module.synthetic_tasks(split, count, notes["seed"], **options):
                     yield task, split, ""
                     bar.advance(task.name)
 
     with torch_defaults(single=class_of(app).single_threaded):
-        write_data_set(folder, app, units, draw(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
+        write_data_set(folder, app, units, draw_tasks(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
 
 
 def _is_finished(folder: Path, app: str, notes: Document) -> bool:
+    """Test whether a folder holds all files of the set that is drawn as the notes say."""
     try:
         manifest = read_manifest(folder)
     except ValueError:
         return False
-    whole = all((folder / entry.file).is_file() for entry in manifest.tasks)
-    return manifest.app == app and manifest.notes == notes and whole
+    has_all_files = all((folder / entry.file).is_file() for entry in manifest.tasks)
+    return manifest.app == app and manifest.notes == notes and has_all_files

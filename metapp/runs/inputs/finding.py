@@ -1,4 +1,8 @@
-"""From what a user names to sources: files by the readers of their formats, data sets, objects in memory."""
+"""From what a user names to sources: what each path, data set or object in memory is, before it is read as a task.
+
+Each format's reader looks at a path and finds the sources in it. What an input means is decided here once, for all
+commands.
+"""
 
 from __future__ import annotations
 
@@ -20,32 +24,36 @@ from metapp.storage.files import check_readable, placeholder_line
 from metapp.storage.folders import PathKind, cache_lookups, cached_lookup, check_files_of_user, path_kind, path_refusal
 from metapp.storage.shards import read_manifest
 
-DATA_SET_FORMAT, MEMORY_FORMAT = "data set", "memory"  # formats of sources that are no files
+DATA_SET_FORMAT, MEMORY_FORMAT = "data set", "memory"  # the `format` of sources that are not files
 
 
 def find_sources(options: FitOptions) -> list[Source]:
     """Find the sources that options name, each once, in the order of inputs; each folder is listed once.
 
-    Of a path or data set that is not there, whatever reads it says so; objects in memory tell something once they are
-    read.
+    A path or a data set that does not exist is left out: whatever reads it later refuses it. Objects in memory are left
+    out, too: what they hold is known only once they are read.
 
     Returns:
         Files and folders, or the data set as a single source; [] for the embedded set and for objects in memory.
 
     Raises:
-        ValueError: a path that is no input of the application, or one that two formats read.
+        ValueError: a path is no input of the application, or two formats read it.
     """
     if options.paths:
         with cache_lookups():
-            return _sources_of_paths(options)
+            return _find_in_paths(options)
     return [source_of_data(options.app, options.data)] if options.data and options.data.exists() else []
 
 
 def source_of_data(app: str, folder: Path) -> Source:
-    """Return a data set as one source: its tensors tell its protocol and facts.
+    """Return a data set as one source, whose protocol and facts the names of its tensors tell.
+
+    Args:
+        app: the name of the application.
+        folder: the folder of the data set.
 
     Raises:
-        ValueError: it cannot be read.
+        ValueError: the manifest cannot be read.
     """
     tensors = dict.fromkeys(read_manifest(folder).units)
     return source_of_tensors(app, folder.name, tensors, folder)
@@ -56,9 +64,9 @@ def source_of_tensors(app: str, name: str, tensors: Mapping[str, Any], folder: P
 
     Args:
         app: the name of the application.
-        name: of the task, or of the data set.
-        tensors: by name; None for those of a data set, which are not read.
-        folder: of the data set.
+        name: the name of the task, or of the data set.
+        tensors: the tensors of the task by name; for a data set, whose tensors are not read, None by name.
+        folder: the folder of the data set; None for a task in memory.
     """
     entry = application_of(app)
     protocol = next((name for name, tensor in entry.protocols.items() if tensor in tensors), "")
@@ -67,31 +75,45 @@ def source_of_tensors(app: str, name: str, tensors: Mapping[str, Any], folder: P
 
 
 def bind_reader_arguments(read: Callable[..., Task], arguments: Mapping[str, object]) -> Callable[..., Task]:
-    """Bind those arguments to a function of a format that it has parameters for."""
-    return functools.partial(read, **{name: arguments[name] for name in _parameters(read) if name in arguments})
+    """Bind arguments to a function of a format by name, and drop those that it has no parameter for.
+
+    Args:
+        read: the function, such as a format's `read_task`.
+        arguments: values by parameter name.
+    """
+    return functools.partial(read, **{name: arguments[name] for name in _parameter_names(read) if name in arguments})
 
 
 @functools.cache  # called for each of perhaps 50,000 files
-def _parameters(function: Callable[..., object]) -> tuple[str, ...]:
+def _parameter_names(function: Callable[..., object]) -> tuple[str, ...]:
     return tuple(inspect.signature(function).parameters)
 
 
 def absolute_place(path: Path) -> Path:
-    """Return the absolute path of a file or folder without links, which is looked up once for the files of a folder."""
+    """Return the absolute path of a file or a folder without links.
+
+    The path of the folder that holds it is looked up once for all its files, see
+    :func:`metapp.storage.folders.cached_lookup`.
+    """
     if path.is_symlink() or path.name in ("", ".."):
         return path.resolve()
-    return _resolved(path.parent) / path.name
+    return _resolve_folder(path.parent) / path.name
 
 
 @cached_lookup
-def _resolved(folder: Path) -> Path:
+def _resolve_folder(folder: Path) -> Path:
     return folder.resolve()
 
 
-def _sources_of_paths(options: FitOptions) -> list[Source]:
+def _find_in_paths(options: FitOptions) -> list[Source]:
+    """Find the sources in all paths that options name, each once.
+
+    Raises:
+        ValueError: a path is no input of the application, or two formats read it.
+    """
     sources: dict[Path, Source] = {}
     for path in options.paths:
-        for source in _found(options.app, path) if path.exists() else ():
+        for source in _find_in_path(options.app, path) if path.exists() else ():
             other = sources.setdefault(absolute_place(source.path), source)
             if other.format != source.format:
                 raise ValueError(
@@ -101,8 +123,15 @@ def _sources_of_paths(options: FitOptions) -> list[Source]:
     return list(sources.values())
 
 
-def _found(app: str, path: Path) -> Iterator[Source]:
-    """Return the sources that each format finds which recognises a path; skipped files of a folder are said.
+def _find_in_path(app: str, path: Path) -> Iterator[Source]:
+    """Find the sources in a path by each format that recognises it, and say which files of a folder are skipped.
+
+    Args:
+        app: the name of the application.
+        path: a file or a folder that exists.
+
+    Yields:
+        Each source, with its format and the path that it was found in.
 
     Raises:
         ValueError: the path is no input of the application.
@@ -114,7 +143,7 @@ def _found(app: str, path: Path) -> Iterator[Source]:
     check_files_of_user(path, f"an input of {app} ({expected})")
     readers = {name: reader for name, form in forms.items() if (reader := form.load()).recognises(path)}
     if not readers:
-        raise ValueError(_refusal(app, path, expected))
+        raise ValueError(_input_refusal(app, path, expected))
     for name, reader in readers.items():
         sources, skipped = reader.find(path)
         for line in skipped if len(readers) == 1 else ():
@@ -124,21 +153,31 @@ def _found(app: str, path: Path) -> Iterator[Source]:
             yield replace(source, format=name, given=path, named=named)
 
 
-def _refusal(app: str, path: Path, expected: str) -> str:
-    """Return the line about a path that no format of an application recognises."""
+def _input_refusal(app: str, path: Path, expected: str) -> str:
+    """Return the error message about a path that no format of an application recognises.
+
+    Args:
+        app: the name of the application.
+        path: the path.
+        expected: the inputs that the application takes, in words.
+    """
     if path_kind(path) is PathKind.RUN_FOLDERS:
         return path_refusal(path, f"an input of {app} ({expected})")
-    if line := _first_placeholder(path):
+    if line := _first_placeholder_line(path):
         return line
-    every = (form for form in registry().formats.values() if form.inputs)
-    others = sorted({form.app for form in every if form.load().recognises(path)})
-    fit = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
-    more = f"; it is one of {', '.join(others)}" if others else fit
-    return f"{path}: not an input of {app}, expected {expected}{more}."
+    forms = (form for form in registry().formats.values() if form.inputs)
+    other_apps = sorted({form.app for form in forms if form.load().recognises(path)})
+    hint = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
+    if other_apps:
+        hint = f"; it is one of {', '.join(other_apps)}"
+    return f"{path}: not an input of {app}, expected {expected}{hint}."
 
 
-def _first_placeholder(path: Path) -> str:
-    """Return the line about the first file in a folder that stands for another one, pages by name left out."""
+def _first_placeholder_line(path: Path) -> str:
+    """Return the error message about the first file in a folder that stands for another one; "" if there is none.
+
+    Files that are pages by their names are left out, since they are themselves.
+    """
     files = files_below(path) if path.is_dir() else []
     lines = (placeholder_line(file) for file in files if file.suffix.lower() not in (".htm", ".html"))
     return next(filter(None, lines), "")

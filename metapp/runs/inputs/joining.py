@@ -1,4 +1,4 @@
-"""Several data sets of an application put into one."""
+"""The joining of several data sets of one application into one, with their splits as they are."""
 
 from __future__ import annotations
 
@@ -17,51 +17,61 @@ from metapp.storage.shards import read_data_set, read_manifest, write_data_set
 def join_data_sets(
     sources: Sequence[Path], folder: Path, *, alike: bool = False, overwrite: bool = False, quiet: bool = False
 ) -> ConversionResult:
-    """Write the tasks of several data sets as one; training tasks stay training tasks, test tasks stay test tasks.
+    """Write the tasks of several data sets as one data set.
 
-    Tensors that not all tasks hold are left out.
+    Training tasks stay training tasks, test tasks stay test tasks. Tensors that not all tasks have are left out.
 
     Args:
-        sources: folders of data sets of one application.
+        sources: the folders of data sets of one application.
         folder: the folder to write to.
-        alike: whether training draws as many tasks of each data set, whatever they hold.
+        alike: whether training draws equally many tasks from each data set, however many it has.
         overwrite: whether a data set that is in `folder` is replaced.
-        quiet: no progress.
+        quiet: whether no progress is shown.
 
     Returns:
         The names of the tasks that were written.
 
     Raises:
-        ValueError: the folder is one of the data sets; one that cannot be read, or of another application; two tasks of
-            one name; tensors of different shapes.
+        ValueError: the folder is one of the data sets, a data set cannot be read or is of another application, two
+            tasks have one name, or tensors of one name have different shapes.
     """
     if folder.resolve() in [source.resolve() for source in sources]:
         raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
     manifests = [read_manifest(source) for source in sources]
     app = class_of(name := manifests[0].app)
-    sets = [{task.name: task for task in read_data_set(source, app=name, holds=app.tensors)} for source in sources]
-    every = [task.data for tasks in sets for task in tasks.values()]
-    shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
+    tasks_by_name = [
+        {task.name: task for task in read_data_set(source, app=name, holds=app.tensors)} for source in sources
+    ]
+    all_data = [task.data for tasks in tasks_by_name for task in tasks.values()]
+    shapes = {key: value.shape for key, value in all_data[0].items() if all(key in data for data in all_data)}
     units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
     units |= {KIND_TENSOR: "uint8 [1], which of the joined data sets"} if alike else {}
     entries = [(kind, entry) for kind, manifest in enumerate(manifests) for entry in manifest.tasks]
-    shared = [_with_tensors(sets[kind][entry.name], shapes, kind if alike else None) for kind, entry in entries]
+    joined_tasks = [
+        _select_tensors(tasks_by_name[kind][entry.name], shapes, kind if alike else None) for kind, entry in entries
+    ]
     notes = {"made_by": "metapp data join", "of": [source.name for source in sources]}
 
-    def joint() -> Iterator[tuple[Task, str, str]]:
+    def read_tasks() -> Iterator[tuple[Task, str, str]]:
         with progress(name, len(entries), quiet=quiet) as bar:
-            for (_, entry), task in zip(entries, shared, strict=True):
+            for (_, entry), task in zip(entries, joined_tasks, strict=True):
                 yield task._replace(group=entry.group), entry.split, entry.source
                 bar.advance(entry.name)
 
-    return conversion_result(name, folder, write_data_set(folder, name, units, joint(), notes, overwrite=overwrite))
+    written = write_data_set(folder, name, units, read_tasks(), notes, overwrite=overwrite)
+    return conversion_result(name, folder, written)
 
 
-def _with_tensors(task: Task, shapes: Mapping[str, torch.Size], kind: int | None) -> Task:
-    """Return a task with tensors of these shapes alone, and with the number of its data set unless that is None.
+def _select_tensors(task: Task, shapes: Mapping[str, torch.Size], kind: int | None) -> Task:
+    """Return a task with the tensors that all data sets have.
+
+    Args:
+        task: the task.
+        shapes: the expected shape of each of these tensors, by name.
+        kind: the number of the task's data set, which becomes a tensor of the task; None for no such tensor.
 
     Raises:
-        ValueError: a tensor of another shape.
+        ValueError: a tensor has another shape.
     """
     data = {key: task.data[key] for key in shapes}
     for key, shape in shapes.items():

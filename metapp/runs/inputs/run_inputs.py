@@ -1,4 +1,7 @@
-"""From paths to tasks: a user's files by the readers of data_tools, or the test tasks of a data set."""
+"""The inputs of a run: a user's files, objects in memory, or the test tasks of a data set, each read when needed.
+
+What a path means was decided in `metapp.runs.inputs.finding`; here its reader is called with the arguments of the run.
+"""
 
 from __future__ import annotations
 
@@ -24,17 +27,17 @@ from metapp.storage.fit_folders import name_with_digest
 from metapp.storage.folders import cache_lookups
 from metapp.storage.shards import fingerprint, read_data_set
 
-FILES_LABEL = "files"  # as records call data of files
+FILES_LABEL = "files"  # the entry "data" in settings of fits to files, which belong to no data set
 
 
 class Input(NamedTuple):
-    """Something to fit, read when its turn comes.
+    """An input of a run that becomes one task, read when its turn comes.
 
     Attributes:
-        place: its path as text, or its name in a data set: its key in records.
-        read: -> the task; ValueError or OSError if it is damaged.
-        named: whether the user named it, so that it must be good; False of a file that was found in a folder.
-        given: the inputs, as the user gave them, that it was found in.
+        place: the path of the input as text, or the name of its task in a data set; records name the input by it.
+        read: the function that reads the task; it raises ValueError or OSError if the input is damaged.
+        named: whether the user named the input, so that it must be good; False for a file that was found in a folder.
+        given: the paths, as the user gave them, that the input was found in.
     """
 
     place: str
@@ -42,32 +45,46 @@ class Input(NamedTuple):
     named: bool = False
     given: Sequence[Path] = ()
 
-    def task(self) -> Task:
-        """Read it.
+    def read_task(self) -> Task:
+        """Read the task of this input, with a name that can be printed.
 
         Raises:
-            ValueError: it is damaged.
-            OSError: it cannot be read.
+            ValueError: the input is damaged.
+            OSError: the input cannot be read.
         """
         task = self.read()
         return task._replace(name=printable_name(task.name))
 
 
 def training_data_folder(app: App, data: Path | None, quiet: bool) -> Path:
-    """Return the folder of a data set with training tasks: --data, or the whole embedded set, made on first use."""
+    """Return the folder of a data set with training tasks, made first if it is the embedded set.
+
+    Args:
+        app: the application.
+        data: the data set of --data; None for the whole embedded set.
+        quiet: whether no progress is shown.
+    """
     return data or make_embedded_set(app.name, quiet=quiet)
 
 
 def data_label(folder: Path) -> str:
-    """A data set's name in run folders: its folder's name and a digest of its content."""
+    """Return the name of a data set in run folders and settings: its folder's name and a digest of its content."""
     return f"{printable_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
 
 
 def read_test_tasks(app: App, data: Path | None, quiet: bool) -> tuple[list[Task], str]:
-    """The test tasks of a data set, None for the embedded one, and its name in run folders.
+    """Read the test tasks of a data set.
+
+    Args:
+        app: the application.
+        data: the folder of the data set; None for the embedded set.
+        quiet: whether no progress is shown.
+
+    Returns:
+        The tasks, and the label of the data set, see :func:`data_label`.
 
     Raises:
-        ValueError: it has none.
+        ValueError: the data set has no test tasks, or cannot be read.
     """
     folder = data or make_embedded_test_set(app.name, quiet)
     tasks = read_data_set(folder, "test", app.name, app.tensors)
@@ -77,110 +94,130 @@ def read_test_tasks(app: App, data: Path | None, quiet: bool) -> tuple[list[Task
 
 
 def find_inputs(run: Run) -> tuple[list[Input], str]:
-    """The inputs of a run, its files, objects or test tasks of its data set, and the name of the data in records.
+    """Find the inputs of a run: its files, its objects in memory, or the test tasks of its data set.
+
+    Returns:
+        The inputs, and the label of the data in settings of fits.
 
     Raises:
-        ValueError: a path that is missing; no test task.
+        ValueError: a path is missing, or there is no test task.
     """
     app, options = run.app, run.options
     if options.objects:
-        return inputs_of_objects(app.name, options.objects, _arguments(run)), MEMORY_FORMAT
+        return inputs_of_objects(app.name, options.objects, _reader_arguments(run)), MEMORY_FORMAT
     if not options.paths:
         tasks, label = read_test_tasks(app, options.data, options.quiet)
         return inputs_of_tasks(tasks), label
-    merges = [option for option in registry().merges.of(app.name) if option in options.own.non_default_values()]
+    merge_options = [option for option in registry().merges.of(app.name) if option in options.app_options.non_default_values()]
     for path in options.paths:
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder; give existing input files.")
-    if merges:
-        return [_merged(run, merges[0])], FILES_LABEL
-    arguments = _arguments(run)
+    if merge_options:
+        return [_merge_sources(run, merge_options[0])], FILES_LABEL
+    arguments = _reader_arguments(run)
     with cache_lookups():
-        return [_input_of(source, arguments) for source in run.sources], FILES_LABEL
+        return [_input_of_source(source, arguments) for source in run.sources], FILES_LABEL
 
 
-def _input_of(source: Source, arguments: Mapping[str, object]) -> Input:
-    """Return a source as something to fit, which its format's reader reads with those arguments that it takes."""
+def _input_of_source(source: Source, arguments: Mapping[str, object]) -> Input:
+    """Return the input that a source becomes.
+
+    Args:
+        source: the source.
+        arguments: arguments of readers by name; the reader of the source's format gets those that it takes.
+    """
     read_task = registry().formats[source.format].load().read_task
     read = functools.partial(
-        _read, bind_reader_arguments(read_task, {**arguments, "content": source.content}), source.path
+        _read_file, bind_reader_arguments(read_task, {**arguments, "content": source.content}), source.path
     )
     given = [source.given] if source.given else []
     return Input(to_json_value(str(absolute_place(source.path))), read, source.named, given)
 
 
 def inputs_of_tasks(tasks: Sequence[Task]) -> list[Input]:
-    """Tasks that are read already."""
+    """Return tasks that are in memory already as inputs of a run."""
     return [Input(task.name, task._replace) for task in tasks]
 
 
 def read_tasks(sources: Sequence[Input]) -> list[Task]:
-    """The tasks of sources; a damaged file that was found in a folder is left out with a warning.
+    """Read the tasks of inputs; a damaged file that was found in a folder is left out with a warning.
 
     Raises:
-        ValueError: a damaged file that was named, or nothing is left.
+        ValueError: an input that the user named is damaged, or nothing is left.
     """
-    read = []
+    tasks_by_place = []
     for source in sources:
         try:
-            read.append((source.place, source.task()))
+            tasks_by_place.append((source.place, source.read_task()))
         except (ValueError, OSError) as error:
             if source.named:
                 raise error_about_file(error, Path(source.place)) from None
             say(f"warning: skipped {error_about_file(error, Path(source.place))}")
-    if not read:
+    if not tasks_by_place:
         raise ValueError(f"none of the {len(sources)} found could be read.")
-    return rename_duplicates(read)
+    return rename_duplicates(tasks_by_place)
 
 
-def rename_duplicates(read: Iterable[tuple[str, Task]]) -> list[Task]:
-    """Tasks of sources' places; the second of a name has a digest of its place, as folders of fits have."""
-    first: dict[str, str] = {}
+def rename_duplicates(tasks_by_place: Iterable[tuple[str, Task]]) -> list[Task]:
+    """Give tasks different names: a second task of a name gets a digest of its place, as its folder of a fit does.
+
+    Args:
+        tasks_by_place: pairs of an input's place and its task.
+    """
+    place_by_name: dict[str, str] = {}
     return [
-        task if first.setdefault(task.name, place) == place else task._replace(name=name_with_digest(task.name, place))
-        for place, task in read
+        task
+        if place_by_name.setdefault(task.name, place) == place
+        else task._replace(name=name_with_digest(task.name, place))
+        for place, task in tasks_by_place
     ]
 
 
-def _read(read_task: Callable[[Path], Task], place: Path) -> Task:
-    """Read a file by a reader, which gets no file that stands for another one."""
+def _read_file(read_task: Callable[[Path], Task], place: Path) -> Task:
+    """Read a task from a file, and refuse a file that only stands for another one, such as a Git LFS pointer."""
     check_readable(place)
     return read_task(place)
 
 
-def _arguments(run: Run) -> dict[str, object]:
-    """The arguments of readers, by keyword: the size that fits have, and the options about INPUT that were given.
+def _reader_arguments(run: Run) -> dict[str, object]:
+    """Return arguments of readers by keyword: the size that fits have, and the options about INPUT that are set.
 
-    `size` is px a side, or `rows`; `least` px of photos.
+    `size` is the side of pictures in px, `rows` the same number for panoramas, `least` the smallest side of photos in
+    px.
     """
-    arguments = {"observe": run.options.observe} | run.options.own.reader_keywords()
-    if reads := run.app.read_size:
-        arguments = {"size": reads, "rows": reads, "least": min(reads, DEFAULT_PHOTO_PX)} | arguments
+    arguments = {"observe": run.options.observe} | run.options.app_options.reader_keywords()
+    if read_size := run.app.read_size:
+        arguments = {"size": read_size, "rows": read_size, "least": min(read_size, DEFAULT_PHOTO_PX)} | arguments
     return arguments
 
 
-def _merged(run: Run, option: str) -> Input:
-    """Return the one input that an option merges all sources into."""
+def _merge_sources(run: Run, option: str) -> Input:
+    """Return the one input that all sources of a run become by an option that merges them, such as photos of one ball.
+
+    Args:
+        run: the run.
+        option: the name of the option.
+    """
     app = run.app
     places = [source.path for source in run.sources]
 
     def read() -> Task:
-        merge = bind_reader_arguments(registry().merges[app.name, option].load(), _arguments(run))
-        return merge(places, getattr(run.options.own, option))
+        merge = bind_reader_arguments(registry().merges[app.name, option].load(), _reader_arguments(run))
+        return merge(places, getattr(run.options.app_options, option))
 
     return Input(to_json_value(str(places[0].resolve())), read, True, run.options.paths)
 
 
 def task_digest(task: Task) -> str:
-    """12 hex digits of a task's values: the same of an input that was moved or copied."""
-    total = hashlib.sha256()
+    """Return 12 hexadecimal digits of a task's values, which stay when its input is moved or copied."""
+    digest = hashlib.sha256()
     for key in sorted(task.data):
-        total.update(task.data[key].detach().contiguous().flatten().view(torch.uint8).numpy().tobytes())
-    return total.hexdigest()[:12]
+        digest.update(task.data[key].detach().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()[:12]
 
 
 def are_objects(sources: Sequence[object]) -> bool:
-    """True if sources are objects in memory, not paths; all text is a path but that of an XML document.
+    """Test whether sources are objects in memory, not paths; a text is a path unless it is an XML document.
 
     Raises:
         ValueError: some are paths, others are not.
@@ -192,20 +229,20 @@ def are_objects(sources: Sequence[object]) -> bool:
 
 
 def inputs_of_objects(app: str, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Input]:
-    """The sources of objects in memory, which are read at once.
+    """Read objects in memory, and return them as inputs of a run.
 
     Args:
-        app: name of the application.
-        objects: as its function for objects takes them.
-        arguments: of readers, by name.
+        app: the name of the application.
+        objects: objects that the application's reader of objects takes.
+        arguments: arguments of readers, by name.
 
     Raises:
-        ValueError: something else than the application takes; as readers of files, with the object's name.
+        ValueError: the application does not take such an object, or the object is bad.
     """
     entry = registry().objects.get(app)
     if entry is None:
         raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app} reads files and folders.")
-    task_of_object, names = entry.load(), _names(objects)
+    task_of_object, names = entry.load(), _object_names(objects)
     tasks = [task_of_object(source, name, **arguments) for source, name in zip(objects, names, strict=True)]
     return [Input(str(number), task._replace, True) for number, task in enumerate(tasks)]
 
@@ -214,15 +251,21 @@ def _is_path(source: object) -> bool:
     return isinstance(source, PathLike) or (isinstance(source, str) and not source.lstrip().startswith("<"))
 
 
-def _names(objects: Sequence[object]) -> list[str]:
-    """Names of tasks: a function's own, of a picture that PIL opened its file's, else "object"."""
-    names = [_name(source) for source in objects]
-    plain = [name for name in names if not name]
-    numbers = iter(range(1, len(plain) + 1))
-    return [file_name(name) if name else f"object-{next(numbers)}" if len(plain) > 1 else "object" for name in names]
+def _object_names(objects: Sequence[object]) -> list[str]:
+    """Name the tasks of objects: by a function's name, by the file of a picture that PIL opened, else "object".
+
+    Several objects without a name are numbered.
+    """
+    names = [_object_name(source) for source in objects]
+    nameless_count = sum(not name for name in names)
+    numbers = iter(range(1, nameless_count + 1))
+    return [
+        file_name(name) if name else f"object-{next(numbers)}" if nameless_count > 1 else "object" for name in names
+    ]
 
 
-def _name(source: object) -> str:
+def _object_name(source: object) -> str:
+    """Return the name of a function, or the stem of the file of a picture; "" if the object has neither."""
     place = getattr(source, "filename", "")
     name = Path(place).stem if isinstance(place, str | PathLike) else ""
     return str(getattr(source, "__name__", name)).strip("<>")

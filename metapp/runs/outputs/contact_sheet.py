@@ -1,6 +1,7 @@
-"""Pictures of runs: contact sheets of references and fits with their errors.
+"""Contact sheets of runs: a row of pictures for each fit, with references, photos and errors.
 
-Pillow draws sheets: matplotlib, which figures are made by, takes longer to import than most fits.
+Pillow draws them: matplotlib, by which figures are drawn, takes longer to import than most fits take. A later run adds
+its rows above those of an earlier sheet, which are copied from its file.
 """
 
 from __future__ import annotations
@@ -30,28 +31,29 @@ from metapp.storage.fit_folders import read_params
 from metapp.storage.image_writers import to_8_bit_image
 from metapp.storage.parameters import check_params
 
-SHEET_FILE_NAME = "pictures.png"  # of a run, in its folder
-ROW_MARKS_KEY = (
-    "metapp rows"  # the text of a PNG that says where rows are: [name, first line, line after the last] of each
-)
-MAX_SHEET_PIXELS = 2**26  # of a sheet that is read
-MAX_SHEET_ROWS = 8  # tasks in a picture; a line says how many more there are
-TILE_PX = 256  # px, of a square picture; a wide one has a height of it, and twice its width at most
-GAP_PX = 8
-SMALL_LETTER_PX, LARGE_LETTER_PX = 14, 18  # px, of letters
-REFERENCE_PREFIX = "reference "  # begins the name of a picture that stands below that of the fit
-FONT_PATH = (
-    "mpl-data/fonts/ttf/DejaVuSans.ttf"  # in matplotlib, whose import takes too long; Pillow's own lacks umlauts
-)
+SHEET_FILE_NAME = "pictures.png"  # the name of a run's contact sheet in the folder of the run
+# The key of the PNG's text that says where rows are: for each [folder name, first pixel row, pixel row after the last]
+ROW_MARKS_KEY = "metapp rows"
+MAX_SHEET_PIXELS = 2**26  # of a sheet whose rows are read; a larger one counts as another picture
+MAX_SHEET_ROWS = 8  # number of fits in a sheet; a line says how many more there are
+TILE_PX = 256  # the side of a square picture; a wide one is at most this high and twice as wide
+GAP_PX = 8  # between two pictures
+SMALL_LETTER_PX, LARGE_LETTER_PX = 14, 18  # letters of captions and of the title
+REFERENCE_PREFIX = "reference "  # the beginning of the name of a picture that stands below the fit's picture
+# A font in matplotlib's package, found without importing it; Pillow's own font lacks umlauts
+FONT_PATH = "mpl-data/fonts/ttf/DejaVuSans.ttf"
+TASK_PICTURE_NAMES = ("reference", "photo", "samples")  # names of pictures that belong to the task, not to a fit
+PICTURE_KEY = "picture"  # the tensor that methods without a network keep in place of parameters
 
 
 class Tiles(NamedTuple):
-    """The pictures of a task, beside each other.
+    """The pictures of one fit, or of several fits of one task, which form a row of a sheet.
 
     Attributes:
-        pictures: display values [H, W, 3] in [0, 1] by name; "reference X" stands below X.
-        name: of the task.
-        errors: below a picture, by its name; "" of the task's own, after its name.
+        pictures: display values [H, W, 3] in [0, 1] by name; a picture "reference X" stands below the picture X.
+        name: the name of the task.
+        errors: texts about errors by the name of the picture that they stand below; the text of "" follows the name of
+            the task.
     """
 
     pictures: dict[str, np.ndarray]
@@ -60,11 +62,11 @@ class Tiles(NamedTuple):
 
 
 class SheetRow(NamedTuple):
-    """The row of a fit in a sheet that is there, as it was drawn.
+    """The row of a fit in a sheet that an earlier run drew.
 
     Attributes:
-        name: of the fit's folder.
-        picture: the row, as wide as its sheet.
+        name: the name of the fit's folder.
+        picture: the pixels of the row, as wide as its sheet.
     """
 
     name: str
@@ -79,56 +81,60 @@ def write_contact_sheet(
     names: Sequence[str] = (),
     earlier: Sequence[SheetRow] = (),
 ) -> Path:
-    """Draw the pictures of ROWS tasks below each other, all of a name in one column; the others stay blank.
+    """Draw rows of pictures below each other, MAX_SHEET_ROWS at most, and write them as a PNG.
+
+    Pictures of one name form a column, which stays blank in the rows of tasks without this picture.
 
     Args:
-        tasks: one or more.
-        title: above them.
-        path: the file, a PNG.
-        count: of all tasks, if there are more.
-        names: of the tasks' folders, by which `read_rows` names their rows; none if nobody reads them.
+        tasks: the rows, one or more.
+        title: the text above the rows.
+        path: the file to write.
+        count: number of all tasks, if there are more than `tasks` and `earlier` have.
+        names: the names of the tasks' folders, by which :func:`read_rows` names their rows; () if nobody reads them.
         earlier: rows of another sheet, which follow as far as there is room.
 
     Returns:
-        The file.
+        The file that was written.
     """
-    small, large = _font(SMALL_LETTER_PX), _font(LARGE_LETTER_PX)
-    drawn = tasks[:MAX_SHEET_ROWS]
-    left, lefts = GAP_PX, {}
-    for name, width in _widths(drawn).items():
-        lefts[name], left = left, left + width + GAP_PX
+    small_font, large_font = _font(SMALL_LETTER_PX), _font(LARGE_LETTER_PX)
+    shown_tasks = tasks[:MAX_SHEET_ROWS]
+    left, column_lefts = GAP_PX, {}
+    for name, width in _column_widths(shown_tasks).items():
+        column_lefts[name], left = left, left + width + GAP_PX
     tops, top = [], LARGE_LETTER_PX + 3 * GAP_PX
-    line = TILE_PX + SMALL_LETTER_PX + 2 * GAP_PX
-    for task in drawn:
+    tile_row_height = TILE_PX + SMALL_LETTER_PX + 2 * GAP_PX
+    for task in shown_tasks:
         tops.append(top)
-        top += (
-            SMALL_LETTER_PX + 2 * GAP_PX + line * (1 + any(name.startswith(REFERENCE_PREFIX) for name in task.pictures))
-        )
-    kept, marks = list(earlier)[: MAX_SHEET_ROWS - len(drawn)], list(zip(names, tops, [*tops[1:], top], strict=False))
-    more = max(count, len(tasks)) - len(drawn) - len(kept)
-    whole = max(left, round(large.getlength(title)) + 2 * GAP_PX, *(row.picture.width for row in kept))
-    below = top
-    for row in kept:
+        has_references = any(name.startswith(REFERENCE_PREFIX) for name in task.pictures)
+        top += SMALL_LETTER_PX + 2 * GAP_PX + tile_row_height * (1 + has_references)
+    earlier_rows = list(earlier)[: MAX_SHEET_ROWS - len(shown_tasks)]
+    marks = list(zip(names, tops, [*tops[1:], top], strict=False))
+    hidden_count = max(count, len(tasks)) - len(shown_tasks) - len(earlier_rows)
+    title_width = round(large_font.getlength(title)) + 2 * GAP_PX
+    sheet_width = max(left, title_width, *(row.picture.width for row in earlier_rows))
+    earlier_top = top
+    for row in earlier_rows:
         marks.append((row.name, top, top + row.picture.height))
         top += row.picture.height
-    sheet = pil.new("RGB", (whole, top + (LARGE_LETTER_PX + GAP_PX) * (more > 0)), "white")
-    for row in kept:
-        sheet.paste(row.picture, (0, below))
-        below += row.picture.height
+    sheet = pil.new("RGB", (sheet_width, top + (LARGE_LETTER_PX + GAP_PX) * (hidden_count > 0)), "white")
+    for row in earlier_rows:
+        sheet.paste(row.picture, (0, earlier_top))
+        earlier_top += row.picture.height
     draw = ImageDraw.Draw(sheet)
-    draw.text((GAP_PX, GAP_PX), title, "black", large)
-    for task, y in zip(drawn, tops, strict=True):
+    draw.text((GAP_PX, GAP_PX), title, "black", large_font)
+    for task, row_top in zip(shown_tasks, tops, strict=True):
         heading = ": ".join(filter(None, (task.name, task.errors.get("", ""))))
-        draw.text((GAP_PX, y), _short(heading, whole - 2 * GAP_PX, small), "black", small)
+        draw.text((GAP_PX, row_top), _shorten(heading, sheet_width - 2 * GAP_PX, small_font), "black", small_font)
         for name, picture in task.pictures.items():
-            of = name.removeprefix(REFERENCE_PREFIX)
-            at = y + SMALL_LETTER_PX + GAP_PX + line * (of != name)
-            tile = _shrunk(picture)
-            sheet.paste(tile, (lefts[of], at))
-            caption = f"{name.replace('_', ' ')} {task.errors.get(name, '')}"
-            draw.text((lefts[of], at + tile.height + 2), _short(caption, tile.width, small), "black", small)
-    if more > 0:
-        draw.text((GAP_PX, top), f"and {more:,} more task{'s' * (more > 1)}", "black", large)
+            column = name.removeprefix(REFERENCE_PREFIX)
+            tile_left = column_lefts[column]
+            tile_top = row_top + SMALL_LETTER_PX + GAP_PX + tile_row_height * (column != name)
+            tile = _resize_to_tile(picture)
+            sheet.paste(tile, (tile_left, tile_top))
+            caption = _shorten(f"{name.replace('_', ' ')} {task.errors.get(name, '')}", tile.width, small_font)
+            draw.text((tile_left, tile_top + tile.height + 2), caption, "black", small_font)
+    if hidden_count > 0:
+        draw.text((GAP_PX, top), f"and {hidden_count:,} more task{'s' * (hidden_count > 1)}", "black", large_font)
     texts = PngInfo()
     texts.add_text(ROW_MARKS_KEY, json.dumps(marks))
     write_atomically(path, lambda target: sheet.save(target, "PNG", pnginfo=texts if marks else None))
@@ -136,15 +142,19 @@ def write_contact_sheet(
 
 
 def read_rows(path: Path) -> list[SheetRow]:
-    """The rows of a sheet that `write_contact_sheet` wrote; none of a file that is missing, damaged or another picture."""
+    """Read the rows of a sheet that :func:`write_contact_sheet` wrote.
+
+    Returns:
+        The rows from the top; [] if the file is missing, damaged or another picture.
+    """
     try:
         with pil.open(io.BytesIO(read_bytes(path)), formats=["PNG"]) as sheet:
             marks = [
                 (str(name), int(top), int(end))
                 for name, top, end in json.loads(sheet.info[ROW_MARKS_KEY])[:MAX_SHEET_ROWS]
             ]
-            tall = sheet.width * sheet.height > MAX_SHEET_PIXELS
-            if tall or any(not 0 <= top < end <= sheet.height for _, top, end in marks):
+            is_too_large = sheet.width * sheet.height > MAX_SHEET_PIXELS
+            if is_too_large or any(not 0 <= top < end <= sheet.height for _, top, end in marks):
                 return []
             return [SheetRow(name, sheet.convert("RGB").crop((0, top, sheet.width, end))) for name, top, end in marks]
     except (OSError, ValueError, KeyError, TypeError, SyntaxError, RecursionError, pil.DecompressionBombError):
@@ -152,12 +162,15 @@ def read_rows(path: Path) -> list[SheetRow]:
 
 
 def add_to_sheet(tiles: Mapping[str, Tiles], title: str, run_folder: Path) -> Path:
-    """Write `pictures.png` of a run's folder: fits of now, then those of before that its sheet shows, up to ROWS.
+    """Write `pictures.png` in a run's folder: new fits, then earlier fits that its sheet shows, MAX_SHEET_ROWS at most.
 
     Args:
-        tiles: of fits of now, by the names of their folders, one or more.
-        title: above them.
-        run_folder: of the run.
+        tiles: the pictures of the new fits by the names of their folders, one or more.
+        title: the text above the rows.
+        run_folder: the folder of the run.
+
+    Returns:
+        The file that was written.
     """
     folders = {
         entry.name for entry in os.scandir(run_folder) if entry.is_dir() and not entry.name.startswith(PARTIAL_PREFIX)
@@ -166,90 +179,114 @@ def add_to_sheet(tiles: Mapping[str, Tiles], title: str, run_folder: Path) -> Pa
     return write_contact_sheet([*tiles.values()], title, run_folder / SHEET_FILE_NAME, len(folders), [*tiles], earlier)
 
 
-def _font(size: int) -> ImageFont.FreeTypeFont:
+def _font(letter_px: int) -> ImageFont.FreeTypeFont:
     package = importlib.util.find_spec("matplotlib")
     assert package is not None
     assert package.origin is not None
-    return ImageFont.truetype(Path(package.origin).parent / FONT_PATH, size)
+    return ImageFont.truetype(Path(package.origin).parent / FONT_PATH, letter_px)
 
 
-def _widths(tasks: list[Tiles]) -> dict[str, int]:
-    """The columns by name, in order, reference and photo first, and their widths."""
+def _column_widths(tasks: list[Tiles]) -> dict[str, int]:
+    """Return the width of each column in px by name, in order from the left: reference, photo and samples first."""
     widths: dict[str, int] = {}
     for task in tasks:
         for name, picture in task.pictures.items():
-            of = name.removeprefix(REFERENCE_PREFIX)
-            widths[of] = max(widths.get(of, 0), _size(picture)[1])
+            column = name.removeprefix(REFERENCE_PREFIX)
+            widths[column] = max(widths.get(column, 0), _tile_size(picture)[1])
     return dict(sorted(widths.items(), key=lambda item: item[0] not in TASK_PICTURE_NAMES))
 
 
-def _size(picture: np.ndarray) -> tuple[int, int]:
-    """Height and width of a tile."""
-    rows, across = picture.shape[:2]
-    scale = min(TILE_PX / rows, 2 * TILE_PX / across)
-    return max(1, round(rows * scale)), max(1, round(across * scale))
+def _tile_size(picture: np.ndarray) -> tuple[int, int]:
+    """Return the height and the width in px that a picture gets in a sheet."""
+    height, width = picture.shape[:2]
+    scale = min(TILE_PX / height, 2 * TILE_PX / width)
+    return max(1, round(height * scale)), max(1, round(width * scale))
 
 
-def _shrunk(picture: np.ndarray) -> Image:
-    height, width = _size(picture)
+def _resize_to_tile(picture: np.ndarray) -> Image:
+    height, width = _tile_size(picture)
     return to_8_bit_image(picture).resize((width, height), pil.Resampling.BICUBIC)
 
 
 def srgb_image(linear: Tensor | np.ndarray) -> Image:
-    """A linear picture as `composite_to_srgb` takes it, in 8 bits of sRGB."""
+    """Convert linear RGB [H, W, 3], or [H, W, 4] with coverage, which goes on white, to a PIL image in 8-bit sRGB."""
     return to_8_bit_image(composite_to_srgb(linear))
 
 
-def _short(text: str, width: int, font: ImageFont.FreeTypeFont) -> str:
-    """The beginning of a text that is too long for its place."""
+def _shorten(text: str, width: int, font: ImageFont.FreeTypeFont) -> str:
+    """Cut a text that is wider than `width` px, and end it with an ellipsis."""
     length = font.getlength
     if length(text) <= width:
         return text
-    kept = next(end for end in range(len(text), 0, -1) if end == 1 or length(text[:end] + "…") <= width)
-    return text[:kept] + "…"
-
-
-TASK_PICTURE_NAMES = ("reference", "photo", "samples")  # pictures that are the task's, not of a fit
-PICTURE_KEY = "picture"  # what is kept in place of parameters where there are none
+    cut = next(end for end in range(len(text), 0, -1) if end == 1 or length(text[:end] + "…") <= width)
+    return text[:cut] + "…"
 
 
 def tiles_of_fit(presenter: Presenter[Any], task: Task, theta: Params, record: Document) -> Tiles:
-    """The pictures of a fit, parameters without a task axis, and the error of its record."""
-    return Tiles(_shown(presenter.tiles(theta, task)), record["name"], {"": _label(record, "error ")})
+    """Return the pictures of a fit and the text about its error.
+
+    Args:
+        presenter: the presenter of the application.
+        task: the task that was fitted.
+        theta: the parameters of the fit, without a task axis.
+        record: the record of the fit.
+    """
+    return Tiles(_to_display_values(presenter.tiles(theta, task)), record["name"], {"": _error_text(record, "error ")})
 
 
 def tiles_of_methods(task: Task, fits: Sequence[tuple[str, Presenter[Any], Document]]) -> Tiles:
-    """The reference or the samples of a task, and its fits: (label, presenter, record) of each."""
+    """Return the reference, the photo or the samples of a task, then a picture of each fit of the task by its label.
+
+    Args:
+        task: the task.
+        fits: for each fit the label, the presenter of its application, and its record.
+    """
     tiles: dict[str, np.ndarray] = {}
     for label, presenter, record in fits:
         theta = read_params(record["folder"])
         if PICTURE_KEY not in theta:
             check_params(theta, presenter.app, record["folder"])
         pictures = {"fit": theta[PICTURE_KEY]} if PICTURE_KEY in theta else presenter.preview(theta, task)
-        tiles |= {} if tiles else _shown({name: pictures[name] for name in TASK_PICTURE_NAMES if name in pictures})
+        if not tiles:
+            tiles |= _to_display_values({name: pictures[name] for name in TASK_PICTURE_NAMES if name in pictures})
         tiles[label] = composite_to_srgb(pictures["fit"])
-    return Tiles(tiles, task.name, {label: _label(record) for label, _, record in fits})
+    return Tiles(tiles, task.name, {label: _error_text(record) for label, _, record in fits})
 
 
 def write_comparison_sheet(presenter: Presenter[Any], tasks: list[Tiles], file: Path) -> Path:
-    """Write fits that are compared as one picture."""
+    """Write a contact sheet of fits that are compared, with the error of each fit below its picture.
+
+    Args:
+        presenter: the presenter of the application.
+        tasks: the rows, each with all fits of one task.
+        file: the file to write, a PNG.
+
+    Returns:
+        The file that was written.
+    """
     return write_contact_sheet(
         tasks, f"{presenter.title}: mean error{presenter.app.error_measure.factor} of each fit below it", file
     )
 
 
-def _label(record: Document, before: str = "") -> str:
+def _error_text(record: Document, prefix: str = "") -> str:
+    """Return the error of a fit as a text, or its difference from the photo if there is no reference."""
     if record["error"] is not None:
-        return f"{before}{record['error']:.3f}"
+        return f"{prefix}{record['error']:.3f}"
     return f"|fit - photo| {record['photo_error']:.2f} %" if "photo_error" in record else ""
 
 
-def _shown(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]:
+def _to_display_values(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]:
     return {name: composite_to_srgb(picture) for name, picture in pictures.items()}
 
 
 def place_side_by_side(images: Sequence[Image], height: int = 0) -> Image:
-    """Pictures beside each other on white, each of a height in px; 0: as high as the first one."""
+    """Place images beside each other on white, 4 px apart.
+
+    Args:
+        images: the images, from the left.
+        height: the height in px that each is resized to; 0 for the height of the first one.
+    """
     height = height or images[0].height
     resized = [image.resize((max(1, round(height * image.width / image.height)), height)) for image in images]
     strip = pil.new("RGB", (sum(image.width for image in resized) + 4 * (len(resized) - 1), height), "white")

@@ -1,4 +1,7 @@
-"""Files of one fit or of a run, for its user: pictures and maps, renders of its scene, other formats."""
+"""The files of one fit for its user: pictures and maps, renderings of its scene, and exports in other file formats.
+
+What pictures show is decided by the application's presenter, how a format lies on disk by the extension that has it.
+"""
 
 from __future__ import annotations
 
@@ -25,26 +28,39 @@ from metapp.storage.checkpoint_files import tensor_digest
 from metapp.storage.image_writers import write_exr, write_png
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME
 
-SCENE_SUFFIXES = (".usda", ".mtlx", ".xml", ".html")  # suffixes of the one file of a folder that names the others
-WRITER_THREADS = 2  # pictures compressed at a time
+SCENE_SUFFIXES = (".usda", ".mtlx", ".xml", ".html")  # suffixes of a file in a folder that names all others in it
+WRITER_THREADS = 2  # number of pictures that are compressed at a time
 
 
 def render_outputs(run: Run, task: Task, theta: Params) -> ScenePictures:
-    """The pictures of a fit, parameters without a task axis, by the registered outputs whose options were given."""
-    given, made = run.options.own.non_default_values(OUTPUT), ScenePictures({}, [])
-    for name, output in registry().outputs.of(run.app.name).items():
-        if name in given:
-            files, lines = output.load()(run.app, task, theta, given[name])
-            made = ScenePictures(made.files | files, [*made.lines, *lines])
-    return made
+    """Render the outputs that options of a run ask for, such as --render of transport.
+
+    Args:
+        run: the run of the fit.
+        task: the task that was fitted.
+        theta: the parameters of the fit, without a task axis.
+
+    Returns:
+        The pictures by name, and lines about them for the user.
+    """
+    output_options, outputs = run.options.app_options.non_default_values(OUTPUT), ScenePictures({}, [])
+    for name, entry in registry().outputs.of(run.app.name).items():
+        if name in output_options:
+            pictures, lines = entry.load()(run.app, task, theta, output_options[name])
+            outputs = ScenePictures(outputs.files | pictures, [*outputs.lines, *lines])
+    return outputs
 
 
 def write_pictures(files: dict[str, Picture], folder: Path) -> None:
-    """Write pictures as <folder>/<name>.png, 8 bits, compressed side by side.
+    """Write pictures as <folder>/<name>.png with 8 bits, several compressed at a time.
 
-    Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
-    Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
-    `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
+    Colours are sRGB; data such as roughness, normals and heights are linear. The PNG's text `encoding` says which of
+    both. Heights h in texels are written as (h - minimum) / (maximum - minimum); the texts `height_minimum` and
+    `height_maximum` have these two. Radiance is written as <name>.exr, with a tone-mapped PNG beside it.
+
+    Args:
+        files: the pictures by name.
+        folder: the folder to write to.
     """
     with ThreadPoolExecutor(WRITER_THREADS) as pool:
         list(pool.map(_write_picture, [folder / f"{name}.png" for name in files], files.values()))
@@ -58,39 +74,45 @@ def _write_picture(file: Path, picture: Picture) -> None:
         texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
     if kind == "radiance":
         write_exr(pixels, file.with_suffix(".exr"))
-        pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
+        pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # of mean 1, since its unit is not known
     write_png(pixels, texts, file)
 
 
 def export_path(record: Document, form: str, out: Path | None = None) -> Path:
-    """The path of a fit in a form, without suffix: in its own folder, else in another."""
+    """Return the path of an export of a fit, without suffix.
+
+    Args:
+        record: the record of the fit.
+        form: the name of the file format.
+        out: the folder to write to; None for a folder of the format's name in the folder of the fit.
+    """
     name = Path(record["folder"]).name
     return out / name if out else Path(record["folder"], form, name)
 
 
 def file_to_open(path: Path) -> Path:
-    """The file, or the folder of several, that a user opens of a fit in a form.
+    """Return the file that a user opens of an export, or the folder if it has several files of equal rank.
 
     Args:
-        path: without suffix, as of `export_path`; its folder holds nothing else.
+        path: the path that the export was written to, without suffix, see :func:`export_path`.
     """
     if path.is_dir():
         return next((file for suffix in SCENE_SUFFIXES if (file := path / f"{path.name}{suffix}").is_file()), path)
     files = [file for file in sorted(path.parent.iterdir()) if file.name.startswith(path.name)]
-    alone = [file for file in files if file.stem == path.name] or files
-    return alone[0] if len(alone) == 1 else path.parent
+    candidates = [file for file in files if file.stem == path.name] or files
+    return candidates[0] if len(candidates) == 1 else path.parent
 
 
 def export_fit(run: Run, task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
-    """Write one fit in a form; if that holds another network, the fit is distilled into it first.
+    """Write one fit in another file format; a format for another network gets the fit distilled into that network.
 
     Args:
-        run: the run of the fit, with the size of surfaces.
-        task: of the fit.
-        theta: parameters, without a task axis.
-        path: of the file, without suffix; its last part names an asset.
-        name: of the form.
-        settings: of the fit, as records have them: an asset's provenance.
+        run: the run of the fit, whose options have the size of surfaces.
+        task: the task that was fitted.
+        theta: the parameters of the fit, without a task axis.
+        path: the file to write, without suffix; its last part names an asset.
+        name: the name of the format.
+        settings: the settings in the record of the fit, which an asset states as its provenance.
     """
     app = run.app
     form = exports_of(app.name)[name]
@@ -102,33 +124,41 @@ def export_fit(run: Run, task: Task, theta: Params, path: Path, name: str, setti
         return
     if form.holds and set(theta) != set(form.holds):
         key = f"{app.name} {task_digest(task)} {tensor_digest(theta)}"
-        if key not in _distilled:
-            _distilled.clear()
-            _distilled[key] = distill_fit(app, task, theta)
-        theta = _distilled[key]
+        if key not in _DISTILLED_FITS:
+            _DISTILLED_FITS.clear()
+            _DISTILLED_FITS[key] = distill_fit(app, task, theta)
+        theta = _DISTILLED_FITS[key]
     write(app, theta, path)
 
 
-_distilled: dict[str, Params] = {}  # of the last fit, for all forms that it is written in
+_DISTILLED_FITS: dict[str, Params] = {}  # the last distilled fit alone, for all formats that it is written in
 
 
 def distill_fit(app: App, task: Task, theta: Params) -> Params:
-    """The application's usual network, fitted by Finetune to values of another one.
+    """Distill a fit into the application's usual network, and say by how much the error grows.
 
-    It sees as many values of the fit as the task has samples, and none of the task's own; the loss is printed.
+    Finetune fits the usual network to values of the fit, as many as the task has samples. It sees no sample of the task
+    itself.
 
     Args:
-        app: with the network that the fit is of.
-        task: of the fit.
-        theta: parameters of one task, without a task axis.
+        app: the application, with the network of the fit.
+        task: the task that was fitted.
+        theta: the parameters of the fit, without a task axis.
+
+    Returns:
+        Parameters of the usual network, without a task axis.
     """
-    by = attach_checkpoint(Run.of(fit_options(app.name, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)))
-    evaluated = presenter_of(app).sample_fit(theta, task)
-    assert evaluated is not None, f"{app.name} has one network"
-    fitted = by.paradigm.fit(by.phi, stack_tasks(by.app, [evaluated]), Generator().manual_seed(by.options.seed))
-    before, after = (
-        format_number(app.error_measure.scale * float(of.errors(params, stack_tasks(of, [task]))["error"][0]), ".3f")
-        for of, params in ((app, {key: value[None] for key, value in theta.items()}), (by.app, fitted))
+    run = attach_checkpoint(Run.from_options(fit_options(app.name, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)))
+    sampled_task = presenter_of(app).sample_fit(theta, task)
+    assert sampled_task is not None, f"{app.name} has one network"
+    distilled = run.paradigm.fit(
+        run.phi, stack_tasks(run.app, [sampled_task]), Generator().manual_seed(run.options.seed)
     )
-    say(f"{task.name}: distilled into the network of the format; error {after}, of the fit {before}")
-    return {key: value[0] for key, value in fitted.items()}
+    error_before, error_after = (
+        format_number(
+            app.error_measure.scale * float(any_app.errors(params, stack_tasks(any_app, [task]))["error"][0]), ".3f"
+        )
+        for any_app, params in ((app, {key: value[None] for key, value in theta.items()}), (run.app, distilled))
+    )
+    say(f"{task.name}: distilled into the network of the format; error {error_after}, of the fit {error_before}")
+    return {key: value[0] for key, value in distilled.items()}

@@ -1,4 +1,7 @@
-"""Runs that are over: their records, the tasks that were fitted, and exports of their fits."""
+"""Runs that have ended: their records, the tasks that they fitted, and exports of their fits.
+
+Anybody may have written a record that is read here: its settings are checked before a run is made of them.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +34,9 @@ from metapp.storage.fit_folders import (
 from metapp.storage.folders import KINDS_WITH_FITS, PathKind, find_record_files, path_kind, path_refusal
 from metapp.storage.parameters import read_checked_params
 
-# settings that plans are made of, and what they are where records lack them
+# Settings that a run is made of, all texts, and their values where a record lacks them (None: it must not)
 TEXT_SETTINGS = {"app": None, "data": None, "recipe": None, "paradigm": "", "rule": "", "observe": ""}
-# types of further settings, where records have them
+# The types of further settings, which a record may lack
 SETTING_TYPES = {
     **dict.fromkeys(("steps", "batch", "seed"), int),
     **dict.fromkeys(("checkpoint", "device", "precision"), str),
@@ -42,27 +45,33 @@ SETTING_TYPES = {
 
 
 class RunRecords(NamedTuple):
-    """A run's folder, or that of one of its tasks, and records of fits, each with its own `folder`."""
+    """Records of fits, and the folder that they were read from.
+
+    Attributes:
+        folder: the folder of a run, or of one of its tasks.
+        records: the records, each with the `folder` of its fit.
+    """
 
     folder: Path
     records: list[Document]
 
 
 def read_run_records(place: Path, task: str = "", *, by_paradigm: bool = True) -> RunRecords:
-    """The records of a run.
+    """Read the records of a run.
 
     Args:
         place: the folder of a run or of one of its tasks, or a folder of runs, whose newest run is taken.
-        task: the one to take; "" for all.
-        by_paradigm: fits alone, to which a network's parameters belong; else those of methods without one, too.
+        task: the name of the one task whose record is wanted; "" for all tasks.
+        by_paradigm: whether to read fits by paradigms alone, which have parameters of a network; else results of
+            methods without a network are read, too.
 
     Raises:
-        ValueError: there are none, none of that task, or one of other settings than metapp writes.
+        ValueError: there is no record or none of that task, or a record has other settings than metapp writes.
     """
     entries = ("settings", *(NUMBER_ENTRIES if by_paradigm else ("error",)))
-    one = read_fit_record(place, entries)
-    folder = place if one else _newest_run_folder(place)
-    records = [one] if one else read_fit_records(folder, entries)
+    task_record = read_fit_record(place, entries)
+    folder = place if task_record else _newest_run_folder(place)
+    records = [task_record] if task_record else read_fit_records(folder, entries)
     if by_paradigm:
         records = [record for record in records if record["settings"].keys() >= {"paradigm", "rule"}]
     if not records:
@@ -73,39 +82,44 @@ def read_run_records(place: Path, task: str = "", *, by_paradigm: bool = True) -
         raise ValueError(f"{place}: {state}, expected {expected}.")
     names = [record["name"] for record in records]
     if task and task not in names:
-        some = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
-        raise ValueError(f"{place}: no record of task '{task}', expected one of {some}.{did_you_mean(task, names)}")
-    chosen = [records[names.index(task)]] if task else records
-    for record in chosen:
+        first_names = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
+        hint = did_you_mean(task, names)
+        raise ValueError(f"{place}: no record of task '{task}', expected one of {first_names}.{hint}")
+    records = [records[names.index(task)]] if task else records
+    for record in records:
         _check_settings(record)
-    return RunRecords(folder, chosen)
+    return RunRecords(folder, records)
 
 
 def _check_settings(record: Document) -> None:
-    """Refuse settings and an origin, which anybody may have written, that no run can be made of.
+    """Refuse a record whose settings or places of inputs, which anybody may have written, make no run.
 
     Raises:
-        ValueError: one is missing or of another type.
+        ValueError: a setting is missing or of another type, or a place is no text.
     """
     settings, origin = record["settings"], record.get("origin", {})
     place = Path(record["folder"])
-    where = f"{place if place.is_file() else place / RECORD}: {record['name']}: "
-    for key, absent in TEXT_SETTINGS.items():
-        get_json_entry(settings, key, str, where, "fit again", absent)
-    for key, kind in SETTING_TYPES.items():
+    subject = f"{place if place.is_file() else place / RECORD}: {record['name']}: "
+    for key, default in TEXT_SETTINGS.items():
+        get_json_entry(settings, key, str, subject, "fit again", default)
+    for key, setting_type in SETTING_TYPES.items():
         if settings.get(key) is not None:
-            get_json_entry(settings, key, kind, where, "fit again")
-    get_json_entry(settings, "options", dict, where, "fit again", {})
-    get_json_entry(origin, "data", str, where, "fit again", "")
-    if not all(isinstance(place, str) for place in get_json_entry(origin, "inputs", list, where, "fit again", [])):
-        raise ValueError(f"{where}'inputs' hold more than text, expected paths; fit again.")
+            get_json_entry(settings, key, setting_type, subject, "fit again")
+    get_json_entry(settings, "options", dict, subject, "fit again", {})
+    get_json_entry(origin, "data", str, subject, "fit again", "")
+    inputs = get_json_entry(origin, "inputs", list, subject, "fit again", [])
+    if not all(isinstance(path, str) for path in inputs):
+        raise ValueError(f"{subject}'inputs' hold more than text, expected paths; fit again.")
 
 
 def read_fit_of_file(file: Path) -> Document:
-    """The record of the fit in a file of `Fit.save`, or of the folder that a file of a fit lies in.
+    """Read the record of a fit by one of its files.
+
+    Args:
+        file: a file that `Fit.save` wrote, or the parameters or the record in a fit's folder.
 
     Raises:
-        ValueError: there is none, or one of other settings than metapp writes.
+        ValueError: the file belongs to no fit, or the record has other settings than metapp writes.
     """
     if file.name in (RECORD, PARAMS) and (record := read_fit_record(file.parent, ("settings", *NUMBER_ENTRIES))):
         _check_settings(record)
@@ -116,115 +130,139 @@ def read_fit_of_file(file: Path) -> Document:
 
 
 def holds_fits(path: Path) -> bool:
-    """True if `read_run_records` may take a folder for one of a task, of a run or of runs."""
+    """Test whether a path is the folder of a fit, of a run or of runs, which :func:`read_run_records` reads."""
     return path_kind(path) in KINDS_WITH_FITS
 
 
 def _newest_run_folder(folder: Path) -> Path:
-    """The run of the latest record in a folder of runs, such as `runs` or `runs/brdf`; else the folder itself."""
-    found = find_record_files(folder, "*/*/", "*/*/*/") if path_kind(folder) is PathKind.RUN_FOLDERS else []
-    newest = max(found, key=lambda file: file.stat().st_mtime_ns).parent.parent if found else folder
-    if found:
-        say(f"{folder}: the newest run is {newest}")
-    return newest
+    """Return the folder of the run with the latest record in a folder of runs, such as `runs` or `runs/brdf`.
+
+    A folder that is no folder of runs, or has no record, is returned as it is.
+    """
+    record_files = find_record_files(folder, "*/*/", "*/*/*/") if path_kind(folder) is PathKind.RUN_FOLDERS else []
+    if not record_files:
+        return folder
+    run_folder = max(record_files, key=lambda file: file.stat().st_mtime_ns).parent.parent
+    say(f"{folder}: the newest run is {run_folder}")
+    return run_folder
 
 
 def find_fitted_tasks(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
-    """The tasks that were fitted in a run, by name: of given inputs, else from places in its records, else embedded.
+    """Find the tasks that were fitted in a run, and read them.
+
+    They are looked for in the given inputs or data set, else at the places in the records, else in the embedded set.
+
+    Args:
+        records: the records of the run.
+        app: the application.
+        inputs: files and folders, or a data set, that were fitted; [] if they are not given.
+        data: the data set that was fitted; None if it is not given.
 
     Returns:
-        Without those that are not there, or not as they were fitted.
+        Tasks by name, without those that are not found, or that have changed since they were fitted.
     """
     return {
-        key: task for some in group_by_settings(records) for key, task in _tasks_as(some, app, inputs, data).items()
+        name: task
+        for group in group_by_settings(records)
+        for name, task in _find_tasks_of_group(group, app, inputs, data).items()
     }
 
 
 def group_by_settings(records: Iterable[Document]) -> list[list[Document]]:
-    """Groups of records of the same settings: a run's folder holds fits of several commands."""
+    """Group records by their settings: a run's folder may hold fits of several commands."""
     groups: dict[str, list[Document]] = {}
     for record in records:
         groups.setdefault(json.dumps(record["settings"], sort_keys=True), []).append(record)
     return list(groups.values())
 
 
-def _tasks_as(records: list[Document], app: App, inputs: Sequence[Path], data: Path | None) -> dict[str, Task]:
-    """The same of records of the same settings."""
+def _find_tasks_of_group(
+    records: list[Document], app: App, inputs: Sequence[Path], data: Path | None
+) -> dict[str, Task]:
+    """Find the tasks of records of equal settings; see :func:`find_fitted_tasks`."""
     settings, origins = records[-1]["settings"], [record.get("origin", {}) for record in records]
     inputs, data = extract_data_set(inputs, data)
     label, places = settings["data"], [place for origin in origins for place in origin.get("inputs", [])]
     if not (inputs or data):
         places += [record.get("source", "") for record in records] if label == FILES_LABEL else []
         inputs = [path for path in map(path_from_json_text, dict.fromkeys(places)) if path.exists()]
-        sets = (path_from_json_text(origin["data"]) for origin in origins if "data" in origin)
-        data = next((path for path in sets if path.is_dir()), None)
-    # which of the embedded set's folders: that of test tasks alone, or of all tasks
+        data_folders = (path_from_json_text(origin["data"]) for origin in origins if "data" in origin)
+        data = next((folder for folder in data_folders if folder.is_dir()), None)
+    # test tasks of the embedded set may lie in a folder of their own, or beside its training tasks
     embedded = next((folder for folder in embedded_folders(app.name) if data_label(folder) == label), None)
     if not (inputs or data or embedded):
         return {}
-    run = Run.of_settings(settings, inputs=inputs, data=data)
+    run = Run.from_settings(settings, inputs=inputs, data=data)
     if inputs:
-        return _of_sources(records, find_inputs(run)[0])
-    tasks, now = read_test_tasks(app, data or embedded, quiet=True)
-    return {task.name: task for task in tasks} if now == label else {}
+        return _read_unchanged_tasks(records, find_inputs(run)[0])
+    tasks, present_label = read_test_tasks(app, data or embedded, quiet=True)
+    return {task.name: task for task in tasks} if present_label == label else {}
 
 
-def _of_sources(records: list[Document], sources: list[Input]) -> dict[str, Task]:
-    """Tasks of files that have not changed since, wherever these are now; those of other names are not read."""
-    names, read = {Path(record.get("source", "")).name for record in records}, {}
+def _read_unchanged_tasks(records: list[Document], sources: list[Input]) -> dict[str, Task]:
+    """Read the tasks of records from files that have not changed since, even if they were moved.
+
+    Args:
+        records: the records of the fits.
+        sources: the files to read; a file whose name no record has is not read.
+
+    Returns:
+        Tasks by the name in their record.
+    """
+    names, tasks_by_digest = {Path(record.get("source", "")).name for record in records}, {}
     for source in sources:
         if Path(source.place).name in names:
-            with contextlib.suppress(ValueError, OSError):  # one that was damaged meanwhile
-                task = source.task()
-                read[task_digest(task)] = task
-    pairs = [(record["name"], read.get(record.get("content", ""))) for record in records]
+            with contextlib.suppress(ValueError, OSError):  # a file that was damaged since is not found
+                task = source.read_task()
+                tasks_by_digest[task_digest(task)] = task
+    pairs = [(record["name"], tasks_by_digest.get(record.get("content", ""))) for record in records]
     return {name: task._replace(name=name) for name, task in pairs if task}
 
 
 def export_fits(
     place: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, options: Document, quiet: bool
 ) -> tuple[Path, list[str], list[Path]]:
-    """Write every fit of a run.
+    """Write every fit of a run in another file format.
 
     Args:
         place: the folder of a run, or of one of its tasks.
-        form: as of --export.
-        inputs: the fitted files, for forms that are made of these, too.
-        data: the data set whose test tasks were fitted, for the same.
-        out: folder to write to; None: a folder of the form's name in each task's.
-        options: that are fields of the application, by name.
-        quiet: no progress.
+        form: the name of the format, one value of --export.
+        inputs: the fitted files, for formats that hold something of the input, too.
+        data: the data set whose test tasks were fitted, for such formats.
+        out: the folder to write to; None for a folder of the format's name in the folder of each fit.
+        options: the application's own options by name, which are set beside those of the records.
+        quiet: whether no progress is shown.
 
     Returns:
-        The folder that holds all of it, the names of the fits, and the file that a user opens of each.
+        The folder that holds all exports, the names of the fits, and for each the file that a user opens.
 
     Raises:
-        BadOption: fits of the application cannot be written so, or not by these options.
-        ValueError: no run, damaged records or parameters, or inputs that a form needs and that are not given.
+        BadOption: fits of the application cannot be written in this format, or not with these options.
+        ValueError: there is no run, records or parameters are damaged, or a format needs inputs that are not given.
     """
     folder, records = read_run_records(place)
-    apps = {record["settings"]["app"] for record in records}
-    if len(apps) > 1:
-        of = ", ".join(sorted(apps))
-        raise ValueError(f"{place}: fits of {of}, expected one application; take one run's folder.")
-    (name,) = apps
-    check_app_name(name)
-    check_export(form, name)
-    fit_options(name, **options)
+    app_names = {record["settings"]["app"] for record in records}
+    if len(app_names) > 1:
+        names = ", ".join(sorted(app_names))
+        raise ValueError(f"{place}: fits of {names}, expected one application; take one run's folder.")
+    (app_name,) = app_names
+    check_app_name(app_name)
+    check_export(form, app_name)
+    fit_options(app_name, **options)
     files = []
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, Task] | None = None
         for record in records:
             settings, name = record["settings"], record["name"]
-            of_fit = Run.of_settings(settings, options=options)
-            theta = read_checked_params(record, Run.of_settings(settings).app if options else of_fit.app)
+            run = Run.from_settings(settings, options=options)
+            theta = read_checked_params(record, Run.from_settings(settings).app if options else run.app)
             if options:
                 settings = settings | {"options": settings.get("options", {}) | options}
-            write = functools.partial(export_fit, of_fit, theta=theta, path=export_path(record, form, out), name=form)
+            write = functools.partial(export_fit, run, theta=theta, path=export_path(record, form, out), name=form)
             try:
                 write(task=Task(name, {}), settings=settings)
-            except KeyError as missing:  # of a form that is made of the input, too, which takes time to read
-                tasks = find_fitted_tasks(records, of_fit.app, inputs, data) if tasks is None else tasks
+            except KeyError as missing:  # the format holds something of the input, too, which takes time to read
+                tasks = find_fitted_tasks(records, run.app, inputs, data) if tasks is None else tasks
                 if name not in tasks:
                     raise ValueError(
                         f"{name}: {form} is made of the fit and its input ({missing}), expected both; "

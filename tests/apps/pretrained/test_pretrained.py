@@ -62,7 +62,7 @@ def test_it_is_the_default_of_what_goes_on_from_general_where_weights_are(
     assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
 
     def chosen(paradigm: str, **options: object) -> str:
-        return Run.of(
+        return Run.from_options(
             fit_options(APP, paradigm, **{"observe": "photo", "data": tmp_path / "set"} | options)
         ).options.recipe
 

@@ -91,7 +91,7 @@ class Heard(Reporter, Bar):
     def bar(self, *_: object) -> contextlib.AbstractContextManager[Bar]:
         return contextlib.nullcontext(self)
 
-    def at(self, done: int, total: int | None, note: str = "") -> None:
+    def set_done(self, done: int, total: int | None, note: str = "") -> None:
         self.shown.append((done, total, note))
 
 

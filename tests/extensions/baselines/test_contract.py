@@ -80,7 +80,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], EvaluationRun]:
     def make(name: str, protocol: str) -> EvaluationRun:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
-        planned = Run.of(fit_options(name, "general", **of_app, device="cpu", quiet=True))
+        planned = Run.from_options(fit_options(name, "general", **of_app, device="cpu", quiet=True))
         subject = EvaluationRun(planned, measuring=False)  # paradigms may lack what their checkpoints need
         subject.measuring = True
         return subject

@@ -89,7 +89,9 @@ def _maps(photo: Tensor) -> tuple[Tensor, ...]:
     from metapp.runs.fit_options import fit_options
     from metapp.runs.run import Run
 
-    found = attach_checkpoint(Run.of(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo")))
+    found = attach_checkpoint(
+        Run.from_options(fit_options("svbrdf_nonstationary", "general", recipe="full", observe="photo"))
+    )
     with torch.no_grad():
         result: tuple[Tensor, ...] = photographs.MaterialModule(found.app, found.checkpoint.phi.encoder)(photo)
     return result

@@ -88,7 +88,7 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     attempt, failed = FoundOutlines(), _failed_picture(folder)
     try:
         with progress("photos", len(names), quiet=quiet) as bar:
-            fov_rad, done, begin = math.radians(options.fov), bar.advance, bar.name
+            fov_rad, done, begin = math.radians(options.fov), bar.advance, bar.set_label
             cameras, focal_mm, skipped, kept = find_sample(names, fov_rad, options.ruler, done, begin, attempt.show)
     except ValueError as error:
         drawn = _draw(attempt, names, str(error), failed, quiet=quiet)
