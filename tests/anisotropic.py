@@ -84,7 +84,7 @@ def fitted() -> Params:
     theta = APP.init(torch.Generator().manual_seed(0), 1)
     batch = APP.sample(tasks, torch.Generator().manual_seed(1), 4096)
     theta["turn"] = find_axes(batch)
-    features = APP.network.features_of(theta, batch["where"]).double()
+    features = APP.network.linear_features(theta, batch["where"]).double()
     cos = batch["where"][:, 6:7]
     target = torch.log1p(torch.expm1(batch["target"]) / cos.clamp_min(0.05)).double()
     gram = features @ features.mT + 0.1 * torch.eye(features.shape[1], dtype=torch.float64)

@@ -1,7 +1,9 @@
-"""Applications and their recipes, loaded by name; `metapp.registry` says which there are.
+"""Applications, their recipes and their presenters, loaded by the names that the registry lists.
 
-Each application that ships is a package here, with modules for its class, its recipes, its options and its
-presenter. `exemplar` is the base of two of them.
+Each application that ships is a package here: `app` has its class, `recipes` its recipes, `options` its own options
+and `presenter` what people look at. Begin with `brdf`; `exemplar` is the base of `texture` and `svbrdf_stationary`;
+`svbrdf_nonstationary`, `illumination` and `transport` stand alone. This module knows none of them by name: it loads
+what `metapp.registry` says there is.
 """
 
 from __future__ import annotations
@@ -21,19 +23,29 @@ if TYPE_CHECKING:
 
 
 def class_of(name: str) -> type[App]:
-    """The class of the application of that name; ValueError if there is none."""
+    """Return the class of the application of a name.
+
+    Raises:
+        ValueError: there is no such application.
+    """
     result: type[App] = application_of(name).load()
     return result
 
 
 def recipe_of(app: str, name: str, protocol: str = "") -> Recipe:
-    """The recipe of that name of an application under a protocol, its default one if none is named."""
+    """Return the recipe of a name, such as "quick", of an application.
+
+    Args:
+        app: the application's name.
+        name: the recipe's name.
+        protocol: what a fit observes, a value of --observe; "" for the application's default.
+    """
     result: Recipe = recipe_entries(app, protocol)[name].load()
     return result
 
 
 def recipes_of(app: str, protocol: str = "") -> Mapping[str, Recipe]:
-    """The recipes of an application under a protocol, its default one if none is named.
+    """Return the recipes of an application by name, all under one protocol; "" stands for its default protocol.
 
     They are "quick", "full", of the size that people use, and "paper"; some applications have more.
     """
@@ -41,13 +53,13 @@ def recipes_of(app: str, protocol: str = "") -> Mapping[str, Recipe]:
 
 
 def app_of(name: str, recipe: Recipe, protocol: str = "", *, rule: str = "") -> App:
-    """An application with the network of a recipe.
+    """Return an application with the network of a recipe.
 
     Args:
-        name: the application's.
-        recipe: as of `recipe_of`, or made of one.
-        protocol: a value of --observe; "" for the default one.
-        rule: a learned rule, which may have a network of its own.
+        name: the application's name.
+        recipe: a recipe of the application, from :func:`recipe_of` or changed.
+        protocol: what a fit observes, a value of --observe; "" for the application's default.
+        rule: a learned rule, which may have a network of its own; "" for none.
     """
     app = (recipe.training(rule).app if rule else None) or recipe.app
     return replace(app, protocol=protocol_or_default(name, protocol))
@@ -63,18 +75,19 @@ def presenter_of(app: App, values: Mapping[str, object] = MappingProxyType({})) 
     Raises:
         ValueError: files of the application cannot have the size.
     """
-    kind: type[Presenter[Any]] = load_reference(application_of(app.name).presenter)
-    known = {field.name for field in fields(kind)}
-    return kind(app, **{name: value for name, value in values.items() if name in known})  # type: ignore[arg-type]
+    presenter_class: type[Presenter[Any]] = load_reference(application_of(app.name).presenter)
+    known = {field.name for field in fields(presenter_class)}
+    known_values = {name: value for name, value in values.items() if name in known}
+    return presenter_class(app, **known_values)  # type: ignore[arg-type]
 
 
 def is_first_protocol(app: App) -> bool:
-    """True if an application is under its first protocol, or has no other."""
+    """Tell whether an application is under its first protocol, or has but one."""
     return app.protocol in ("", *protocols_of(app.name)[:1])
 
 
 def full_name(app: App) -> str:
-    """Return the name of an application with its protocol, if it has any: illumination photo."""
+    """Return the name of an application followed by its protocol, if it has any, as in "illumination photo"."""
     return f"{app.name} {app.protocol}".rstrip()
 
 

@@ -50,11 +50,11 @@ def plan_brdf(
     theta = (
         fit_likeliest_model(encoder, seen, before.reflectance)
         if len(seen)
-        else FEW_NETWORK.of_kinds(encoder, torch.zeros(1).long())
+        else FEW_NETWORK.select_kinds(encoder, torch.zeros(1).long())
     )
     wi, wo = plan_directions(theta, count, limits, seen, Generator().manual_seed(seed))
     every = torch.cat([seen.float(), directions_to_full_rusinkiewicz(wi, wo)])
-    posteriors = (Posterior.of(theta, places_at_angles(angles)) for angles in (seen.float(), every))
+    posteriors = (Posterior.from_samples(theta, places_at_angles(angles)) for angles in (seen.float(), every))
     first, then = (100 * expected_errors(posterior)["expected"] for posterior in posteriors)
     return wi, wo, (first, then)
 
@@ -66,7 +66,7 @@ def fit_likeliest_model(encoder: Params, angles: Tensor, reflectance: Tensor) ->
     batch = {"where": where, "target": target, COUNT_KEY: torch.tensor([float(len(angles))])}
     theta = FEW_NETWORK.encode(encoder, batch)
     fit = ridge_regression(theta, batch)
-    posterior = Posterior.of(theta, where, error_slope(reflectance.T[None].float(), where))
+    posterior = Posterior.from_samples(theta, where, error_slope(reflectance.T[None].float(), where))
     moment = (fit.residual[0] * fit.weights[0] / len(angles)) @ fit.features[0].T
     change = torch.einsum("cfg,cg->cf", posterior.covariance, moment.double())
     return theta | {"last": theta["last"] + change[None].float()}

@@ -78,7 +78,7 @@ def test_inputs_are_reciprocal_and_mirror_images_alike(rng: Generator) -> None:
 
 def test_a_material_is_linear_in_the_last_layer(theta: Params, where: torch.Tensor) -> None:
     """And the last feature is constant."""
-    assert bool((SIZE.features_of(theta, where)[:, -1] == 1).all())
+    assert bool((SIZE.linear_features(theta, where)[:, -1] == 1).all())
     twice = theta | {"last": 2 * theta["last"]}
     logs = [torch.log1p(SIZE.reflectance(each, where)) for each in (theta, twice)]
     torch.testing.assert_close(2 * logs[0], logs[1], rtol=1e-4, atol=1e-5)
@@ -234,7 +234,7 @@ def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
     assert {key: tuple(value.shape) for key, value in theta.items()} == parameter_shapes(network)
     assert set(network.unshared_parameters) <= set(theta)
     assert network.linear_parameter in ("", *theta)
-    with pytest.raises(ValueError, match=r"^parameters .*, expected those of a BRDF fit"):
+    with pytest.raises(ValueError, match=r"^parameters .*, expected the parameters of a BRDF fit"):
         find_network({key: value for key, value in theta.items() if key != "w1"})
 
 
@@ -252,4 +252,4 @@ def test_phi_h_counts_where_a_network_says_so(network: BrdfNetwork) -> None:
     first, turned = (network.evaluate(theta, each) for each in angles)
     assert torch.equal(first, turned) != network.anisotropic
     torch.testing.assert_close(network.evaluate(theta, angles[0, :, :3]), values[0])
-    assert (network.folded(theta).turn is not None) == network.anisotropic
+    assert (network.fold(theta).axes_azimuth_rad is not None) == network.anisotropic

@@ -58,7 +58,7 @@ def fitted(app: Illumination, maps: Tensor) -> Illumination:
     """The application whose fits have these maps [T, 3, H, W], whatever the parameters of their networks."""
 
     class Fitted(Illumination):
-        def radiance_of(self, theta: Params) -> Tensor:
+        def radiance_maps(self, theta: Params) -> Tensor:
             return maps
 
     return Fitted(**vars(app))
@@ -160,7 +160,7 @@ def test_a_mirror_is_taken_as_it_is_and_fits_in_its_unit(rng: Generator) -> None
     theta, front = app.init(rng, 1), texel_directions(8, 16)[2] > 0
     made, target = app.answer(theta, tasks.data)[0], tasks.data["map"][0]
     # the rest is the network's, but for its scale
-    for ratio in ((made / target)[:, front], (made / app.radiance_of(theta)[0])[:, ~front]):
+    for ratio in ((made / target)[:, front], (made / app.radiance_maps(theta)[0])[:, ~front]):
         torch.testing.assert_close(ratio, ratio.mean().expand(3, 64), rtol=1e-4, atol=0)
     app, theta = exact(app, tasks)
     torch.testing.assert_close(app.answer(theta, tasks.data), tasks.data["map"] / mean_luminance(tasks.data["map"]))
@@ -243,7 +243,7 @@ def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
     app = REFERENCE
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
     files = presenter_of(app).pictures(theta, task_of(lamps(0)))
-    fitted = app.radiance_of({key: value[None] for key, value in theta.items()})[0]
+    fitted = app.radiance_maps({key: value[None] for key, value in theta.items()})[0]
     fitted = fitted / mean_luminance(fitted[None])[0]  # 1, as all that are fitted; 3 is the file's
     torch.testing.assert_close(files["map"].pixels, 3 * fitted.permute(1, 2, 0))
     relit = files["relit"].pixels

@@ -100,8 +100,8 @@ def test_fits_of_maps_see_suns_that_no_step_moves(rng: Generator) -> None:
     moved = {key for key, grad in zip(leaves, grads, strict=True) if grad is not None and grad.any()}
     assert "z" in moved
     assert not [key for key in moved if key.startswith("suns")]
-    larger = app.sized(128, 256).radiance_of(theta)  # a sun stays as wide and bright as it is
-    at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_of(theta)))
+    larger = app.resize(128, 256).radiance_maps(theta)  # a sun stays as wide and bright as it is
+    at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_maps(theta)))
     assert at[0] == pytest.approx(at[1], rel=0.05)
     photo = Illumination(field, protocol="photo")
     condition = encoder_prediction(photo).condition(stack_tasks(photo, [task]), rng)

@@ -86,9 +86,9 @@ def test_the_density_is_the_jacobian_of_the_chain() -> None:
     def uniform(point: Tensor) -> Tensor:
         """What the chain of splines makes of a point: evenly spread where points have the flow's density."""
         places = point[None, :, None]
-        trunk = flow.trunk(theta, places[:, 0], places[:, 1])
-        chain = [flow.numbers(theta, i, trunk, places[:, 2 : 2 + i]) for i in range(2)]
-        chain = [*flow.film(theta, places[:, 0]), *chain]
+        trunk = flow.place_features(theta, places[:, 0], places[:, 1])
+        chain = [flow.direction_numbers(theta, i, trunk, places[:, 2 : 2 + i]) for i in range(2)]
+        chain = [*flow.film_numbers(theta, places[:, 0]), *chain]
         return torch.cat(
             [spline.cumulative_mass(spline.decode_splines(each), places[:, i])[0] for i, each in enumerate(chain)]
         )

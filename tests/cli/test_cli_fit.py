@@ -415,4 +415,4 @@ def test_records_say_what_brdfs_reflect(fit: Callable) -> None:
     assert "-conserve" in done.document["out"]
     refused = fit("meta", "--recipe", "few", "--conserve")
     assert refused.code == 2
-    assert "expected networks of isotropic BRDFs, as of --recipe full or quick" in " ".join(refused.err.split())
+    assert "expected a recipe of isotropic BRDFs, such as full or quick" in " ".join(refused.err.split())

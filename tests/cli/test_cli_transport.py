@@ -73,17 +73,17 @@ def test_pictures_with_nee_come_in_waves(box: Task) -> None:
     asked: list[tuple[int, int]] = []
 
     class Noted(guided_pictures.SceneRenderer):
-        def _by(self, integrator: str, spp: int, seed: int) -> guided_pictures.TimedPicture:
+        def _render(self, integrator: str, spp: int, seed: int) -> guided_pictures.TimedPicture:
             asked.append((spp, seed))
-            return super()._by(integrator, spp, seed)
+            return super()._render(integrator, spp, seed)
 
     scene = box.data["scene"].numpy().tobytes()
     studio = guided_pictures.SceneRenderer(scene, size=8)
-    whole = studio.path(4096).picture
-    assert torch.equal(whole, studio.path(4096).picture)
-    waves = Noted(scene, size=8, wave_paths=1500 * 8 * 8).path(4096, seed=1).picture
+    whole = studio.render_path(4096).picture
+    assert torch.equal(whole, studio.render_path(4096).picture)
+    waves = Noted(scene, size=8, wave_paths=1500 * 8 * 8).render_path(4096, seed=1).picture
     assert asked == [(1500, 65536), (1500, 65537), (1096, 65538)]
-    parts = sum(spp / 4096 * studio._by("path", spp, seed).picture for spp, seed in asked)
+    parts = sum(spp / 4096 * studio._render("path", spp, seed).picture for spp, seed in asked)
     torch.testing.assert_close(waves, parts)
     assert float(waves.mean()) == pytest.approx(float(whole.mean()), rel=0.01)
     assert not torch.equal(waves, whole)
@@ -94,7 +94,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task) -> None:
     app, sampled = app_by("transport"), []
 
     class Slow(guided_pictures.SceneRenderer):
-        def sampling(self, samples: torch.Tensor) -> float:
+        def time_sampling(self, samples: torch.Tensor) -> float:
             sampled.append(tuple(samples.shape))
             return 1e9
 
@@ -117,7 +117,7 @@ def test_a_reference_knows_its_own_error(box: Task) -> None:
     )
     found = float(guided_pictures.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
-    assert studio.sampling(box.data["samples"]) > 0
+    assert studio.time_sampling(box.data["samples"]) > 0
 
 
 @pytest.mark.long

@@ -1,4 +1,8 @@
-"""Networks of BRDFs: their base class, and which of them parameters belong to."""
+"""The base class of networks of BRDFs, and the choice of the network that fitted parameters belong to.
+
+Applications, exports and pages use a network by this class alone, so that an extension may register another one. What
+is common to the samples of all networks is here, too.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +17,8 @@ from metapp.appearance.geometry import half_difference_and_cosine
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.registry import registry
 
-COUNT_KEY = "count"  # tensor of tasks and batches, [T]: how many different samples, the first ones, a fit sees
-# columns: luminance, and two axes of colour, of unit length
+COUNT_KEY = "count"  # tensor of tasks and batches, [T]: the number of different samples that a fit sees, the first ones
+# columns of unit length: luminance, and two axes of colour
 _OPPONENT_AXES = ((3**-0.5, 2**-0.5, 6**-0.5), (3**-0.5, 0.0, -2 * 6**-0.5), (3**-0.5, -(2**-0.5), 6**-0.5))
 
 
@@ -34,95 +38,115 @@ def opponent_axes(like: Tensor) -> Tensor:
 
 
 class PlainLayers(NamedTuple):
-    """One material's network as plain layers, all that materials share multiplied in.
+    """One material's network as three plain layers, into which all that materials share is multiplied.
 
     Attributes:
-        layers: weights [out, in] and biases [out] of each of the three, float64.
-        inputs: "nbrdf": half and difference vector, with ReLU between the layers; "featured": `featured.inputs_of`,
-            "anisotropic": `anisotropic.inputs_of`, both with SiLU.
-        turn: azimuth of the material's axes in rad, of "anisotropic" alone.
-        darkest: the last layer ends at log(f cos theta_i cos theta_o + darkest), with that product at least this; 0: at
-            log(1 + f).
+        layers: weights [out, in] and biases [out] of each of the three layers, float64.
+        inputs: the input, and the nonlinearity between layers: "nbrdf", half and difference vector, with ReLU;
+            "featured", `feature_network.isotropic_inputs`, and "anisotropic", `anisotropic.anisotropic_inputs`, with
+            SiLU.
+        axes_azimuth_rad: azimuth of the material's axes in rad; None unless `inputs` is "anisotropic".
+        log_floor: if above 0, the last layer yields log(f cos theta_i cos theta_o + log_floor), where the product of
+            cosines is at least log_floor; if 0, it yields log(1 + f).
     """
 
     layers: list[tuple[Tensor, Tensor]]
     inputs: str
-    turn: float | None = None
-    darkest: float = 0.0
+    axes_azimuth_rad: float | None = None
+    log_floor: float = 0.0
 
 
 class BrdfNetwork(ABC):
     """A network of BRDFs; an instance holds its size.
 
     `where` [T, 7, N] is half vector, difference vector and cos theta_i; `target` [T, 3, N] is log(1 + f cos theta_i).
-    `reflectance`, `evaluate` and `folded` go by the sizes of the parameters: any instance will do.
+    `reflectance`, `evaluate` and `fold` read sizes off the parameters, so that any instance can evaluate fits of any
+    size.
     """
 
     @property
     def unshared_parameters(self) -> tuple[str, ...]:
-        """The parameters that a material does not share with others after General's encoder; () for all."""
+        """The names of the parameters that materials do not share after General's encoder; () if they share none."""
         return ()
 
     @property
     def linear_parameter(self) -> str:
-        """The parameter that it is linear in; "" for none."""
+        """The name of the parameter in which the network is linear; "" if there is none."""
         return ""
 
     @property
     def anisotropic(self) -> bool:
-        """True if it reads phi_h."""
+        """True if the network reads phi_h."""
         return False
 
     @property
-    def can_conserve(self) -> bool:
-        """True if its fits can be brought to reflect no more than they receive."""
+    def can_conserve_energy(self) -> bool:
+        """True if `conserve_energy` can limit fits to reflecting no more light than they receive."""
         return False
 
     @abstractmethod
     def init(self, rng: Generator, count: int) -> Params:
-        """Random parameters of `count` materials, [count, ...]."""
+        """Draw random parameters of `count` materials, [count, ...]."""
 
     def init_encoder(self, rng: Generator) -> Params:
-        """Random parameters of General's encoder; {} if there is none."""
+        """Draw random parameters of General's encoder; {} if there is none."""
         return {}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """Parameters [T, ...] from samples, one forward pass."""
+        """Predict parameters [T, ...] from samples by one forward pass of General's encoder.
+
+        Args:
+            encoder: parameters of the encoder.
+            condition: samples that it reads, `where` [T, 7, N] and `target` [T, 3, N].
+        """
         raise NotImplementedError
 
     @abstractmethod
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
-        """Reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, of places [T, 7, N]."""
+        """Return reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr.
+
+        Args:
+            theta: parameters of T materials.
+            where: half vector, difference vector and cos theta_i, [T, 7, N].
+        """
 
     def evaluate(self, theta: Params, angles: Tensor) -> Tensor:
         """Evaluate one fitted material.
 
         Args:
-            theta: parameters of one task, no task axis.
-            angles: (theta_h, theta_d, phi_d), and phi_h, which is 0 without, [..., 3 or 4] rad.
+            theta: parameters of one task, without a task axis.
+            angles: theta_h, theta_d, phi_d, and phi_h, in rad, [..., 3 or 4]. An isotropic network does not read phi_h;
+                for an anisotropic one it is 0 if it is left out.
 
         Returns:
-            Linear RGB in 1/sr, [..., 3], >= 0; of an isotropic network whatever phi_h is.
+            Linear RGB in 1/sr, [..., 3], >= 0.
         """
-        one = {key: value[None] for key, value in theta.items()}
-        flat = angles.reshape(-1, angles.shape[-1])
-        where = half_difference_and_cosine(flat if self.anisotropic else flat[:, :3])
-        return self.reflectance(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+        batched = {key: value[None] for key, value in theta.items()}
+        rows = angles.reshape(-1, angles.shape[-1])
+        where = half_difference_and_cosine(rows if self.anisotropic else rows[:, :3])
+        return self.reflectance(batched, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
-    def features_of(self, theta: Params, where: Tensor) -> Tensor:
-        """The factors of `linear_parameter`, [T, F, N], of places [T, 7, N]."""
+    def linear_features(self, theta: Params, where: Tensor) -> Tensor:
+        """Return the features [T, F, N] that `linear_parameter` multiplies, at `where` [T, 7, N]."""
         raise NotImplementedError
 
-    def conserved(self, theta: Params) -> Params:
-        """Materials whose last layer is such that they reflect no more than all, if `can_conserve`."""
+    def conserve_energy(self, theta: Params) -> Params:
+        """Return parameters [T, ...] with last layers by which materials reflect no more light than they receive.
+
+        Only networks with `can_conserve_energy` have it.
+        """
         raise NotImplementedError
 
     @abstractmethod
-    def folded(self, theta: Params) -> PlainLayers:
-        """One material as plain layers, of parameters without a task axis."""
+    def fold(self, theta: Params) -> PlainLayers:
+        """Return one material as plain layers.
+
+        Args:
+            theta: parameters of one task, without a task axis.
+        """
 
     def augment(self, data: Params, rng: Generator) -> Params:
-        """Change the samples `where` [T, N, 7] and `target` [T, N, 3] of materials for training."""
+        """Change the samples of training materials at random, `where` [T, N, 7] and `target` [T, N, 3]."""
         return data
 
 
@@ -130,50 +154,54 @@ def put_distinct_first(data: Params) -> Params:
     """Put different samples first among those that a fit sees, the first half, and add how many there are.
 
     Args:
-        data: `where` [N, 7], and others [N, ...].
+        data: `where` [N, 7], and further tensors [N, ...] of the same samples.
 
     Returns:
-        The tensors in the new order, and COUNT, a scalar.
+        The tensors in the new order, and COUNT_KEY, a scalar.
 
     >>> where = torch.tensor([[0.0], [0.0], [1.0], [2.0], [3.0], [4.0]]).expand(-1, 7)
     >>> data = put_distinct_first({"where": where})
-    >>> data["where"][:2, 0].tolist(), float(data[COUNT])
+    >>> data["where"][:2, 0].tolist(), float(data[COUNT_KEY])
     ([0.0, 1.0], 2.0)
     """
     where, half = data["where"], len(data["where"]) // 2
-    key = (
-        where[:half].double() @ torch.arange(1.0, 1 + where.shape[1]).double().sqrt()
-    )  # tells pairs of directions apart
-    _, which = torch.unique(key, return_inverse=True)
-    first = torch.full((int(which.max()) + 1,), half).scatter_reduce(0, which, torch.arange(half), "amin")
-    if len(first) < half:
+    # one number for each pair of directions: a sum whose weights, roots of 1 to 7, are hardly ever in a simple ratio
+    pair_numbers = where[:half].double() @ torch.arange(1.0, 1 + where.shape[1]).double().sqrt()
+    _, pairs = torch.unique(pair_numbers, return_inverse=True)
+    first_rows = torch.full((int(pairs.max()) + 1,), half).scatter_reduce(0, pairs, torch.arange(half), "amin")
+    if len(first_rows) < half:
         order = torch.arange(len(where))
-        order[: len(first)] = first.sort().values
+        order[: len(first_rows)] = first_rows.sort().values
         data = {name: value[order] for name, value in data.items()}
-    return data | {COUNT_KEY: torch.tensor(float(len(first)))}
+    return data | {COUNT_KEY: torch.tensor(float(len(first_rows)))}
 
 
 def gather_samples(tasks: Tasks, rows: Tensor) -> Batch:
-    """`where` [T, 7, count] and `target` [T, 3, count] of each task's samples of these indices, [T, count]."""
-    picked = (tasks.rows[:, None], rows)
-    return {key: tasks.data[key][picked].transpose(1, 2).contiguous() for key in ("where", "target")}
+    """Return `where` [T, 7, count] and `target` [T, 3, count] of each task's samples at given indices.
+
+    Args:
+        tasks: T tasks.
+        rows: indices of samples, [T, count].
+    """
+    task_rows = (tasks.rows[:, None], rows)
+    return {key: tasks.data[key][task_rows].transpose(1, 2).contiguous() for key in ("where", "target")}
 
 
 @functools.cache
 def parameter_shapes(network: BrdfNetwork) -> dict[str, tuple[int, ...]]:
-    """The shape of each parameter of one task; their names tell its parameters from another network's."""
+    """Return the shape of each parameter of one task by name; the names tell a network's parameters from another's."""
     return {name: tuple(value.shape[1:]) for name, value in network.init(Generator().manual_seed(0), 1).items()}
 
 
 def find_network(theta: Params) -> BrdfNetwork:
-    """The network that parameters belong to, by their names.
+    """Return the network that parameters belong to, by their names.
 
     Raises:
-        ValueError: they are of none.
+        ValueError: no registered network has parameters of these names.
     """
     for network in registry().load_table("networks", "brdf").values():
         if parameter_shapes(network).keys() == theta.keys():
             result: BrdfNetwork = network
             return result
     names = ", ".join(sorted(theta)) or "none"
-    raise ValueError(f"parameters {names[:80]}, expected those of a BRDF fit.")
+    raise ValueError(f"parameters {names[:80]}, expected the parameters of a BRDF fit.")

@@ -1,4 +1,9 @@
-"""The share of light that BRDFs reflect, by quadrature over half vectors, and fits that reflect no more than all."""
+"""The share of light that a BRDF reflects, and fits that reflect no more light than they receive.
+
+The share is an integral over outgoing directions. It is computed by quadrature over half vectors, in which a highlight
+has its place at all angles of the light. A BRDF is known here by its reflectance, or by features and a linear layer;
+which network it comes from is not.
+"""
 
 from __future__ import annotations
 
@@ -20,45 +25,54 @@ from metapp.appearance.geometry import (
 )
 from metapp.learning.recipe import Recipe
 
-INCIDENT_RAD = torch.linspace(0, math.radians(85), 16, dtype=torch.float64)
+INCIDENT_RAD = torch.linspace(0, math.radians(85), 16, dtype=torch.float64)  # angles of the light from the normal
 POLAR_NODES, AZIMUTH_NODES = 48, 24  # nodes of half vectors, in theta_h and in half a circle about the normal
 CROWDING_POWER = 3  # the power that crowds theta_h around 0, where lobes are
-TARGET_ALBEDO = 0.995  # the share that fits which reflect more than all are brought to
-MAX_SOLVES, DIMMING_FACTOR = 10, 0.99  # least squares, at most; then log(1 + f) times this, until it suffices
-RELATIVE_RIDGE = 1e-9  # of the mean of the Gram matrix's diagonal
+TARGET_ALBEDO = 0.995  # the share of light to which a fit is brought at angles where it reflects more than all
+# solves of least squares, at most; then log(1 + f) is multiplied by the factor until no share is above 1
+MAX_SOLVES, DIMMING_FACTOR = 10, 0.99
+RELATIVE_RIDGE = 1e-9  # the penalty of least squares, over the mean of the Gram matrix's diagonal
 
 
 @functools.cache
 def quadrature() -> tuple[Tensor, Tensor]:
-    """Pairs of directions, those of one of INCIDENT_RAD in a row: angles [16, N, 3] in rad, weights [16, N], float64.
+    """Return pairs of directions and their weights, by which sums over reflectance are shares of the light.
 
-    Sums of weights times a reflectance are shares of the light.
+    Returns:
+        Angles theta_h, theta_d, phi_d [16, N, 3] in rad, a row for each of INCIDENT_RAD; and weights [16, N]. A row's
+        sum of weights times reflectance is the share of that light which is reflected. Both are float64.
     """
-    (u, of_u), (v, of_v) = gauss_legendre(POLAR_NODES), gauss_legendre(AZIMUTH_NODES)
+    (u, u_weights), (v, v_weights) = gauss_legendre(POLAR_NODES), gauss_legendre(AZIMUTH_NODES)
     theta, phi = (math.pi / 2) * u[:, None] ** CROWDING_POWER, math.pi * v
-    solid = theta.sin() * (math.pi / 2) * CROWDING_POWER * (u ** (CROWDING_POWER - 1) * of_u)[:, None] * of_v
-    parts = torch.broadcast_tensors(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
-    half = torch.stack(parts, -1).flatten(0, 1)
+    solid_angles = (
+        theta.sin() * (math.pi / 2) * CROWDING_POWER * (u ** (CROWDING_POWER - 1) * u_weights)[:, None] * v_weights
+    )
+    components = torch.broadcast_tensors(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
+    half = torch.stack(components, -1).flatten(0, 1)
     wi = torch.stack([INCIDENT_RAD.sin(), torch.zeros_like(INCIDENT_RAD), INCIDENT_RAD.cos()], -1)
-    cosine = wi @ half.T
-    wo = 2 * cosine[..., None] * half - wi[:, None]
-    above = (cosine > 0) & (wo[..., 2] > 0)
-    # both halves of the circle; a solid angle of half vectors is 4 cos theta_d times as large in wo
-    weights = 2 * math.pi * solid.flatten() * 4 * cosine * wo[..., 2] * above
-    wo = torch.where(above[..., None], wo, wi[:, None])
+    cos_theta_d = wi @ half.T
+    wo = 2 * cos_theta_d[..., None] * half - wi[:, None]
+    is_visible = (cos_theta_d > 0) & (wo[..., 2] > 0)
+    # 2 pi for both halves of the circle; a solid angle of half vectors is 4 cos theta_d times as large in wo
+    weights = 2 * math.pi * solid_angles.flatten() * 4 * cos_theta_d * wo[..., 2] * is_visible
+    wo = torch.where(is_visible[..., None], wo, wi[:, None])
     return directions_to_rusinkiewicz(wi[:, None].expand_as(wo), wo), weights
 
 
 def quadrature_places(theta: Tensor) -> Tensor:
-    """The pairs of `quadrature` as networks read them, [T, 7, 16 N], for parameters [T, ...] like these."""
+    """Return the pairs of :func:`quadrature` as networks read them, [T, 7, 16 N].
+
+    Args:
+        theta: a parameter [T, ...], for the number of tasks, the dtype and the device.
+    """
     return half_difference_and_cosine(quadrature()[0].flatten(0, 1)).to(theta).T.expand(len(theta), -1, -1)
 
 
 def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
-    """The share of light from each of INCIDENT_RAD that an isotropic BRDF reflects, [16, 3], linear RGB.
+    """Return the share of light from each of INCIDENT_RAD that an isotropic BRDF reflects, [16, 3], linear RGB.
 
     Args:
-        reflectance: angles [..., 3] in rad -> reflectance [..., 3] in 1/sr.
+        reflectance: maps angles [..., 3] in rad to reflectance [..., 3] in 1/sr.
     """
     angles, weights = quadrature()
     shares: Tensor = (reflectance(angles.float()).double() * weights[..., None]).sum(1)
@@ -66,62 +80,63 @@ def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
 
 
 def conserve_energy(features: Tensor, last: Tensor) -> Tensor:
-    """The closest last layer whose BRDF conserves energy; unchanged if it already does.
+    """Return the closest last layer whose BRDF conserves energy; unchanged if it already does.
 
-    Reflectance is divided by the excess at the steeper one of both directions, so that it stays reciprocal, and
-    least squares bring the layer to that.
+    Where more than all light is reflected, reflectance is divided by the greater excess of the two directions, so that
+    it stays reciprocal. Least squares find the layer that is closest to the result, again and again until no share is
+    above 1.
 
     Args:
-        features: [F, 16 N], of the pairs of `quadrature`, whose weighted sum is log(1 + f).
+        features: features [F, 16 N] at the pairs of :func:`quadrature`; log(1 + f) is their sum, weighted by the layer.
         last: the layer, [3, F].
     """
     angles, weights = quadrature()
-    features, layer, (cosine, other, *_) = (
+    features, layer, (incident_cosine, outgoing_cosine, *_) = (
         features.double().cpu(),
         last.double().cpu(),
         angle_cosines(angles.flatten(0, 1)),
     )
     if not layer.isfinite().all():
-        return last  # such fits are refused
-    both_rad = torch.stack([cosine, other]).clamp(0, 1).arccos()
-    limited = torch.expm1(layer @ features).clamp_min(0)
+        return last  # a fit that is not finite is refused later
+    polar_rad = torch.stack([incident_cosine, outgoing_cosine]).clamp(0, 1).arccos()
+    limited_reflectance = torch.expm1(layer @ features).clamp_min(0)
 
-    def shares() -> Tensor:
+    def compute_shares() -> Tensor:
         reflected = torch.expm1(layer @ features).clamp_min(0)
-        share: Tensor = (reflected.unflatten(1, weights.shape) * weights).sum(2).amax(0)
-        return share
+        shares: Tensor = (reflected.unflatten(1, weights.shape) * weights).sum(2).amax(0)
+        return shares
 
     for _ in range(MAX_SOLVES):
-        if (share := shares()).amax() <= 1:
+        if (shares := compute_shares()).amax() <= 1:
             break
-        excess = torch.where(share > 1, share / TARGET_ALBEDO, 1.0)
-        limited = limited / torch.as_tensor(np.interp(both_rad, INCIDENT_RAD, excess)).amax(0)
-        # of log(1 + f cos theta), which fits are judged by, in log(1 + f)
-        slope = cosine * (1 + limited) / (1 + limited * cosine)
-        weighted = features * slope.square()[:, None]
-        gram = weighted @ features.T
+        excess = torch.where(shares > 1, shares / TARGET_ALBEDO, 1.0)
+        limited_reflectance = limited_reflectance / torch.as_tensor(np.interp(polar_rad, INCIDENT_RAD, excess)).amax(0)
+        # derivative of log(1 + f cos theta_i), which fits are judged by, in log(1 + f), which the layer yields
+        slope = incident_cosine * (1 + limited_reflectance) / (1 + limited_reflectance * incident_cosine)
+        weighted_features = features * slope.square()[:, None]
+        gram = weighted_features @ features.T
         penalty = (
             RELATIVE_RIDGE * gram.diagonal(dim1=1, dim2=2).mean(1)[:, None, None] * torch.eye(len(features)).to(gram)
         )
-        off = torch.log1p(limited) - layer @ features
-        layer = layer + torch.linalg.solve(gram + penalty, weighted @ off[..., None])[..., 0]
-    while shares().amax() > 1:
+        residual = torch.log1p(limited_reflectance) - layer @ features
+        layer = layer + torch.linalg.solve(gram + penalty, weighted_features @ residual[..., None])[..., 0]
+    while compute_shares().amax() > 1:
         layer = DIMMING_FACTOR * layer
     return layer.to(last)
 
 
 def set_conservation(recipe: Recipe, value: object) -> Recipe:
-    """The recipe whose fits reflect no more than they receive.
+    """Return a recipe all of whose applications have `conserve` set to a value.
 
     Raises:
-        ValueError: its networks have no such choice.
+        ValueError: a network of the recipe cannot conserve energy.
     """
-    apps = [recipe.app, *(each.app for each in recipe.meta.values() if each.app)]
-    if not all(app.network.can_conserve for app in apps):
-        raise ValueError("expected networks of isotropic BRDFs, as of --recipe full or quick")
+    apps = [recipe.app, *(training.app for training in recipe.meta.values() if training.app)]
+    if not all(app.network.can_conserve_energy for app in apps):
+        raise ValueError("expected a recipe of isotropic BRDFs, such as full or quick")
 
-    def conserving_app(app: Any) -> Any:
+    def set_app(app: Any) -> Any:
         return app and replace(app, conserve=value)
 
-    meta = {name: replace(each, app=conserving_app(each.app)) for name, each in recipe.meta.items()}
-    return replace(recipe, app=conserving_app(recipe.app), meta=meta)
+    meta = {name: replace(training, app=set_app(training.app)) for name, training in recipe.meta.items()}
+    return replace(recipe, app=set_app(recipe.app), meta=meta)

@@ -1,8 +1,8 @@
-"""A network of many weights that all materials share and few that each has: a code and the last, linear layer.
+"""A network of learned features: many weights that all materials share, and few that each material has.
 
-Features of a pair of directions are learned on all training materials; the code scales and shifts their hidden layers
-(FiLM, Perez et al. 2018), and a material is a linear combination of them, which least squares can solve for
-(`metapp.learning.rules.solve`).
+Features of a pair of directions are learned on all training materials. A material has a code, which scales and shifts
+their hidden layers (FiLM, Perez et al. 2018), and a last, linear layer, which combines the features and which least
+squares can solve for (`metapp.learning.rules.solve`). Losses and rules are not known here.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import silu
+from typing_extensions import override
 
 from metapp.appearance.geometry import rotate_about_normal
 from metapp.apps.brdf import anisotropic
@@ -24,13 +25,11 @@ from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 
-ISOTROPIC_INPUTS = 15
-AZIMUTH_ONSET_RAD2 = 0.01  # theta_h^2 in rad^2 about which what depends on phi_d grows from 0
-VECTOR_SMOOTHING, COSINE_SMOOTHING = (
-    1e-4,
-    1e-6,
-)  # of squares, of vectors and of cosines: where signs change, inputs have a slope of 0
-TURN_KEY = "turn"  # of an anisotropic material, its own: the azimuth of its axes
+ISOTROPIC_INPUTS = 15  # numbers that the network reads of a pair of directions
+AZIMUTH_ONSET_RAD2 = 0.01  # theta_h^2 in rad^2 around which inputs that depend on phi_d grow from 0
+# added to the squares of vectors and of cosines whose roots are inputs, which so have a slope of 0 where signs change
+VECTOR_SMOOTHING, COSINE_SMOOTHING = 1e-4, 1e-6
+TURN_KEY = "turn"  # a parameter that each anisotropic material has: the azimuth of its axes in rad
 
 
 @dataclass(frozen=True)
@@ -38,9 +37,9 @@ class Featured(BrdfNetwork):
     """A network of features that all materials share; a material is a code and a linear last layer.
 
     Attributes:
-        width: of the two hidden layers.
-        features: learned ones; a constant is one more.
-        code: numbers of the code.
+        width: units of each of the two hidden layers.
+        features: number of learned features, to which a constant is added.
+        code: length of a material's code.
         encoder: width of the set encoder.
         anisotropic: whether it reads phi_h, in axes that it finds in the samples (`metapp.apps.brdf.anisotropic`).
     """
@@ -53,19 +52,22 @@ class Featured(BrdfNetwork):
 
     @property
     def inputs(self) -> int:
-        """The count of numbers of a pair of directions that it reads."""
+        """The count of numbers that the network reads of a pair of directions."""
         return anisotropic.ANISOTROPIC_INPUTS if self.anisotropic else ISOTROPIC_INPUTS
 
     @property
+    @override
     def unshared_parameters(self) -> tuple[str, ...]:
         return ("z", "last", TURN_KEY) if self.anisotropic else ("z", "last")
 
     @property
+    @override
     def linear_parameter(self) -> str:
         return "last"
 
+    @override
     def init(self, rng: Generator, count: int) -> Params:
-        """Random weights, the same for all but for the code: 0."""
+        """Draw random weights; biases, codes and last layers are 0."""
         sizes = {"w1": (self.width, self.inputs), "w2": (self.width, self.width), "w3": (self.features, self.width)}
         theta = {}
         for name, (rows, columns) in sizes.items():
@@ -80,58 +82,64 @@ class Featured(BrdfNetwork):
             theta[TURN_KEY] = torch.zeros(count, 1, device=rng.device)
         return theta | {"last": torch.zeros(count, 3, self.features + 1, device=rng.device)}
 
+    @override
     def init_encoder(self, rng: Generator) -> Params:
-        """A set encoder to a code and a last layer, and the weights that all materials share."""
-        numbers = self.code + 3 * (self.features + 1)
-        reader = init_set_encoder(rng, self.inputs + 3, self.encoder, numbers)
+        """Draw a set encoder that predicts a code and a last layer, and the weights that all materials share."""
+        outputs = self.code + 3 * (self.features + 1)
+        reader = init_set_encoder(rng, self.inputs + 3, self.encoder, outputs)
         return join_encoder(reader, self.init(rng, 1), self.unshared_parameters)
 
+    @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """A code and a last layer from samples, beside the shared weights."""
-        own = {TURN_KEY: anisotropic.find_axes(condition)} if self.anisotropic else {}
-        samples = torch.cat([self._read(own, condition["where"]), condition["target"]], 1).transpose(1, 2)
-        z, last = read_set(select_reader(encoder), samples).split([self.code, 3 * (self.features + 1)], 1)
-        return add_decoder(own | {"z": z[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
+        """Predict a code and a last layer from samples, find axes if there are any, and add the shared weights."""
+        axes = {TURN_KEY: anisotropic.find_axes(condition)} if self.anisotropic else {}
+        samples = torch.cat([self._make_inputs(axes, condition["where"]), condition["target"]], 1).transpose(1, 2)
+        code, last = read_set(select_reader(encoder), samples).split([self.code, 3 * (self.features + 1)], 1)
+        return add_decoder(axes | {"z": code[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
 
-    def _read(self, theta: Params, where: Tensor) -> Tensor:
-        """The network's input, [T, inputs, N] of places [T, 7, N]."""
+    def _make_inputs(self, theta: Params, where: Tensor) -> Tensor:
+        """Return the network's input, [T, inputs, N], at `where` [T, 7, N]."""
         return anisotropic.anisotropic_inputs(where, theta[TURN_KEY]) if self.anisotropic else isotropic_inputs(where)
 
-    def features_of(self, theta: Params, where: Tensor) -> Tensor:
-        """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
-        x = self._read(theta, where)
+    @override
+    def linear_features(self, theta: Params, where: Tensor) -> Tensor:
+        """Return features [T, F, N], the last of which is the constant 1."""
+        hidden = self._make_inputs(theta, where)
         for layer in (1, 2):
             gain, shift = (theta[f"film{layer}"] @ theta["z"]).chunk(2, 1)
             weights, bias = theta[f"w{layer}"] * (1 + gain), theta[f"b{layer}"] * (1 + gain) + shift
-            x = silu(torch.baddbmm(bias, weights, x))
-        x = torch.baddbmm(theta["b3"], theta["w3"], x)
-        return torch.cat([x, torch.ones_like(x[:, :1])], 1)
+            hidden = silu(torch.baddbmm(bias, weights, hidden))
+        hidden = torch.baddbmm(theta["b3"], theta["w3"], hidden)
+        return torch.cat([hidden, torch.ones_like(hidden[:, :1])], 1)
 
+    @override
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
-        """exp(last layer) - 1."""
-        return torch.expm1(torch.bmm(theta["last"], self.features_of(theta, where)))
+        return torch.expm1(torch.bmm(theta["last"], self.linear_features(theta, where)))
 
     @property
-    def can_conserve(self) -> bool:
+    @override
+    def can_conserve_energy(self) -> bool:
         return not self.anisotropic
 
-    def conserved(self, theta: Params) -> Params:
-        """With a last layer that reflects no more than all."""
-        features = self.features_of(theta, quadrature_places(theta["last"]))
-        last = [conserve_energy(*each) for each in zip(features, theta["last"], strict=True)]
+    @override
+    def conserve_energy(self, theta: Params) -> Params:
+        features = self.linear_features(theta, quadrature_places(theta["last"]))
+        last = [conserve_energy(*material) for material in zip(features, theta["last"], strict=True)]
         return theta | {"last": torch.stack(last)}
 
+    @override
     def augment(self, data: Params, rng: Generator) -> Params:
-        """Return samples as instruments take them (`draw_measurements`); anisotropic materials are turned."""
+        """Return samples as instruments take them (:func:`draw_measurements`); turn anisotropic materials at random."""
         data = draw_measurements(data, rng)
         if not self.anisotropic:
             return data
         turn = 2 * math.pi * draw_uniform(rng, len(data["where"]), 1)
-        half, rest = data["where"].split((3, 4), -1)
-        return data | {"where": torch.cat([rotate_about_normal(half, turn), rest], -1)}
+        half, difference_and_cosine = data["where"].split((3, 4), -1)
+        return data | {"where": torch.cat([rotate_about_normal(half, turn), difference_and_cosine], -1)}
 
-    def folded(self, theta: Params) -> PlainLayers:
-        """The code and the features' own layer are multiplied out."""
+    @override
+    def fold(self, theta: Params) -> PlainLayers:
+        """Multiply the code into the hidden layers, and the features' own layer into the last one."""
         theta = {key: value.detach().double() for key, value in theta.items()}
         layers = []
         for layer in ("1", "2"):
@@ -149,16 +157,21 @@ FEATURED_NETWORK, ANISOTROPIC_NETWORK = Featured(), Featured(anisotropic=True)
 
 
 def isotropic_inputs(where: Tensor) -> Tensor:
-    """The network's input [T, INPUTS, N] of half vector and difference vector, [T, 7, N].
+    """Return the input of a network of isotropic BRDFs, [T, ISOTROPIC_INPUTS, N].
 
-    The same at phi_d, -phi_d and phi_d + pi, and for any phi_d where the half vector is the normal. Beside the vectors
-    both cosines, and functions of theta_h in which narrow and broad lobes are equally wide.
+    Inputs are equal at phi_d, -phi_d and phi_d + pi, and at all phi_d where the half vector is the normal. They are the
+    vectors, both cosines, and functions of theta_h in which narrow and broad lobes are equally wide.
+
+    Args:
+        where: half vector, difference vector and cos theta_i, [T, 7, N].
     """
-    half_x, nothing, half_z, x, y, z, _ = where.unbind(1)
-    square = (angle := torch.atan2(half_x, half_z)).square()
-    both, apart = x * x + y * y, square / (square + AZIMUTH_ONSET_RAD2) * (x * x - y * y)
-    along, across = ((both + apart) / 2 + VECTOR_SMOOTHING).sqrt(), ((both - apart) / 2 + VECTOR_SMOOTHING).sqrt()
-    lower, higher = (half_z * z + sign * ((half_x * x).square() + COSINE_SMOOTHING).sqrt() for sign in (-1, 1))
-    logs = torch.stack([square + 1e-4, square + 1e-2, lower.clamp_min(1e-3), higher.clamp_min(1e-3)], 1).log()
-    plain = [half_x, nothing, half_z, along, across, z, lower, higher, angle.sqrt(), 1 / (1 + 100 * square), apart]
-    return torch.cat([torch.stack(plain, 1), 0.4 * logs + 1], 1)
+    half_x, half_y, half_z, x, y, z, _ = where.unbind(1)
+    polar_square = (theta_h := torch.atan2(half_x, half_z)).square()
+    sine_square, elongation = x * x + y * y, polar_square / (polar_square + AZIMUTH_ONSET_RAD2) * (x * x - y * y)
+    squares = (sine_square + elongation) / 2, (sine_square - elongation) / 2
+    along, across = ((square + VECTOR_SMOOTHING).sqrt() for square in squares)
+    cos_low, cos_high = (half_z * z + sign * ((half_x * x).square() + COSINE_SMOOTHING).sqrt() for sign in (-1, 1))
+    logs = [polar_square + 1e-4, polar_square + 1e-2, cos_low.clamp_min(1e-3), cos_high.clamp_min(1e-3)]
+    inputs = [half_x, half_y, half_z, along, across, z, cos_low, cos_high]
+    inputs += [theta_h.sqrt(), 1 / (1 + 100 * polar_square), elongation]
+    return torch.cat([torch.stack(inputs, 1), 0.4 * torch.stack(logs, 1).log() + 1], 1)

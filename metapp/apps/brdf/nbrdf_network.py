@@ -1,4 +1,7 @@
-"""The NBRDF network of Sztrajman et al. 2021: 675 weights a material, and the set encoder that predicts them."""
+"""The NBRDF network of Sztrajman et al. 2021: 675 weights, all of them a material's own, and General's set encoder.
+
+The set encoder reads samples in any order and number; the feature network has one, too.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +12,32 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
+from typing_extensions import override
 
 from metapp.apps.brdf.brdf_network import BrdfNetwork, PlainLayers, parameter_shapes
 from metapp.apps.brdf.energy import conserve_energy, quadrature_places
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.task import Batch, Params
 
-LAYER_WIDTHS = (6, 21, 21, 3)
-ENCODER_WIDTH = 128
-WEIGHT_KNOTS = 8  # of learned weights of samples, over theta_h
+LAYER_WIDTHS = (6, 21, 21, 3)  # half and difference vector, units of two hidden layers, channels
+ENCODER_WIDTH = 128  # units of the set encoder's layers that read single samples
+WEIGHT_KNOTS = 8  # knots over theta_h, evenly spaced from 0 to pi/2, of learned weights of samples
 
 
 @dataclass(frozen=True)
 class Nbrdf(BrdfNetwork):
-    """Weights w1..w3 [T, out, in] and biases b1..b3 [T, out, 1], of one size, all a material's own.
+    """The NBRDF network: weights w1 to w3 [T, out, in] and biases b1 to b3 [T, out, 1], all of them a material's own.
 
     Attributes:
-        bound: random weights are uniform within this of 0, as Sztrajman et al. 2021 draw them; 0: Kaiming-normal.
+        bound: random weights are uniform in [-bound, bound], as in Sztrajman et al. 2021; 0: Kaiming-normal.
     """
 
     bound: float = 0.0
-    can_conserve = True
+    can_conserve_energy = True
 
+    @override
     def init(self, rng: Generator, count: int) -> Params:
-        """Random weights and zero biases, [count, ...]."""
+        """Draw random weights; biases are 0."""
         theta = {}
         for layer, (inputs, outputs) in enumerate(itertools.pairwise(LAYER_WIDTHS), 1):
             if self.bound:
@@ -43,33 +48,37 @@ class Nbrdf(BrdfNetwork):
             theta[f"b{layer}"] = torch.zeros(count, outputs, 1, device=rng.device)
         return theta
 
+    @override
     def init_encoder(self, rng: Generator) -> Params:
-        """A set encoder to all 675 weights; before training it predicts a random network."""
+        """Draw a set encoder to all 675 weights; before training it predicts a random network."""
         encoder = init_set_encoder(rng, 10, ENCODER_WIDTH, sum(map(math.prod, parameter_shapes(self).values())))
         network = self.init(rng, 1)
         encoder["out.b"] = torch.cat([value.flatten() for value in network.values()])
         return encoder
 
+    @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        flat = read_set(encoder, torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2))
-        parts = flat.split([math.prod(shape) for shape in parameter_shapes(self).values()], 1)
+        numbers = read_set(encoder, torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2))
+        parts = numbers.split([math.prod(shape) for shape in parameter_shapes(self).values()], 1)
         return {
             name: part.reshape(-1, *shape)
             for part, (name, shape) in zip(parts, parameter_shapes(self).items(), strict=True)
         }
 
+    @override
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
         return torch.expm1(torch.baddbmm(theta["b3"], theta["w3"], hidden_layer(theta, where)))
 
-    def conserved(self, theta: Params) -> Params:
-        """With a last layer that reflects no more than all."""
-        x = hidden_layer(theta, quadrature_places(theta["w3"]))
-        features = torch.cat([x, torch.ones_like(x[:, :1])], 1)
+    @override
+    def conserve_energy(self, theta: Params) -> Params:
+        hidden = hidden_layer(theta, quadrature_places(theta["w3"]))
+        features = torch.cat([hidden, torch.ones_like(hidden[:, :1])], 1)
         layers = torch.cat([theta["w3"], theta["b3"]], 2)
-        last = torch.stack([conserve_energy(*each) for each in zip(features, layers, strict=True)])
+        last = torch.stack([conserve_energy(*material) for material in zip(features, layers, strict=True)])
         return theta | {"w3": last[..., :-1].contiguous(), "b3": last[..., -1:].contiguous()}
 
-    def folded(self, theta: Params) -> PlainLayers:
+    @override
+    def fold(self, theta: Params) -> PlainLayers:
         theta = {key: value.detach().double() for key, value in theta.items()}
         return PlainLayers([(theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2, 3)], "nbrdf")
 
@@ -78,26 +87,43 @@ NBRDF_NETWORK = Nbrdf()
 
 
 def hidden_layer(theta: Params, where: Tensor) -> Tensor:
-    """The last hidden layer, [T, 21, N] of places [T, 7, N]."""
-    x = where[:, :6]
+    """Return the output of the last hidden layer, [T, 21, N].
+
+    Args:
+        theta: weights and biases of T materials.
+        where: half vector, difference vector and cos theta_i, [T, 7, N].
+    """
+    hidden = where[:, :6]
     for layer in (1, 2):
-        x = torch.relu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
-    return x
+        hidden = torch.relu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], hidden))
+    return hidden
 
 
 def sample_weights(where: Tensor, learned: Params) -> Tensor:
-    """Learned weights of samples, [T, N], between knots over theta_h."""
-    position = torch.arccos(where[:, 2].clamp(-1, 1)) * ((WEIGHT_KNOTS - 1) / (math.pi / 2))
+    """Return learned weights of samples, [T, N], interpolated between knots over theta_h.
+
+    Args:
+        where: half vector, difference vector and cos theta_i, [T, 7, N].
+        learned: loss parameters, among them `weights`, log weights at the knots, [T, WEIGHT_KNOTS].
+    """
+    knot_position = torch.arccos(where[:, 2].clamp(-1, 1)) * ((WEIGHT_KNOTS - 1) / (math.pi / 2))
     knots = torch.arange(WEIGHT_KNOTS, device=where.device, dtype=where.dtype)
-    hat = (1 - (position[:, None] - knots[:, None]).abs()).clamp_min(0)
-    return torch.exp((learned["weights"][:, None] @ hat)[:, 0])
+    knot_shares = (1 - (knot_position[:, None] - knots[:, None]).abs()).clamp_min(0)
+    return torch.exp((learned["weights"][:, None] @ knot_shares)[:, 0])
 
 
-# The set encoder: a network on each sample, the mean and maximum over samples, a network on these
+# The set encoder: a network on each sample, the mean and the maximum over samples, and a network on both of these
 
 
 def init_set_encoder(rng: Generator, inputs: int, width: int, outputs: int) -> Params:
-    """Random parameters: samples of `inputs` numbers to `outputs` numbers."""
+    """Draw random parameters of a set encoder.
+
+    Args:
+        rng: the source of all draws.
+        inputs: numbers of a sample.
+        width: units of the layers that read single samples; layers on the set have twice as many.
+        outputs: numbers that it predicts.
+    """
     sizes = {"in": (inputs, width), "mid": (width, width), "set": (2 * width, 2 * width)}
     sizes |= {"deep": (2 * width, 2 * width), "out": (2 * width, outputs)}
     encoder = {}
@@ -110,14 +136,14 @@ def init_set_encoder(rng: Generator, inputs: int, width: int, outputs: int) -> P
 
 
 def read_set(encoder: Params, samples: Tensor) -> Tensor:
-    """Read samples [T, N, inputs] by a set encoder: [T, outputs]."""
+    """Read samples [T, N, inputs] by a set encoder; return its predictions, [T, outputs]."""
 
-    def dense(name: str, x: Tensor) -> Tensor:
-        return x @ encoder[f"{name}.w"] + encoder[f"{name}.b"]
+    def apply_layer(name: str, values: Tensor) -> Tensor:
+        return values @ encoder[f"{name}.w"] + encoder[f"{name}.b"]
 
-    x = gelu(dense("mid", gelu(dense("in", samples))))
-    x = torch.cat([x.mean(1), x.amax(1)], 1)
-    x = layer_norm(x, x.shape[-1:])
-    x = gelu(dense("set", x))
-    x = x + gelu(dense("deep", layer_norm(x, x.shape[-1:])))
-    return dense("out", x)
+    hidden = gelu(apply_layer("mid", gelu(apply_layer("in", samples))))
+    hidden = torch.cat([hidden.mean(1), hidden.amax(1)], 1)
+    hidden = layer_norm(hidden, hidden.shape[-1:])
+    hidden = gelu(apply_layer("set", hidden))
+    hidden = hidden + gelu(apply_layer("deep", layer_norm(hidden, hidden.shape[-1:])))
+    return apply_layer("out", hidden)

@@ -1,4 +1,7 @@
-"""What people look at of fitted BRDFs: spheres, pictures of samples, remarks and warnings."""
+"""Presentation of fitted BRDFs: pictures of spheres and of samples, remarks and warnings.
+
+Spheres are drawn by the network that a fit's parameters belong to, so that fits of all networks are shown alike.
+"""
 
 from __future__ import annotations
 
@@ -22,25 +25,26 @@ from metapp.apps.brdf.energy import INCIDENT_RAD, albedo
 from metapp.apps.brdf.sample_augmentation import AUGMENTED_SAMPLES
 from metapp.learning.task import Params, Task, Tasks
 
-DRAWN_SAMPLES = 1024  # samples that are drawn in pictures, at most
-SAMPLES_SIDE_PX, DOT_PX = 96, 3  # of a picture of samples and of a sample
-EXCESSIVE_ALBEDO = 1.01  # the share of light that a fit may be said to reflect without a note
-MIRROR_DEGREES = 5  # of the half vector from the normal, up to which a pair of directions shows the highlight
+DRAWN_SAMPLES = 1024  # samples in a picture, at most
+SAMPLES_SIDE_PX, DOT_PX = 96, 3  # sides of a picture of samples, and of the square that shows a sample
+EXCESSIVE_ALBEDO = 1.01  # the share of reflected light above which a note says so
+MIRROR_DEGREES = 5  # degrees between half vector and normal, up to which a sample shows the highlight
 SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
 
 
 class BrdfPresenter(Presenter[Brdf]):
-    """What people look at of a fitted BRDF, by any network, of any subclass of :class:`metapp.apps.brdf.app.Brdf`."""
+    """Pictures, remarks and warnings of a fitted BRDF by any network; also for subclasses of the application."""
 
     picture_measure = (
         "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
     )
 
+    @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Return pictures of the sphere, linear RGB on black with coverage [H, W, 4].
+        """Return pictures of the sphere, linear RGB on black with coverage, [H, W, 4].
 
-        A material that is known by samples alone has pictures of these samples, `samples`, and of the fit's values at
-        the same angles, `predicted`, in place of a reference.
+        A material that is known by samples alone has no `reference`: it has pictures of these samples, `samples`, and
+        of the fit at the angles of these samples, `predicted`.
         """
         scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
         evaluate = functools.partial(find_network(theta).evaluate, theta)
@@ -55,25 +59,29 @@ class BrdfPresenter(Presenter[Brdf]):
         predicted = evaluate(with_phi_h)
         return {"samples": plot_samples(angles, reflectance), "predicted": plot_samples(angles, predicted), "fit": fit}
 
+    @override
     def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
-        """Return the sphere under the environment map; None for data sets made before they had such pictures."""
+        """Return the sphere under the environment map; None for data sets made before tasks had such pictures."""
         if "environment" not in task.data:
             return None
         scene = environment_scene(azimuths="phi_h" in task.data)
         fit = shade_sphere(scene, functools.partial(find_network(theta).evaluate, theta))
         return PictureComparison(_encode_on_white(fit), _encode_on_white(task.data["environment"]), scene.mask)
 
+    @override
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
-        """State what a reader of the error must know: samples held out, a highlight not seen, phi_h left out, energy.
+        """State what a reader of the error must know of the fit, as notes, and how much light it reflects.
 
-        `albedo`, of isotropic fits: the share of light that is reflected, the greatest of the channels', from each of
-        the angles of `metapp.apps.brdf.energy.INCIDENT_RAD`.
+        Notes say that no sample is held out, that none shows the highlight, that phi_h is left out, that reflectance is
+        the same everywhere, and that more light is reflected than received. `albedo`, of isotropic fits, is the share
+        of light that is reflected, the greatest of the channels', from each of the angles
+        `metapp.apps.brdf.energy.INCIDENT_RAD`.
         """
-        notes, half = [], len(task.data["angles"]) // 2
-        if torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
-            notes.append(f"all {half} samples are fitted, none is held out: the error is of these")
-        if unseen := describe_unseen_highlight(task.data["angles"][:half]):
-            notes.append(unseen)
+        notes, seen_count = [], len(task.data["angles"]) // 2
+        if torch.equal(task.data["angles"][:seen_count], task.data["angles"][seen_count:]):
+            notes.append(f"all {seen_count} samples are fitted, none is held out: the error is of these")
+        if highlight_note := describe_unseen_highlight(task.data["angles"][:seen_count]):
+            notes.append(highlight_note)
         if "phi_h" in task.data and not self.app.network.anisotropic:
             notes.append("anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic")
         notes += uniform_input_remarks(task.data["reflectance"].T, "reflectance in 1/sr")
@@ -82,12 +90,14 @@ class BrdfPresenter(Presenter[Brdf]):
             theta_on_cpu = {key: value.cpu() for key, value in theta.items()}
             shares = albedo(functools.partial(self.app.reflectance, theta_on_cpu)).amax(1)
             remarks["albedo"] = [round(share, 4) for share in shares.tolist()]
-            if (most := float(shares.amax())) > EXCESSIVE_ALBEDO:
+            if (greatest_share := float(shares.amax())) > EXCESSIVE_ALBEDO:
                 angle = math.degrees(INCIDENT_RAD[shares.argmax()])
-                times = f"{most:.2f} of" if most < 100 else "more than 100 times"  # the exp of what was never seen
-                notes.append(f"reflects {times} the light from {angle:.0f} degrees; --conserve limits it")
+                # far from samples reflectance is an exponential of anything
+                amount = f"{greatest_share:.2f} of" if greatest_share < 100 else "more than 100 times"
+                notes.append(f"reflects {amount} the light from {angle:.0f} degrees; --conserve limits it")
         return remarks | ({"note": "; ".join(notes)} if notes else {})
 
+    @override
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Warn of a fit that is black or the same everywhere, where the material is not."""
@@ -102,8 +112,9 @@ class BrdfPresenter(Presenter[Brdf]):
         # the first half of the samples, three angles and a colour each
         return VisibleData(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION_SAMPLES)
 
+    @override
     def sample_fit(self, theta: Params, task: Task) -> Task:
-        """Return the task with the fit's own reflectance: at its angles, or all over the hemisphere if it has few.
+        """Return the task with the reflectance of its fit, at its own angles, or at angles all over if it has few.
 
         Raises:
             ValueError: the fit is anisotropic.
@@ -116,7 +127,7 @@ class BrdfPresenter(Presenter[Brdf]):
 
 
 def describe_unseen_highlight(angles: Tensor) -> str:
-    """Return a line that no sample lies near a mirror direction, or "" if one does.
+    """Return a note that no sample lies near a mirror direction; "" if one does.
 
     Without such a sample the height of the highlight is a guess, which the error on other samples does not show.
 
@@ -133,24 +144,24 @@ def describe_unseen_highlight(angles: Tensor) -> str:
         return ""
     return (
         f"highlight: no sample within {MIRROR_DEGREES} degrees of mirror directions, the nearest at {nearest:.0f}; its "
-        "height is that of training materials"
+        "height is a guess from training materials"
     )
 
 
 def plot_samples(angles: Tensor, reflectance: Tensor) -> Tensor:
-    """Draw samples in the half-vector plane: theta_h from left to right, by its root, theta_d from the bottom up.
+    """Draw samples in the half-vector plane: the root of theta_h from left to right, theta_d from the bottom up.
 
     Args:
         angles: theta_h, theta_d, phi_d [N, 3] in rad.
         reflectance: linear RGB [N, 3] in 1/sr.
 
     Returns:
-        [SIDE_PX, SIDE_PX, 4], pi f as linear RGB on black, and coverage.
+        [SAMPLES_SIDE_PX, SAMPLES_SIDE_PX, 4]: pi f as linear RGB on black, and coverage.
     """
     picture = reflectance.new_zeros(SAMPLES_SIDE_PX, SAMPLES_SIDE_PX, 4)
-    shares = angles[:, :2] / (math.pi / 2)
-    last = SAMPLES_SIDE_PX - DOT_PX
-    x, y = (last * torch.stack([shares[:, 0].sqrt(), 1 - shares[:, 1]])).round().long().clamp(0, last)
+    plane_shares = angles[:, :2] / (math.pi / 2)
+    last_px = SAMPLES_SIDE_PX - DOT_PX
+    x, y = (last_px * torch.stack([plane_shares[:, 0].sqrt(), 1 - plane_shares[:, 1]])).round().long().clamp(0, last_px)
     colour = torch.cat([math.pi * reflectance, torch.ones_like(reflectance[:, :1])], 1)
     for row, column in itertools.product(range(DOT_PX), repeat=2):
         picture[y + row, x + column] = colour

@@ -1,4 +1,4 @@
-"""Recipes of BRDFs."""
+"""The recipes of the application brdf: networks, sizes and rates of training, each with its reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LEARNED = MetaTraining(
     order=2,
     clip=4e-3,
 )
-# with another network: features for all materials, of which each is a linear combination
+# a training with another network, whose features all materials share: each material is a linear combination of them
 RIDGE_TRAINING = MetaTraining(
     steps=10_000,
     tasks=4,
@@ -34,7 +34,7 @@ RIDGE_TRAINING = MetaTraining(
     initialisation="untrained",
     app=Brdf(Featured()),
 )
-# doubtful: final over initial loss above twice the largest ratio on validation materials
+# a fit is doubtful if its final over its initial loss is above twice the largest such ratio of a validation material
 GUARD = Guard(Adam(1e-2, beta1=0.5, beta2=0.9, final=0.1), fall=0.13)
 
 QUICK = Recipe(
@@ -47,7 +47,7 @@ QUICK = Recipe(
     quickft=Adam(5e-3, final=0.1),
     general=OuterLoop(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
     meta={
-        # from one initialisation for all materials ten signed gradients have too far to go
+        # ten signed gradients from one initialisation for all materials do not reach far enough
         "meta-sgd": replace(
             LEARNED,
             steps=10_000,

@@ -1,4 +1,8 @@
-"""Illumination: HDR environment maps, from themselves or from an LDR photograph of a sphere (paper section 4.1.5)."""
+"""The application of illumination: HDR environment maps (paper section 4.1.5).
+
+A fit sees a map itself, or nothing but the LDR photograph of a sphere under it; either way its answer is a map, which
+is judged by what it lights. How light gets to spheres and to the second scene is known to other modules.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, relu, softmax
+from typing_extensions import override
 
 from metapp.appearance.latlong import resample_maps, solid_angles, sphere_normals, texel_directions
 from metapp.appearance.photograph import (
@@ -35,28 +40,29 @@ from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, smooth_absolute
 from metapp.rendering.second_scene import relighting
 
-RADIANCE_FLOOR = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
-RADIOSITY_FLOOR = 0.02  # the same for what surfaces send out
-# weights in the outer loss, beside what faces the light: of texels, what mirrors, the log of both, the photograph
+RADIANCE_FLOOR = 0.01  # radiance in a map of mean luminance 1, below which its log is flat
+RADIOSITY_FLOOR = 0.02  # radiosity of a surface under such a map, below which its log is flat
+# weights in the outer loss of texels, of glossy surfaces, of the logs of all surfaces, and of the photograph, where
+# diffuse surfaces have weight 1
 TEXELS_WEIGHT, MIRRORING_WEIGHT, LOGS_WEIGHT, PHOTO_WEIGHT = 0.3, 0.3, 0.2, 0.3
-LIGHT_WEIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, so that few steps find suns
-BODY_NUMBERS = 10  # numbers of a sphere's material and a camera
-BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the map takes their part
-BODY_ROUGHNESSES = (0.25, 0.42, 0.7)
-DEFAULT_READ_ROWS = 64  # of a map that every size can be made of, but for finer ones
+LIGHT_WEIGHT = 0.3  # what a texel's own radiance, of mean 1, adds to its weight in a fit, so that few steps find suns
+BODY_NUMBERS = 10  # numbers that describe a sphere's material and a camera
+BODY_GAIN = 100  # factor of these numbers: few steps at a network's rate find them, else the map takes their part
+BODY_ROUGHNESSES = (0.25, 0.42, 0.7)  # roughnesses of the lobes that a sphere's gloss is mixed of
+DEFAULT_READ_ROWS = 64  # rows to which files of maps are read, for networks of as many or fewer
 LOSS_PHOTO_PX = 32  # side of the photograph in the loss
 
 
 @dataclass(frozen=True)
 class Illumination(CodedApp):
-    """One environment map a task, of mean luminance 1.
+    """Illumination: a task is one environment map of mean luminance 1.
 
-    Under the protocol "reference" a fit sees the map itself; under "photo" it sees the LDR photograph of a sphere
-    alone, and is the light by which a sphere of some material looks so through some camera. If that sphere is a
-    mirror, the task may hold the light in it (`metapp.apps.illumination.mirror`): a fit is then the rest of the map.
+    Under the protocol "reference" a fit sees the map itself. Under "photo" it sees the LDR photograph of a sphere
+    alone, and finds the light under which a sphere of some material looks so through some camera. If that sphere is a
+    mirror, the task may hold the light in it (`metapp.apps.illumination.mirror`), and a fit adds the rest of the map.
 
     Attributes:
-        encoder_size: rows and columns of the code that the encoder reads.
+        encoder_size: rows and columns of the code that General's encoder predicts.
     """
 
     encoder_size: tuple[int, int] = (16, 32)
@@ -80,28 +86,38 @@ class Illumination(CodedApp):
     }
 
     @property
+    @override
     def read_size(self) -> int:
         return self.network.height if self.network.height > DEFAULT_READ_ROWS else 0
 
+    @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, the radiosity of surfaces under it.
+        """Prepare the photograph, and the map if it is known.
 
-        Of a mirror `seen` [3, H, W] and `certain` [2, H, W], if fits see a photograph.
+        Returns:
+            `photo` uint8 [3, S, S]; what :meth:`describe_maps` makes of the map, without a task axis; and under "photo"
+            the light in a mirror: see :meth:`prepare_mirror`.
+
+        Raises:
+            ValueError: the task has no map, though fits see it.
         """
-        relighting.transfer_matrix()  # better missed now than after a fit
-        photo = {"photo": task.data["photos"][0]} | self.mirrored(task)
+        relighting.transfer_matrix()  # errors need it: if it cannot be made, that shows before the fit
+        prepared = {"photo": task.data["photos"][0]} | self.prepare_mirror(task)
         if "map" in task.data:
-            described = self.described(task.data["map"][None].float())
-            return photo | {key: value[0] for key, value in described.items()}
+            tensors = self.describe_maps(task.data["map"][None].float())
+            return prepared | {key: value[0] for key, value in tensors.items()}
         if self.protocol == "reference":
             raise ValueError(
                 f"{task.name}: a photo, expected an HDR map, .exr or .hdr; leave --observe reference out if it shows a "
                 "ball; of a surface take texture or an svBRDF."
             )
-        return photo
+        return prepared
 
-    def mirrored(self, task: Task) -> dict[str, Tensor]:
-        """The light in a task's mirror, `seen` [3, H, W] and `certain` [2, H, W]; {} if fits see the map."""
+    def prepare_mirror(self, task: Task) -> dict[str, Tensor]:
+        """Return the light in a task's mirror, `seen` [3, H, W] and `certain` [2, H, W]; {} if fits see the map.
+
+        Both are 0 where the photograph shows another sphere.
+        """
         height, width = self.network.height, self.network.width
         if self.protocol != "photo":
             return {}
@@ -109,144 +125,210 @@ class Illumination(CodedApp):
             return {"seen": torch.zeros(3, height, width), "certain": torch.zeros(2, height, width)}
         return resample_seen(task.data["seen"].float(), task.data["certain"].float(), height, width)
 
-    def described(self, maps: Tensor) -> dict[str, Tensor]:
+    def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
+        """Return maps at the network's size, and what losses compare of them.
+
+        Args:
+            maps: linear radiance [T, 3, h, w], of any size.
+
+        Returns:
+            `map` [T, 3, H, W]; `sent` [T, 3, S], the radiosity of S surfaces under it; and under "reference" `suns`
+            [T, SUN_COUNT, SUN_NUMBERS].
+        """
         maps = resample_maps(maps, self.network.height, self.network.width)
         suns = {"suns": find_suns(maps)} if self.protocol == "reference" else {}
-        return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T} | suns
+        return {"map": maps, "sent": maps.flatten(2) @ self._surface_transfer(maps).T} | suns
 
-    def _surfaces(self, like: Tensor) -> Tensor:
-        """Transport of light to surfaces, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
+    def _surface_transfer(self, like: Tensor) -> Tensor:
+        """Return the transport of light to S surfaces, [S, H * W]: first diffuse ones, then glossy ones, all around."""
         return surface_transfer(self.network.height, self.network.width, like.device).to(like)
 
+    @override
     def init(self, rng: Generator, count: int) -> Params:
         return super().init(rng, count) | {"body": torch.zeros(count, BODY_NUMBERS, device=rng.device)}
 
-    def radiance_of(self, theta: Params) -> Tensor:
-        """The fitted maps, linear radiance [T, 3, H, W]."""
-        field, z = self.network, theta["z"]
-        towards = texel_directions(field.height, field.width, dtype=z.dtype, device=z.device)
-        maps = field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
+    def radiance_maps(self, theta: Params) -> Tensor:
+        """Return the fitted maps as the network and its suns have them, linear radiance [T, 3, H, W]."""
+        network, z = self.network, theta["z"]
+        directions = texel_directions(network.height, network.width, dtype=z.dtype, device=z.device)
+        maps = network(theta, directions.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
         return add_suns(maps, join_suns(theta)) if "suns.light" in theta else maps
 
+    @override
     def task_parameters(self, tasks: Tasks) -> Params:
-        """The suns, if fits see the map."""
+        """Return the suns of the tasks' maps, if fits see the maps."""
         return split_suns(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
 
-    def sized(self, height: int, width: int) -> Illumination:
-        """The application with maps of another size: its networks can be evaluated anywhere."""
+    def resize(self, height: int, width: int) -> Illumination:
+        """Return the application with maps of another size, at which its network can be evaluated, too."""
         return replace(self, network=self.network._replace(height=height, width=width))
 
     def answer(self, theta: Params, data: Batch) -> Tensor:
-        """The same as they are judged and shown, of mean luminance 1; `data` as of `prepare`, [T, ...]."""
-        maps = self.radiance_of(theta)
+        """Return the radiance maps [T, 3, H, W] that errors and pictures use, of mean luminance 1.
+
+        Directions that a mirror shows are taken from it.
+
+        Args:
+            theta: fits [T, ...].
+            data: tensors of :meth:`prepare`, with a task axis.
+        """
+        maps = self.radiance_maps(theta)
         return normalise_luminance(complete_maps(maps, data) if "seen" in data else maps)
 
+    @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Of the photograph, or of the map, [T]: of log radiance, the radiosity of surfaces, and its log."""
-        maps = self.radiance_of(theta)
+        """Return the difference of each fit from the photograph or from the map that it sees, [T].
+
+        Of a map it is a sum: of log radiance, of the radiosity of surfaces, and of the log of that. The learned `light`
+        [T] is the log of the number that takes the place of LIGHT_WEIGHT; for `smoothing` see :func:`smooth_absolute`.
+        """
+        maps = self.radiance_maps(theta)
         if self.protocol == "photo":
             return self._visible_loss(theta, maps, batch, learned)
-        light = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT_WEIGHT
-        sent, logs = self._sent_apart(maps, batch["sent"], learned)
-        return _texels(maps, batch["map"], learned, light) + (sent + logs).mean((1, 2))
+        light_weight = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT_WEIGHT
+        sent, logs = self._compare_radiosity(maps, batch["sent"], learned)
+        return _texel_loss(maps, batch["map"], learned, light_weight) + (sent + logs).mean((1, 2))
 
+    @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Of the map, whatever fits see, [T]: above all of the radiosity of diffuse surfaces under it."""
-        maps, scaled = self.radiance_of(theta), self.answer(theta, batch)
-        sent, logs = self._sent_apart(scaled, batch["sent"], {})
-        texels = _texels(scaled, batch["map"], {}, 0.0)
+        """Return the difference of each answer from the true map, whatever fits see, [T].
+
+        Above all the radiosity of diffuse surfaces counts; the other parts have the weights TEXELS_WEIGHT to
+        PHOTO_WEIGHT.
+        """
+        maps, answers = self.radiance_maps(theta), self.answer(theta, batch)
+        sent, logs = self._compare_radiosity(answers, batch["sent"], {})
+        texels = _texel_loss(answers, batch["map"], {}, 0.0)
         photo = self._visible_loss(theta, maps, batch, {})
-        faced, mirrored = (each.mean((1, 2)) for each in sent.split((FACING_SURFACES, MIRRORING_SURFACES), 2))
+        diffuse, glossy = (part.mean((1, 2)) for part in sent.split((FACING_SURFACES, MIRRORING_SURFACES), 2))
         result: Tensor = (
-            faced
-            + MIRRORING_WEIGHT * mirrored
+            diffuse
+            + MIRRORING_WEIGHT * glossy
             + LOGS_WEIGHT * logs.mean((1, 2))
             + TEXELS_WEIGHT * texels
             + PHOTO_WEIGHT * photo
         )
         return result
 
-    def _sent_apart(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
-        """Differences of the radiosity of surfaces from the target, and of its log, [T, 3, S] each."""
-        sent = maps.flatten(2) @ self._surfaces(maps).T
-        return smooth_absolute(sent - target, learned), smooth_absolute(
-            (sent + RADIOSITY_FLOOR).log() - (target + RADIOSITY_FLOOR).log(), learned
-        )
+    def _compare_radiosity(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
+        """Return differences of the radiosity of S surfaces under maps from the target, and of its log, [T, 3, S] each.
+
+        Args:
+            maps: linear radiance [T, 3, H, W].
+            target: radiosity under the true maps, [T, 3, S].
+            learned: loss parameters that a rule has learned; {} for none.
+        """
+        sent = maps.flatten(2) @ self._surface_transfer(maps).T
+        logs = (sent + RADIOSITY_FLOOR).log() - (target + RADIOSITY_FLOOR).log()
+        return smooth_absolute(sent - target, learned), smooth_absolute(logs, learned)
 
     def _visible_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
-        """Of the light in the mirror, else of the photograph, [T]."""
-        of_photo = self._photo_loss(theta, maps, batch, learned)
-        return (
-            torch.where(shows_mirror(batch), mirror_loss(maps, batch, learned), of_photo)
-            if "seen" in batch
-            else of_photo
-        )
+        """Return the loss of the light in the mirror if there is one, else of the photograph, [T]."""
+        photo_loss = self._photo_loss(theta, maps, batch, learned)
+        if "seen" not in batch:
+            return photo_loss
+        return torch.where(shows_mirror(batch), mirror_loss(maps, batch, learned), photo_loss)
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
-        """Mean difference of display values; where the photograph clips, only darker values count."""
+        """Return the mean difference of display values, [T]; where the photograph clips, only darker fits differ."""
         side = batch["photo"].shape[-1]
         target = avg_pool2d(batch["photo"].to(maps) / 255, side // LOSS_PHOTO_PX)
-        short = target - self.ball(theta, maps, LOSS_PHOTO_PX)
-        short = torch.where(target > 0.98, relu(short), short)
-        return smooth_absolute(short, learned).flatten(2)[..., _inside(side, maps.device)].mean((1, 2))
+        shortfall = target - self.render_ball(theta, maps, LOSS_PHOTO_PX)
+        shortfall = torch.where(target > 0.98, relu(shortfall), shortfall)
+        return smooth_absolute(shortfall, learned).flatten(2)[..., _find_inner_pixels(side, maps.device)].mean((1, 2))
 
-    def ball(self, theta: Params, maps: Tensor, size: int) -> Tensor:
-        """The photograph [T, 3, size, size] of the fitted sphere under maps of `radiance_of`, as of `develop`."""
+    def render_ball(self, theta: Params, maps: Tensor, size: int) -> Tensor:
+        """Return the photograph of the fitted sphere through the fitted camera, display values [T, 3, size, size].
+
+        Args:
+            theta: fits [T, ...].
+            maps: maps of :meth:`radiance_maps`, [T, 3, H, W].
+            size: the photograph's side in px.
+        """
         material, camera = decode_body(BODY_GAIN * theta["body"])
         return develop(render_material_spheres(maps, material, size, BODY_ROUGHNESSES), camera)
 
+    @override
     def loss_parameters(self, steps: int) -> Params:
-        light = {"light": torch.full((steps,), math.log(LIGHT_WEIGHT))} if self.protocol == "reference" else {}
-        return super().loss_parameters(steps) | light
+        light_weight = {"light": torch.full((steps,), math.log(LIGHT_WEIGHT))} if self.protocol == "reference" else {}
+        return super().loss_parameters(steps) | light_weight
 
+    @override
     def init_reader(self, rng: Generator) -> Params:
         return ball_encoder.init_reader(rng, self.network.code, BODY_NUMBERS)
 
+    @override
     def read(self, reader: Params, photos: Tensor) -> Params:
-        code, body = ball_encoder.read_ball_photos(
+        code, numbers = ball_encoder.read_ball_photos(
             reader, photos.to(next(iter(reader.values()))) / 255, *self.encoder_size
         )
-        return {"z": code / self.network.gain, "body": body / BODY_GAIN}
+        return {"z": code / self.network.gain, "body": numbers / BODY_GAIN}
 
+    @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Augmented maps, and new photographs of spheres under them."""
+        """Return augmented maps, and new photographs of spheres under them."""
         maps = vary_maps(tasks.data["map"][tasks.rows], rng)
         photos = (photograph_spheres(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
-        return tasks.make_variants({"photo": photos} | self.described(maps))
+        return tasks.make_variants({"photo": photos} | self.describe_maps(maps))
 
+    @override
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """Of the second scene's pictures `error`; `map`, of the maps' logs; and `spheres.sphere_errors`."""
         return self.errors_of(self.answer(theta, {key: value[tasks.rows] for key, value in tasks.data.items()}), tasks)
 
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
-        """Of maps [T, 3, H, W] of the field's size, linear radiance."""
+        """Measure how far maps are off; {} if the true ones are not known.
+
+        Args:
+            answer: linear radiance [T, 3, H, W] at any scale, of the size of the network's maps.
+            tasks: T tasks.
+
+        Returns:
+            `error`, the mean absolute difference of the second scene's pictures; `map`, the mean difference of log
+            radiance; and errors of three spheres under the maps: see :func:`sphere_errors`. Each is [T].
+        """
         if "map" not in tasks.data:
             return {}
         maps, target = normalise_luminance(answer), tasks.data["map"][tasks.rows]
         error = (relighting.relight(maps) - relighting.relight(target)).abs().mean((1, 2, 3))
-        return {"error": error, "map": _texels(maps, target, {}, 0.0), **sphere_errors(maps, target)}
+        return {"error": error, "map": _texel_loss(maps, target, {}, 0.0), **sphere_errors(maps, target)}
 
 
-def _texels(maps: Tensor, target: Tensor, learned: Params, light: Tensor | float) -> Tensor:
-    """Mean difference of the logs of radiance, [T].
+def _texel_loss(maps: Tensor, target: Tensor, learned: Params, light_weight: Tensor | float) -> Tensor:
+    """Return the mean difference of the logs of radiance, [T].
 
-    Texels count by their solid angle, and by the target's light, of mean 1, `light` times as much.
+    A texel counts by its solid angle, times 1 + `light_weight` times the target's radiance there, which is 1 on
+    average.
+
+    Args:
+        maps: linear radiance [T, 3, H, W].
+        target: true maps [T, 3, H, W], of mean luminance 1.
+        learned: loss parameters that a rule has learned; {} for none.
+        light_weight: what the target's radiance adds to a texel's weight, a number or [T, 1, 1, 1].
     """
     weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
-    weights = weights * (1 + light * target.mean(1, keepdim=True))
-    off = smooth_absolute((maps + RADIANCE_FLOOR).log() - (target + RADIANCE_FLOOR).log(), learned)
-    return (off * weights).sum((2, 3)).mean(1)
+    weights = weights * (1 + light_weight * target.mean(1, keepdim=True))
+    differences = smooth_absolute((maps + RADIANCE_FLOOR).log() - (target + RADIANCE_FLOOR).log(), learned)
+    return (differences * weights).sum((2, 3)).mean(1)
 
 
-def decode_body(body: Tensor) -> tuple[SphereMaterials, CameraCurves]:
-    """Materials and cameras of their description [T, BODY], any numbers."""
-    material = SphereMaterials(torch.sigmoid(body[:, :3] + 1), torch.sigmoid(body[:, 3] - 1), softmax(body[:, 4:7], 1))
-    return material, CameraCurves(torch.exp(body[:, 7]), torch.exp(0.3 * body[:, 8]), 0.5 * torch.sigmoid(body[:, 9]))
+def decode_body(numbers: Tensor) -> tuple[SphereMaterials, CameraCurves]:
+    """Return the materials of spheres, and the cameras, that unbounded numbers [T, BODY_NUMBERS] describe."""
+    material = SphereMaterials(
+        torch.sigmoid(numbers[:, :3] + 1), torch.sigmoid(numbers[:, 3] - 1), softmax(numbers[:, 4:7], 1)
+    )
+    return material, CameraCurves(
+        torch.exp(numbers[:, 7]), torch.exp(0.3 * numbers[:, 8]), 0.5 * torch.sigmoid(numbers[:, 9])
+    )
 
 
 @functools.lru_cache(maxsize=4)
-def _inside(side: int, device: torch.device) -> Tensor:
-    """Where, row by row, the pixels are of LOSS_PX px a side of a photograph that show nothing but the sphere."""
-    inner = avg_pool2d(sphere_normals(side)[1].float()[None], side // LOSS_PHOTO_PX)[0] > 0.999
-    return inner.flatten().nonzero()[:, 0].to(device)
+def _find_inner_pixels(side: int, device: torch.device) -> Tensor:
+    """Return the indices, row by row, of pixels that show the sphere alone in a photograph of LOSS_PHOTO_PX a side.
+
+    Args:
+        side: side in px of the photograph before it is reduced.
+        device: device of the indices.
+    """
+    is_inside = avg_pool2d(sphere_normals(side)[1].float()[None], side // LOSS_PHOTO_PX)[0] > 0.999
+    return is_inside.flatten().nonzero()[:, 0].to(device)

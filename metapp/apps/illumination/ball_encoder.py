@@ -1,4 +1,7 @@
-"""General's encoder: the photograph of a sphere to the code of a map, the sphere's material and the camera."""
+"""General's encoder of illumination: from a photographed sphere to a map's code, the sphere's material and the camera.
+
+It knows directions on the sphere and nothing of the network that holds a map, but for the length of its code.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +15,22 @@ from metapp.appearance.latlong import texel_directions
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_dense
 
-LEAKY_SLOPE = 0.1
+LEAKY_SLOPE = 0.1  # slope of leaky ReLUs below 0
 PHOTO_PX = 64  # side of a photograph
-PHOTO_CHANNELS = ((3, 24), (24, 48), (48, 64), (64, 96))  # channels of the layers that look at the photograph as it is
+PHOTO_CHANNELS = ((3, 24), (24, 48), (48, 64), (64, 96))  # channels of the layers that read the photograph as it is
 OUTLINE_NUMBERS = 32  # numbers that describe the photograph as a whole
-SPHERE_CHANNELS = 64  # channels on the sphere of directions
-SPHERE_STRIDES = (1, 2, 4, 8, 1)  # how far apart the texels are that its layers look at, so that all see all around
+SPHERE_CHANNELS = 64  # channels of the layers on the sphere of directions
+SPHERE_STRIDES = (1, 2, 4, 8, 1)  # texels between the entries of these layers' kernels, which so see all around
 
 
 def init_reader(rng: Generator, code: int, body: int) -> Params:
-    """Random parameters for codes of a length, and for `body` numbers of the sphere's material and the camera."""
+    """Draw random parameters of the reader of photographs.
+
+    Args:
+        rng: the source of all draws.
+        code: length of the code.
+        body: count of numbers of the sphere's material and the camera.
+    """
     reader: Params = {}
     layer = functools.partial(add_layer, reader, rng)
 
@@ -40,59 +49,77 @@ def init_reader(rng: Generator, code: int, body: int) -> Params:
 
 
 def read_ball_photos(reader: Params, photos: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
-    """The code [T, code, rows, columns] and the body [T, body] of photographs [T, 3, PHOTO_PX, PHOTO_PX] in [0, 1].
+    """Read photographs of spheres: predict a map's code, the sphere's material and the camera.
 
-    Two views of one photograph: as it is, and unwrapped to where its pixels mirror from and where they face. Each
-    direction also sees the other side of the sphere at its elevation, and its row's mean: most light behind
-    a sphere resembles the light before it.
+    There are two views of a photograph: as it is, and unwrapped to the directions that its pixels mirror and face. Each
+    direction also sees the other side of the sphere at its elevation, and its row's mean: most light behind a sphere
+    resembles the light before it.
+
+    Args:
+        reader: parameters of :func:`init_reader`.
+        photos: display values [T, 3, PHOTO_PX, PHOTO_PX] in [0, 1].
+        rows: rows of the code.
+        columns: columns of the code.
+
+    Returns:
+        The code [T, code, rows, columns], and the numbers of material and camera, [T, body].
     """
-    x = photos - 0.5
+    features = photos - 0.5
     for i in range(len(PHOTO_CHANNELS)):
         kernel, shift = reader[f"photo{i}.kernel"], reader[f"photo{i}.shift"]
-        x = leaky_relu(conv2d(x, kernel, shift, stride=2, padding=1), LEAKY_SLOPE)
-    whole = leaky_relu(apply_dense(reader, "whole", x.flatten(1)), LEAKY_SLOPE)
-    x = unwrap_photos(photos, 2 * rows, 2 * columns).contiguous(memory_format=torch.channels_last)
-    outline = apply_dense(reader, "around0.whole", apply_dense(reader, "outline", whole))[..., None, None]
-    x = avg_pool2d(leaky_relu(_around(reader, "around0", x) + outline, LEAKY_SLOPE), 2)
+        features = leaky_relu(conv2d(features, kernel, shift, stride=2, padding=1), LEAKY_SLOPE)
+    summary = leaky_relu(apply_dense(reader, "whole", features.flatten(1)), LEAKY_SLOPE)
+    features = unwrap_photos(photos, 2 * rows, 2 * columns).contiguous(memory_format=torch.channels_last)
+    outline = apply_dense(reader, "around0.whole", apply_dense(reader, "outline", summary))[..., None, None]
+    features = avg_pool2d(leaky_relu(_convolve_around(reader, "around0", features) + outline, LEAKY_SLOPE), 2)
     for i, stride in enumerate(SPHERE_STRIDES, 1):
-        row = conv1d(x.mean(3), reader[f"around{i}.row.kernel"], reader[f"around{i}.row.shift"])[..., None]
-        x = x + leaky_relu(_around(reader, f"around{i}", x, stride) + row, LEAKY_SLOPE)
-    return conv2d(x, reader["code.kernel"], reader["code.shift"]), apply_dense(reader, "body", whole)
+        row = conv1d(features.mean(3), reader[f"around{i}.row.kernel"], reader[f"around{i}.row.shift"])[..., None]
+        features = features + leaky_relu(_convolve_around(reader, f"around{i}", features, stride) + row, LEAKY_SLOPE)
+    return conv2d(features, reader["code.kernel"], reader["code.shift"]), apply_dense(reader, "body", summary)
 
 
 def unwrap_photos(photos: Tensor, height: int, width: int) -> Tensor:
-    """Photographs [T, 3, S, S] in [0, 1], less 0.5, on the sphere of directions.
+    """Unwrap photographs of a sphere onto the sphere of directions.
+
+    Args:
+        photos: display values [T, 3, S, S] in [0, 1].
+        height: rows of directions.
+        width: columns of directions.
 
     Returns:
-        [T, 15, height, width]: a photograph at the pixels that mirror each direction, and that face it; the same
-        of the direction's image in the picture's plane; and the directions.
+        [T, 15, height, width]: the photograph, less 0.5, at the pixel that mirrors a direction and at the pixel that
+        faces it; both pixels of the direction's image behind the picture's plane; and the direction.
     """
-    grids, towards = _places(height, width)
+    grids, directions = _locate_pixels(height, width)
     views = [
         grid_sample(photos - 0.5, grid.to(photos).expand(len(photos), -1, -1, -1), align_corners=False)
         for grid in grids
     ]
-    return torch.cat([*views, towards.to(photos).expand(len(photos), -1, -1, -1)], 1)
+    return torch.cat([*views, directions.to(photos).expand(len(photos), -1, -1, -1)], 1)
 
 
 @functools.lru_cache(maxsize=4)
-def _places(height: int, width: int) -> tuple[list[Tensor], Tensor]:
-    """Where the picture of a sphere, seen from +z, mirrors each direction and where it faces it, as grid_sample does.
+def _locate_pixels(height: int, width: int) -> tuple[list[Tensor], Tensor]:
+    """Return where the picture of a sphere, seen from +z, mirrors each direction, and where it faces it.
 
     Directions that face away from the viewer are looked up at the rim.
+
+    Returns:
+        Coordinates of pixels as grid_sample takes them, four grids [height, width, 2]: mirroring and facing pixels of
+        each direction, then of its image behind the picture's plane; and the directions, [3, height, width].
     """
-    towards = texel_directions(height, width)
+    directions = texel_directions(height, width)
     grids = []
-    for each in (towards, towards * torch.tensor([1.0, 1.0, -1.0])[:, None, None]):
-        mirror = normalize(each + torch.tensor([0.0, 0.0, 1.0])[:, None, None], dim=0)
-        rim = normalize(each[:2], dim=0)
-        facing = torch.where(each[2] >= 0, each[:2], rim)
-        # a pixel inside, where the rim is
-        grids += [0.97 * torch.stack([place[0], -place[1]], -1) for place in (mirror, facing)]
-    return grids, towards
+    for towards in (directions, directions * torch.tensor([1.0, 1.0, -1.0])[:, None, None]):
+        mirror = normalize(towards + torch.tensor([0.0, 0.0, 1.0])[:, None, None], dim=0)
+        rim = normalize(towards[:2], dim=0)
+        facing = torch.where(towards[2] >= 0, towards[:2], rim)
+        # the rim is looked up a pixel inside
+        grids += [0.97 * torch.stack([position[0], -position[1]], -1) for position in (mirror, facing)]
+    return grids, directions
 
 
-def _around(encoder: Params, name: str, x: Tensor, stride: int = 1) -> Tensor:
-    """A 3x3 convolution, of texels so far apart, that goes around the horizon and ends at the poles."""
-    x = pad(pad(x, (stride, stride, 0, 0), mode="circular"), (0, 0, stride, stride), mode="replicate")
-    return conv2d(x, encoder[f"{name}.kernel"], encoder[f"{name}.shift"], dilation=stride)
+def _convolve_around(encoder: Params, name: str, features: Tensor, stride: int = 1) -> Tensor:
+    """Convolve maps [T, C, H, W] by a 3x3 kernel of texels `stride` apart, around the horizon, ending at the poles."""
+    features = pad(pad(features, (stride, stride, 0, 0), mode="circular"), (0, 0, stride, stride), mode="replicate")
+    return conv2d(features, encoder[f"{name}.kernel"], encoder[f"{name}.shift"], dilation=stride)

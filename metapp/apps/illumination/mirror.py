@@ -1,8 +1,8 @@
-"""The light that a mirror ball shows: taken as it is where it is seen, a bound where it clips.
+"""The light that a mirror ball shows: radiance where it is seen, and a lower bound of it where photographs clip.
 
 Beside its picture a task may hold `seen` [3, H, W], linear radiance in some unit, and `certain` [2, H, W] in [0, 1]:
 the share of each texel that is seen, and the share where all photographs clip, of which `seen` is a lower bound. What
-lies behind the ball is in neither.
+lies behind the ball is in neither. How balls are photographed and fitted is not known here.
 """
 
 from __future__ import annotations
@@ -17,15 +17,24 @@ from metapp.appearance.latlong import mean_luminance, resample_maps, solid_angle
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import smooth_absolute
 
-RADIANCE_FLOOR = 0.01  # of the mean of what is seen: the log of radiance is flat below
+RADIANCE_FLOOR = 0.01  # radiance over the mean luminance of what is seen, below which its log is flat
 CLIPPED_VALUE = 0.98  # display value from which a photograph says no more
-CLIPPED_LIGHT_FACTOR = (
-    2.0  # times the light of the clip is there at least; General tells how much more, best so in validation
-)
+# least light of a clipped texel, over the light at which it clips; General says how much more; best in validation
+CLIPPED_LIGHT_FACTOR = 2.0
 
 
 def resample_seen(seen: Tensor, certain: Tensor, height: int, width: int) -> dict[str, Tensor]:
-    """The light that is seen, `seen` [3, H, W] and `certain` [2, H, W], at another resolution."""
+    """Resample the light in a mirror to another size.
+
+    Args:
+        seen: linear radiance [3, h, w].
+        certain: shares of texels that are seen, and that clip, [2, h, w].
+        height: rows of the result.
+        width: columns of the result.
+
+    Returns:
+        `seen` [3, height, width] and `certain` [2, height, width].
+    """
     shares = resample_maps(certain, height, width).clamp(0, 1)
     weight = certain.sum(0, keepdim=True)
     mean = resample_maps(seen * weight, height, width) / resample_maps(weight, height, width).clamp_min(1e-6)
@@ -33,35 +42,53 @@ def resample_seen(seen: Tensor, certain: Tensor, height: int, width: int) -> dic
 
 
 def scale_to_seen(maps: Tensor, data: Batch) -> Tensor:
-    """Maps [T, 3, H, W] in the unit of visible light: of equal light where that is certain."""
-    sure = data["certain"][:, :1]
-    ratio = mean_luminance(data["seen"] * sure) / mean_luminance(maps * sure).clamp_min(1e-9)
+    """Scale maps [T, 3, H, W] to the unit of the light in the mirror: both are equally bright where it is seen.
+
+    Args:
+        maps: linear radiance [T, 3, H, W].
+        data: holds `seen` [T, 3, H, W] and `certain` [T, 2, H, W].
+    """
+    seen_share = data["certain"][:, :1]
+    ratio = mean_luminance(data["seen"] * seen_share) / mean_luminance(maps * seen_share).clamp_min(1e-9)
     return maps * torch.where(ratio > 0, ratio, 1.0)[:, None, None, None]
 
 
 def complete_maps(maps: Tensor, data: Batch) -> Tensor:
-    """The light that is seen, and maps [T, 3, H, W] where none is, in its unit.
+    """Return the light in the mirror where it is seen, and maps in its unit elsewhere, [T, 3, H, W].
 
-    Where it clips, the brighter of both counts, as if some light was lost for certain.
+    Where photographs clip, the map's radiance counts, but at least CLIPPED_LIGHT_FACTOR times the lower bound.
+
+    Args:
+        maps: linear radiance [T, 3, H, W].
+        data: holds `seen` [T, 3, H, W] and `certain` [T, 2, H, W].
     """
-    filled, (sure, clipped) = scale_to_seen(maps, data), data["certain"].split(1, 1)
-    filled = torch.lerp(
-        filled, torch.maximum(filled, CLIPPED_LIGHT_FACTOR * data["seen"]), clipped / (1 - sure).clamp_min(1e-6)
-    )
-    return torch.lerp(filled, data["seen"], sure)
+    completed, (seen_share, clipped_share) = scale_to_seen(maps, data), data["certain"].split(1, 1)
+    bounded = torch.maximum(completed, CLIPPED_LIGHT_FACTOR * data["seen"])
+    completed = torch.lerp(completed, bounded, clipped_share / (1 - seen_share).clamp_min(1e-6))
+    return torch.lerp(completed, data["seen"], seen_share)
 
 
 def shows_mirror(data: Batch) -> Tensor:
-    """Which tasks show a mirror, bool [T]."""
+    """Tell which tasks show a mirror, bool [T]."""
     return data["certain"].flatten(1).amax(1) > 0
 
 
 def mirror_loss(maps: Tensor, data: Batch, learned: Params) -> Tensor:
-    """Mean difference of the logs of radiance, [T]; where the ball clips, only darker maps differ."""
-    seen, (sure, clipped) = data["seen"], data["certain"].split(1, 1)
+    """Return the mean difference of log radiance from the light in the mirror, [T].
+
+    Where photographs clip, only darker maps differ.
+
+    Args:
+        maps: linear radiance [T, 3, H, W].
+        data: holds `seen` [T, 3, H, W] and `certain` [T, 2, H, W].
+        learned: loss parameters that a rule has learned; {} for none.
+    """
+    seen, (seen_share, clipped_share) = data["seen"], data["certain"].split(1, 1)
     floor = RADIANCE_FLOOR * mean_luminance(seen)[:, None, None, None] + 1e-9
-    short = (seen + floor).log() - (scale_to_seen(maps, data) + floor).log()
+    shortfall = (seen + floor).log() - (scale_to_seen(maps, data) + floor).log()
     weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
-    differences = sure * smooth_absolute(short, learned) + clipped * smooth_absolute(relu(short), learned)
+    differences = seen_share * smooth_absolute(shortfall, learned) + clipped_share * smooth_absolute(
+        relu(shortfall), learned
+    )
     result: Tensor = (differences * weights).sum((2, 3)).mean(1)
     return result

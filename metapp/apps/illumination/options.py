@@ -1,9 +1,11 @@
-"""Options of illumination."""
+"""The options of the application illumination."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated, Any
+
+from typing_extensions import override
 
 from metapp.networks.picture_options import CameraOptions, fov, size
 from metapp.options import INPUT, Option
@@ -11,7 +13,7 @@ from metapp.options import INPUT, Option
 
 @dataclass(frozen=True)
 class IlluminationOptions(CameraOptions):
-    """Size of the map, camera and shutter times of photos of a mirror ball."""
+    """The options of illumination: size of the map, camera, and shutter times of photos of a mirror ball."""
 
     size: Annotated[tuple[int, int] | None, size("of the map, up to 1024x2048")] = None
     fov: Annotated[float, fov("EXIF's, else a distant camera")] = 0.0
@@ -25,6 +27,7 @@ class IlluminationOptions(CameraOptions):
         ),
     ] = ""
 
+    @override
     def reader_keywords(self) -> dict[str, Any]:
-        """Each photo is read without the shutter times, by which photos are merged."""
+        """Leave out the shutter times: readers read single photos, which are merged by them later."""
         return {name: value for name, value in super().reader_keywords().items() if name != "shutter"}

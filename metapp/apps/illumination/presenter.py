@@ -1,4 +1,7 @@
-"""What people look at of fitted illumination: maps, a second scene under them, photographed balls, warnings."""
+"""Presentation of fitted illumination: maps, a second scene under them, photographed balls, remarks and warnings.
+
+Maps are shown as the application's answer, at a mean luminance of 1; files have the scale of a task's own file.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +23,11 @@ from metapp.apps.illumination.mirror import scale_to_seen, shows_mirror
 from metapp.learning.task import Params, Task, Tasks
 from metapp.rendering.second_scene import relighting
 
-LARGEST_MAP_ROWS = 1024  # of the file of a map
+LARGEST_MAP_ROWS = 1024  # rows of the file of a map, at most
 
 
 class IlluminationPresenter(Presenter[Illumination]):
-    """What people look at of a fitted environment map; `size` is that of the file `map`."""
+    """Pictures, remarks and warnings of a fitted environment map; `size` is the size of the file `map`."""
 
     picture_measure = "the second scene under the map, tone-mapped"
 
@@ -35,12 +38,14 @@ class IlluminationPresenter(Presenter[Illumination]):
             "" if fits else f"expects a map twice as wide as high, 16x32 to {LARGEST_MAP_ROWS}x{2 * LARGEST_MAP_ROWS}"
         )
 
+    @override
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Return for fit and reference a picture of map, photograph and second scene, tone-mapped."""
+        """Return for fit and reference one picture of the map, the photograph and the second scene, tone-mapped."""
         maps, photo = self._maps_and_photo(theta, task)
         return {name: draw_overview(radiance, photo) for name, radiance in maps.items()}
 
+    @override
     @torch.no_grad()
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return the photograph if fits see it, and the map and the second scene, tone-mapped, of fit and reference."""
@@ -52,19 +57,25 @@ class IlluminationPresenter(Presenter[Illumination]):
                 tiles[f"{prefix}{title}"] = srgb_to_linear(tone_map(picture))[0].permute(1, 2, 0)
         return tiles
 
+    @override
     @torch.no_grad()
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
-        """Return the ball as the fit makes it beside its photograph; of a mirror the light in it, unwrapped."""
+        """Return the ball as the fit makes it beside its photograph; of a mirror, the light in it, unwrapped."""
         if self.app.protocol != "photo":
             return None
         data, parameters = add_task_axis(self.app.prepare(task)), add_task_axis(theta)
-        maps = self.app.radiance_of(parameters)
+        maps = self.app.radiance_maps(parameters)
         if shows_mirror(data)[0]:
-            fit, seen = (linear_to_srgb(light.clamp(0, 1)) for light in (scale_to_seen(maps, data), data["seen"]))
-            return PictureComparison(fit, seen, data["certain"][0, 0] > 0.5)
+            fit, mirror_light = (
+                linear_to_srgb(light.clamp(0, 1)) for light in (scale_to_seen(maps, data), data["seen"])
+            )
+            return PictureComparison(fit, mirror_light, data["certain"][0, 0] > 0.5)
         side = data["photo"].shape[-1]
-        return PictureComparison(self.app.ball(parameters, maps, side), data["photo"] / 255, sphere_normals(side)[1])
+        return PictureComparison(
+            self.app.render_ball(parameters, maps, side), data["photo"] / 255, sphere_normals(side)[1]
+        )
 
+    @override
     @torch.no_grad()
     def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the second scene under the maps of fit and reference, tone-mapped."""
@@ -73,28 +84,34 @@ class IlluminationPresenter(Presenter[Illumination]):
         return PictureComparison(lit["fit"], lit["reference"]) if "reference" in lit else None
 
     def _maps_and_photo(self, theta: Params, task: Task) -> tuple[dict[str, Tensor], Tensor]:
-        """Return the map `reference`, if it is known, and the map `fit`, both [1, 3, H, W], and the photograph."""
+        """Return maps [1, 3, H, W], `reference` if it is known, and `fit`; and the photograph, uint8 [1, 3, S, S]."""
         data = add_task_axis(self.app.prepare(task))
         reference = {"reference": data["map"]} if "map" in data else {}
         return reference | {"fit": self.app.answer(add_task_axis(theta), data)}, data["photo"]
 
+    @override
     @torch.no_grad()
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """Return the map, at its file's scale, of mean luminance 1 if there was none, and the second scene under it."""
-        answer = file_map(self.app, theta, task)
-        return self.answer_pictures(answer, task) | {"map": self.map_picture(theta, task)}
+        """Return the map and the second scene under it.
 
+        The map has the scale of the task's own file, or a mean luminance of 1 if there was none.
+        """
+        answer = file_map(self.app, theta, task)
+        return self.answer_pictures(answer, task) | {"map": self.draw_map(theta, task)}
+
+    @override
     @torch.no_grad()
     def linear_maps(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Return the map as its file has it, [H, W, 3]."""
-        return {"radiance": self.map_picture(theta, task).pixels}
+        """Return the map as its file has it, `radiance` [H, W, 3]."""
+        return {"radiance": self.draw_map(theta, task).pixels}
 
+    @override
     @torch.no_grad()
     def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
         """Return the map and the second scene under it.
 
         Args:
-            answer: the map [1, 3, H, W], linear radiance; the file has its size.
+            answer: linear radiance [1, 3, H, W]; the file has its size.
             task: the task that is answered.
         """
         maps = normalise_luminance(answer)
@@ -104,22 +121,24 @@ class IlluminationPresenter(Presenter[Illumination]):
         }
 
     @torch.no_grad()
-    def map_picture(self, theta: Params, task: Task) -> Picture:
-        """Return the file of the map, of `size` if that is given."""
-        app = self.app.sized(*self.size) if self.size else self.app
+    def draw_map(self, theta: Params, task: Task) -> Picture:
+        """Return the picture file of the map, of `size` if that is given."""
+        app = self.app.resize(*self.size) if self.size else self.app
         return radiance_picture(file_map(app, theta, task), task)
 
+    @override
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
-        """State that the map is the same everywhere."""
+        """State that the map that is fitted is the same everywhere, if it is."""
         notes = uniform_input_remarks(task.data["map"], "radiance (mean luminance 1)") if "map" in task.data else []
         return {"note": "; ".join(notes)} if notes else {}
 
+    @override
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Warn of a fit that is the same everywhere, where the map that it was fitted to is not."""
         if "map" not in tasks.data:
             return super().quality_warnings(theta, tasks)
-        pairs = zip(self.app.radiance_of(theta), tasks.data["map"][tasks.rows], strict=True)
+        pairs = zip(self.app.radiance_maps(theta), tasks.data["map"][tasks.rows], strict=True)
         return [collapsed_fit_warnings(fit, reference) for fit, reference in pairs]
 
     @override
@@ -141,23 +160,28 @@ def file_map(app: Illumination, theta: Params, task: Task) -> Tensor:
     Args:
         app: the application, at the size of the map.
         theta: the fit, without a task axis.
-        task: the task of the fit; of a mirror ball it holds the light in it.
+        task: the task of the fit, which may hold the light in a mirror ball.
     """
-    return app.answer(add_task_axis(theta), add_task_axis(app.mirrored(task)))
+    return app.answer(add_task_axis(theta), add_task_axis(app.prepare_mirror(task)))
 
 
 def radiance_picture(maps: Tensor, task: Task) -> Picture:
-    """Return the file of a map [1, 3, H, W] at the scale of the task's own file."""
+    """Return a map [1, 3, H, W] of mean luminance 1 as a picture file, at the scale of the task's own file."""
     return Picture((maps * task.data.get("scale", torch.ones(())))[0].permute(1, 2, 0), "radiance")
 
 
 def draw_overview(maps: Tensor, photo: Tensor) -> Tensor:
-    """Draw one linear picture: the map above the second scene, and the photograph in the corner beside that."""
-    lit = tone_map(relighting.relight(maps))[0]
-    height, width = lit.shape[1:]
-    across = width // 3
-    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
-    column = torch.ones(3, height, across)
-    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
-    pictures = torch.cat([whole, torch.cat([lit, column], 2)], 1)
+    """Draw a map above the second scene under it, with the photograph in the corner beside that; linear [H, W, 3].
+
+    Args:
+        maps: linear radiance [1, 3, H, W].
+        photo: the photograph, uint8 [1, 3, S, S].
+    """
+    scene = tone_map(relighting.relight(maps))[0]
+    height, width = scene.shape[1:]
+    photo_px = width // 3
+    map_picture = interpolate(tone_map(maps), size=(2 * photo_px, 4 * photo_px), mode="nearest")[0]
+    column = torch.ones(3, height, photo_px)
+    column[:, :photo_px] = avg_pool2d(photo.float() / 255, photo.shape[-1] // photo_px)[0, :, :photo_px, :photo_px]
+    pictures = torch.cat([map_picture, torch.cat([scene, column], 2)], 1)
     return srgb_to_linear(pictures).permute(1, 2, 0)

@@ -1,4 +1,4 @@
-"""Recipes of environment maps."""
+"""The recipes of the application illumination: networks, sizes and rates of training, each with its reason."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ LEARNED = MetaTraining(
     clip=1.0,
     validate_every=100,
     initialisation="encoder",
-    # doubtful: what ends at twice the share of its initialisation's loss that any validation map does, or overshoots
-    # a sun, whose radiance the late steps are too long for
+    # a fit is doubtful if its final over its initial loss is twice as large as for any validation map, or if late steps
+    # double its loss: they are too long for the radiance of a sun, and overshoot it
     guard=Guard(Adam(2e-3, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.5, rise=2.0),
 )
 QUICK = Recipe(
@@ -38,7 +38,7 @@ QUICK = Recipe(
     rule="meta-lgd",
     app=Illumination(LocalField(32, 64)),
 )
-# from photographs slowly and for long: the encoder has much to learn, such as to leave to the steps what they can find
+# from photographs training is slow and long: the encoder has much to learn, and what to leave to the steps
 PHOTO_TRAINING = replace(
     LEARNED,
     steps=3000,
@@ -59,10 +59,11 @@ PROTOCOLS = ("reference", "photo")
 RECIPES = recipes_by_protocol(
     QUICK,
     PHOTO,
-    # at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
+    # at the size that people use, with a fifth as many parameters as a map has numbers: what was learned for 32 x 64
+    # texels, on a finer grid
     full=dict.fromkeys(PROTOCOLS, Illumination(LocalField(128, 256, rows=32, columns=64))),
     # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
     paper=dict.fromkeys(PROTOCOLS, Illumination(LocalField(64, 128, hidden=64))),
 )
-# at 1e-3, as of the other applications, losses are not finite after 439 steps
+# at a rate of 1e-3, which other applications have, losses are not finite after 439 steps
 RECIPES["reference"]["paper-long"] = long_paper_recipe(RECIPES["reference"]["paper"], 3e-4)

@@ -1,9 +1,10 @@
-"""Points of spheres that losses compare the light of, and three spheres by which estimated light is judged.
+"""Surfaces whose light losses compare, and three spheres by which estimated light is judged.
 
-These are a mirror, matte silver, and gray plastic, by name "diffuse". The protocol is that of StyleLight (Wang et al.
+The spheres are a mirror, matte silver, and gray plastic, by name "diffuse". The protocol is StyleLight's (Wang et al.
 2022), which DiffusionLight (Phongthawee et al. 2024) follows: maps are tone-mapped first, then light the spheres, so
 that suns count little beside the rest of the map. The materials are those of its Blender scenes. There the camera is 16
-away and sees a perspective; here it is far away, at +z, as where photographs are taken from.
+away and sees a perspective; here it is far away, at +z, as where photographs are taken from. Where maps come from is
+not known here.
 """
 
 from __future__ import annotations
@@ -22,53 +23,56 @@ from metapp.appearance.photograph import SphereMaterials, render_material_sphere
 from metapp.appearance.reflection import fresnel_schlick
 from metapp.storage.tensor_cache import load_or_compute_tensors
 
-FACING_SURFACES, MIRRORING_SURFACES, SURFACE_ROUGHNESS = (
-    64,
-    128,
-    0.35,
-)  # surfaces that the loss looks at: diffuse, glossy and how rough
+FACING_SURFACES, MIRRORING_SURFACES = 64, 128  # diffuse and glossy surfaces whose light losses compare
+SURFACE_ROUGHNESS = 0.35  # roughness of the glossy surfaces
 
 SPHERE_NAMES = ("mirror", "silver", "diffuse")
-SPHERE_PX = 64  # px
-TONE_GAMMA, TONE_MEDIAN = 2.4, 0.5  # of tone mapping
-METAL_REFLECTANCE = 0.8  # reflectance at normal incidence, of mirror and silver
-DIFFUSE_ALBEDO, DIFFUSE_SPECULAR = 0.8, 0.04  # of the diffuse one, under a gloss
+SPHERE_PX = 64  # side of a sphere's picture
+TONE_GAMMA, TONE_MEDIAN = 2.4, 0.5  # exponent of tone mapping, and the value to which the median is brought
+METAL_REFLECTANCE = 0.8  # reflectance at normal incidence of mirror and silver
+DIFFUSE_ALBEDO, DIFFUSE_SPECULAR = 0.8, 0.04  # albedo of the diffuse sphere, and reflectance of the gloss above it
 SPHERE_ROUGHNESSES = {"silver": 0.3271, "diffuse": 0.364}
 
 
 def sphere_errors(maps: Tensor, target: Tensor) -> dict[str, Tensor]:
-    """Errors [T] of the spheres under maps, both [T, 3, H, W], linear radiance at any scale.
+    """Measure errors of the spheres' pictures under maps.
+
+    Args:
+        maps: linear radiance [T, 3, H, W] at any scale.
+        target: true maps [T, 3, H, W] at any scale.
 
     Returns:
-        Of each sphere `<name>_rmse`, scale-invariant, where the true map's median is 0.5; and `<name>_angle`, degrees.
+        Of each sphere `<name>_rmse` [T], the scale-invariant root mean square error, where the true map's median is
+        0.5; and `<name>_angle` [T], the angle between colours in degrees.
     """
     mask = sphere_normals(SPHERE_PX, device=maps.device)[1]
     errors = {}
     for name, pictures in render_spheres(tone_by_median(torch.cat([maps, target]))).items():
-        fitted, wanted = pictures.chunk(2)
-        errors[f"{name}_rmse"] = si_rmse(fitted, wanted, mask)
-        errors[f"{name}_angle"] = rgb_angle_degrees(fitted, wanted, mask)
+        fit_pictures, true_pictures = pictures.chunk(2)
+        errors[f"{name}_rmse"] = si_rmse(fit_pictures, true_pictures, mask)
+        errors[f"{name}_angle"] = rgb_angle_degrees(fit_pictures, true_pictures, mask)
     return errors
 
 
 def tone_by_median(maps: Tensor) -> Tensor:
-    """Maps [T, 3, H, W] to the power of 1 / GAMMA, the median of all values above 0 brought to MEDIAN."""
+    """Raise maps [T, 3, H, W] to the power 1 / TONE_GAMMA, and scale the median of values above 0 to TONE_MEDIAN."""
     values = maps.clamp_min(0) ** (1 / TONE_GAMMA)
-    middle = torch.where(values > 0, values, torch.nan).flatten(1).nanquantile(0.5, 1)
-    return values * (TONE_MEDIAN / middle.nan_to_num(1))[:, None, None, None]
+    median = torch.where(values > 0, values, torch.nan).flatten(1).nanquantile(0.5, 1)
+    return values * (TONE_MEDIAN / median.nan_to_num(1))[:, None, None, None]
 
 
 def render_spheres(maps: Tensor) -> dict[str, Tensor]:
-    """Pictures [T, 3, SPHERE_PX, SPHERE_PX] of the spheres under maps [T, 3, H, W], by name; black outside the disc."""
+    """Render the spheres under maps [T, 3, H, W] by name: [T, 3, SPHERE_PX, SPHERE_PX], black outside the disc."""
     cosines = sphere_normals(SPHERE_PX, dtype=maps.dtype, device=maps.device)[0][2]
     return {
         "mirror": render_mirror_spheres(maps, SPHERE_PX) * fresnel_schlick(cosines, METAL_REFLECTANCE),
-        "silver": _shaded(maps, "silver", 0.0, METAL_REFLECTANCE),
-        "diffuse": _shaded(maps, "diffuse", DIFFUSE_ALBEDO, DIFFUSE_SPECULAR),
+        "silver": _render_sphere(maps, "silver", 0.0, METAL_REFLECTANCE),
+        "diffuse": _render_sphere(maps, "diffuse", DIFFUSE_ALBEDO, DIFFUSE_SPECULAR),
     }
 
 
-def _shaded(maps: Tensor, name: str, albedo: float, specular: float) -> Tensor:
+def _render_sphere(maps: Tensor, name: str, albedo: float, specular: float) -> Tensor:
+    """Render the sphere of a name under maps [T, 3, H, W]: pictures [T, 3, SPHERE_PX, SPHERE_PX]."""
     count = len(maps)
     material = SphereMaterials(
         maps.new_full((count, 3), albedo), maps.new_full((count,), specular), maps.new_ones(count, 1)
@@ -78,22 +82,25 @@ def _shaded(maps: Tensor, name: str, albedo: float, specular: float) -> Tensor:
 
 @functools.lru_cache(maxsize=4)
 def surface_transfer(height: int, width: int, device: torch.device) -> Tensor:
-    """Transport of light to surfaces [FACED + MIRRORED, height * width], evenly spread: facing, then mirroring."""
+    """Return the transport of light from texels to surfaces, [FACING_SURFACES + MIRRORING_SURFACES, height * width].
+
+    The facing surfaces come first; the directions that surfaces face or mirror are spread evenly.
+    """
     name, sources = f"surfaces-{height}x{width}", (__file__, latlong.__file__, reflection.__file__)
-    return load_or_compute_tensors(name, sources, lambda: {"sent": _surfaces(height, width)})["sent"].to(device)
+    return load_or_compute_tensors(name, sources, lambda: {"sent": _compute_transfer(height, width)})["sent"].to(device)
 
 
-def _surfaces(height: int, width: int) -> Tensor:
-    middle = normalize(
-        _spread(MIRRORING_SURFACES) + torch.tensor([0.0, 0.0, 1.0]), dim=1
-    )  # between them and the viewer
-    # a few at a time stay near the processor, a third of the time
-    glossy = [glossy_transfer(each, SURFACE_ROUGHNESS, height, width, samples=2) for each in middle.split(8)]
-    return torch.cat([cosine_transfer(_spread(FACING_SURFACES), height, width), *glossy])
+def _compute_transfer(height: int, width: int) -> Tensor:
+    """Compute the matrix of :func:`surface_transfer`."""
+    # a surface mirrors a direction to the viewer if its normal lies halfway between
+    normals = normalize(_spread_directions(MIRRORING_SURFACES) + torch.tensor([0.0, 0.0, 1.0]), dim=1)
+    # few surfaces at a time stay in the processor's cache, which takes a third of the time
+    glossy = [glossy_transfer(part, SURFACE_ROUGHNESS, height, width, samples=2) for part in normals.split(8)]
+    return torch.cat([cosine_transfer(_spread_directions(FACING_SURFACES), height, width), *glossy])
 
 
-def _spread(count: int) -> Tensor:
-    """Evenly spread directions [count, 3]: a Fibonacci lattice."""
+def _spread_directions(count: int) -> Tensor:
+    """Return evenly spread directions [count, 3]: a Fibonacci lattice."""
     i = torch.arange(count) + 0.5
     y, phi = 1 - 2 * i / count, i * (math.pi * (1 + math.sqrt(5)))
     radius = (1 - y * y).sqrt()

@@ -89,7 +89,7 @@ class SvbrdfNonstationary(App):
         """Prepare the photograph and, if they are known, the maps, at the size of fits.
 
         Returns:
-            `photo`, linear [3, H, W]; `maps` [10, H, W] and all that `described` makes of them; `fine` [10, F, F],
+            `photo`, linear [3, H, W]; `maps` [10, H, W] and all that `describe_maps` makes of them; `fine` [10, F, F],
             half precision, which augmented materials are made of; `predicted` [10, H, W], the maps of another method,
             which no fit sees.
         """
@@ -102,9 +102,9 @@ class SvbrdfNonstationary(App):
         prepared["fine"] = pool_maps(maps, (fine, fine)).half()
         if "predicted" in task.data:
             prepared["predicted"] = pool_maps(task.data["predicted"].float(), size)
-        return prepared | {key: value[0] for key, value in self.described(pool_maps(maps, size)[None]).items()}
+        return prepared | {key: value[0] for key, value in self.describe_maps(pool_maps(maps, size)[None]).items()}
 
-    def described(self, maps: Tensor) -> dict[str, Tensor]:
+    def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
         """Return maps [T, 10, H, W] as `maps`, for errors, and what fits see of them, by name."""
         return {"maps": maps}
 

@@ -155,7 +155,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
         size = (self.network.height, self.network.width)
         fine = vary_materials(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
         photo = adaptive_avg_pool2d(draw_photos(fine, rng), size)
-        return tasks.make_variants({"photo": photo} | self.described(pool_maps(fine, size)))
+        return tasks.make_variants({"photo": photo} | self.describe_maps(pool_maps(fine, size)))
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class FromMaps(CodedMaps):
         return super().prepare(task)
 
     @override
-    def described(self, maps: Tensor) -> dict[str, Tensor]:
+    def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
         """Return `maps`, the lights that fits see, `rig` [T, V, 2, 3], and the logs of radiance under them, `lit`."""
         rig = fixed_pairs(RIG_LIGHTS).to(maps).expand(len(maps), -1, -1, -1)
         return {"maps": maps, "rig": rig, "lit": self.log_radiance(unpack_maps(maps), rig)}

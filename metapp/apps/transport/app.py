@@ -1,4 +1,8 @@
-"""Transport: the light of a scene as a density over primary sample space, to guide paths by (paper section 4.1.6)."""
+"""The application of light transport: densities of light paths over primary sample space (paper section 4.1.6).
+
+A fit sees samples of paths alone. Scenes are traced, and pictures rendered, by other modules: losses and errors here
+are likelihoods of samples.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.scene_encoder import init_reader, read_scene_pictures
@@ -18,20 +23,22 @@ from metapp.networks.coded import add_decoder, join_encoder, select_reader
 PICTURE_SPP = 1024  # paths a pixel of pictures that fits are judged by, as in Fischer & Ritschel 2022, table 2
 REFERENCE_SPP = 8192  # paths a pixel of their reference, with next-event estimation
 OUTER_SAMPLES = 2048  # samples of a training scene that preparation judges a fit by
-LOG_JITTER = 0.1  # of what augmentation adds to the log of a picture
+LOG_JITTER = 0.1  # standard deviation of what augmentation adds to the log of a picture
 
 
 @dataclass(frozen=True)
 class Transport(App):
-    """One scene a task: samples of its light paths in proportion to the luminance that they carry.
+    """Light transport: a task is one scene, as samples of its light paths in proportion to the luminance they carry.
+
+    The fields beside the network are about pictures alone: no training depends on them, so that checkpoints are the
+    same for all their values.
 
     Attributes:
-        picture: side of the pictures that fits are judged by, px; no training depends on it or on the numbers of paths,
-            so that checkpoints are the same for all of them.
+        picture: side in px of the pictures that fits are judged by.
         spp: paths a pixel of these pictures.
         reference_spp: paths a pixel of their reference, with next-event estimation.
         shown_spp: paths a pixel of the pictures that a run leaves.
-        overview_spp: paths a pixel of those in its overview.
+        overview_spp: paths a pixel of the pictures in a run's overview.
     """
 
     network: Flow = field()
@@ -53,61 +60,82 @@ class Transport(App):
         "next_event": TensorSpec((1,), "uint8", optional=True),
     }
 
+    @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`samples` [N, 4] and `held` [M, 4] of primary sample space, and `image` [3, 32, 32], linear."""
+        """Prepare the samples and the picture of a scene.
+
+        Returns:
+            `samples` [N, 4] and, if there are any, held-out samples `held` [M, 4], all in primary sample space; `image`
+            [3, 32, 32], linear.
+        """
         return {key: task.data[key].float() for key in ("samples", "held", "image") if key in task.data}
 
+    @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`points` [T, 4, count]."""
+        """Draw `points` [T, 4, count] from the samples of each task."""
         samples = tasks.data["samples"]
         rows = torch.randint(samples.shape[1], (len(tasks), count), generator=rng, device=rng.device)
         return {"points": samples[tasks.rows[:, None], rows].mT.contiguous()}
 
+    @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Mean negative log-likelihood, [T]."""
+        """Return the mean negative log-likelihood of the points, [T]."""
         film, directions = self.network.log_density(theta, batch["points"])
         return -(film + directions).mean(1)
 
+    @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The same, [T], of as many samples as preparation needs: scenes differ more than samples of one do."""
+        """Return the loss of the first OUTER_SAMPLES points: scenes differ more than samples of one scene do."""
         return self.loss(theta, {"points": batch["points"][..., :OUTER_SAMPLES]}, learned)
 
+    @override
     def init_encoder(self, rng: Generator) -> Params:
-        """The reader of pictures, and the parameters of the flow that all tasks share."""
+        """Draw the reader of pictures, and the parameters of the flow that all tasks share."""
         return join_encoder(init_reader(rng, self.network.code), self.network.init(rng, 1), ("z", "film.x", "film.y"))
 
+    @override
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"image": tasks.data["image"][tasks.rows]}
 
+    @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
         return add_decoder(read_scene_pictures(select_reader(encoder), condition["image"], self.network), encoder)
 
+    @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """The same scenes, some mirrored left to right, their pictures a little noisier.
+        """Return the scenes, some of them mirrored left to right, with noise in their pictures.
 
         Directions are counted from axes that the data's tracer mirrors with the scene.
         """
         count, device = len(tasks), rng.device
-        mirrored = draw_uniform(rng, count, 1, 1) < 0.5
+        is_mirrored = draw_uniform(rng, count, 1, 1) < 0.5
         image = tasks.data["image"][tasks.rows]
-        image = torch.where(mirrored[..., None], image.flip(3), image)
+        image = torch.where(is_mirrored[..., None], image.flip(3), image)
         image = image * torch.exp(LOG_JITTER * draw_normal(rng, *image.shape))
         samples = tasks.data["samples"][tasks.rows]
-        across = torch.zeros(samples.shape[2], dtype=torch.bool, device=device)
-        across[0], across[2::2] = True, True
-        turned = (1 - samples).clamp_max(1 - 2**-24)
-        samples = torch.where(mirrored & across, turned, samples)
+        is_horizontal = torch.zeros(samples.shape[2], dtype=torch.bool, device=device)
+        is_horizontal[0], is_horizontal[2::2] = True, True
+        mirrored_samples = (1 - samples).clamp_max(1 - 2**-24)
+        samples = torch.where(is_mirrored & is_horizontal, mirrored_samples, samples)
         return tasks.make_variants({"samples": samples, "image": image})
 
+    @override
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """Negative log-likelihoods of held-out samples: `error`, and its parts `film` and `directions`."""
         if "held" not in tasks.data:
             return {}
         return self.errors_of(self.network.log_density(theta, tasks.data["held"][tasks.rows].mT), tasks)
 
     def errors_of(self, answer: tuple[Tensor, Tensor], tasks: Tasks) -> dict[str, Tensor]:
-        """Of log q(film) and log q(directions | film), [T, M] each, of held-out samples."""
+        """Measure the likelihood of held-out samples; {} if the tasks have none.
+
+        Args:
+            answer: log q(film) and log q(directions | film) of the held-out samples, [T, M] each.
+            tasks: T tasks.
+
+        Returns:
+            `error` [T], the mean negative log-likelihood, and its parts `film` and `directions`.
+        """
         if "held" not in tasks.data:
             return {}
         film, directions = answer

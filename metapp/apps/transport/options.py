@@ -1,4 +1,4 @@
-"""Options of light transport."""
+"""The options of the application transport."""
 
 from __future__ import annotations
 
@@ -6,19 +6,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+from typing_extensions import override
+
 from metapp.options import INPUT, OUTPUT, AppOptions, Option
 
 
 def require_folders(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The same paths; ValueError unless all are folders."""
+    """Return paths unchanged if all of them are folders.
+
+    Raises:
+        ValueError: a path is no folder.
+    """
     if not all(path.is_dir() for path in paths):
-        raise ValueError("not there, expected folders")
+        raise ValueError("expected folders that exist")
     return paths
 
 
 @dataclass(frozen=True)
 class TransportOptions(AppOptions):
-    """Folders of a scene's files, and the picture that is rendered of it."""
+    """The options of light transport: folders of a scene's files, and the picture that is rendered of it."""
 
     scene_root: Annotated[
         tuple[Path, ...],
@@ -40,6 +46,7 @@ class TransportOptions(AppOptions):
         ),
     ] = 0
 
+    @override
     def reader_keywords(self) -> dict[str, Any]:
-        """The reader calls the folders roots."""
+        """Name the folders `roots`, as the reader does."""
         return {"roots": self.scene_root} if self.scene_root else {}

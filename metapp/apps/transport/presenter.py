@@ -1,4 +1,7 @@
-"""What people look at of fitted densities of light paths: pictures that fits guide, and the densities themselves."""
+"""Presentation of fitted densities of light paths: pictures that fits guide, the densities themselves, and remarks.
+
+Scenes are rendered by `guided_pictures` and densities drawn by `density_pictures`; here it is chosen what is shown.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ NEXT_EVENT_NOTE = (
 
 
 class TransportPresenter(Presenter[Transport]):
-    """What people look at of the density of a scene's light paths."""
+    """Pictures, measures of pictures and remarks of the fitted density of a scene's light paths."""
 
     @property
     @override
@@ -27,32 +30,40 @@ class TransportPresenter(Presenter[Transport]):
         notes = "".join(f"{plugin.help}; " for plugin in guided_pictures.extension_integrators().values())
         return (
             f"pictures of {self.app.picture} px of {self.app.spp} paths a pixel; fits guide three of four paths, "
-            f"without next-event estimation (NEE); {notes}equal time is that of regular, in seconds of CPU, and counts "
-            "the samples that a fit sees, the fit, its table and the picture"
+            f"without next-event estimation (NEE); {notes}equal time is as long as regular takes, in seconds of CPU, "
+            "and counts the samples that a fit sees, the fit, its table and the picture"
         )
 
+    @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Draw the film, and the directions at sixteen parts of it, of the samples and of the fit.
 
-        On the film there are the scene's picture and one that the fit guides; if there is no scene, the densities.
+        On the film there are the scene's picture and a picture that the fit guides; if there is no scene, the
+        densities.
         """
         network, reference, guided = self.app.network, None, None
         if "scene" in task.data:
-            studio = guided_pictures.renderer_of(task)
-            reference, guided = studio.glance, studio.guided(network, theta, self.app.overview_spp).picture
+            renderer = guided_pictures.renderer_of(task)
+            reference = renderer.noisy_reference
+            guided = renderer.render_guided(network, theta, self.app.overview_spp).picture
         return {
             "reference": density_pictures.draw_sample_histograms(task.data["samples"], reference),
             "fit": density_pictures.draw_flow_density(network, theta, guided),
         }
 
+    @override
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Return the scene guided by the fit and without a guide; {} if there is no scene."""
         if "scene" not in task.data:
             return {}
-        studio, spp = guided_pictures.renderer_of(task), self.app.shown_spp
-        shots = {"guided": studio.guided(self.app.network, theta, spp), "regular": studio.regular(spp)}
-        return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
+        renderer, spp = guided_pictures.renderer_of(task), self.app.shown_spp
+        timed_pictures = {
+            "guided": renderer.render_guided(self.app.network, theta, spp),
+            "regular": renderer.render_regular(spp),
+        }
+        return {name: Picture(timed.picture.permute(1, 2, 0), "radiance") for name, timed in timed_pictures.items()}
 
+    @override
     def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:
         """Measure MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time.
 
@@ -61,11 +72,12 @@ class TransportPresenter(Presenter[Transport]):
         if "scene" not in task.data:
             return {}
         app = self.app
-        studio = guided_pictures.renderer_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
-        return guided_pictures.picture_errors(studio, app.network, fits, task)
+        renderer = guided_pictures.renderer_of(task, app.picture, spp=app.spp, reference_spp=app.reference_spp)
+        return guided_pictures.picture_errors(renderer, app.network, fits, task)
 
+    @override
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:
-        """State that paths have next-event estimation, where the task's samples have."""
+        """State that paths have next-event estimation, if the task's samples have."""
         return {"note": NEXT_EVENT_NOTE} if "next_event" in task.data else {}
 
     @override

@@ -1,4 +1,4 @@
-"""Recipes of densities of light paths."""
+"""The recipes of the application transport: networks, sizes and rates of training, each with its reason."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ QUICK = Recipe(
     rule="meta-encoder",
     app=Transport(Flow()),
 )
-# the same fits, judged by pictures of the size that people render
+# the fits of `quick`, judged by pictures of the size that people render
 FULL = replace(QUICK, app=Transport(Flow(), picture=256))
 # Fischer & Ritschel 2022, section 4.1.6: 8 inner steps of 10,000 of 288,000 samples
 PAPER = replace(paper_recipe(QUICK, Transport(Flow(hidden=64, bins=16))), batch=10_000)

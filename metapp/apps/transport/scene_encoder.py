@@ -1,4 +1,8 @@
-"""General's encoder: a small picture of a scene to the code of its flow and to the light's places on the film."""
+"""General's encoder of light transport: from a small picture of a scene to the code of its flow and the film's splines.
+
+The picture shows where light arrives on the film; the directions from which it comes have to be guessed. It is read as
+a picture: scenes and paths are not known here.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +17,21 @@ from metapp.apps.transport.flow import Flow
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution, apply_dense
 
-LEAKY_SLOPE = 0.1
-LIGHT_FLOOR = 0.01  # of a picture of mean luminance 1: its log is flat below
-ENCODER_CHANNELS, ATTENTION_HEADS, RESIDUAL_BLOCKS = (
-    48,
-    8,
-    3,
-)  # of the convolutions; attention maps; convolutions after these
+LEAKY_SLOPE = 0.1  # slope of leaky ReLUs below 0
+LIGHT_FLOOR = 0.01  # luminance in a picture of mean luminance 1, below which its log is flat
+# channels of convolutions, maps by which the whole picture is pooled, and convolutions after that
+ENCODER_CHANNELS, ATTENTION_HEADS, RESIDUAL_BLOCKS = 48, 8, 3
 
 
 def init_reader(rng: Generator, code: int) -> Params:
-    """Random parameters; at first the flow's directions are almost uniform and its film is the picture."""
+    """Draw random parameters of the reader of pictures.
+
+    At first a flow's film is the picture, and its directions are almost uniform.
+
+    Args:
+        rng: the source of all draws.
+        code: length of the code.
+    """
     reader: Params = {}
     layer = functools.partial(add_layer, reader, rng)
 
@@ -39,12 +47,14 @@ def init_reader(rng: Generator, code: int) -> Params:
 
 
 def read_scene_pictures(reader: Params, images: Tensor, flow: Flow) -> Params:
-    """The own parameters of T flows, by convolutions that also read the whole picture, pooled by HEADS attention maps.
+    """Predict the parameters that each flow has for itself from pictures of scenes.
+
+    Convolutions also read the whole picture, pooled by ATTENTION_HEADS attention maps.
 
     Args:
-        reader: parameters, as of `init_reader`.
+        reader: parameters of :func:`init_reader`.
         images: linear RGB of any scale, [T, 3, 2 rows, 2 columns] of the flow's grid.
-        flow: of the codes.
+        flow: the network, for its gains.
 
     Returns:
         `z`, `film.x` and `film.y`, each [T, ...].
@@ -52,32 +62,46 @@ def read_scene_pictures(reader: Params, images: Tensor, flow: Flow) -> Params:
     light = luminance(images)
     logs = (light / light.mean((1, 2), keepdim=True).clamp_min(1e-12) + LIGHT_FLOOR).log()
     colours = images / (images.sum(1, keepdim=True) + 1e-6) - 1 / 3
-    x = torch.cat([logs[:, None], colours[:, ::2], cell_coordinates(images)], 1)
-    x = leaky_relu(conv2d(x, reader["in.kernel"], reader["in.shift"], stride=2, padding=1), LEAKY_SLOPE)
-    grid = cell_coordinates(x)
-    features = leaky_relu(apply_convolution(reader, "look", x), LEAKY_SLOPE)
-    weights = apply_convolution(reader, "heads", features).flatten(2).softmax(2)
-    pooled = weights @ torch.cat([features, grid], 1).flatten(2).mT
+    features = torch.cat([logs[:, None], colours[:, ::2], cell_coordinates(images)], 1)
+    features = leaky_relu(conv2d(features, reader["in.kernel"], reader["in.shift"], stride=2, padding=1), LEAKY_SLOPE)
+    coordinates = cell_coordinates(features)
+    cell_features = leaky_relu(apply_convolution(reader, "look", features), LEAKY_SLOPE)
+    weights = apply_convolution(reader, "heads", cell_features).flatten(2).softmax(2)
+    pooled = weights @ torch.cat([cell_features, coordinates], 1).flatten(2).mT
     whole = apply_dense(reader, "whole", pooled.flatten(1))
-    x = features + whole[..., None, None]
+    features = cell_features + whole[..., None, None]
     for i in range(RESIDUAL_BLOCKS):
-        x = x + leaky_relu(apply_convolution(reader, f"block{i}", torch.cat([x, grid], 1)), LEAKY_SLOPE)
-    film = _film(logs, apply_convolution(reader, "film", x))
-    own = {"z": apply_convolution(reader, "code", x) / flow.gain}
-    return own | {key: value / flow.film_gain for key, value in film.items()}
+        features = features + leaky_relu(
+            apply_convolution(reader, f"block{i}", torch.cat([features, coordinates], 1)), LEAKY_SLOPE
+        )
+    film = _make_film_splines(logs, apply_convolution(reader, "film", features))
+    parameters = {"z": apply_convolution(reader, "code", features) / flow.gain}
+    return parameters | {key: value / flow.film_gain for key, value in film.items()}
 
 
-def _film(logs: Tensor, corrections: Tensor) -> Params:
-    """The film's splines: evenly wide bins with values of the picture, [T, rows, columns], and corrections."""
-    fine = corrections.repeat_interleave(2, 2).repeat_interleave(2, 3)
-    of_picture = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
-    widths, masses, bends = fine[:, 3:].mean(2).unbind(1)
-    shares = logs.exp().sum(1).log() + masses
-    return {"film.x": torch.cat([widths, shares, bends, bends[:, -1:]], 1), "film.y": of_picture + fine[:, :3]}
+def _make_film_splines(logs: Tensor, corrections: Tensor) -> Params:
+    """Return `film.x` and `film.y`: evenly wide bins whose masses are the picture's, with corrections.
+
+    Args:
+        logs: log luminance of the picture, [T, rows, columns].
+        corrections: numbers that the reader adds, [T, 6, rows / 2, columns / 2].
+    """
+    finer_corrections = corrections.repeat_interleave(2, 2).repeat_interleave(2, 3)
+    picture_numbers = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
+    widths, masses, bends = finer_corrections[:, 3:].mean(2).unbind(1)
+    log_masses = logs.exp().sum(1).log() + masses
+    return {
+        "film.x": torch.cat([widths, log_masses, bends, bends[:, -1:]], 1),
+        "film.y": picture_numbers + finer_corrections[:, :3],
+    }
 
 
 def cell_coordinates(like: Tensor) -> Tensor:
-    """The coordinates in [-1, 1] of the cells of a grid [T, C, rows, columns]: x and y, [T, 2, rows, columns]."""
+    """Return the coordinates x and y in [-1, 1] of the cells of a grid, [T, 2, rows, columns].
+
+    Args:
+        like: a tensor [T, C, rows, columns] on the grid.
+    """
     rows, columns = like.shape[-2:]
     y, x = (((torch.arange(n, device=like.device) + 0.5) * (2 / n) - 1).to(like) for n in (rows, columns))
     grid = torch.stack([x.expand(rows, columns), y[:, None].expand(rows, columns)])

@@ -34,14 +34,14 @@ class MitsubaNetwork:
     Attributes:
         weights, biases: TensorXf [out, in] and Float [out] of each layer; who changes them says so by `changed`.
         featured: whether hidden layers are x sigmoid(x); else ReLU.
-        turn, darkest: as of `metapp.apps.brdf.brdf_network.PlainLayers`.
+        turn, darkest: `axes_azimuth_rad` and `log_floor` of `metapp.apps.brdf.brdf_network.PlainLayers`.
     """
 
     def __init__(self, folded: PlainLayers) -> None:
         layers = [(weights.float().numpy(), bias.float().numpy()) for weights, bias in folded.layers]
         self.weights = [mi.TensorXf(weights) for weights, _ in layers]
         self.biases = [mi.Float(bias) for _, bias in layers]
-        self.featured, self.turn, self.darkest = folded.inputs != "nbrdf", folded.turn, folded.darkest
+        self.featured, self.turn, self.darkest = folded.inputs != "nbrdf", folded.axes_azimuth_rad, folded.log_floor
         self._constants = [(weights.tolist(), bias.tolist()) for weights, bias in layers]
         self._zero = dr.opaque(mi.UInt32, 0)
 
@@ -225,9 +225,9 @@ class NetworkReflection(Reflection):
         self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
         theta = read_parameters(self.path)
         fit = find_network(theta)
-        folded = fit.folded(theta)
+        folded = fit.fold(theta)
         self.network = MitsubaNetwork(folded)
-        self.mixture = MitsubaLobeMixture(fit_lobes(functools.partial(fit.evaluate, theta), folded.turn))
+        self.mixture = MitsubaLobeMixture(fit_lobes(functools.partial(fit.evaluate, theta), folded.axes_azimuth_rad))
         self.tint = props.get_texture("tint", 1.0)
         self.components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
 

@@ -36,7 +36,7 @@ def neutral_code(theta: Params, name: str) -> str:
     """The neutral source of an NBRDF network, parameters without a task axis."""
     network = find_network(theta)
     lobes = fit_lobes(functools.partial(network.evaluate, theta))
-    return brdf_source(function_prefix(name), network.folded(theta), lobes)
+    return brdf_source(function_prefix(name), network.fold(theta), lobes)
 
 
 def write_shader(language: str, app: Brdf, theta: Params, path: Path) -> None:

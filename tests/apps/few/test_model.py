@@ -87,7 +87,7 @@ def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor)
     logs = opponent_axes(theta["last"]).T @ (seen * cosine_product(where) + DARKEST_REFLECTANCE).log()
     features, weights = model_features(theta, where)[0], sample_precision(theta, error_slope(seen, where))[0]
     torch.testing.assert_close(at.weights[0], weights * where.shape[2])
-    posterior = Posterior.of(theta, where, error_slope(seen, where))
+    posterior = Posterior.from_samples(theta, where, error_slope(seen, where))
     for axis in range(3):
         root = weights.sqrt()
         rows = torch.cat([(features * root).T, torch.diag(torch.exp(-theta["deviation"][0, axis]))])
@@ -125,7 +125,7 @@ def test_samples_say_which_kind_of_material_they_are_of(theta: Params, where: Te
     encoder = {key: value.double() for key, value in size.init_encoder(rng).items()}
     encoder["encoder.last"] = 0.5 * torch.randn(3, 3, 8, generator=rng).double()
     encoder["encoder.deviation"] -= torch.tensor([0.0, 0.5, 1.0])[:, None, None].double()
-    models = [size.of_kinds(encoder, torch.tensor([kind])) for kind in range(3)]
+    models = [size.select_kinds(encoder, torch.tensor([kind])) for kind in range(3)]
     batches = [batch_of(model, where) for model in models]
     batch = {key: torch.cat([each[key] for each in batches]) for key in batches[0]}
     found = size.encode(encoder, batch)
@@ -134,19 +134,19 @@ def test_samples_say_which_kind_of_material_they_are_of(theta: Params, where: Te
 
 
 def test_deviations_are_those_of_materials_that_the_model_draws(theta: Params, where: Tensor) -> None:
-    posterior = Posterior.of(theta, where[:, :, :5])
+    posterior = Posterior.from_samples(theta, where[:, :, :5])
     rng = Generator().manual_seed(5)
     roots = torch.linalg.cholesky(posterior.covariance)
     draws = torch.einsum("cfg,cgn->cfn", roots, torch.randn(3, 8, 20_000, generator=rng, dtype=torch.float64))
     axes = opponent_axes(theta["last"])
     logs = axes @ torch.einsum("cfn,fm->mcn", draws, model_features(theta, where)[0])  # [M, 3, draws]
-    torch.testing.assert_close(posterior.deviation(where), logs.std(2).T, rtol=0.03, atol=1e-5)
+    torch.testing.assert_close(posterior.log_deviation(where), logs.std(2).T, rtol=0.03, atol=1e-5)
 
 
 def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
-    before = Posterior.of(theta, where[:, :, :0]).deviation(where)
+    before = Posterior.from_samples(theta, where[:, :, :0]).log_deviation(where)
     for count in (1, 4, 16):
-        after = Posterior.of(theta, where[:, :, :count]).deviation(where)
+        after = Posterior.from_samples(theta, where[:, :, :count]).log_deviation(where)
         assert bool((after <= before + 1e-12).all())
         before = after
 
@@ -154,7 +154,7 @@ def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
 def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
     one = {key: value[0] for key, value in theta.items()}
     x = isotropic_inputs(where)[0]
-    for weights, bias in (layers := APP.network.folded(one).layers)[:2]:
+    for weights, bias in (layers := APP.network.fold(one).layers)[:2]:
         x = torch.nn.functional.silu(weights @ x + bias[:, None])
     x = layers[2][0] @ x + layers[2][1][:, None]
     torch.testing.assert_close(
@@ -202,7 +202,7 @@ def test_plans_keep_to_the_limits_of_the_instrument(theta: Params) -> None:
         wi, wo = plan_directions(single, 6, limits, NOTHING, Generator().manual_seed(0))
         assert wi.shape == wo.shape == (6, 3)
         torch.testing.assert_close(torch.cat([wi, wo]).norm(dim=1), torch.ones(12))
-        assert bool(limits.allowed(wi, wo).all())
+        assert bool(limits.allow(wi, wo).all())
         if limits.detector_rad:
             torch.testing.assert_close(wo[:, 2], torch.full((6,), math.cos(limits.detector_rad)))
     with pytest.raises(ValueError, match="0 of 4096 pairs of directions within the limits, expected 6"):
@@ -214,7 +214,7 @@ def test_planned_directions_tell_more_than_random_ones(theta: Params) -> None:
     single = {key: value.float() for key, value in theta.items()}
 
     def left(angles: Tensor) -> float:
-        return expected_errors(Posterior.of(single, places_at_angles(angles)))["expected"]
+        return expected_errors(Posterior.from_samples(single, places_at_angles(angles)))["expected"]
 
     wi, wo = plan_directions(single, 6, InstrumentLimits(), NOTHING, Generator().manual_seed(0))
     first = directions_to_full_rusinkiewicz(wi, wo)

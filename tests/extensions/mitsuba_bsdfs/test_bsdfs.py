@@ -176,7 +176,7 @@ def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: di
     value = bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, len(light[0])), mi.Vector3f(light))
     dr.backward(dr.sum(value, axis=None))
     theta = read_tensors(fits[network])
-    layers = [part for pair in find_network(theta).folded(theta).layers for part in pair]
+    layers = [part for pair in find_network(theta).fold(theta).layers for part in pair]
     for part in layers:
         part.requires_grad_()
     total(layers, network, light, viewer).backward()  # type: ignore[no-untyped-call]

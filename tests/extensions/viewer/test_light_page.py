@@ -54,7 +54,7 @@ LIGHT = lamps(1, sun=30.0)
 class Fitted(Illumination):
     """Fits that have a known map, whatever the parameters of their networks."""
 
-    def radiance_of(self, theta: Params) -> Tensor:
+    def radiance_maps(self, theta: Params) -> Tensor:
         return LIGHT[None]
 
 
@@ -89,7 +89,7 @@ def test_suns_beyond_half_floats_are_kept() -> None:
     pixels[100, 200, 0] = 1e5
 
     class Sunny(IlluminationPresenter):
-        def map_picture(self, theta: Params, task: Task) -> Picture:
+        def draw_map(self, theta: Params, task: Task) -> Picture:
             return Picture(pixels, "radiance")
 
     view = make_view(Sunny(app), theta, Task("sun", {}))
@@ -124,7 +124,7 @@ def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
     ball = make_view(presenter_of(app), theta, task).pictures["ball"].permute(2, 0, 1)
-    target = app.ball({key: each[None] for key, each in theta.items()}, fitted[None], LOSS_PHOTO_PX)[0]
+    target = app.render_ball({key: each[None] for key, each in theta.items()}, fitted[None], LOSS_PHOTO_PX)[0]
     inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // LOSS_PHOTO_PX)[0] > 0.999
     assert (avg_pool2d(ball, 64 // LOSS_PHOTO_PX) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
 

@@ -39,7 +39,7 @@ def one(app: App) -> Params:
 
 
 def batches_for(app: illumination.Illumination, randn: Callable[..., Tensor], count: int) -> list[dict[str, Tensor]]:
-    return [app.described(torch.exp(randn(TASKS, 3, 8, 16))) for _ in range(count)]
+    return [app.describe_maps(torch.exp(randn(TASKS, 3, 8, 16))) for _ in range(count)]
 
 
 @pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])

@@ -1,4 +1,8 @@
-"""BRDFs of few samples: the samples of a fit, and the error that they leave."""
+"""The application of BRDFs from few samples, which states the error that they leave, and the recipe `few`.
+
+It differs from :class:`metapp.apps.brdf.app.Brdf` in that a fit sees all samples in its one step, and in that the
+network says how much each counts.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import COUNT_KEY, BrdfNetwork, gather_samples
@@ -15,57 +20,67 @@ from metapp.apps.brdf.recipes import FULL, RIDGE_TRAINING
 from metapp.apps.brdf.sample_augmentation import draw_measurements, mix_brdfs
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks
 
-MAX_FEW_SAMPLES = 1024  # samples of which a material has few at most
-SHORT_BATCH_SAMPLES = 512  # samples of shorter batches
-TABLE_SAMPLES = 32  # samples of a table, which has more, that a fit sees: the first ones
-TRAINING_SAMPLE_RANGE = (4, 256)  # samples in training, at least and at most
+MAX_FEW_SAMPLES = 1024  # different samples of a material, above which it counts as a table
+SHORT_BATCH_SAMPLES = 512  # samples of a batch if no material has more
+TABLE_SAMPLES = 32  # samples of a table that a fit sees: the first ones
+TRAINING_SAMPLE_RANGE = (4, 256)  # the least and the greatest count of samples in training
 
 
 @dataclass(frozen=True)
 class FewSamples(Brdf):
-    """Materials of few samples, all of which a fit sees at once."""
+    """BRDFs from few samples, all of which a fit sees at once."""
 
     network: BrdfNetwork = FEW_NETWORK
 
+    @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Count the first TABLE_SAMPLES alone of a table, which has more than MOST_SAMPLES."""
+        """Let fits see no more than the first TABLE_SAMPLES of a task with more than MAX_FEW_SAMPLES."""
         data = super().prepare(task)
         return data | {COUNT_KEY: torch.tensor(float(TABLE_SAMPLES))} if data[COUNT_KEY] > MAX_FEW_SAMPLES else data
 
+    @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """The samples that a fit sees, again and again, and how many different ones, `count` [T].
+        """Return the samples that a fit sees, repeated to fill the batch, and COUNT_KEY, [T]: how many are different.
 
-        If all materials have SHORT_BATCH or fewer, a batch has no more: the solve takes half the time.
+        If no material has more than SHORT_BATCH_SAMPLES, the batch has no more either: the solve takes half the time.
         """
-        seen = tasks.data[COUNT_KEY][tasks.rows]
-        count = min(count, SHORT_BATCH_SAMPLES) if bool((seen <= SHORT_BATCH_SAMPLES).all()) else count
-        rows = torch.arange(count, device=rng.device) % seen[:, None].long()
-        return gather_samples(tasks, rows) | {COUNT_KEY: seen}
+        distinct_counts = tasks.data[COUNT_KEY][tasks.rows]
+        count = min(count, SHORT_BATCH_SAMPLES) if bool((distinct_counts <= SHORT_BATCH_SAMPLES).all()) else count
+        rows = torch.arange(count, device=rng.device) % distinct_counts[:, None].long()
+        return gather_samples(tasks, rows) | {COUNT_KEY: distinct_counts}
 
+    @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Return mixtures of these materials, with few samples as instruments take them."""
         return tasks.make_variants(
             draw_measurements(mix_brdfs(tasks, rng), rng, dense_share=0.0, counts=TRAINING_SAMPLE_RANGE)
         )
 
+    @override
     def loss_parameters(self, steps: int) -> Params:
-        """Return initial smoothing alone: the network itself says how much samples count."""
+        """Return the initial smoothing alone: the network itself says how much samples count."""
         return {"smoothing": super().loss_parameters(steps)["smoothing"]}
 
+    @override
     def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
-        """The ridge regression of all samples in logarithms."""
+        """Return the ridge regression of all samples in logarithms of reflectance."""
         return ridge_regression(theta, batch)
 
+    @override
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """With the error that samples leave, x100: `expected` over all directions, in highlights, at grazing angles."""
+        """Add the errors that samples leave, x100, over all directions, in highlights and at grazing angles.
+
+        See :func:`metapp.apps.brdf.few.design.expected_errors`.
+        """
         batch = self.sample(tasks, Generator(), MAX_FEW_SAMPLES)
         errors = []
         for i, count in enumerate(batch[COUNT_KEY].tolist()):
-            one = {key: value[i : i + 1] for key, value in theta.items()}
+            material = {key: value[i : i + 1] for key, value in theta.items()}
             where, target = (batch[key][i : i + 1, :, : int(count)] for key in ("where", "target"))
             slope = error_slope(target.expm1() / where[:, 6:].clamp_min(1e-4), where)
-            errors.append(expected_errors(Posterior.of(one, where, slope)))
-        expected = {name: self.error_measure.scale * torch.tensor([one[name] for one in errors]) for name in errors[0]}
+            errors.append(expected_errors(Posterior.from_samples(material, where, slope)))
+        scale = self.error_measure.scale
+        expected = {name: scale * torch.tensor([entry[name] for entry in errors]) for name in errors[0]}
         return super().errors(theta, tasks) | expected
 
 
@@ -78,7 +93,7 @@ FEW_RECIPE = replace(
         "ridge": replace(
             RIDGE_TRAINING,
             tasks=12,
-            rates=RIDGE_TRAINING.rates | {f"encoder.encoder.{own}": 1e-2 for own in ("last", "deviation", "noise")},
+            rates=RIDGE_TRAINING.rates | {f"encoder.encoder.{name}": 1e-2 for name in ("last", "deviation", "noise")},
             validate_every=1000,
             app=FewSamples(),
         )

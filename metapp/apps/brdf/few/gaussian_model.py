@@ -1,10 +1,10 @@
-"""The network of fits of few samples, a linear Gaussian model: a mean, learned features, how far materials vary.
+"""The network of fits of few samples: a linear Gaussian model of the logarithm of reflectance.
 
-It adds up logarithms of reflectance, as the components of Nielsen et al. 2015 ("On Optimal, Minimal BRDF
-Sampling for Reflectance Acquisition") do, but of features that any direction has. A material is Gaussian in their
-weights, so that one ridge regression gives its mean, and its covariance is the uncertainty that the samples leave:
-`metapp.apps.brdf.few.design` measures and plans by it. Luminance varies more than colour does: `opponent_axes`. There
-is a Gaussian for each kind of materials; samples say by their likelihood which one holds.
+It adds up learned features, as Nielsen et al. 2015 ("On Optimal, Minimal BRDF Sampling for Reflectance Acquisition")
+add up components of a table, but of features that any pair of directions has. The weights of a material's features are
+Gaussian: one ridge regression gives their mean after samples, and their covariance is the uncertainty that the samples
+leave, by which `metapp.apps.brdf.few.design` plans. Luminance varies more than colour (:func:`opponent_axes`). Each
+kind of materials has a Gaussian of its own; samples say by their likelihood which one holds.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import silu
+from typing_extensions import override
 
 from metapp.appearance.geometry import outgoing_cosine
 from metapp.apps.brdf.brdf_network import COUNT_KEY, BrdfNetwork, PlainLayers, opponent_axes
@@ -22,43 +23,62 @@ from metapp.apps.brdf.feature_network import ISOTROPIC_INPUTS, isotropic_inputs
 from metapp.learning.task import Batch, LeastSquares, Params
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 
-DARKEST_REFLECTANCE = 1e-3  # 1/sr, at normal angles: what keeps logarithms finite
+DARKEST_REFLECTANCE = 1e-3  # 1/sr at normal angles, added to reflectance so that logarithms are finite
 LARGEST_LOG = 14.0  # logarithm of reflectance: 1.2e6 1/sr
 LUMINANCE_DEVIATION, COLOUR_DEVIATION = 0.6, 0.1  # standard deviations of features' weights before training
-INITIAL_NOISE = (3.4, -3.0, 0.5)  # before training: see `sample_precision`
-KIND_PARAMETERS = ("w3", "b3", "last", "deviation", "noise")
+INITIAL_NOISE = (3.4, -3.0, 0.5)  # a, b and c of `sample_precision` before training
+KIND_PARAMETERS = ("w3", "b3", "last", "deviation", "noise")  # parameters that each kind of materials has
 
 
 def model_features(theta: Params, where: Tensor) -> Tensor:
-    """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
-    x = isotropic_inputs(where)
+    """Return features [T, F, N], the last of which is the constant 1.
+
+    Args:
+        theta: parameters of T materials.
+        where: half vector, difference vector and cos theta_i, [T, 7, N].
+    """
+    hidden = isotropic_inputs(where)
     for layer in (1, 2):
-        x = silu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
-    x = torch.baddbmm(theta["b3"], theta["w3"], x)
-    return torch.cat([x, torch.ones_like(x[:, :1])], 1)
+        hidden = silu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], hidden))
+    hidden = torch.baddbmm(theta["b3"], theta["w3"], hidden)
+    return torch.cat([hidden, torch.ones_like(hidden[:, :1])], 1)
 
 
 def cosine_product(where: Tensor) -> Tensor:
-    """Cos theta_i cos theta_o, DARKEST at least, [T, 1, N] of [T, 7, N]."""
+    """Return cos theta_i cos theta_o, at least DARKEST_REFLECTANCE, [T, 1, N], at `where` [T, 7, N]."""
     return (where[:, 6] * outgoing_cosine(where)).clamp_min(DARKEST_REFLECTANCE)[:, None]
 
 
 def model_reflectance(theta: Params, where: Tensor) -> Tensor:
-    """Reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, above -1."""
+    """Return reflectance before the clamp at 0, [T, 3, N], linear RGB in 1/sr, above -1.
+
+    Args:
+        theta: parameters of T materials.
+        where: half vector, difference vector and cos theta_i, [T, 7, N].
+    """
     logarithms = opponent_axes(theta["last"]) @ torch.bmm(theta["last"], model_features(theta, where))
     return (logarithms.clamp(max=LARGEST_LOG).exp() - DARKEST_REFLECTANCE) / cosine_product(where)
 
 
 def error_slope(reflectance: Tensor, where: Tensor) -> Tensor:
-    """The slope of log(1 + f cos theta_i) over the logarithm that the network adds up, [T, 3, N] of reflectance f."""
-    cos = where[:, 6:7]
-    return cos * (reflectance + DARKEST_REFLECTANCE / cosine_product(where)) / (1 + reflectance * cos)
+    """Return the derivative of log(1 + f cos theta_i) in the logarithm that the network adds up, [T, 3, N].
+
+    Args:
+        reflectance: f, linear RGB in 1/sr, [T, 3, N].
+        where: half vector, difference vector and cos theta_i, [T, 7, N].
+    """
+    cosine = where[:, 6:7]
+    return cosine * (reflectance + DARKEST_REFLECTANCE / cosine_product(where)) / (1 + reflectance * cosine)
 
 
 def sample_precision(theta: Params, slope: Tensor) -> Tensor:
-    """The precision of the logarithms of samples, 1 over their variance, [T, N] of their slopes [T, 3, N].
+    """Return the precision of samples' logarithms, 1 over their variance, [T, N].
 
-    As `noise` (a, b, c) says it: exp(a) (slope + exp(b))^c, since dark samples say less.
+    It is exp(a) (slope + exp(b))^c, since dark samples say less.
+
+    Args:
+        theta: parameters of T materials, of which `noise` [T, 3] holds a, b and c.
+        slope: :func:`error_slope` of the samples, [T, 3, N].
     """
     a, b, c = theta["noise"].unbind(1)
     result: Tensor = torch.exp(a)[:, None] * (slope.mean(1) + torch.exp(b)[:, None]) ** c[:, None]
@@ -66,46 +86,58 @@ def sample_precision(theta: Params, slope: Tensor) -> Tensor:
 
 
 def ridge_regression(theta: Params, batch: Batch) -> LeastSquares:
-    """The ridge regression of samples that are repeated to fill the batch, `count` [T] different ones."""
+    """Return the ridge regression of the logarithms of samples.
+
+    Args:
+        theta: parameters of T materials.
+        batch: `where` [T, 7, N] and `target` [T, 3, N] of samples, repeated to fill the batch, and COUNT_KEY [T], the
+            number of different ones.
+    """
     where, target = batch["where"], batch["target"]
-    cos = where[:, 6:7]
-    seen = torch.expm1(target) / cos.clamp_min(1e-4)
-    logarithms = (seen * cosine_product(where) + DARKEST_REFLECTANCE).log()
+    cosine = where[:, 6:7]
+    reflectance = torch.expm1(target) / cosine.clamp_min(1e-4)
+    logarithms = (reflectance * cosine_product(where) + DARKEST_REFLECTANCE).log()
     features = model_features(theta, where)
     residual = opponent_axes(features).T @ logarithms - torch.bmm(theta["last"], features)
-    slope = error_slope(seen, where)
+    slope = error_slope(reflectance, where)
     weights = sample_precision(theta, slope) * batch[COUNT_KEY][:, None]
     losses = (slope * (opponent_axes(features) @ residual)).abs().mean((1, 2))
     return LeastSquares("last", features, residual, weights, losses, torch.exp(-2 * theta["deviation"]))
 
 
 def log_evidence(theta: Params, batch: Batch) -> Tensor:
-    """The log likelihood [T] of the samples under the model, but for a constant.
+    """Return the log likelihood of samples under the model, [T], up to a constant.
 
-    With weights integrated out: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, section 2.1.
+    The weights of features are integrated out: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning,
+    section 2.1.
+
+    Args:
+        theta: parameters of T materials.
+        batch: samples, as :func:`ridge_regression` takes them.
     """
-    at = ridge_regression(theta, batch)
-    features, residual = at.features.double(), at.residual.double()
-    weights, count = at.weights.double()[:, None] / features.shape[-1], batch[COUNT_KEY]
+    regression = ridge_regression(theta, batch)
+    features, residual = regression.features.double(), regression.residual.double()
+    weights, count = regression.weights.double()[:, None] / features.shape[-1], batch[COUNT_KEY]
     prior = torch.diag_embed(torch.exp(-2 * theta["deviation"].double()))
     factor = torch.linalg.cholesky((features * weights @ features.mT)[:, None] + prior)
     moment = (residual * weights) @ features.mT
-    solved = torch.cholesky_solve(moment[..., None], factor)[..., 0]
-    missed = (weights * residual.square()).sum((1, 2)) - (moment * solved).sum((1, 2))
-    volume = 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum((1, 2)) + 2 * theta["deviation"].double().sum((1, 2))
-    precisions = 3 * count * (at.weights.double() / count[:, None]).log().mean(1)
-    result: Tensor = (precisions - missed - volume) / 2
+    mean_weights = torch.cholesky_solve(moment[..., None], factor)[..., 0]
+    misfit = (weights * residual.square()).sum((1, 2)) - (moment * mean_weights).sum((1, 2))
+    log_volume = 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum((1, 2)) + 2 * theta["deviation"].double().sum((1, 2))
+    log_precisions = 3 * count * (regression.weights.double() / count[:, None]).log().mean(1)
+    result: Tensor = (log_precisions - misfit - log_volume) / 2
     return result
 
 
 @dataclass(frozen=True)
 class Few(BrdfNetwork):
-    """The network's size.
+    """A network of few samples: features that materials share, and Gaussians of their weights.
 
     Attributes:
-        width: of the two hidden layers.
-        features: learned ones; a constant is one more.
-        kinds: of materials; each has a mean, deviations and features in which its materials vary independently.
+        width: units of each of the two hidden layers.
+        features: number of learned features, to which a constant is added.
+        kinds: number of kinds of materials; each has a mean, deviations and features in which its materials vary
+            independently.
     """
 
     width: int = 128
@@ -113,18 +145,22 @@ class Few(BrdfNetwork):
     kinds: int = 3
 
     @property
+    @override
     def unshared_parameters(self) -> tuple[str, ...]:
         return KIND_PARAMETERS
 
     @property
+    @override
     def linear_parameter(self) -> str:
         return "last"
 
+    @override
     def init(self, rng: Generator, count: int) -> Params:
-        """Random weights, the same for all.
+        """Draw random weights, equal for all materials.
 
-        `last` [3, F], on opponent axes, begins as the mean of all materials; `deviation` [3, F], logarithms, is how far
-        materials are from it; `noise` [3] is that of samples.
+        `last` [3, F], on opponent axes, begins at 0 and becomes the mean of all materials; `deviation` [3, F],
+        logarithms of standard deviations, is how far materials are from it; `noise` [3] is the samples': see
+        :func:`sample_precision`.
         """
         sizes = {
             "w1": (self.width, ISOTROPIC_INPUTS),
@@ -142,34 +178,44 @@ class Few(BrdfNetwork):
         theta["noise"] = torch.tensor(INITIAL_NOISE, device=rng.device)
         return {key: value.expand(count, *value.shape) for key, value in theta.items()}
 
+    @override
     def init_encoder(self, rng: Generator) -> Params:
-        """The parameters that all materials share, and OF_KINDS for each kind, [kinds, ...]."""
+        """Draw the parameters that all materials share, and KIND_PARAMETERS for each kind, [kinds, ...]."""
         theta = self.init(rng, self.kinds)
         return join_encoder({key: theta[key] for key in KIND_PARAMETERS}, theta, KIND_PARAMETERS)
 
+    @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """Parameters of the kind that is likeliest to have made the samples, as `FewSamples.sample` gives them."""
-        kinds = select_reader(encoder)
+        """Return the parameters of the kind that is likeliest to have made the samples of each task."""
+        reader = select_reader(encoder)
         count = len(condition["where"])
-        every = [self.of_kinds(encoder, torch.full((count,), kind)) for kind in range(len(kinds["last"]))]
+        kinds = range(len(reader["last"]))
+        models = [self.select_kinds(encoder, torch.full((count,), kind)) for kind in kinds]
         with torch.no_grad():
-            likeliest = torch.stack([log_evidence(theta, condition) for theta in every]).argmax(0)
-        return self.of_kinds(encoder, likeliest)
+            likeliest = torch.stack([log_evidence(theta, condition) for theta in models]).argmax(0)
+        return self.select_kinds(encoder, likeliest)
 
-    def of_kinds(self, encoder: Params, which: Tensor) -> Params:
-        """Parameters [T, ...] of materials of these kinds, int [T]."""
-        which = which.to(encoder["encoder.last"].device)
-        return add_decoder({key: value[which] for key, value in select_reader(encoder).items()}, encoder)
+    def select_kinds(self, encoder: Params, kinds: Tensor) -> Params:
+        """Return parameters [T, ...] of materials of given kinds.
 
+        Args:
+            encoder: General's encoder, which holds the parameters of all kinds.
+            kinds: the kind of each material, int [T].
+        """
+        kinds = kinds.to(encoder["encoder.last"].device)
+        return add_decoder({key: value[kinds] for key, value in select_reader(encoder).items()}, encoder)
+
+    @override
     def reflectance(self, theta: Params, where: Tensor) -> Tensor:
         return model_reflectance(theta, where)
 
-    def folded(self, theta: Params) -> PlainLayers:
+    @override
+    def fold(self, theta: Params) -> PlainLayers:
         theta = {key: value.detach().double() for key, value in theta.items()}
         last = opponent_axes(theta["last"]) @ theta["last"]
         layers = [(theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2)]
         layers.append((last[:, :-1] @ theta["w3"], (last[:, :-1] @ theta["b3"]).flatten() + last[:, -1]))
-        return PlainLayers(layers, "featured", darkest=DARKEST_REFLECTANCE)
+        return PlainLayers(layers, "featured", log_floor=DARKEST_REFLECTANCE)
 
 
 FEW_NETWORK = Few()

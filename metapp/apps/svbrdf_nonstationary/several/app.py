@@ -214,7 +214,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         photos, places = draw_photo_sets(fine, tasks.data["places"].shape[1], rng)
         small = _pool_photos(photos, size)
         return tasks.make_variants(
-            {"photo": small[:, 0], "photos": small, "places": places} | self.described(pool_maps(fine, size))
+            {"photo": small[:, 0], "photos": small, "places": places} | self.describe_maps(pool_maps(fine, size))
         )
 
     @override

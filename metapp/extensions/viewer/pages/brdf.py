@@ -29,14 +29,14 @@ MAX_PLOTTED_SAMPLES = 8192  # samples of plots, at most
 def make_brdf_view(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
     """The fit, its samples if the task has some, and a reference where the material is known everywhere."""
     network = find_network(theta)
-    folded, evaluate = network.folded(theta), functools.partial(network.evaluate, theta)
-    lobes = fit_lobes(evaluate, folded.turn)
+    folded, evaluate = network.fold(theta), functools.partial(network.evaluate, theta)
+    lobes = fit_lobes(evaluate, folded.axes_azimuth_rad)
     arrays = {"weights": pack_layers(folded.layers), "shares": torch.from_numpy(lobes.shares).float()}
     if "angles" in task.data:
         columns = [task.data["angles"], *([task.data["phi_h"][:, None]] if "phi_h" in task.data else [])]
         arrays["samples"] = torch.cat([*columns, task.data["reflectance"]], 1)[:MAX_PLOTTED_SAMPLES].half()
     if "render" in task.data:  # between samples alone the material is not known
-        arrays["residual"] = _residual(evaluate, folded.turn, task)
+        arrays["residual"] = _residual(evaluate, folded.axes_azimuth_rad, task)
     facts = {
         "network": folded.inputs,
         "inputs": folded.layers[0][0].shape[1],
@@ -46,11 +46,11 @@ def make_brdf_view(presenter: Presenter[Brdf], theta: Params, task: Task) -> Vie
             feature_network.VECTOR_SMOOTHING,
             feature_network.COSINE_SMOOTHING,
         ],
-        "turn": folded.turn,
-        "darkest": folded.darkest,
+        "turn": folded.axes_azimuth_rad,
+        "darkest": folded.log_floor,
         "alphas": [list(alpha) for alpha in lobes.alphas],
     }
-    lit = shade_sphere(environment_scene(azimuths=folded.turn is not None), evaluate)
+    lit = shade_sphere(environment_scene(azimuths=folded.axes_azimuth_rad is not None), evaluate)
     shown = thumbnail(torch.from_numpy(composite_to_srgb(lit[..., :3])))
     return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": reference_light_map()}, shown)
 

@@ -41,7 +41,7 @@ def make_illumination_view(
     """
     app = presenter.app
     one = {key: value[None] for key, value in theta.items()}
-    pixels = presenter.map_picture(theta, task).pixels
+    pixels = presenter.draw_map(theta, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
     light = pixels.permute(2, 0, 1) / unit
     maps = {"map": resample_maps(light, *largest) if light.shape[1] > largest[0] else light}
@@ -60,7 +60,9 @@ def make_illumination_view(
     }
     pictures = {}
     if app.protocol == "photo":
-        data = {key: value[None] for key, value in {"photo": task.data["photos"][0], **app.mirrored(task)}.items()}
+        data = {
+            key: value[None] for key, value in {"photo": task.data["photos"][0], **app.prepare_mirror(task)}.items()
+        }
         pictures = {"photo": data["photo"][0].permute(1, 2, 0) / 255, "ball": _ball(app, one, data).permute(1, 2, 0)}
     lobes = torch.stack([lobe_albedos(roughness) for roughness in SPHERE_ROUGHNESSES.values()]).half()
     shown = thumbnail(tone_map(maps["map"]).permute(1, 2, 0))
@@ -87,7 +89,7 @@ def _ball(app: Illumination, theta: Params, data: Batch) -> Tensor:
     """
     size = data["photo"].shape[-1]
     if not shows_mirror(data):
-        return app.ball(theta, app.radiance_of(theta), size)[0].clamp(0, 1)
+        return app.render_ball(theta, app.radiance_maps(theta), size)[0].clamp(0, 1)
     photo, ball = data["photo"][0] / 255, render_mirror_spheres(app.answer(theta, data), size)[0]
     # no photograph says how bright its light was: exposed so that what it does not clip is as bright in the middle
     told = (photo.amax(0) < CLIPPED_VALUE) & (photo.amin(0) > RADIANCE_FLOOR) & (ball.amin(0) > 0)

@@ -131,7 +131,9 @@ def _traced(flow: Flow, theta: Params, task: Task, effort: Effort) -> dict[str, 
         before, by = time.process_time() - begin, path_space.Guide(table.sample, table.density)
         side, seconds = effort.side_px, effort.seconds
         shots = {
-            REGULAR: render_in_steps(lambda spp, seed: studio.regular(spp, seed).picture, reference, 0.0, seconds),
+            REGULAR: render_in_steps(
+                lambda spp, seed: studio.render_regular(spp, seed).picture, reference, 0.0, seconds
+            ),
             GUIDED_LABEL: render_in_steps(
                 lambda spp, seed: path_space.render_paths(studio.tracer, spp, side, seed, by),
                 reference,
@@ -148,10 +150,10 @@ def _traced(flow: Flow, theta: Params, task: Task, effort: Effort) -> dict[str, 
 
 def _reference_halves(studio: SceneRenderer, seconds: float) -> Tensor:
     """Two pictures by Mitsuba's path, of other random numbers, [2, 3, size, size]."""
-    studio.path(1)  # the first call compiles
-    rate = studio.path(4).seconds / 4
+    studio.render_path(1)  # the first call compiles
+    rate = studio.render_path(4).seconds / 4
     spp = max(1, round(seconds / 2 / max(rate, 1e-9)))
-    return torch.stack([studio.path(spp, seed).picture for seed in (1, 2)])
+    return torch.stack([studio.render_path(spp, seed).picture for seed in (1, 2)])
 
 
 def render_in_steps(
