@@ -87,11 +87,11 @@ bench-cluster: $(VENV)/.cluster  ## materials a minute by a loop, Dask and Ray, 
 bench-growth: setup  ## growth of time and memory with steps, tasks and samples; a minute
 	$(VENV)/bin/python -m benchmarks.bench_growth
 
-# of the embedded data set, unless DATA is given
+# on the embedded data set, unless DATA is given
 bench-samples: setup  ## errors of BRDF fits by number of samples, a table and a figure; DATA=<data set of brdf>
 	$(VENV)/bin/python -m benchmarks.bench_samples $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
-# of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"; rows and references are kept
+# renders pictures of 256 px; for a shorter run: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"; rows and references are kept
 guiding: setup  ## error over time of guided and regular paths, a table and a figure in runs/guiding; an hour
 	$(VENV)/bin/python -m benchmarks.bench_guiding --out $(RUNS)/guiding $(GUIDING)
 
@@ -160,16 +160,16 @@ real-svbrdf: setup  ## real materials: make real-svbrdf DATA=<folder with svbrdf
 checkpoints-illumination: setup  ## train the checkpoints of illumination that ship, on the embedded maps; two to three hours
 	bash tools/checkpoints_observed.sh "$(METAPP)" "$(RUNS)" illumination
 
-checkpoints-svbrdf: setup  ## train those of non-stationary svBRDFs, on drawn materials; six hours, 4 GB of memory and 2 GB of disk
+checkpoints-svbrdf: setup  ## train the checkpoints of non-stationary svBRDFs, on synthetic materials; six hours, 4 GB of memory and 2 GB of disk
 	bash tools/checkpoints_observed.sh "$(METAPP)" "$(RUNS)" svbrdf_nonstationary
 
-checkpoints-transport: setup  ## train those of light transport, on the embedded scenes; an hour
+checkpoints-transport: setup  ## train the checkpoints of light transport, on the embedded scenes; an hour
 	bash tools/checkpoints_transport.sh "$(METAPP)" "$(RUNS)"
 
-checkpoints-photos: setup  ## train those of textures and stationary svBRDFs, on the embedded sets; hours
+checkpoints-photos: setup  ## train the checkpoints of textures and stationary svBRDFs, on the embedded sets; hours
 	bash tools/checkpoints_photos.sh "$(METAPP)" "$(RUNS)"
 
-checkpoints-brdf: setup  ## train those of BRDFs: make checkpoints-brdf DATA=<folder with nbrdf/merl>
+checkpoints-brdf: setup  ## train the checkpoints of BRDFs: make checkpoints-brdf DATA=<folder with nbrdf/merl>
 	bash tools/checkpoints_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
 clean:  ## remove caches and the virtual environment; runs and trained checkpoints stay

@@ -1,9 +1,9 @@
 """Error over seconds of guided and regular paths, in equal total time: `make guiding`.
 
-Each picture is made anew for its time, with everything counted: for guided ones also what is learned, for both loading
-of the integrator and the film. The code that Dr.Jit compiles once is not. Times are CPU seconds of the process, so that
-other work on the machine counts little. Errors are of every fourth pixel of every fourth row, as references are dear;
-these are kept in a folder, and rows of earlier runs in the same file stay.
+Each picture is made anew for its time, and everything counts: loading of the integrator, film, and for guided paths
+also what they learn. Only the code that Dr.Jit compiles once does not count. Times are CPU seconds of the process, so
+that other work on the machine counts little. Errors are of every fourth pixel of every fourth row, since references are
+expensive. References are kept in a folder, and rows of earlier runs in the same file stay.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from metapp.rendering.pictures import render_scene
 from metapp.rendering.scenes.loading import load_scene
 
 REGULAR_METHOD, GUIDED_INTEGRATOR = "regular + NEE", {"type": "metapp_guided_path"}
-INTEGRATORS_BY_METHOD: dict[str, dict[str, Any]] = {  # integrators
+INTEGRATORS_BY_METHOD: dict[str, dict[str, Any]] = {
     REGULAR_METHOD: {"type": "path"},
     "guided + NEE": GUIDED_INTEGRATOR,
 }
-WARM_UP_SPP = 48  # samples a pixel by which code is compiled and speeds are first known
-TIME_TOLERANCE_SHARE = 0.1  # of the seconds
-REFERENCE_STEP_PX = 4  # px between those that references are made of
-PATHS_PER_WAVE = 2**21  # paths at a time
+WARM_UP_SPP = 48  # samples a pixel of the first pictures, which compile code and tell the first speeds
+TIME_TOLERANCE_SHARE = 0.1  # share of the wanted seconds by which a picture may take more or less
+REFERENCE_STEP_PX = 4  # px from one pixel of a reference to the next
+PATHS_PER_WAVE = 2**21  # paths that are traced at a time
 
 
 class SceneBench:
-    """One scene.
+    """One scene, with its reference and the costs of each method.
 
     Args:
-        name: of the scene.
-        options: of the command line.
+        name: the name of the scene.
+        options: the options of the command line.
     """
 
     def __init__(self, name: str, options: argparse.Namespace) -> None:
@@ -59,14 +59,14 @@ class SceneBench:
         self.path = self.mi.load_dict({"type": "path", "max_depth": DEPTH_EDGES})
         file = options.out / f"{name.replace(' ', '-')}-{options.size}-{options.reference}.pt"
         if not file.exists():
-            torch.save(torch.stack([self._half(options, seed) for seed in (1, 2)]), file)
+            torch.save(torch.stack([self._render_half(options, seed) for seed in (1, 2)]), file)
         halves = torch.load(file, weights_only=True)
         self.reference = halves.mean(0)
-        self.own_error = float(mape(halves[:1], self.reference[None]))  # both halves are as far from the mean
-        self.costs = {name: self._first(name) for name in {REGULAR_METHOD, *options.methods}}
+        self.own_error = float(mape(halves[:1], self.reference[None]))  # both halves are equally far from their mean
+        self.costs = {name: self._first_costs(name) for name in {REGULAR_METHOD, *options.methods}}
 
-    def _half(self, options: argparse.Namespace, seed: int) -> Tensor:
-        """A picture by `path`, with next-event estimation, of half the reference's samples a pixel."""
+    def _render_half(self, options: argparse.Namespace, seed: int) -> Tensor:
+        """Render a picture by `path`, with next-event estimation, by half the reference's samples a pixel."""
         import drjit as dr
 
         mi, columns, rows = self.mi, self.width // REFERENCE_STEP_PX, self.height // REFERENCE_STEP_PX
@@ -88,103 +88,104 @@ class SceneBench:
         mean: Tensor = total / (per_pixel * waves)
         return mean
 
-    def error(self, picture: Tensor) -> float:
-        """MAPE of the reference's pixels."""
+    def picture_error(self, picture: Tensor) -> float:
+        """Return the MAPE of a picture [H, W, 3] over the pixels that the reference has."""
         rows, columns = self.reference.shape[-2:]
         pixels = picture[REFERENCE_STEP_PX // 2 :: REFERENCE_STEP_PX, REFERENCE_STEP_PX // 2 :: REFERENCE_STEP_PX][
             :rows, :columns
         ]
         return float(mape(pixels.permute(2, 0, 1)[None], self.reference[None]))
 
-    def measured(self, name: str, seconds: float, seed: int) -> dict[str, Any]:
-        """A picture that takes so many seconds, within NEAR, the nearest of three attempts."""
-        least = -(-MIN_LEARNING_PATHS // (self.width * self.height)) if name != REGULAR_METHOD else 1
+    def measure_at_seconds(self, name: str, seconds: float, seed: int) -> dict[str, Any]:
+        """Render a picture that takes about this many seconds, the best of three attempts, and return its figures."""
+        min_spp = -(-MIN_LEARNING_PATHS // (self.width * self.height)) if name != REGULAR_METHOD else 1
         attempts: list[tuple[Tensor, dict[str, float], int]] = []
 
-        def off(attempt: tuple[Tensor, dict[str, float], int]) -> float:
+        def time_deviation(attempt: tuple[Tensor, dict[str, float], int]) -> float:
             return abs(sum(attempt[1].values()) / seconds - 1)
 
         for _ in range(3):
             fixed, per_sample = self.costs[name]
-            spp = max(least, round((seconds - fixed) / per_sample))
-            attempts.append((*self._picture(name, spp, seed), spp))
+            spp = max(min_spp, round((seconds - fixed) / per_sample))
+            attempts.append((*self._render(name, spp, seed), spp))
             self.costs[name] = fit_costs(*attempts[-1][1:])
-            if off(attempts[-1]) < TIME_TOLERANCE_SHARE:
+            if time_deviation(attempts[-1]) < TIME_TOLERANCE_SHARE:
                 break
-        picture, spent, spp = min(attempts, key=off)
-        if name != REGULAR_METHOD and spp == least and sum(spent.values()) > (1 + TIME_TOLERANCE_SHARE) * seconds:
-            # it takes longer: fewer samples, which `path` renders
-            spp = max(1, min(least - 1, round(seconds / self.costs[REGULAR_METHOD][1])))
-            picture, spent = self._picture(name, spp, seed)
-        return {"error": self.error(picture), "seconds": sum(spent.values()), "spp": spp, "spent": spent}
+        picture, spent, spp = min(attempts, key=time_deviation)
+        if name != REGULAR_METHOD and spp == min_spp and sum(spent.values()) > (1 + TIME_TOLERANCE_SHARE) * seconds:
+            # the fewest paths that guiding learns from take too long: with fewer samples, `path` renders instead
+            spp = max(1, min(min_spp - 1, round(seconds / self.costs[REGULAR_METHOD][1])))
+            picture, spent = self._render(name, spp, seed)
+        return {"error": self.picture_error(picture), "seconds": sum(spent.values()), "spp": spp, "spent": spent}
 
-    def _first(self, name: str) -> tuple[float, float]:
+    def _first_costs(self, name: str) -> tuple[float, float]:
+        """Render three small pictures, and return the costs of the last, when all code is compiled."""
         spp = (
             WARM_UP_SPP
             if name == REGULAR_METHOD
             else max(WARM_UP_SPP, -(-MIN_LEARNING_PATHS // (self.width * self.height)))
         )
         for _ in range(2):
-            self._picture(name, spp, 0)  # compiles
-        return fit_costs(self._picture(name, spp, 0)[1], spp)
+            self._render(name, spp, 0)  # compiles code, which is not timed
+        return fit_costs(self._render(name, spp, 0)[1], spp)
 
-    def _picture(self, name: str, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
-        """A picture, and seconds of CPU by what they were spent on."""
+    def _render(self, name: str, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
+        """Render a picture, and return it with its CPU seconds by what they were spent on."""
         begin = time.process_time()
         integrator = self.mi.load_dict(INTEGRATORS_BY_METHOD[name] | {"max_depth": DEPTH_EDGES})
         picture = render_scene(self.scene, integrator, spp, seed)
         spent, total = dict(getattr(integrator, "spent", {})), time.process_time() - begin
-        rest = "all else" if spent else "regular samples"  # where `path` rendered instead
+        rest = "all else" if spent else "regular samples"  # `path` says nothing of its seconds
         return picture, spent | {rest: total - sum(spent.values())}
 
 
 def fit_costs(spent: dict[str, float], spp: int) -> tuple[float, float]:
-    """Seconds that do not depend on the samples, and seconds of a sample a pixel."""
+    """Return the seconds that do not depend on the samples, and the seconds of one sample a pixel."""
     fixed = sum(seconds for name, seconds in spent.items() if not name.endswith(("samples", "learned from")))
     return fixed, (sum(spent.values()) - fixed) / spp
 
 
 def measure_scenes(options: argparse.Namespace, file: Path) -> list[dict[str, Any]]:
-    """Measure all, and keep it, a line each, as soon as it is known."""
-    kept = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
-    rows = [row for row in kept if row["size"] == options.size]
+    """Measure all scenes, times, seeds and methods; each row is written to the file as soon as it is known."""
+    earlier_rows = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
+    rows = [row for row in earlier_rows if row["size"] == options.size]
     with file.open("a", encoding="utf-8") as out:
         for name in options.scenes:
             bench = SceneBench(name, options)
             for seconds, seed, method in itertools.product(options.times, range(1, options.seeds + 1), options.methods):
                 row = {"size": options.size, "scene": name, "method": method, "time": seconds, "seed": seed}
                 row["reference"] = bench.own_error
-                rows.append(row | bench.measured(method, seconds, seed))
+                rows.append(row | bench.measure_at_seconds(method, seconds, seed))
                 print(json.dumps(rows[-1]), file=out, flush=True)
     keys = ("scene", "method", "time", "seed")
-    return list({tuple(row[key] for key in keys): row for row in rows}.values())  # the last of each
+    return list({tuple(row[key] for key in keys): row for row in rows}.values())  # the last row of each
 
 
 def use_box_filter(scene: SceneEntry) -> SceneEntry:
-    """The scene of an XML file with a box filter: pixels are means, as those of references."""
+    """Return the scene of an XML file with a box filter, by which pixels are means as in references."""
     return {"xml": re.sub(r'<rfilter [^>]*type="\w+"', '<rfilter type="box"', scene["xml"])}
 
 
 def list_kinds(rows: list[dict[str, Any]]) -> list[str]:
-    """What scenes are counted among, in their order."""
+    """Return the kinds of scenes in rows, in their order."""
     return list(dict.fromkeys(scene_kind(row["scene"]) for row in rows))
 
 
 def format_error_table(rows: list[dict[str, Any]]) -> str:
-    """Errors over those of `regular + NEE` in the same time and scene, with 95 % intervals, as markdown."""
+    """Format errors, relative to regular paths in equal time, with 95 % intervals, as Markdown."""
     errors = {(row["scene"], row["method"], row["time"], row["seed"]): row["error"] for row in rows}
     lines = ["| scenes | seconds | method | MAPE over regular + NEE | MAPE |", "|---|---|---|---|---|"]
     times = sorted({row["time"] for row in rows})
     for kind, seconds, method in itertools.product(list_kinds(rows), times, INTEGRATORS_BY_METHOD):
-        mine = {
+        method_errors = {
             key: error for key, error in errors.items() if scene_kind(key[0]) == kind and key[1:3] == (method, seconds)
         }
-        logs = [math.log(error / errors[key[0], "regular + NEE", *key[2:]]) for key, error in mine.items()]
+        logs = [math.log(error / errors[key[0], "regular + NEE", *key[2:]]) for key, error in method_errors.items()]
         if logs:
-            half = 1.96 * statistics.stdev(logs) / math.sqrt(len(logs)) if len(logs) > 1 else math.nan
+            half_interval = 1.96 * statistics.stdev(logs) / math.sqrt(len(logs)) if len(logs) > 1 else math.nan
             middle = statistics.fmean(logs)
-            low, high = math.exp(middle - half), math.exp(middle + half)
-            mean = statistics.fmean(mine.values())
+            low, high = math.exp(middle - half_interval), math.exp(middle + half_interval)
+            mean = statistics.fmean(method_errors.values())
             lines.append(
                 f"| {kind} | {seconds:g} | {method} | {math.exp(middle):.2f} [{low:.2f}, {high:.2f}] | {mean:.3f} |"
             )
@@ -192,22 +193,25 @@ def format_error_table(rows: list[dict[str, Any]]) -> str:
 
 
 def draw_guiding_figure(rows: list[dict[str, Any]], file: Path) -> None:
-    """Error over seconds, both logarithmic, a panel for each kind of scene."""
+    """Draw error over seconds, both logarithmic, with a panel for each kind of scene."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     names = list_kinds(rows)
-    drawn, panels = pyplot.subplots(1, len(names), figsize=(3 * len(names), 3.2), sharex=True, squeeze=False)
+    figure, panels = pyplot.subplots(1, len(names), figsize=(3 * len(names), 3.2), sharex=True, squeeze=False)
     for kind, panel in zip(names, panels[0], strict=True):
         for method in INTEGRATORS_BY_METHOD:
-            mine = [row for row in rows if scene_kind(row["scene"]) == kind and row["method"] == method]
-            by_time = [[row for row in mine if row["time"] == seconds] for seconds in sorted({r["time"] for r in mine})]
-            if not mine:
+            method_rows = [row for row in rows if scene_kind(row["scene"]) == kind and row["method"] == method]
+            by_time = [
+                [row for row in method_rows if row["time"] == seconds]
+                for seconds in sorted({row["time"] for row in method_rows})
+            ]
+            if not method_rows:
                 continue
             xs, ys = (
-                [statistics.geometric_mean(row[key] for row in same) for same in by_time]
+                [statistics.geometric_mean(row[key] for row in time_rows) for time_rows in by_time]
                 for key in ("seconds", "error")
             )
             panel.loglog(xs, ys, marker="o", label=method)
@@ -215,20 +219,22 @@ def draw_guiding_figure(rows: list[dict[str, Any]], file: Path) -> None:
         panel.set_xlabel("seconds of CPU")
         panel.grid(visible=True, which="both", alpha=0.3)
     panels[0, 0].set_ylabel("MAPE")
-    drawn.legend(
+    figure.legend(
         *panels[0, 0].get_legend_handles_labels(), loc="upper center", ncols=len(INTEGRATORS_BY_METHOD), frameon=False
     )
-    drawn.tight_layout(rect=(0, 0, 1, 0.93))
-    drawn.savefig(file, dpi=120)
+    figure.tight_layout(rect=(0, 0, 1, 0.93))
+    figure.savefig(file, dpi=120)
 
 
 def main() -> None:
-    """Measure, print the table, draw the figure."""
+    """Measure all scenes, print the table, and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--size", type=int, default=256, help="px along a side")
-    parser.add_argument("--reference", type=int, default=8192, help="samples a pixel of the reference")
-    parser.add_argument("--times", type=float, nargs="+", default=[1.0, 4.0, 16.0], help="seconds of CPU")
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--size", type=int, default=256, help="pixels along a side of pictures")
+    parser.add_argument("--reference", type=int, default=8192, help="samples a pixel of references")
+    parser.add_argument(
+        "--times", type=float, nargs="+", default=[1.0, 4.0, 16.0], help="seconds of CPU that pictures take"
+    )
+    parser.add_argument("--seeds", type=int, default=3, help="pictures of each scene, method and time")
     parser.add_argument(
         "--methods", nargs="+", default=list(INTEGRATORS_BY_METHOD), choices=list(INTEGRATORS_BY_METHOD)
     )
@@ -239,9 +245,11 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     warnings.simplefilter("ignore")
-    files = {name: Path(name) for name in options.scenes if name not in scenes_by_name()}
-    options.known = scenes_by_name() | {file.parent.name: use_box_filter(read_scene(file)) for file in files.values()}
-    options.scenes = [files[name].parent.name if name in files else name for name in options.scenes]
+    files_by_word = {name: Path(name) for name in options.scenes if name not in scenes_by_name()}
+    options.known = scenes_by_name() | {
+        file.parent.name: use_box_filter(read_scene(file)) for file in files_by_word.values()
+    }
+    options.scenes = [files_by_word[name].parent.name if name in files_by_word else name for name in options.scenes]
     rows = measure_scenes(options, options.out / "guiding.jsonl")
     print(format_error_table(rows))
     draw_guiding_figure(rows, options.out / "guiding.png")

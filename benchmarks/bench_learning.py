@@ -1,27 +1,28 @@
 """Time and memory of learning, and of differentiating through it, against plain loops; `make bench` runs it.
 
-What is measured: the BRDF network (675 weights), 8 tasks, 10 inner steps of 512 samples, one thread; Meta-SGD, where
-nothing else is said, and the default rule, meta-curvature. One fit is one task.
+What is measured: the BRDF network (675 weights), 8 tasks, 10 inner steps of 512 samples, one thread; the rule is
+Meta-SGD where nothing else is said, or the default rule, meta-curvature. One fit is one task.
 
 - Training: one outer step, the value of `after_learning` and its second-order gradient in phi = {theta_0, alpha}.
-- Adapting: 10 steps from theta_0, no meta-gradient; (a) keeps no graph either.
+- Adapting: 10 steps from theta_0, without a meta-gradient; (a) keeps no graph either.
 
 Against what: (a) the plain way, written here: task after task, `linear` on [samples, features], an unrolled graph with
 `create_graph=True`; (b) learn2learn's MetaSGD and TorchOpt's differentiable SGD (one fixed rate: its gradient is in
-theta_0 alone), the same network and batches, where they can be imported. All of them see the same samples, drawn
-beforehand; loss and gradient of (a) and of metapp are compared first, in the same run; (c) JAX, `vmap` over tasks on
-[features, samples], `scan` over the steps, jitted. (b) and (c) are extras: `pip install metapp[bench]`.
+theta_0 alone), with equal network and batches, where they can be imported; (c) JAX, `vmap` over tasks on
+[features, samples], `scan` over the steps, jitted. All of them see equal samples, drawn beforehand. Loss and gradient
+of (a) and of metapp are compared first, in the same run. (b) and (c) are extras: `pip install metapp[bench]`.
 
-The machine's limit is that of a loop of multiply-adds in C. The network's layers need 1764 of these for a gradient's
-sample, 3969 for a product's. The kernel alone is timed for this CPU and as CPUs with AVX2 and without AVX run it.
+The machine's limit is measured by a loop of multiply-adds in C. The network's layers need 1764 of these for a sample of
+a gradient, 3969 for a sample of a product. The kernel alone is timed for this CPU, and as CPUs with AVX2 and without
+AVX run it.
 
 How: all contestants take turns, round after round, and the median over the rounds counts. Seconds are the process's
-CPU seconds, the same as the clock's where nothing else runs. Compiling happens before the first round and is not
+CPU seconds, which equal the clock's where nothing else runs. Compiling happens before the first round and is not
 counted; its seconds are printed.
 
 Memory: the peak of live tensor storage during one eager outer step of a convolutional U-Net, 4 tasks of 128 x 128
-pixels, counted by a TorchDispatchMode that sees every tensor an operator returns and forgets it when its storage dies.
-It counts tensors, whatever the allocator does; scratch memory inside an operator is not seen.
+pixels. A TorchDispatchMode sees every tensor that an operator returns, and forgets it when its storage is freed. It
+counts tensors, whatever the allocator does; scratch memory inside an operator is not seen.
 """
 
 from __future__ import annotations
@@ -43,13 +44,13 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
+from typing_extensions import override
 
 from benchmarks.bench_growth import ProblemSize, draw_batch
 from metapp.apps.brdf.app import Brdf
 from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load_library
-from metapp.extensions.native.step_choice import choose_steps as fastest
-from metapp.extensions.native.step_choice import make_compiled_steps
+from metapp.extensions.native.step_choice import choose_steps, make_compiled_steps
 from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss, StepsOf, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn
@@ -61,12 +62,12 @@ LEARNING_APP = Brdf()
 
 LEARNING_SIZE, LEARNING_RATE = ProblemSize(steps=10, tasks=8, samples=512), 1e-2
 INNER_STEPS, BATCH_TASKS, TASK_SAMPLES = LEARNING_SIZE
-LEARNING_ROUNDS = 25
+LEARNING_ROUNDS = 25  # rounds in which all contestants take turns; the median counts
 DEFAULT_RULE = "meta-curvature"
 
 
 def one_task(batch: Batch, task: int) -> tuple[Tensor, Tensor, Tensor]:
-    """(inputs [N, 6], cosine [N, 1], target [N, 3]) of one task."""
+    """Return the inputs [N, 6], cosines [N, 1] and targets [N, 3] of one task of a batch."""
     where = batch["where"][task].T.contiguous()
     return where[:, :6].contiguous(), where[:, 6:].contiguous(), batch["target"][task].T.contiguous()
 
@@ -75,7 +76,7 @@ PlainBatch = tuple[Tensor, Tensor, Tensor]
 
 
 def plain_loss(weights: list[Tensor], batch: PlainBatch) -> Tensor:
-    """The same loss of the same network as most would write it."""
+    """Compute the application's loss with plain torch layers, as most programs would write it."""
     inputs, cosine, target = batch
     x = torch.relu(linear(inputs, weights[0], weights[1]))
     x = torch.relu(linear(x, weights[2], weights[3]))
@@ -84,7 +85,7 @@ def plain_loss(weights: list[Tensor], batch: PlainBatch) -> Tensor:
 
 
 def plain_adapt(weights: list[Tensor], rates: list[Tensor], batches: list[PlainBatch], graph: bool) -> list[Tensor]:
-    """Meta-SGD's inner loop for one task, unrolled where `graph`."""
+    """Run Meta-SGD's inner loop for one task, as an unrolled graph where `graph`, and return the weights."""
     for batch in batches:
         if not graph:
             weights = [weight.detach().requires_grad_() for weight in weights]
@@ -94,24 +95,25 @@ def plain_adapt(weights: list[Tensor], rates: list[Tensor], batches: list[PlainB
 
 
 class TorchNetwork(torch.nn.Module):
-    """The same network for the libraries, which want a module."""
+    """The BRDF network as a module, which the libraries want."""
 
     def __init__(self, weights: list[Tensor]) -> None:
         super().__init__()
         for i, weight in enumerate(weights):
             self.register_parameter(f"p{i}", torch.nn.Parameter(weight.clone()))
 
+    @override
     def forward(self, batch: PlainBatch) -> Tensor:
         return plain_loss(list(self.parameters()), batch)
 
 
 def plain_weights(theta: Params) -> list[Tensor]:
-    """metapp's tree as the plain code wants it: biases without their second axis."""
+    """Return a network's parameters as plain torch layers take them: biases without their second axis."""
     return [value.squeeze(-1) if key.startswith("b") else value for key, value in theta.items()]
 
 
 def learn2learn_step(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> list[Callable[[], Any]]:
-    """One second-order outer step of learn2learn's MetaSGD."""
+    """Make one second-order outer step of learn2learn's MetaSGD."""
     from learn2learn.algorithms import MetaSGD
 
     meta = MetaSGD(TorchNetwork(plain_weights(theta)), lr=LEARNING_RATE)
@@ -129,7 +131,7 @@ def learn2learn_step(theta: Params, inner: list[list[PlainBatch]], last: list[Pl
 
 
 def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> list[Callable[[], Any]]:
-    """One second-order outer step of TorchOpt's differentiable SGD."""
+    """Make one second-order outer step of TorchOpt's differentiable SGD."""
     import torchopt
 
     net = TorchNetwork(plain_weights(theta))
@@ -151,16 +153,16 @@ def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[Plain
 
 
 def jax_steps(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> list[Callable[[], Any]]:
-    """JAX's second-order outer step and its adapting."""
+    """Make JAX's second-order outer step and its adapting."""
     import jax
     import jax.numpy as jnp
 
-    def stacked(pick: Callable[[PlainBatch], Tensor]) -> Any:
+    def stack(pick: Callable[[PlainBatch], Tensor]) -> Any:
         return jnp.asarray(torch.stack([torch.stack([pick(b) for b in batches]) for batches in inner]).numpy())
 
     columns: list[Callable[[PlainBatch], Tensor]]
     columns = [lambda b: b[0].T.contiguous(), lambda b: b[1].T.contiguous(), lambda b: b[2].T.contiguous()]
-    batches = tuple(stacked(pick) for pick in columns)
+    batches = tuple(stack(pick) for pick in columns)
     final = tuple(jnp.asarray(torch.stack([pick(b) for b in last]).numpy()) for pick in columns)
     weights = [jnp.asarray(value.numpy()) for value in theta.values()]
     rates = [jnp.full_like(value, LEARNING_RATE) for value in weights]
@@ -171,7 +173,7 @@ def jax_steps(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatc
         x = jax.nn.relu(weights[2] @ x + weights[3])
         return jnp.abs(jnp.log1p(jnp.expm1(weights[4] @ x + weights[5]) * cosine) - target).mean()
 
-    def adapted(weights: Any, rates: Any, batches: Any) -> Any:
+    def adapt_task(weights: Any, rates: Any, batches: Any) -> Any:
         def step(weights: Any, batch: Any) -> Any:
             grads = jax.grad(loss)(weights, batch)
             return [w - r * g for w, r, g in zip(weights, rates, grads, strict=True)], None
@@ -179,11 +181,11 @@ def jax_steps(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatc
         return jax.lax.scan(step, weights, batches)[0]
 
     def outer(weights: Any, rates: Any, batches: Any, final: Any) -> Any:
-        each = jax.vmap(lambda batches, final: loss(adapted(weights, rates, batches), final))(batches, final)
-        return each.mean()
+        losses = jax.vmap(lambda batches, final: loss(adapt_task(weights, rates, batches), final))(batches, final)
+        return losses.mean()
 
     train = jax.jit(jax.value_and_grad(outer, argnums=(0, 1)))
-    adapt = jax.jit(jax.vmap(adapted, in_axes=(None, None, 0)))
+    adapt = jax.jit(jax.vmap(adapt_task, in_axes=(None, None, 0)))
     return [
         lambda: jax.block_until_ready(train(weights, rates, batches, final)),
         lambda: jax.block_until_ready(adapt(weights, rates, batches)),
@@ -207,7 +209,7 @@ double peak(void) {
 
 
 def measure_peak_gflops(march: str = "native") -> float:
-    """Multiply-adds of this machine's core by these instructions, in GFLOP/s; NaN without a compiler."""
+    """Measure a core's multiply-adds by these instructions, in GFLOP/s; NaN without a compiler."""
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "peak.c"
         source.write_text(Path(nbrdf.__file__).with_name("vectors.h").read_text() + PEAK_SOURCE)
@@ -218,19 +220,19 @@ def measure_peak_gflops(march: str = "native") -> float:
     return float(library.peak())
 
 
-OPERATIONS_PER_SAMPLE = {"gradient": 2 * 1764, "product": 2 * 3969}  # of the layers, for a sample
+OPERATIONS_PER_SAMPLE = {"gradient": 2 * 1764, "product": 2 * 3969}  # floating-point operations of the layers
 
 
 def bench_kernel() -> None:
-    """The loss of the BRDF network in C by instruction set: microseconds of a task, and of the limit."""
+    """Print the time of the BRDF network's loss in C by instruction set, and its share of the machine's limit."""
     rng = Generator().manual_seed(0)
     theta, batch = LEARNING_APP.init(rng, BATCH_TASKS), draw_batch(LEARNING_SIZE, rng)
     flat = torch.cat([value.flatten(1) for value in theta.values()], 1)
     capability = torch.backends.cpu.get_cpu_capability()
-    runs = ["native", *(["x86-64-v3"] if capability in ("AVX2", "AVX512") else []), "x86-64-v2"]
+    marches = ["native", *(["x86-64-v3"] if capability in ("AVX2", "AVX512") else []), "x86-64-v2"]
     print(f"\nBRDF network in C, {TASK_SAMPLES} samples of a task, one thread; torch says {capability}")
     print(f"  {'-march':12} {'lanes':>5} {'limit':>13} {'gradient':>24} {'product':>24}")
-    for march in runs:
+    for march in marches:
         library = nbrdf.load_nbrdf_library(march)
         if library is None:
             print(f"  {march:12} is not compiled here")
@@ -243,15 +245,15 @@ def bench_kernel() -> None:
                 },
                 rounds=200,
             )
-        peak, cells = measure_peak_gflops(march), ""
+        peak_gflops, cells = measure_peak_gflops(march), ""
         for name, seconds in times.items():
             rate = OPERATIONS_PER_SAMPLE[name] * BATCH_TASKS * TASK_SAMPLES / seconds / 1e9
-            cells += f" {1e6 * seconds / BATCH_TASKS:8.1f} us, {rate / peak:4.0%} of it"
-        print(f"  {march:12} {library.nbrdf_lanes():5} {peak:5.0f} GFLOP/s {cells}")
+            cells += f" {1e6 * seconds / BATCH_TASKS:8.1f} us, {rate / peak_gflops:4.0%} of it"
+        print(f"  {march:12} {library.nbrdf_lanes():5} {peak_gflops:5.0f} GFLOP/s {cells}")
 
 
 def median_seconds(contestants: dict[str, Callable[[], Any]], rounds: int = LEARNING_ROUNDS) -> dict[str, float]:
-    """CPU seconds of each, taking turns."""
+    """Return the median CPU seconds of each contestant; they take turns."""
     seconds: dict[str, list[float]] = {name: [] for name in contestants}
     for name, run in contestants.items():
         start = time.perf_counter()
@@ -264,15 +266,15 @@ def median_seconds(contestants: dict[str, Callable[[], Any]], rounds: int = LEAR
             start = time.process_time()
             run()
             seconds[name].append(time.process_time() - start)
-    return {name: statistics.median(each) for name, each in seconds.items()}
+    return {name: statistics.median(times) for name, times in seconds.items()}
 
 
 HISTORY_FILE = Path("docs/results/core.jsonl")
-figures: dict[str, dict[str, float]] = {}
+figures: dict[str, dict[str, float]] = {}  # milliseconds of contestants, by what they did; for the history
 
 
 def append_history(entry: dict[str, Any]) -> None:
-    """Append a run's figures to the history: when, on what, milliseconds."""
+    """Append a run's figures in milliseconds to the history, with the time and the machine."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     cpu = next((line.split(": ")[1] for line in lines if line.startswith("model name")), platform.processor())
     entry = {"at": time.strftime("%Y-%m-%dT%H:%MZ", time.gmtime()), "cpu": cpu, "torch": torch.__version__, **entry}
@@ -281,7 +283,7 @@ def append_history(entry: dict[str, Any]) -> None:
 
 
 def print_contestants(title: str, seconds: dict[str, float], targets: dict[str, float]) -> None:
-    """Milliseconds and how many times as fast as the first contestant."""
+    """Print each contestant's milliseconds and how many times as fast as the first contestant it is."""
     print(f"\n{title:44} {'ms':>8} {'times (a)':>10} {'target':>8}")
     first = next(iter(seconds.values()))
     figures[title] = {name: round(1e3 * value, 3) for name, value in seconds.items()}
@@ -291,21 +293,21 @@ def print_contestants(title: str, seconds: dict[str, float], targets: dict[str, 
 
 
 def bench_brdf() -> None:
-    """Training and adapting with the BRDF network."""
+    """Measure training and adapting with the BRDF network, and print the tables."""
     rng = Generator().manual_seed(0)
     theta = {key: value[0] for key, value in LEARNING_APP.init(rng, 1).items()}
     alpha = {f"rate.{key}": torch.full_like(value, LEARNING_RATE)[None] for key, value in theta.items()}
     batches, last = [draw_batch(LEARNING_SIZE, rng) for _ in range(INNER_STEPS)], draw_batch(LEARNING_SIZE, rng)
     plain_inner = [[one_task(batch, task) for batch in batches] for task in range(BATCH_TASKS)]
     plain_last = [one_task(last, task) for task in range(BATCH_TASKS)]
-    supply: list[Iterator[Batch]] = [iter(())]
-    loss = Loss(lambda data, rng, done: DrawnBatch((), next(supply[0])), LEARNING_APP.loss)
-    first = Adam(5e-3, beta2=0.99, eps=META_EPS)
+    batch_supply: list[Iterator[Batch]] = [iter(())]
+    loss = Loss(lambda data, rng, done: DrawnBatch((), next(batch_supply[0])), LEARNING_APP.loss)
+    first_order_adam = Adam(5e-3, beta2=0.99, eps=META_EPS)
     rules = {
         "sgd": (sgd, alpha),
         "default": (
-            rule_of(DEFAULT_RULE).update_rule,
-            rule_of(DEFAULT_RULE).initial_alpha(LEARNING_APP, theta, INNER_STEPS, first),
+            rule_of(DEFAULT_RULE).rule,
+            rule_of(DEFAULT_RULE).alpha(LEARNING_APP, theta, INNER_STEPS, first_order_adam),
         ),
     }
 
@@ -317,25 +319,25 @@ def bench_brdf() -> None:
             total = total + plain_loss(plain_adapt(weights, rates, inner, graph=True), final) / BATCH_TASKS
         return total.detach(), list(torch.autograd.grad(total, [*weights, *rates]))
 
-    def ours(steps_of: StepsOf, rule: str = "sgd") -> Callable[[], tuple[Tensor, list[Tensor]]]:
+    def outer_step(steps_of: StepsOf, rule: str = "sgd") -> Callable[[], tuple[Tensor, list[Tensor]]]:
         make, alpha = rules[rule]
-        lifted = after_learning(loss, make, steps=INNER_STEPS, order=2, steps_of=steps_of)
+        outer_loss = after_learning(loss, make, steps=INNER_STEPS, order=2, steps_of=steps_of)
 
         def step() -> tuple[Tensor, list[Tensor]]:
             phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flatten().items()}
-            total = lifted.value(phi, (batches, last, None), {}).mean()
+            total = outer_loss.value(phi, (batches, last, None), {}).mean()
             return total.detach(), list(torch.autograd.grad(total, list(phi.values())))
 
         return step
 
     def adapt(steps_of: StepsOf, rule: str = "sgd", tasks: int = BATCH_TASKS) -> Callable[[], Params]:
         make, alpha = rules[rule]
-        start, made = expand_tasks(theta, tasks, 0), make(expand_tasks(alpha, tasks, 1))
-        some = [{key: value[:tasks] for key, value in batch.items()} for batch in batches]
+        initialisation, rule_steps = expand_tasks(theta, tasks, 0), make(expand_tasks(alpha, tasks, 1))
+        task_batches = [{key: value[:tasks] for key, value in batch.items()} for batch in batches]
 
         def run() -> Params:
-            supply[0] = iter(some)
-            return learn(start, made, None, loss, steps=INNER_STEPS, rng=rng, steps_of=steps_of)
+            batch_supply[0] = iter(task_batches)
+            return learn(initialisation, rule_steps, None, loss, steps=INNER_STEPS, rng=rng, steps_of=steps_of)
 
         return run
 
@@ -349,23 +351,28 @@ def bench_brdf() -> None:
 
         return run
 
-    (value_a, grads_a), (value, grads) = plain(), ours(fastest)()
-    away = max(float((a - b.reshape(a.shape)).norm() / a.norm()) for a, b in zip(grads_a, grads, strict=True))
-    peak = measure_peak_gflops()
+    (value_a, grads_a), (value, grads) = plain(), outer_step(choose_steps)()
+    relative_difference = max(
+        float((a - b.reshape(a.shape)).norm() / a.norm()) for a, b in zip(grads_a, grads, strict=True)
+    )
+    peak_gflops = measure_peak_gflops()
     print(
         f"\nBRDF network, {BATCH_TASKS} tasks, {INNER_STEPS} steps of {TASK_SAMPLES} samples; CPU seconds, one thread"
     )
-    print(f"  loss (a) {float(value_a):.7f}, metapp {float(value):.7f}; gradients differ by {away:.0e} of their norm")
-    least = 1e3 * BATCH_TASKS * INNER_STEPS * TASK_SAMPLES * 2 * 1764 / (peak * 1e9)
-    print(f"  limit of the machine: {peak:.0f} GFLOP/s, adapting not below {least:.2f} ms")
+    print(
+        f"  loss (a) {float(value_a):.7f}, metapp {float(value):.7f}; "
+        f"gradients differ by {relative_difference:.0e} of their norm"
+    )
+    min_milliseconds = 1e3 * BATCH_TASKS * INNER_STEPS * TASK_SAMPLES * 2 * 1764 / (peak_gflops * 1e9)
+    print(f"  limit of the machine: {peak_gflops:.0f} GFLOP/s, adapting not below {min_milliseconds:.2f} ms")
     name, default = "metapp, SGD", f"metapp, {DEFAULT_RULE}"
     contestants: dict[str, Callable[[], Any]] = {
         "(a) plain loop, unrolled": plain,
-        "metapp by torch, eager": ours(torch_steps),
-        "metapp by torch, compiled": ours(make_compiled_steps),
-        f"metapp by torch, eager, {DEFAULT_RULE}": ours(torch_steps, "default"),
-        name: ours(fastest),
-        default: ours(fastest, "default"),
+        "metapp by torch, eager": outer_step(torch_steps),
+        "metapp by torch, compiled": outer_step(make_compiled_steps),
+        f"metapp by torch, eager, {DEFAULT_RULE}": outer_step(torch_steps, "default"),
+        name: outer_step(choose_steps),
+        default: outer_step(choose_steps, "default"),
     }
     adapting: dict[str, Callable[[], Any]] = {}
     libraries: dict[str, Callable[..., Any]] = {
@@ -375,13 +382,13 @@ def bench_brdf() -> None:
     }
     for title, library in libraries.items():
         try:
-            made = library(theta, plain_inner, plain_last)
-        except Exception as error:  # imports fail in many ways
+            library_runs = library(theta, plain_inner, plain_last)
+        except Exception as error:  # an import may fail in many ways
             print(f"  {title}: not installed ({type(error).__name__})")
             continue
-        contestants[title], *others = made
-        if others:
-            adapting[title] = others[0]
+        contestants[title], *adapting_runs = library_runs
+        if adapting_runs:
+            adapting[title] = adapting_runs[0]
         print(f"  {title}: loss {float(contestants[title]()[0]):.7f}")
     print_contestants("second-order training step", median_seconds(contestants), {name: 11, default: 8})
     contestants = {
@@ -390,26 +397,27 @@ def bench_brdf() -> None:
         "metapp by torch, eager": adapt(torch_steps),
         "metapp by torch, compiled": adapt(make_compiled_steps),
         f"metapp by torch, eager, {DEFAULT_RULE}": adapt(torch_steps, "default"),
-        name: adapt(fastest),
-        default: adapt(fastest, "default"),
-        f"one fit alone, {DEFAULT_RULE}": adapt(fastest, "default", tasks=1),
+        name: adapt(choose_steps),
+        default: adapt(choose_steps, "default"),
+        f"one fit alone, {DEFAULT_RULE}": adapt(choose_steps, "default", tasks=1),
         **adapting,
     }
     print_contestants("adapting, no meta-gradient", median_seconds(contestants), {name: 11, default: 8})
-    append_history({"gflops": round(peak, 1), "ms": figures})
+    append_history({"gflops": round(peak_gflops, 1), "ms": figures})
 
 
-# Memory
+# Memory of an outer step
 
 
 class LiveBytes(TorchDispatchMode):
-    """Counts the bytes of storages that operators made and that still live."""
+    """A counter of the bytes of storages that operators made and that are still in use."""
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
         self.live = self.peak = 0
         self.seen: dict[int, Any] = {}
 
+    @override
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         result = func(*args, **(kwargs or {}))
         for tensor in tree_leaves(result):
@@ -431,11 +439,11 @@ class LiveBytes(TorchDispatchMode):
         self.peak = max(self.peak, self.live)
 
 
-UNET_CHANNELS = (16, 32, 64, 128)
+UNET_CHANNELS = (16, 32, 64, 128)  # by level
 
 
 def init_unet(rng: Generator) -> Params:
-    """Weights of one U-Net, 3 channels in and out, two convolutions a level."""
+    """Draw the weights of one U-Net with 3 channels in and out and two convolutions a level."""
     theta = {}
 
     def add(name: str, inputs: int, outputs: int) -> None:
@@ -452,22 +460,22 @@ def init_unet(rng: Generator) -> Params:
 
 
 def apply_unet(theta: Params, x: Tensor) -> Tensor:
-    """One U-Net on pictures [N, 3, H, W]."""
+    """Apply one U-Net to pictures [N, 3, H, W]."""
 
     def layer(name: str, x: Tensor) -> Tensor:
         return torch.nn.functional.silu(conv2d(x, theta[f"{name}.w"], theta[f"{name}.b"], padding=1))
 
-    kept = []
+    levels = []
     for level in range(len(UNET_CHANNELS)):
         x = layer(f"deep{level}", layer(f"down{level}", x if level == 0 else avg_pool2d(x, 2)))
-        kept.append(x)
+        levels.append(x)
     for level in reversed(range(len(UNET_CHANNELS) - 1)):
-        x = layer(f"up{level}", torch.cat([interpolate(x, scale_factor=2.0), kept[level]], 1))
+        x = layer(f"up{level}", torch.cat([interpolate(x, scale_factor=2.0), levels[level]], 1))
     return conv2d(x, theta["out.w"], theta["out.b"], padding=1)
 
 
 def bench_memory(tasks: int = 4, steps: int = 3) -> None:
-    """Peak of an outer step of first and of second order."""
+    """Print the peak memory of an outer step of first and of second order."""
     rng = Generator().manual_seed(0)
     theta = init_unet(rng)
     alpha = {f"rate.{key}": torch.full_like(value, 1e-2)[None] for key, value in theta.items()}
@@ -479,14 +487,14 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
     photos = torch.rand(2, tasks, 1, 3, 128, 128, generator=rng)
     batch = {"photo": photos[0], "target": photos[1]}
     loss = Loss(lambda data, rng, done: DrawnBatch((), batch), value)
-    weights = sum(each.numel() for each in theta.values())
+    weights = sum(tensor.numel() for tensor in theta.values())
     print(f"\nU-Net of {weights:,} weights, {tasks} tasks of 128 x 128 pixels, {steps} steps: peak of live tensors")
     peaks = []
     for order in (1, 2):
-        lifted = after_learning(loss, sgd, steps=steps, order=order)
-        phi = {key: each.clone().requires_grad_() for key, each in MetaParameters(theta, alpha).flatten().items()}
+        outer_loss = after_learning(loss, sgd, steps=steps, order=order)
+        phi = {key: tensor.clone().requires_grad_() for key, tensor in MetaParameters(theta, alpha).flatten().items()}
         with LiveBytes() as counter:
-            total = lifted.value(phi, ([batch] * steps, batch, None), {}).mean()
+            total = outer_loss.value(phi, ([batch] * steps, batch, None), {}).mean()
             torch.autograd.grad(total, list(phi.values()))
         peaks.append(counter.peak)
         print(f"  order {order}: {counter.peak / 2**20:.1f} MiB, {counter.peak / peaks[0]:.2f} times the first")
@@ -494,7 +502,7 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
 
 
 def main() -> None:
-    """Print the tables."""
+    """Print all tables."""
     torch.set_num_threads(1)
     bench_memory()
     bench_kernel()

@@ -1,8 +1,8 @@
 """Errors of BRDF fits against the number of samples that they see; `make bench-samples` runs it.
 
-The test materials of a data set (the embedded one, or the folder that is named), cut down to N
-samples: N at random angles, held-out ones as they are. Checkpoints are those that ship;
-components are of the data set's own training materials with all their samples, and their penalties are chosen for N.
+The test materials of a data set (the embedded one, or the folder that is named) are cut down to N samples at random
+angles; their held-out samples stay. Checkpoints are the shipped ones. Principal components come from the data set's own
+training materials with all their samples, and their penalties are chosen for N.
 """
 
 from __future__ import annotations
@@ -34,13 +34,21 @@ from metapp.runs.fitting import fit_tasks, rng_of
 from metapp.runs.inputs.run_inputs import read_test_tasks, training_data_folder
 from metapp.runs.run import Run
 
-MEASURED_COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)
+MEASURED_COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)  # samples that a fit sees
 SAMPLES_FIGURE_FILE = Path("runs/bench/samples.png")
-LABEL_DISTANCE_SHARE = 0.04  # of names beside the figure, as a share of its height
+LABEL_DISTANCE_SHARE = 0.04  # distance of labels beside the figure, as a share of its height
 
 
 class ComparedMethod(NamedTuple):
-    """A way to fit, by a paradigm's recipe where it has one, else a baseline, and how its line looks."""
+    """A method of fitting, and how its line looks.
+
+    Attributes:
+        title: the name in the table and the figure.
+        name: a paradigm, or a baseline if there is no recipe.
+        recipe: the paradigm's recipe; "" for a baseline.
+        colour: the colour of the line.
+        dashes: the line style of matplotlib.
+    """
 
     title: str
     name: str
@@ -61,49 +69,55 @@ COMPARED_METHODS = (
 )
 
 BASE_METHOD = COMPARED_METHODS[0]
-ErrorsByName = dict[str, float]  # by the task's name
+ErrorsByName = dict[str, float]  # errors x100 by the task's name
 
 
 def errors_of_method(
-    way: ComparedMethod, tasks: list[Task], data: Path | None, count: int, training: TrainingTasks
+    method: ComparedMethod, tasks: list[Task], data: Path | None, count: int, training: TrainingTasks
 ) -> ErrorsByName:
-    """Errors x100 of fits of tasks that have so many samples."""
-    if not way.recipe:
-        return _errors_of_baselines(way, tasks, count, training)
-    planned = Run.from_options(fit_options("brdf", way.name, recipe=way.recipe, data=data, device="cpu", quiet=True))
-    return {fit.name: fit.record["error"] for fit in fit_tasks(attach_checkpoint(planned), tasks)}
+    """Return errors x100 of a method's fits of tasks that have `count` samples."""
+    if not method.recipe:
+        return _errors_of_baselines(method, tasks, count, training)
+    run = Run.from_options(fit_options("brdf", method.name, recipe=method.recipe, data=data, device="cpu", quiet=True))
+    return {fit.name: fit.record["error"] for fit in fit_tasks(attach_checkpoint(run), tasks)}
 
 
 @torch.no_grad()
-def _errors_of_baselines(way: ComparedMethod, tasks: list[Task], count: int, training: TrainingTasks) -> ErrorsByName:
-    planned = Run.from_options(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
-    baseline = next(each for each in baselines_of(planned.app) if each.name == way.name)
-    allowed = cost_limits_of_run(planned)
-    baseline.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
+def _errors_of_baselines(
+    method: ComparedMethod, tasks: list[Task], count: int, training: TrainingTasks
+) -> ErrorsByName:
+    """Return errors x100 of a baseline's fits of tasks that have `count` samples."""
+    run = Run.from_options(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
+    baseline = next(candidate for candidate in baselines_of(run.app) if candidate.name == method.name)
+    cost_limits = cost_limits_of_run(run)
+    baseline.prepare(training, cost_limits._replace(samples=min(count, cost_limits.samples)))
     errors = {}
     for task in tasks:
-        stacked = stack_tasks(planned.app, [task])
-        answer = baseline.fit(stacked, rng_of(planned, task), allowed).answer()
-        errors[task.name] = planned.app.error_measure.scale * float(judge_answer(planned.app, answer, stacked)["error"])
+        stacked = stack_tasks(run.app, [task])
+        answer = baseline.fit(stacked, rng_of(run, task), cost_limits).answer()
+        errors[task.name] = run.app.error_measure.scale * float(judge_answer(run.app, answer, stacked)["error"])
     return errors
 
 
-def format_ratios(found: list[ErrorsByName], others: list[ErrorsByName]) -> list[str]:
-    """Mean errors over those of another way, paired over tasks, with their intervals; on how many tasks it is ahead."""
+def format_ratios(errors_by_count: list[ErrorsByName], base_errors_by_count: list[ErrorsByName]) -> list[str]:
+    """Format a method's mean errors over the base method's, a cell for each number of samples.
+
+    A cell has the ratio, paired over tasks, its interval, and on how many tasks the method has the lower error.
+    """
     cells = []
-    for one, other in zip(found, others, strict=True):
-        told = compare_errors(one, other, {name: name for name in one}, logarithmic=False)
-        assert told is not None
-        cells.append(f"{told}, {told.ahead}/{told.tasks}")
+    for errors, base_errors in zip(errors_by_count, base_errors_by_count, strict=True):
+        comparison = compare_errors(errors, base_errors, {name: name for name in errors}, logarithmic=False)
+        assert comparison is not None
+        cells.append(f"{comparison}, {comparison.ahead}/{comparison.tasks}")
     return cells
 
 
-def draw_samples_figure(found: dict[ComparedMethod, list[float]], file: Path) -> None:
-    """Errors over samples, both logarithmic, a line a way, its name at the line's end."""
-    drawn = Figure(figsize=(7.0, 4.4))
-    axis = drawn.subplots()
-    for way, errors in found.items():
-        axis.loglog(MEASURED_COUNTS, errors, way.dashes, marker="o", markersize=4, color=way.colour)
+def draw_samples_figure(means_by_method: dict[ComparedMethod, list[float]], file: Path) -> None:
+    """Draw mean errors over samples, both logarithmic, with a labelled line for each method."""
+    figure = Figure(figsize=(7.0, 4.4))
+    axis = figure.subplots()
+    for method, errors in means_by_method.items():
+        axis.loglog(MEASURED_COUNTS, errors, method.dashes, marker="o", markersize=4, color=method.colour)
     axis.xaxis.set_major_locator(FixedLocator(MEASURED_COUNTS))
     axis.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axis.yaxis.set_major_locator(FixedLocator([0.01 * 2**i for i in range(11)]))
@@ -112,57 +126,61 @@ def draw_samples_figure(found: dict[ComparedMethod, list[float]], file: Path) ->
     axis.xaxis.set_minor_locator(NullLocator())
     axis.set_xlabel("samples that a fit sees")
     axis.set_ylabel("error x100")
-    _name(axis, {way: errors[-1] for way, errors in found.items()})
-    save_figure(drawn, file)
+    _place_labels(axis, {method: errors[-1] for method, errors in means_by_method.items()})
+    save_figure(figure, file)
 
 
-def _name(axis: Axes, last: dict[ComparedMethod, float]) -> None:
-    """Put names right of the lines' ends, so far apart that they can be read."""
+def _place_labels(axis: Axes, last_errors: dict[ComparedMethod, float]) -> None:
+    """Write labels right of the lines' ends, far enough apart to be read."""
     low, high = axis.get_ylim()
-    places: dict[ComparedMethod, float] = {}
-    for way, error in sorted(last.items(), key=lambda item: item[1]):
-        place = math.log(error / low) / math.log(high / low)
-        places[way] = max(place, *(each + LABEL_DISTANCE_SHARE for each in places.values()), 0.0)
-    for way, place in places.items():
+    heights: dict[ComparedMethod, float] = {}
+    for method, error in sorted(last_errors.items(), key=lambda item: item[1]):
+        height = math.log(error / low) / math.log(high / low)
+        heights[method] = max(
+            height, *(placed_height + LABEL_DISTANCE_SHARE for placed_height in heights.values()), 0.0
+        )
+    for method, height in heights.items():
         axis.annotate(
-            f"{way.title}  {last[way]:.3f}",
-            (MEASURED_COUNTS[-1], last[way]),
-            (1.05, place),
+            f"{method.title}  {last_errors[method]:.3f}",
+            (MEASURED_COUNTS[-1], last_errors[method]),
+            (1.05, height),
             textcoords="axes fraction",
-            color=way.colour,
+            color=method.colour,
             va="center",
             fontsize=8,
-            arrowprops={"arrowstyle": "-", "color": way.colour, "linewidth": 0.6, "shrinkB": 3, "relpos": (0, 0.5)},
+            arrowprops={"arrowstyle": "-", "color": method.colour, "linewidth": 0.6, "shrinkB": 3, "relpos": (0, 0.5)},
         )
 
 
 def main() -> None:
-    """Print the table, draw the figure."""
+    """Print the tables and draw the figure."""
     torch.set_num_threads(1)
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
     app = Run.from_options(fit_options("brdf", "general", recipe="quick")).app
     tasks, label = read_test_tasks(app, data, quiet=True)
     training = read_training_tasks(app, training_data_folder(app, data, quiet=True))
-    cut = [[simulate_measurement(task, 0.0, samples=count) for task in tasks] for count in MEASURED_COUNTS]
+    measured_tasks = [[simulate_measurement(task, 0.0, samples=count) for task in tasks] for count in MEASURED_COUNTS]
     print(f"{label}: {len(tasks)} test materials, {len(training.tasks)} for components; errors x100\n")
-    head = (
+    header = (
         f"| method | {' | '.join(f'{count:,}' for count in MEASURED_COUNTS)} |\n|{'---|' * (len(MEASURED_COUNTS) + 1)}"
     )
-    print(head)
-    found, means = {}, {}
-    for way in COMPARED_METHODS:
-        found[way] = [
-            errors_of_method(way, few, data, count, training) for few, count in zip(cut, MEASURED_COUNTS, strict=True)
+    print(header)
+    errors_by_method, means_by_method = {}, {}
+    for method in COMPARED_METHODS:
+        errors_by_method[method] = [
+            errors_of_method(method, tasks_of_count, data, count, training)
+            for tasks_of_count, count in zip(measured_tasks, MEASURED_COUNTS, strict=True)
         ]
-        means[way] = [statistics.fmean(errors.values()) for errors in found[way]]
-        print(f"| {way.title} | {' | '.join(f'{error:.3f}' for error in means[way])} |", flush=True)
-    print(f"\nover {BASE_METHOD.title}, 95 % interval, tasks with the lower error of all:\n\n{head}")
-    for way in COMPARED_METHODS:
-        if way != BASE_METHOD:
-            print(f"| {way.title} | {' | '.join(format_ratios(found[way], found[BASE_METHOD]))} |")
+        means_by_method[method] = [statistics.fmean(errors.values()) for errors in errors_by_method[method]]
+        print(f"| {method.title} | {' | '.join(f'{error:.3f}' for error in means_by_method[method])} |", flush=True)
+    print(f"\nover {BASE_METHOD.title}, 95 % interval, tasks with the lower error of all:\n\n{header}")
+    for method in COMPARED_METHODS:
+        if method != BASE_METHOD:
+            ratios = format_ratios(errors_by_method[method], errors_by_method[BASE_METHOD])
+            print(f"| {method.title} | {' | '.join(ratios)} |")
     SAMPLES_FIGURE_FILE.parent.mkdir(parents=True, exist_ok=True)
     with rc_context(FIGURE_STYLE):
-        draw_samples_figure(means, SAMPLES_FIGURE_FILE)
+        draw_samples_figure(means_by_method, SAMPLES_FIGURE_FILE)
     print(f"\n{SAMPLES_FIGURE_FILE}: figure")
 
 

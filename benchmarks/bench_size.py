@@ -1,8 +1,8 @@
 """Time and memory of a fit against its size; `make bench-size` runs it.
 
-Ten steps of Adam from a random initialisation, one thread, each size in a process of its own: CPU seconds of the steps,
-and by how much input, features and steps raise the process's peak memory. Exponents are of least squares on logarithms:
-1 is linear in texels.
+Ten steps of Adam from a random initialisation run in one thread, each size in a process of its own. Measured are CPU
+seconds of the steps, and by how much input, features and steps raise the process's peak memory. Exponents are slopes of
+least-squares lines through logarithms: 1 is linear in texels.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Task
 
-TIMED_STEPS = 10
+TIMED_STEPS = 10  # gradient steps
 SIZE_FIGURE_FILE = Path("runs/bench/size.png")
-SIDES_BY_APP = {
+SIDES_BY_APP = {  # texels along the shorter side
     "texture": (128, 256, 512),
     "svbrdf_stationary": (128, 256, 512),
     "svbrdf_nonstationary": (64, 128, 256, 512),
@@ -41,7 +41,7 @@ SIDES_BY_APP = {
 
 
 def app_at_size(name: str, side: int) -> App:
-    """An application by its recipe full, at another size."""
+    """Return an application of recipe full with its pictures or maps at another size."""
     recipe = recipes_of(name)["full"]
     app: Any = recipe.app
     if name == "illumination":
@@ -50,13 +50,13 @@ def app_at_size(name: str, side: int) -> App:
     elif name == "svbrdf_nonstationary":
         app = replace(app, network=app.network._replace(height=side, width=side, rows=side, columns=side))
     else:
-        # from the beginning at all octaves, as the last steps of a fit are
+        # all octaves take part from the first step on, as in the last steps of a fit
         app = replace(app, octaves=replace(app.octaves, height=side, width=side, shares=()))
     return app_of(name, replace(recipe, app=app))
 
 
 def noise_task(name: str, side: int) -> Task:
-    """An input of that size; what it shows does not matter to the cost."""
+    """Make an input of this size from noise: what it shows does not change the cost."""
     rng = Generator().manual_seed(0)
 
     def uniform(*shape: int) -> Any:
@@ -74,61 +74,66 @@ def noise_task(name: str, side: int) -> Task:
 
 
 def measure_size(name: str, side: int) -> dict[str, float]:
-    """CPU seconds of a step and megabytes, of one size in this process."""
+    """Return the CPU seconds of a step and the megabytes of a fit of one size, measured in this process."""
     torch.set_num_threads(1)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     app, rng = app_at_size(name, side), Generator().manual_seed(0)
     tasks, loss = stack_tasks(app, [noise_task(name, side)]), task_loss(app, 1)
     theta = app.init(rng, 1)
-    app.loss(theta, app.sample(tasks, rng, 1), {})  # what is computed once for a size
+    app.loss(theta, app.sample(tasks, rng, 1), {})  # computes what is kept for a size, which is not timed
     begin = time.process_time()
     learn(theta, fixed_adam(Adam(1e-3), theta, TIMED_STEPS), tasks, loss, steps=TIMED_STEPS, rng=rng)
     seconds = (time.process_time() - begin) / TIMED_STEPS
     return {"seconds": seconds, "megabytes": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024}
 
 
-def draw_size_figure(found: dict[str, list[dict[str, float]]], file: Path) -> None:
-    """Time of a step and memory over texels, both logarithmic, a line an application, beside a linear one."""
-    drawn = Figure(figsize=(9, 3.4))
-    panels = drawn.subplots(1, 2)
+def draw_size_figure(costs_by_app: dict[str, list[dict[str, float]]], file: Path) -> None:
+    """Draw time of a step and memory over texels, both logarithmic, with a line per application and a linear one."""
+    figure = Figure(figsize=(9, 3.4))
+    panels = figure.subplots(1, 2)
     for panel, (key, label) in zip(panels, (("seconds", "seconds a step"), ("megabytes", "MB")), strict=True):
-        for name, rows in found.items():
+        for name, costs in costs_by_app.items():
             panel.loglog(
-                [count_texels(name, side) for side in SIDES_BY_APP[name]], [row[key] for row in rows], "o-", label=name
+                [count_texels(name, side) for side in SIDES_BY_APP[name]],
+                [cost[key] for cost in costs],
+                "o-",
+                label=name,
             )
-        sides = [count_texels("texture", side) for side in SIDES_BY_APP["texture"]]
-        least = 0.5 * found["texture"][0][key]
-        panel.loglog(sides, [least * n / sides[0] for n in sides], "k:", label="linear")
+        counts = [count_texels("texture", side) for side in SIDES_BY_APP["texture"]]
+        least = 0.5 * costs_by_app["texture"][0][key]
+        panel.loglog(counts, [least * count / counts[0] for count in counts], "k:", label="linear")
         panel.set_xlabel("texels")
         panel.set_ylabel(label)
     panels[0].legend()
-    save_figure(drawn, file)
+    save_figure(figure, file)
 
 
 def count_texels(name: str, side: int) -> int:
-    """How many there are; maps of light are twice as wide as high."""
+    """Return the number of texels; maps of light are twice as wide as high."""
     return side * side * (2 if name == "illumination" else 1)
 
 
 def main() -> None:
-    """Print the table, draw the figure."""
-    rows = {}
+    """Print the table and draw the figure."""
+    costs_by_app = {}
     print("| application | side | ms a step | MB | exponents of time and memory |\n|---|---|---|---|---|")
-    for name, sizes in SIDES_BY_APP.items():
-        found = []
-        for side in sizes:
+    for name, sides in SIDES_BY_APP.items():
+        costs = []
+        for side in sides:
             words = [sys.executable, "-m", "benchmarks.bench_size", name, str(side)]
-            done = subprocess.run(words, check=True, capture_output=True, text=True)
-            found.append(json.loads(done.stdout.splitlines()[-1]))
-        rows[name] = found
-        counts = [count_texels(name, side) for side in sizes]
-        powers = [growth_exponent(counts, [row[key] for row in found]) for key in ("seconds", "megabytes")]
-        for side, each in zip(sizes, found, strict=True):
-            said = " and ".join(f"{power:.2f}" for power in powers) if side == sizes[-1] else ""
-            print(f"| {name} | {side} | {1e3 * each['seconds']:.0f} | {each['megabytes']:.0f} | {said} |", flush=True)
+            run = subprocess.run(words, check=True, capture_output=True, text=True)
+            costs.append(json.loads(run.stdout.splitlines()[-1]))
+        costs_by_app[name] = costs
+        counts = [count_texels(name, side) for side in sides]
+        powers = [growth_exponent(counts, [cost[key] for cost in costs]) for key in ("seconds", "megabytes")]
+        for side, cost in zip(sides, costs, strict=True):
+            exponents = " and ".join(f"{power:.2f}" for power in powers) if side == sides[-1] else ""
+            print(
+                f"| {name} | {side} | {1e3 * cost['seconds']:.0f} | {cost['megabytes']:.0f} | {exponents} |", flush=True
+            )
     SIZE_FIGURE_FILE.parent.mkdir(parents=True, exist_ok=True)
     with rc_context(FIGURE_STYLE):
-        draw_size_figure(rows, SIZE_FIGURE_FILE)
+        draw_size_figure(costs_by_app, SIZE_FIGURE_FILE)
     print(f"{SIZE_FIGURE_FILE}: figure")
 
 

@@ -2,8 +2,8 @@
 
     python -m benchmarks.bench_view try/try.html
 
-In headless Chromium, where SwiftShader draws on the processor. Viewers without WebGL draw what changes alone: they are
-left out.
+The pages run in headless Chromium, where SwiftShader draws on the processor. Viewers without WebGL are left out, since
+they draw only what changes.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from metapp.extensions.viewer import viewer_page as pages
 from tests.browser import Page, browsing
 
 WINDOW_WIDTH_PX, WINDOW_HEIGHT_PX = 1280, 720
+# returns milliseconds of a frame at rest, the resolution while moving and frames a second while moving, or null
 MEASURING_SCRIPT = """async () => {
   const viewer = metapp.viewer;
   if (!viewer.renderer) return null;
@@ -31,20 +32,20 @@ MEASURING_SCRIPT = """async () => {
 
 
 def main() -> None:
-    """Print a table."""
+    """Print the table as Markdown, row by row."""
     file = Path(sys.argv[1])
-    empty = len(pages.viewer_html(pages.page_document("", [])))
-    print(f"{file}: {file.stat().st_size / 1e6:.2f} MB, of which {empty / 1e6:.2f} MB are scripts and three.js\n")
+    empty_bytes = len(pages.viewer_html(pages.page_document("", [])))
+    print(f"{file}: {file.stat().st_size / 1e6:.2f} MB, of which {empty_bytes / 1e6:.2f} MB are scripts and three.js\n")
     print("| view | frame at rest, ms | resolution while moving | frames/s while moving |")
     print("|---|---|---|---|")
     with browsing() as browser:
         page = Page(browser, file, WINDOW_WIDTH_PX, WINDOW_HEIGHT_PX, adapts=True)
-        for i, section in enumerate(page.page.evaluate("DATA.groups.map((group) => group.section)")):
-            page.page.evaluate(f"metapp.open({i})")
+        for index, section in enumerate(page.page.evaluate("DATA.groups.map((group) => group.section)")):
+            page.page.evaluate(f"metapp.open({index})")
             page.page.wait_for_timeout(6000)
-            if measured := page.page.evaluate(MEASURING_SCRIPT):
-                cost, detail, rate = measured
-                print(f"| {section} | {cost:.0f} | {detail:.2f} | {rate:.1f} |")
+            if figures := page.page.evaluate(MEASURING_SCRIPT):
+                cost, resolution, rate = figures
+                print(f"| {section} | {cost:.0f} | {resolution:.2f} | {rate:.1f} |")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Fit brushed metals of Mitsuba 3 and render them beside their fits: anisotropic_brdf.py PICTURE.png
 
-A row for each metal: the metal itself, its fit, and its fit by a network that knows no azimuth of the half vector.
+The picture has a row for each metal: the metal itself, its fit, and its fit by recipe full, whose network does not know
+the azimuth of the half vector, and so makes every material isotropic.
 """
 
 import sys
@@ -8,20 +9,20 @@ import tempfile
 from pathlib import Path
 
 import metapp
-import metapp.mitsuba  # registers neural_brdf; before mitsuba, as it chooses a libLLVM that works
+import metapp.mitsuba  # registers neural_brdf; imported first, as it chooses mitsuba's libLLVM
 
 # isort: split
 import mitsuba as mi
 import numpy as np
 
 METALS = {"Cu": (0.45, 0.08), "Al": (0.06, 0.35)}  # GGX roughness along and across the tangent
-SIZE, SAMPLES = 192, 256
+SIZE, SAMPLES = 192, 256  # px along a side; samples a pixel
 RECIPES = ("anisotropic", "full")
 mi.set_variant("llvm_ad_rgb")
 
 
 def render(bsdf: object) -> np.ndarray:
-    """A sphere, whose tangent is along its circles of latitude, under a lamp and a dim sky."""
+    """Render a sphere of a material under a lamp and a dim sky; its tangent follows the circles of latitude."""
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -47,15 +48,16 @@ def render(bsdf: object) -> np.ndarray:
 rows = []
 with tempfile.TemporaryDirectory() as folder:
     for metal, (along, across) in METALS.items():
-        of_mitsuba = {"type": "roughconductor", "material": metal, "distribution": "ggx"}
-        bsdf = mi.load_dict(of_mitsuba | {"alpha_u": along, "alpha_v": across})
+        conductor = {"type": "roughconductor", "material": metal, "distribution": "ggx"}
+        bsdf = mi.load_dict(conductor | {"alpha_u": along, "alpha_v": across})
         pictures = [render(bsdf)]
         for recipe in RECIPES:
             fit = metapp.fit("brdf", bsdf, recipe=recipe)
             file = fit.save(Path(folder) / f"{metal}-{recipe}.safetensors")
             pictures.append(render(mi.load_dict({"type": "neural_brdf", "filename": str(file)})))
-            off = np.abs(pictures[-1] - pictures[0]).mean() / pictures[0].mean()
-            print(f"{metal}, recipe {recipe}: error x100 {fit.error:.3f}, picture off by {100 * off:.1f} % of its mean")
+            difference = np.abs(pictures[-1] - pictures[0]).mean() / pictures[0].mean()
+            words = f"picture differs by {100 * difference:.1f} % of its mean"
+            print(f"{metal}, recipe {recipe}: error x100 {fit.error:.3f}, {words}")
         rows.append(np.concatenate(pictures, 1))
 mi.util.write_bitmap(sys.argv[1], mi.Bitmap(np.concatenate(rows)), write_async=False)
 print(f"saved {sys.argv[1]}")

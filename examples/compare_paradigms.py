@@ -1,6 +1,7 @@
 """Compare the five paradigms on one material: compare_paradigms.py MATERIAL.binary
 
-All fit the same network (recipe quick). Overfit takes 2,000 of its 20,000 steps, so that the script ends in seconds.
+All paradigms fit equal networks (recipe quick). Overfit takes 2,000 of its 20,000 steps, so that the
+script ends within seconds.
 """
 
 import sys

@@ -1,6 +1,6 @@
-"""Fit a BRDF in ten solves, evaluate the network, save it: fit_brdf.py MATERIAL.binary OUT.safetensors
+"""Fit a BRDF in ten solves, evaluate the network, and save it: fit_brdf.py MATERIAL.binary OUT.safetensors
 
-A MERL file to try it on: metapp data synth brdf --count 1 --as merl --out materials
+To make a MERL file to try it on: metapp data synth brdf --count 1 --as merl --out materials
 """
 
 import sys

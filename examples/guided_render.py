@@ -2,7 +2,7 @@
 
 import sys
 
-import metapp.mitsuba  # noqa: F401  (registers metapp_guided_path; before mitsuba, for it chooses a libLLVM that works)
+import metapp.mitsuba  # noqa: F401  (registers metapp_guided_path; first, as it chooses mitsuba's libLLVM)
 
 # isort: split
 import mitsuba as mi

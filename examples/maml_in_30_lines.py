@@ -1,7 +1,7 @@
 """MAML in 30 lines: learn an initialisation from which five gradient steps fit any sinusoid (Finn et al. 2017).
 
-It prints errors on sinusoids that no training saw, before and after these steps, from random weights and from the
-learned initialisation. Both derivatives are exact: `after_learning` differentiates through the steps.
+It prints errors on sinusoids that training never saw, before and after these steps, from random weights and from the
+learned initialisation. Derivatives of both loops are exact: `after_learning` differentiates through the steps.
 """
 
 import math
@@ -25,7 +25,7 @@ def sinusoids(count):
 
 
 def draw(tasks, rng, done):
-    """Draw the batch of a step: points of each task, [T, 1, POINTS]."""
+    """Draw the batch of a step: points x and y of each task, [T, 1, POINTS]."""
     amplitude, phase = (tasks.data[key][tasks.rows, None, None] for key in ("amplitude", "phase"))
     x = 10 * torch.rand(len(tasks), 1, POINTS, generator=rng) - 5
     return DrawnBatch(tasks.selected_names, {"x": x, "y": amplitude * torch.sin(x + phase)})

@@ -1,6 +1,6 @@
 """Fit a BRDF and render it with Mitsuba 3: mitsuba_brdf.py MATERIAL.binary PICTURE.png
 
-A MERL file to try it on: metapp data synth brdf --count 1 --as merl --out materials
+To make a MERL file to try it on: metapp data synth brdf --count 1 --as merl --out materials
 """
 
 import sys
@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 import metapp
-import metapp.mitsuba  # registers neural_brdf; before mitsuba, as it chooses a libLLVM that works
+import metapp.mitsuba  # registers neural_brdf; imported first, as it chooses mitsuba's libLLVM
 
 # isort: split
 import mitsuba as mi

@@ -1,7 +1,8 @@
-"""Render fits of three kinds together with Mitsuba 3: mitsuba_scene.py MAPS LIGHT.exr PICTURE BRDF.safetensors...
+"""Render fits of three applications in one scene: mitsuba_scene.py MAPS LIGHT.exr PICTURE BRDF.safetensors...
 
-MAPS is a folder of `--export mitsuba` of an svBRDF, LIGHT.exr is map.exr in the folder of a fit of illumination,
-each BRDF.safetensors is params.safetensors in that of a fit of brdf: one to three balls. Of the embedded data sets:
+MAPS is a folder that `--export mitsuba` wrote for an svBRDF. LIGHT.exr is map.exr in the folder of a fit of
+illumination. Each BRDF.safetensors is params.safetensors in the folder of a fit of brdf, for one to three balls. These
+commands make such fits of the embedded data sets:
 
     metapp meta svbrdf_nonstationary --recipe quick --export mitsuba
     metapp meta illumination --recipe quick
@@ -11,24 +12,24 @@ each BRDF.safetensors is params.safetensors in that of a fit of brdf: one to thr
 import sys
 from pathlib import Path
 
-import metapp.mitsuba  # noqa: F401  (registers the plugins; before mitsuba, as it chooses a libLLVM that works)
+import metapp.mitsuba  # noqa: F401  (registers the plugins; first, as it chooses mitsuba's libLLVM)
 
 # isort: split
 import drjit as dr
 import mitsuba as mi
 
-SIZE, SAMPLES, EXPOSURE = 512, 256, 0.33
-# against fireflies (paths from a mirror to the sun): SAMPLES are taken in passes of PASS, each clamped at BRIGHTEST
-# times white; what is brighter than that in all passes is white in the picture anyway
-PASS, BRIGHTEST = 4, 3.0
-BALLS = ((0.0, -0.3, 1.0), (1.2, 0.8, 0.45), (-1.2, 0.75, 0.35))  # x, z, radius
+SIZE, SAMPLES, EXPOSURE = 512, 256, 0.33  # px along a side; samples a pixel; mean of the picture
+# Paths from a mirror to the sun would leave bright dots. So samples are taken in passes, and in each pass radiance is
+# clamped at a multiple of white. A pixel that is brighter than this in all passes is white in the picture anyway.
+PASS_SAMPLES, MAX_RADIANCE = 4, 3.0  # samples a pixel; in multiples of white
+BALLS = ((0.0, -0.3, 1.0), (1.2, 0.8, 0.45), (-1.2, 0.75, 0.35))  # x, z and radius of each ball
 maps, light, picture, *brdfs = map(Path, sys.argv[1:])
 mi.set_variant("llvm_ad_rgb")
 T = mi.ScalarTransform4f
 
 
 def texture(name: str, *, raw: bool) -> dict[str, object]:
-    """One of the material's maps, side by side on the floor."""
+    """Return the texture of one of the material's maps, repeated side by side on the floor."""
     file = maps / f"{maps.name}_{name}.png"
     return {
         "type": "bitmap",
@@ -40,7 +41,7 @@ def texture(name: str, *, raw: bool) -> dict[str, object]:
 
 
 def ball(place: tuple[float, float, float], file: Path) -> dict[str, object]:
-    """A sphere on the floor, of a fitted BRDF."""
+    """Return a sphere on the floor with a fitted BRDF."""
     x, z, radius = place
     paint = {"type": "neural_brdf", "filename": str(file)}
     return {"type": "sphere", "center": [x, radius, z], "radius": radius, "bsdf": paint}
@@ -73,9 +74,9 @@ scene = mi.load_dict(
         **{f"ball{i}": ball(place, file) for i, (place, file) in enumerate(zip(BALLS, brdfs, strict=False))},
     }
 )
-passes = [mi.render(scene, spp=PASS, seed=i) for i in range(SAMPLES // PASS)]
+passes = [mi.render(scene, spp=PASS_SAMPLES, seed=i) for i in range(SAMPLES // PASS_SAMPLES)]
 white = dr.mean(passes[0], axis=None) / EXPOSURE
-image = sum(dr.minimum(radiance, BRIGHTEST * white) for radiance in passes)
+image = sum(dr.minimum(radiance, MAX_RADIANCE * white) for radiance in passes)
 image *= EXPOSURE / dr.mean(image, axis=None)
 mi.util.write_bitmap(str(picture), image, write_async=False)
 print(f"saved {picture}: {SIZE} x {SIZE} px, {SAMPLES} samples a pixel")

@@ -1,7 +1,7 @@
-"""Relight the maps that a fit of an svBRDF left: relight_maps.py MAPS PICTURE.png
+"""Relight the maps of a fitted svBRDF: relight_maps.py MAPS PICTURE.png
 
-MAPS is the folder of the fit of `metapp meta svbrdf_nonstationary sign.jpg`: diffuse.png,
-specular.png, roughness.png, normal.png. The picture shows them under a light that moves from left to right.
+MAPS is the folder of a fit, such as `metapp meta svbrdf_nonstationary sign.jpg` writes, with diffuse.png, specular.png,
+roughness.png and normal.png. The picture shows the maps under a light that moves from left to right.
 """
 
 import sys
@@ -17,7 +17,7 @@ from metapp.appearance.flash import Maps, camera_position, radiance_to_display, 
 
 
 def read(file: Path) -> Tensor:
-    """Values [1, C, H, W] in [0, 1] of a PNG as they are stored."""
+    """Read the values [1, C, H, W] of a PNG as they are stored, in [0, 1]."""
     pixels = np.atleast_3d(oiio.ImageBuf(str(file)).get_pixels(oiio.FLOAT))
     return torch.from_numpy(pixels).permute(2, 0, 1)[None]
 
@@ -30,10 +30,10 @@ maps = Maps(
     roughness=read(folder / "roughness.png"),
     normal=normal / normal.norm(dim=1, keepdim=True),
 )
-places, eye = texel_positions(*normal.shape[-2:]), camera_position()
+positions, camera = texel_positions(*normal.shape[-2:]), camera_position()
 lights = [torch.tensor([x, 0.5, 1.5]) for x in (-1.5, -0.5, 0.5, 1.5)]
-lit = torch.cat([radiance_to_display(render_maps(maps, places, light, eye))[0] for light in lights], 2)
-image = oiio.ImageBuf((255 * lit.permute(1, 2, 0) + 0.5).byte().contiguous().numpy())
+pictures = torch.cat([radiance_to_display(render_maps(maps, positions, light, camera))[0] for light in lights], 2)
+image = oiio.ImageBuf((255 * pictures.permute(1, 2, 0) + 0.5).byte().contiguous().numpy())
 if not image.write(str(picture), "uint8"):
     sys.exit(f"{picture}: not written ({image.geterror()})")
 print(f"{picture}: {len(lights)} pictures of {normal.shape[-1]} x {normal.shape[-2]} pixels, side by side")

@@ -124,7 +124,7 @@ def test_anisotropic_brdf(tmp_path: Path, run: Callable[..., str]) -> None:
     """The fit is nearer to the metal than that which knows no azimuth."""
     changes = {r"SIZE, SAMPLES = .*": "SIZE, SAMPLES = 32, 16", r', "Al": .*': "}"}
     said = run(smaller("anisotropic_brdf.py", changes, tmp_path), tmp_path / "a.png")
-    found = re.findall(r"error x100 ([\d.]+), picture off by ([\d.]+) %", said)
+    found = re.findall(r"error x100 ([\d.]+), picture differs by ([\d.]+) %", said)
     (error, off), (other_error, other_off) = ((float(each) for each in pair) for pair in found)
     assert error < 0.2 * other_error
     assert off < 0.3 * other_off

@@ -1,4 +1,4 @@
-"""Render a .glb as in docs/formats-assets.md by Blender's Cycles: blender.py FILE.glb PICTURE.png; needs bpy."""
+"""Render a .glb file of docs/formats-assets.md by Blender's Cycles: blender.py FILE.glb PICTURE.png; it needs bpy."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ camera.location, camera.rotation_euler = (0, -1.1, -0.9), (math.radians(129), 0,
 lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "AREA"))
 lamp.location, lamp.rotation_euler = (0.2, -0.5, 0.9), (math.radians(30), 0, math.radians(10))
 lamp.data.energy, lamp.data.size = 12, 0.1
-for thing in (camera, lamp):
-    scene.collection.objects.link(thing)
+for scene_object in (camera, lamp):
+    scene.collection.objects.link(scene_object)
 scene.camera, scene.render.engine, scene.cycles.samples = camera, "CYCLES", 128
 scene.render.resolution_x, scene.render.resolution_y = 512, 512
 scene.render.filepath = picture

@@ -1,8 +1,8 @@
-"""Make the cards of docs/what-can-i-make.md, 720 x 360 px, of what commands have written: cards.py FOLDER OUT.
+"""Make the cards of docs/what-can-i-make.md, 720 x 360 px, of pictures that commands have written: cards.py FOLDER OUT.
 
 FOLDER holds exemplars of the embedded data sets as pictures (`metapp data synth APP` draws these), ball0.jpg to
-ball2.jpg (`metapp.appearance.photograph.render_mirror_spheres` of a map of `metapp data synth illumination --rows 256`, on grey, each
-a third as bright as the one before), and the runs of
+ball2.jpg (`metapp.appearance.photograph.render_mirror_spheres` of a map of `metapp data synth illumination --rows 256`,
+on grey, each a third as bright as the one before), and the runs of
 
     metapp meta texture bricks.png
     metapp meta svbrdf_stationary rust.png leather.png --export blender
@@ -12,7 +12,7 @@ a third as bright as the one before), and the runs of
     metapp data ball ball0.jpg ball1.jpg ball2.jpg --shutter 1/20,1/60,1/180 --out garden
     metapp meta brdf; metapp evaluate brdf --recipe quick; metapp compare RUN RUN --out compare.png     (Meta, QuickFT)
 
-The others are cut from pictures of docs/.
+All other parts of cards are cut from pictures of docs/.
 """
 
 import sys
@@ -25,22 +25,23 @@ from PIL import Image
 
 from metapp.appearance.colour import linear_to_srgb
 
-CardPart = tuple[str, tuple[int, int, int, int] | None]  # a file, which may be a pattern, and its box, px
+# a part of a card: a file name or pattern, and the box to cut out (left, upper, right, lower, in px) or None for all
+CardPart = tuple[str, tuple[int, int, int, int] | None]
 DOCS_FOLDER = Path(__file__).parent.parent / "docs"
-CARD_HEIGHT_PX, CARD_WIDTH_PX, CARD_GAP_PX = 360, 720, 4  # px
-UPPER_LEFT_BOX = (0, 0, 512, 512)
+CARD_HEIGHT_PX, CARD_WIDTH_PX, CARD_GAP_PX = 360, 720, 4
+UPPER_LEFT_BOX = (0, 0, 512, 512)  # px
 STATIONARY_PATTERN = "runs/svbrdf_stationary/meta*/*{}*/{}.png"
 NONSTATIONARY_PATTERN = "runs/svbrdf_nonstationary/meta*/*sign*/{}.png"
 CORNELL_PATTERN = "runs/transport/meta*/cornell-0-000/{}.png"
 
 
 def map_rows(pattern: str, names: Sequence[str], box: tuple[int, int, int, int] | None) -> list[list[CardPart]]:
-    """Four maps, two above two."""
+    """Return the parts of four maps in two rows of two."""
     parts = [(pattern.format(name), box) for name in names]
     return [parts[:2], parts[2:]]
 
 
-# columns of a card, each a list of rows of parts
+# columns of each card, left to right; a column is a list of rows, a row is a list of parts
 CARD_COLUMNS: dict[str, list[list[list[CardPart]]]] = {
     "brdf": [[[("demo.png", (372, 32, 996, 350))]]],
     "texture": [[[("bricks.png", None)]], [[("runs/texture/meta*/*bricks*/texture.png", UPPER_LEFT_BOX)]]],
@@ -77,31 +78,34 @@ CARD_COLUMNS: dict[str, list[list[list[CardPart]]]] = {
 
 
 def open_picture(folder: Path, name: str) -> Image.Image:
-    """A picture of the folder or else of docs/; linear ones by sRGB's curve, times the number after a `*`."""
-    path, linear, factor = name.partition(".exr*")
-    if not linear:
+    """Open a picture of a folder, or of docs/ if the folder lacks it.
+
+    The name of a linear picture (.exr) ends in `*` and a factor, which multiplies it before it is encoded as sRGB.
+    """
+    path, exr_mark, factor = name.partition(".exr*")
+    if not exr_mark:
         return Image.open(next(folder.glob(name), DOCS_FOLDER / name)).convert("RGB")
     pixels = oiio.ImageBuf(str(folder / f"{path}.exr")).get_pixels(oiio.FLOAT)
     assert pixels is not None, name
-    shown = linear_to_srgb((torch.from_numpy(pixels[..., :3]) * float(factor)).clamp(0, 1))
-    return Image.fromarray((shown * 255).round().to(torch.uint8).numpy())
+    srgb = linear_to_srgb((torch.from_numpy(pixels[..., :3]) * float(factor)).clamp(0, 1))
+    return Image.fromarray((srgb * 255).round().to(torch.uint8).numpy())
 
 
 def compose_card(folder: Path, columns: list[list[list[CardPart]]]) -> Image.Image:
-    """Columns of equal width, of rows of equal height, of parts of equal width."""
-    result = Image.new("RGB", (CARD_WIDTH_PX, CARD_HEIGHT_PX), "white")
-    for i, column in enumerate(columns):
-        for j, row in enumerate(column):
-            for k, (name, box) in enumerate(row):
+    """Compose a card of columns of equal width, each of rows of equal height, each of parts of equal width."""
+    card = Image.new("RGB", (CARD_WIDTH_PX, CARD_HEIGHT_PX), "white")
+    for column_index, column in enumerate(columns):
+        for row_index, row in enumerate(column):
+            for part_index, (name, box) in enumerate(row):
                 width, height = CARD_WIDTH_PX // len(columns) // len(row), CARD_HEIGHT_PX // len(column)
                 part = open_picture(folder, name).crop(box) if box else open_picture(folder, name)
-                place = (i * CARD_WIDTH_PX // len(columns) + k * width, j * height)
-                result.paste(part.resize((width - CARD_GAP_PX, height - CARD_GAP_PX), Image.Resampling.LANCZOS), place)
-    return result.crop((0, 0, CARD_WIDTH_PX - CARD_GAP_PX, CARD_HEIGHT_PX - CARD_GAP_PX))
+                place = (column_index * CARD_WIDTH_PX // len(columns) + part_index * width, row_index * height)
+                card.paste(part.resize((width - CARD_GAP_PX, height - CARD_GAP_PX), Image.Resampling.LANCZOS), place)
+    return card.crop((0, 0, CARD_WIDTH_PX - CARD_GAP_PX, CARD_HEIGHT_PX - CARD_GAP_PX))
 
 
 def main(folder: Path, out: Path) -> None:
-    """Write all cards."""
+    """Write all cards as JPEG files."""
     out.mkdir(parents=True, exist_ok=True)
     for name, columns in CARD_COLUMNS.items():
         compose_card(folder, columns).save(out / f"{name}.jpg", quality=88)

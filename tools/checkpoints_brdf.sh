@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Train the BRDF checkpoints that ship: checkpoints_brdf.sh METAPP DATA RUNS
-# on the embedded training set and the 64 training materials of the MERL fits, never on the other 16.
+# They are trained on the embedded training set and the 64 training materials of the MERL fits, never on the other 16.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3
 [ -d "$data/nbrdf/merl" ] || { echo "checkpoints: $data/nbrdf/merl is missing; name it: make checkpoints-brdf DATA=..." >&2; exit 1; }
@@ -16,7 +16,8 @@ general=(--checkpoint "$folder/general.safetensors")
 "$metapp" meta "${common[@]}" "${general[@]}" --rule meta-sgd --train
 "$metapp" meta "${common[@]}" --rule ridge --train
 cp -v "$folder"/{general,quickft,meta-sgd,meta-curvature,ridge}.safetensors metapp/checkpoints/brdf/
-# ridge goes on with RGL networks, too: not those whose measurements judge it, nor every fifth of the others
+# ridge is trained further on networks of RGL materials, but not on those whose measurements judge it, nor on every
+# fifth of the others
 networks=() number=0
 for network in "$data"/nbrdf/rgl/*; do
   [ -f "$data/rgl/$(basename "$network").bsdf" ] && continue
@@ -27,14 +28,15 @@ done
 "$metapp" data join "$runs/data/joint" "$runs/data/nbrdf-rgl" --out "$runs/data/three" --overwrite
 "$metapp" meta brdf --recipe quick --rule ridge --data "$runs/data/three" --out "$runs" --train --train-steps 13000 \
   --checkpoint metapp/checkpoints/brdf/ridge.safetensors
-# then on samples as instruments take them: dense, scattered, few, noisy; as many drawn materials, MERL fits and RGL networks
+# then on samples as instruments take them: dense, scattered, few or noisy. Training draws equally many synthetic
+# materials, MERL fits and RGL networks.
 "$metapp" data synth brdf --seed 1 --count 320 --out "$runs/data/drawn" --overwrite
 "$metapp" data join "$runs/data/drawn" "$runs/data/nbrdf-merl" "$runs/data/nbrdf-rgl" --alike --out "$runs/data/kinds" --overwrite
 "$metapp" meta brdf --recipe quick --rule ridge --data "$runs/data/kinds" --out "$runs" --train --train-steps 10500 \
   --checkpoint "$(ls -td "$runs"/brdf/checkpoints/three-*-quick-seed0 | head -1)/ridge.safetensors"
 ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "metapp/checkpoints/brdf/$2"; }
 ship "kinds-*-quick-seed0" ""
-# anisotropic materials have a recipe of their own; the file of `few` stays as it is (metapp/checkpoints/brdf/few)
+# anisotropic materials have a recipe of their own; the checkpoint of recipe few stays as it is (metapp/checkpoints/brdf/few)
 "$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic" --overwrite
 "$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train
 ship "anisotropic-*-anisotropic-seed0" anisotropic

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Train the checkpoints that ship of an application with two protocols, on its embedded set alone, and those of flash
-# photographs of non-stationary svBRDFs, whose maps are finer, on drawn materials of 512 px:
+# Train the checkpoints that ship for an application with two protocols, on its embedded set alone:
 # checkpoints_observed.sh METAPP RUNS APP
+# Non-stationary svBRDFs get further checkpoints for fits of flash photographs, whose maps are finer, trained on synthetic
+# materials of 512 px.
 set -euo pipefail
 metapp=$1 runs=$2 app=$3
 common=("$app" --recipe quick --out "$runs" --train)

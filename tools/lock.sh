@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Write the lock files anew, from setup.cfg and constraints.txt: lock.sh PYTHON. What constraints.txt leaves open keeps
-# the version that it is locked to; without locks/packages.txt and locks/torch.txt it becomes the newest.
+# Write the lock files anew, from setup.cfg and constraints.txt: lock.sh PYTHON. A package without a version in
+# constraints.txt keeps the version that it is locked to; without locks/packages.txt and locks/torch.txt it gets the newest.
 set -euo pipefail
 python=$1 cpu_index=${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}
 work=$(mktemp -d)
@@ -25,7 +25,7 @@ awk -v torch="$work/torch.txt" -v rest="$work/packages.txt" \
   '/^[a-z]/ {file = /^(torch|triton)==|^(nvidia|cuda)-/ ? torch : rest} {print > file}' "$work/all.txt"
 mv "$work/packages.txt" "$work/torch.txt" locks/
 
-# beside the others in one environment
+# extras are installed into the same environment, so they must agree with the versions of the other lock files
 grep -v ' *--hash=' locks/packages.txt | sed 's/ *\\$//' | cat constraints.txt - >"$work/beside.txt"
 for extra in docs cluster; do
   requirements options.extras_require $extra | compile locks/$extra.txt --constraints "$work/beside.txt"

@@ -1,9 +1,10 @@
-"""Mutation score of the tests: small faults are put into a copy of the sources, one at a time; tests should fail.
+"""Measure how many small faults in the sources the tests notice: mutation score.
 
     python tools/mutants.py [N]        N faults a package (default 12); `make mutants` calls it
 
-Faults are chosen by a hash of their place, so that code which has not changed keeps its sample. Only the tests of the
-package run, quick ones, up to the first failure. Faults that no test notices are printed.
+Faults are put into a copy of the repository, one at a time. They are chosen by a hash of their place, so that
+unchanged code keeps its sample. Only the quick tests of the package run, up to the first failure. Faults that no test
+notices are printed.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from typing_extensions import override
+
 TESTS_OF_PACKAGES = {
     "metapp/learning": ["tests/learning"],
     "metapp/paradigms": ["tests/paradigms"],
     "metapp/runs": ["tests/runs"],
     "data_tools/readers": ["tests/readers"],
 }
-TEST_TIMEOUT_SECONDS = 600  # for the tests of a package; a fault that makes them endless is noticed
+TEST_TIMEOUT_SECONDS = 600  # for the tests of a package; a fault that makes them endless counts as noticed
 OPERATOR_SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,
@@ -44,14 +47,14 @@ OPERATOR_SWAPS: dict[type[ast.AST], type[ast.AST]] = {
 
 
 def find_faults(tree: ast.Module) -> Iterator[tuple[str, ast.AST]]:
-    """Nodes of function bodies that a fault can change, each with its enclosing names and its text."""
+    """Return the nodes of function bodies that a fault can change, each with its enclosing names and its text."""
 
     def walk(node: ast.AST, names: str) -> Iterator[tuple[str, ast.AST]]:
         for child in ast.iter_child_nodes(node):
-            number = isinstance(child, ast.Constant) and type(child.value) in (bool, int, float)
+            is_number = isinstance(child, ast.Constant) and type(child.value) in (bool, int, float)
             if isinstance(child, ast.FunctionDef):
                 yield from walk(child, f"{names}.{child.name}")
-            elif names and (number or type(child) in OPERATOR_SWAPS):
+            elif names and (is_number or type(child) in OPERATOR_SWAPS):
                 yield f"{names}: {ast.unparse(node)}", child
             elif not (isinstance(child, ast.keyword) and child.arg == "strict"):
                 yield from walk(child, names)
@@ -60,9 +63,10 @@ def find_faults(tree: ast.Module) -> Iterator[tuple[str, ast.AST]]:
 
 
 def apply_fault(tree: ast.Module, fault: ast.AST) -> str:
-    """The source with the fault: an operator replaced by its counterpart, a number by the next, a truth negated."""
+    """Return the source with a fault: an operator is swapped, a number is replaced by the next, a truth is negated."""
 
     class Change(ast.NodeTransformer):
+        @override
         def visit(self, node: ast.AST) -> ast.AST:
             if node is not fault:
                 return self.generic_visit(node)
@@ -75,51 +79,53 @@ def apply_fault(tree: ast.Module, fault: ast.AST) -> str:
 
 
 def choose_faults(package: str, count: int) -> list[tuple[str, int, str]]:
-    """File, number of the fault in it, and its text: `count` of all faults of a package, by their hash."""
-    found = []
+    """Choose `count` of all faults of a package, by their hash.
+
+    Returns:
+        The file, the fault's number among all faults of the file, and its text.
+    """
+    faults = []
     for path in sorted(Path(package).rglob("*.py")):
-        counts: dict[str, int] = {}
+        text_counts: dict[str, int] = {}
         for number, (text, _) in enumerate(find_faults(ast.parse(path.read_text()))):
-            counts[text] = counts.get(text, 0) + 1
-            digest = hashlib.sha256(f"{path.name}{text}{counts[text]}".encode()).hexdigest()
-            found.append((digest, (str(path), number, text)))
-    return [fault for _, fault in sorted(found)[:count]]
+            text_counts[text] = text_counts.get(text, 0) + 1
+            digest = hashlib.sha256(f"{path.name}{text}{text_counts[text]}".encode()).hexdigest()
+            faults.append((digest, (str(path), number, text)))
+    return [fault for _, fault in sorted(faults)[:count]]
 
 
 def is_fault_noticed(folder: Path, tests: list[str]) -> bool:
-    """Whether a test fails in the copy of the repository in `folder`."""
+    """Return whether a test fails in the copy of the repository."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", "not long and not slow"]
     try:
-        return (
-            subprocess.run([*command, *tests], cwd=folder, capture_output=True, timeout=TEST_TIMEOUT_SECONDS).returncode
-            != 0
-        )
+        run = subprocess.run([*command, *tests], cwd=folder, capture_output=True, timeout=TEST_TIMEOUT_SECONDS)
+        return run.returncode != 0
     except subprocess.TimeoutExpired:
         return True
 
 
 def main(count: int) -> None:
-    """Score of each package, printed, for `count` faults in each."""
+    """Print how many of `count` faults in each package the tests notice."""
     with tempfile.TemporaryDirectory() as name:
-        folder, total = Path(name), 0
+        folder, noticed_total = Path(name), 0
         files = subprocess.run(["git", "ls-files", "-z"], capture_output=True, check=True, text=True).stdout
         subprocess.run(["cp", "--parents", "-t", name, *files.strip("\0").split("\0")], check=True)
         for package, tests in TESTS_OF_PACKAGES.items():
             if is_fault_noticed(folder, tests):
                 sys.exit(f"{package}: its tests fail without any fault; mend them first.")
-            chosen, killed = choose_faults(package, count), 0
-            for path, number, text in chosen:
+            faults, noticed_count = choose_faults(package, count), 0
+            for path, number, text in faults:
                 source = (folder / path).read_text()
                 tree = ast.parse(source)
                 (folder / path).write_text(apply_fault(tree, list(find_faults(tree))[number][1]))
                 if is_fault_noticed(folder, tests):
-                    killed += 1
+                    noticed_count += 1
                 else:
                     print(f"  not noticed: {path}{text.replace(chr(10), ' ')[:150]} (fault {number})", flush=True)
                 (folder / path).write_text(source)
-            total += killed
-            print(f"{package}: {killed} of {len(chosen)} faults noticed", flush=True)
-        print(f"all: {total} of {count * len(TESTS_OF_PACKAGES)}")
+            noticed_total += noticed_count
+            print(f"{package}: {noticed_count} of {len(faults)} faults noticed", flush=True)
+        print(f"all: {noticed_total} of {count * len(TESTS_OF_PACKAGES)}")
 
 
 if __name__ == "__main__":

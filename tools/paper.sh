@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The paper's recipe on the embedded data, for a machine with a GPU: paper.sh METAPP RUNS APP...
 # Trains General, QuickFT's Adam and Meta (10^6 outer steps) of every application, which takes days, then fits all
-# test tasks with all of Overfit's steps and writes tables, figures and the report. Fits see what the paper's do.
+# test tasks with all of Overfit's steps and writes tables, figures and the report. Fits see what the paper's fits see.
 set -euo pipefail
 metapp=$1 runs=$2
 shift 2

@@ -15,7 +15,7 @@ folder=$(ls -td "$runs"/brdf/checkpoints/nbrdf-merl-*-"$recipe"-seed0 | head -1)
 for table in results quickft; do
   "$metapp" evaluate brdf --recipe "$recipe" --data "$fits" --checkpoint "$folder" --whole --which "$table" --out "$runs"
 done
-# the embedded materials are unlike those of training
+# the embedded test materials differ in kind from the training materials
 for paradigm in general overfit finetune quickft meta; do
   checkpoint=(--checkpoint "$folder")
   [ "$paradigm" = overfit ] && checkpoint=()

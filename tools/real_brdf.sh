@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # All five paradigms on real materials: real_brdf.sh METAPP DATA RUNS SEED...
 # The 80 NBRDF fits of MERL are split 64/16 (sorted by name, every fifth is a test task), the checkpoints are trained
-# on the 64, every eighth of which validates, and each seed prints its table on the 16.
+# on the 64, of which every eighth is kept for validation, and each seed prints its table on the 16.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3
 shift 3

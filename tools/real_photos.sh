@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # All five paradigms on real photographs: real_photos.sh METAPP DATA RUNS SEED...
-# Checkpoints are trained on the training photos, every eighth of which validates; each seed prints its table on the test
-# photos: of the sorted textures every fifth, of the flash photos those of every fifth material.
+# Checkpoints are trained on the training photos, of which every eighth is kept for validation. Each seed prints its table
+# on the test photos: every fifth of the sorted textures, and the flash photos of every fifth material.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3
 shift 3

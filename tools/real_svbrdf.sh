@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # All five paradigms on real strips and game materials, under both protocols, and flash photos without maps, by the
 # checkpoints that ship: real_svbrdf.sh METAPP DATA RUNS
-# Those were trained on drawn materials alone, so that every real one is a test task.
+# These checkpoints were trained on synthetic materials alone, so that every real material is a test task.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3
 for folder in svbrdf_strips svbrdf_maps flash_nonstationary; do
@@ -9,7 +9,7 @@ for folder in svbrdf_strips svbrdf_maps flash_nonstationary; do
 done
 "$metapp" data strips "$data/svbrdf_strips" --split test --out "$runs/data/strips" --overwrite
 "$metapp" data maps "$data/svbrdf_maps" --split test --out "$runs/data/maps" --overwrite
-for each in strips maps; do
-  "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$each" --out "$runs" --table --whole
+for data_set in strips maps; do
+  "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$data_set" --out "$runs" --table --whole
 done
 "$metapp" meta svbrdf_nonstationary "$data/flash_nonstationary" --out "$runs"

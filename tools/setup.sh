@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Make the virtual environment: setup.sh PYTHON VENV; with docs or cluster after them, only install that extra into it.
+# Make the virtual environment: setup.sh PYTHON VENV. With a third argument, docs or cluster, only that extra is installed.
 # Works on a bare Debian 12 with python3. HASHES=off installs by constraints.txt, for indexes with builds of their own.
 set -euo pipefail
 python=$1 venv=$2 hashes=${HASHES:-on}
@@ -74,7 +74,7 @@ get_or_stop packages
 
 # Mitsuba's wheels need libatomic to be imported and libLLVM to render, which a bare Debian has not
 renders() { "$venv/bin/python" -c 'import metapp.rendering.variant as m; m.load_mitsuba()' 2>/dev/null; }
-# Without root: into the virtual environment, what is not installed of these packages and of those they need.
+# Without root: unpack these packages, and those they need, into the virtual environment, unless they are installed.
 unpack_libraries() (
   work=$(mktemp -d)
   trap 'rm -rf "$work"' EXIT

@@ -1,8 +1,9 @@
-"""Copy trained checkpoints to where those that ship lie: ship.py TRAINED CHECKPOINTS.
+"""Copy trained checkpoints to the folder of checkpoints that ship: ship.py TRAINED CHECKPOINTS.
 
-Encoders and long hyperparameters (rates of weights, bases) are stored in half precision there, which halves their size
-and changes no error, hyperparameters on grids on at most GRID cells a side, one where all are the same; of long
-validation curves CURVE points; checkpoints that refer to General's encoder by its digest refer to the rounded one.
+Files shrink by half or more, and no error changes: encoders and long hyperparameters (rates of weights, bases) are
+stored in half precision; hyperparameters on grids keep at most MAX_ALPHA_GRID_CELLS cells a side, or one cell where all
+are equal; validation curves keep MAX_CURVE_POINTS points. A checkpoint that refers to General's encoder by its digest
+then refers to the rounded encoder.
 """
 
 import json
@@ -19,31 +20,43 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 
-MAX_ALPHA_GRID_CELLS, MAX_CURVE_POINTS = 64, 200
-UNFINISHED_ENDINGS = (".previous", ".interrupted", ".training", ".aside")
+MAX_ALPHA_GRID_CELLS = 64  # cells along a side of a grid of learned hyperparameters
+MAX_CURVE_POINTS = 200  # points of a validation curve
+UNFINISHED_ENDINGS = (
+    ".previous",
+    ".interrupted",
+    ".training",
+    ".aside",
+)  # of file names of checkpoints that do not ship
 
 
 def copy_checkpoint(source: Path, target: Path, rounded: dict[str, str]) -> None:
-    """Copy one checkpoint; `rounded` has the digests of encoders before and after rounding."""
+    """Copy one checkpoint, smaller.
+
+    Args:
+        source: the trained checkpoint.
+        target: the file to write.
+        rounded: digests of encoders after rounding, by the digests before; see :func:`encoder_digests`.
+    """
     with safe_open(source, "pt") as file:
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         info: dict[str, Any] = json.loads(file.metadata()["metapp"])
     if "encoder" in info:
         info["encoder"] = rounded.get(info["encoder"], info["encoder"])
     info["curve"] = info["curve"][:: max(1, len(info["curve"]) // MAX_CURVE_POINTS)]
-    tensors = {key: _on_small_grid(value) if key.startswith("alpha.") else value for key, value in tensors.items()}
-    tensors = {key: value.half() if _is_large(key, value) else value for key, value in tensors.items()}
+    tensors = {key: _shrink_grid(value) if key.startswith("alpha.") else value for key, value in tensors.items()}
+    tensors = {key: value.half() if _is_halved(key, value) else value for key, value in tensors.items()}
     encoder = MetaParameters.unflatten(tensors).encoder
-    if not source.stem.startswith("general") and encoder and _digest(encoder) in rounded.values():
+    if not source.stem.startswith("general") and encoder and _float_digest(encoder) in rounded.values():
         tensors = {key: value for key, value in tensors.items() if not key.startswith("encoder.")}
-        info["general"] = _digest(encoder)
+        info["general"] = _float_digest(encoder)
     save_file(tensors, target, {"metapp": json.dumps(info)})
 
 
-def _on_small_grid(value: torch.Tensor) -> torch.Tensor:
-    """Hyperparameters on a grid [K, channels, rows, columns] on one of at most GRID x GRID cells; fits enlarge it.
+def _shrink_grid(value: torch.Tensor) -> torch.Tensor:
+    """Return hyperparameters on a grid [K, channels, rows, columns] on at most MAX_ALPHA_GRID_CELLS cells a side.
 
-    Those that are the same everywhere have one cell.
+    Fits enlarge the grid again. Hyperparameters that are equal everywhere get one cell.
     """
     if value.ndim != 4 or value.shape[2] != value.shape[3]:
         return value
@@ -52,22 +65,28 @@ def _on_small_grid(value: torch.Tensor) -> torch.Tensor:
     return adaptive_avg_pool2d(value, MAX_ALPHA_GRID_CELLS) if value.shape[2] > MAX_ALPHA_GRID_CELLS else value
 
 
-def _is_large(key: str, value: torch.Tensor) -> bool:
-    long = key.startswith(("alpha.rate.", "alpha.in.", "alpha.out.")) and value.numel() > 64
-    long = long or (key.endswith(".place") and value.numel() > 1 << 16)
-    shared = key.startswith("theta.w") and value.numel() > 1024  # of networks of which a fit moves the last layer alone
-    return value.dtype == torch.float32 and (key.startswith("encoder.") or long or shared)
+def _is_halved(key: str, value: torch.Tensor) -> bool:
+    """Return whether a tensor of a checkpoint is stored in half precision."""
+    is_long = key.startswith(("alpha.rate.", "alpha.in.", "alpha.out.")) and value.numel() > 64
+    is_long = is_long or (key.endswith(".place") and value.numel() > 1 << 16)
+    # weights of networks whose last layer alone is fitted
+    is_shared = key.startswith("theta.w") and value.numel() > 1024
+    return value.dtype == torch.float32 and (key.startswith("encoder.") or is_long or is_shared)
 
 
-def _digest(encoder: Params) -> str:
+def _float_digest(encoder: Params) -> str:
+    """Return the digest of an encoder as fits see it, in single precision."""
     return tensor_digest({key: value.float() for key, value in encoder.items()})
 
 
 def encoder_digests(folder: Path) -> dict[str, str]:
-    """Digests of Generals as they were trained, and as they ship."""
+    """Return the digests of General's encoders as they ship, by their digests as they were trained."""
     paths = [path for path in folder.glob("general*.safetensors") if not path.stem.endswith(UNFINISHED_ENDINGS)]
     encoders = [load_checkpoint(path)[0].encoder for path in paths]
-    return {tensor_digest(each): _digest({key: value.half() for key, value in each.items()}) for each in encoders}
+    return {
+        tensor_digest(encoder): _float_digest({key: value.half() for key, value in encoder.items()})
+        for encoder in encoders
+    }
 
 
 if __name__ == "__main__":

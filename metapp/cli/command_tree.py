@@ -1,4 +1,7 @@
-"""The tree of commands of the registry, each imported and made when it is asked for."""
+"""The tree of commands, as the registry has it; a command is imported and made when it is asked for.
+
+So `metapp --help` imports neither torch nor an extension's code, and a broken extension breaks no other command.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
+from typing_extensions import override
 
 from metapp import __version__
 from metapp.cli.data import make_convert_command
@@ -18,10 +22,11 @@ from metapp.registry import METAPP_PACKAGE, describe_error, registry
 from metapp.runs.fit_options import check_app_name
 from metapp.runs.reporter import say
 
-COMMAND_ORDER = (  # of commands in help: first what a user does first, commands of other packages last
+# of commands in help: first what a user does first; commands of other packages follow the last of these
+COMMAND_ORDER = (
     *("try", "examples", *PARADIGMS, "evaluate"),
     *("view", "export", "compare", "baseline", "plan", "data", "doctor"),
-    # of data, readers by the application
+    # commands of `metapp data`: converters in the order of applications
     *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),
     *("cornell", "join", "check", "markers", "rectify", "ball", "vgg"),
 )
@@ -35,92 +40,109 @@ def make_lazy_group(
     refuse_unknown: Callable[[str], None],
     **more: Any,
 ) -> typer.Typer:
-    """A group of commands, each of which is imported and made when it is asked for.
+    """Make a group of commands, each of which is imported and made when it is asked for.
 
     Args:
-        summary: help of the group.
-        names: of commands, in the order of help.
-        command: name -> the command; None if there is none.
-        refuse_unknown: raises BadOption if a command has no such name.
-        more: arguments of typer.
+        summary: the help of the group.
+        names: returns the names of the commands, in the order of help.
+        command: name -> the command, or None if there is none.
+        refuse_unknown: raises BadOption if no command has a name.
+        more: further arguments of `typer.Typer`.
     """
 
-    class Lazy(HelpGroup):
+    class LazyGroup(HelpGroup):
+        @override
         def list_commands(self, ctx: Any) -> list[str]:
             return names()
 
+        @override
         def get_command(self, ctx: Any, name: str) -> Any:
             return command(name)
 
+        @override
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             if args and not args[0].startswith("-") and not ctx.resilient_parsing:
                 refuse_unknown(args[0])
             return super().resolve_command(ctx, args)
 
-    return typer.Typer(cls=Lazy, no_args_is_help=True, help=summary, **more)
+    return typer.Typer(cls=LazyGroup, no_args_is_help=True, help=summary, **more)
 
 
-def _registry_group(summary: str, under: str = "", **more: Any) -> typer.Typer:
-    """A group of the commands of the registry, those whose names begin with `under`."""
+def _registry_group(summary: str, prefix: str = "", **more: Any) -> typer.Typer:
+    """Make the group of those commands of the registry whose names begin with a prefix.
+
+    Args:
+        summary: the help of the group.
+        prefix: the beginning of the names, such as "data ", which the group's own commands lack.
+        more: further arguments of `typer.Typer`.
+    """
 
     def names() -> list[str]:
-        words = [name.removeprefix(under) for name in registry().commands if name.startswith(under)]
-        return sorted((name for name in words if " " not in name), key=_place)
+        words = [name.removeprefix(prefix) for name in registry().commands if name.startswith(prefix)]
+        return sorted((name for name in words if " " not in name), key=_position)
 
     def refuse_unknown(name: str) -> None:
-        if f"{under}{name}" not in registry().commands:
+        if f"{prefix}{name}" not in registry().commands:
             hint = did_you_mean(name, names())
             if name in app_names():
                 hint = f" {name} is an application: metapp meta {name}."
             raise BadOption(f"No such command '{name}'.{hint}")
 
     def command(name: str) -> Any:
-        """None also if typer cannot make a command of another package's function."""
-        if f"{under}{name}" not in registry().commands:
+        """Return the command of this name; None also if typer cannot make one of another package's function."""
+        if f"{prefix}{name}" not in registry().commands:
             return None
         try:
-            return _made(registry().commands[f"{under}{name}"].load(), name, bare_is_help=bool(under))
+            return _make_command(registry().commands[f"{prefix}{name}"].load(), name, bare_is_help=bool(prefix))
         except Exception as error:
-            owner = registry().owners.get(f"commands {under}{name}", METAPP_PACKAGE)
+            owner = registry().owners.get(f"commands {prefix}{name}", METAPP_PACKAGE)
             if owner == METAPP_PACKAGE:
                 raise
-            registry().problems[f"{under}{name} of {owner}"] = describe_error(error)
+            registry().problems[f"{prefix}{name} of {owner}"] = describe_error(error)
             return None
 
     return make_lazy_group(summary, names, command, refuse_unknown, **more)
 
 
-def _place(name: str) -> int:
+def _position(name: str) -> int:
+    """Return the position of a command in the order of help."""
     return COMMAND_ORDER.index(name) if name in COMMAND_ORDER else len(COMMAND_ORDER)
 
 
-def _made(command: Any, name: str, *, bare_is_help: bool) -> Any:
-    """The command that typer makes of a function, of a converter or of a group.
+def _make_command(command: Any, name: str, *, bare_is_help: bool) -> Any:
+    """Make the command of what the registry has: a function, a converter, or a group as it is.
 
-    For --help the paragraphs of a docstring flow, while indented examples keep their lines.
+    Paragraphs of a docstring flow in --help, while indented examples keep their lines.
+
+    Args:
+        command: the function, the converter or the group.
+        name: the name of the command.
+        bare_is_help: whether the command prints its help where it needs arguments and gets none.
     """
     if isinstance(command, typer.Typer):
         return typer.main.get_group(command)
     if isinstance(command, type) and issubclass(command, Converter):
         command = make_convert_command(name, command)
     paragraphs = inspect.cleandoc(command.__doc__ or "").split("\n\n")
-    text = "\n\n".join(part if "\n  " in part else part.replace("\n", " ") for part in paragraphs)
-    needs = any(each.default is each.empty for each in inspect.signature(command).parameters.values())
-    return _typed(command, name, no_args_is_help=bare_is_help and needs, help=text)
+    text = "\n\n".join(paragraph if "\n  " in paragraph else paragraph.replace("\n", " ") for paragraph in paragraphs)
+    parameters = inspect.signature(command).parameters.values()
+    has_required = any(parameter.default is parameter.empty for parameter in parameters)
+    return _make_typer_command(command, name, no_args_is_help=bare_is_help and has_required, help=text)
 
 
-def _typed(function: Callable[..., object], name: str, **more: Any) -> Any:
-    typed = typer.Typer(add_completion=False, context_settings=TYPER_CONTEXT)
-    typed.command(name, cls=HelpCommand, **more)(function)
-    return typer.main.get_command(typed)
+def _make_typer_command(function: Callable[..., object], name: str, **more: Any) -> Any:
+    """Make a command of a function by typer."""
+    group = typer.Typer(add_completion=False, context_settings=TYPER_CONTEXT)
+    group.command(name, cls=HelpCommand, **more)(function)
+    return typer.main.get_command(group)
 
 
 def make_app_group(function: Callable[[str], Callable[..., None]], summary: str) -> typer.Typer:
-    """A command with a subcommand for each application.
+    """Make a command with a subcommand for each application.
 
     Args:
         function: name of an application -> function whose parameters typer reads.
-        summary: help of the group.
+        summary: the help of the group.
     """
 
     def command(name: str) -> Any:
@@ -128,7 +150,7 @@ def make_app_group(function: Callable[[str], Callable[..., None]], summary: str)
         if name not in tables.applications:
             return None
         epilog = f"Commands to try: metapp examples {name}" if name in tables.examples else None
-        return _typed(function(name), name, help=tables.applications[name].help, epilog=epilog)
+        return _make_typer_command(function(name), name, help=tables.applications[name].help, epilog=epilog)
 
     return make_lazy_group(summary, app_names, command, check_app_name)
 
@@ -140,8 +162,9 @@ app = _registry_group(
 )
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _print_version(is_requested: bool) -> None:
+    """Print the version and end the command, if the option is given."""
+    if is_requested:
         typer.echo(f"metapp {__version__}")
         raise typer.Exit
 
@@ -149,9 +172,10 @@ def _version(asked: bool) -> None:
 @app.callback()
 def take_root_options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="The version of metapp.")
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version of metapp and exit."),
     ] = False,
 ) -> None:
-    """Take the options that need no command; warn of extensions that cannot be used."""
+    """Take the options of `metapp` itself, and warn of extensions that cannot be used."""
     for extension, reason in registry().problems.items():
         say(f"warning: extension {extension}: {reason}; it is left out.")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def make_convert_command(name: str, converter: type[Converter]) -> Callable[..., None]:
-    """The command that converts files of the format of that name, with the converter's help and options."""
+    """Make the command that converts files of a format, with the converter's help and options."""
 
     def command(
         options: Converter,
@@ -32,26 +32,30 @@ def make_convert_command(name: str, converter: type[Converter]) -> Callable[...,
     ) -> None:
         from metapp.runs.inputs.conversion import convert_files
 
-        done = convert_files(name, paths, folder, options.split, options.arguments(), overwrite=overwrite, quiet=quiet)
-        print_written_tasks(done, quiet, as_json)
+        result = convert_files(
+            name, paths, folder, options.split, options.arguments(), overwrite=overwrite, quiet=quiet
+        )
+        print_written_tasks(result, quiet, as_json)
 
     command.__doc__ = converter.__doc__
     return expand_options(converter)(command)
 
 
-def print_written_tasks(done: ConversionResult, quiet: bool, as_json: bool) -> None:
-    """Print the tasks that were written, for a person and for scripts."""
+def print_written_tasks(result: ConversionResult, quiet: bool, as_json: bool) -> None:
+    """Print how many tasks were written, in a sentence for people, as an object for scripts."""
     if not quiet:
-        skipped = f"; {len(done.skipped)} skipped" if done.skipped else ""
-        say(f"{done.app}: {len(done.train)} train + {len(done.test)} test tasks in {done.out}{skipped}")
+        skipped = f"; {len(result.skipped)} skipped" if result.skipped else ""
+        say(f"{result.app}: {len(result.train)} train + {len(result.test)} test tasks in {result.out}{skipped}")
     if as_json:
-        print_json(done._asdict())
+        print_json(result._asdict())
 
 
 def join(
     folders: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Data sets of one application.")],
     folder: Out,
-    alike: Annotated[bool, typer.Option("--alike", help="Training draws as many of each, whatever they hold.")] = False,
+    alike: Annotated[
+        bool, typer.Option("--alike", help="Training draws equally many tasks of each data set, whatever their sizes.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: JsonFlag = False,
     quiet: Quiet = False,
@@ -65,8 +69,8 @@ def join(
     """
     from metapp.runs.inputs.joining import join_data_sets
 
-    done = join_data_sets(folders, folder, alike=alike, overwrite=overwrite, quiet=quiet)
-    print_written_tasks(done, quiet, as_json)
+    result = join_data_sets(folders, folder, alike=alike, overwrite=overwrite, quiet=quiet)
+    print_written_tasks(result, quiet, as_json)
 
 
 def check(
@@ -75,9 +79,9 @@ def check(
 ) -> None:
     """Verify a data set.
 
-    Compares files with their SHA-256 hashes, looks for missing and foreign ones, for tensors that the application
-    cannot use (missing, of another shape or type) and for values that are not finite.
-    Prints its content, then its problems, one a line; exit code 1 if there are any.
+    Compare files with their SHA-256 hashes; look for missing and foreign files, for tensors that the application cannot
+    use (missing, or of another shape or type) and for values that are not finite.
+    Print the content, then the problems, one a line; the exit code is 1 if there are any.
 
     Example:
       metapp data check merl
@@ -85,20 +89,20 @@ def check(
     from metapp.runs.inputs.checking import check_data_set
 
     try:
-        checked = check_data_set(folder)
+        report = check_data_set(folder)
     except ValueError as error:
         if not as_json:
             raise
         print_json({"app": None, "folder": str(folder), "problems": [str(error)]})
         raise typer.Exit(Exit.FAILED) from None
-    counts, problems = checked.counts, checked.problems
+    counts, problems = report.counts, report.problems
     if as_json:
-        document = {"app": checked.app, "folder": str(folder), **counts, "bytes": checked.bytes}
-        print_json({**document, "units": checked.units, "problems": problems})
+        document = {"app": report.app, "folder": str(folder), **counts, "bytes": report.bytes}
+        print_json({**document, "units": report.units, "problems": problems})
     else:
         tasks = f"{counts['train']} train + {counts['test']} test tasks"
-        lines = [f"{folder}: {checked.app}, {tasks}, {checked.bytes / 1e6:,.1f} MB"]
-        lines += [f"  {key}: {unit}" for key, unit in checked.units.items()]
+        lines = [f"{folder}: {report.app}, {tasks}, {report.bytes / 1e6:,.1f} MB"]
+        lines += [f"  {key}: {unit}" for key, unit in report.units.items()]
         standard_output().print("\n".join(lines), soft_wrap=True)
         for problem in problems:
             say(f"problem: {problem}")

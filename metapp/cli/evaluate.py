@@ -1,4 +1,4 @@
-"""`metapp evaluate`: the paper's tables and figures, from records; fits without a record are run."""
+"""The command `metapp evaluate`: the paper's tables and figures, from records; fits without a record are run first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from metapp.registry import registry
 
 AppsArgument = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[APP]...", autocompletion=app_words, help="Applications; default: all there are."),
+    typer.Argument(metavar="[APP]...", autocompletion=app_words, help="Applications; default: all."),
 ]
 
 
@@ -21,7 +21,7 @@ AppsArgument = Annotated[
 def evaluate_command(
     options: EvaluateOptions, apps: AppsArgument = None, json: JsonFlag = False, overwrite: Overwrite = False
 ) -> None:
-    """Print the paper's tables of your data beside the paper's figures; run fits without a record.
+    """Print the paper's tables of your data beside the paper's figures; fits without a record are run first.
 
     Example: metapp evaluate brdf --which quickft
     """

@@ -1,4 +1,4 @@
-"""Options of `metapp evaluate`."""
+"""Options of `metapp evaluate`, which help and shells read without any larger import."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from metapp.options import Option
 from metapp.registry import registry
 from metapp.runs.fit_options import MAX_SEED
 
-ALL_TABLES = "all"
+ALL_TABLES = "all"  # value of --which that stands for every table
 TABLE_FORMATS = ("rich", "markdown", "latex", "csv", "json")
 
 
@@ -21,29 +21,36 @@ class EvaluateOptions:
     which: Annotated[
         str,
         Option(
-            f"Which table: {', '.join([*registry().tables, ALL_TABLES])}; default: results, in a report all.", "NAME"
+            f"Table to print: {', '.join([*registry().tables, ALL_TABLES])}; default: results, or all with --report.",
+            "NAME",
         ),
     ] = ""
-    format: Annotated[str, Option(f"One of {', '.join(TABLE_FORMATS)}.", choices=TABLE_FORMATS)] = "rich"
-    no_run: Annotated[bool, Option("Print what there is; measure nothing, say how much is missing.")] = False
-    table: Annotated[bool, Option("No effect: tables are always printed.")] = False
-    whole: Annotated[bool, Option("Overfit and Finetune on all test tasks, not on three; both protocols.")] = False
+    format: Annotated[str, Option(f"Format of tables: {', '.join(TABLE_FORMATS)}.", choices=TABLE_FORMATS)] = "rich"
+    no_run: Annotated[bool, Option("Use existing records only, and say how many are missing.")] = False
+    table: Annotated[bool, Option("This option has no effect: tables are always printed.")] = False
+    whole: Annotated[
+        bool, Option("Fit all test tasks by Overfit and Finetune, not three of them; take both protocols.")
+    ] = False
     rule: Annotated[str, Option("Meta's learned rule; default: the recipe's.")] = ""
     observe: Annotated[
         str,
         Option(
             "What fits may see, where an application has both: reference or photo; default: reference, with --whole "
-            "each."
+            "both."
         ),
     ] = ""
-    data: Annotated[Path | None, Option("Folder of task shards; default: the embedded set.")] = None
+    data: Annotated[Path | None, Option("Folder of a data set; default: the embedded data set.")] = None
     checkpoint: Annotated[
         Path | None, Option("Folder of trained checkpoints of one APP; default: those that ship.", "DIR")
     ] = None
-    out: Annotated[Path, Option("Where runs are kept.")] = Path("runs")
-    recipe: Annotated[str, Option("quick, full, paper, or another of APP; quick for those that lack it.")] = "quick"
+    out: Annotated[Path, Option("Folder of runs.")] = Path("runs")
+    recipe: Annotated[str, Option("Recipe: quick, full, paper, or another of APP; an APP without it takes quick.")] = (
+        "quick"
+    )
     seed: Annotated[int, Option("Seed of all random draws.", low=0, high=MAX_SEED)] = 0
     device: Annotated[str, Option("auto, cpu or cuda.", choices=("auto", "cpu", "cuda"))] = "auto"
-    figures: Annotated[Path | None, Option("Draw the figures there, as PNG and PDF.", "DIR")] = None
-    report: Annotated[Path | None, Option("Write tables there, as Markdown, and the figures.", "DIR")] = None
-    quiet: Annotated[bool, Option("No progress and no pictures.", short="q")] = False
+    figures: Annotated[Path | None, Option("Also draw the figures, as PNG and PDF, into this folder.", "DIR")] = None
+    report: Annotated[
+        Path | None, Option("Also write a report, tables in Markdown and figures, into this folder.", "DIR")
+    ] = None
+    quiet: Annotated[bool, Option("Print no progress and draw no pictures.", short="q")] = False

@@ -1,4 +1,4 @@
-"""`metapp export`: write the fits of a run, or files of measurements and checkpoints, in another file format."""
+"""The command `metapp export`: write the fits of a run, or measurements and checkpoints, in another file format."""
 
 from __future__ import annotations
 
@@ -14,24 +14,26 @@ from metapp.registry import registry
 from metapp.runs.reporter import say
 
 
-def _kinds() -> str:
-    """The values of KIND by application, those that have the same ones together, then by files that are no run."""
-    names: dict[str, list[str]] = {}
+def _describe_kinds() -> str:
+    """Return the values of KIND for help: by application, equal ones together, then by files that are no run."""
+    apps_by_kinds: dict[str, list[str]] = {}
     for app in app_names():
-        names.setdefault(", ".join(exports_of(app)), []).append(app)
-    files: dict[str, list[str]] = {}
+        apps_by_kinds.setdefault(", ".join(exports_of(app)), []).append(app)
+    kinds_by_files: dict[str, list[str]] = {}
     for kind, entry in registry().file_exports.items():
-        files.setdefault(entry.help, []).append(kind)
-    lines = [f"{', '.join(apps)}: {kinds}" for kinds, apps in names.items() if kinds]
-    return "; ".join([*lines, *(f"{words}: {', '.join(kinds)}" for words, kinds in files.items())])
+        kinds_by_files.setdefault(entry.help, []).append(kind)
+    lines = [f"{', '.join(apps)}: {kinds}" for kinds, apps in apps_by_kinds.items() if kinds]
+    return "; ".join([*lines, *(f"{files}: {', '.join(kinds)}" for files, kinds in kinds_by_files.items())])
 
 
 def export_command(
     source: Annotated[
         Path,
-        typer.Argument(metavar="RUN", help="Folder of a run, or of runs: the newest in it; or one of the files below."),
+        typer.Argument(
+            metavar="RUN", help="Folder of a run; in a folder of runs, the newest run; or a file, see KIND."
+        ),
     ],
-    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=export_words, help=f"{_kinds()}.")],
+    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=export_words, help=f"{_describe_kinds()}.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -43,12 +45,18 @@ def export_command(
     data: FittedData = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", callback=check_out_folder, help="Folder to write to; default: TASK/KIND, of files KIND."),
+        typer.Option(
+            "--out",
+            callback=check_out_folder,
+            help="Folder to write to; default: KIND in each task's folder, for files KIND.",
+        ),
     ] = None,
-    size: Annotated[str | None, typer.Option(metavar="HxW|N", help="Rows x columns of maps and textures.")] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="HxW|N", help="Size of maps and textures, rows x columns.")
+    ] = None,
     relief: Annotated[
         float | None,
-        typer.Option(metavar="FACTOR", help="Factor of the slopes of normals of svbrdf_*; default: the fit's, else 1."),
+        typer.Option(metavar="FACTOR", help="Factor on the slopes of normals of svbrdf_*; default: the fit's, else 1."),
     ] = None,
     json: JsonFlag = False,
     quiet: Quiet = False,
@@ -61,15 +69,19 @@ def export_command(
     """
     from metapp.runs.outputs.run_records import export_fits, holds_fits
 
-    own = {name: value for name, value in (("size", size), ("relief", relief)) if value is not None}
+    form_options = {name: value for name, value in (("size", size), ("relief", relief)) if value is not None}
     if form in registry().file_exports and not holds_fits(source):
-        if inputs or data or own:
-            raise typer.BadParameter(f"{source}: no run, expected no INPUT and no option but --out; leave others out.")
+        if inputs or data or form_options:
+            raise typer.BadParameter(
+                f"{source}: not a run, expected no INPUT and no option but --out; leave out the others."
+            )
         folder = out or Path(form)
         files = [*registry().file_exports[form].load()(source, form, folder, quiet)]
         tasks = [file.stem for file in files]
     else:
-        folder, tasks, files = export_fits(source, form, inputs or [], data=data, out=out, options=own, quiet=quiet)
+        folder, tasks, files = export_fits(
+            source, form, inputs or [], data=data, out=out, options=form_options, quiet=quiet
+        )
     if not quiet:
         say(f"written as {form}: {files[0] if len(files) == 1 else folder}")
     if json:

@@ -1,4 +1,7 @@
-"""`metapp general|overfit|finetune|quickft|meta APP`: fit tasks by one paradigm."""
+"""The commands `metapp general|overfit|finetune|quickft|meta APP`, which fit tasks by one paradigm.
+
+Only options and help are made here; :mod:`metapp.cli.fit_output`, which imports torch, does the work.
+"""
 
 from __future__ import annotations
 
@@ -21,43 +24,46 @@ from metapp.runs.reporter import say
 
 
 def make_fit_command(paradigm: str, app: str) -> Callable[..., None]:
-    """The command that fits tasks of an application by a paradigm."""
+    """Make the command that fits tasks of an application by a paradigm."""
 
     def command(inputs: list[Path] | None, json: bool, export: Sequence[str] | None, **values: Any) -> None:
-        for option in unused:
+        for option in ignored_options:
             if values.pop(option.name) not in (None, False):
-                say(f"{option.flag}: {paradigm} has no use for it; the option is ignored.")
+                say(f"{option.flag}: {paradigm} does not use this option; it is ignored.")
         options = fit_options(app, paradigm, inputs or (), export=",".join(export or ()), **values)
         with pause_garbage_collection():
             from metapp.cli.fit_output import fit_and_print
         fit_and_print(options, json=json)
 
-    unused = [options_by_name(FitOptions)[name] for name in PARADIGMS[paradigm].ignored_options]
+    ignored_options = [options_by_name(FitOptions)[name] for name in PARADIGMS[paradigm].ignored_options]
     exports = ", ".join(exports_of(app))
-    texts = {  # that differ between applications; "" of an option that one does not have
+    help_texts = {  # help that depends on the application; "" for an option that the application does not have
         "observe": options_by_name(FitOptions)["observe"].help if protocols_of(app) else "",
         "export": f"{exports}; several separated by commas." if exports else "",
         "recipe": f"{', '.join(recipe_names(app))}; default: full, the best that ships.",
         "rule": f"{', '.join(registry().rules)}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     }
-    files = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_inputs(app))
-    as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
-    parameters = [parameter("inputs", Annotated[list[Path] | None, files])]
+    inputs_argument = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_describe_inputs(app))
+    json_option = typer.Option(
+        "--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of output."
+    )
+    parameters = [parameter("inputs", Annotated[list[Path] | None, inputs_argument])]
     for option in (*options_by_name(FitOptions).values(), *options_by_name(app_options_class(app)).values()):
-        text = texts.get(option.name, option.help)
-        hidden = not text or option in unused
-        shown = {"help": text, "hidden": hidden, "show_default": False, "rich_help_panel": option.panel}
-        parameters.append(parameter_of(option, **shown))
-    parameters.append(parameter("json", Annotated[bool, as_json], False))
+        help_text = help_texts.get(option.name, option.help)
+        is_hidden = not help_text or option in ignored_options
+        changes = {"help": help_text, "hidden": is_hidden, "show_default": False, "rich_help_panel": option.panel}
+        parameters.append(parameter_of(option, **changes))
+    parameters.append(parameter("json", Annotated[bool, json_option], False))
     return set_signature(command, command, parameters)
 
 
-def _inputs(app: str) -> str:
-    forms = ", ".join(form.inputs for form in input_formats(app).values())
+def _describe_inputs(app: str) -> str:
+    """Return the help of INPUT: the files that the application reads."""
+    formats = ", ".join(input_format.inputs for input_format in input_formats(app).values())
     return (
-        f"What to fit: {forms}; folders of these; a data set; {DEFAULT_TASKS_HELP}."
-        if forms
-        else f"No file; {DEFAULT_TASKS_HELP}."
+        f"What to fit: {formats}; folders of these; a data set; {DEFAULT_TASKS_HELP}."
+        if formats
+        else f"No files can be given; {DEFAULT_TASKS_HELP}."
     )
 
 

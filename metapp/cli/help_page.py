@@ -1,4 +1,7 @@
-"""The page that --help prints: usage, text, and panels of commands and options."""
+"""The page that --help prints: usage, text, and panels of commands and options.
+
+It knows commands as typer makes them, and nothing of metapp's own tables.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +17,18 @@ from typer.core import TyperArgument
 from metapp.cli.arguments import value_placeholder
 from metapp.options import PANELS
 
-LABEL_CHARACTERS = 19  # columns of an option, so that texts of all panels begin at the same one
-COMMANDS_PANEL, OPTIONS_PANEL = "Commands", "Options"  # panels; the second is of options that name none
+LABEL_CHARACTERS = 19  # least width of the names of options, so that the texts of most panels are aligned
+# titles of panels; OPTIONS_PANEL holds the options that state no panel of their own
+COMMANDS_PANEL, OPTIONS_PANEL = "Commands", "Options"
 
 
 def print_help(command: Any, ctx: Any, commands: list[tuple[str, str]]) -> None:
     """Print usage, text and panels of a command.
 
     Args:
-        command: of typer.
-        ctx: its context.
-        commands: names of the commands below it, and the first line of their help.
+        command: the command, as typer made it.
+        ctx: the command's context.
+        commands: names of the commands below it, each with the first line of its help.
     """
     console = Console(highlight=False)
     usage = " ".join(command.collect_usage_pieces(ctx))
@@ -37,23 +41,23 @@ def print_help(command: Any, ctx: Any, commands: list[tuple[str, str]]) -> None:
             panels[param.rich_help_panel or OPTIONS_PANEL].append((value_placeholder(param), "", param.help or ""))
         elif not param.hidden and param.name != "help":
             names = ", ".join([*sorted(param.opts, key=len), *param.secondary_opts])
-            place = "" if param.is_flag else f" {value_placeholder(param)}"
+            placeholder = "" if param.is_flag else f" {value_placeholder(param)}"
             panels[param.rich_help_panel or OPTIONS_PANEL].append(
-                (names, place, f"{param.help or ''}{_default(param)}")
+                (names, placeholder, f"{param.help or ''}{_describe_default(param)}")
             )
     for title, rows in panels.items():
-        grid = Table.grid(padding=(0, 2))
-        grid.add_column(min_width=LABEL_CHARACTERS, no_wrap=True)
-        for names, place, text in rows:
-            grid.add_row(Text.assemble((names, "bold cyan"), (place, "yellow")), Text(text))
+        table = Table.grid(padding=(0, 2))
+        table.add_column(min_width=LABEL_CHARACTERS, no_wrap=True)
+        for names, placeholder, text in rows:
+            table.add_row(Text.assemble((names, "bold cyan"), (placeholder, "yellow")), Text(text))
         if rows:
-            console.print(Panel(grid, title=title, title_align="left", border_style="dim"))
+            console.print(Panel(table, title=title, title_align="left", border_style="dim"))
     if command.epilog:
         console.print(Padding(Text(command.epilog), (1, 1, 0, 1)))
 
 
-def _default(param: Any) -> str:
-    """Return a sentence about the default of an option, or that it must be given."""
+def _describe_default(param: Any) -> str:
+    """Return a sentence on the default of an option, or that it must be given; "" if neither is to be said."""
     default = getattr(param.default, "value", param.default)
     if param.required:
         return " Required."

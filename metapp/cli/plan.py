@@ -1,4 +1,4 @@
-"""`metapp plan`: the next directions to measure."""
+"""The command `metapp plan`: choose the next directions in which to measure a BRDF."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from metapp.runs.reporter import progress, say
 
 
 def plan_measurements(
-    app: Annotated[str, typer.Argument(metavar="APP", autocompletion=lambda: ["brdf"], help="brdf.")],
-    samples: Annotated[int, typer.Option(min=1, max=256, help="Pairs of directions to measure.")] = 16,
+    app: Annotated[str, typer.Argument(metavar="APP", autocompletion=lambda: ["brdf"], help="Application: brdf.")],
+    samples: Annotated[int, typer.Option(min=1, max=256, help="Number of pairs of directions to measure.")] = 16,
     out: Annotated[
-        Path, typer.Option(dir_okay=False, help="The CSV file to fill in; a PNG of the directions lies beside it.")
+        Path, typer.Option(dir_okay=False, help="CSV file to fill in; a PNG of the directions is written beside it.")
     ] = Path("plan.csv"),
     after: Annotated[
         Path | None,
@@ -31,7 +31,9 @@ def plan_measurements(
     grazing: Annotated[
         float, typer.Option(min=10, max=89, help="Maximum angle of light and detector from the normal, degrees.")
     ] = 80.0,
-    apart: Annotated[float, typer.Option(min=0, max=90, help="Minimum angle of light to detector, degrees.")] = 5.0,
+    apart: Annotated[
+        float, typer.Option(min=0, max=90, help="Minimum angle between light and detector, degrees.")
+    ] = 5.0,
     detector: Annotated[
         float | None,
         typer.Option(min=0, max=89, help="Angle of a fixed detector from the normal, degrees; default: not fixed."),
@@ -43,7 +45,7 @@ def plan_measurements(
 ) -> None:
     """Choose the pairs of light and detector directions that are most informative for an isotropic BRDF.
 
-    They minimise the expected error of recipe few: first one by one, then jointly by its gradient.
+    They minimise the expected error of a fit by recipe few: first one by one, then jointly by the error's gradient.
     Measure them, fill in the BRDF (r, g, b in 1/sr), then fit the file.
 
     Examples:
@@ -62,31 +64,34 @@ def plan_measurements(
     from metapp.evaluation.style import save_figure
 
     if app != "brdf":
-        whole = f"expected brdf; of other applications a fit takes whole pictures.{did_you_mean(app, ['brdf'])}"
-        raise typer.BadParameter(f"'{app}': {whole}")
+        expected = f"expected brdf; other applications have no directions to choose.{did_you_mean(app, ['brdf'])}"
+        raise typer.BadParameter(f"'{app}': {expected}")
     for path in (out, out.with_suffix(".png")):
         check_new_file(path, overwrite)
     detector = None if detector is None else math.radians(detector)
     limits = InstrumentLimits(math.radians(grazing), math.radians(apart), detector)
-    nothing = torch.zeros(0, 3, dtype=torch.float64)
-    before = read_pairs(after) if after else MeasuredPairs(nothing, nothing, nothing)
+    no_directions = torch.zeros(0, 3, dtype=torch.float64)
+    measurements = read_pairs(after) if after else MeasuredPairs(no_directions, no_directions, no_directions)
     with progress("plan", quiet=quiet):
-        wi, wo, (first, then) = plan_brdf(samples, limits, before, seed)
-    write_pairs(out, wi, wo, before)
-    picture = save_figure(draw_directions(wi, wo, before), out.with_suffix(".png"))
+        wi, wo, (error_before, error_after) = plan_brdf(samples, limits, measurements, seed)
+    write_pairs(out, wi, wo, measurements)
+    picture = save_figure(draw_directions(wi, wo, measurements), out.with_suffix(".png"))
     if not quiet:
-        say(f"{out}: {samples} pairs to measure; the expected error x100 falls from {first:.2f} to {then:.2f}")
-        pairs = samples + len(before.wi)
-        fit = (
+        errors = f"from {error_before:.2f} to {error_after:.2f}"
+        say(f"{out}: {samples} pairs to measure; the expected error x100 falls {errors}")
+        pairs = samples + len(measurements.wi)
+        next_step = (
             f"metapp meta brdf {out}"
             if pairs >= MIN_PAIRS
-            else f"plan more --after {out}; a fit takes {MIN_PAIRS} pairs"
+            else f"plan more pairs by --after {out}, since a fit takes at least {MIN_PAIRS}"
         )
-        every = torch.cat([directions_to_rusinkiewicz(*pair) for pair in ((before.wi, before.wo), (wi, wo))])
-        if unseen := describe_unseen_highlight(every):
+        all_angles = torch.cat(
+            [directions_to_rusinkiewicz(*pair) for pair in ((measurements.wi, measurements.wo), (wi, wo))]
+        )
+        if unseen := describe_unseen_highlight(all_angles):
             say(f"{unseen}; allow them by --apart and --grazing")
-        say(f"picture: {picture}\nfill in r, g, b; then: {fit}")
+        say(f"picture: {picture}\nfill in r, g, b; then: {next_step}")
     if json:
-        expected = {"before": first, "after": then}
+        expected_errors = {"before": error_before, "after": error_after}
         written = {"out": str(out), "picture": str(picture)}
-        print_json({"samples": samples, **written, "expected_error": expected})
+        print_json({"samples": samples, **written, "expected_error": expected_errors})

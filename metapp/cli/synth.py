@@ -1,4 +1,4 @@
-"""`metapp data synth` and `metapp data cornell`: draw data sets."""
+"""The commands `metapp data synth` and `metapp data cornell`, which draw synthetic data sets."""
 
 from __future__ import annotations
 
@@ -38,31 +38,33 @@ def synth(
         typer.Option(
             "--as",
             metavar="FORM",
-            help="shards, what metapp reads, or merl: files in DIR/train and DIR/test.",
+            help="shards, the format that metapp reads, or merl, files in DIR/train and DIR/test.",
         ),
     ] = SHARDS_FORM,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Draw an embedded data set: synthetic tasks, the same on every machine."""
-    count, own = options.count, {key: value for key, value in vars(options).items() if value and key != "count"}
+    """Draw an embedded data set: synthetic tasks, equal on every machine."""
+    count, set_options = options.count, {key: value for key, value in vars(options).items() if value and key != "count"}
     apps = embedded_apps()
     if name not in apps:
         raise typer.BadParameter(
             f"'{name}' has no embedded data set, expected one of {', '.join(apps)}.{did_you_mean(name, apps)}",
             param_hint="APP",
         )
-    if form != SHARDS_FORM and own:
-        flag = f"--{next(iter(own))}".replace("_", "-")
-        raise typer.BadParameter(f"{form}: has no {flag}, expected shards with it.", param_hint="--as")
+    if form != SHARDS_FORM and set_options:
+        flag = f"--{next(iter(set_options))}".replace("_", "-")
+        raise typer.BadParameter(
+            f"'{form}' with {flag}: expected shards; leave out {flag} or --as {form}.", param_hint="--as"
+        )
     from metapp.cli.synthesis import draw_files, draw_shards
 
     if form == SHARDS_FORM:
-        done = draw_shards(name, seed, count, folder, own, overwrite=overwrite, quiet=quiet)
+        result = draw_shards(name, seed, count, folder, set_options, overwrite=overwrite, quiet=quiet)
     else:
-        done = draw_files(name, form, folder, count, seed, overwrite=overwrite, quiet=quiet)
-    print_written_tasks(done, quiet, as_json)
+        result = draw_files(name, form, folder, count, seed, overwrite=overwrite, quiet=quiet)
+    print_written_tasks(result, quiet, as_json)
 
 
 synth.__doc__ = "\n\n".join(
@@ -86,8 +88,9 @@ def cornell(
     """Draw Cornell boxes and trace their light paths.
 
     In each are one to five spheres of diffuse, glass or metal material, a mirror on a side wall and an area light on
-    the ceiling, all at random places. Its samples are points of primary sample space, in proportion to the luminance
-    that their paths carry; 2 s each. The scene, a dictionary of Mitsuba 3, is a .json file beside its shard.
+    the ceiling, all at random places. The samples of a scene are points of primary sample space, drawn in proportion to
+    the luminance that their paths carry; a scene takes 2 s. It is also written as a .json file, a dictionary of Mitsuba
+    3, beside its shard.
 
     Examples:
       metapp data cornell --count 20 --seed 7 --out boxes
@@ -95,5 +98,5 @@ def cornell(
     """
     from metapp.cli.synthesis import draw_cornell_boxes
 
-    done = draw_cornell_boxes(options, folder, seed, overwrite=overwrite, quiet=quiet)
-    print_written_tasks(done, quiet, as_json)
+    result = draw_cornell_boxes(options, folder, seed, overwrite=overwrite, quiet=quiet)
+    print_written_tasks(result, quiet, as_json)

@@ -1,4 +1,7 @@
-"""Data sets drawn for `metapp data synth` and `metapp data cornell`."""
+"""The work of `metapp data synth` and `metapp data cornell`: data sets are drawn and written.
+
+The generators are in :mod:`data_tools.synthetic`; here are folders, file formats, progress and refusals.
+"""
 
 from __future__ import annotations
 
@@ -31,64 +34,66 @@ def draw_shards(
     """Draw an embedded data set as shards, which fits read; see :func:`metapp.runs.inputs.embedded.make_embedded_set`.
 
     Args:
-        name: of the application.
-        seed: of all draws.
-        count: how many tasks; None for as many as the default set has.
-        folder: the folder of the set; None for the cache.
-        options: of the set, by name.
-        overwrite: whether a data set that is in `folder` is replaced.
-        quiet: no progress.
+        name: the name of the application.
+        seed: the seed of all random draws.
+        count: the number of tasks; None takes as many as the default set has.
+        folder: the folder of the set; None takes the user's cache.
+        options: options of the set, by name.
+        overwrite: whether a data set in `folder` is replaced.
+        quiet: whether no progress is shown.
 
     Raises:
-        ValueError: the set has not one of the options; a folder that holds other data.
+        ValueError: the set lacks one of the options, or the folder holds other data.
     """
-    made = make_embedded_set(name, seed, count, folder, quiet, options, overwrite=overwrite)
-    return conversion_result(name, made, read_manifest(made).tasks)
+    set_folder = make_embedded_set(name, seed, count, folder, quiet, options, overwrite=overwrite)
+    return conversion_result(name, set_folder, read_manifest(set_folder).tasks)
 
 
 def draw_files(
     name: str, form: str, folder: Path | None, count: int | None, seed: int, *, overwrite: bool, quiet: bool
 ) -> ConversionResult:
-    """Draw an embedded data set and write it in another form than shards, in the folders train and test.
+    """Draw an embedded data set and write it in another format than shards, in the folders train and test.
 
     Args:
-        name: of the application.
-        form: one of those that the set's module has in FILES.
+        name: the name of the application.
+        form: a format that the set's module has in FILES.
         folder: the folder to write to.
-        count: how many tasks; None for as many as the default set has.
-        seed: of all draws.
-        overwrite: whether files that are there are replaced.
-        quiet: no progress.
+        count: the number of tasks; None takes as many as the default set has.
+        seed: the seed of all random draws.
+        overwrite: whether existing files are replaced.
+        quiet: whether no progress is shown.
 
     Raises:
-        BadParameter: there is no such form; no folder, or one that holds files.
-        ValueError: no room on the disk.
+        BadParameter: the format is unknown, no folder is given, or the folder holds files.
+        ValueError: the disk has not enough room.
     """
-    forms = getattr(embedded_module(name), "FILES", {})
-    if form not in forms:
-        expected = ", ".join([SHARDS_FORM, *forms])
+    formats = getattr(embedded_module(name), "FILES", {})
+    if form not in formats:
+        expected = ", ".join([SHARDS_FORM, *formats])
         raise typer.BadParameter(f"'{form}': expected {expected} for {name}.", param_hint="--as")
     if folder is None:
         raise typer.BadParameter(f"missing, expected a folder for the {form} files.", param_hint="--out")
     counts = split_counts(name, count)
     for split in counts:
         check_new_file(folder / split, overwrite)
-    write, size = forms[form]
-    needed = sum(counts.values()) * size
-    free = shutil.disk_usage(next(part for part in (folder, *folder.absolute().parents) if part.exists())).free
-    if free < needed:
+    write_files, file_bytes = formats[form]
+    needed_bytes = sum(counts.values()) * file_bytes
+    free_bytes = shutil.disk_usage(
+        next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    ).free
+    if free_bytes < needed_bytes:
         raise ValueError(
-            f"{folder}: {free / 1e9:.1f} GB free, expected {needed / 1e9:.1f} GB for {sum(counts.values())} {form} "
-            "files; take a smaller --count."
+            f"{folder}: {free_bytes / 1e9:.1f} GB free, expected {needed_bytes / 1e9:.1f} GB for "
+            f"{sum(counts.values())} {form} files; take a smaller --count."
         )
     names: dict[str, list[str]] = {}
     folder.mkdir(parents=True, exist_ok=True)
     with progress(f"{form} files", sum(counts.values()), quiet=quiet) as bar:
-        for split, number in counts.items():
+        for split, task_count in counts.items():
             names[split] = []
-            for task in write(folder / split, split, number, seed):
-                names[split].append(task)
-                bar.advance(task)
+            for task_name in write_files(folder / split, split, task_count, seed):
+                names[split].append(task_name)
+                bar.advance(task_name)
     return ConversionResult(name, str(folder), names["train"], names["test"], [])
 
 
@@ -100,22 +105,22 @@ def draw_cornell_boxes(
     Args:
         options: number of scenes and of samples, and the split.
         folder: the folder of the set.
-        seed: of all draws.
-        overwrite: whether a data set that is in `folder` is replaced.
-        quiet: no progress.
+        seed: the seed of all random draws.
+        overwrite: whether a data set in `folder` is replaced.
+        quiet: whether no progress is shown.
 
     Raises:
-        ValueError: Mitsuba cannot be used here; a folder that holds other data.
+        ValueError: Mitsuba cannot be used here, or the folder holds other data.
     """
     tasks = transport.cornell_tasks(options.count, seed, samples=options.samples, held=options.held)
     notes = {"made_by": "metapp data cornell", "seed": seed, "count": options.count, "split": options.split}
 
-    def boxes() -> Iterator[tuple[Task, str, str]]:
+    def yield_boxes() -> Iterator[tuple[Task, str, str]]:
         with progress("Cornell boxes", options.count, quiet=quiet) as bar:
             for task in tasks:
                 yield task, options.split, ""
                 bar.advance(task.name)
 
     units, beside = transport.UNITS, transport.BESIDE
-    written = write_data_set(folder, "transport", units, boxes(), notes, beside, overwrite=overwrite)
+    written = write_data_set(folder, "transport", units, yield_boxes(), notes, beside, overwrite=overwrite)
     return conversion_result("transport", folder, written)

@@ -1,4 +1,8 @@
-"""Errors of many tasks: mean, median, worst task, bootstrap intervals, and paired comparisons."""
+"""Statistics of errors over many tasks: mean, median, worst task, bootstrap intervals, and paired comparisons.
+
+Tasks that show the same thing form a group, and the bootstrap draws groups: otherwise, photographs of one material
+would count as independent. The module knows errors by task name alone, neither records nor tables.
+"""
 
 from __future__ import annotations
 
@@ -7,31 +11,35 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
-ErrorsByTask = Mapping[str, float]  # by the task's name
-MIN_TASK_GROUPS = 5  # groups of tasks: the bootstrap of fewer says nothing
-BOOTSTRAP_DRAWS = 4000
+ErrorsByTask = Mapping[str, float]  # errors by the task's name
+MIN_TASK_GROUPS = 5  # groups of tasks; a bootstrap over fewer groups says nothing
+BOOTSTRAP_DRAWS = 4000  # sets of groups, each drawn with replacement
 
 
 def bootstrap_sums(columns: Sequence[Sequence[float]], groups: Sequence[str]) -> np.ndarray:
-    """Sums [K, DRAWS] of K columns of values of the same tasks, [K, N], over tasks drawn with replacement.
+    """Sum values over tasks that are drawn with replacement, BOOTSTRAP_DRAWS times, from a fixed seed.
 
-    Draws are of groups, from a fixed seed: tasks that show the same are drawn together.
+    Groups are drawn, not tasks: tasks of one group are drawn together.
 
     Args:
-        columns: values of tasks.
-        groups: the subject that each task shows, [N].
+        columns: K columns of values of the same N tasks, [K, N].
+        groups: the group of each task, [N].
+
+    Returns:
+        The sums of each column, [K, BOOTSTRAP_DRAWS].
     """
-    numbers = {group: index for index, group in enumerate(dict.fromkeys(groups))}
-    rows = [numbers[group] for group in groups]
-    drawn = np.random.default_rng(0).integers(len(numbers), size=(BOOTSTRAP_DRAWS, len(numbers)))
-    return np.stack([np.bincount(rows, values)[drawn].sum(1) for values in columns])
+    group_numbers = {group: index for index, group in enumerate(dict.fromkeys(groups))}
+    task_groups = [group_numbers[group] for group in groups]
+    drawn_groups = np.random.default_rng(0).integers(len(group_numbers), size=(BOOTSTRAP_DRAWS, len(group_numbers)))
+    return np.stack([np.bincount(task_groups, values)[drawn_groups].sum(1) for values in columns])
 
 
 def central_interval(values: np.ndarray) -> tuple[float, float]:
-    """The two values between which 95 % of them lie.
+    """Return the two values between which the central 95 % of all values lie.
 
-    >>> interval_of(np.arange(101.0))
+    >>> central_interval(np.arange(101.0))
     (2.5, 97.5)
     """
     low, high = np.quantile(values, (0.025, 0.975))
@@ -39,13 +47,17 @@ def central_interval(values: np.ndarray) -> tuple[float, float]:
 
 
 def summarise_errors(errors: ErrorsByTask, groups: Mapping[str, str]) -> dict[str, float | None]:
-    """Mean `error`, `median`, `worst`, and the 95 % interval `low` to `high` of the mean over tasks; None without any.
+    """Return mean, median and worst error of tasks, and the 95 % interval of the mean over tasks.
 
     Args:
-        errors: of tasks.
-        groups: the subject that a task shows, by the task's name.
+        errors: errors by the task's name.
+        groups: the group of each task, by the task's name.
 
-    >>> statistics_of({"gold": 1.0, "chalk": 3.0}, {"gold": "gold", "chalk": "chalk"})
+    Returns:
+        The mean `error`, `median`, `worst`, and the ends of the interval, `low` and `high`; None each if there is no
+        error.
+
+    >>> summarise_errors({"gold": 1.0, "chalk": 3.0}, {"gold": "gold", "chalk": "chalk"})
     {'error': 2.0, 'median': 2.0, 'worst': 3.0, 'low': 1.0, 'high': 3.0}
     """
     if not errors:
@@ -63,15 +75,15 @@ def summarise_errors(errors: ErrorsByTask, groups: Mapping[str, str]) -> dict[st
 
 
 class PairedComparison(NamedTuple):
-    """Two methods compared on the same tasks.
+    """The comparison of two methods on the tasks that both have errors of.
 
     Attributes:
-        value: the ratio of their mean errors, or the difference of these if errors are logarithms.
-        low: end of its 95 % interval, by resampling tasks: both errors of a task are drawn together.
-        high: the other end.
-        ahead: tasks on which the first has the lower error.
-        tasks: that both have errors of.
-        groups: of these that show different things.
+        value: the ratio of their mean errors, first over second, or the difference of these if errors are logarithms.
+        low: the lower end of the value's 95 % interval, by resampling tasks with both errors of a task drawn together.
+        high: the upper end of this interval.
+        ahead: the number of tasks on which the first method has the lower error.
+        tasks: the number of tasks that both methods have errors of.
+        groups: the number of groups among these tasks.
         kind: "ratio" or "difference".
     """
 
@@ -84,12 +96,13 @@ class PairedComparison(NamedTuple):
     kind: str
 
     @property
-    def level(self) -> float:
-        """The value of two methods that are equally good."""
+    def equal_value(self) -> float:
+        """The value for two methods that are equally good."""
         return 1.0 if self.kind == "ratio" else 0.0
 
+    @override
     def __str__(self) -> str:
-        """The value with its interval: 0.962 [0.952, 0.972]."""
+        """Return the value with its interval, such as 0.962 [0.952, 0.972]."""
         form = ".3f" if self.kind == "ratio" else "+.3f"
         return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
 
@@ -99,39 +112,41 @@ def compare_errors(
 ) -> PairedComparison | None:
     """Compare two methods by their errors of the same tasks.
 
-    The difficulty of tasks is common to both, so that methods differ significantly whose own intervals overlap.
+    How hard a task is affects both methods alike. So methods can differ significantly whose own intervals overlap.
 
     Args:
-        one: errors of the first method.
-        other: errors of the second.
-        groups: the subject that a task shows, by the task's name.
-        logarithmic: compare by the difference: a ratio of logarithms means nothing.
+        one: the first method's errors by task.
+        other: the second method's errors by task.
+        groups: the group of each task, by the task's name.
+        logarithmic: whether errors are logarithms, whose difference is taken since their ratio means nothing.
 
     Returns:
-        None if they have no task in common, or if there is no ratio, as the other's errors are 0.
+        The comparison; None if the methods have no task in common, or if there is no ratio, as the second method's
+        errors are 0.
 
     >>> groups = {name: name for name in "abcdef"}
-    >>> paired(dict.fromkeys("abcdef", 1.0), dict.fromkeys("abcdef", 2.0), groups, logarithmic=False).value
+    >>> compare_errors(dict.fromkeys("abcdef", 1.0), dict.fromkeys("abcdef", 2.0), groups, logarithmic=False).value
     0.5
     """
     names = [name for name in one if name in other]
     if not names:
         return None
-    first, second, of_tasks = [one[name] for name in names], [other[name] for name in names], [groups[n] for n in names]
-    sums, base, counts = bootstrap_sums([first, second, [1.0] * len(names)], of_tasks)
+    first, second = [one[name] for name in names], [other[name] for name in names]
+    task_groups = [groups[name] for name in names]
+    sums, other_sums, counts = bootstrap_sums([first, second, [1.0] * len(names)], task_groups)
     if logarithmic:
-        value, values = statistics.fmean(first) - statistics.fmean(second), (sums - base) / counts
-    elif min(second) < 0 or not base.all():
+        value, draws = statistics.fmean(first) - statistics.fmean(second), (sums - other_sums) / counts
+    elif min(second) < 0 or not other_sums.all():
         return None
     else:
-        value, values = sum(first) / sum(second), sums / base
+        value, draws = sum(first) / sum(second), sums / other_sums
     ahead = sum(a < b for a, b in zip(first, second, strict=True))
     kind = "difference" if logarithmic else "ratio"
-    return PairedComparison(value, *central_interval(values), ahead, len(names), len(set(of_tasks)), kind)
+    return PairedComparison(value, *central_interval(draws), ahead, len(names), len(set(task_groups)), kind)
 
 
-def is_significant(pair: PairedComparison | None) -> bool | None:
-    """True if two methods differ by more than chance; None if that is not known, or on too few tasks to tell."""
-    if pair is None or pair.groups < MIN_TASK_GROUPS:
+def is_significant(comparison: PairedComparison | None) -> bool | None:
+    """Return whether two methods differ by more than chance; None if there are too few tasks to tell."""
+    if comparison is None or comparison.groups < MIN_TASK_GROUPS:
         return None
-    return not pair.low <= pair.level <= pair.high
+    return not comparison.low <= comparison.equal_value <= comparison.high

@@ -1,4 +1,8 @@
-"""Which directions of a BRDF to measure, before anything is measured or after some of it is."""
+"""The choice of directions in which to measure a BRDF, before anything is measured or after some directions are.
+
+It joins the model of fits of few samples (:mod:`metapp.apps.brdf.few`) with the checkpoint that ships for it. It reads
+and writes no file.
+"""
 
 from __future__ import annotations
 
@@ -21,46 +25,55 @@ from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.fit_options import fit_options
 from metapp.runs.run import Run
 
-MAX_NUMBERED_PAIRS = 32  # pairs up to which a picture numbers each
+MAX_NUMBERED_PAIRS = 32  # pairs of directions; a picture of more pairs has no numbers
 
 
 def plan_brdf(
-    count: int, limits: InstrumentLimits, before: MeasuredPairs, seed: int = 0
+    count: int, limits: InstrumentLimits, measurements: MeasuredPairs, seed: int = 0
 ) -> tuple[Tensor, Tensor, tuple[float, float]]:
-    """Choose directions by the model that ships for fits of few samples.
+    """Choose the pairs of directions that tell most about a BRDF, by the model that ships for fits of few samples.
 
     Args:
-        count: of pairs of directions.
-        limits: of the instrument.
-        before: earlier measurements, or none.
-        seed: of the candidates.
+        count: the number of pairs of directions to choose.
+        limits: the directions that the instrument can reach.
+        measurements: earlier measurements, or none.
+        seed: the seed by which candidate directions are drawn.
 
     Returns:
-        Unit vectors to light and detector, [count, 3] each, in the order in which they tell most; the errors x100 over
-        all directions that fits are expected to have before these measurements and after them.
+        Unit vectors to the light and to the detector, [count, 3] each, the most informative pair first; and the errors
+        x100 over all directions that fits are expected to have before these measurements and after them.
 
     Raises:
         ValueError: no direction is within the limits.
     """
     run = attach_checkpoint(Run.from_options(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
-    assert run.checkpoint is not None  # or it would have been refused
+    assert run.checkpoint is not None  # attach_checkpoint raises an error where it is missing
     encoder = run.checkpoint.phi.encoder
-    seen = directions_to_full_rusinkiewicz(before.wi, before.wo)
-    # before anything is measured, of the first kind: measured materials
+    measured_angles = directions_to_full_rusinkiewicz(measurements.wi, measurements.wo)
+    # without measurements the prior of kind 0 holds, which was learned from measured materials
     theta = (
-        fit_likeliest_model(encoder, seen, before.reflectance)
-        if len(seen)
-        else FEW_NETWORK.select_kinds(encoder, torch.zeros(1).long())
+        fit_likeliest_model(encoder, measured_angles, measurements.reflectance)
+        if len(measured_angles)
+        else FEW_NETWORK.of_kinds(encoder, torch.zeros(1).long())
     )
-    wi, wo = plan_directions(theta, count, limits, seen, Generator().manual_seed(seed))
-    every = torch.cat([seen.float(), directions_to_full_rusinkiewicz(wi, wo)])
-    posteriors = (Posterior.from_samples(theta, places_at_angles(angles)) for angles in (seen.float(), every))
-    first, then = (100 * expected_errors(posterior)["expected"] for posterior in posteriors)
-    return wi, wo, (first, then)
+    wi, wo = plan_directions(theta, count, limits, measured_angles, Generator().manual_seed(seed))
+    all_angles = torch.cat([measured_angles.float(), directions_to_full_rusinkiewicz(wi, wo)])
+    posteriors = (Posterior.of(theta, places_at_angles(angles)) for angles in (measured_angles.float(), all_angles))
+    error_before, error_after = (100 * expected_errors(posterior)["expected"] for posterior in posteriors)
+    return wi, wo, (error_before, error_after)
 
 
 def fit_likeliest_model(encoder: Params, angles: Tensor, reflectance: Tensor) -> Params:
-    """The likeliest model [1, ...] after samples: angles [N, 3] in rad and reflectance [N, 3] in 1/sr."""
+    """Fit the most probable model to samples of one material.
+
+    Args:
+        encoder: the prior, as its checkpoint has it.
+        angles: half-difference angles of the samples, [N, 3] in rad.
+        reflectance: the samples, [N, 3] in 1/sr.
+
+    Returns:
+        The parameters of the model, [1, ...].
+    """
     where = places_at_angles(angles.float())
     target = torch.log1p(reflectance.T[None].float() * where[:, 6:])
     batch = {"where": where, "target": target, COUNT_KEY: torch.tensor([float(len(angles))])}
@@ -72,12 +85,18 @@ def fit_likeliest_model(encoder: Params, angles: Tensor, reflectance: Tensor) ->
     return theta | {"last": theta["last"] + change[None].float()}
 
 
-def draw_directions(wi: Tensor, wo: Tensor, before: MeasuredPairs) -> Figure:
-    """Pairs to measure, unit vectors [N, 3] to light and detector, and those measured before, seen from above."""
+def draw_directions(wi: Tensor, wo: Tensor, measurements: MeasuredPairs) -> Figure:
+    """Draw pairs of directions as seen from above the surface.
+
+    Args:
+        wi: unit vectors to the light of the pairs to measure, [N, 3].
+        wo: unit vectors to the detector of the pairs to measure, [N, 3].
+        measurements: pairs that were measured before, which are drawn in grey.
+    """
     light, detector = PARADIGM_COLOURS["meta"], PARADIGM_COLOURS["overfit"]
-    pairs = [(*pair, MUTED_COLOUR, MUTED_COLOUR, "") for pair in zip(before.wi, before.wo, strict=True)]
-    for at, pair in enumerate(zip(wi, wo, strict=True), 1):
-        pairs.append((*pair, light, detector, str(at) if len(wi) <= MAX_NUMBERED_PAIRS else ""))
+    pairs = [(*pair, MUTED_COLOUR, MUTED_COLOUR, "") for pair in zip(measurements.wi, measurements.wo, strict=True)]
+    for count, pair in enumerate(zip(wi, wo, strict=True), 1):
+        pairs.append((*pair, light, detector, str(count) if len(wi) <= MAX_NUMBERED_PAIRS else ""))
     with rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(5.2, 5.6))
         axis = figure.add_subplot(projection="polar")
@@ -85,20 +104,27 @@ def draw_directions(wi: Tensor, wo: Tensor, before: MeasuredPairs) -> Figure:
         axis.set_rlim(0, 90)
         axis.set_rticks([30, 60, 90], ["30", "60", "90 degrees"])
         axis.set_thetagrids(range(0, 360, 45))
-        names: list[tuple[str, tuple[float, float], dict[str, int]]] = []
-        for *vectors, first, second, number in pairs:
-            (a, r), (b, s) = (
-                (math.atan2(y, x), math.degrees(math.acos(min(1.0, z)))) for x, y, z in (v.tolist() for v in vectors)
+        labels: list[tuple[str, tuple[float, float], dict[str, int]]] = []
+        for *vectors, light_colour, detector_colour, number in pairs:
+            (light_azimuth, light_angle), (detector_azimuth, detector_angle) = (
+                (math.atan2(y, x), math.degrees(math.acos(min(1.0, z))))
+                for x, y, z in (vector.tolist() for vector in vectors)
             )
-            axis.plot([a, b], [r, s], color="#c8c8c8", linewidth=0.6, zorder=1)
-            axis.plot([a], [r], "o", color=first, markersize=5, zorder=3)
-            axis.plot([b], [s], "s", color=second, markersize=4, zorder=2)
+            axis.plot(
+                [light_azimuth, detector_azimuth],
+                [light_angle, detector_angle],
+                color="#c8c8c8",
+                linewidth=0.6,
+                zorder=1,
+            )
+            axis.plot([light_azimuth], [light_angle], "o", color=light_colour, markersize=5, zorder=3)
+            axis.plot([detector_azimuth], [detector_angle], "s", color=detector_colour, markersize=4, zorder=2)
             if number:
-                names.append((number, (a, r), {"fontsize": 7}))
+                labels.append((number, (light_azimuth, light_angle), {"fontsize": 7}))
         axis.plot([], [], "o", color=light, markersize=5, label="light")
         axis.plot([], [], "s", color=detector, markersize=4, label="detector")
-        if len(before.wi):
+        if len(measurements.wi):
             axis.plot([], [], "o", color=MUTED_COLOUR, markersize=5, label="measured before")
         figure.legend(loc="outside lower center", ncols=3)
-        place_labels(axis, names)
+        place_labels(axis, labels)
     return figure

@@ -1,4 +1,8 @@
-"""Rows of tables, and sentences about them. Figures come from records, the paper's from `paper.json`."""
+"""Rows of tables, made of records of fits, and sentences about rows.
+
+A row holds all that is known of a method; which of its entries a table shows is decided in
+:mod:`metapp.evaluation.table`. The paper's own figures come from the file `paper.json`.
+"""
 
 from __future__ import annotations
 
@@ -27,30 +31,30 @@ from metapp.storage.fit_folders import Record, count_guarded
 
 @functools.cache
 def paper_figures() -> Document:
-    """The paper's figures, with their places in it."""
-    result: Document = json.loads((resources.files("metapp") / "paper.json").read_text())
-    return result
+    """Return the paper's figures, with the places in the paper where they stand."""
+    figures: Document = json.loads((resources.files("metapp") / "paper.json").read_text())
+    return figures
 
 
 def make_row(
-    subject: EvaluationRun,
+    evaluation: EvaluationRun,
     name: str,
     records: Sequence[Record],
     entries: Row,
-    against: Sequence[str] = (),
+    compared_rows: Sequence[str] = (),
 ) -> Row:
-    """A row of records, with the statistics of their errors.
+    """Make a row of records, with the statistics of their errors.
 
     Args:
-        subject: of which application.
-        name: the paradigm, as the row calls it.
-        records: of tasks; another measure may stand in them as `error`.
-        entries: further or other entries.
-        against: rows of the results whose errors of the same tasks it is compared with, as `vs_<row>`.
+        evaluation: the application under a protocol, with its tasks and records.
+        name: the name of the row's method, such as a paradigm.
+        records: records of tasks; their entry `error` may hold another measure than the application's error.
+        entries: further entries, and entries that replace those made here.
+        compared_rows: rows of the results that the row is compared with on the same tasks, in entries `vs_<row>`.
     """
-    app, groups = subject.app, subject.groups
+    app, groups = evaluation.app, evaluation.groups
     clauses = [record["warning"].split("; ") for record in records if record.get("warning")]
-    of_measures = {key: [record[key] for record in records if key in record] for key in app.error_measure.further}
+    measure_values = {key: [record[key] for record in records if key in record] for key in app.error_measure.further}
     seconds = [record["seconds"] for record in records if "seconds" in record]
     row = {
         "app": app.name,
@@ -59,76 +63,79 @@ def make_row(
         **summarise_errors(errors_by_task(records), groups),
         "seconds": statistics.median(seconds) if seconds else None,
         "tasks": len(records),
-        "warnings": sum(some[0].startswith(LOSS_ROSE_CLAUSE) for some in clauses),
-        "doubtful": sum(not some[-1].startswith(LOSS_ROSE_CLAUSE) for some in clauses),
+        "warnings": sum(warning[0].startswith(LOSS_ROSE_CLAUSE) for warning in clauses),
+        "doubtful": sum(not warning[-1].startswith(LOSS_ROSE_CLAUSE) for warning in clauses),
         "guarded": count_guarded(records),
-        "threads": ", ".join(map(str, sorted({one["threads"] for one in records if one.get("threads")}))) or None,
+        "threads": ", ".join(map(str, sorted({record["threads"] for record in records if record.get("threads")})))
+        or None,
         "paper_error": None,
         "paper_seconds": None,
-        **{f"mean_{key}": statistics.fmean(values) if values else None for key, values in of_measures.items()},
+        **{f"mean_{key}": statistics.fmean(values) if values else None for key, values in measure_values.items()},
         **entries,
         **app.conditions(),
     }
-    for other in against:
-        theirs = errors_by_task(subject.records(other)) if other != name else {}
-        row[f"vs_{other}"] = compare_errors(
-            errors_by_task(records), theirs, groups, logarithmic=app.error_measure.logarithmic
+    for compared_row in compared_rows:
+        other_errors = errors_by_task(evaluation.records(compared_row)) if compared_row != name else {}
+        row[f"vs_{compared_row}"] = compare_errors(
+            errors_by_task(records), other_errors, groups, logarithmic=app.error_measure.logarithmic
         )
     return row
 
 
 def paper_entries(app: App, name: str) -> Row:
-    """The paper's figures of a paradigm, under the paper's protocol."""
+    """Return the paper's error and seconds of a paradigm, None each under another protocol than the paper's."""
     figures = paper_figures() if is_first_protocol(app) else {}
     return {f"paper_{key}": figures.get(key, {}).get(app.name, {}).get(name) for key in ("error", "seconds")}
 
 
 def errors_by_task(records: Sequence[Record]) -> ErrorsByTask:
-    """The errors of records, by the task's name, of those that have one."""
+    """Return the errors of the records that have one, by the task's name."""
     return {record["name"]: record["error"] for record in records if record["error"] is not None}
 
 
-# Sentences
+# Sentences about rows
 
 
-def comparison_notes(rows: Sequence[Row], other: str = "quickft") -> list[str]:
-    """Notes on rows that are compared with another: comparisons, threads, fits that went wrong."""
-    return [*paired_columns_note(rows, other), *_threads_note(rows), *fit_remarks(rows)]
+def comparison_notes(rows: Sequence[Row], compared_row: str = "quickft") -> list[str]:
+    """Return notes on rows that are compared with another row: comparisons, threads, fits that went wrong."""
+    return [*paired_columns_note(rows, compared_row), *_threads_note(rows), *fit_remarks(rows)]
 
 
-def paired_columns_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
-    """A note on the columns that compare."""
-    kinds = {pair.kind: pair.level for row in rows if (pair := row[f"vs_{other}"])}
+def paired_columns_note(rows: Sequence[Row], compared_row: str = "quickft") -> list[str]:
+    """Return a note that explains the columns which compare rows with another row."""
+    kinds = {comparison.kind: comparison.equal_value for row in rows if (comparison := row[f"vs_{compared_row}"])}
     return [
-        f"vs {other}: {kind} of mean errors, 95 % interval by paired bootstrap; below {level:g}: a lower error"
-        for kind, level in sorted(kinds.items())
+        f"vs {compared_row}: {kind} of mean errors, 95 % interval by paired bootstrap; "
+        f"below {equal_value:g}: a lower error"
+        for kind, equal_value in sorted(kinds.items())
     ]
 
 
-def comparison_text(pair: PairedComparison, other: str) -> str:
-    """A comparison in words: error ratio 0.962 [0.952, 0.972] vs quickft, lower on 15 of 20 tasks."""
-    return f"error {pair.kind} {pair} vs {other}, lower on {pair.ahead} of {pair.tasks} tasks"
+def comparison_text(comparison: PairedComparison, compared_row: str) -> str:
+    """Return a comparison in words: error ratio 0.962 [0.952, 0.972] vs quickft, lower on 15 of 20 tasks."""
+    share = f"{comparison.ahead} of {comparison.tasks} tasks"
+    return f"error {comparison.kind} {comparison} vs {compared_row}, lower on {share}"
 
 
-def describe_winner(row: Row, other: str = "quickft") -> list[str]:
-    """The winner of a row's method and another: the one of the lower error, unless chance could be the reason."""
-    pair: PairedComparison | None = row[f"vs_{other}"]
-    if pair is None:
+def describe_winner(row: Row, compared_row: str = "quickft") -> list[str]:
+    """Return a sentence that names the method of the lower error, unless chance could be the reason."""
+    comparison: PairedComparison | None = row[f"vs_{compared_row}"]
+    if comparison is None:
         return []
-    winner = row["paradigm"] if pair.value < pair.level else other
-    says = {
-        None: f"{pair.groups} different tasks, fewer than {MIN_TASK_GROUPS}, are too few to call a win",
+    winner = row["paradigm"] if comparison.value < comparison.equal_value else compared_row
+    verdicts = {
+        None: f"{comparison.groups} different tasks, fewer than {MIN_TASK_GROUPS}, are too few to call a win",
         False: "no win",
         True: f"{winner} wins",
     }
-    return [f"{row['paradigm']}: {comparison_text(pair, other)}; {says[is_significant(pair)]}"]
+    return [f"{row['paradigm']}: {comparison_text(comparison, compared_row)}; {verdicts[is_significant(comparison)]}"]
 
 
 def fit_remarks(rows: Sequence[Row]) -> list[str]:
-    """Counts of fits that end above their initialisation's loss or look doubtful, and of those that were guarded."""
+    """Return counts of fits that end above their initialisation's loss, look doubtful, or were guarded, by row."""
     remarks = (
         ("warnings", "{} of {} fits ended above their initialisation's loss"),
-        ("doubtful", "{} of {} fits look doubtful; their records say why, as `warning`"),
+        ("doubtful", "{} of {} fits look doubtful; the entry `warning` of their records says why"),
         ("guarded", "the guard acted on {} of {} tasks, which took twice the steps"),
     )
     return [
@@ -139,44 +146,52 @@ def fit_remarks(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def measures_note(subject: EvaluationRun, rows: Sequence[Row]) -> list[str]:
-    """The means of the further errors that the application states, a line each."""
+def measures_note(evaluation: EvaluationRun, rows: Sequence[Row]) -> list[str]:
+    """Return a line for each further error that the application states, with its mean in each row."""
     means_by_title = {
         title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row[f"mean_{key}"] is not None]
-        for key, title in subject.app.error_measure.further.items()
+        for key, title in evaluation.app.error_measure.further.items()
     }
     return [f"{title}: {', '.join(means)}" for title, means in means_by_title.items() if means]
 
 
 def _threads_note(rows: Sequence[Row]) -> list[str]:
-    """The threads that seconds are of, if records say so."""
-    by_count: dict[str, list[str]] = {}
+    """Return a note on the numbers of threads that the rows' seconds were measured with, if records say so."""
+    methods_by_threads: dict[str, list[str]] = {}
     for row in rows:
         if row["threads"]:
-            by_count.setdefault(row["threads"], []).append(row["paradigm"])
-    if len(by_count) > 1:
-        text = "; ".join(f"{', '.join(names)} {count}" for count, names in by_count.items())
-        return [f"threads: {text}; seconds of different threads do not compare"]
-    return [f"threads: {count}" for count in by_count]
+            methods_by_threads.setdefault(row["threads"], []).append(row["paradigm"])
+    if len(methods_by_threads) > 1:
+        text = "; ".join(f"{', '.join(methods)} {count}" for count, methods in methods_by_threads.items())
+        return [f"threads: {text}; seconds with different numbers of threads cannot be compared"]
+    return [f"threads: {count}" for count in methods_by_threads]
 
 
-def subset_note(subject: EvaluationRun) -> list[str]:
-    """A note on the rows that are of some of the tasks."""
-    names = [name for name in subject.runs if subject.is_of_few(name)]
-    count = len(subject.tasks_of(names[0])) if names else 0
+def subset_note(evaluation: EvaluationRun) -> list[str]:
+    """Return a note on the rows that cover some of the test tasks alone; [] if all rows cover all."""
+    names = [name for name in evaluation.runs if evaluation.is_of_subset(name)]
+    count = len(evaluation.tasks_of(names[0])) if names else 0
     return [f"*: on {count} evenly spaced tasks; --whole measures all"] if names else []
 
 
 def scale_free_figures(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
-    """The two figures that carry across data sets and machines: Meta's gap closed, and its speed-up over Overfit.
+    """Return the share of the gap that Meta closes and its speed-up over Overfit; both carry across data sets.
 
-    There is no gap to close if Overfit is no better than General.
+    The gap is between the errors of General and Overfit; there is none if Overfit is no better than General.
+
+    Args:
+        rows: rows that include General's, Overfit's and Meta's.
+        error: the key of the errors to take.
+        seconds: the key of the seconds to take.
+
+    Returns:
+        The share and the speed-up; None each if it cannot be computed.
     """
     by_name = {row["paradigm"]: row for row in rows}
     general, overfit, meta = (by_name[name] for name in ("general", "overfit", "meta"))
-    gap = speed = None
+    gap = speed_up = None
     if None not in (general[error], overfit[error], meta[error]) and overfit[error] < general[error]:
         gap = (general[error] - meta[error]) / (general[error] - overfit[error])
     if None not in (overfit[seconds], meta[seconds]):
-        speed = overfit[seconds] / meta[seconds]
-    return gap, speed
+        speed_up = overfit[seconds] / meta[seconds]
+    return gap, speed_up

@@ -1,4 +1,8 @@
-"""A table: columns, rows, notes, and its text as Markdown, LaTeX and CSV."""
+"""A table as data: columns, rows and notes, and its text as Markdown, LaTeX and CSV.
+
+A column is a function of a row, so that all tables share their columns and all formats show equal text. The module
+knows neither how rows are made nor how a terminal draws a table.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +15,17 @@ from metapp.evaluation.error_statistics import PairedComparison
 from metapp.storage import Document
 from metapp.storage.fit_folders import Record
 
-Row = Document  # all that is known of a method, whatever columns show; comparisons with another row are `PairedComparison`
+# All that is known of a method, whatever columns show. Its comparisons with another row are PairedComparison.
+Row = Document
 
 
 class Column(NamedTuple):
     """A column of a table.
 
     Attributes:
-        title: above it.
-        key: of the entry that it shows; a dash if that is missing or None.
-        form: a format of numbers, "" for words, which are aligned left, or a function of the row.
+        title: the words above it.
+        key: the key of the row's entry that it shows; a dash stands for an entry that is missing or None.
+        form: a format of numbers, or "" for words, which are aligned left, or a function from the row to its text.
     """
 
     title: str
@@ -28,7 +33,7 @@ class Column(NamedTuple):
     form: str | Callable[[Row], str] = ""
 
     def text(self, row: Row) -> str:
-        """The entry of a row as this column shows it."""
+        """Return the text that this column shows for a row."""
         value = row.get(self.key)
         if value is None:
             return "-"
@@ -39,16 +44,16 @@ class Table(NamedTuple):
     """A table of one application under one protocol.
 
     Attributes:
-        subject: title of the application.
-        title: the figures that it shows.
-        columns: from left to right, after the application's; a terminal shows as many as it has room for.
-        rows: one a method; none if the application has nothing to show.
-        notes: sentences on its columns and rows, which tables may share.
+        app_title: the application's title.
+        title: what the figures of the table are.
+        columns: the columns from left to right, after the application's; a terminal shows as many as it has room for.
+        rows: a row for each method; empty if the application has nothing to show.
+        notes: sentences on columns and rows, which tables may share.
         fits: records of fits that a picture shows side by side, by the method's name.
-        findings: sentences above it: the error's definition, and what it shows.
+        findings: sentences above the table: the error's definition, and what the table shows.
     """
 
-    subject: str
+    app_title: str
     title: str
     columns: tuple[Column, ...]
     rows: list[Row]
@@ -57,14 +62,14 @@ class Table(NamedTuple):
     findings: Sequence[str] = ()
 
     @property
-    def whole_title(self) -> str:
+    def full_title(self) -> str:
         """The title with the application and the number of tasks."""
         count = max((row["tasks"] for row in self.rows), default=0)
-        return f"{self.subject}, {f'{count} unseen tasks: ' if count else ''}{self.title}"
+        return f"{self.app_title}, {f'{count} unseen tasks: ' if count else ''}{self.title}"
 
 
 def bytes_column(title: str, key: str) -> Column:
-    """A column of bytes, to three digits."""
+    """Make a column of byte counts, to three digits with a unit."""
 
     def text(row: Row) -> str:
         for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
@@ -75,11 +80,11 @@ def bytes_column(title: str, key: str) -> Column:
     return Column(title, key, text)
 
 
-def comparison_columns(other: str) -> tuple[Column, Column]:
-    """The columns that compare rows with another one."""
-    key = f"vs_{other}"
+def comparison_columns(compared_row: str) -> tuple[Column, Column]:
+    """Make the two columns that compare rows with another row: by error, and by the tasks it is lower on."""
+    key = f"vs_{compared_row}"
     return (
-        Column(f"vs {other}", key, lambda row: str(row[key])),
+        Column(f"vs {compared_row}", key, lambda row: str(row[key])),
         Column("lower on", key, lambda row: f"{row[key].ahead}/{row[key].tasks}"),
     )
 
@@ -100,32 +105,42 @@ COMMON_COLUMNS = {
 }
 
 
-def columns(*items: str | Column) -> tuple[Column, ...]:
-    """Columns from left to right, of COMMON if they are given by name."""
-    return tuple(column for item in items for column in ([item] if isinstance(item, Column) else COMMON_COLUMNS[item]))
+def columns(*names_or_columns: str | Column) -> tuple[Column, ...]:
+    """Return columns from left to right; names stand for columns of COMMON_COLUMNS."""
+    return tuple(
+        column
+        for name_or_column in names_or_columns
+        for column in ([name_or_column] if isinstance(name_or_column, Column) else COMMON_COLUMNS[name_or_column])
+    )
 
 
 def flatten_row(row: Row) -> Row:
-    """A row as JSON and CSV have it: `vs_<row>` is a comparison's value, `vs_<row>_low` and so on the rest of it."""
-    plain: Row = {}
+    """Return a row as JSON and CSV have it, with plain numbers for comparisons.
+
+    A comparison's value stands under `vs_<row>`, its other fields under `vs_<row>_low` and so on.
+    """
+    flat_row: Row = {}
     for key, value in row.items():
         if key.startswith("vs_"):
             fields = value._asdict() if value else dict.fromkeys(PairedComparison._fields)
-            plain |= {key if name == "value" else f"{key}_{name}": entry for name, entry in fields.items()}
+            flat_row |= {key if name == "value" else f"{key}_{name}": entry for name, entry in fields.items()}
         else:
-            plain[key] = value
-    return plain
+            flat_row[key] = value
+    return flat_row
 
 
 def app_and_protocol(row: Row) -> str:
-    """The application of a row, and its protocol, if any."""
+    """Return the name of a row's application, with the protocol if it has one."""
     return f"{row['app']} {row.get('observe', '')}".rstrip()
 
 
 def format_csv(rows: Sequence[Row]) -> str:
-    """Rows, as of `flatten_row`, with all they hold, whatever columns show.
+    """Format rows as CSV, with all their entries, whatever columns show.
 
-    >>> csv_of([{"app": "brdf", "error": 0.72}, {"app": "texture", "error": None}]).splitlines()
+    Args:
+        rows: rows that :func:`flatten_row` returned.
+
+    >>> format_csv([{"app": "brdf", "error": 0.72}, {"app": "texture", "error": None}]).splitlines()
     ['app,error', 'brdf,0.72', 'texture,']
     """
     buffer = io.StringIO()
@@ -136,18 +151,27 @@ def format_csv(rows: Sequence[Row]) -> str:
 
 
 def format_tables(tables: Sequence[Table], form: str) -> str:
-    """The tables of several applications, of the same columns, as one in "markdown" or "latex"."""
-    shown = tables[0].columns
-    header = ["app", *(column.title for column in shown)]
-    body = [[app_and_protocol(row), *(column.text(row) for column in shown)] for table in tables for row in table.rows]
+    """Format tables of several applications, which have equal columns, as one table.
+
+    Args:
+        tables: the tables.
+        form: "markdown" or "latex".
+    """
+    shown_columns = tables[0].columns
+    header = ["app", *(column.title for column in shown_columns)]
+    body = [
+        [app_and_protocol(row), *(column.text(row) for column in shown_columns)]
+        for table in tables
+        for row in table.rows
+    ]
     notes = [(app_and_protocol(table.rows[0]), [*table.findings, *table.notes]) for table in tables if table.rows]
     if form == "markdown":
         grid = [header, ["---"] * len(header), *body]
-        below = [line for name, lines in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in lines))]
-        return "\n".join([*("| " + " | ".join(line) + " |" for line in grid), *below])
+        note_lines = [line for name, lines in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in lines))]
+        return "\n".join([*("| " + " | ".join(line) + " |" for line in grid), *note_lines])
     escape = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#"})
-    tex = [" & ".join(text.translate(escape) for text in line) + r" \\" for line in (header, *body)]
-    align = "l" + "".join("r" if column.form else "l" for column in shown)
-    below = [f"% {name}: {note}" for name, lines in notes for note in lines]
-    top = [rf"\begin{{tabular}}{{{align}}}", r"\toprule", tex[0], r"\midrule"]
-    return "\n".join([*top, *tex[1:], r"\bottomrule", r"\end{tabular}", *below])
+    row_lines = [" & ".join(text.translate(escape) for text in line) + r" \\" for line in (header, *body)]
+    align = "l" + "".join("r" if column.form else "l" for column in shown_columns)
+    note_lines = [f"% {name}: {note}" for name, lines in notes for note in lines]
+    head_lines = [rf"\begin{{tabular}}{{{align}}}", r"\toprule", row_lines[0], r"\midrule"]
+    return "\n".join([*head_lines, *row_lines[1:], r"\bottomrule", r"\end{tabular}", *note_lines])

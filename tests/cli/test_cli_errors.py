@@ -77,7 +77,10 @@ def test_names_that_are_no_utf_8_are_text_in_json(metapp: Callable, network: Pat
             json.dumps(json.loads(line), ensure_ascii=False).encode()
     assert sum(rb"caf\\udce9" in text for text in texts) == 2
     assert metapp("compare", runs[0], runs[0], "--json").done["picture"]
-    assert "2 of 2 inputs have such a fit already, and are skipped" in metapp("meta", *words[:-1], "--resume").err
+    assert (
+        "2 of 2 inputs are skipped, since they have a fit by equal settings"
+        in metapp("meta", *words[:-1], "--resume").err
+    )
 
 
 @pytest.mark.parametrize(

@@ -124,14 +124,14 @@ def test_one_input_prints_a_line_and_the_files_that_were_asked_for(metapp: Calla
         "general", "brdf", *(networks / f"m{i}" for i in range(6)), "--recipe", "quick", "--export", "merl"
     )
     assert "mean error; other columns: median" in several.out
-    assert "merl: 6 of them, the first runs/brdf/general-quick/m0/merl/m0.binary" in several.err
+    assert "merl: 6 files, the first is runs/brdf/general-quick/m0/merl/m0.binary" in several.err
 
 
 def test_a_name_that_begins_with_a_dash_is_no_option(metapp: Callable, networks: Path) -> None:
     for name in ("-m1", "-out.csv", "--m1"):
         shutil.copytree(networks / "m1", name)
         for words in (("general", "brdf", name), ("view", name), ("export", name, "merl"), ("data", "check", name)):
-            assert f"{name}: a file whose name begins with a dash, read as options; write ./{name}." in (
+            assert f"{name}: a file whose name begins with a dash, which would be read as options; write ./{name}." in (
                 metapp(*words).misuse
             )
     options = ("--recipe", "quick", "--quiet")
@@ -249,17 +249,17 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     monkeypatch.setitem(RECIPES, "quick", replace(short, app=Interrupted(short.app.network)))
     result = fit("overfit")
     assert result.code == 130
-    assert "the same command goes on with training where it was, with --resume with fits" in result.err
+    assert "the same command goes on with training where it stopped, and with --resume it fits only" in result.err
     (run,) = (file.parents[1] for file in Path("runs").rglob(RECORD))
     (kept,) = read_fit_records(run)
-    assert "1 of 2 inputs have such a fit already, and are skipped" in fit("overfit", "--resume").err
+    assert "1 of 2 inputs are skipped, since they have a fit by equal settings" in fit("overfit", "--resume").err
     first, second = read_fit_records(run)
     assert first == kept
     assert second["name"] == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
     assert fit("overfit").code == 130  # run again, without --resume
     assert read_fit_records(run) == [first, second]
-    assert "2 of 2 fits, and their pictures, replace earlier ones; --resume keeps these" in fit("overfit").err
+    assert "2 of 2 fits and their pictures replace earlier ones; --resume keeps earlier fits" in fit("overfit").err
 
 
 def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:

@@ -72,15 +72,15 @@ def test_a_kill_after_the_checkpoint_is_written_keeps_it_once(command: Callable[
 
 def _stops_once_kept(*words: str) -> None:
     """Be the command, and stop where a training checkpoint is first written after a validation, until it may go on."""
-    write = checkpoint_training.save_state
+    write = checkpoint_training.save_training_state
 
     def written(path: Path, fields: dict[str, Any], settings: dict[str, Any]) -> None:
         write(path, fields, settings)
         if path.is_file() and fields["curve"]:
-            checkpoint_training.save_state = write
+            checkpoint_training.save_training_state = write
             os.kill(os.getpid(), signal.SIGSTOP)
 
-    checkpoint_training.save_state = written
+    checkpoint_training.save_training_state = written
     forks.metapp(*words)
 
 

@@ -82,7 +82,7 @@ def test_what_was_fitted_is_not_fitted_again(fit: Callable, fitted: list[list[st
     again = fit("--batch", "4", "--resume")  # another number is the same run
     assert fitted == []
     assert (again.document["tasks_per_second"], again.document["tasks"]) == (None, first["tasks"])
-    assert "5 of 5 inputs have such a fit already, and are skipped" in again.err
+    assert "5 of 5 inputs are skipped, since they have a fit by equal settings" in again.err
     for file in (materials / "m3").iterdir():
         file.touch()  # which does not change its content
     shutil.rmtree(materials / "m1")
@@ -155,5 +155,5 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     names = ["one", *(name_with_digest("one", str((materials / name).resolve())) for name in NAMES[1:])]
     first = errors(fit("--batch", "8").document)
     assert list(first) == names
-    assert "5 of 5 fits, and their pictures, replace earlier ones" in (again := fit()).err
+    assert "5 of 5 fits and their pictures replace earlier ones" in (again := fit()).err
     assert list(errors(again.document)) == names

@@ -94,7 +94,7 @@ def test_help_of_every_command_fits_a_screen(metapp: Callable, monkeypatch: pyte
     ):
         shown = metapp(*words, "--help").out.strip("\n")
         assert len(shown.splitlines()) <= 40, words
-    assert "Of all random draws. Default: 0." in metapp("data", "cornell", "--help").out
+    assert "Seed of all random draws. Default: 0." in metapp("data", "cornell", "--help").out
     assert "Folder to write to; made if missing. Required." in metapp("data", "merl", "--help").out
 
 

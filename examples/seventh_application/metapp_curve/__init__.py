@@ -1,4 +1,7 @@
-"""Curves as a seventh application of metapp, with their files, an export and a baseline."""
+"""Curves as a seventh application of metapp, with their files, an export and a baseline.
+
+Importing the package is cheap: the registry names what it holds, and metapp imports that when it is asked for.
+"""
 
 from dataclasses import dataclass
 
@@ -16,7 +19,7 @@ class Curve(Converter):
 
 
 def register(registry: Registry) -> None:
-    """Add the application and all that it has."""
+    """Register the application and all that belongs to it."""
     registry.applications["curve"] = Application(
         "metapp_curve.app:Curve",
         title="Curve",

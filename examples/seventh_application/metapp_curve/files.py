@@ -1,4 +1,4 @@
-"""Curves as text: one number y a line, evenly spaced in x."""
+"""Curves as text files: one number y a line, evenly spaced in x; and the export of fits as CSV."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path) -> Sources:
-    """Find curves, those of a folder sorted."""
+    """Find the curves of a path: a file, or the files of a folder, sorted by name."""
     files = sorted(path.glob("*.curve")) if path.is_dir() else [path]
     return [Source(file.stem, file) for file in files], []
 
 
 def read_task(path: Path) -> Task:
-    """Read a curve.
+    """Read a curve as a task, named by its file.
 
     Raises:
-        ValueError: not 32 numbers.
+        ValueError: the file holds other than 32 numbers.
     """
     import torch
 
@@ -45,12 +45,12 @@ def read_task(path: Path) -> Task:
 
 
 def export(app: Curve, theta: Params, path: Path) -> None:
-    """Write x and y of a fit, a line a sample, as <path>.csv."""
+    """Write x and y of a fit as <path>.csv, a line a sample."""
     import torch
 
-    one = {key: value[None] for key, value in theta.items()}
+    parameters = {key: value[None] for key, value in theta.items()}
     x = torch.linspace(-1, 1, 32)
-    rows = zip(x.tolist(), app.value(one, x[None, None])[0, 0].tolist(), strict=True)
+    rows = zip(x.tolist(), app.value(parameters, x[None, None])[0, 0].tolist(), strict=True)
     lines = ["x,y", *(f"{x:.6g},{y:.6g}" for x, y in rows)]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.with_suffix(".csv").write_text("\n".join(lines) + "\n")

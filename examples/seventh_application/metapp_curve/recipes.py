@@ -1,4 +1,4 @@
-"""How curves are fitted and what their rules learn."""
+"""Recipes of curves: how long and by which rates curves are fitted, and what rules learn."""
 
 from __future__ import annotations
 

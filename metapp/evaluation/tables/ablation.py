@@ -1,11 +1,13 @@
 """The paper's ablation: General's initialisation with Meta's rule, Meta's initialisation with Adam, both, neither.
 
-Nothing is trained: initialisations and rules that are there are combined anew in the same fit, for all learned rules.
+Nothing is trained: the initialisations and rules of existing checkpoints are combined anew, for each learned rule.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+
+from typing_extensions import override
 
 from metapp.evaluation.error_statistics import is_significant
 from metapp.evaluation.rows import comparison_notes, make_row
@@ -29,92 +31,102 @@ ABLATION_COLUMNS = columns(
 
 
 class RuleAlone(Meta):
-    """Meta's rule from General's prediction."""
+    """Meta's learned rule, from General's prediction instead of Meta's initialisation."""
 
     name = "ablation-rule"
 
     @property
+    @override
     def guard(self) -> Guard:
-        """A fit is doubtful by its own initialisation alone."""
+        """The guard by QuickFT's Adam: a fit is doubtful by its own initialisation alone."""
         return Guard(self.recipe.quickft)
 
 
 class InitialisationAlone(QuickFT):
-    """QuickFT's Adam from Meta's initialisation."""
+    """QuickFT's Adam, from Meta's initialisation instead of General's prediction."""
 
     name = "ablation-start"
 
+    @override
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """Meta's initialisation."""
         return Meta.of(self.app, self.recipe).initialisation(phi, tasks, rng)
 
 
-def ablation(subject: EvaluationRun) -> Table:
-    """Neither, one of the two, and both, for every learned rule that has a checkpoint."""
-    names = learned_rule_rows(subject)
-    of_quickft, _, *both = result_rows(subject, ("quickft", "general", *names))
-    rows = [of_quickft | {"start": "general", "rule": "adam"}]
-    for name, row in zip(names, both, strict=True):
-        for start, by, records in combine_halves(subject, name):
-            entries = {"start": start, "rule": by, "steps": row["steps"]}
-            rows.append(make_row(subject, f"{start}+{by}", records, entries, COMPARED_ROWS))
+def ablation(evaluation: EvaluationRun) -> Table:
+    """Make the table of learned initialisation and learned rule: neither, each alone, and both, for every rule."""
+    names = learned_rule_rows(evaluation)
+    quickft_row, _, *rule_rows = result_rows(evaluation, ("quickft", "general", *names))
+    rows = [quickft_row | {"start": "general", "rule": "adam"}]
+    for name, row in zip(names, rule_rows, strict=True):
+        for initialisation, rule, records in combine_halves(evaluation, name):
+            entries = {"start": initialisation, "rule": rule, "steps": row["steps"]}
+            rows.append(make_row(evaluation, f"{initialisation}+{rule}", records, entries, COMPARED_ROWS))
         rows.append(row | {"start": f"meta ({row['rule']})"})
     rows = [row | {"apart": is_significant(row["vs_quickft"])} for row in rows]
     notes = [
-        "adam: QuickFT's, searched on validation tasks for General's initialisation",
+        "adam: QuickFT's Adam, whose options were searched on validation tasks from General's initialisation",
         *(
-            f"{subject.runs[name].options.rule} begins at General's own prediction: rows that differ in the "
-            "initialisation alone are of the same fits"
+            f"{evaluation.runs[name].options.rule} begins at General's own prediction, so rows that differ in the "
+            "initialisation alone show the same fits"
             for name in names
-            if has_general_initialisation(subject, name)
+            if has_general_initialisation(evaluation, name)
         ),
         *comparison_notes(rows),
     ]
-    title = f"mean error{subject.app.error_measure.factor} of initialisations and rules"
-    return Table(subject.title, title, ABLATION_COLUMNS, rows, notes, findings=(subject.presenter.caption(),))
+    title = f"mean error{evaluation.app.error_measure.factor} of initialisations and rules"
+    return Table(evaluation.title, title, ABLATION_COLUMNS, rows, notes, findings=(evaluation.presenter.caption(),))
 
 
-def learned_rule_rows(subject: EvaluationRun) -> list[str]:
-    """The rows of the results by a learned rule, with the network that General predicts."""
-    return [name for name, run in subject.runs.items() if run.paradigm.has_learned_rule and run.app == subject.app]
+def learned_rule_rows(evaluation: EvaluationRun) -> list[str]:
+    """Return the rows of the results by a learned rule, for the network whose parameters General predicts."""
+    return [
+        name for name, run in evaluation.runs.items() if run.paradigm.has_learned_rule and run.app == evaluation.app
+    ]
 
 
-def combine_halves(subject: EvaluationRun, name: str) -> list[tuple[str, str, list[Record]]]:
-    """A learned rule's row with one of its halves replaced: (initialisation, rule, records) of both.
+def combine_halves(evaluation: EvaluationRun, name: str) -> list[tuple[str, str, list[Record]]]:
+    """Fit the tasks of a learned rule's row with its rule alone and with its initialisation alone.
 
     Args:
-        subject: of which application.
+        evaluation: the application under a protocol, with its tasks and records.
         name: the row, "meta" or "meta:<rule>".
 
     Returns:
-        Nothing if a checkpoint is missing.
+        (initialisation, rule, records) of both combinations; [] if a checkpoint is missing.
     """
-    runs = [subject.runs[row] for row in (name, "general", "quickft")]
-    found = [run.checkpoint for run in runs if run.checkpoint]
-    if len(found) < len(runs):
+    runs = [evaluation.runs[row] for row in (name, "general", "quickft")]
+    checkpoints = [run.checkpoint for run in runs if run.checkpoint]
+    if len(checkpoints) < len(runs):
         return []
-    run, (meta, general, quickft) = runs[0], (checkpoint.phi for checkpoint in found)
+    run, (meta, general, quickft) = runs[0], (checkpoint.phi for checkpoint in checkpoints)
     rule, adam = run.options.rule, runs[2].paradigm.adam(quickft)
-    if has_general_initialisation(subject, name):
-        return [("general", rule, subject.records(name)), (f"meta ({rule})", "adam", subject.records("quickft"))]
+    if has_general_initialisation(evaluation, name):
+        return [("general", rule, evaluation.records(name)), (f"meta ({rule})", "adam", evaluation.records("quickft"))]
 
-    def fitted(kind: type[RuleAlone | InitialisationAlone], start: str, by: str, phi: MetaParameters) -> list[Record]:
-        paradigm = kind.of(run.app, run.recipe, rule, run.paradigm.steps)
-        checkpoint = Checkpoint(phi, "combined", "+".join(one.digest for one in found))
-        settings = {"rule": rule, "adam": asdict(adam) if adam and kind is InitialisationAlone else None}
-        changed = replace(run, paradigm=paradigm, checkpoint=checkpoint)
-        return subject.fitted(f"ablation {start} + {by}", changed, subject.tasks_of(name), settings)
+    def fit_half(
+        paradigm_class: type[RuleAlone | InitialisationAlone], initialisation: str, rule_name: str, phi: MetaParameters
+    ) -> list[Record]:
+        paradigm = paradigm_class.of(run.app, run.recipe, rule, run.paradigm.steps)
+        checkpoint = Checkpoint(phi, "combined", "+".join(checkpoint.digest for checkpoint in checkpoints))
+        settings = {"rule": rule, "adam": asdict(adam) if adam and paradigm_class is InitialisationAlone else None}
+        combined_run = replace(run, paradigm=paradigm, checkpoint=checkpoint)
+        return evaluation.fit_records(
+            f"ablation {initialisation} + {rule_name}", combined_run, evaluation.tasks_of(name), settings
+        )
 
     halves = (
         (RuleAlone, "general", rule, MetaParameters(alpha=meta.alpha, encoder=general.encoder)),
         (InitialisationAlone, f"meta ({rule})", "adam", meta._replace(alpha=quickft.alpha)),
     )
-    return [(start, by, fitted(kind, start, by, phi)) for kind, start, by, phi in halves]
+    return [
+        (initialisation, rule_name, fit_half(half, initialisation, rule_name, phi))
+        for half, initialisation, rule_name, phi in halves
+    ]
 
 
-def has_general_initialisation(subject: EvaluationRun, name: str) -> bool:
-    """True if a learned rule begins at General's own prediction."""
-    meta, general = (subject.runs[row].checkpoint for row in (name, "general"))
+def has_general_initialisation(evaluation: EvaluationRun, name: str) -> bool:
+    """Return whether a learned rule begins at General's own prediction."""
+    meta, general = (evaluation.runs[row].checkpoint for row in (name, "general"))
     if meta is None or general is None or not meta.phi.encoder:
         return False
     return tensor_digest(meta.phi.encoder) == tensor_digest(general.phi.encoder)

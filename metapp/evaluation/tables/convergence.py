@@ -1,7 +1,7 @@
 """The paper's convergence: traces of fits along their steps, and further steps that bring Meta within 1 % of Overfit.
 
-The fits of rows are timed, so nothing is measured during them; here the same fits, of the same draws, are made again
-for a few tasks.
+The fits of table rows are timed, so no error is measured during them. Here equal fits, with equal random draws, are
+made again for a few tasks.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fitting import rng_of
 from metapp.storage.fit_folders import Record
 
-TRACED_TASKS = 5  # tasks
-STEP_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+TRACED_TASKS = 5  # test tasks whose fits are traced along their steps
+STEP_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a fit's steps, after which errors are measured
 CURVE_PARADIGMS = ("overfit", "finetune", "quickft", "meta")
-FURTHER_STEPS = (8, 16, 32, 65, 130)  # steps after Meta's
+FURTHER_STEPS = (8, 16, 32, 65, 130)  # gradient steps by Adam after Meta's own
 CONVERGENCE_COLUMNS = columns(
     "paradigm",
     *(Column("of its steps", "part"), Column("step", "step")),
@@ -30,116 +30,130 @@ CONVERGENCE_COLUMNS = columns(
 )
 
 
-def convergence(subject: EvaluationRun) -> Table:
-    """Meta's error after each part of its steps, then after further steps, and Overfit's on the same tasks."""
-    records, known = trace_records(subject), paper_figures()["further_steps"]
+def convergence(evaluation: EvaluationRun) -> Table:
+    """Make the table of Meta's errors after shares of its steps and after further steps, beside Overfit's error."""
+    records, paper = trace_records(evaluation), paper_figures()["further_steps"]
 
-    def row(paradigm: str, part: str, step: object, errors: Sequence[float | None]) -> Row:
+    def step_row(paradigm: str, part: str, step: object, errors: Sequence[float | None]) -> Row:
         traced = [record | {"error": error} for record, error in zip(records, errors, strict=True)]
         entries = {"part": part, "step": step, "further": None, "near": None, "paper_further": None}
-        return make_row(subject, paradigm, traced, entries)
+        return make_row(evaluation, paradigm, traced, entries)
 
-    def after(paradigm: str, part: float) -> Row:
-        step = step_at(part, subject.runs[paradigm].paradigm.steps)
-        return row(paradigm, f"{part:.0%}", step, [dict(one["curves"][paradigm]).get(step) for one in records])
+    def row_at_share(paradigm: str, share: float) -> Row:
+        step = step_at(share, evaluation.runs[paradigm].paradigm.steps)
+        errors = [dict(record["curves"][paradigm]).get(step) for record in records]
+        return step_row(paradigm, f"{share:.0%}", step, errors)
 
-    last = row("meta", "further", None, [record["further"][-1][1] for record in records])
-    last["paper_further"] = known["steps"]
+    further_row = step_row("meta", "further", None, [record["further"][-1][1] for record in records])
+    further_row["paper_further"] = paper["steps"]
     notes = [
-        f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER_STEPS))} of them; step: the median "
-        f"over tasks of those after which Meta is within {known['within']:.0%} of Overfit",
+        f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER_STEPS))} steps; step: the "
+        f"median over tasks of the further steps after which Meta is within {paper['within']:.0%} of Overfit",
     ]
-    if needed := [further_steps_needed(record) for record in records]:
-        middle = sorted(needed, key=lambda value: FURTHER_STEPS[-1] + 1 if value is None else value)[
-            (len(needed) - 1) // 2
+    if needed_steps := [further_steps_needed(record) for record in records]:
+        median = sorted(needed_steps, key=lambda value: FURTHER_STEPS[-1] + 1 if value is None else value)[
+            (len(needed_steps) - 1) // 2
         ]
-        last |= {"further": middle, "near": sum(value is not None for value in needed)}
-        last["step"] = f"+{middle}" if middle is not None else f"> +{FURTHER_STEPS[-1]}"
-        notes.append(f"{last['near']} of {len(records)} tasks come so near (paper: {known['steps']} further steps)")
-    notes.append(f"traces of {len(_traced(subject))} of {len(subject.tasks)} tasks, evenly spaced")
-    rows = [*(after("meta", part) for part in STEP_SHARES), last, after("overfit", 1.0)]
-    title = f"error{subject.app.error_measure.factor} along Meta's steps"
-    return Table(subject.title, title, CONVERGENCE_COLUMNS, rows, notes)
+        further_row |= {"further": median, "near": sum(value is not None for value in needed_steps)}
+        further_row["step"] = f"+{median}" if median is not None else f"> +{FURTHER_STEPS[-1]}"
+        notes.append(
+            f"{further_row['near']} of {len(records)} tasks come within {paper['within']:.0%} of Overfit "
+            f"(paper: after {paper['steps']} further steps)"
+        )
+    notes.append(f"traces of {len(_select_traced(evaluation))} of {len(evaluation.tasks)} tasks, evenly spaced")
+    rows = [*(row_at_share("meta", share) for share in STEP_SHARES), further_row, row_at_share("overfit", 1.0)]
+    title = f"error{evaluation.app.error_measure.factor} along Meta's steps"
+    return Table(evaluation.title, title, CONVERGENCE_COLUMNS, rows, notes)
 
 
 def further_steps_needed(record: Record) -> int | None:
-    """Further steps after which Meta's error is within 1 % of Overfit's; None if FURTHER was not enough."""
+    """Return the further steps after which Meta's error is within 1 % of Overfit's; None if none suffice."""
     steps, error = record["further"][-1]
     return steps if is_near(error, record["curves"]["overfit"][-1][1]) else None
 
 
-def is_near(error: float | None, wanted: float | None) -> bool:
-    """True if an error is at most so much above another as the paper's are in the end."""
-    if error is None or wanted is None:
+def is_near(error: float | None, other_error: float | None) -> bool:
+    """Return whether an error exceeds another error by no more than the paper's does after its further steps, 1 %."""
+    if error is None or other_error is None:
         return False
     within: float = paper_figures()["further_steps"]["within"]
-    return error - wanted <= within * abs(wanted)
+    return error - other_error <= within * abs(other_error)
 
 
-# Traces
+# Traces of fits along their steps
 
 
-def _traced(subject: EvaluationRun) -> list[Task]:
-    return select_evenly(subject.tasks, TRACED_TASKS if subject.whole else subject.few)
+def _select_traced(evaluation: EvaluationRun) -> list[Task]:
+    """Return the test tasks whose fits are traced."""
+    return select_evenly(evaluation.tasks, TRACED_TASKS if evaluation.whole else evaluation.long_fit_tasks)
 
 
-def trace_records(subject: EvaluationRun) -> list[Record]:
-    """Traces of a few tasks: errors of each paradigm along its steps, and of further steps of Meta."""
-    settings = {"app": subject.app.name, **protocol_entry(subject.app), "further": FURTHER_STEPS}
-    kept = subject.kept("trace", settings, ("curves", "further"), CURVE_PARADIGMS)
-    steps = sum(subject.runs[name].paradigm.steps for name in CURVE_PARADIGMS) + sum(FURTHER_STEPS)
+def trace_records(evaluation: EvaluationRun) -> list[Record]:
+    """Return traces of a few tasks: errors of each paradigm along its steps, and after further steps of Meta."""
+    settings = {"app": evaluation.app.name, **protocol_entry(evaluation.app), "further": FURTHER_STEPS}
+    folder = evaluation.record_folder("trace", settings, ("curves", "further"), CURVE_PARADIGMS)
+    steps = sum(evaluation.runs[name].paradigm.steps for name in CURVE_PARADIGMS) + sum(FURTHER_STEPS)
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
-        return ((_trace(subject, task), None) for task in tasks)
+        return ((_trace(evaluation, task), None) for task in tasks)
 
-    return subject.measured("trace", kept, measure, _traced(subject), steps)
+    return evaluation.measure_records("trace", folder, measure, _select_traced(evaluation), steps)
 
 
-def step_at(part: float, steps: int) -> int:
-    """The step at which so much of the steps is done."""
-    return round(part * steps)
+def step_at(share: float, steps: int) -> int:
+    """Return the step at which this share of all steps is done."""
+    return round(share * steps)
 
 
 def curve_steps(steps: int) -> set[int]:
-    """Steps of measured errors: at PARTS, and at a quarter of the rest of these, again and again."""
-    return {step_at(part, steps) for part in STEP_SHARES} | {round(steps / 4**i) for i in range(2, 16) if steps >= 4**i}
+    """Return the steps after which errors are measured: at STEP_SHARES, and ever closer to the first step."""
+    return {step_at(share, steps) for share in STEP_SHARES} | {
+        round(steps / 4**power) for power in range(2, 16) if steps >= 4**power
+    }
 
 
-def _trace(subject: EvaluationRun, task: Task) -> Record:
-    """The record of one task."""
-    stacked = stack_tasks(subject.app, [task], subject.run.device)
+def _trace(evaluation: EvaluationRun, task: Task) -> Record:
+    """Trace the fits of one task and return the record."""
+    stacked = stack_tasks(evaluation.app, [task], evaluation.run.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
     for name in CURVE_PARADIGMS:
-        run = subject.runs[name]
-        measured = curve_steps(run.paradigm.steps)
-        descent = run.paradigm.descend(run.phi, stacked, rng_of(run, task))  # the fit of the row
-        states = {now.step: now.theta for now in descent if now.step in measured}  # [1, ...] each
-        curves[name] = [(step, _error_of(subject, states[step], stacked)) for step in sorted(measured)]
-    meta = states[run.paradigm.steps]  # the last of CURVES
-    further = _further(subject, task, stacked, meta, curves["overfit"][-1][1])
+        run = evaluation.runs[name]
+        measured_steps = curve_steps(run.paradigm.steps)
+        descent = run.paradigm.descend(run.phi, stacked, rng_of(run, task))  # equals the fit of the row: of equal draws
+        states = {state.step: state.theta for state in descent if state.step in measured_steps}  # [1, ...] each
+        curves[name] = [(step, _error_of(evaluation, states[step], stacked)) for step in sorted(measured_steps)]
+    meta = states[run.paradigm.steps]  # `run` and `states` are still Meta's, the last of CURVE_PARADIGMS
+    further = _continue_meta(evaluation, task, stacked, meta, curves["overfit"][-1][1])
     return {"name": task.name, "error": curves["meta"][-1][1], "curves": curves, "further": further}
 
 
-def _error_of(subject: EvaluationRun, theta: Params, stacked: Tasks) -> float | None:
-    """The table's error; None if the task holds no reference."""
-    errors = subject.app.errors(theta, stacked)
-    return subject.app.error_measure.scale * float(errors["error"][0]) if errors else None
+def _error_of(evaluation: EvaluationRun, theta: Params, stacked: Tasks) -> float | None:
+    """Return the error as the table prints it; None if the task holds no reference."""
+    errors = evaluation.app.errors(theta, stacked)
+    return evaluation.app.error_measure.scale * float(errors["error"][0]) if errors else None
 
 
-def _further(
-    subject: EvaluationRun, task: Task, stacked: Tasks, theta: Params, wanted: float | None
+def _continue_meta(
+    evaluation: EvaluationRun, task: Task, stacked: Tasks, theta: Params, overfit_error: float | None
 ) -> list[tuple[int, float | None]]:
-    """Errors after further steps by Finetune's Adam from Meta's result, until one is within 1 % of Overfit's.
+    """Fit on from Meta's result by Finetune's Adam, until the error is within 1 % of Overfit's.
+
+    Args:
+        evaluation: the application under a protocol, with its runs.
+        task: the task.
+        stacked: the task as a stack of one.
+        theta: Meta's result, [1, ...].
+        overfit_error: Overfit's error on the task; None if it is not known.
 
     Returns:
-        (steps, error); each is a descent of its own, whose rate decays to the end.
+        (further steps, error) of descents, each of which begins at Meta's result and has a rate that decays to its end.
     """
-    recipe = subject.run.recipe
-    errors = [(0, _error_of(subject, theta, stacked))]
+    recipe = evaluation.run.recipe
+    errors = [(0, _error_of(evaluation, theta, stacked))]
     for steps in FURTHER_STEPS:
-        if wanted is None or is_near(errors[-1][1], wanted):
+        if overfit_error is None or is_near(errors[-1][1], overfit_error):
             break
-        rng = rng_of(subject.run, task)
-        rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(subject.app, recipe.batch)
-        errors.append((steps, _error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
+        rng = rng_of(evaluation.run, task)
+        rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(evaluation.app, recipe.batch)
+        errors.append((steps, _error_of(evaluation, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return errors

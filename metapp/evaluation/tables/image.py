@@ -1,4 +1,7 @@
-"""Measures in image space, of pictures that fits make beside the references: `Presenter.picture_errors`."""
+"""The table of measures in image space, of pictures that fits make beside the references.
+
+A presenter makes the pictures and says what they are (`Presenter.picture_errors`); the registry has the measures.
+"""
 
 from __future__ import annotations
 
@@ -27,72 +30,87 @@ IMAGE_COLUMNS = columns(
 )
 
 
-def image(subject: EvaluationRun) -> Table:
-    """A row for each measure of each picture; those that are made without a fit come first."""
-    rows = _rows(subject, picture_records(subject)) if subject.presenter.picture_measure else []
-    notes = image_notes(subject, rows)
-    return Table(subject.title, "measures in image space", IMAGE_COLUMNS, rows, notes)
+def image(evaluation: EvaluationRun) -> Table:
+    """Make the table of image measures: a row for each measure of each picture, those without a fit first."""
+    rows = _make_rows(evaluation, picture_records(evaluation)) if evaluation.presenter.picture_measure else []
+    notes = image_notes(evaluation, rows)
+    return Table(evaluation.title, "measures in image space", IMAGE_COLUMNS, rows, notes)
 
 
-def picture_records(subject: EvaluationRun) -> list[Record]:
-    """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
-    app = subject.app
-    by_paradigm = {name: {record["name"]: record for record in subject.records(name)} for name in PARADIGMS}
+def picture_records(evaluation: EvaluationRun) -> list[Record]:
+    """Measure the pictures of all paradigms, task by task, since the paradigms share a task's reference."""
+    app = evaluation.app
+    by_paradigm = {name: {record["name"]: record for record in evaluation.records(name)} for name in PARADIGMS}
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in tasks:
-            of_task = {name: records[task.name] for name, records in by_paradigm.items()}
-            fitted = {name: TimedFit(read_checked_params(one, app), one["seconds"]) for name, one in of_task.items()}
+            task_records = {name: records[task.name] for name, records in by_paradigm.items()}
+            fits = {
+                name: TimedFit(read_checked_params(record, app), record["seconds"])
+                for name, record in task_records.items()
+            }
             yield (
-                {"name": task.name, "error": None, "measures": measure_pictures(subject.presenter, fitted, task)},
+                {"name": task.name, "error": None, "measures": measure_pictures(evaluation.presenter, fits, task)},
                 None,
             )
 
-    settings = {"app": app.name, "measure": [subject.presenter.picture_measure, describe_picture_measures(app.name)[0]]}
-    kept = subject.kept("image", settings, ("measures",), PARADIGMS)
-    return subject.measured("pictures", kept, measure, min(map(subject.tasks_of, PARADIGMS), key=len))
+    settings = {
+        "app": app.name,
+        "measure": [evaluation.presenter.picture_measure, describe_picture_measures(app.name)[0]],
+    }
+    folder = evaluation.record_folder("image", settings, ("measures",), PARADIGMS)
+    return evaluation.measure_records("pictures", folder, measure, min(map(evaluation.tasks_of, PARADIGMS), key=len))
 
 
-def _rows(subject: EvaluationRun, records: list[Record]) -> list[Row]:
+def _make_rows(evaluation: EvaluationRun, records: list[Record]) -> list[Row]:
+    """Make the rows of all measures, of pictures without a fit and of all paradigms."""
     measures = [record["measures"] for record in records]
-    others = dict.fromkeys(name for by_name in measures for name in by_name if name not in PARADIGMS)
+    other_names = dict.fromkeys(name for by_name in measures for name in by_name if name not in PARADIGMS)
     keys = dict.fromkeys(key for by_name in measures for values in by_name.values() for key in values)
     return [
-        _row(subject, name, records, key)
+        _make_measure_row(evaluation, name, records, key)
         for key in keys or ("",)
-        for name in (*others, *PARADIGMS)
+        for name in (*other_names, *PARADIGMS)
         if name != REFERENCE_ERROR_NAME or any(key in by_name[name] for by_name in measures)
     ]
 
 
-def _row(subject: EvaluationRun, name: str, records: list[Record], key: str) -> Row:
-    """A row of one measure; "" if nothing was measured yet."""
-    figures, app, measure = paper_figures(), subject.app.name, registry().measures.get(key)
-    bound, ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
-    more_is_better = ssim or (measure is not None and measure.load().more_is_better)
+def _make_measure_row(evaluation: EvaluationRun, name: str, records: list[Record], key: str) -> Row:
+    """Make the row of one method by one measure.
+
+    Args:
+        evaluation: the application under a protocol.
+        name: a paradigm, or the name of a picture that is made without a fit.
+        records: the records of tasks, with their measures.
+        key: the measure; "" if nothing was measured yet.
+    """
+    figures, app, measure = paper_figures(), evaluation.app.name, registry().measures.get(key)
+    bound, is_ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
+    more_is_better = is_ssim or (measure is not None and measure.load().more_is_better)
 
     measured = [record | {"error": record["measures"].get(name, {}).get(key)} for record in records]
     values = list(errors_by_task(measured).values())
-    return make_row(subject, name, measured, {}) | {
+    return make_row(evaluation, name, measured, {}) | {
         "measure": key or None,
         "paper_error": figures["image"].get(app, {}).get(key, {}).get(name),
         "worst": (min(values) if more_is_better else max(values)) if values else None,
-        "share": statistics.fmean(value >= bound for value in values) if ssim and values else None,
+        "share": statistics.fmean(value >= bound for value in values) if is_ssim and values else None,
         "measured": len(values),
-        "paper_share": figures["ssim"]["share"].get(app, {}).get(name) if ssim else None,
+        "paper_share": figures["ssim"]["share"].get(app, {}).get(name) if is_ssim else None,
     }
 
 
-def image_notes(subject: EvaluationRun, rows: list[Row]) -> list[str]:
-    """Sentences on the measures, the references and the paper."""
+def image_notes(evaluation: EvaluationRun, rows: list[Row]) -> list[str]:
+    """Return sentences on the measures, the references and the paper."""
     sources = paper_figures()["sources"]
-    of_references = [
-        f"the references themselves are off by {row['error']:.3f} {row['measure']}, which all figures of it contain"
+    reference_notes = [
+        f"the references themselves have an error of {row['error']:.3f} {row['measure']}, which all errors "
+        "by this measure contain"
         for row in rows
         if row["paradigm"] == REFERENCE_ERROR_NAME and row["error"] is not None
     ]
-    measures, missing = describe_picture_measures(subject.app.name)
-    lines = [", ".join([subject.presenter.picture_measure, *of_references]), *subset_note(subject)]
+    measures, missing = describe_picture_measures(evaluation.app.name)
+    lines = [", ".join([evaluation.presenter.picture_measure, *reference_notes]), *subset_note(evaluation)]
     lines += [*(f"{name}: {note}" for name, note in measures.items()), *missing]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
@@ -101,6 +119,6 @@ def image_notes(subject: EvaluationRun, rows: list[Row]) -> list[str]:
     ]
     if any(row["paper_share"] is not None for row in rows):
         lines.append(f"paper: {sources['ssim']}")
-    if subject.app.name in paper_figures()["image"]:
+    if evaluation.app.name in paper_figures()["image"]:
         lines.append(f"paper: {sources['image']}")
     return lines

@@ -1,4 +1,4 @@
-"""The cost of paradigms: bytes of m exemplars, as m grows, and samples of a task that a fit sees."""
+"""The cost of paradigms: bytes stored for m exemplars, as m grows, and samples of a task that a fit sees."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.runs.run import Checkpoint
 
-EXEMPLAR_COUNTS = (1, 10, 100, 1000)
+EXEMPLAR_COUNTS = (1, 10, 100, 1000)  # exemplars, m in the paper, that the columns of bytes are for
 STORAGE_COLUMNS = columns(
     "paradigm",
     *(bytes_column(f"m = {count}", f"bytes_{count}") for count in EXEMPLAR_COUNTS),
@@ -33,69 +33,79 @@ SAMPLE_COLUMNS = columns(
 
 
 def parameter_bytes(params: Params) -> int:
-    """Return the bytes of parameters in memory."""
+    """Return the bytes that parameters take in memory."""
     return sum(value.numel() * value.element_size() for value in params.values())
 
 
 def checkpoint_bytes(checkpoint: Checkpoint | None) -> int | None:
-    """Bytes of a checkpoint, from which any fit is made; None if there is none."""
+    """Return the bytes of a checkpoint, from which any fit is made; None if there is no checkpoint."""
     return None if checkpoint is None else sum(parameter_bytes(part) for part in checkpoint.phi)
 
 
-def storage(subject: EvaluationRun) -> Table:
-    """The bytes that each paradigm must keep: networks of all exemplars, or a checkpoint that makes any of them."""
-    network, figures = parameter_bytes(subject.app.init(Generator().manual_seed(0), 1)), paper_figures()["storage"]
+def storage(evaluation: EvaluationRun) -> Table:
+    """Make the table of bytes that each paradigm keeps: networks of all exemplars, or one checkpoint for all."""
+    network_bytes, figures = (
+        parameter_bytes(evaluation.app.init(Generator().manual_seed(0), 1)),
+        paper_figures()["storage"],
+    )
     exemplars, rows = figures["exemplars"], []
-    for name, run in subject.runs.items():
-        once, apiece = (0, network) if run.paradigm.takes_long else (checkpoint_bytes(run.checkpoint), 0)
-        entries = {"network_bytes": network, "once_bytes": once, "each_bytes": apiece}
-        row = make_row(subject, name, [], entries)
-        row["networks"] = None if once is None or apiece else once / network
+    for name, run in evaluation.runs.items():
+        shared_bytes, exemplar_bytes = (
+            (0, network_bytes) if run.paradigm.takes_long else (checkpoint_bytes(run.checkpoint), 0)
+        )
+        entries = {"network_bytes": network_bytes, "once_bytes": shared_bytes, "each_bytes": exemplar_bytes}
+        row = make_row(evaluation, name, [], entries)
+        row["networks"] = None if shared_bytes is None or exemplar_bytes else shared_bytes / network_bytes
         for count in dict.fromkeys((*EXEMPLAR_COUNTS, exemplars)):
-            row[f"bytes_{count}"] = None if once is None else once + count * apiece
+            row[f"bytes_{count}"] = None if shared_bytes is None else shared_bytes + count * exemplar_bytes
         total = row[f"bytes_{exemplars}"]
-        row["factor"] = total / (exemplars * network) if total else None
-        row["pays_from"] = -(-once // network) if once else None
+        row["factor"] = total / (exemplars * network_bytes) if total else None
+        row["pays_from"] = -(-shared_bytes // network_bytes) if shared_bytes else None
         rows.append(row)
     notes = [
-        f"one network: {network:,} bytes; factor: bytes for m = {exemplars} over m networks'; from m = 'pays from' on "
-        "a checkpoint is smaller than m networks",
-        "what is made again from a checkpoint needs the exemplar itself, too, when it is wanted",
+        f"one network: {network_bytes:,} bytes; factor: bytes for m = {exemplars} over the bytes of m networks; pays "
+        "from: the m from which on a checkpoint is smaller than m networks",
+        "a checkpoint makes a network anew only from the exemplar itself, whose bytes are not counted",
         f"paper: {figures['meta_networks']} networks for any m, factor {figures['meta_networks']}/m = "
         f"{figures['factor']:g}",
     ]
-    return Table(subject.title, "bytes for m exemplars", STORAGE_COLUMNS, rows, notes)
+    return Table(evaluation.title, "bytes for m exemplars", STORAGE_COLUMNS, rows, notes)
 
 
-def samples(subject: EvaluationRun) -> Table:
-    """The samples of a task that each paradigm's encoder and steps see, at most all there are."""
-    figures = paper_figures()["samples"].get(subject.app.name)
-    rows = [_sample_row(subject, name) for name in subject.runs]
-    meta = next(row for row in rows if row["paradigm"] == "meta")
-    meta["paper_saved"] = figures and figures["saved"]
-    if meta["seen"] is None:
-        notes = ["how much a fit may see of a task is not known, or there are no tasks yet"]
+def samples(evaluation: EvaluationRun) -> Table:
+    """Make the table of samples of a task that each paradigm's encoder and steps see, at most all there are."""
+    figures = paper_figures()["samples"].get(evaluation.app.name)
+    rows = [_make_sample_row(evaluation, name) for name in evaluation.runs]
+    meta_row = next(row for row in rows if row["paradigm"] == "meta")
+    meta_row["paper_saved"] = figures and figures["saved"]
+    if meta_row["seen"] is None:
+        notes = ["it is not known how many samples of a task a fit may see, or there are no tasks yet"]
     else:
-        notes = ["of what fits may see; samples that are drawn twice are sent once, so 'seen' is an upper bound"]
-        notes += ["each step sees the whole task: nothing to save"] if meta["all"] == 1 else []
-    if figures and meta["seen"] is not None:
-        saved = f"{1 - min(meta['seen'], figures['all']) / figures['all']:.1%}"
-        notes.append(f"paper: meta sees {figures['seen']:,} of {figures['all']:,}; ours, of so many: saved {saved}")
+        notes = [
+            "of: the samples that fits may see; seen: an upper bound, since a sample that is drawn twice counts twice"
+        ]
+        notes += ["each step sees the whole task, so no samples are saved"] if meta_row["all"] == 1 else []
+    if figures and meta_row["seen"] is not None:
+        saved = f"{1 - min(meta_row['seen'], figures['all']) / figures['all']:.1%}"
+        notes.append(
+            f"paper: meta sees {figures['seen']:,} of {figures['all']:,}; if it saw as many as here: {saved} saved"
+        )
     title = "samples and bytes of a task that a fit sees"
-    return Table(subject.title, title, SAMPLE_COLUMNS, rows, notes)
+    return Table(evaluation.title, title, SAMPLE_COLUMNS, rows, notes)
 
 
-def _sample_row(subject: EvaluationRun, name: str) -> Row:
-    run = subject.runs[name]
-    batch, steps, tasks = run.recipe.batch, run.paradigm.steps, subject.tasks
+def _make_sample_row(evaluation: EvaluationRun, name: str) -> Row:
+    """Make the row of one paradigm: samples and bytes that it sees of a task."""
+    run = evaluation.runs[name]
+    batch, steps, tasks = run.recipe.batch, run.paradigm.steps, evaluation.tasks
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
     entries |= {"steps": steps, "batch": batch if steps else None}
-    row = make_row(subject, name, [], entries)
-    visible = subject.presenter.visible(tasks[0]) if tasks else None
+    row = make_row(evaluation, name, [], entries)
+    visible = evaluation.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row
-    first, none = run.paradigm.preparations[:1], MetaParameters()
-    phi = run.checkpoint.phi if run.checkpoint else first[0].template(none) if first else none
+    preparations, empty_phi = run.paradigm.preparations[:1], MetaParameters()
+    phi = run.checkpoint.phi if run.checkpoint else preparations[0].template(empty_phi) if preparations else empty_phi
     count = min(steps * batch + (visible.encoder if phi.encoder else 0), visible.samples)
     return row | {
         "tasks": len(tasks),

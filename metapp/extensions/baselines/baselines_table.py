@@ -79,7 +79,7 @@ def _able(subject: EvaluationRun) -> list[Baseline]:
             return bool(subject.tasks) and all(baseline.stored in task.data for task in subject.tasks)
         if not (baseline.learns and subject.tasks):
             return True
-        return find_training_folder(subject.run, baseline, make=subject.measuring) is not None
+        return find_training_folder(subject.run, baseline, make=subject.is_measuring) is not None
 
     return [baseline for baseline in baselines_of(subject.app) if able(baseline)]
 
@@ -89,7 +89,7 @@ def baseline_records(subject: EvaluationRun, baseline: Baseline) -> list[Record]
     kept = None
     if subject.tasks and (not baseline.learns or find_training_folder(subject.run, baseline)):
         settings = baseline_settings(subject.run, baseline, subject.label)
-        kept = subject.kept(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
+        kept = subject.record_folder(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
 
     def measured(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         """The record and the picture of each task, as far as it can be fitted."""
@@ -99,16 +99,16 @@ def baseline_records(subject: EvaluationRun, baseline: Baseline) -> list[Record]
         except ValueError as error:
             say(f"{full_name(subject.app)} {baseline.name}: {error}")
 
-    return subject.measured(baseline.name, kept, measured, subject.tasks)
+    return subject.measure_records(baseline.name, kept, measured, subject.tasks)
 
 
 def _row_of_paradigm(subject: EvaluationRun, name: str) -> Row:
     run = subject.runs[name]
     theta = parameters_per_task(run.app)
-    entries = {"shared": checkpoint_bytes(run.checkpoint), "baseline": False, "few": subject.is_of_few(name)}
+    entries = {"shared": checkpoint_bytes(run.checkpoint), "baseline": False, "few": subject.is_of_subset(name)}
     entries |= {"numbers": sum(value.numel() for value in theta.values()), "kept_bytes": parameter_bytes(theta)}
     entries |= paper_entries(run.app, name)
-    records = subject.found(name) if run.paradigm.takes_long else subject.records(name)
+    records = subject.existing_records(name) if run.paradigm.takes_long else subject.records(name)
     return make_row(subject, name, records, entries, ("meta",))
 
 
@@ -123,7 +123,7 @@ def _row_of_baseline(subject: EvaluationRun, name: str, records: list[Record]) -
 def _compared(all_rows: list[Row]) -> list[str]:
     """The baselines of a lower error than Meta's, of a higher one, and those not told apart."""
     pairs = {row["paradigm"]: pair for row in all_rows if (pair := row["vs_meta"])}
-    higher = [name for name, pair in pairs.items() if is_significant(pair) and pair.value > pair.level]
+    higher = [name for name, pair in pairs.items() if is_significant(pair) and pair.value > pair.equal_value]
     level = [name for name, pair in pairs.items() if not is_significant(pair)]
     return [
         *(f"{name}: {comparison_text(pairs[name], 'meta')}" for name in pairs if name not in (*higher, *level)),

@@ -38,7 +38,7 @@ def measure(empty: EvaluationRun, tmp_path: Path) -> Callable:
                 yield {"name": task.name, "error": 1.0}, None
 
         fits = RunFolder(tmp_path / title, {"title": title}, ("error",))
-        return empty.measured(title, fits, of_tasks, empty.tasks, steps, **more)
+        return empty.measure_records(title, fits, of_tasks, empty.tasks, steps, **more)
 
     return measured
 
@@ -51,9 +51,9 @@ def test_missing_records_are_measured_once(measure: Callable, empty: EvaluationR
         assert [(record["name"], record["error"]) for record in records] == [("m0", 1.0), ("m1", 0.5), ("m2", 1.0)]
         assert log == ["m0", "m2"]
     assert all("content" in records[i] for i in (0, 2))
-    empty.measuring = False
+    empty.is_measuring = False
     assert measure("others", log.append) == []
-    assert {title: len(records) for title, (_, records) in empty.asked.items()} == {"some": 3, "others": 0}
+    assert {title: len(records) for title, (_, records) in empty.requested.items()} == {"some": 3, "others": 0}
     assert len(log) == 2
 
 
@@ -65,17 +65,17 @@ def test_an_interrupted_measurement_goes_on_at_the_first_missing_task(measure: C
     with pytest.raises(KeyboardInterrupt):
         measure("some", stop)
     log: list[str] = []
-    empty.asked.clear()  # as of another process
+    empty.requested.clear()  # as of another process
     assert len(measure("some", log.append)) == 3
     assert log == ["m1", "m2"]
 
 
 def test_fits_of_few_steps_come_first(empty: EvaluationRun) -> None:
-    assert empty.found("general") == []
+    assert empty.existing_records("general") == []
     rows = result_rows(empty, ("overfit", "finetune", "general", "quickft"))
     assert [row["paradigm"] for row in rows] == ["overfit", "finetune", "general", "quickft"]
-    assert list(empty.asked) == ["general", "finetune", "quickft", "overfit"]
-    assert [record["name"] for record in empty.found("general")] == ["m0", "m1", "m2"]
+    assert list(empty.requested) == ["general", "finetune", "quickft", "overfit"]
+    assert [record["name"] for record in empty.existing_records("general")] == ["m0", "m1", "m2"]
 
 
 class Heard(Reporter, Bar):

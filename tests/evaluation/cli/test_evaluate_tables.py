@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.evaluation_output import MAX_NOTE_LINES, rich_table
+from metapp.cli.evaluation_output import MAX_NOTE_LINES, make_rich_table
 from metapp.evaluation.subject import EvaluationRun
 from metapp.registry import registry
 from tests.evaluation.cli.subjects import rows
@@ -69,7 +69,7 @@ def test_fits_that_carry_a_warning_are_counted(subject: EvaluationRun) -> None:
             assert [row[kind] for row in found] == [2 * (row["paradigm"] == "meta") for row in found]
         notes = subject.table(name).notes
         assert "meta: 2 of 3 fits ended above their initialisation's loss" in notes
-        assert "meta: 2 of 3 fits look doubtful; their records say why, as `warning`" in notes
+        assert "meta: 2 of 3 fits look doubtful; the entry `warning` of their records says why" in notes
         assert not any("quickft: " in note and ("fits ended" in note or "doubtful" in note) for note in notes)
     assert "threads: 1" in subject.table("quickft").notes
 
@@ -84,12 +84,12 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(width: int, subject
             continue
         console = Console(width=width)
         with console.capture() as shown:
-            console.print(rich_table(table, width))
+            console.print(make_rich_table(table, width))
         text = shown.get()
         assert max(map(len, text.splitlines())) <= width
         assert "…" not in text
         if width == 200:
-            assert len(rich_table(table, width).columns) == len(table.columns)
+            assert len(make_rich_table(table, width).columns) == len(table.columns)
         for row in table.rows:
             assert table.columns[0].text(row) in text, name
 
@@ -114,7 +114,7 @@ def test_tables_are_printed_before_pictures_are_drawn(
     def draw(*_: object) -> None:
         raise OSError("no pictures")
 
-    monkeypatch.setattr(EvaluationRun, "draw", draw)
+    monkeypatch.setattr(EvaluationRun, "draw_fits", draw)
     result = evaluate("--out", done / "runs", "--no-run")
     assert "error: no pictures" in result.err
     assert "[1] " in result.out
@@ -129,7 +129,7 @@ def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, 
 
 
 def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: EvaluationRun) -> None:
-    short = EvaluationRun(subject.run, measuring=True, whole=False, few=2)
+    short = EvaluationRun(subject.run, is_measuring=True, whole=False, long_fit_tasks=2)
     whole, few = ({row["paradigm"]: row for row in rows(one, "results")} for one in (subject, short))
     assert [name for name in few if few[name]["few"]] == ["overfit"]  # of 40 steps; the others have 10 at most
     assert [row["tasks"] for row in few.values()] == [3 - (name == "overfit") for name in few]
@@ -149,7 +149,7 @@ def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: Evaluation
     assert [table.columns[1].text(row).endswith("*") for row in few.values()] == [row["few"] for row in few.values()]
     assert not any("*" in note for note in subject.table("results").notes)
     # what is measured for one table counts for the other
-    short.measuring = False
+    short.is_measuring = False
     for name in ("image", "convergence", "baselines"):
         assert short.table(name).rows
-    assert all(len(tasks) == len(records) for tasks, records in short.asked.values())
+    assert all(len(tasks) == len(records) for tasks, records in short.requested.values())

@@ -11,7 +11,7 @@ from rich.console import Console
 from torch import Generator, Tensor
 
 from metapp.apps import app_of, class_of, presenter_of, recipes_of
-from metapp.cli.evaluation_output import rich_table
+from metapp.cli.evaluation_output import make_rich_table
 from metapp.evaluation.figures import draw_figure as draw_figure
 from metapp.evaluation.subject import EvaluationRun
 from metapp.extensions.baselines import baselines_of
@@ -81,8 +81,8 @@ def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Call
     def make(name: str, protocol: str) -> EvaluationRun:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
         planned = Run.from_options(fit_options(name, "general", **of_app, device="cpu", quiet=True))
-        subject = EvaluationRun(planned, measuring=False)  # paradigms may lack what their checkpoints need
-        subject.measuring = True
+        subject = EvaluationRun(planned, is_measuring=False)  # paradigms may lack what their checkpoints need
+        subject.is_measuring = True
         return subject
 
     return make
@@ -112,7 +112,7 @@ def pretend_paradigms(subject: EvaluationRun, error: float = 1.0) -> None:
     """Records of Meta that cost nothing, and none of other paradigms."""
     records = [{"name": task.name, "error": error, "seconds": 1.0, "threads": 1} for task in subject.tasks]
     for name in subject.runs:
-        subject.asked[name] = subject.tasks, records if name == "meta" else []
+        subject.requested[name] = subject.tasks, records if name == "meta" else []
 
 
 def rows_of(subject: EvaluationRun) -> dict[str, dict[str, Any]]:
@@ -141,7 +141,7 @@ def test_every_application_has_baselines_and_its_table_prints_them(
         assert (row["seconds"] is None) == bool(baseline.stored)
         assert not baseline.learns or row["shared"] > 0
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
-        console.print(rich_table(table))
+        console.print(make_rich_table(table))
     text = " ".join(shown.get().split())
     assert not any("no training tasks" in note for note in table.notes)
     drawn = ["nearest", "quilting"] if name in ("texture", "svbrdf_stationary") else []
@@ -159,11 +159,11 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
     fits = RunFolder(subject.run.options.out / "meta", {"of": "meta"})
     pretend_paradigms(subject)
     records = [fits.write({"name": task.name, "error": 1.0}, theta) for task in subject.tasks]
-    subject.asked["meta"] = subject.tasks, records
-    assert subject.draw("baselines", {}) is None
+    subject.requested["meta"] = subject.tasks, records
+    assert subject.draw_fits("baselines", {}) is None
     table = subject.table("baselines")
     assert list(table.fits) == ["meta", "nearest", "quilting"]
-    drawn = subject.draw("baselines", table.fits)
+    drawn = subject.draw_fits("baselines", table.fits)
     assert drawn == subject.run.options.out / "texture" / f"baselines-{subject.label}-quick.png"
     assert drawn.read_bytes().startswith(b"\x89PNG")
     kept = subject.run.options.out / "texture" / f"baseline-quilting-{subject.label}-quick" / "t6"
@@ -184,8 +184,8 @@ def test_notes_say_who_is_ahead(
         meta.append({"name": task.name, "error": 1.0 + i, "seconds": 1.0, "folder": str(tmp_path)})
         error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
         other.append(meta[-1] | {"error": error, "seconds": 0.5, "numbers": 1, "kept_bytes": 4, "shared": 8})
-    subject.asked |= {"meta": (subject.tasks, meta), baselines_of(subject.app)[0].name: (subject.tasks, other)}
-    subject.measuring = False
+    subject.requested |= {"meta": (subject.tasks, meta), baselines_of(subject.app)[0].name: (subject.tasks, other)}
+    subject.is_measuring = False
     assert any(said in note for note in subject.table("baselines").findings)
 
 
@@ -205,7 +205,7 @@ def test_the_plane_shows_baselines(subject_of: Callable[[str, str], EvaluationRu
     subject = subject_of("svbrdf_nonstationary", "photo")
     pretend_paradigms(subject, 5.0)
     baseline_records(subject, baselines_of(subject.app)[0])
-    subject.measuring = False
+    subject.is_measuring = False
     drawn = draw_figure("plane", subject)
     assert drawn
     assert "Meta 5.000 in 1 s" in drawn[1]
@@ -226,7 +226,7 @@ def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
     with use_reporter(Heard()):
         assert baseline_records(subject, baselines_of(subject.app)[0]) == []
     assert any("pca_20" in line and "other angles" in line for line in messages)
-    subject.measuring = False
+    subject.is_measuring = False
     assert rows_of(subject)["pca_20"]["tasks"] == 0
 
 
@@ -238,7 +238,7 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
     pretend_paradigms(subject)
     notes = subject.table("baselines").notes
-    assert subject.asked.keys() - subject.runs.keys() == {"ggx_2"}  # nothing is missing
+    assert subject.requested.keys() - subject.runs.keys() == {"ggx_2"}  # nothing is missing
     assert any("no training tasks; metapp data synth brdf" in note for note in notes)
 
 

@@ -49,7 +49,7 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
         tasks=[task],
         groups={task.name: task.name},
         runs={},
-        is_of_few=lambda name: False,
+        is_of_subset=lambda name: False,
     )
     monkeypatch.setattr(image, "PARADIGMS", {"meta": None})
     monkeypatch.setattr(image, "picture_records", lambda subject: records)

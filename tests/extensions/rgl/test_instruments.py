@@ -185,7 +185,7 @@ def test_what_cannot_be_converted_is_refused_in_one_line(metapp: Callable) -> No
         return metapp("export", words[0], to, *words[1:], "--out", "out", "-q")
 
     assert convert("nowhere").refusal.startswith("error: nowhere: no such file, expected a run, MERL tables, RGL files")
-    assert "paint.csv: no run, expected no INPUT" in convert("paint.csv", "paint.csv").misuse
+    assert "paint.csv: not a run, expected no INPUT" in convert("paint.csv", "paint.csv").misuse
     assert convert("paint.csv").refusal.endswith(
         "fit other measurements: metapp meta brdf paint.csv --export merl,bsdf."
     )
