@@ -1,15 +1,18 @@
-"""All that extensions which ship have, by name: a function for each, which an entry point in setup.cfg names."""
+"""What each extension that ships adds to the registry, by name: a function for each, which setup.cfg names.
+
+References are texts, so that nothing of an extension is imported before it is used.
+"""
 
 from __future__ import annotations
 
 from metapp.registry import Entry, Export, Format, Registry
 
 _MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
-_HERE = "metapp.extensions"
+_HERE = "metapp.extensions"  # the package that references begin with
 
 
 def assets(registry: Registry) -> None:
-    """Fitted materials and textures as other programs take them: glTF, USD, MaterialX, Mitsuba, Blender, pictures."""
+    """Register exports of fitted materials and textures: glTF, USD, MaterialX, Mitsuba, Blender, image files."""
     here = f"{_HERE}.assets"
     for app in (*_MATERIALS, "texture"):
         registry.exports[app, "asset"] = Export(f"{here}.surface_pictures:write_asset", of_surface=True)
@@ -24,7 +27,7 @@ def assets(registry: Registry) -> None:
 
 
 def baselines(registry: Registry) -> None:
-    """Methods without a network, their command and their table."""
+    """Register methods without a network, their command and their table."""
     methods = {
         "brdf": ("pca_20", "pca_66", "pca_150", "ggx_2", "nearest"),
         "illumination": ("sh", "unwrap"),
@@ -42,7 +45,7 @@ def baselines(registry: Registry) -> None:
 
 
 def capture(registry: Registry) -> None:
-    """Light and materials captured by hand: a mirror ball in several photos, flat materials in hand-held photos."""
+    """Register what reads photos taken by hand: of a mirror ball, and of flat materials."""
     here = f"{_HERE}.capture"
     registry.formats["ball"] = Format(f"{here}.ball.ball_reader", app="illumination", inputs="LDR photos of a ball")
     registry.merges["illumination", "shutter"] = Entry(f"{here}.ball.capture:merge_photos")
@@ -52,24 +55,24 @@ def capture(registry: Registry) -> None:
 
 
 def compare(registry: Registry) -> None:
-    """Two runs side by side."""
+    """Register the command that shows runs side by side."""
     registry.commands["compare"] = Entry(f"{_HERE}.compare.compare_command:compare_command")
 
 
 def doctor(registry: Registry) -> None:
-    """A report on the installation."""
+    """Register the command that reports on the installation."""
     registry.commands["doctor"] = Entry(f"{_HERE}.doctor.doctor_command:doctor_command")
 
 
 def examples(registry: Registry) -> None:
-    """Commands that work as they are, and the input files that they name."""
+    """Register commands that work as they are, and the command that prints them."""
     registry.commands["examples"] = Entry(f"{_HERE}.examples.examples_command:examples_command")
     for app in ("brdf", "illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport"):
         registry.examples[app] = Entry(f"{_HERE}.examples.application_examples:{app.upper()}_EXAMPLES")
 
 
 def guided(registry: Registry) -> None:
-    """Path guiding while rendering: an integrator of Mitsuba 3, and `--render` of transport."""
+    """Register path guiding while rendering: an integrator of Mitsuba 3, and the output `--render` of transport."""
     registry.plugins["metapp_guided_path"] = Entry(
         f"{_HERE}.guided.integrator:register_guided_path",
         help="guided_path guides all bounces and learns while it renders",
@@ -78,18 +81,18 @@ def guided(registry: Registry) -> None:
 
 
 def measures(registry: Registry) -> None:
-    """Measures of the field, of pictures of fits beside the references."""
+    """Register measures that compare pictures of fits with the references."""
     here = f"{_HERE}.measures"
-    # PSNR compares pixel by pixel, which says nothing of pictures that are generated from noise
-    aligned = ("brdf", "svbrdf_nonstationary", "illumination", "transport")
-    flat = ("texture", "svbrdf_stationary", "svbrdf_nonstationary")
+    # PSNR compares pixel by pixel, which says nothing about pictures that are generated from noise.
+    aligned_apps = ("brdf", "svbrdf_nonstationary", "illumination", "transport")
+    flat_apps = ("texture", "svbrdf_stationary", "svbrdf_nonstationary")
     registry.measures["CIE 2000, median"] = Entry(
         f"{here}.pixels:MEDIAN_COLOUR_DIFFERENCE",
         "CIE 2000 colour difference (D65), of which about 1 is just noticeable",
         ("brdf",),
     )
     registry.measures["CIE 2000, 95 %"] = Entry(
-        f"{here}.pixels:HIGH_COLOUR_DIFFERENCE", "the same, 95th percentile", ("brdf",)
+        f"{here}.pixels:HIGH_COLOUR_DIFFERENCE", "CIE 2000 colour difference (D65), 95th percentile", ("brdf",)
     )
     registry.measures["sliced Wasserstein"] = Entry(
         f"{here}.textures:WASSERSTEIN",
@@ -101,28 +104,28 @@ def measures(registry: Registry) -> None:
         "of exemplars that repeat, the autocorrelation's peaks on their lattice, as high as the exemplar's at 1",
         ("texture",),
     )
-    registry.measures["PSNR"] = Entry(f"{here}.pixels:PSNR", "dB, at most 100, more is better", aligned)
+    registry.measures["PSNR"] = Entry(f"{here}.pixels:PSNR", "dB, at most 100, more is better", aligned_apps)
     registry.measures["LPIPS"] = Entry(
         f"{here}.perceptual:LPIPS",
         "Zhang et al. 2018, version 0.1, 0 for equal pictures",
-        (*flat, "illumination", "transport"),
+        (*flat_apps, "illumination", "transport"),
     )
-    registry.measures["DISTS"] = Entry(f"{here}.perceptual:DISTS", "Ding et al. 2020, 0 for equal pictures", flat)
+    registry.measures["DISTS"] = Entry(f"{here}.perceptual:DISTS", "Ding et al. 2020, 0 for equal pictures", flat_apps)
 
 
 def mitsuba_bsdfs(registry: Registry) -> None:
-    """Fits as BSDFs of Mitsuba 3."""
+    """Register BSDFs of Mitsuba 3 that show fits."""
     registry.plugins["neural_brdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_brdf:register_neural_brdf")
     registry.plugins["neural_svbrdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_svbrdf:register_neural_svbrdf")
 
 
 def native(registry: Registry) -> None:
-    """Steps of learning in C, and by torch, compiled."""
+    """Register steps of learning in C, and compiled by torch."""
     registry.hooks["steps"] = Entry(f"{_HERE}.native.step_choice:choose_steps")
 
 
 def onnx_files(registry: Registry) -> None:
-    """Fitted BRDFs, and General of flash photographs, as ONNX models."""
+    """Register exports of fitted BRDFs, and of General of flash photographs, as ONNX models."""
     here = f"{_HERE}.onnx_files"
     registry.exports["brdf", "onnx"] = Export(
         f"{here}.brdf_model:write_onnx", needs=("onnxscript", "onnx and onnxscript")
@@ -134,7 +137,7 @@ def onnx_files(registry: Registry) -> None:
 
 
 def rgl(registry: Registry) -> None:
-    """BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
+    """Register BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
     here = f"{_HERE}.rgl"
     registry.formats["bsdf"] = Format(f"{here}.rgl", app="brdf", inputs="RGL .bsdf files")
     registry.commands["data bsdf"] = Entry(f"{here}.bsdf_converter:BsdfConverter")
@@ -148,7 +151,7 @@ def rgl(registry: Registry) -> None:
 
 
 def scene_files(registry: Registry) -> None:
-    """Scene files of Mitsuba as inputs of light transport."""
+    """Register scene files of Mitsuba as inputs of light transport."""
     here = f"{_HERE}.scene_files"
     registry.formats["mitsuba"] = Format(
         f"{here}.scene_reader", app="transport", inputs="Mitsuba scenes (.xml, .json) with a perspective camera"
@@ -158,19 +161,19 @@ def scene_files(registry: Registry) -> None:
 
 
 def shaders(registry: Registry) -> None:
-    """Fitted BRDFs as source code of shaders."""
-    weights = ("w1", "b1", "w2", "b2", "w3", "b3")  # 675 numbers; other networks are distilled into these
+    """Register exports of fitted BRDFs as source code of shaders."""
+    weights = ("w1", "b1", "w2", "b2", "w3", "b3")  # 675 numbers; other networks are distilled into a network of these
     for name in ("cpp", "glsl", "hlsl", "materialx", "osl", "wgsl"):
         registry.exports["brdf", name] = Export(f"{_HERE}.shaders.shader_files:write_{name}", holds=weights)
 
 
 def vgg(registry: Registry) -> None:
-    """ImageNet weights of VGG-16, which losses on pictures read: found or fetched, once."""
+    """Register the command that finds or fetches the ImageNet weights of VGG-16, which losses on pictures read."""
     registry.commands["data vgg"] = Entry(f"{_HERE}.vgg.vgg_command:vgg_command")
 
 
 def viewer(registry: Registry) -> None:
-    """Interactive HTML pages of fits."""
+    """Register interactive HTML pages of fits, and the commands that write them."""
     here = f"{_HERE}.viewer"
     registry.commands["view"] = Entry(f"{here}.viewer_commands:view_command")
     registry.commands["try"] = Entry(f"{here}.viewer_commands:try_command")

@@ -1,8 +1,9 @@
-"""MaterialX: an OpenPBR Surface, <name>.mtlx, beside its pictures, PNG of 16 bits.
+"""The MaterialX export: an OpenPBR Surface in <name>.mtlx, beside its pictures as PNG of 16 bits.
 
 F0 is exact. OpenPBR reflects specular_weight ((ior - 1) / (ior + 1))^2 at normal incidence, times specular_color: the
-weight carries the greatest channel of F0, the colour the ratio of the others to it, and the index is that of the
-greatest F0 of the map. At grazing angles the colour tints the reflection still, where Schlick's Fresnel is white.
+weight carries the greatest channel of F0, the colour the ratio of the other channels to it, and the index of refraction
+gives the greatest F0 of the map. Towards grazing angles the colour still tints the reflection, where Schlick's Fresnel
+term is white.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from metapp.extensions.assets.surface_pictures import describe_provenance, fill_
 from metapp.storage.xml_files import write_xml
 
 MATERIALX_TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}
-MAX_F0 = 0.9999  # F0; beyond, no index of refraction
+MAX_F0 = 0.9999  # a surface of F0 1 has no finite index of refraction
 IMAGE_TEMPLATE = """<image name="{key}" type="{type}">
   <input name="file" type="filename" value="NAME_{key}.png"{space}/>
   <input name="uaddressmode" type="string" value="{mode}"/>
   <input name="vaddressmode" type="string" value="{mode}"/>
 </image>"""
-# specular_weight carries the greatest channel of F0 over the reflectance of the index, specular_color the others' ratio
+# specular_weight is the greatest channel of F0, divided by the reflectance of the index of refraction; specular_color
+# is F0 divided by its greatest channel.
 MATERIALX_TEMPLATE = """<materialx version="1.39" colorspace="lin_rec709">
   <nodegraph name="maps">
     {images}
@@ -74,35 +76,39 @@ MATERIALX_TEMPLATE = """<materialx version="1.39" colorspace="lin_rec709">
 
 
 def write_openpbr(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
-    """Write <path>/<name>.mtlx and its pictures."""
-    planes = {key: plane for key, plane in fitted_surface_maps(surface).items() if key in MATERIALX_TYPES}
-    write_surface_maps(planes, path)
-    highest = float(planes["specular"].values.max())
-    write_xml(path / f"{path.name}.mtlx", openpbr_document(path.name, highest, surface.tiles, provenance))
+    """Write a surface as <path>/<name>.mtlx with its pictures; `name` is the last part of `path`."""
+    surface_maps = {
+        key: surface_map for key, surface_map in fitted_surface_maps(surface).items() if key in MATERIALX_TYPES
+    }
+    write_surface_maps(surface_maps, path)
+    greatest_f0 = float(surface_maps["specular"].values.max())
+    write_xml(path / f"{path.name}.mtlx", openpbr_document(path.name, greatest_f0, surface.tiles, provenance))
 
 
 def index_of_refraction(f0: float) -> float:
-    """The index of refraction whose reflectance at normal incidence is f0."""
+    """Return the index of refraction whose reflectance at normal incidence is `f0`."""
     root = math.sqrt(min(max(f0, 1e-4), MAX_F0))
     return (1 + root) / (1 - root)
 
 
 def openpbr_document(name: str, highest: float, tiles: bool, provenance: Mapping[str, object]) -> ET.Element:
-    """The document: a node graph of pictures and their arithmetic, a surface, a material.
+    """Return the MaterialX document: a node graph of pictures and their arithmetic, a surface, a material.
 
     Args:
-        name: of the asset; file names begin with it.
+        name: the name of the asset, with which file names begin.
         highest: the greatest F0 of the map.
-        tiles: True if pictures go on at their edges.
-        provenance: told in a comment.
+        tiles: whether the pictures continue periodically at their edges.
+        provenance: how the fit was made; stated in a comment.
     """
-    index, mode = index_of_refraction(highest), "periodic" if tiles else "clamp"
-    spaces = {"color3": ' colorspace="srgb_texture"'}
+    refraction_index, address_mode = index_of_refraction(highest), "periodic" if tiles else "clamp"
+    colour_spaces = {"color3": ' colorspace="srgb_texture"'}
     images = [
-        IMAGE_TEMPLATE.format(key=key, type=kind, mode=mode, space=spaces.get(kind, ""))
+        IMAGE_TEMPLATE.format(key=key, type=kind, mode=address_mode, space=colour_spaces.get(kind, ""))
         for key, kind in MATERIALX_TYPES.items()
     ]
-    reflectance = ((index - 1) / (index + 1)) ** 2
-    root = ET.fromstring(MATERIALX_TEMPLATE.format(images="".join(images), index=index, reflectance=reflectance))
+    reflectance = ((refraction_index - 1) / (refraction_index + 1)) ** 2
+    root = ET.fromstring(
+        MATERIALX_TEMPLATE.format(images="".join(images), index=refraction_index, reflectance=reflectance)
+    )
     root.insert(0, ET.Comment(f" fitted by metapp: {describe_provenance(provenance).replace('--', '- -')} "))
     return fill_in_name(root, name)

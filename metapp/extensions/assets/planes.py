@@ -1,4 +1,7 @@
-"""All maps of a surface that other programs take: those of the fit, of the metallic-roughness workflow, occlusion."""
+"""The maps of a surface that other programs take: the fitted maps, the metallic-roughness workflow, occlusion.
+
+Exports of all formats choose among these maps. Nothing here knows of files.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,13 @@ Encoding = Literal["srgb", "linear", "stretched"]
 
 
 class SurfaceMap(NamedTuple):
-    """One map as a file holds it.
+    """A map of a surface, with the way in which an image file holds it.
 
     Attributes:
-        values: [1 or 3, H, W], linear; in [0, 1] but for heights.
-        encoding: how a file of integers should hold it: colours as sRGB, data as they are, heights over their range.
-        meaning: in words, with the unit.
+        values: the texels, [1 or 3, H, W], linear; in [0, 1] except for heights.
+        encoding: how a file of integers holds the values: colours as sRGB, data linearly, heights stretched to their
+            range.
+        meaning: what the map holds, in words, with the unit.
     """
 
     values: Tensor
@@ -28,7 +32,7 @@ class SurfaceMap(NamedTuple):
 
 
 def fitted_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
-    """The fit's own maps, by name: heights in texture widths, about a mean of 0."""
+    """Return the maps that were fitted, by name; heights are in texture widths and have a mean of 0."""
     if surface.maps is None:
         return {"basecolor": SurfaceMap(surface.base, "srgb", "colour")}
     maps = surface.maps
@@ -42,15 +46,18 @@ def fitted_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
 
 
 def all_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
-    """The fit's own maps and derived ones: the metallic-roughness workflow, occlusion, DirectX normals."""
-    planes = fitted_surface_maps(surface)
+    """Return the fitted maps and those derived from them, by name.
+
+    Derived are the maps of the metallic-roughness workflow, ambient occlusion, and normals as DirectX has them.
+    """
+    surface_maps = fitted_surface_maps(surface)
     if surface.maps is None:
-        return planes
+        return surface_maps
     base, metallic = specular_to_metallic(surface.maps.diffuse, surface.maps.specular)
-    occlusion = occlusion_from_height(planes["height"].values * surface.size[1], periodic=surface.tiles)
-    x, y, z = planes["normal_gl"].values.unbind()
+    occlusion = occlusion_from_height(surface_maps["height"].values * surface.size[1], periodic=surface.tiles)
+    x, y, z = surface_maps["normal_gl"].values.unbind()
     packed = torch.cat([occlusion, surface.maps.roughness, metallic])
-    return planes | {
+    return surface_maps | {
         "basecolor": SurfaceMap(base, "srgb", "base colour of the metallic-roughness workflow"),
         "metallic": SurfaceMap(metallic, "linear", "metallic of the metallic-roughness workflow"),
         "normal_dx": SurfaceMap(torch.stack([x, 1 - y, z]), "linear", "normal, 0..1 for -1..1; x right, y down, z out"),
@@ -60,16 +67,21 @@ def all_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
 
 
 def specular_to_metallic(diffuse: Tensor, specular: Tensor) -> tuple[Tensor, Tensor]:
-    """Base colour [..., 3, H, W] and metallic [..., 1, H, W] of diffuse and specular colour, all in [0, 1].
+    """Return base colour and metallic, the nearest material of the metallic-roughness workflow.
 
-    Eliminating the base colour leaves c m^2 + (d + s - 2 c) m - (s - c) = 0, linear in d and s: it is solved for their
-    means over the channels. The base colour is then d + s - c (1 - m). Both are exact if such maps exist
-    (`from_metallic` inverts them); elsewhere they are clamped to [0, 1]: a specular colour below 0.04 or of another hue
-    than the body's is lost, which is why formats that can hold F0 itself get that.
+    The equations are d = c_b (1 - m) for the diffuse colour and s = c (1 - m) + c_b m for the specular one, with base
+    colour c_b, metallic m and the F0 of dielectrics c. Eliminating the base colour leaves c m^2 + (d + s - 2 c) m - (s
+    - c) = 0, linear in d and s: it is solved for their means over the channels. The base colour is then d + s - c (1 -
+    m). Both are exact if such maps exist (`from_metallic` inverts them); elsewhere they are clamped to [0, 1]: a
+    specular colour below 0.04, or of another hue than the base colour's, is lost, which is why formats that can hold F0
+    itself get it.
 
     Args:
-        diffuse: [..., 3, H, W] linear in [0, 1].
-        specular: [..., 1 or 3, H, W], reflectance at normal incidence in [0, 1].
+        diffuse: the diffuse albedo, [..., 3, H, W], linear in [0, 1].
+        specular: the reflectance at normal incidence, [..., 1 or 3, H, W] in [0, 1].
+
+    Returns:
+        The base colour, [..., 3, H, W], and metallic, [..., 1, H, W], both in [0, 1].
     """
     d, s = diffuse.mean(-3, keepdim=True), specular.mean(-3, keepdim=True)
     linear = d + s - 2 * DIELECTRIC_F0

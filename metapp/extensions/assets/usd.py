@@ -1,6 +1,7 @@
-"""USD: a square with a UsdPreviewSurface in its specular workflow, which holds F0 as it is; a folder and one .usdz.
+"""The USD export: a square with a UsdPreviewSurface in its specular workflow, which holds F0 itself.
 
-Written by usd-core: `pip install "metapp[export]"`. Pictures are PNG of 8 bits, which all of USD's viewers read.
+Files are written by usd-core (`pip install "metapp[export]"`): a folder with a layer and its textures, and one .usdz
+package. Pictures are PNG of 8 bits, which all viewers of USD read.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from metapp.storage.files import write_bytes
 
 USD_PNG_BITS = 8
 TEXTURES_FOLDER = "textures"
-PREVIEW_SURFACE_INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
+PREVIEW_SURFACE_INPUTS = {  # by the input of UsdPreviewSurface: the map, the output of its texture, the type
     "diffuseColor": ("diffuse", "rgb", "Color3f"),
     "specularColor": ("specular", "rgb", "Color3f"),
     "roughness": ("roughness", "r", "Float"),
@@ -27,10 +28,10 @@ PREVIEW_SURFACE_INPUTS = {  # of UsdPreviewSurface: map, output of its texture, 
 
 
 def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
-    """Write <path>/<name>.usda with its textures, and <path>/<name>.usdz, which holds all."""
-    planes = all_surface_maps(surface)
+    """Write <path>/<name>.usda with its textures, and <path>/<name>.usdz, a package of all; `name` ends `path`."""
+    surface_maps = all_surface_maps(surface)
     for key, _, _ in PREVIEW_SURFACE_INPUTS.values():
-        write_surface_map(planes[key], path / TEXTURES_FOLDER / f"{path.name}_{key}.png", USD_PNG_BITS)
+        write_surface_map(surface_maps[key], path / TEXTURES_FOLDER / f"{path.name}_{key}.png", USD_PNG_BITS)
     text = usd_layer_text(surface, path.name, provenance)
     layer = path / f"{path.name}.usda"
     write_bytes(layer, text.encode())
@@ -40,7 +41,7 @@ def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) ->
 
 
 def usd_layer_text(surface: Surface, name: str, provenance: Mapping[str, object]) -> str:
-    """The layer as text: one prim with the square and its material."""
+    """Return the text of a USD layer: one prim that holds a rectangle and its material."""
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -48,19 +49,19 @@ def usd_layer_text(surface: Surface, name: str, provenance: Mapping[str, object]
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
     root.GetPrim().SetDocumentation(f"{name}, fitted by metapp: {describe_provenance(provenance)}")
-    mesh = _quad(stage, root.GetPath().AppendChild("Square"), surface)
-    material = _material(stage, root.GetPath().AppendChild("Material"), name, surface.tiles)
+    mesh = _define_rectangle(stage, root.GetPath().AppendChild("Square"), surface)
+    material = _define_material(stage, root.GetPath().AppendChild("Material"), name, surface.tiles)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
-    result: str = stage.GetRootLayer().ExportToString()
-    assert Sdf.Layer.CreateAnonymous(".usda").ImportFromString(result)
-    return result
+    text: str = stage.GetRootLayer().ExportToString()
+    assert Sdf.Layer.CreateAnonymous(".usda").ImportFromString(text)
+    return text
 
 
-def _quad(stage: Usd.Stage, path: Sdf.Path, surface: Surface) -> UsdGeom.Mesh:
-    """A rectangle of width 1 that faces +z."""
-    half = surface.size[0] / surface.size[1] / 2
+def _define_rectangle(stage: Usd.Stage, path: Sdf.Path, surface: Surface) -> UsdGeom.Mesh:
+    """Add a rectangle of width 1 that faces +z to a stage."""
+    half_height = surface.size[0] / surface.size[1] / 2
     mesh = UsdGeom.Mesh.Define(stage, path)
-    corners = [(-0.5, -half, 0), (0.5, -half, 0), (0.5, half, 0), (-0.5, half, 0)]
+    corners = [(-0.5, -half_height, 0), (0.5, -half_height, 0), (0.5, half_height, 0), (-0.5, half_height, 0)]
     mesh.CreatePointsAttr(Vt.Vec3fArray([Gf.Vec3f(*corner) for corner in corners]))
     mesh.CreateExtentAttr(Vt.Vec3fArray([Gf.Vec3f(*corners[0]), Gf.Vec3f(*corners[2])]))
     mesh.CreateFaceVertexCountsAttr([4])
@@ -68,12 +69,15 @@ def _quad(stage: Usd.Stage, path: Sdf.Path, surface: Surface) -> UsdGeom.Mesh:
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateNormalsAttr(Vt.Vec3fArray([Gf.Vec3f(0, 0, 1)] * 4))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    places = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.varying)
-    places.Set(Vt.Vec2fArray([Gf.Vec2f(*place) for place in ((0, 0), (1, 0), (1, 1), (0, 1))]))
+    texture_coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.varying
+    )
+    texture_coordinates.Set(Vt.Vec2fArray([Gf.Vec2f(*coordinates) for coordinates in ((0, 0), (1, 0), (1, 1), (0, 1))]))
     return mesh
 
 
-def _material(stage: Usd.Stage, path: Sdf.Path, name: str, tiles: bool) -> UsdShade.Material:
+def _define_material(stage: Usd.Stage, path: Sdf.Path, name: str, tiles: bool) -> UsdShade.Material:
+    """Add a material with a UsdPreviewSurface and a texture for each of its inputs to a stage."""
     material = UsdShade.Material.Define(stage, path)
     shader = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
     shader.CreateIdAttr("UsdPreviewSurface")
@@ -81,25 +85,26 @@ def _material(stage: Usd.Stage, path: Sdf.Path, name: str, tiles: bool) -> UsdSh
     reader = UsdShade.Shader.Define(stage, path.AppendChild("Place"))
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-    place = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    coordinates = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
     for input_, (key, output, kind) in PREVIEW_SURFACE_INPUTS.items():
-        texture = _texture(stage, path.AppendChild(key), f"./{TEXTURES_FOLDER}/{name}_{key}.png", key, tiles)
-        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(place)
-        source = texture.CreateOutput(
+        texture = _define_texture(stage, path.AppendChild(key), f"./{TEXTURES_FOLDER}/{name}_{key}.png", key, tiles)
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(coordinates)
+        texture_output = texture.CreateOutput(
             output, Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float
         )
-        shader.CreateInput(input_, getattr(Sdf.ValueTypeNames, kind)).ConnectToSource(source)
-    out = shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
-    material.CreateSurfaceOutput().ConnectToSource(out)
+        shader.CreateInput(input_, getattr(Sdf.ValueTypeNames, kind)).ConnectToSource(texture_output)
+    surface_output = shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+    material.CreateSurfaceOutput().ConnectToSource(surface_output)
     return material
 
 
-def _texture(stage: Usd.Stage, path: Sdf.Path, file: str, key: str, tiles: bool) -> UsdShade.Shader:
+def _define_texture(stage: Usd.Stage, path: Sdf.Path, file: str, key: str, tiles: bool) -> UsdShade.Shader:
+    """Add a texture that reads an image file to a stage."""
     texture = UsdShade.Shader.Define(stage, path)
     texture.CreateIdAttr("UsdUVTexture")
     texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(file))
-    colours = key in ("diffuse", "specular")
-    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB" if colours else "raw")
+    is_colour = key in ("diffuse", "specular")
+    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB" if is_colour else "raw")
     for axis in ("wrapS", "wrapT"):
         texture.CreateInput(axis, Sdf.ValueTypeNames.Token).Set("repeat" if tiles else "clamp")
     if key == "normal_gl":

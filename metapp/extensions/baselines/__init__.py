@@ -1,4 +1,9 @@
-"""Baselines: methods without a network, fitted to the data that fits see and judged by the same errors."""
+"""Baselines: methods without a network, fitted to the data that fits see and judged by the same errors.
+
+`baseline` has the contract of a method; `brdf`, `illumination`, `svbrdf_nonstationary`, `svbrdf_stationary` and
+`texture` have the methods of one application each. `baseline_fits` fits them to tasks; `baseline_run` with
+`baseline_command`, and `baselines_table`, are the command and the table.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +17,6 @@ if TYPE_CHECKING:
 
 
 def baselines_of(app: App) -> tuple[Baseline, ...]:
-    """The baselines of an application under its protocol; () if no extension has any."""
+    """Return the baselines of an application under its protocol; () if no extension offers one."""
     functions = dict.fromkeys(registry().load_table("baselines", app.name).values())
     return tuple(method for function in functions for method in function(app))

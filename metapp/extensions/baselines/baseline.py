@@ -1,4 +1,7 @@
-"""The contract of baselines: prepared once on training tasks, then fitted to one task at a time."""
+"""The contract of baselines: prepared once on training tasks, then fitted to one task at a time.
+
+Applications offer baselines by this contract, so that the command and the table know nothing of their methods.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from torch import Generator, Tensor
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task, Tasks
 
-INDEX_NUMBERS_AND_BYTES = 1, 4  # the number of a training task, and its bytes
+INDEX_NUMBERS_AND_BYTES = 1, 4  # an answer that is the index of a training task: one number of four bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,25 +24,25 @@ class TrainingTasks:
     """The training tasks that baselines are prepared on.
 
     Attributes:
-        app: the application.
-        tasks: of the data set, in its order.
+        app: the application of the tasks.
+        tasks: the training tasks of a data set, in its order.
     """
 
     app: App
     tasks: Sequence[Task]
 
     @functools.cached_property
-    def stacked(self) -> Tasks:
-        """All of them, prepared by the application."""
+    def prepared_tasks(self) -> Tasks:
+        """All training tasks, prepared by the application and stacked."""
         return stack_tasks(self.app, self.tasks)
 
 
 class CostLimits(NamedTuple):
-    """The samples and bytes of a baseline, so that it is compared at equal cost.
+    """The numbers of samples and bytes that a baseline may use, so that methods are compared at equal cost.
 
     Attributes:
-        samples: that it may draw, as many as Meta's steps do.
-        network_bytes: bytes of a task's network.
+        samples: the number of samples that a fit may draw, as many as Meta's steps do.
+        network_bytes: the number of bytes of a task's network.
     """
 
     samples: int
@@ -47,43 +50,47 @@ class CostLimits(NamedTuple):
 
 
 class BaselineFit(NamedTuple):
-    """A baseline's fit of a task.
+    """A baseline's fit of one task.
 
     Attributes:
-        answer: makes the argument of `judge_answer`; not timed, as that of a network is not.
-        numbers: that are kept for the task.
-        kept_bytes: their bytes.
-        picture: to show beside the application's fits, linear RGB [H, W, 3], if it is a picture.
-        written: makes the argument of `Presenter.answer_pictures` where files differ from what is judged, of a height
-            and width in px, None for the size that is judged; not timed.
+        answer: a function that makes the answer that :func:`judge_answer` takes; it is not timed, as the evaluation of
+            a network is not timed either.
+        numbers: how many numbers are kept for the task.
+        kept_bytes: how many bytes these numbers take.
+        picture: a picture to show beside the application's fits, linear RGB [H, W, 3]; None if the answer is no
+            picture.
+        answer_at_size: a function that makes the argument of `Presenter.answer_pictures`, where files differ from the
+            judged answer, at a height and width in px; None stands for the judged size. It is not timed.
     """
 
     answer: Callable[[], object]
     numbers: int
     kept_bytes: int
     picture: Tensor | None = None
-    written: Callable[[tuple[int, int] | None], object] | None = None
+    answer_at_size: Callable[[tuple[int, int] | None], object] | None = None
 
 
 class Baseline(ABC):
     """A method that a reader would use instead of a network.
 
     Attributes:
-        name: as rows call it.
-        title: its name in words, with its source.
-        cannot: an ability of networks that it lacks.
-        learns: whether it is prepared on training tasks.
-        stored: the tensor of tasks that holds its answers, which were made elsewhere: it has no time; "" for none.
-        shared: bytes that all tasks share, without which no fit can be evaluated or made; None if not known.
-        sizes: whether its files can have a size that the user asks for (`--size`).
-        chosen: settings that validation tasks have chosen.
+        name: the name by which the option `--method` and the rows of tables call the method.
+        title: the method in words, with its source.
+        cannot: an ability of networks that the method lacks, as words that follow "cannot".
+        learns: whether the method is prepared on training tasks.
+        stored_tensor: the name of the task's tensor that holds the answers of a method that was run elsewhere, and so
+            has no time; "" for methods that make their answers.
+        shared: how many bytes all tasks share, without which no fit can be made or evaluated; None if that is not
+            known.
+        sizes: whether files can have a size that the user asks for (`--size`).
+        chosen: the settings that were chosen on validation tasks.
     """
 
     name: str
     title: str
     cannot: str
     learns = False
-    stored = ""
+    stored_tensor = ""
     shared: int | None = 0
     sizes = False
 
@@ -92,25 +99,31 @@ class Baseline(ABC):
         self.chosen: dict[str, object] = {}
 
     def prepare(self, training: TrainingTasks, allowed: CostLimits) -> None:  # noqa: B027  (nothing to do for most)
-        """Learn from training tasks, once: of methods that do."""
+        """Learn from training tasks, once; methods that learn nothing do nothing."""
 
     @abstractmethod
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
-        """The fit of one task."""
+        """Fit the one selected task.
+
+        Args:
+            tasks: prepared tasks, of which one is selected.
+            rng: the generator of all random draws.
+            allowed: how many samples and bytes the fit may use.
+        """
 
 
 class JudgingApp(Protocol):
-    """An application that judges baselines: its `errors` measures an answer that it makes of a fit by `errors_of`."""
+    """An application that judges baselines: `errors` measures its own fits by `errors_of`, too."""
 
     def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
-        """Return the measures [T] of `App.errors` of an answer: the application's own maps, pictures or densities."""
+        """Return the measures [T] that `App.errors` has, of the application's own maps, pictures or densities."""
 
 
 def judge_answer(app: App, answer: object, tasks: Tasks) -> dict[str, Tensor]:
-    """Measure an answer that does not come from the application's network, by the measures [T] of fits."""
+    """Measure an answer that does not come from the application's network by the measures [T] that fits have."""
     return cast(JudgingApp, app).errors_of(answer, tasks)
 
 
 def tensor_bytes(*tensors: Tensor) -> int:
-    """Bytes of tensors."""
+    """Return the number of bytes that tensors take."""
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)

@@ -1,4 +1,4 @@
-"""`metapp baseline`: run a method of the baselines table on files."""
+"""The command `metapp baseline`, which runs a method of the table of baselines on files."""
 
 from __future__ import annotations
 
@@ -18,41 +18,42 @@ from metapp.registry import registry
 from metapp.runs.fit_options import DEFAULT_TASKS_HELP, FitOptions, fit_options
 from metapp.runs.reporter import say
 
-BASELINE_OPTION_NAMES = ("data", "observe", "recipe", "seed", "out", "quiet")  # of the options of fits
+BASELINE_OPTION_NAMES = ("data", "observe", "recipe", "seed", "out", "quiet")  # options of fits that methods take, too
 
 
 def make_baseline_command(app: str) -> Callable[..., None]:
-    """The command that runs a method on tasks of an application."""
-    names = ", ".join(registry().baselines.of(app))
+    """Return the command that runs a method on tasks of an application."""
+    method_names = ", ".join(registry().baselines.of(app))
 
     def command(inputs: list[Path] | None, method: str, json: bool, **values: Any) -> None:
         run_and_print(fit_options(app, "general", inputs or (), device="cpu", **values), method, json=json)
 
-    files = typer.Argument(
+    inputs_argument = typer.Argument(
         metavar="[INPUT]...",
         rich_help_panel=INPUT,
         help=f"Files of the application or folders; {DEFAULT_TASKS_HELP}.",
     )
-    methods = typer.Option(
+    method_option = typer.Option(
         metavar="NAME",
         rich_help_panel=FIT,
         autocompletion=baseline_words,
-        help=f"{names}.",
+        help=f"{method_names}.",
     )
-    as_json = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
-    taken = [name for name in BASELINE_OPTION_NAMES if name != "observe" or protocols_of(app)]
-    general = [options_by_name(FitOptions)[name] for name in taken]
-    own = [
+    json_option = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
+    option_names = [name for name in BASELINE_OPTION_NAMES if name != "observe" or protocols_of(app)]
+    general_options = [options_by_name(FitOptions)[name] for name in option_names]
+    own_options = [
         option
         for option in options_by_name(app_options_class(app)).values()
         if option.panel != OUTPUT or is_size_option(app, option.name)
     ]
-    parameters = [parameter("json", Annotated[bool, as_json], False)]
-    parameters += [parameter("inputs", Annotated[list[Path] | None, files])]
+    parameters = [parameter("json", Annotated[bool, json_option], False)]
+    parameters += [parameter("inputs", Annotated[list[Path] | None, inputs_argument])]
     parameters += [
-        parameter_of(option, show_default=False, rich_help_panel=option.panel) for option in (*general, *own)
+        parameter_of(option, show_default=False, rich_help_panel=option.panel)
+        for option in (*general_options, *own_options)
     ]
-    parameters += [parameter("method", Annotated[str, methods], "nearest")]
+    parameters += [parameter("method", Annotated[str, method_option], "nearest")]
     return set_signature(command, command, parameters)
 
 
@@ -67,13 +68,20 @@ def is_size_option(app: str, option: str) -> bool:
 
 
 def run_and_print(options: FitOptions, method: str, *, json: bool) -> None:
-    """Run a method on the inputs of options, and print its table."""
+    """Run a method on the inputs of options, and print a table of its fits, or one JSON object."""
     from metapp.extensions.baselines.baseline_run import run_baseline
 
-    done = run_baseline(options, method)
+    baseline_run = run_baseline(options, method)
     if not (options.quiet or json):
-        standard_output().print(done.shown(), soft_wrap=len(done.records) == 1)
+        standard_output().print(baseline_run.describe(), soft_wrap=len(baseline_run.records) == 1)
     if not options.quiet:
-        say(f"{method} cannot {done.cannot}\nfits: {done.path}")
+        say(f"{method} cannot {baseline_run.cannot}\nfits: {baseline_run.path}")
     if json:
-        print_json({"method": method, "out": str(done.path), "cannot": done.cannot, "tasks": done.records})
+        print_json(
+            {
+                "method": method,
+                "out": str(baseline_run.path),
+                "cannot": baseline_run.cannot,
+                "tasks": baseline_run.records,
+            }
+        )

@@ -1,4 +1,4 @@
-"""Fit baselines to tasks, on the same clock and judged by the same errors as paradigms."""
+"""Fits of baselines to tasks, timed by the same clock and judged by the same errors as fits of paradigms."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from metapp.runs.run import Run
 from metapp.storage.fit_folders import Record
 from metapp.storage.shards import read_data_set, read_manifest
 
-BASELINE_RECORD_KEYS = ("error", "numbers", "kept_bytes", "shared")  # of a record
+BASELINE_RECORD_KEYS = ("error", "numbers", "kept_bytes", "shared")  # keys that every record of a baseline has
 
-
-# the record, the picture, and a function of the size of files that makes what `Presenter.answer_pictures` takes
+# The record of a fit, its picture as parameters, and a function that makes the argument of `Presenter.answer_pictures`
+# at a height and width in px.
 JudgedFit = tuple[Record, Params | None, Callable[[tuple[int, int] | None], object]]
 
 
@@ -39,10 +39,10 @@ def find_training_folder(run: Run, baseline: Baseline, *, make: bool = False) ->
     """Return the data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
 
     Args:
-        run: of the evaluation.
-        baseline: which may learn nothing.
-        make: whether the embedded set is made with its training tasks if it is not there; only where its own test
-            tasks are fitted.
+        run: the run that is evaluated.
+        baseline: the method, which may learn nothing.
+        make: whether the embedded set is made with its training tasks where it is missing; it is so only where the test
+            tasks of that set are fitted.
 
     Returns:
         The folder; None if the baseline learns nothing or there are no training tasks.
@@ -59,29 +59,35 @@ def find_training_folder(run: Run, baseline: Baseline, *, make: bool = False) ->
 
 @functools.lru_cache(maxsize=1)
 def read_training_tasks(app: App, folder: Path | None) -> TrainingTasks:
-    """The training tasks of a data set; no tasks if there is no folder."""
+    """Read the training tasks of a data set; without a folder there are no tasks."""
     return TrainingTasks(app, read_data_set(folder, "train", app.name, app.tensors) if folder else [])
 
 
 def cost_limits_of_run(run: Run) -> CostLimits:
-    """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
+    """Return the cost limits of a run: the samples that Meta's steps draw, the bytes of a task's parameters."""
     recipe = run.recipe
     return CostLimits(recipe.steps * recipe.batch, tensor_bytes(*parameters_per_task(run.app).values()))
 
 
 def baseline_settings(run: Run, baseline: Baseline, label: str) -> Record:
-    """Everything that figures of a baseline on data of this name depend on."""
+    """Return everything that figures of a baseline depend on, as a record keeps it.
+
+    Args:
+        run: the run that is evaluated.
+        baseline: the method.
+        label: the name of the fitted data.
+    """
     app, options = run.app, run.options
-    own, source = options.app_options.recorded_values(), find_training_folder(run, baseline)
+    own_options, training_folder = options.app_options.recorded_values(), find_training_folder(run, baseline)
     return {
         "app": app.name,
         **protocol_entry(app),
         "method": baseline.name,
         "data": label,
-        "training": source and data_label(source),
+        "training": training_folder and data_label(training_folder),
         "allowed": cost_limits_of_run(run)._asdict(),
         "recipe": options.recipe,
-        **({"options": own} if own else {}),
+        **({"options": own_options} if own_options else {}),
         "seed": options.seed,
         "versions": software_versions() | {"scipy": metadata.version("scipy")},
         **app.conditions(),
@@ -89,57 +95,59 @@ def baseline_settings(run: Run, baseline: Baseline, label: str) -> Record:
 
 
 def parameters_per_task(app: App) -> Params:
-    """Parameters [1, ...] that a task does not share with others."""
+    """Return the parameters [1, ...], as initialised, that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
-    own = app.network.unshared_parameters if isinstance(app.network, BrdfNetwork) else ()
-    return {key: value for key, value in theta.items() if not own or key in own}
+    unshared_names = app.network.unshared_parameters if isinstance(app.network, BrdfNetwork) else ()
+    return {key: value for key, value in theta.items() if not unshared_names or key in unshared_names}
 
 
 def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[JudgedFit]:
-    """Fit a baseline to tasks, each alone; the time is from the task's samples to the fit.
+    """Fit a baseline to tasks, one after the other, timed from the task's samples to the fit.
 
     Args:
-        run: of the evaluation.
-        baseline: to fit.
-        tasks: to be fitted.
-        warm: fit the first task twice, so that its time is none of a first call, as paradigms' are not.
+        run: the run that is evaluated.
+        baseline: the method to fit.
+        tasks: the tasks to fit.
+        warm: whether the first task is fitted twice, so that its time is not the time of a first call, as with
+            paradigms.
 
     Yields:
-        Of each task. A baseline that is stored has no time.
+        For each task the record, the picture and the function of :data:`JudgedFit`. A record has no time if the method
+        was run elsewhere.
 
     Raises:
-        ValueError: it cannot be fitted to these tasks.
+        ValueError: the baseline cannot be fitted to these tasks.
     """
     app, allowed = run.app, cost_limits_of_run(run)
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
         if baseline.learns:
             baseline.prepare(read_training_tasks(app, find_training_folder(run, baseline)), allowed)
-        for task in tasks[:1] if warm and not baseline.stored else ():
+        for task in tasks[:1] if warm and not baseline.stored_tensor else ():
             baseline.fit(stack_tasks(app, [task]), rng_of(run, task), allowed)
         for task in tasks:
-            rng, begin = rng_of(run, task), time.perf_counter()
-            stacked = stack_tasks(app, [task])
-            fitted = baseline.fit(stacked, rng, allowed)
-            seconds = time.perf_counter() - begin
-            answer = fitted.answer()
-            errors = {key: float(value[0]) for key, value in judge_answer(app, answer, stacked).items()}
+            rng, start = rng_of(run, task), time.perf_counter()
+            prepared_task = stack_tasks(app, [task])
+            fit = baseline.fit(prepared_task, rng, allowed)
+            seconds = time.perf_counter() - start
+            answer = fit.answer()
+            errors = {key: float(value[0]) for key, value in judge_answer(app, answer, prepared_task).items()}
             if errors and not math.isfinite(errors["error"]):
                 raise ValueError(f"{task.name}: the error is not finite.")
-            scale = {"error": app.error_measure.scale}
+            scales = {"error": app.error_measure.scale}
             record = {
                 "name": task.name,
                 "error": None,
-                **{key: scale.get(key, 1.0) * value for key, value in errors.items() if math.isfinite(value)},
-                **({} if baseline.stored else {"seconds": seconds, "threads": torch.get_num_threads()}),
-                "numbers": fitted.numbers,
-                "kept_bytes": fitted.kept_bytes,
+                **{key: scales.get(key, 1.0) * value for key, value in errors.items() if math.isfinite(value)},
+                **({} if baseline.stored_tensor else {"seconds": seconds, "threads": torch.get_num_threads()}),
+                "numbers": fit.numbers,
+                "kept_bytes": fit.kept_bytes,
                 "shared": baseline.shared,
                 "chosen": baseline.chosen,
             }
-            written = fitted.written or functools.partial(_as_it_is, answer)
-            yield record, None if fitted.picture is None else {PICTURE_KEY: fitted.picture}, written
+            answer_at_size = fit.answer_at_size or functools.partial(_return_judged_answer, answer)
+            yield record, None if fit.picture is None else {PICTURE_KEY: fit.picture}, answer_at_size
 
 
-def _as_it_is(answer: object, size: tuple[int, int] | None) -> object:
-    """Return what was judged, of methods whose files show it and have no other size."""
+def _return_judged_answer(answer: object, size: tuple[int, int] | None) -> object:
+    """Return the judged answer, for methods whose files show it and have no other size."""
     return answer

@@ -1,4 +1,4 @@
-"""A method without a network, run on the inputs of a command, its answers kept as fits are."""
+"""A method without a network, run on the inputs of a command; its answers are kept in a run's folder, as fits are."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from metapp.storage.fit_folders import RunFolder
 
 
 class BaselineRun(NamedTuple):
-    """What a method made of the inputs of a command.
+    """The answers of a method to the inputs of a command.
 
     Attributes:
-        method: its name.
-        cannot: what it cannot do, in words.
-        presenter: of the application.
-        path: the folder of its answers.
-        records: of all tasks.
+        method: the name of the method.
+        cannot: what the method cannot do, as words that follow "cannot".
+        presenter: the presenter of the application.
+        path: the folder of the answers.
+        records: the records of all tasks, in their order.
     """
 
     method: str
@@ -47,8 +47,8 @@ class BaselineRun(NamedTuple):
     path: Path
     records: Sequence[Document]
 
-    def shown(self) -> Table | str:
-        """Return the table of all tasks, or the line about the only one."""
+    def describe(self) -> Table | str:
+        """Return a table of the fits, or one line if there is a single task."""
         if len(self.records) > 1:
             return fits_table(self.presenter, self.method, self.records)
         return fit_line(self.presenter, self.records[0])
@@ -58,33 +58,33 @@ def run_baseline(options: FitOptions, method: str) -> BaselineRun:
     """Run a method on the inputs of options, and keep its answers, with their records, in a run's folder.
 
     Args:
-        options: of a fit; those that no method reads have no effect.
-        method: its name.
+        options: the options of a fit; those that no method reads have no effect.
+        method: the name of the method.
 
     Raises:
         BadOption: the application has no such method, or the method writes files of one size alone.
-        ValueError: bad inputs; no training tasks, of a method that learns from them.
+        ValueError: inputs are bad, or a method that learns from training tasks has none.
     """
     run = Run.from_options(options)
-    baseline, (sources, label) = _baseline(run, method), find_inputs(run)
+    baseline, (sources, label) = _find_baseline(run, method), find_inputs(run)
     tasks = read_tasks(sources)
     if baseline.learns and find_training_folder(run, baseline, make=True) is None:
         raise ValueError(f"{run.app.name} {method}: no training tasks to learn from; give a data set with --data.")
     path = run.path(label, f"baseline-{method}")
-    kept = RunFolder(path, baseline_settings(run, baseline, label), BASELINE_RECORD_KEYS)
+    run_folder = RunFolder(path, baseline_settings(run, baseline, label), BASELINE_RECORD_KEYS)
     records = []
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(run, baseline, tasks, warm=False)
-        for task, (record, picture, written) in zip(tasks, fits, strict=True):
-            record |= {"content": task_digest(task), "origin": run.input_places(run.options.paths)}
-            files = run.presenter.answer_pictures(written(run.presenter.size), task)
-            records.append(kept.write(record, picture, functools.partial(write_pictures, files)))
+        for task, (record, picture, answer_at_size) in zip(tasks, fits, strict=True):
+            record |= {"content": task_digest(task), "origin": run.origin(run.options.paths)}
+            files = run.presenter.answer_pictures(answer_at_size(run.presenter.size), task)
+            records.append(run_folder.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)
     return BaselineRun(method, baseline.cannot, run.presenter, path, records)
 
 
-def _baseline(run: Run, method: str) -> Baseline:
-    """Return the method of a name.
+def _find_baseline(run: Run, method: str) -> Baseline:
+    """Return the baseline of an application by its name.
 
     Raises:
         BadOption: the application has no such method, or the method writes files of one size alone.
@@ -95,6 +95,8 @@ def _baseline(run: Run, method: str) -> Baseline:
         hint = did_you_mean(method, methods)
         raise BadOption(f"--method {method}: not one of {run.app.name}, expected {names}.{hint}")
     if run.presenter.size and not methods[method].sizes:
-        sized = ", ".join(name for name, other in methods.items() if other.sizes) or "none"
-        raise BadOption(f"--size: {method} writes files of one size, expected a method that makes others: {sized}.")
+        resizable_names = ", ".join(name for name, candidate in methods.items() if candidate.sizes) or "none"
+        raise BadOption(
+            f"--size: {method} writes files of one size, expected a method that makes others: {resizable_names}."
+        )
     return methods[method]

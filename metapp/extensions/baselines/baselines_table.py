@@ -1,4 +1,4 @@
-"""The table of baselines: methods without a network, fitted to the same samples of the same tasks as paradigms."""
+"""The table of baselines: methods without a network beside paradigms, on the same samples of the same tasks."""
 
 from __future__ import annotations
 
@@ -44,65 +44,72 @@ BASELINE_COLUMNS = columns(
 
 
 def baselines_table(subject: EvaluationRun) -> Table:
-    """The paradigms, then the baselines that there are training tasks for: their errors, times and bytes."""
-    # Meta's rules that have a network of their own are compared, too
-    larger = [name for name, run in subject.runs.items() if run.app != subject.app and name not in SHOWN_PARADIGMS]
-    able = _able(subject)
-    records = {baseline.name: baseline_records(subject, baseline) for baseline in able}
+    """Return the table of the paradigms, then of the baselines that can be fitted: errors, times and bytes."""
+    # Rules of Meta whose runs have an application, and so a network, of their own are compared, too.
+    own_network_names = [
+        name for name, run in subject.runs.items() if run.app != subject.app and name not in SHOWN_PARADIGMS
+    ]
+    available_baselines = _available_baselines(subject)
+    records = {baseline.name: baseline_records(subject, baseline) for baseline in available_baselines}
     rows = [
-        *(_row_of_paradigm(subject, name) for name in (*SHOWN_PARADIGMS, *larger)),
-        *(_row_of_baseline(subject, name, of_baseline) for name, of_baseline in records.items()),
+        *(_make_paradigm_row(subject, name) for name in (*SHOWN_PARADIGMS, *own_network_names)),
+        *(_make_baseline_row(subject, name, fit_records) for name, fit_records in records.items()),
     ]
     notes = [
-        *_missing(subject, rows, able),
-        *_described(able),
+        *_describe_missing_rows(subject, rows, available_baselines),
+        *_describe_baselines(available_baselines),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
         *comparison_notes(rows, "meta"),
         *measures_note(subject, rows),
         *subset_note(subject),
     ]
-    pictures = {name: some for name, some in records.items() if some and Path(some[0]["folder"], PARAMS).is_file()}
+    pictured = {
+        name: fit_records
+        for name, fit_records in records.items()
+        if fit_records and Path(fit_records[0]["folder"], PARAMS).is_file()
+    }
     meta = subject.records("meta")
     title = (
         f"mean error{subject.app.error_measure.factor} and what is kept, of paradigms and of methods without a network"
     )
-    fits = {"meta": meta} | pictures if meta and pictures else {}
-    findings = (subject.presenter.caption(), *_compared([row for row in rows if row["baseline"]]))
+    fits = {"meta": meta} | pictured if meta and pictured else {}
+    findings = (subject.presenter.caption(), *_describe_comparisons([row for row in rows if row["baseline"]]))
     return Table(subject.title, title, BASELINE_COLUMNS, rows, notes, fits, findings)
 
 
-def _able(subject: EvaluationRun) -> list[Baseline]:
-    """The baselines that lack neither training tasks nor, in any task, the tensor that holds their answers."""
+def _available_baselines(subject: EvaluationRun) -> list[Baseline]:
+    """Return the baselines that lack neither training tasks nor, in any task, the tensor that holds their answers."""
 
-    def able(baseline: Baseline) -> bool:
-        if baseline.stored:
-            return bool(subject.tasks) and all(baseline.stored in task.data for task in subject.tasks)
+    def is_available(baseline: Baseline) -> bool:
+        if baseline.stored_tensor:
+            return bool(subject.tasks) and all(baseline.stored_tensor in task.data for task in subject.tasks)
         if not (baseline.learns and subject.tasks):
             return True
         return find_training_folder(subject.run, baseline, make=subject.is_measuring) is not None
 
-    return [baseline for baseline in baselines_of(subject.app) if able(baseline)]
+    return [baseline for baseline in baselines_of(subject.app) if is_available(baseline)]
 
 
 def baseline_records(subject: EvaluationRun, baseline: Baseline) -> list[Record]:
-    """The fits of a baseline."""
-    kept = None
+    """Return the records of a baseline's fits; fits that are missing are made now, where they may be."""
+    run_folder = None
     if subject.tasks and (not baseline.learns or find_training_folder(subject.run, baseline)):
         settings = baseline_settings(subject.run, baseline, subject.label)
-        kept = subject.record_folder(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
+        run_folder = subject.kept(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
 
-    def measured(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
-        """The record and the picture of each task, as far as it can be fitted."""
+    def fit_tasks(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
+        """Yield the record and the picture of each task, until one cannot be fitted."""
         try:
             for record, picture, _ in fit_baselines(subject.run, baseline, tasks):
                 yield record, picture
         except ValueError as error:
             say(f"{full_name(subject.app)} {baseline.name}: {error}")
 
-    return subject.measure_records(baseline.name, kept, measured, subject.tasks)
+    return subject.measured(baseline.name, run_folder, fit_tasks, subject.tasks)
 
 
-def _row_of_paradigm(subject: EvaluationRun, name: str) -> Row:
+def _make_paradigm_row(subject: EvaluationRun, name: str) -> Row:
+    """Return the row of a paradigm, or of a rule of Meta, with the numbers and bytes that its fits keep."""
     run = subject.runs[name]
     theta = parameters_per_task(run.app)
     entries = {"shared": checkpoint_bytes(run.checkpoint), "baseline": False, "few": subject.is_of_subset(name)}
@@ -112,42 +119,48 @@ def _row_of_paradigm(subject: EvaluationRun, name: str) -> Row:
     return make_row(subject, name, records, entries, ("meta",))
 
 
-def _row_of_baseline(subject: EvaluationRun, name: str, records: list[Record]) -> Row:
-    kept = {
-        key: statistics.fmean(each[key] for each in records) if records else None for key in ("numbers", "kept_bytes")
+def _make_baseline_row(subject: EvaluationRun, name: str, records: list[Record]) -> Row:
+    """Return the row of a baseline, with the mean numbers and bytes that its fits keep."""
+    kept_means = {
+        key: statistics.fmean(record[key] for record in records) if records else None
+        for key in ("numbers", "kept_bytes")
     }
-    entries = kept | {"shared": records[-1]["shared"] if records else None, "baseline": True}
+    entries = kept_means | {"shared": records[-1]["shared"] if records else None, "baseline": True}
     return make_row(subject, name, records, entries, ("meta",))
 
 
-def _compared(all_rows: list[Row]) -> list[str]:
-    """The baselines of a lower error than Meta's, of a higher one, and those not told apart."""
+def _describe_comparisons(all_rows: list[Row]) -> list[str]:
+    """Return lines on which baselines have a lower error than Meta, which a higher one, and which no clear one."""
     pairs = {row["paradigm"]: pair for row in all_rows if (pair := row["vs_meta"])}
-    higher = [name for name, pair in pairs.items() if is_significant(pair) and pair.value > pair.equal_value]
-    level = [name for name, pair in pairs.items() if not is_significant(pair)]
+    higher = [name for name, pair in pairs.items() if is_significant(pair) and pair.value > pair.level]
+    undecided = [name for name, pair in pairs.items() if not is_significant(pair)]
     return [
-        *(f"{name}: {comparison_text(pairs[name], 'meta')}" for name in pairs if name not in (*higher, *level)),
+        *(f"{name}: {comparison_text(pairs[name], 'meta')}" for name in pairs if name not in (*higher, *undecided)),
         *([f"a higher error than meta's: {', '.join(higher)}"] if higher else []),
-        *([f"no win either way: {', '.join(level)}"] if level else []),
+        *([f"no win either way: {', '.join(undecided)}"] if undecided else []),
     ]
 
 
-def _missing(subject: EvaluationRun, all_rows: list[Row], able: list[Baseline]) -> list[str]:
-    """Rows without records, and the commands that make them."""
+def _describe_missing_rows(subject: EvaluationRun, all_rows: list[Row], able: list[Baseline]) -> list[str]:
+    """Return lines on rows without records and baselines left out, with the commands that add them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
     lines = [f"no records yet of {', '.join(absent)}: --which results measures them"] if absent else []
     names = {baseline.name for baseline in able}
-    others = [baseline for baseline in baselines_of(subject.app) if baseline.name not in names]
-    lines += [f"{each.name}: left out, as not all tasks hold {each.title}" for each in others if each.stored]
-    if without := [baseline.name for baseline in others if not baseline.stored]:
+    left_out = [baseline for baseline in baselines_of(subject.app) if baseline.name not in names]
+    lines += [
+        f"{baseline.name}: left out, as not all tasks hold {baseline.title}"
+        for baseline in left_out
+        if baseline.stored_tensor
+    ]
+    if untrained_names := [baseline.name for baseline in left_out if not baseline.stored_tensor]:
         remedy = f"metapp data synth {subject.app.name} makes the embedded ones"
-        lines.append(f"{', '.join(without)}: no training tasks; {remedy}")
+        lines.append(f"{', '.join(untrained_names)}: no training tasks; {remedy}")
     return lines
 
 
-def _described(baselines: list[Baseline]) -> list[str]:
-    """Titles and limits of baselines, once for those that are the same."""
-    named: dict[tuple[str, str], list[str]] = {}
+def _describe_baselines(baselines: list[Baseline]) -> list[str]:
+    """Return the titles and limits of baselines, once for baselines that have these in common."""
+    names_by_text: dict[tuple[str, str], list[str]] = {}
     for baseline in baselines:
-        named.setdefault((baseline.title, baseline.cannot), []).append(baseline.name)
-    return [f"{', '.join(names)}: {title}; cannot {cannot}" for (title, cannot), names in named.items()]
+        names_by_text.setdefault((baseline.title, baseline.cannot), []).append(baseline.name)
+    return [f"{', '.join(names)}: {title}; cannot {cannot}" for (title, cannot), names in names_by_text.items()]

@@ -1,4 +1,4 @@
-"""Baselines of illumination networks: spherical harmonics of a map; of a photo the light in a mirror ball."""
+"""Baselines of illumination: spherical harmonics of a map, and the light that a mirror ball in a photograph shows."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.appearance.latlong import mean_luminance
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
@@ -14,47 +15,50 @@ from metapp.extensions.baselines.harmonics import count_orders, from_harmonics, 
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Tasks
 
-SCALE_BYTES, COEFFICIENT_BYTES = 4, 2  # bytes of a scale, a float, and of a coefficient over it, half a float
+SCALE_BYTES, COEFFICIENT_BYTES = 4, 2  # of the scale, a float, and of a coefficient divided by it, half a float
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
-    """Of maps, or of photographs, by the protocol."""
+    """Return the baseline of the application's protocol, by which a fit observes a map or a photograph."""
     return (UnwrappedBall(app) if app.protocol == "photo" else SphericalHarmonics(app),)
 
 
 class SphericalHarmonics(Baseline):
-    """As many coefficients, half floats over their largest, as take no more bytes than a network."""
+    """Spherical harmonics in as many half floats, divided by the largest, as take no more bytes than a network."""
 
     name = "sh"
     title = "spherical harmonics, least squares by solid angle"
     cannot = "read a map from a photo, nor show a sun that does not ring"
 
+    @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
-        """The coefficients of a map."""
         (row,) = tasks.rows.tolist()
         radiance = tasks.data["map"][row].double().numpy()
         channels, height, width = radiance.shape
-        most = math.isqrt(max(0, allowed.network_bytes - SCALE_BYTES) // (COEFFICIENT_BYTES * channels)) - 1
-        coefficients = to_harmonics(radiance, max(0, min(most, count_orders(height, width) - 1)))
+        max_order = math.isqrt(max(0, allowed.network_bytes - SCALE_BYTES) // (COEFFICIENT_BYTES * channels)) - 1
+        coefficients = to_harmonics(radiance, max(0, min(max_order, count_orders(height, width) - 1)))
         scale = float(np.abs(coefficients).max()) or 1.0
-        kept = (coefficients / scale).astype(np.float16)
+        stored_coefficients = (coefficients / scale).astype(np.float16)
 
         def answer() -> Tensor:
-            return torch.from_numpy(from_harmonics(kept.astype(np.float64) * scale, height, width)).float()[None]
+            return torch.from_numpy(
+                from_harmonics(stored_coefficients.astype(np.float64) * scale, height, width)
+            ).float()[None]
 
-        return BaselineFit(answer, kept.size, SCALE_BYTES + COEFFICIENT_BYTES * kept.size)
+        return BaselineFit(answer, stored_coefficients.size, SCALE_BYTES + COEFFICIENT_BYTES * stored_coefficients.size)
 
 
 class UnwrappedBall(Baseline):
-    """The light that a mirror ball shows."""
+    """The light that a mirror ball shows; a fit stores the unwrapped map and where it is certain."""
 
     name = "unwrap"
     title = "what a mirror ball shows, as it is"
     cannot = "tell what the photo does not show"
-    stored = "seen"
+    stored_tensor = "seen"
 
+    @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
-        """The map that is seen; ValueError: the ball is no mirror."""
+        """Raise ValueError if the ball is no mirror."""
         data = {key: tasks.data[key][tasks.rows] for key in ("seen", "certain")}
         for name, certain in zip(tasks.selected_names, data["certain"], strict=True):
             if not certain.any():
@@ -64,11 +68,19 @@ class UnwrappedBall(Baseline):
 
 
 def fill_unseen(data: Batch) -> Tensor:
-    """Maps [T, 3, H, W] of `seen` [T, 3, H, W] and `certain` [T, 2, H, W].
+    """Return maps in which directions that a ball does not show are filled in.
 
-    Behind a ball is the light before it; where neither is known the mean; where the photo clips the light of the clip.
+    Behind the ball is a copy of the light in front of it; where neither is known stands the mean; where the photograph
+    clips stands the light at which it clips.
+
+    Args:
+        data: `seen`, the radiance that the ball shows, [T, 3, H, W], and `certain`, [T, 2, H, W] in [0, 1], how far a
+            texel is seen unclipped, and how far clipped.
+
+    Returns:
+        The maps, [T, 3, H, W].
     """
     seen, share = data["seen"], data["certain"].sum(1, keepdim=True)
-    behind, there = (each.flip(-1).roll(each.shape[-1] // 2, -1) for each in (seen, share))
+    behind, behind_share = (values.flip(-1).roll(values.shape[-1] // 2, -1) for values in (seen, share))
     mean = (mean_luminance(seen * share) / mean_luminance(share.expand_as(seen)).clamp_min(1e-6))[:, None, None, None]
-    return torch.lerp(torch.lerp(mean, behind, there), seen, share)
+    return torch.lerp(torch.lerp(mean, behind, behind_share), seen, share)

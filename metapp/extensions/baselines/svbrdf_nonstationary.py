@@ -1,9 +1,10 @@
-"""Baselines of non-stationary svBRDFs from a photo: the photo itself, flat, and maps that another method predicts."""
+"""Baselines of non-stationary svBRDFs from one photograph: the photograph as a flat material, and predicted maps."""
 
 from __future__ import annotations
 
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.appearance.flash import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, decode_flash, render_photo
@@ -11,16 +12,16 @@ from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimi
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
-FLAT_ROUGHNESS, FLAT_F0 = 0.5, 0.04  # of what a photo says nothing of: the middle, and that of most dielectrics
+FLAT_ROUGHNESS, FLAT_F0 = 0.5, 0.04  # a photo does not tell these: the middle, and the F0 of most dielectrics
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
-    """Of photographs; none of maps."""
+    """Return the baselines of fits that observe a photograph; fits that observe maps have none."""
     return (FlatMaterial(app), PredictedMaps(app)) if app.protocol == "photo" else ()
 
 
 class FlatMaterial(Baseline):
-    """The photograph as a flat material."""
+    """The photograph as a flat material; a fit stores the photograph."""
 
     name = "flat"
     title = (
@@ -28,23 +29,24 @@ class FlatMaterial(Baseline):
     )
     cannot = "tell highlights and shading from colour"
 
+    @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
-        """The photograph itself is kept."""
         photo = tasks.data["photo"][tasks.rows]
         return BaselineFit(lambda: flat_maps(photo), photo.numel(), photo.numel())
 
 
 class PredictedMaps(Baseline):
-    """The maps that another method predicts."""
+    """The maps that another method predicted and that tasks hold."""
 
     name = "predicted"
     title = "the maps that another method predicts of the photo, as `metapp data strips --predicted` reads them"
     cannot = "be made of another photo here, as its network is not at hand"
-    stored = "predicted"
+    stored_tensor = "predicted"
     shared = None
 
+    @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
-        """The maps of a task; ValueError if it has none."""
+        """Raise ValueError if the task has no predicted maps."""
         if "predicted" not in tasks.data:
             (name,) = tasks.selected_names
             raise ValueError(f"{name}: no predicted maps, expected some; convert it by metapp data strips --predicted.")
@@ -53,9 +55,16 @@ class PredictedMaps(Baseline):
 
 
 def flat_maps(photos: Tensor) -> Maps:
-    """Maps [T, C, H, W] of photographs [T, 3, H, W], linear, as of a surface without highlight and relief."""
-    one = torch.ones_like(photos)
-    flat = Maps(one, FLAT_F0 * one, FLAT_ROUGHNESS * one[:, :1], torch.cat([0 * one[:, :2], one[:, :1]], 1))
+    """Return maps of a flat surface without highlight that looks like a photograph, but for the flash's falloff.
+
+    Args:
+        photos: the photographs, linear [T, 3, H, W].
+
+    Returns:
+        The maps, [T, C, H, W], with roughness FLAT_ROUGHNESS and F0 FLAT_F0.
+    """
+    ones = torch.ones_like(photos)
+    flat = Maps(ones, FLAT_F0 * ones, FLAT_ROUGHNESS * ones[:, :1], torch.cat([0 * ones[:, :2], ones[:, :1]], 1))
     beside_lens = decode_flash(photos.new_zeros(len(photos), FLASH_NUMBERS))
-    white = render_photo(flat._replace(specular=0 * one, roughness=one[:, :1]), beside_lens)
+    white = render_photo(flat._replace(specular=0 * ones, roughness=ones[:, :1]), beside_lens)
     return flat._replace(diffuse=(photos / white).clamp(0, 1))

@@ -1,1 +1,4 @@
-"""Light and materials captured by hand: a mirror ball at several exposures, flat materials in a sheet of markers."""
+"""Light and materials captured by hand: `ball` reads a mirror ball at several exposures, `markers` flat materials.
+
+`hand_photos` has what both do with photographs: display values, outlines of what was found, the import of OpenCV.
+"""

@@ -1,4 +1,7 @@
-"""Photographs by hand: their display values, pictures of detections, and the import of OpenCV."""
+"""Photographs taken by hand: their display values, drawings of what was found in them, and the import of OpenCV.
+
+Nothing here knows what is looked for in a photograph.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,14 @@ from data_tools.readers.image_files import Pixels
 from metapp.appearance.colour import linear_to_srgb
 from metapp.storage.image_writers import write_png
 
-_SHOWN_PX = 1200  # their longer side, at most
+_MAX_DRAWING_PX = 1200  # longer side of a drawing
 
 
 def import_opencv() -> ModuleType:
-    """The module cv2, which the extra `capture` of the package installs.
+    """Return the module cv2, which the extra `capture` of the package installs.
 
     Raises:
-        ValueError: it is not installed.
+        ValueError: OpenCV is not installed.
     """
     try:
         import cv2
@@ -32,9 +35,9 @@ def import_opencv() -> ModuleType:
 
 
 def display_values(pixels: Pixels) -> Floats:
-    """Display values of a photograph, sRGB [height, width, 3] in [0, 1]."""
-    result: Floats = linear_to_srgb(torch.from_numpy(pixels.linear()[..., :3])).numpy()
-    return result
+    """Return the display values of a photograph, sRGB [height, width, 3] in [0, 1]."""
+    values: Floats = linear_to_srgb(torch.from_numpy(pixels.linear()[..., :3])).numpy()
+    return values
 
 
 def write_outlines(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path: Path) -> None:
@@ -42,13 +45,13 @@ def write_outlines(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], path:
 
     Args:
         pixels: the photograph.
-        outlines: closed ones, px [N, 2] from its upper left corner, and their colours in words.
-        path: the file.
+        outlines: closed outlines, px [N, 2] from the photograph's upper left corner, and their colours in words.
+        path: the file to write.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
-    image = draw_outlines(pixels, outlines, _SHOWN_PX)
+    image = draw_outlines(pixels, outlines, _MAX_DRAWING_PX)
     write_png(torch.from_numpy(np.array(image, np.float32) / 255), {"encoding": "sRGB"}, path)
 
 
@@ -57,13 +60,13 @@ def draw_outlines(pixels: Pixels, outlines: Iterable[tuple[Floats, str]], longer
 
     Args:
         pixels: the photograph.
-        outlines: closed ones, px [N, 2] from its upper left corner, and their colours in words.
+        outlines: closed outlines, px [N, 2] from the photograph's upper left corner, and their colours in words.
         longer_px: the drawing's longer side, at most.
     """
     image = Image.fromarray((display_values(pixels) * 255).round().astype("uint8"))
     width = image.width
     image.thumbnail((longer_px, longer_px))
     for points, colour in outlines:
-        ends = [tuple(point) for point in (points * image.width / width).tolist()]
-        ImageDraw.Draw(image).line([*ends, ends[0]], fill=colour, width=2)
+        corners = [tuple(point) for point in (points * image.width / width).tolist()]
+        ImageDraw.Draw(image).line([*corners, corners[0]], fill=colour, width=2)
     return image

@@ -1,4 +1,4 @@
-"""`metapp compare`: runs side by side."""
+"""The command `metapp compare`, which shows runs side by side."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ def compare_command(
         list[Path] | None,
         typer.Argument(
             metavar="[RUN|INPUT]...",
-            help="Further runs; original inputs, if they have moved: needed for the picture.",
+            help="Further runs; the fitted files, if they have moved: the picture needs them.",
         ),
     ] = None,
-    task: Annotated[str, typer.Option(metavar="NAME", help="Compare this task alone; default: all in common.")] = "",
+    task: Annotated[
+        str, typer.Option(metavar="NAME", help="Compare this task alone; default: all tasks in common.")
+    ] = "",
     data: FittedData = None,
     out_file: Annotated[
         Path | None,
@@ -39,13 +41,13 @@ def compare_command(
     from metapp.extensions.compare.side_by_side import compare_runs, comparison_table
 
     check_new_file(out_file, overwrite)
-    compared, picture = compare_runs([first, second], others or [], task, data, out_file, quiet=quiet)
+    comparison, picture = compare_runs([first, second], others or [], task, data, out_file, quiet=quiet)
     if not (quiet or json):
-        standard_output().print(comparison_table(compared))
+        standard_output().print(comparison_table(comparison))
     if not quiet:
-        for note in compared.notes:
+        for note in comparison.notes:
             say(f"note: {note}")
-        missing = "no picture: fits or what was fitted are not there; give what was fitted after the runs."
-        say(f"picture: {picture}" if picture else missing)
+        no_picture = "no picture: fits or the fitted files are missing; name the fitted files after the runs."
+        say(f"picture: {picture}" if picture else no_picture)
     if json:
-        print_json(compared.document(picture))
+        print_json(comparison.document(picture))

@@ -1,4 +1,7 @@
-"""Runs of an application side by side: errors and seconds task by task, compared with the first run, one picture."""
+"""Runs of an application side by side: errors and seconds task by task, compared with the first run, and a picture.
+
+Records and fits of runs are read; nothing is fitted here, and nothing printed.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,11 @@ from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.fit_folders import PARAMS, summary
 
-MAX_COMPARED_PICTURES = 20  # tasks whose pictures are compared
-SPHERE_PICTURE_APPS = ("brdf",)  # applications whose pictures are spheres: colours of the same places
-# settings that tell runs apart, the clearest first
+MAX_COMPARED_PICTURES = 20  # tasks that the picture shows
+SPHERE_PICTURE_APPS = ("brdf",)  # applications whose pictures are spheres, which show all fits at equal places
+# settings that notes name where runs differ in them
 NOTED_SETTINGS = ("device", "versions", "features", "precision", "observe")
+# settings that tell runs apart, the clearest first
 LABEL_KEYS = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "checkpoint")
 
 
@@ -32,10 +36,10 @@ class ComparedRun(NamedTuple):
     """A run that is compared.
 
     Attributes:
-        label: a word that tells it from the others.
-        presenter: of the application, as it was at the first fit.
-        folder: of the run.
-        records: of the tasks in common, in the same order.
+        label: a word that tells the run from the others.
+        presenter: the presenter of the application, as it was at the first fit.
+        folder: the folder of the run.
+        records: the records of the tasks in common, in one order for all runs.
     """
 
     label: str
@@ -43,58 +47,71 @@ class ComparedRun(NamedTuple):
     folder: Path
     records: list[Document]
 
-    def errors(self, measure: str = "error") -> dict[str, float]:
-        """By the task's name, of those that have one; also further ones that records state."""
+    def errors_by_task(self, measure: str = "error") -> dict[str, float]:
+        """Return an error, or a further measure, by the names of the tasks that have it."""
         return {record["name"]: record[measure] for record in self.records if record.get(measure) is not None}
 
-    def seconds(self) -> float | None:
-        """The median of a fit; None of answers that were made elsewhere."""
+    def median_seconds(self) -> float | None:
+        """Return the median time of a fit, in seconds; None for answers that were made elsewhere."""
         return summary(self.records)["seconds"]
 
 
 class MeanComparison(NamedTuple):
-    """The mean of an error of a run, None if it has none, and its comparison with the base, which has none itself."""
+    """The mean error of a run, and how its errors compare with the errors of the first run.
+
+    Attributes:
+        mean: the mean over tasks; None if no task has the error.
+        comparison: the comparison with the first run; None for the first run itself, or if nothing can be compared.
+    """
 
     mean: float | None
-    compared: PairedComparison | None
+    comparison: PairedComparison | None
 
     def document(self) -> Document:
-        """It as --json prints it."""
-        return {"mean": self.mean, "compared": self.compared and self.compared._asdict()}
+        """Return the mean and its comparison as --json prints them."""
+        return {"mean": self.mean, "compared": self.comparison and self.comparison._asdict()}
 
 
 class Comparison(NamedTuple):
     """Runs on the tasks that they have in common.
 
     Attributes:
-        sides: two or more; the first is the base.
-        tasks: of the fits, in the order of the records; none if they cannot be read.
-        errors: of each side; compared by the ratio to the base's, or by the difference from it.
-        measures: further errors of each side that all have, by their titles.
-        notes: important differences beside the runs' settings.
+        runs: two or more runs, of which the others are compared with the first.
+        tasks: the tasks of the fits, in the order of the records; none if they cannot be read.
+        errors: the error of each run, compared with the first by ratio or by difference.
+        measures: by title, each further error of all runs that all of them have.
+        notes: important differences between the runs' settings.
     """
 
-    sides: list[ComparedRun]
+    runs: list[ComparedRun]
     tasks: list[Task]
     errors: list[MeanComparison]
     measures: dict[str, list[MeanComparison]]
     notes: list[str]
 
     def document(self, picture: Path | None) -> Document:
-        """The document that --json prints."""
+        """Return the document that --json prints."""
         return {
-            "app": self.sides[0].presenter.app.name,
+            "app": self.runs[0].presenter.app.name,
             "runs": [
                 {
-                    **{"label": side.label, "out": str(side.folder), "error": error.mean, "seconds": side.seconds()},
+                    **{
+                        "label": run.label,
+                        "out": str(run.folder),
+                        "error": error.mean,
+                        "seconds": run.median_seconds(),
+                    },
                     "compared": error.document()["compared"],
-                    "measures": {title: some[i].document() for title, some in self.measures.items()},
+                    "measures": {title: run_means[i].document() for title, run_means in self.measures.items()},
                 }
-                for i, (side, error) in enumerate(zip(self.sides, self.errors, strict=True))
+                for i, (run, error) in enumerate(zip(self.runs, self.errors, strict=True))
             ],
             "tasks": [
-                {"name": of[0]["name"], **{key: [one.get(key) for one in of] for key in ("error", "seconds")}}
-                for of in zip(*(side.records for side in self.sides), strict=True)
+                {
+                    "name": task_records[0]["name"],
+                    **{key: [record.get(key) for record in task_records] for key in ("error", "seconds")},
+                }
+                for task_records in zip(*(run.records for run in self.runs), strict=True)
             ],
             "notes": self.notes,
             "picture": picture and str(picture),
@@ -102,121 +119,162 @@ class Comparison(NamedTuple):
 
 
 def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: Path | None) -> Comparison:
-    """Put runs side by side.
+    """Read runs and compare them with the first.
 
     Args:
-        paths: folders of two or more runs, or of one of their tasks; the first is the base.
-        task: the one to compare; "" for all in common.
-        inputs: the fitted files, if they are not in the places of records.
-        data: the data set that was fitted, for the same.
+        paths: the folders of two or more runs, or of one of their tasks; the first run is the base of comparisons.
+        task: the name of the task to compare; "" for all tasks in common.
+        inputs: the fitted files, if they are no longer where records say.
+        data: the data set that was fitted, if it is no longer where records say.
 
     Raises:
-        ValueError: no runs, of different applications, or without a task in common.
+        ValueError: there are no runs, they are of different applications, or have no task in common.
     """
-    found = [read_run_records(path, task, by_paradigm=False) for path in paths]
-    settings = [each.records[-1]["settings"] for each in found]
-    by_name = [{record["name"]: record for record in each.records} for each in found]
+    stored_runs = [read_run_records(path, task, by_paradigm=False) for path in paths]
+    settings = [run.records[-1]["settings"] for run in stored_runs]
+    by_name = [{record["name"]: record for record in run.records} for run in stored_runs]
     names = list(by_name[0])
-    for path, each, of in zip(paths[1:], settings[1:], by_name[1:], strict=True):
-        if each["app"] != settings[0]["app"]:
-            apps = f"{settings[0]['app']} and {each['app']}"
+    for path, run_settings, records_by_name in zip(paths[1:], settings[1:], by_name[1:], strict=True):
+        if run_settings["app"] != settings[0]["app"]:
+            apps = f"{settings[0]['app']} and {run_settings['app']}"
             raise ValueError(f"{path}: runs of {apps}, expected runs of one application; take another run.")
-        before, names = len(names), [name for name in names if name in of]
+        previous_count, names = len(names), [name for name in names if name in records_by_name]
         if not names:
-            counts = f"{before} and {len(of)} tasks, none in common"
+            counts = f"{previous_count} and {len(records_by_name)} tasks, none in common"
             raise ValueError(f"{path}: {counts}, expected some; compare runs of the same data.")
-    sides = [
-        ComparedRun(label, Run.from_settings(each).presenter, place.folder, [of[name] for name in names])
-        for label, each, place, of in zip(_labels(settings), settings, found, by_name, strict=True)
+    runs = [
+        ComparedRun(
+            label, Run.from_settings(run_settings).presenter, stored_run.folder, [records_by_name[name] for name in names]
+        )
+        for label, run_settings, stored_run, records_by_name in zip(
+            _make_labels(settings), settings, stored_runs, by_name, strict=True
+        )
     ]
-    app = sides[0].presenter.app
-    tasks_by_name = find_fitted_tasks(found[0].records, app, inputs, data)
+    app = runs[0].presenter.app
+    tasks_by_name = find_fitted_tasks(stored_runs[0].records, app, inputs, data)
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
-    errors = _measured([side.errors() for side in sides], groups, logarithmic=app.error_measure.logarithmic)
-    of_measures = {title: [side.errors(key) for side in sides] for key, title in app.error_measure.further.items()}
-    measures = {title: _measured(some, groups) for title, some in of_measures.items() if all(some)}
-    return Comparison(sides, tasks, errors, measures, _notes(settings, by_name, names))
+    errors = _compare_means([run.errors_by_task() for run in runs], groups, logarithmic=app.error_measure.logarithmic)
+    measure_errors = {
+        title: [run.errors_by_task(key) for run in runs] for key, title in app.error_measure.further.items()
+    }
+    measures = {
+        title: _compare_means(run_errors, groups) for title, run_errors in measure_errors.items() if all(run_errors)
+    }
+    return Comparison(runs, tasks, errors, measures, _describe_differences(settings, by_name, names))
 
 
-def _measured(
+def _compare_means(
     errors: Sequence[Mapping[str, float]], groups: Mapping[str, str], *, logarithmic: bool = False
 ) -> list[MeanComparison]:
-    """Means of runs' errors of tasks, and each compared with the first."""
+    """Return the mean error of each run, compared with the first run's errors task by task.
+
+    Args:
+        errors: for each run its errors, by the names of tasks.
+        groups: for the name of each task its group, since tasks of one group are not independent.
+        logarithmic: whether errors are logarithms, which are compared by their difference instead of their ratio.
+    """
     return [
         MeanComparison(
-            statistics.fmean(own.values()) if own else None,
-            compare_errors(own, errors[0], groups, logarithmic=logarithmic) if i else None,
+            statistics.fmean(run_errors.values()) if run_errors else None,
+            compare_errors(run_errors, errors[0], groups, logarithmic=logarithmic) if i else None,
         )
-        for i, own in enumerate(errors)
+        for i, run_errors in enumerate(errors)
     ]
 
 
-def draw_comparison(compared: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None, Comparison]:
-    """Write a picture of tasks, the reference beside the fits of all runs, and measure COMPARED spheres.
+def draw_comparison(comparison: Comparison, file: Path, *, quiet: bool) -> tuple[Path | None, Comparison]:
+    """Draw tasks, the reference beside the fits of all runs, and compare the colours of spheres that were drawn.
 
     Returns:
-        The file; None if tasks cannot be read, or a run is of a method that keeps no picture. And the
-        comparison, of spheres with the colour differences of the pictures.
+        The file; None if tasks cannot be read, or a run is of a method that keeps no picture. And the comparison, for
+        spheres with the colour differences of the pictures.
     """
-    kept = (Path(record["folder"], PARAMS) for side in compared.sides for record in side.records)
-    if not compared.tasks or not all(path.is_file() for path in kept):
-        return None, compared
-    records = [{record["name"]: record for record in side.records} for side in compared.sides]
-    drawn, presenter = compared.tasks[:MAX_COMPARED_PICTURES], compared.sides[0].presenter
+    fit_files = (Path(record["folder"], PARAMS) for run in comparison.runs for record in run.records)
+    if not comparison.tasks or not all(path.is_file() for path in fit_files):
+        return None, comparison
+    records = [{record["name"]: record for record in run.records} for run in comparison.runs]
+    tasks, presenter = comparison.tasks[:MAX_COMPARED_PICTURES], comparison.runs[0].presenter
     columns = []
-    with progress("picture", len(drawn), quiet=quiet) as bar, torch_defaults(single=presenter.app.single_threaded):
-        for task in drawn:
-            pairs = zip(compared.sides, records, strict=True)
-            columns.append(tiles_of_methods(task, [(side.label, side.presenter, of[task.name]) for side, of in pairs]))
+    with progress("picture", len(tasks), quiet=quiet) as bar, torch_defaults(single=presenter.app.single_threaded):
+        for task in tasks:
+            pairs = zip(comparison.runs, records, strict=True)
+            columns.append(
+                tiles_of_methods(
+                    task, [(run.label, run.presenter, records_by_name[task.name]) for run, records_by_name in pairs]
+                )
+            )
             bar.advance(task.name)
-    judged = [column for column in columns if "reference" in column.pictures]
-    if presenter.app.name in SPHERE_PICTURE_APPS and judged:
-        compared = compared._replace(measures=compared.measures | _colour_differences(judged, compared))
-    return write_comparison_sheet(presenter, columns, file), compared
+    columns_with_reference = [column for column in columns if "reference" in column.pictures]
+    if presenter.app.name in SPHERE_PICTURE_APPS and columns_with_reference:
+        comparison = comparison._replace(
+            measures=comparison.measures | _compare_colours(columns_with_reference, comparison)
+        )
+    return write_comparison_sheet(presenter, columns, file), comparison
 
 
-def _colour_differences(columns: list[Tiles], compared: Comparison) -> dict[str, list[MeanComparison]]:
-    """Of the fits' spheres from the reference's, by their titles: median and 95th percentile of a sphere's pixels."""
-    shares = ("median", "95 %")
-    found: list[list[dict[str, float]]] = [[{} for _ in compared.sides] for _ in shares]
+def _compare_colours(columns: list[Tiles], comparison: Comparison) -> dict[str, list[MeanComparison]]:
+    """Compare the colours of the fits' spheres with the reference's: median and 95th percentile over a sphere's pixels.
+
+    Args:
+        columns: the pictures of each task, the reference first.
+        comparison: the comparison of the runs.
+
+    Returns:
+        For a title of each of the two measures, the comparison of its means.
+    """
+    statistic_names = ("median", "95 %")
+    differences: list[list[dict[str, float]]] = [[{} for _ in comparison.runs] for _ in statistic_names]
     for column in columns:
         reference, *fits = column.pictures.values()
-        touched = np.min([reference, *fits], 0).min(-1) < 1  # the background is white
-        for side, fit in enumerate(fits):
-            values = np.quantile(colour_difference(fit[touched], reference[touched]), (0.5, 0.95))
-            for measure, value in zip(found, values.tolist(), strict=True):
-                measure[side][column.name] = value
-    groups = {task.name: task.group or task.name for task in compared.tasks}
+        is_sphere = np.min([reference, *fits], 0).min(-1) < 1  # the background is white
+        for run_index, fit in enumerate(fits):
+            values = np.quantile(colour_difference(fit[is_sphere], reference[is_sphere]), (0.5, 0.95))
+            for measure, value in zip(differences, values.tolist(), strict=True):
+                measure[run_index][column.name] = value
+    groups = {task.name: task.group or task.name for task in comparison.tasks}
     return {
-        f"CIE 2000 colour difference of {len(columns)} spheres drawn, {share} of pixels": _measured(measure, groups)
-        for share, measure in zip(shares, found, strict=True)
+        f"CIE 2000 colour difference of {len(columns)} spheres drawn, {share} of pixels": _compare_means(
+            measure, groups
+        )
+        for share, measure in zip(statistic_names, differences, strict=True)
     }
 
 
-def _labels(settings: Sequence[Document]) -> list[str]:
-    """Labels that tell runs apart, of as few settings as that takes; A, B and so on if nothing in LABEL_KEYS does."""
+def _make_labels(settings: Sequence[Document]) -> list[str]:
+    """Return labels that tell runs apart, made of few settings, after A, B, ... where settings do not suffice."""
     words: list[tuple[str, ...]] = [() for _ in settings]
     for key in LABEL_KEYS:
-        kind = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"
-        values = [f"{kind}{each.get(key, each.get('method') if key == 'paradigm' else None)}" for each in settings]
-        more = [(*some, value) for some, value in zip(words, values, strict=True)]
-        words = more if len({*more}) > len({*words}) else words
+        prefix = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"
+        values = [
+            f"{prefix}{run_settings.get(key, run_settings.get('method') if key == 'paradigm' else None)}"
+            for run_settings in settings
+        ]
+        longer_words = [(*run_words, value) for run_words, value in zip(words, values, strict=True)]
+        words = longer_words if len({*longer_words}) > len({*words}) else words
     if len({*words}) < len(words):
-        words = [(chr(ord("A") + i), *some) for i, some in enumerate(words)]
-    return ["-".join(some) for some in words]
+        words = [(chr(ord("A") + i), *run_words) for i, run_words in enumerate(words)]
+    return ["-".join(run_words) for run_words in words]
 
 
-def _notes(settings: list[Document], by_name: list[Document], names: list[str]) -> list[str]:
-    """Notes on differences beside the labels."""
-    left_out = sum(map(len, by_name)) - len(by_name) * len(names)
-    differ = sum(len({of[name].get("content") for of in by_name}) > 1 for name in names)
+def _describe_differences(settings: list[Document], by_name: list[Document], names: list[str]) -> list[str]:
+    """Return notes on differences between runs that labels do not show."""
+    left_out_count = sum(map(len, by_name)) - len(by_name) * len(names)
+    changed_count = sum(len({records[name].get("content") for records in by_name}) > 1 for name in names)
     values = {
-        key: [one.get(key) for one in settings]
-        for key in sorted({*NOTED_SETTINGS} & {key for one in settings for key in one})
+        key: [run_settings.get(key) for run_settings in settings]
+        for key in sorted({*NOTED_SETTINGS} & {key for run_settings in settings for key in run_settings})
     }
     return [
-        *([f"{left_out} tasks that not all runs have are left out"] if left_out else []),
-        *([f"{differ} tasks in common have other content in other runs, and the same name"] if differ else []),
-        *(f"{key}: {', '.join(map(str, of))}" for key, of in values.items() if any(value != of[0] for value in of)),
+        *([f"{left_out_count} tasks that not all runs have are left out"] if left_out_count else []),
+        *(
+            [f"{changed_count} tasks in common have other content in other runs, and the same name"]
+            if changed_count
+            else []
+        ),
+        *(
+            f"{key}: {', '.join(map(str, run_values))}"
+            for key, run_values in values.items()
+            if any(value != run_values[0] for value in run_values)
+        ),
     ]

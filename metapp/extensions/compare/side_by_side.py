@@ -20,63 +20,69 @@ def compare_runs(
     """Compare runs with the first of them, and draw the fits of all.
 
     Args:
-        runs: folders of runs, two or more.
+        runs: the folders of two or more runs.
         others: further runs, and inputs that were fitted, if these have moved.
-        task: the name of the one to compare; "" for all in common.
+        task: the name of the task to compare; "" for all tasks in common.
         data: the data set that was fitted, if it has moved.
         picture: the file to write; None for comparison.png in the folder of the first run.
-        quiet: no progress.
+        quiet: whether no progress is shown.
 
     Returns:
         The comparison, and the picture that was written; None if what was fitted cannot be read.
 
     Raises:
-        ValueError: no runs, of different applications, or without a task in common.
+        ValueError: there are no runs, they are of different applications, or have no task in common.
     """
-    further = [path for path in others if holds_fits(path)]
-    inputs = [path for path in others if path not in further]
+    further_runs = [path for path in others if holds_fits(path)]
+    inputs = [path for path in others if path not in further_runs]
     with progress("compare: reading what was fitted", quiet=quiet):
-        compared = read_comparison([*runs, *further], task, inputs, data)
-    written, compared = draw_comparison(compared, picture or compared.sides[0].folder / "comparison.png", quiet=quiet)
-    return compared, written
+        comparison = read_comparison([*runs, *further_runs], task, inputs, data)
+    written, comparison = draw_comparison(
+        comparison, picture or comparison.runs[0].folder / "comparison.png", quiet=quiet
+    )
+    return comparison, written
 
 
-def comparison_table(compared: Comparison) -> Table:
+def comparison_table(comparison: Comparison) -> Table:
     """Return a table with a column for each run: errors of tasks, their means, how these compare, and seconds."""
-    sides, presenter = compared.sides, compared.sides[0].presenter
-    pairs = [each.compared for each in compared.errors]
-    base, known = sides[0].label, [pair for pair in pairs if pair]
-    said = [presenter.caption()]
-    if known and known[0].groups < MIN_TASK_GROUPS:
-        said.append(f"{known[0].groups} different tasks are too few to call a win")
-    for title, measured in compared.measures.items():
-        of_sides = (
-            f"{side.label} {format_number(each.mean, '.3f')}" + (f" (ratio {each.compared})" if each.compared else "")
-            for side, each in zip(sides, measured, strict=True)
+    runs, presenter = comparison.runs, comparison.runs[0].presenter
+    pairs = [measure.comparison for measure in comparison.errors]
+    base, known_pairs = runs[0].label, [pair for pair in pairs if pair]
+    captions = [presenter.caption()]
+    if known_pairs and known_pairs[0].groups < MIN_TASK_GROUPS:
+        captions.append(f"{known_pairs[0].groups} different tasks are too few to call a win")
+    for title, run_means in comparison.measures.items():
+        run_texts = (
+            f"{run.label} {format_number(measure.mean, '.3f')}"
+            + (f" (ratio {measure.comparison})" if measure.comparison else "")
+            for run, measure in zip(runs, run_means, strict=True)
         )
-        said.append(f"{title}: {', '.join(of_sides)}")
+        captions.append(f"{title}: {', '.join(run_texts)}")
     table = Table(
         title=f"{presenter.title}, error{presenter.app.error_measure.factor}",
-        caption="\n".join(said),
+        caption="\n".join(captions),
         caption_justify="left",
     )
     table.add_column("task")
-    for side in sides:
-        table.add_column(side.label, justify="right")
-    for of_task in zip(*(side.records for side in sides), strict=True):
+    for run in runs:
+        table.add_column(run.label, justify="right")
+    for task_records in zip(*(run.records for run in runs), strict=True):
         table.add_row(
-            escape_control_characters(of_task[0]["name"]), *(format_number(each["error"], ".3f") for each in of_task)
+            escape_control_characters(task_records[0]["name"]),
+            *(format_number(record["error"], ".3f") for record in task_records),
         )
     table.add_section()
-    table.add_row("mean error", *(format_number(each.mean, ".3f") for each in compared.errors))
-    if known:
-        form = ".3f" if known[0].kind == "ratio" else "+.3f"
+    table.add_row("mean error", *(format_number(measure.mean, ".3f") for measure in comparison.errors))
+    if known_pairs:
+        number_format = ".3f" if known_pairs[0].kind == "ratio" else "+.3f"
         rows = {
-            {"ratio": "ratio to", "difference": "difference from"}[known[0].kind] + f" {base}'s": "{0.value:%s}",
+            {"ratio": "ratio to", "difference": "difference from"}[known_pairs[0].kind] + f" {base}'s": "{0.value:%s}",
             "95 % interval": "{0.low:%s} .. {0.high:%s}",
             f"lower than {base}'s on": "{0.ahead}/{0.tasks}",
         }
-        for title, text in rows.items():
-            table.add_row(title, *(text.replace("%s", form).format(pair) if pair else "-" for pair in pairs))
-    table.add_row("median seconds", *(format_number(side.seconds(), ".4f") for side in sides))
+        for title, row_format in rows.items():
+            table.add_row(
+                title, *(row_format.replace("%s", number_format).format(pair) if pair else "-" for pair in pairs)
+            )
+    table.add_row("median seconds", *(format_number(run.median_seconds(), ".4f") for run in runs))
     return table

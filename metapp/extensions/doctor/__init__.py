@@ -1,1 +1,4 @@
-"""A report on the installation."""
+"""A report on the installation, for the command `metapp doctor`.
+
+`installation` examines it, and `doctor_command` prints the report.
+"""

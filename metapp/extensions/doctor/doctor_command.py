@@ -1,4 +1,4 @@
-"""`metapp doctor`: a report on the installation."""
+"""The command `metapp doctor`, which prints a report on the installation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ def doctor_command(
     if json:
         print_json(subjects)
         return
-    for name, value in subjects.items():
-        told, after = (": ", "; ") if name == "checkpoints" else (" ", ", ")  # these are lists
-        text = after.join(f"{key}{told}{item}" for key, item in value.items()) if isinstance(value, dict) else value
+    for name, report in subjects.items():
+        colon, separator = (": ", "; ") if name == "checkpoints" else (" ", ", ")  # values of checkpoints are lists
+        text = (
+            separator.join(f"{key}{colon}{item}" for key, item in report.items())
+            if isinstance(report, dict)
+            else report
+        )
         standard_output().print(f"{name:<11} {text}", soft_wrap=True)

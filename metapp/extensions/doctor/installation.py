@@ -1,4 +1,7 @@
-"""The installation: versions, device, compiler, cache, checkpoints, weights of VGG, libLLVM."""
+"""The installation: versions, device, compiler, cache, checkpoints, weights of VGG, libLLVM.
+
+Everything is examined, nothing changed or fetched.
+"""
 
 from __future__ import annotations
 
@@ -39,29 +42,29 @@ def examine_installation() -> Document:
     """Return what is installed, and what it can use, by subject: a text, or texts by name."""
     shipped = {key: names for app in app_names() for key, names in shipped_checkpoint_names(app).items()}
     return {
-        "versions": {name: _version(name) for name in REPORTED_PACKAGES},
-        "extensions": ", ".join(_extensions()),
+        "versions": {name: _read_version(name) for name in REPORTED_PACKAGES},
+        "extensions": ", ".join(_list_extensions()),
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
-        "compiler": _compiler(),
+        "compiler": _find_compiler(),
         "cache": str(cache_folder()),
         "data": {app: "made" if has_embedded_tests(app) else "made on first use" for app in app_names()},
         "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
-        "VGG": _vgg(),
-        "libLLVM": _llvm(),
+        "VGG": _describe_vgg(),
+        "libLLVM": _describe_llvm(),
     }
 
 
-def _extensions() -> list[str]:
-    """Return extensions by name, with the package of those that do not ship, and those that are left out."""
+def _list_extensions() -> list[str]:
+    """Return the names of extensions, with the package of those that do not ship, and those that are left out."""
     extensions = registry().extensions.items()
     names = [name if package == METAPP_PACKAGE else f"{name} of {package}" for name, package in extensions]
     names += [f"{name} (left out: {reason})" for name, reason in registry().problems.items()]
-    without = os.environ.get(WITHOUT_VARIABLE, "")
-    return names + [f"left out by {WITHOUT_VARIABLE}: {without}"] * bool(without)
+    left_out = os.environ.get(WITHOUT_VARIABLE, "")
+    return names + [f"left out by {WITHOUT_VARIABLE}: {left_out}"] * bool(left_out)
 
 
-def _compiler() -> str:
-    """Return the compiler for torch.compile, if it takes Python's headers and OpenMP; the probe takes no second."""
+def _find_compiler() -> str:
+    """Return the compiler for torch.compile, if it finds Python's headers and OpenMP, or a remedy."""
     name = next(filter(shutil.which, ("g++", "clang++")), "")
     probe = "#include <Python.h>\n#include <omp.h>\nint main() { return omp_get_max_threads() < 1; }\n"
     options = ["-x", "c++", "-fopenmp", "-fsyntax-only", f"-I{sysconfig.get_path('include')}", "-"]
@@ -70,7 +73,7 @@ def _compiler() -> str:
     return "none that works: training is half as fast; install g++ and python3-dev"
 
 
-def _version(package: str) -> str:
+def _read_version(package: str) -> str:
     """Return the version of a package, or that it is missing."""
     try:
         return metadata.version(package)
@@ -78,7 +81,7 @@ def _version(package: str) -> str:
         return "missing"
 
 
-def _vgg() -> str:
+def _describe_vgg() -> str:
     """Return where the weights of VGG come from, or what to do without them."""
     if not vgg_weights_path().is_file():
         return "not fetched; textures and svbrdf_stationary need it; get it: metapp data vgg"
@@ -86,11 +89,11 @@ def _vgg() -> str:
         with open_tensors(vgg_weights_path()) as file:
             return f"from {(file.metadata() or {}).get('source', 'unknown')}"
     except (OSError, SafetensorError):
-        return "damaged: what is fitted to pictures fails; fetch it again: metapp data vgg"
+        return "damaged: fits to pictures fail; fetch it again: metapp data vgg"
 
 
-def _llvm() -> str:
-    """Return the library that scenes are rendered with, or what is wrong with those that are there."""
+def _describe_llvm() -> str:
+    """Return the library that scenes are rendered with, or what is wrong with the libraries that were found."""
     try:
         return str(find_llvm())
     except ValueError as error:

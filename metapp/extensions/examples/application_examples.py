@@ -1,4 +1,7 @@
-"""Commands that work as they are: words after `metapp`, {} standing for the folder of inputs, and results."""
+"""Commands of each application that work as they are, and the result of each in words.
+
+A command is the words after `metapp`, with {} in place of the folder of inputs.
+"""
 
 BRDF_EXAMPLES = (
     ("meta brdf {}/paint.csv", "a network fitted to a table of measurements, and a picture of both"),

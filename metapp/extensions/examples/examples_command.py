@@ -1,4 +1,4 @@
-"""`metapp examples`: commands that work as they are, and the input files that they name."""
+"""The command `metapp examples`: commands that work as they are, and the input files that they name."""
 
 from __future__ import annotations
 
@@ -14,16 +14,22 @@ from metapp.names import did_you_mean
 from metapp.registry import registry
 from metapp.runs.reporter import say
 
-VGG_APPS = ("svbrdf_stationary", "texture")  # applications whose fits do
-EXAMPLE_INPUTS_FOLDER = Path("example-inputs")  # of the input files that commands name
+VGG_APPS = ("svbrdf_stationary", "texture")  # applications whose fits read the weights of VGG-16
+EXAMPLE_INPUTS_FOLDER = Path("example-inputs")  # where commands expect their input files
 
 
-def example_lines(app: str, folder: Path, most: int | None = None) -> list[tuple[str, str]]:
-    """The first commands of an application on input files in a folder, and the result of each."""
+def example_lines(app: str, folder: Path, count: int | None = None) -> list[tuple[str, str]]:
+    """Return the first commands of an application on input files in a folder, and the result of each in words.
+
+    Args:
+        app: the application.
+        folder: the folder of the input files.
+        count: how many commands to return; None for all.
+    """
     place = shlex.quote(str(folder))
     commands, examples = registry().commands, registry().examples[app].load()
-    examples = [each for each in examples if {" ".join(each[0].split()[:n]) for n in (1, 2)} & commands.keys()]
-    return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:most]
+    examples = [example for example in examples if {" ".join(example[0].split()[:n]) for n in (1, 2)} & commands.keys()]
+    return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:count]
 
 
 def examples_command(
@@ -50,10 +56,10 @@ def examples_command(
 
     Example: metapp examples brdf --make example-inputs
     """
-    known = sorted(registry().examples)
-    if app and app not in known:
-        raise typer.BadParameter(f"'{app}': expected one of {', '.join(known)}.{did_you_mean(app, known)}")
-    apps, files = [app] if app else known, list[Path]()
+    app_names = sorted(registry().examples)
+    if app and app not in app_names:
+        raise typer.BadParameter(f"'{app}': expected one of {', '.join(app_names)}.{did_you_mean(app, app_names)}")
+    apps, files = [app] if app else app_names, list[Path]()
     if folder:
         from data_tools.synthetic.examples import EXAMPLES, write_example
 
@@ -63,14 +69,14 @@ def examples_command(
         commands = [{"app": name, "command": line, "makes": makes} for name in apps for line, makes in examples[name]]
         print_json({"files": [str(file) for file in files], "commands": commands})
         return
-    first = (
+    first_lines = (
         []
         if folder
         else [(f"metapp examples {f'{app} ' if app else ''}--make {EXAMPLE_INPUTS_FOLDER}", "the input files, first")]
     )
-    if needy := [name for name in apps if name in VGG_APPS]:
-        first.append(("metapp data vgg", f"what fits of {' and '.join(needy)} read, once: 64 to 550 MB"))
-    lines = [*first, *(line for name in apps for line in examples[name])]
+    if vgg_apps := [name for name in apps if name in VGG_APPS]:
+        first_lines.append(("metapp data vgg", f"what fits of {' and '.join(vgg_apps)} read, once: 64 to 550 MB"))
+    lines = [*first_lines, *(line for name in apps for line in examples[name])]
     standard_output().print("\n".join(f"# {makes}\n{line}" for line, makes in lines), soft_wrap=True)
     if files:
         say(f"made: {', '.join(map(str, files))}")

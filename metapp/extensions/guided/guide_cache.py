@@ -2,7 +2,7 @@
 
 An entry is a voxel and the axis nearest to a surface's normal. Its histogram has bins of the hemisphere above the
 surface, all of the same projected solid angle. An entry that many paths visited has a histogram of its own; the others
-share that of a voxel of twice the side.
+share the histogram of a voxel of twice the side. The cache knows nothing of how paths are traced.
 """
 
 from __future__ import annotations
@@ -34,53 +34,59 @@ from metapp.extensions.guided.histogram import (
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 
-MIN_ENTRY_PATHS = 2048.0  # from which an entry has a histogram of its own
-MAX_RECORDED_BOUNCES = 8  # bounces of a path that the cache learns from
-MIN_ROW_BOUNCES = 8  # bounces from which a row's expectations are known
-_SUMS = 3
-POINT_DENSITY_SHARE = 0.8  # of the voxels along an axis, the share that goes by how many points there are
-_COUNTED = 64  # parts of an axis, within which voxels are alike
-_STEPS = 1024  # of an axis, each of one voxel: a look-up where paths are, not a search
+MIN_ENTRY_PATHS = 2048.0  # an entry that so many paths visited has a histogram of its own
+MAX_RECORDED_BOUNCES = 8  # of a path, that the cache learns from
+MIN_ROW_BOUNCES = 8  # a row of fewer bounces has no expectations
+_SUMS_PER_ENTRY = 3  # of radiance, of squares of carried radiance, of ones
+POINT_DENSITY_SHARE = 0.8  # of the voxels along an axis, which are placed where points are; the others are even
+_AXIS_PARTS = 64  # parts of an axis within which voxels have one width
+_AXIS_STEPS = 1024  # steps of an axis, each in one voxel: the voxel of a point is looked up, not searched
 
 
 class VoxelGrid:
-    """GRID voxels along each axis of a box.
+    """A grid of GRID_SIDE_VOXELS voxels along each axis of a box.
 
     Args:
-        low, high: corners of the box, [3] each; points outside belong to the outermost voxels.
-        points: of surfaces, [3, N]; all voxels are alike without any.
+        low, high: the corners of the box, [3] each; points outside belong to the outermost voxels.
+        points: points of surfaces, [3, N], where voxels are narrower; without any, all voxels are alike.
     """
 
     def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike) -> None:
         low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
         extent = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-6))
-        self.low, self.scale = mi.ScalarPoint3f(low), mi.ScalarVector3f(_STEPS / extent)
-        inside = (np.asarray(points) - low[:, None]) / extent[:, None]
-        self.voxels = [mi.UInt32(_voxels(along)) for along in inside]
+        self.low, self.scale = mi.ScalarPoint3f(low), mi.ScalarVector3f(_AXIS_STEPS / extent)
+        relative_points = (np.asarray(points) - low[:, None]) / extent[:, None]
+        self.voxels = [mi.UInt32(_voxels_of_steps(coordinates)) for coordinates in relative_points]
 
     def index(self, point: mt.Point3) -> mt.Vector3:
-        """The indices of the voxels that points are in, whole numbers."""
-        step = mi.Vector3u(dr.clip((point - self.low) * self.scale, 0, _STEPS - 1))
-        return mi.Vector3u(*(dr.gather(mi.UInt32, table, step[axis]) for axis, table in enumerate(self.voxels)))
+        """Return the indices along the three axes of the voxels that points are in."""
+        step = mi.Vector3u(dr.clip((point - self.low) * self.scale, 0, _AXIS_STEPS - 1))
+        return mi.Vector3u(*(dr.gather(mi.UInt32, voxels, step[axis]) for axis, voxels in enumerate(self.voxels)))
 
 
-def _voxels(along: ArrayLike) -> NDArray[np.uint32]:
-    """The voxel of each step of an axis, [_STEPS], of points at such shares of it, [N]."""
-    ends = np.linspace(0, 1, _COUNTED + 1)
-    counts = np.concatenate([[0], np.histogram(along, ends)[0].cumsum()])
-    crowded = counts / counts[-1] if counts[-1] else ends
-    below = GRID_SIDE_VOXELS * ((1 - POINT_DENSITY_SHARE) * ends + POINT_DENSITY_SHARE * crowded)
-    voxels: NDArray[np.uint32] = np.interp((np.arange(_STEPS) + 0.5) / _STEPS, ends, below).astype(np.uint32)
+def _voxels_of_steps(coordinates: ArrayLike) -> NDArray[np.uint32]:
+    """Return the voxel of each step of an axis, [_AXIS_STEPS].
+
+    Args:
+        coordinates: the coordinates of points along the axis, [N] in [0, 1].
+    """
+    part_ends = np.linspace(0, 1, _AXIS_PARTS + 1)
+    counts = np.concatenate([[0], np.histogram(coordinates, part_ends)[0].cumsum()])
+    point_share = counts / counts[-1] if counts[-1] else part_ends
+    voxels_below = GRID_SIDE_VOXELS * ((1 - POINT_DENSITY_SHARE) * part_ends + POINT_DENSITY_SHARE * point_share)
+    voxels: NDArray[np.uint32] = np.interp(
+        (np.arange(_AXIS_STEPS) + 0.5) / _AXIS_STEPS, part_ends, voxels_below
+    ).astype(np.uint32)
     return voxels
 
 
 class Location(NamedTuple):
-    """Points of surfaces in the cache.
+    """The places of surface points in the cache.
 
     Attributes:
-        entry: its index.
-        row: of the table of histograms.
-        frame: about the normal, turned alike in all of an entry.
+        entry: the index of the entry.
+        row: the entry's row in the table of histograms.
+        frame: a frame about the normal, turned alike at all points of an entry.
     """
 
     entry: mt.UInt32
@@ -92,154 +98,175 @@ class GuideCache:
     """The directional histograms of one scene.
 
     Args:
-        low, high: corners of the box that voxels fill, [3] each; points outside belong to the outermost.
-        points: of surfaces that paths meet, [3, N]: along each axis voxels are narrower if there are many of them.
+        low, high: the corners of the box that voxels fill, [3] each; points outside belong to the outermost voxels.
+        points: points of surfaces that paths meet, [3, N]: along each axis voxels are narrower where there are many
+            points.
 
     Attributes:
-        prior: expected second moments in voxels of twice the side; by default those of the voxels around them.
+        prior: a function that expects second moments in voxels of twice the side; by default by the voxels around them.
     """
 
     def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike) -> None:
         self.voxels = VoxelGrid(low, high, points)
-        # in double precision the order in which threads add makes no difference that matters: pictures can be repeated
-        self.sums = dr.zeros(
-            mi.Float64, CACHE_ENTRIES * HISTOGRAM_BINS * 2
-        )  # squares and counts in turn, which are read together
-        self.rows = dr.zeros(mi.UInt32, CACHE_ENTRIES)  # each entry's; the first, uniform, is of unknown ones
-        self.bounces = dr.zeros(
-            mi.Float64, CACHE_ENTRIES * _SUMS
-        )  # of radiance, of squares of what was carried, of ones
-        self.expected = dr.zeros(mi.Float, 2)  # of each row; see `expect`
+        # Sums are in double precision, where the order in which threads add hardly matters: pictures can be repeated.
+        # A bin's sum of squares and its count stand side by side, as they are read together.
+        self.sums = dr.zeros(mi.Float64, CACHE_ENTRIES * HISTOGRAM_BINS * 2)
+        self.rows = dr.zeros(mi.UInt32, CACHE_ENTRIES)  # of each entry; row 0, uniform, is for entries without paths
+        self.bounces = dr.zeros(mi.Float64, CACHE_ENTRIES * _SUMS_PER_ENTRY)
+        self.expected = dr.zeros(mi.Float, 2)  # two numbers for each row; see `row_expectations`
         dr.eval(self.sums, self.rows, self.bounces, self.expected)
         self._tabulate(torch.ones(1, HISTOGRAM_BINS, dtype=torch.float64))
         self.prior: MomentPrior = second_moments
 
     def locate(self, point: mt.Point3, normal: mt.Vector3) -> Location:
-        """The location of points with these unit normals."""
+        """Return where points with unit normals are in the cache."""
         voxel = self.voxels.index(point)
-        size = dr.abs(normal)
-        along_x = (size.x >= size.y) & (size.x >= size.z)
-        along_y = ~along_x & (size.y >= size.z)
-        on_axis = dr.select(along_x, normal.x, dr.select(along_y, normal.y, normal.z))
+        magnitude = dr.abs(normal)
+        along_x = (magnitude.x >= magnitude.y) & (magnitude.x >= magnitude.z)
+        along_y = ~along_x & (magnitude.y >= magnitude.z)
+        axis_component = dr.select(along_x, normal.x, dr.select(along_y, normal.y, normal.z))
         axis = dr.select(along_x, mi.UInt32(0), dr.select(along_y, mi.UInt32(2), mi.UInt32(4)))
-        axis += dr.select(on_axis < 0, mi.UInt32(1), mi.UInt32(0))
-        # another axis, which is never along the normal
-        across = mi.Vector3f(dr.select(along_y, 1.0, 0.0), dr.select(along_x | along_y, 0.0, 1.0), 0.0)
-        across.z = dr.select(along_x, 1.0, 0.0)
-        tangent = dr.normalize(across - normal * dr.dot(normal, across))
+        axis += dr.select(axis_component < 0, mi.UInt32(1), mi.UInt32(0))
+        # an axis that is never along the normal
+        other_axis = mi.Vector3f(dr.select(along_y, 1.0, 0.0), dr.select(along_x | along_y, 0.0, 1.0), 0.0)
+        other_axis.z = dr.select(along_x, 1.0, 0.0)
+        tangent = dr.normalize(other_axis - normal * dr.dot(normal, other_axis))
         entry = ((voxel.z * GRID_SIDE_VOXELS + voxel.y) * GRID_SIDE_VOXELS + voxel.x) * NORMAL_AXES + axis
         row = dr.gather(mi.UInt32, self.rows, entry)
         return Location(entry, row, mi.Frame3f(tangent, dr.cross(normal, tangent), normal))
 
-    def bin(self, local: mt.Vector3) -> mt.UInt32:
-        """The bin of directions in a location's frame; any one below the surface."""
+    def bin_of_direction(self, local: mt.Vector3) -> mt.UInt32:
+        """Return the bin of directions in a location's frame; below the surface it is any bin."""
         square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(local.x, local.y))
-        within = dr.clip(mi.Vector2i(square * HISTOGRAM_SIDE_BINS), 0, HISTOGRAM_SIDE_BINS - 1)
-        return mi.UInt32(within.y * HISTOGRAM_SIDE_BINS + within.x)
+        cell = dr.clip(mi.Vector2i(square * HISTOGRAM_SIDE_BINS), 0, HISTOGRAM_SIDE_BINS - 1)
+        return mi.UInt32(cell.y * HISTOGRAM_SIDE_BINS + cell.x)
 
     def sample(self, row: mt.UInt32, point: mt.Point2, active: mt.Mask) -> tuple[mt.UInt32, mt.Vector3]:
-        """Sample directions by points of the unit square: the bin, and the direction in the location's frame."""
-        along = point.x * HISTOGRAM_BINS
-        first = dr.minimum(mi.UInt32(along), HISTOGRAM_BINS - 1)
-        word = dr.gather(mi.UInt32, self.words, row * HISTOGRAM_BINS + first, active)
-        within, own = (along - mi.Float(first)) * HISTOGRAM_BINS, mi.Float(word >> BYTE_BITS & 0xFF)
-        is_own = within < own
-        index = dr.select(is_own, first, word & 0xFF)
-        across = dr.select(is_own, within / own, (within - own) / (HISTOGRAM_BINS - own))
-        inside = mi.Point2f(dr.clip(across, 0, dr.one_minus_epsilon(mi.Float)), point.y)
+        """Sample directions by points of the unit square.
+
+        Args:
+            row: the row of the table of histograms.
+            point: uniform random points of the unit square.
+            active: where directions are sampled.
+
+        Returns:
+            The bins, and the directions in the location's frame.
+        """
+        scaled = point.x * HISTOGRAM_BINS
+        drawn_bin = dr.minimum(mi.UInt32(scaled), HISTOGRAM_BINS - 1)
+        word = dr.gather(mi.UInt32, self.words, row * HISTOGRAM_BINS + drawn_bin, active)
+        draw, own_draws = (scaled - mi.Float(drawn_bin)) * HISTOGRAM_BINS, mi.Float(word >> BYTE_BITS & 0xFF)
+        keeps_bin = draw < own_draws
+        index = dr.select(keeps_bin, drawn_bin, word & 0xFF)
+        bin_coordinate = dr.select(keeps_bin, draw / own_draws, (draw - own_draws) / (HISTOGRAM_BINS - own_draws))
+        bin_place = mi.Point2f(dr.clip(bin_coordinate, 0, dr.one_minus_epsilon(mi.Float)), point.y)
         square = (
-            mi.Point2f(mi.Float(index % HISTOGRAM_SIDE_BINS), mi.Float(index // HISTOGRAM_SIDE_BINS)) + inside
+            mi.Point2f(mi.Float(index % HISTOGRAM_SIDE_BINS), mi.Float(index // HISTOGRAM_SIDE_BINS)) + bin_place
         ) * (1 / HISTOGRAM_SIDE_BINS)
         return index, mi.warp.square_to_cosine_hemisphere(square)
 
     def density(self, row: mt.UInt32, index: mt.UInt32, active: mt.Mask) -> mt.Float:
-        """The density by which directions of a bin are sampled, over the cosine's."""
+        """Return the density by which directions of a bin are sampled, divided by the density of cosine sampling."""
         word = dr.gather(mi.UInt32, self.words, row * HISTOGRAM_BINS + index, active)
         return mi.Float(word >> 2 * BYTE_BITS) * (HISTOGRAM_BINS / PROBABILITY_SLOTS)
 
-    def expect(self, row: mt.UInt32, active: mt.Mask) -> mt.Vector2:
-        """Expectations at a surface in a row of the table; 0 if few paths were.
+    def row_expectations(self, row: mt.UInt32, active: mt.Mask) -> mt.Vector2:
+        """Return what paths bring at a surface, as learned for a row; 0 where too few paths came.
 
-        The luminance that it sends out, but for emission; the root mean square of the radiance of paths that go on.
+        Returns:
+            The luminance that the surface sends out, without emission, and the root mean square of the radiance of
+            paths that go on.
         """
         return dr.gather(mi.Vector2f, self.expected, row, active)
 
-    def add(self, index: mt.UInt32, density: mt.Float, carried: mt.Float, outgoing: mt.Float, active: mt.Mask) -> None:
-        """Add the radiance of paths.
+    def add_radiance(
+        self, index: mt.UInt32, density: mt.Float, carried: mt.Float, outgoing: mt.Float, active: mt.Mask
+    ) -> None:
+        """Add the radiance of paths to the sums that histograms are made of.
 
         Args:
-            index: entry * BINS + bin.
-            density: of the direction over the cosine's.
-            carried: luminance that came from it, over the density by which it was sampled.
-            outgoing: the same, and that of the emitter that was sampled there.
+            index: entry * HISTOGRAM_BINS + bin.
+            density: the density of the sampled direction, divided by the density of cosine sampling.
+            carried: the luminance that came from the direction, divided by the density by which it was sampled.
+            outgoing: the luminance that the path brought from here on, including the emitter that was sampled here.
             active: where there was a path.
         """
         squares = carried * carried
-        for sums, first, values in (
+        for sums, start, values in (
             (self.sums, index * 2, (squares * density, dr.rcp(density))),
-            (self.bounces, index // HISTOGRAM_BINS * _SUMS, (outgoing, squares, mi.Float(1))),
+            (self.bounces, index // HISTOGRAM_BINS * _SUMS_PER_ENTRY, (outgoing, squares, mi.Float(1))),
         ):
-            for number, value in enumerate(values):
-                dr.scatter_reduce(dr.ReduceOp.Add, sums, mi.Float64(value), first + number, active)
+            for offset, value in enumerate(values):
+                dr.scatter_reduce(dr.ReduceOp.Add, sums, mi.Float64(value), start + offset, active)
 
-    def statistics(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Entries that paths visited, [P], and their sums of squares and of counts, float64 [P, SIDE, SIDE]."""
-        # most entries are in the air: they are left out before their sums are read
-        visited = self._bounces()[:, -1].nonzero()[:, 0]
+    def visited_sums(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the entries that paths visited, and their sums.
+
+        Returns:
+            The entries, [P], and their sums of squares and of counts, float64 [P, SIDE, SIDE], where SIDE is
+            HISTOGRAM_SIDE_BINS.
+        """
+        # most entries are in the air: they are left out before sums are read
+        visited = self._entry_sums()[:, -1].nonzero()[:, 0]
         sums = torch.from_numpy(self.sums.numpy()).reshape(CACHE_ENTRIES, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS, 2)[
             visited
         ]
         return visited, sums[..., 0].contiguous(), sums[..., 1].contiguous()
 
-    def learn(self) -> int:
-        """Make the histograms anew of all that was added.
+    def update_histograms(self) -> int:
+        """Make all histograms anew from the sums.
 
         Returns:
-            how many there are, less the uniform one.
+            The number of histograms, without the uniform one.
         """
-        visited, squares, counts = self.statistics()
-        total, count, coarse, parent = coarsen_sums(squares, counts, voxels_of_entries(visited))
-        expected = self.prior(total, count, coarse)
-        fine = (counts.flatten(1).sum(1) >= MIN_ENTRY_PATHS).nonzero()[:, 0]
-        own = shrink_moments(squares[fine], counts[fine], expected[parent[fine]])
-        weights = torch.cat([expected, own]).flatten(1) ** SECOND_MOMENT_POWER
-        dark = weights.sum(1) == 0
-        self._tabulate(torch.cat([weights.new_ones(1, HISTOGRAM_BINS), torch.where(dark[:, None], 1, weights)]))
-        self._expect(visited, parent, len(coarse), fine)
+        visited, squares, counts = self.visited_sums()
+        coarse_squares, coarse_counts, coarse, parent = coarsen_sums(squares, counts, voxels_of_entries(visited))
+        expected = self.prior(coarse_squares, coarse_counts, coarse)
+        fine_rows = (counts.flatten(1).sum(1) >= MIN_ENTRY_PATHS).nonzero()[:, 0]
+        own_moments = shrink_moments(squares[fine_rows], counts[fine_rows], expected[parent[fine_rows]])
+        weights = torch.cat([expected, own_moments]).flatten(1) ** SECOND_MOMENT_POWER
+        is_dark = weights.sum(1) == 0
+        self._tabulate(torch.cat([weights.new_ones(1, HISTOGRAM_BINS), torch.where(is_dark[:, None], 1, weights)]))
+        self._tabulate_expectations(visited, parent, len(coarse), fine_rows)
         rows = torch.zeros(*3 * (GRID_SIDE_VOXELS // 2,), NORMAL_AXES, dtype=torch.int32)
         rows[tuple(coarse.T)] = torch.arange(1, 1 + len(coarse), dtype=torch.int32)
         for axis in range(3):
             rows = rows.repeat_interleave(2, axis)
         rows = rows.flatten()
-        rows[visited[fine]] = torch.arange(1 + len(coarse), 1 + len(weights), dtype=torch.int32)
+        rows[visited[fine_rows]] = torch.arange(1 + len(coarse), 1 + len(weights), dtype=torch.int32)
         self.rows = mi.UInt32(rows.numpy().view(np.uint32))
         return len(weights)
 
-    def _bounces(self) -> Tensor:
-        return torch.from_numpy(self.bounces.numpy()).reshape(CACHE_ENTRIES, _SUMS)
+    def _entry_sums(self) -> Tensor:
+        """Return the sums over the bounces of each entry, [CACHE_ENTRIES, _SUMS_PER_ENTRY]."""
+        return torch.from_numpy(self.bounces.numpy()).reshape(CACHE_ENTRIES, _SUMS_PER_ENTRY)
 
-    def _expect(self, visited: Tensor, parent: Tensor, coarse: int, fine: Tensor) -> None:
-        """Make the table of `expect`, of the same rows as that of histograms."""
-        own = self._bounces()[visited]
-        shared = own.new_zeros(coarse, _SUMS).index_add_(0, parent, own)
-        sums = torch.cat([own.new_zeros(1, _SUMS), shared, own[fine]])
+    def _tabulate_expectations(self, visited: Tensor, parent: Tensor, coarse_count: int, fine_rows: Tensor) -> None:
+        """Make the table of :meth:`row_expectations`, with the rows of the table of histograms."""
+        entry_sums = self._entry_sums()[visited]
+        shared_sums = entry_sums.new_zeros(coarse_count, _SUMS_PER_ENTRY).index_add_(0, parent, entry_sums)
+        sums = torch.cat([entry_sums.new_zeros(1, _SUMS_PER_ENTRY), shared_sums, entry_sums[fine_rows]])
         means = torch.where(sums[:, 2:] < MIN_ROW_BOUNCES, 0, sums[:, :2] / sums[:, 2:])
         means[:, 1] = means[:, 1].sqrt()
         self.expected = mi.Float(means.float().flatten().numpy())
 
     def _tabulate(self, weights: Tensor) -> None:
-        """Make the table of histograms, of weights [rows, BINS]."""
+        """Make the table of histograms from weights [rows, HISTOGRAM_BINS]."""
         self.words = mi.UInt32(alias_words(quantise_weights(weights).numpy()).flatten())
         dr.eval(self.words)
 
 
 class BounceRecords:
-    """The first RECORDED bounces of so many paths, kept until the radiance of these is known.
+    """The first MAX_RECORDED_BOUNCES bounces of each path, kept until the radiance of the paths is known.
+
+    Args:
+        paths: the number of paths.
 
     Attributes:
-        stores: the first `numbers` values of a bounce, each of all paths, 0 if there was none: entry *
-            BINS + bin + 1; the density of the sampled direction, over the cosine's; luminance of the path's throughput
-            before it; luminance that the path had, with the emitter sampled here, and without; point; normal.
+        stores: the first `numbers` values of a bounce, each for all paths, 0 if there was no bounce: entry *
+            HISTOGRAM_BINS + bin + 1; the density of the sampled direction, divided by the density of cosine sampling;
+            the luminance of the path's throughput before the bounce; the luminance that the path had with the emitter
+            sampled at the bounce, and without it; the point; the normal.
     """
 
     numbers = 5
@@ -250,23 +277,24 @@ class BounceRecords:
         self.stores = [dr.zeros(kind, paths * MAX_RECORDED_BOUNCES) for kind in kinds]
         dr.eval(self.lane, self.stores)
 
-    def add(self, depth: mt.UInt32, values: tuple[mt.Float | mt.UInt32, ...], active: mt.Mask) -> None:
-        """Record a bounce, all that `stores` may hold of it."""
+    def record_bounce(self, depth: mt.UInt32, values: tuple[mt.Float | mt.UInt32, ...], active: mt.Mask) -> None:
+        """Record the bounce of a depth; values beyond the first `numbers` are dropped."""
         slot, active = self.lane * MAX_RECORDED_BOUNCES + depth, active & (depth < MAX_RECORDED_BOUNCES)
         for store, value in zip(self.stores, values[: self.numbers], strict=True):
             dr.scatter(store, value, slot, active)
 
-    def train(self, cache: GuideCache, radiance: mt.Color) -> None:
+    def add_to_cache(self, cache: GuideCache, radiance: mt.Color) -> None:
         """Add all bounces to a cache, by the radiance that the paths have in the end."""
-        total = mi.luminance(radiance)
-        dr.eval(total, self.stores)
+        final_luminance = mi.luminance(radiance)
+        dr.eval(final_luminance, self.stores)
         index, density, throughput, radiance, unlit = self.stores[:5]
-        total = dr.gather(
-            mi.Float, total, dr.arange(mi.UInt32, self.paths * MAX_RECORDED_BOUNCES) // MAX_RECORDED_BOUNCES
+        final_luminance = dr.gather(
+            mi.Float, final_luminance, dr.arange(mi.UInt32, self.paths * MAX_RECORDED_BOUNCES) // MAX_RECORDED_BOUNCES
         )
         carried, outgoing = (
-            dr.maximum(total - before, 0) / dr.maximum(throughput, 1e-12) for before in (radiance, unlit)
+            dr.maximum(final_luminance - earlier_luminance, 0) / dr.maximum(throughput, 1e-12)
+            for earlier_luminance in (radiance, unlit)
         )
         active = (index > 0) & (density > 0) & dr.isfinite(outgoing)
-        cache.add(index - 1, density, carried, outgoing, active)
+        cache.add_radiance(index - 1, density, carried, outgoing, active)
         dr.eval(cache.sums, cache.bounces)

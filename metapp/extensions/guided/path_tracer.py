@@ -1,12 +1,13 @@
 """A path tracer that samples directions from a spatial cache of histograms, at every surface that scatters.
 
-It is Mitsuba's `path`, with the same multiple importance sampling of emitters. The difference is how directions are
-sampled: from the cache where a surface is diffuse alone, from cache or BSDF at random where it is glossy, too
-(one-sample multiple importance sampling), from the BSDF where it is smooth or transmissive; and when paths end. The
-mean is that of `path` whatever the cache holds.
+It traces paths as Mitsuba's `path` does, with the same multiple importance sampling of emitters. The difference is when
+paths end, and how directions are sampled: from the cache where a surface is purely diffuse, from cache or BSDF at
+random where it is also glossy (one-sample multiple importance sampling), from the BSDF where it is smooth or
+transmissive. The mean is the mean of `path` whatever the cache holds.
 
-A path ends by Russian roulette on its expected further radiance: the root mean square of that of others from
-that surface on, over the luminance of the whole path (Vorba & Křivánek 2016 with the mean; Rath et al. 2022).
+A path ends by Russian roulette on its expected further radiance: the root mean square of the radiance that other paths
+brought from that surface on, divided by the luminance of the whole path (Vorba & Křivánek 2016 with the mean; Rath et
+al. 2022).
 """
 
 from __future__ import annotations
@@ -20,13 +21,10 @@ from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 from metapp.rendering.paths.next_event import mis_weight
 
-CERTAIN_SURVIVAL_DIVISOR = (
-    1.5  # a path goes on for certain that is expected to bring 1 / WORTH of its luminance yet, or more
-)
-MIN_SURVIVAL_PROBABILITY, MAX_SURVIVAL_PROBABILITY = (
-    0.1,
-    0.95,
-)  # probability that a path goes on: at least, by the cache; at most, from `rr_depth` on
+# A path goes on for certain if it is expected yet to bring the luminance of the whole path divided by this, or more.
+CERTAIN_SURVIVAL_DIVISOR = 1.5
+# The probability that a path goes on: the least by the cache, and the greatest from `rr_depth` on.
+MIN_SURVIVAL_PROBABILITY, MAX_SURVIVAL_PROBABILITY = 0.1, 0.95
 
 
 @dataclass
@@ -34,10 +32,14 @@ class _Paths:
     """All paths in the loop, each before its next surface.
 
     Attributes:
-        origin: the point that the ray leaves, by a direction of `density` per solid angle, or of none (`is_delta`).
-        eta: relative index of refraction of all surfaces so far.
-        hits: where a path met something, a sky at least.
-        expected: luminance of the whole path, by the cache at the first surface that it knows; 0 before.
+        sampler, ray, active: the random numbers, the next ray, and whether the path goes on.
+        depth: the number of surfaces so far.
+        radiance, throughput: what the path has brought so far, and what further radiance is multiplied by.
+        eta: the relative index of refraction of all surfaces so far.
+        origin: the point that the ray leaves.
+        density, is_delta: the density of the ray's direction per solid angle, or whether it has none.
+        hits: whether the path met something, at least a sky.
+        expected: the luminance of the whole path, by the cache at the first surface that it knows; 0 before.
     """
 
     sampler: mt.Sampler
@@ -55,11 +57,11 @@ class _Paths:
 
 
 class PathTracer(NamedTuple):
-    """Traces paths, as Mitsuba's `path`.
+    """A tracer of paths with the depths of Mitsuba's `path`.
 
     Attributes:
-        max_depth: edges of the longest path.
-        rr_depth: edges from which on paths end by chance (Russian roulette).
+        max_depth: the edges of the longest path.
+        rr_depth: the edges from which on paths end by chance (Russian roulette).
     """
 
     max_depth: int
@@ -74,35 +76,39 @@ class PathTracer(NamedTuple):
         guided: bool,
         records: BounceRecords | None,
     ) -> tuple[mt.Color, mt.Mask, mt.UInt32]:
-        """Trace paths: their radiance, where they met something (a sky at least), and how many surfaces they met.
+        """Trace paths through a scene.
 
         Args:
-            scene, sampler, ray: as of `sample` of an integrator.
-            cache: of the scene.
-            guided: a cache to sample directions from, and to end paths by.
-            records: where to record bounces, of as many paths as there are rays.
+            scene, sampler, ray: the arguments of an integrator's `sample`.
+            cache: the cache of the scene.
+            guided: whether directions are sampled from the cache, and paths end by it.
+            records: where to record bounces, for as many paths as there are rays; None for nowhere.
+
+        Returns:
+            The radiance of the paths, whether they met something (at least a sky), and how many surfaces they met.
         """
 
         def bounce(paths: _Paths) -> tuple[_Paths]:
+            """Move all paths on to their next surface."""
             si = scene.ray_intersect(paths.ray, mi.RayFlags.All, paths.depth == 0, paths.active)
-            paths.radiance += paths.throughput * _emitted(scene, si, paths)
+            paths.radiance += paths.throughput * _weigh_emission(scene, si, paths)
             active = paths.active & (paths.depth + 1 < self.max_depth) & si.is_valid()
             vertex = Vertex(scene, cache, paths.sampler, paths.ray, si, active)
-            sample = vertex.by_cache() if guided else vertex.by_bsdf()
-            unlit, remaining = mi.luminance(paths.radiance), mi.Float(0)
+            sample = vertex.sample_cache() if guided else vertex.sample_bsdf()
+            unlit_luminance, remaining = mi.luminance(paths.radiance), mi.Float(0)
             if guided:
-                paths.expected, remaining = _expected(paths, *vertex.expected(sample))
+                paths.expected, remaining = _expect_luminance(paths, *vertex.expected_radiance(sample))
             paths.radiance += paths.throughput * sample.emitter_radiance
             if records is not None:
-                index, density, counts = vertex.recorded(sample)
-                path = mi.luminance(paths.throughput), mi.luminance(paths.radiance), unlit
+                index, density, is_recorded = vertex.record_values(sample)
+                luminances = mi.luminance(paths.throughput), mi.luminance(paths.radiance), unlit_luminance
                 normal = vertex.location.frame.n
-                records.add(paths.depth, (index, density, *path, *si.p, *normal), counts)
+                records.record_bounce(paths.depth, (index, density, *luminances, *si.p, *normal), is_recorded)
             paths.throughput *= sample.weight
             paths.eta *= sample.eta
             paths.hits |= active & ~sample.is_null
             active &= dr.max(paths.throughput) != 0
-            survives = self._survival(paths, remaining)
+            survives = self._survival_probability(paths, remaining)
             paths.throughput /= survives
             paths.active = active & (paths.sampler.next_1d(active & (survives < 1)) < survives)
             paths.ray = mi.RayDifferential3f(si.spawn_ray(si.to_world(sample.wo)))
@@ -119,33 +125,39 @@ class PathTracer(NamedTuple):
         (paths,) = dr.while_loop((paths,), lambda paths: paths.active, bounce)
         return paths.radiance, paths.hits, paths.depth
 
-    def _survival(self, paths: _Paths, remaining: mt.Float) -> mt.Float:
-        """The probability that paths go on: by expected further radiance, or as in `path` if it is not known."""
-        late = paths.depth >= self.rr_depth
-        most, throughput = dr.select(late, MAX_SURVIVAL_PROBABILITY, 1), dr.max(paths.throughput)
-        usual = dr.select(late, dr.minimum(throughput * dr.square(paths.eta), most), 1)
-        least = dr.clip(
-            throughput, MIN_SURVIVAL_PROBABILITY, most
-        )  # or ends of others would brighten a path, by chance without bound
-        return dr.select(remaining > 0, dr.clip(CERTAIN_SURVIVAL_DIVISOR * remaining, least, most), usual)
+    def _survival_probability(self, paths: _Paths, remaining: mt.Float) -> mt.Float:
+        """Return the probability that paths go on.
+
+        It depends on the expected further radiance; where that is not known, it is the probability of `path`.
+        """
+        is_late = paths.depth >= self.rr_depth
+        max_probability, throughput = dr.select(is_late, MAX_SURVIVAL_PROBABILITY, 1), dr.max(paths.throughput)
+        path_probability = dr.select(is_late, dr.minimum(throughput * dr.square(paths.eta), max_probability), 1)
+        # without a least probability, the ends of other paths could brighten a path without bound
+        min_probability = dr.clip(throughput, MIN_SURVIVAL_PROBABILITY, max_probability)
+        return dr.select(
+            remaining > 0,
+            dr.clip(CERTAIN_SURVIVAL_DIVISOR * remaining, min_probability, max_probability),
+            path_probability,
+        )
 
 
-def _expected(paths: _Paths, outgoing: mt.Float, carried: mt.Float) -> tuple[mt.Float, mt.Float]:
-    """The luminance of whole paths, and the share of it that they are expected to bring yet; 0 if not known.
+def _expect_luminance(paths: _Paths, outgoing: mt.Float, carried: mt.Float) -> tuple[mt.Float, mt.Float]:
+    """Return the luminance of whole paths, and the share of it that they are expected to bring yet; 0 if not known.
 
     Args:
-        paths: before next-event estimation.
-        outgoing, carried: expectations of the cache here, as of `GuideCache.expect`.
+        paths: the paths, before next-event estimation at this surface.
+        outgoing, carried: the cache's expectations at this surface; see :meth:`GuideCache.row_expectations`.
     """
-    throughput, known = mi.luminance(paths.throughput), outgoing > 0
-    here = mi.luminance(paths.radiance) + throughput * outgoing
-    whole = dr.select((paths.expected == 0) & known, here, paths.expected)
-    return whole, dr.select(known, throughput * carried / whole, 0)
+    throughput, is_known = mi.luminance(paths.throughput), outgoing > 0
+    expected_here = mi.luminance(paths.radiance) + throughput * outgoing
+    whole_luminance = dr.select((paths.expected == 0) & is_known, expected_here, paths.expected)
+    return whole_luminance, dr.select(is_known, throughput * carried / whole_luminance, 0)
 
 
-def _emitted(scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
-    """Emission of the surface or sky that paths met, by its MIS weight beside emitter sampling."""
-    there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
-    light = there.emitter.eval(si, paths.active)
-    density = scene.pdf_emitter_direction(paths.origin, there, paths.active & ~paths.is_delta)
-    return light * mis_weight(paths.density, density)
+def _weigh_emission(scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
+    """Return the emission of the surface or sky that paths met, by its MIS weight beside emitter sampling."""
+    emitter_sample = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
+    emission = emitter_sample.emitter.eval(si, paths.active)
+    density = scene.pdf_emitter_direction(paths.origin, emitter_sample, paths.active & ~paths.is_delta)
+    return emission * mis_weight(paths.density, density)

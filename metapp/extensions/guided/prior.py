@@ -1,11 +1,12 @@
 """The prior of a guide cache: a survey of a scene, read by a small network.
 
-The light that comes to an entry from a direction is the radiance of the surface that is met there. Paths estimate the
-latter, one number for each entry; rays find which entry is met in which bin. So much is known of the shapes of a scene
-long before paths have filled the histograms.
+The light that comes to an entry from a direction is the radiance of the surface that is met there. Paths estimate this
+radiance, one number for each entry; rays find which entry is met in which bin. So much is known of the shapes of a
+scene long before paths have filled the histograms.
 
 The network maps such pictures over the bins of one entry, [SIDE, SIDE] each, to how densely paths should be sampled
-there. It knows nothing else of a scene. General trained it on rooms (checkpoints/README.md).
+there; SIDE is HISTOGRAM_SIDE_BINS. It knows nothing else of a scene. General trained it on rooms
+(checkpoints/README.md).
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ from metapp.learning.task import Params
 from metapp.storage.checkpoint_files import load_checkpoint
 
 SURVEY_CHANNELS = ("arriving", "emitted", "distance", "cosine", "paths")
-ENTRY_PRIOR_PATHS = 8.0  # that the entries around one count as
+ENTRY_PRIOR_PATHS = 8.0  # the mean of the entries around an entry counts as so many paths
 
-_HALF = GRID_SIDE_VOXELS // 2
-_COARSE_ENTRIES = _HALF**3 * NORMAL_AXES
-_BRIGHTEST = 1e4  # luminance; more says no more
+_COARSE_SIDE = GRID_SIDE_VOXELS // 2  # voxels of twice the side along an axis
+_COARSE_ENTRIES = _COARSE_SIDE**3 * NORMAL_AXES
+_MAX_LUMINANCE = 1e4  # of emitters: brighter ones are as dominant
 
 
 class FirstHits(NamedTuple):
-    """The first surfaces that scatter on rays from entries, [P, rays of a bin, BINS] each.
+    """The first scattering surfaces on rays from entries, [P, rays of a bin, HISTOGRAM_BINS] each.
 
     Attributes:
-        entry: of the cache; ENTRIES where nothing was met.
-        emitted: luminance of emitters that were met, by their MIS weight beside emitter sampling.
-        distance: along the ray.
-        cosine: at the surface.
+        entry: the entry of the cache; CACHE_ENTRIES where nothing was met.
+        emitted: the luminance of emitters that were met, by their MIS weight beside emitter sampling.
+        distance: the distance along the ray.
+        cosine: the cosine at the surface.
     """
 
     entry: Tensor
@@ -58,71 +59,90 @@ class FirstHits(NamedTuple):
 
 
 def entry_features(hits: FirstHits, sums: Tensor, counts: Tensor) -> Tensor:
-    """Features of entries in voxels of twice the side.
+    """Return what the survey knows of entries in voxels of twice the side, as pictures over their bins.
 
     Args:
-        hits: of rays from them.
-        sums, counts: radiance of entries, sums of luminance and counts of paths, float64 [ENTRIES] each.
+        hits: the first hits of rays from these entries.
+        sums: the sums of luminance of all entries, float64 [CACHE_ENTRIES].
+        counts: the counts of paths of all entries, float64 [CACHE_ENTRIES].
 
     Returns:
-        float32 [P, len(CHANNELS), SIDE, SIDE]: log of the squared light that is expected to arrive; the part of it that
-        comes from emitters; log(1 + distance); the cosine at the surface that is met; and of how many paths it is known
-        its radiance.
+        float32 [P, len(SURVEY_CHANNELS), SIDE, SIDE]: the logarithm of the squared light that is expected to arrive;
+        the part of it that comes from emitters; log(1 + distance); the cosine at the surface that is met; by how many
+        paths the radiance of that surface is known.
     """
-    outgoing, paths = (values.float() for values in _shrunk_means(sums, counts))
-    emitted = hits.emitted.clamp(max=_BRIGHTEST)
+    outgoing, paths = (values.float() for values in _shrink_means(sums, counts))
+    emitted = hits.emitted.clamp(max=_MAX_LUMINANCE)
     arriving = (outgoing[hits.entry] + emitted).square().mean(1)
     from_emitters = emitted.square().mean(1)
-    part = from_emitters / (from_emitters + arriving.mean(1, keepdim=True) + 1e-12)
+    emitter_share = from_emitters / (from_emitters + arriving.mean(1, keepdim=True) + 1e-12)
     distance, cosine = (values.mean(1) for values in (hits.distance, hits.cosine))
-    known = 0.2 * paths[hits.entry].mean(1).log1p()
-    arrives = log_relative(arriving.reshape(-1, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS))
-    others = (
+    path_counts = 0.2 * paths[hits.entry].mean(1).log1p()
+    log_arriving = log_relative(arriving.reshape(-1, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS))
+    other_channels = (
         values.reshape(-1, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS)
-        for values in (part, distance.log1p(), cosine, known)
+        for values in (emitter_share, distance.log1p(), cosine, path_counts)
     )
-    return torch.stack([arrives, *others], 1)
+    return torch.stack([log_arriving, *other_channels], 1)
 
 
-def _shrunk_means(sums: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
-    """Means of entries, shrunk towards those of voxels of twice the side, and these towards that of all; and counts.
+def _shrink_means(sums: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the mean radiance of entries, shrunk towards the means of coarser voxels, and the counts of paths.
 
-    Both with a last entry for where nothing is met.
+    The means of voxels of twice the side are in turn shrunk towards the mean of all. Both results have a last entry for
+    rays that meet nothing.
+
+    Args:
+        sums: the sums of luminance of all entries, [CACHE_ENTRIES].
+        counts: the counts of paths of all entries, [CACHE_ENTRIES].
     """
-    parent = _index(coarse_voxels(voxels_of_entries(torch.arange(CACHE_ENTRIES))))
-    total, count = (values.new_zeros(_COARSE_ENTRIES).index_add_(0, parent, values) for values in (sums, counts))
+    parent = _index_voxels(coarse_voxels(voxels_of_entries(torch.arange(CACHE_ENTRIES))))
+    coarse_sums, coarse_counts = (
+        values.new_zeros(_COARSE_ENTRIES).index_add_(0, parent, values) for values in (sums, counts)
+    )
     mean = sums.sum() / counts.sum().clamp_min(1)
-    around = (total + ENTRY_PRIOR_PATHS * mean) / (count + ENTRY_PRIOR_PATHS)
-    outgoing = (sums + ENTRY_PRIOR_PATHS * around[parent]) / (counts + ENTRY_PRIOR_PATHS)
+    coarse_means = (coarse_sums + ENTRY_PRIOR_PATHS * mean) / (coarse_counts + ENTRY_PRIOR_PATHS)
+    outgoing = (sums + ENTRY_PRIOR_PATHS * coarse_means[parent]) / (counts + ENTRY_PRIOR_PATHS)
     return torch.cat([outgoing, mean[None]]), torch.cat([counts, counts.new_zeros(1)])
 
 
-def _index(voxels: Tensor) -> Tensor:
+def _index_voxels(voxels: Tensor) -> Tensor:
+    """Return the numbers [P] of voxels of twice the side with their axes, [P, 4]."""
     index = voxels[:, 0]
-    for column, sides in ((1, _HALF), (2, _HALF), (3, NORMAL_AXES)):
+    for column, sides in ((1, _COARSE_SIDE), (2, _COARSE_SIDE), (3, NORMAL_AXES)):
         index = index * sides + voxels[:, column]
     return index
 
 
 @functools.cache
 def read_prior() -> Params:
-    """The parameters of the network that ships."""
+    """Read the parameters of the network that ships."""
     file = Path(str(resources.files("metapp.extensions.guided"))) / "checkpoints" / "general.safetensors"
     return load_checkpoint(file)[0].encoder
 
 
 def predict_log_densities(theta: Params, features: Tensor) -> Tensor:
-    """Logarithms of the part of the densities that is free, [P, BINS], to a constant."""
+    """Predict the logarithms of the densities of bins, [P, HISTOGRAM_BINS], up to a constant for each entry.
+
+    Args:
+        theta: the network's parameters.
+        features: the channels of :func:`entry_features`, then of :func:`histogram_features`, [P, C, SIDE, SIDE].
+    """
     first = silu(conv2d(features, theta["first.kernel"], theta["first.shift"], padding=1))
     second = silu(conv2d(first, theta["second.kernel"], theta["second.shift"], padding=1) + first)
     return (conv2d(second, theta["out.kernel"]) + conv2d(features, theta["past.kernel"])).flatten(1)
 
 
 def histogram_features(squares: Tensor, counts: Tensor, moments: Tensor) -> Tensor:
-    """Features of the arguments of `second_moments` and its result, [P, SIDE, SIDE] each.
+    """Return what paths have told of entries so far, as pictures over their bins.
+
+    Args:
+        squares: the sums of squared radiance that :func:`second_moments` takes, [P, SIDE, SIDE].
+        counts: the sums of ones that :func:`second_moments` takes, [P, SIDE, SIDE].
+        moments: the second moments that it returns, [P, SIDE, SIDE].
 
     Returns:
-        [P, 3, SIDE, SIDE]: the moments' logarithms, how many paths a bin had, how many the entry.
+        [P, 3, SIDE, SIDE]: the logarithms of the moments, how many paths the bin had, and how many the entry.
     """
     paths = counts.flatten(1).sum(1).log1p()[:, None, None].expand_as(counts)
     return torch.stack([log_relative(moments), 0.3 * counts.log1p().float(), 0.1 * paths.float()], 1)
@@ -133,28 +153,31 @@ class LearnedPrior:
 
     Args:
         theta: the network's parameters.
-        voxels: that were surveyed, of twice the side, as of `voxels_of_entries`, [S, 4].
-        features: of these, as of `entry_features`.
+        voxels: the voxels of twice the side that were surveyed, with their axes, [S, 4].
+        features: the features of these voxels that :func:`entry_features` returns.
     """
 
     def __init__(self, theta: Params, voxels: Tensor, features: Tensor) -> None:
         self.theta, self.features = theta, features
-        self.rows = torch.full((_COARSE_ENTRIES,), -1)  # of all such voxels the row of features, or none
-        self.rows[_index(voxels)] = torch.arange(len(voxels))
+        self.rows = torch.full((_COARSE_ENTRIES,), -1)  # for each coarse voxel its row of features, or -1
+        self.rows[_index_voxels(voxels)] = torch.arange(len(voxels))
 
     @torch.no_grad()
     def __call__(self, squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
-        """Second moments of the arguments of `second_moments`; the network's where the survey has features."""
+        """Return the second moments [P, SIDE, SIDE] that are expected: the network's where the survey has features.
+
+        Elsewhere they are what :func:`second_moments` returns for these arguments.
+        """
         moments = second_moments(squares, counts, voxels)
-        row = self.rows[_index(voxels)]
-        known = (row >= 0).nonzero()[:, 0]
-        found = histogram_features(squares[known], counts[known], moments[known])
-        features = torch.cat([self.features[row[known]], found], 1)
-        # with channels last it is twice as fast
+        feature_rows = self.rows[_index_voxels(voxels)]
+        surveyed = (feature_rows >= 0).nonzero()[:, 0]
+        path_features = histogram_features(squares[surveyed], counts[surveyed], moments[surveyed])
+        features = torch.cat([self.features[feature_rows[surveyed]], path_features], 1)
+        # the network is twice as fast with channels last
         share = (
             predict_log_densities(self.theta, features.contiguous(memory_format=torch.channels_last))
             .double()
             .softmax(1)
         )
-        moments[known] = (share ** (1 / SECOND_MOMENT_POWER)).reshape(-1, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS)
+        moments[surveyed] = (share ** (1 / SECOND_MOMENT_POWER)).reshape(-1, HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS)
         return moments

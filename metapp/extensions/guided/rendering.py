@@ -18,17 +18,17 @@ from metapp.rendering.scenes.stored_text import decode_scene
 from metapp.rendering.types import Scene
 
 GUIDED_PICTURE_SPP = 64  # samples a pixel of the guided picture
-_WAVES = 16  # that a picture in a given time is made of, about
+_WAVES_PER_PICTURE = 16  # a picture in a given time is rendered in about so many waves
 
 
 def render_task(app: App, task: Task, theta: Params, side: int) -> ScenePictures:
-    """The scene of a task by both, with next-event estimation.
+    """Render the scene of a task by `metapp_guided_path` and by `path`, both with next-event estimation.
 
     Args:
-        app: transport.
-        task: holds the `scene`.
-        theta: its fit, which path guiding does not read.
-        side: the longer side of the pictures, px.
+        app: the application, transport.
+        task: the task, which holds the `scene`.
+        theta: the fit of the task, which path guiding does not read.
+        side: the longer side of the pictures, in px.
 
     Raises:
         ValueError: the task has no scene.
@@ -38,12 +38,12 @@ def render_task(app: App, task: Task, theta: Params, side: int) -> ScenePictures
     tracer = path_space.Tracer(decode_scene(task.data["scene"].cpu()))
     register_guided_path()
     resize_film(tracer.scene, side)
-    guided, spent = render_guided_picture(tracer.scene, tracer.depth)
-    seconds = sum(spent.values())
-    regular, spp, regular_seconds = render_regular_picture(tracer.scene, seconds, tracer.depth)
-    parts = ", ".join(f"{name} {each:.2f} s" for name, each in spent.items())
+    guided_picture, seconds_by_part = render_guided_picture(tracer.scene, tracer.depth)
+    seconds = sum(seconds_by_part.values())
+    regular_picture, spp, regular_seconds = render_regular_picture(tracer.scene, seconds, tracer.depth)
+    parts = ", ".join(f"{name} {part_seconds:.2f} s" for name, part_seconds in seconds_by_part.items())
     return ScenePictures(
-        {"guided_path": Picture(guided, "radiance"), "regular_nee": Picture(regular, "radiance")},
+        {"guided_path": Picture(guided_picture, "radiance"), "regular_nee": Picture(regular_picture, "radiance")},
         [
             f"guided_path: {GUIDED_PICTURE_SPP} samples a pixel in {seconds:.2f} s of CPU ({parts}), without the fit",
             f"regular_nee: {spp} samples a pixel in {regular_seconds:.2f} s of CPU",
@@ -52,7 +52,7 @@ def render_task(app: App, task: Task, theta: Params, side: int) -> ScenePictures
 
 
 def resize_film(scene: Scene, side: int) -> None:
-    """Give the film of a scene's first sensor another size: so many pixels along its longer side, all of it."""
+    """Give the film of a scene's first sensor another size, with so many pixels along its longer side."""
     values = mi.traverse(scene.sensors()[0])
     size = scene.sensors()[0].film().size()
     longer = max(int(size[0]), int(size[1]))
@@ -62,22 +62,31 @@ def resize_film(scene: Scene, side: int) -> None:
 
 
 def render_guided_picture(scene: Scene, depth: int) -> tuple[Tensor, dict[str, float]]:
-    """The radiance [rows, columns, 3] by `metapp_guided_path`, and seconds of CPU by task."""
-    begin = time.process_time()
+    """Render the radiance [rows, columns, 3] by `metapp_guided_path`, and return the seconds of CPU of each part."""
+    start = time.process_time()
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": depth})
     picture = pictures.render_scene(scene, integrator, GUIDED_PICTURE_SPP, 0)
-    spent, total = dict(integrator.spent), time.process_time() - begin
-    rest = "all else" if spent else "regular samples"  # where `path` rendered instead
-    return picture, spent | {rest: total - sum(spent.values())}
+    seconds_by_part, total = dict(integrator.spent), time.process_time() - start
+    rest_name = "all else" if seconds_by_part else "regular samples"  # a picture without parts was rendered by `path`
+    return picture, seconds_by_part | {rest_name: total - sum(seconds_by_part.values())}
 
 
 def render_regular_picture(scene: Scene, seconds: float, depth: int) -> tuple[Tensor, int, float]:
-    """The radiance by `path` in about so many seconds of CPU, in one wave at least; samples a pixel, and seconds."""
+    """Render the radiance by `path` in a given time, with one wave at least.
+
+    Args:
+        scene: the scene.
+        seconds: the seconds of CPU that the picture may take, about.
+        depth: the edges of the longest path.
+
+    Returns:
+        The radiance [rows, columns, 3], the samples a pixel, and the seconds of CPU.
+    """
     integrator = mi.load_dict({"type": "path", "max_depth": depth})
-    per_wave = max(1, GUIDED_PICTURE_SPP // _WAVES)
-    begin, longest, total, waves = time.process_time(), 0.0, torch.zeros(()), 0
-    while not waves or time.process_time() - begin + longest / 2 <= seconds:
-        start = time.process_time()
-        total = total + pictures.render_scene(scene, integrator, per_wave, waves)
-        waves, longest = waves + 1, time.process_time() - start
-    return total / waves, per_wave * waves, time.process_time() - begin
+    spp_per_wave = max(1, GUIDED_PICTURE_SPP // _WAVES_PER_PICTURE)
+    start, longest_wave, radiance_sum, waves = time.process_time(), 0.0, torch.zeros(()), 0
+    while not waves or time.process_time() - start + longest_wave / 2 <= seconds:
+        wave_start = time.process_time()
+        radiance_sum = radiance_sum + pictures.render_scene(scene, integrator, spp_per_wave, waves)
+        waves, longest_wave = waves + 1, time.process_time() - wave_start
+    return radiance_sum / waves, spp_per_wave * waves, time.process_time() - start

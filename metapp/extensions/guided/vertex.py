@@ -1,4 +1,7 @@
-"""Vertices of guided paths: how an emitter and the next direction are sampled there."""
+"""Vertices of guided paths: how an emitter and the next direction are sampled there.
+
+The cache is read here, and never written.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,9 @@ from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 from metapp.rendering.paths.next_event import mis_weight
 
-MIXED_CACHE_SHARE, GLOSSY_CACHE_SHARE = (
-    0.5,
-    0.25,
-)  # share of directions from the cache where surfaces are diffuse and more, or glossy
-LAMBERTIAN_CLASS, TWO_SIDED_CLASS = "SmoothDiffuse", "TwoSidedBRDF"  # Mitsuba's classes
+# The share of directions that are sampled from the cache: where a surface is diffuse and something else, where glossy.
+MIXED_CACHE_SHARE, GLOSSY_CACHE_SHARE = 0.5, 0.25
+LAMBERTIAN_CLASS, TWO_SIDED_CLASS = "SmoothDiffuse", "TwoSidedBRDF"  # names of Mitsuba's classes
 
 
 class DirectionSample(NamedTuple):
@@ -23,12 +24,14 @@ class DirectionSample(NamedTuple):
 
     Attributes:
         wo: the direction, in the surface's frame.
-        density: of it, per solid angle.
-        weight: the BSDF's value over that, times the cosine.
-        eta: relative index of refraction.
-        is_delta: whether there was no choice; is_null, whether paths went straight on.
-        emitter_radiance: of next-event estimation.
-        guide: density over the cosine's, and bin in the cache; None if it was not asked.
+        density: its density per solid angle.
+        weight: the BSDF's value times the cosine, divided by the density.
+        eta: the relative index of refraction.
+        is_delta: whether the BSDF left no choice of a direction.
+        is_null: whether paths went straight on.
+        emitter_radiance: the radiance by next-event estimation.
+        guide: the density divided by the density of cosine sampling, and the bin in the cache; None if the cache was
+            not asked.
     """
 
     wo: mt.Vector3
@@ -42,11 +45,21 @@ class DirectionSample(NamedTuple):
 
 
 EmitterAndBsdfSample = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
-"""The BSDF's sample and its weight; a direction in the surface's frame; value and density there, and to the emitter."""
+"""The BSDF's sample and its weight; a direction in the surface's frame; the BSDF's value and density there, and the two
+towards the emitter."""
 
 
 class Vertex:
-    """Vertices of paths, where an emitter and the next direction are sampled."""
+    """Vertices of paths, where an emitter and the next direction are sampled.
+
+    Args:
+        scene: the scene.
+        cache: the cache of the scene.
+        sampler: the random numbers.
+        ray: the rays that arrive.
+        si: where they meet surfaces.
+        active: which paths meet one.
+    """
 
     def __init__(
         self,
@@ -63,66 +76,87 @@ class Vertex:
         self.emitter, self.emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, scatters)
         self.is_lit = scatters & (self.emitter.pdf != 0)
         self.draws = sampler.next_1d(), sampler.next_2d()
-        diffuse, glossy = (mi.has_flag(flags, kind) for kind in (kinds.DiffuseReflection, kinds.GlossyReflection))
+        is_diffuse, is_glossy = (mi.has_flag(flags, kind) for kind in (kinds.DiffuseReflection, kinds.GlossyReflection))
         transmits = mi.has_flag(flags, kinds.Transmission)
-        others = int(kinds.All) & ~int(kinds.DiffuseReflection)
-        only_diffuse = diffuse & (flags & mi.UInt32(others) == 0)
-        mixed = dr.select(diffuse, MIXED_CACHE_SHARE, dr.select(glossy & ~transmits, GLOSSY_CACHE_SHARE, 0))
-        self.share = dr.select(only_diffuse, 1, mixed)  # of directions that the cache samples
+        other_flags = int(kinds.All) & ~int(kinds.DiffuseReflection)
+        is_pure_diffuse = is_diffuse & (flags & mi.UInt32(other_flags) == 0)
+        mixed_share = dr.select(is_diffuse, MIXED_CACHE_SHARE, dr.select(is_glossy & ~transmits, GLOSSY_CACHE_SHARE, 0))
+        self.share = dr.select(is_pure_diffuse, 1, mixed_share)  # the share of directions that the cache samples
         self.location = cache.locate(si.p, dr.select(si.wi.z < 0, -si.sh_frame.n, si.sh_frame.n))
 
-    def by_bsdf(self) -> DirectionSample:
-        """Sample directions as the BSDF does."""
+    def sample_bsdf(self) -> DirectionSample:
+        """Sample directions by the BSDF alone."""
         wo = self.si.to_local(self.emitter.d)
-        value, density, drawn, weight = self.bsdf.eval_pdf_sample(
+        value, density, bsdf_sample, weight = self.bsdf.eval_pdf_sample(
             mi.BSDFContext(), self.si, wo, *self.draws, self.active
         )
-        is_delta, is_null = (mi.has_flag(drawn.sampled_type, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Null))
-        light = self._emitter_radiance(value, density)
-        return DirectionSample(drawn.wo, drawn.pdf, weight, drawn.eta, is_delta, is_null, light, None)
-
-    def by_cache(self) -> DirectionSample:
-        """Sample a share of the directions from the cache."""
-        cache, si, location = self.cache, self.si, self.location
-        of_cache = self.draws[0] < self.share
-        rest = (self.draws[0] - self.share) / dr.maximum(1 - self.share, 1e-6)
-        rest = dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
-        guided = self.active & (self.share > 0)
-        index, local = cache.sample(location.row, self.draws[1], guided & of_cache)
-        drawn, weight, wo, value, density, to_emitter = self._evaluated(
-            si.to_local(location.frame.to_world(local)), of_cache, rest
+        is_delta, is_null = (
+            mi.has_flag(bsdf_sample.sampled_type, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Null)
         )
-        local = dr.select(of_cache, local, location.frame.to_local(si.to_world(wo)))
-        index = dr.select(of_cache, index, cache.bin(local))
-        mixture, towards = self._mixture(local, index, density, guided), location.frame.to_local(self.emitter.d)
-        to_light = self._mixture(towards, cache.bin(towards), to_emitter[1], self.is_lit & (self.share > 0))
-        light = self._emitter_radiance(to_emitter[0], to_light)
-        is_delta = ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
+        emitter_radiance = self._emitter_radiance(value, density)
+        return DirectionSample(
+            bsdf_sample.wo, bsdf_sample.pdf, weight, bsdf_sample.eta, is_delta, is_null, emitter_radiance, None
+        )
+
+    def sample_cache(self) -> DirectionSample:
+        """Sample a share of the directions from the cache, the others by the BSDF."""
+        cache, si, location = self.cache, self.si, self.location
+        by_cache = self.draws[0] < self.share
+        bsdf_draw = (self.draws[0] - self.share) / dr.maximum(1 - self.share, 1e-6)
+        bsdf_draw = dr.clip(bsdf_draw, 0, dr.one_minus_epsilon(mi.Float))
+        is_guided = self.active & (self.share > 0)
+        bin_index, guided_direction = cache.sample(location.row, self.draws[1], is_guided & by_cache)
+        bsdf_sample, weight, wo, value, density, emitter_values = self._evaluate(
+            si.to_local(location.frame.to_world(guided_direction)), by_cache, bsdf_draw
+        )
+        guided_direction = dr.select(by_cache, guided_direction, location.frame.to_local(si.to_world(wo)))
+        bin_index = dr.select(by_cache, bin_index, cache.bin_of_direction(guided_direction))
+        mixture_density, emitter_direction = (
+            self._mixture_density(guided_direction, bin_index, density, is_guided),
+            location.frame.to_local(self.emitter.d),
+        )
+        emitter_density = self._mixture_density(
+            emitter_direction,
+            cache.bin_of_direction(emitter_direction),
+            emitter_values[1],
+            self.is_lit & (self.share > 0),
+        )
+        emitter_radiance = self._emitter_radiance(emitter_values[0], emitter_density)
+        is_delta = ~by_cache & mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
         return DirectionSample(
             wo,
-            dr.select(is_delta, drawn.pdf, mixture),
-            dr.select(is_delta, weight / (1 - self.share), dr.select(mixture > 0, value / mixture, 0)),
-            dr.select(of_cache, 1, drawn.eta),
+            dr.select(is_delta, bsdf_sample.pdf, mixture_density),
+            dr.select(is_delta, weight / (1 - self.share), dr.select(mixture_density > 0, value / mixture_density, 0)),
+            dr.select(by_cache, 1, bsdf_sample.eta),
             is_delta,
-            ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null),
-            light,
-            (mixture * dr.pi / dr.maximum(local.z, 1e-6), index),
+            ~by_cache & mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Null),
+            emitter_radiance,
+            (mixture_density * dr.pi / dr.maximum(guided_direction.z, 1e-6), bin_index),
         )
 
-    def recorded(self, sample: DirectionSample) -> tuple[mt.UInt32, mt.Float, mt.Mask]:
-        """The first two numbers that `Records` keep of a sample of this vertex, and where it counts."""
+    def record_values(self, sample: DirectionSample) -> tuple[mt.UInt32, mt.Float, mt.Mask]:
+        """Return the first two numbers that :class:`BounceRecords` keeps of a sample, and where they are recorded."""
         cache, location = self.cache, self.location
-        local = location.frame.to_local(self.si.to_world(sample.wo))
-        density, index = sample.guide or (sample.density * dr.pi / dr.maximum(local.z, 1e-6), cache.bin(local))
-        active = self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
-        return location.entry * HISTOGRAM_BINS + index + 1, density, active
+        direction = location.frame.to_local(self.si.to_world(sample.wo))
+        density, bin_index = sample.guide or (
+            sample.density * dr.pi / dr.maximum(direction.z, 1e-6),
+            cache.bin_of_direction(direction),
+        )
+        active = self.active & (self.share > 0) & ~sample.is_delta & (direction.z > 1e-4)
+        return location.entry * HISTOGRAM_BINS + bin_index + 1, density, active
 
-    def expected(self, sample: DirectionSample) -> mt.Vector2:
-        """The cache's expectations of paths that go on by a sample of this vertex, as of `expect`."""
-        return self.cache.expect(self.location.row, self.active & (self.share > 0) & ~sample.is_delta)
+    def expected_radiance(self, sample: DirectionSample) -> mt.Vector2:
+        """Return what the cache expects of paths that go on by a sample; see :meth:`GuideCache.row_expectations`."""
+        return self.cache.row_expectations(self.location.row, self.active & (self.share > 0) & ~sample.is_delta)
 
-    def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> EmitterAndBsdfSample:
-        """Of the cache's direction `guided`, or one of the BSDF."""
+    def _evaluate(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> EmitterAndBsdfSample:
+        """Evaluate the BSDF in a direction of the cache, or in one that the BSDF samples, and towards the emitter.
+
+        Args:
+            guided: the directions of the cache, in the surface's frame.
+            of_cache: where these are taken.
+            draw: the random number that chooses a lobe of the BSDF.
+        """
 
         def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3, of_cache: mt.Mask,
                      draw: mt.Float, point: mt.Point2, active: mt.Mask) -> EmitterAndBsdfSample:  # fmt: skip
@@ -130,43 +164,58 @@ class Vertex:
                 lobe = lambertian_functions(bsdf, si, active)
                 return dr.zeros(mi.BSDFSample3f), mi.Color3f(0), mi.Vector3f(guided), *lobe(guided), lobe(to_emitter)
             context = mi.BSDFContext()
-            drawn, weight = bsdf.sample(context, si, draw, point, active & ~of_cache)
-            wo = dr.select(of_cache, guided, drawn.wo)
+            bsdf_sample, weight = bsdf.sample(context, si, draw, point, active & ~of_cache)
+            wo = dr.select(of_cache, guided, bsdf_sample.wo)
             value, density = bsdf.eval_pdf(context, si, wo, active)
-            return drawn, weight, wo, value, density, bsdf.eval_pdf(context, si, to_emitter, active)
+            return bsdf_sample, weight, wo, value, density, bsdf.eval_pdf(context, si, to_emitter, active)
 
         to_emitter = self.si.to_local(self.emitter.d)
         inputs = (self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active)
         evaluated: EmitterAndBsdfSample = dr.dispatch(self.bsdf, evaluate, *inputs)
         return evaluated
 
-    def _mixture(self, local: mt.Vector3, index: mt.UInt32, density: mt.Float, active: mt.Mask) -> mt.Float:
-        """The density by which cache and BSDF, this by `density`, together sample a direction of a bin."""
-        relative = self.cache.density(self.location.row, index, active)
-        return dr.lerp(density, relative * dr.maximum(local.z, 0) * dr.inv_pi, self.share)
+    def _mixture_density(self, local: mt.Vector3, index: mt.UInt32, density: mt.Float, active: mt.Mask) -> mt.Float:
+        """Return the density by which cache and BSDF together sample a direction.
+
+        Args:
+            local: the direction, in the location's frame.
+            index: its bin.
+            density: the density by which the BSDF samples it.
+            active: where the cache samples directions at all.
+        """
+        relative_density = self.cache.density(self.location.row, index, active)
+        return dr.lerp(density, relative_density * dr.maximum(local.z, 0) * dr.inv_pi, self.share)
 
     def _emitter_radiance(self, value: mt.Color, density: mt.Float) -> mt.Color:
-        """Light of the sampled emitter, by its MIS weight beside sampling directions of such a density."""
+        """Return the light of the sampled emitter, by its MIS weight beside directions sampled with a given density.
+
+        Args:
+            value: the BSDF's value times the cosine, towards the emitter.
+            density: the density by which that direction is sampled.
+        """
         weight = dr.select(self.emitter.delta, 1, mis_weight(self.emitter.pdf, density))
         return dr.select(self.is_lit, weight * value * self.emitted, 0)
 
 
 def is_lambertian(bsdf: mt.Bsdf) -> bool:
-    """True if a BSDF is Mitsuba's `diffuse`, on one side or on both."""
+    """Return True if a BSDF is Mitsuba's `diffuse`, on one side or on both."""
     kind = bsdf.class_name()
-    both = (f"brdf[{side}] = {LAMBERTIAN_CLASS}[" in str(bsdf) for side in range(2))
-    return kind == LAMBERTIAN_CLASS or (kind == TWO_SIDED_CLASS and all(both))
+    sides_are_lambertian = (f"brdf[{side}] = {LAMBERTIAN_CLASS}[" in str(bsdf) for side in range(2))
+    return kind == LAMBERTIAN_CLASS or (kind == TWO_SIDED_CLASS and all(sides_are_lambertian))
 
 
 def lambertian_functions(
     bsdf: mt.Bsdf, si: mt.Interaction, active: mt.Mask
 ) -> Callable[[mt.Vector3], tuple[mt.Color, mt.Float]]:
-    """The value, times the cosine, and the density of such a BSDF by direction; its texture is read once."""
-    albedo, both = bsdf.eval_diffuse_reflectance(si, active), bsdf.class_name() == TWO_SIDED_CLASS
+    """Return a function of directions that gives a Lambertian BSDF's value, times the cosine, and its density.
 
-    def lobe(wo: mt.Vector3) -> tuple[mt.Color, mt.Float]:
-        same_side = si.wi.z * wo.z > 0 if both else (si.wi.z > 0) & (wo.z > 0)
-        density = dr.select(active & same_side, dr.abs(wo.z) * dr.inv_pi, 0)
+    The texture is read once.
+    """
+    albedo, is_two_sided = bsdf.eval_diffuse_reflectance(si, active), bsdf.class_name() == TWO_SIDED_CLASS
+
+    def evaluate_lobe(wo: mt.Vector3) -> tuple[mt.Color, mt.Float]:
+        is_reflection = si.wi.z * wo.z > 0 if is_two_sided else (si.wi.z > 0) & (wo.z > 0)
+        density = dr.select(active & is_reflection, dr.abs(wo.z) * dr.inv_pi, 0)
         return albedo * density, density
 
-    return lobe
+    return evaluate_lobe

@@ -62,13 +62,15 @@ def test_the_mapping_is_the_published_one_and_has_an_inverse(rng: Generator) -> 
     one = torch.ones(1, 1)
     of = Components(one, torch.tensor([[0.5]]), torch.tensor([[0.2]]), one, one, one)
     expected = [math.log(0.001 / 0.101), math.log(1.001 / 0.101)]
-    assert of.mapped(torch.tensor([[0.0, 2.0]]))[0].tolist() == pytest.approx(expected)
+    assert of.log_relative_reflectance(torch.tensor([[0.0, 2.0]]))[0].tolist() == pytest.approx(expected)
     reflectance = torch.rand(50, 4, generator=rng) * 10
     reflectance[0] = 0
     cos, weight, reference = (torch.rand(50, 1, generator=rng) + 0.01 for _ in range(3))
     of = Components(cos, weight, reference, torch.zeros(50, 1), torch.eye(50), torch.ones(50))
-    torch.testing.assert_close(of.reflectance(of.mapped(reflectance)), reflectance, atol=1e-5, rtol=1e-4)
-    assert torch.equal(of.mapped(reference.expand(-1, 4)), torch.zeros(50, 4))
+    torch.testing.assert_close(
+        of.reflectance(of.log_relative_reflectance(reflectance)), reflectance, atol=1e-5, rtol=1e-4
+    )
+    assert torch.equal(of.log_relative_reflectance(reference.expand(-1, 4)), torch.zeros(50, 4))
 
 
 def test_components_are_those_of_the_singular_value_decomposition(rng: Generator) -> None:
@@ -117,17 +119,17 @@ def test_coefficients_are_at_the_minimum_of_their_cost(rng: Generator, solves: i
     where, target = made.data["where"][0].double(), made.data["target"].double()
     materials = Tasks(made.names, {"where": where.expand(12, -1, -1), "target": target}, made.rows)
     rows, seen = draw_seen_rows(materials.select([10]), rng, 300)  # which is not in the span
-    used, penalty = training_components(where, target[:8]).first(5).at(rows), 1e-3
+    used, penalty = training_components(where, target[:8]).select_components(5).select_places(rows), 1e-3
     reflectance = (seen.expm1() / used.cos).requires_grad_()
-    mapped = used.mapped(reflectance)
+    mapped = used.log_relative_reflectance(reflectance)
     (by_reflectance,) = torch.autograd.grad(torch.log1p(reflectance * used.cos).sum(), reflectance)
     (mapped_by,) = torch.autograd.grad(mapped.sum(), reflectance)
     weights = slope = by_reflectance / mapped_by
     if solves > 1:
-        before = used.reflectance(used.coefficients(seen, penalty, solves - 1))
+        before = used.reflectance(used.solve_coefficients(seen, penalty, solves - 1))
         error = (torch.log1p(before * used.cos) - seen).abs()
         weights = slope**2 / (error + MIN_ERROR_SHARE * error.mean(0))
-    found = used.coefficients(seen, penalty, solves).requires_grad_()
+    found = used.solve_coefficients(seen, penalty, solves).requires_grad_()
     residual = used.axes @ found + used.mean - mapped.detach()
     drawn_to = (found / used.deviation[:, None]) ** 2
     cost = (weights / weights.mean(0) * residual**2).sum() + penalty * len(residual) * drawn_to.sum()
@@ -157,15 +159,15 @@ def test_the_penalty_is_chosen_on_materials_that_components_do_not_know_and_byte
     training, allowed = TrainingTasks(APP, random_materials(12, rng)), CostLimits(400, 2700)
     pca = Pca(APP, 8)
     pca.prepare(training, allowed)
-    known, validation = split_validation(training.stacked)
+    known, validation = split_validation(training.prepared_tasks)
     where, errors = known.data["where"][0], {}
-    components = training_components(where, known.data["target"][known.rows]).first(8)
+    components = training_components(where, known.data["target"][known.rows]).select_components(8)
     for setting in itertools.product(CANDIDATE_PENALTIES, CANDIDATE_SOLVES):
         errors[setting] = mean_error(pca_of(where, components, *setting), validation, allowed)
     penalty, solves = min(errors, key=errors.__getitem__)
     assert pca.chosen == {"penalty": penalty, "solves": solves}
     assert pca.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
-    one = training.stacked.select([2])
+    one = training.prepared_tasks.select([2])
     fitted = pca.fit(one, Generator().manual_seed(0), allowed)
     assert (fitted.numbers, fitted.kept_bytes) == (24, 96)
     assert APP.errors_of(fitted.answer(), one)["error"].item() < 0.01
@@ -192,7 +194,7 @@ def test_only_materials_at_the_same_angles_are_fitted(rng: Generator) -> None:
     materials, half = random_materials(12, rng), SAMPLES // 2
     known = stack_tasks(APP, materials).data
     where = known["where"][0]
-    pca = pca_of(where, training_components(where, known["target"]).first(8), 1e-9, 1)
+    pca = pca_of(where, training_components(where, known["target"]).select_components(8), 1e-9, 1)
     order = torch.cat([torch.randint(half // 4, (half,), generator=rng), torch.arange(half, SAMPLES)])
     moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
     one = stack_tasks(APP, [moved])

@@ -138,7 +138,7 @@ def test_every_application_has_baselines_and_its_table_prints_them(
         assert row["tasks"] == TEST, baseline.name
         assert row["error"] is not None
         assert row["kept_bytes"] > 0
-        assert (row["seconds"] is None) == bool(baseline.stored)
+        assert (row["seconds"] is None) == bool(baseline.stored_tensor)
         assert not baseline.learns or row["shared"] > 0
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
         console.print(make_rich_table(table))

@@ -45,7 +45,7 @@ def photograph(ball: Ball, height: int, width: int, around: Floats | float = 0.0
     """Linear RGB [3, height, width] of a mirror ball before something else."""
     places = places_of(ball, height, width)
     behind = np.kron(np.broadcast_to(around, (height, width)), np.ones((2, 2)))
-    values = np.where(np.hypot(*places) < 1, lit(disc_to_directions(places, ball.angle)), behind)
+    values = np.where(np.hypot(*places) < 1, lit(disc_to_directions(places, ball.half_angle_rad)), behind)
     return values.reshape(3, height, 2, width, 2).mean((2, 4))
 
 

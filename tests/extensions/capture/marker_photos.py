@@ -29,7 +29,7 @@ class Camera(NamedTuple):
     height: int = 1200
     width: int = 1600
 
-    def to_px(self, height: float = 0.0) -> np.ndarray:
+    def projection_matrix(self, height: float = 0.0) -> np.ndarray:
         """[3, 3], from cm on the sheet, or on a plane so high above it, to px, pixel centres at whole numbers."""
         forward = np.array([*self.aim, 0.0]) - self.place
         forward /= np.linalg.norm(forward)
@@ -104,7 +104,7 @@ def photograph(
     values, to_page = sheet_on_patch(opening, bend)
     many = 2
     finer = np.array([[many, 0, (many - 1) / 2], [0, many, (many - 1) / 2], [0, 0, 1]])
-    warp = finer @ camera.to_px() @ np.linalg.inv(to_page)
+    warp = finer @ camera.projection_matrix() @ np.linalg.inv(to_page)
     size = camera.width * many, camera.height * many
     large = cv2.warpPerspective(values.astype(np.float32), warp, size, flags=cv2.INTER_LINEAR, borderValue=(0.4,) * 3)
     seen = cv2.resize(large, (camera.width, camera.height), interpolation=cv2.INTER_AREA).astype(np.float64)

@@ -54,9 +54,9 @@ def test_a_contour_is_the_edge_of_a_cone() -> None:
     rays = np.stack([px[0] - 256, px[1] - 250, np.full(50, 500.0)])
     centre = np.array([300 - 256, 200 - 250, 500])
     cosines = centre @ rays / np.linalg.norm(rays, axis=0) / np.linalg.norm(centre)
-    np.testing.assert_allclose(np.arccos(cosines), ball.angle, atol=1e-9)
+    np.testing.assert_allclose(np.arccos(cosines), ball.half_angle_rad, atol=1e-9)
     up, right = ball.to_px(np.array([0, 1.0])), ball.to_px(np.array([1.0, 0]))
     assert up[1] < 200
     assert right[0] > 300
     place = np.array([0.3, 0.4])
-    np.testing.assert_allclose(ball.scaled(0.5).to_px(place), ball.to_px(place) / 2)
+    np.testing.assert_allclose(ball.resize(0.5).to_px(place), ball.to_px(place) / 2)

@@ -50,7 +50,7 @@ def expected(size: int, vignette: float, camera: Camera) -> np.ndarray:
     """The patch as a picture of so many px, darker towards the photograph's corners."""
     picture = cv2.resize(patch(), (size, size), interpolation=cv2.INTER_AREA)
     y, x = ((np.mgrid[:size, :size] + 0.5) / size - 0.5) * 10
-    seen = np.einsum("ij,jhw->ihw", camera.to_px(), np.stack([x, -y, np.ones_like(x)]))
+    seen = np.einsum("ij,jhw->ihw", camera.projection_matrix(), np.stack([x, -y, np.ones_like(x)]))
     off = np.hypot(seen[0] / seen[2] - camera.width / 2, seen[1] / seen[2] - camera.height / 2)
     return picture * (1 - vignette * (off / math.hypot(camera.width, camera.height) * 2) ** 2)[..., None]
 
@@ -63,7 +63,7 @@ def test_the_patch_and_the_camera_are_found(photos: Path, name: str) -> None:
     camera_found = solve_camera(sighting, sighting.focal_mm)
     assert off_by(camera_found.place_cm, camera) < 0.003  # asked for: 0.02
     assert camera_found.error_px < 0.4
-    size = int(10 * sighting.scales()[0])
+    size = int(10 * sighting.px_per_cm()[0])
     picture = rectify_opening(read_pixels(path), sighting, size)
     rmse = np.sqrt(np.mean((picture - expected(size, LOOK["vignette"], camera)) ** 2))
     assert rmse < 0.02  # the patch's own deviation is 0.17
@@ -152,12 +152,14 @@ def test_the_flash_is_beside_the_lens_in_the_photograph(photos: Path) -> None:
     paths = [photos / "aside.jpg", photos / "turned.jpg"]
     found, _, _ = find_cameras(paths)
     for photo in found:
-        light_cm = photo.beside_cm(1.5, -0.5)
+        light_cm = photo.offset_place_cm(1.5, -0.5)
         seen = photo.axes @ (light_cm - photo.place_cm)  # right, down, forward
         np.testing.assert_allclose(seen, [1.5, 0.5, 0], atol=1e-9)
         # what is to the right in the photograph is where its homography says
         camera = CAMERAS[photo.sighting.path.stem]
-        before, after = (camera.to_px() @ np.array([*(foot(photo, light_cm, shift)), 1]) for shift in (0.0, 1.0))
+        before, after = (
+            camera.projection_matrix() @ np.array([*(foot(photo, light_cm, shift)), 1]) for shift in (0.0, 1.0)
+        )
         assert after[0] / after[2] > before[0] / before[2]
 
 
@@ -183,7 +185,8 @@ def hidden(path: Path, camera: Camera, *boxes: tuple[float, float, float, float]
     values = (photograph(camera) * 255).astype(np.uint8)
     for left, right, lower, upper in boxes:
         corners = (
-            np.array([[left, lower, 1], [right, lower, 1], [right, upper, 1], [left, upper, 1]]) @ camera.to_px().T
+            np.array([[left, lower, 1], [right, lower, 1], [right, upper, 1], [left, upper, 1]])
+            @ camera.projection_matrix().T
         )
         cv2.fillPoly(values, [(corners[:, :2] / corners[:, 2:]).round().astype(np.int32)], (110, 100, 90))
     return write(path, values)
@@ -197,7 +200,7 @@ def test_some_hidden_markers_do_no_harm(tmp_path: Path) -> None:
 
 
 REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "nothing": (lambda path: write(path, noise(600, 800)), "no marker found, expected those of a marker sheet; photog"),
+    "nothing": (lambda path: write(path, noise(600, 800)), "no marker found, expected the markers of a sheet; photog"),
     "few": (
         lambda path: hidden(path, tilted(20), (-9, 9, -5.2, 9)),
         "markers, on one side of the opening alone or too few, expected 4 to 12 all round",

@@ -38,7 +38,9 @@ def material(seed: int) -> np.ndarray:
 def take(path: Path, camera: Camera, values: np.ndarray) -> Path:
     """A photograph, brightest in its middle, with noise."""
     to_cm = np.array([[0.05, 0, -30 + 0.025], [0, -0.05, 30 - 0.025], [0, 0, 1]])
-    seen = cv2.warpPerspective(values, camera.to_px() @ to_cm, (camera.width, camera.height), flags=cv2.INTER_AREA)
+    seen = cv2.warpPerspective(
+        values, camera.projection_matrix() @ to_cm, (camera.width, camera.height), flags=cv2.INTER_AREA
+    )
     y, x = np.mgrid[-1 : 1 : camera.height * 1j, -1 : 1 : camera.width * 1j]
     seen = seen * (1 - 0.2 * (x**2 + y**2))[..., None] + np.random.default_rng(1).normal(0, 0.01, seen.shape)
     return write(path, (seen.clip(0, 1) * 255).round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=camera.focal_mm)
@@ -58,7 +60,7 @@ def sightings(photos: Path) -> list[Sighting]:
     """What all of them share with the first."""
     steps: list[str] = []
     registration = register_photos([photos / f"{name}.png" for name in CAMERAS], begin=steps.append)
-    assert registration.lost() == []
+    assert registration.unmatched_lines() == []
     assert [step for step in steps if "finding features" in step] == [
         f"{name}.png: finding features" for name in CAMERAS
     ]
@@ -77,7 +79,7 @@ def test_places_and_the_square_are_found(sightings: list[Sighting], focal: bool)
     assert [camera.sighting.path.stem for camera in cameras] == list(CAMERAS)
     corners = []
     for camera in cameras:
-        to_cm = np.linalg.inv(CAMERAS[camera.sighting.path.stem].to_px())
+        to_cm = np.linalg.inv(CAMERAS[camera.sighting.path.stem].projection_matrix())
         corners.append(cv2.perspectiveTransform(camera.sighting.corners_px()[None], to_cm)[0])
     side = np.linalg.norm(corners[0] - np.roll(corners[0], 1, 0), axis=1).mean()
     assert side > 7
@@ -106,8 +108,8 @@ def test_the_straightest_photograph_is_the_reference(photos: Path, tmp_path: Pat
     cameras, focal_mm, skipped = find_cameras(paths, fov_rad)
     assert skipped == []
     assert focal_mm == (pytest.approx(26, rel=0.02) if source == "matches" else 0.0)
-    assert [camera.sighting.path.stem for camera in cameras if camera.sighting.reference] == ["a"]
-    assert cameras[0].sighting.reference
+    assert [camera.sighting.path.stem for camera in cameras if camera.sighting.is_reference] == ["a"]
+    assert cameras[0].sighting.is_reference
     for camera in cameras:
         assert camera.tilt_degrees == pytest.approx(tilt_of(CAMERAS[camera.sighting.path.stem]), abs=0.5)
 
@@ -120,12 +122,21 @@ def test_of_squares_as_large_the_one_below_the_camera_is_taken() -> None:
         points = np.stack(np.meshgrid(np.arange(-8.0, 8.1), np.arange(-4.0, 4.1)), -1).reshape(-1, 2)
         sightings = [
             Sighting(
-                Path(), 240, 600, 26.0, 1.0, points, points, apply_homography(view.to_px(), points), view.to_px(), False
+                Path(),
+                240,
+                600,
+                26.0,
+                1.0,
+                points,
+                points,
+                apply_homography(view.projection_matrix(), points),
+                view.projection_matrix(),
+                False,
             )
             for view in views
         ]
         oblique, straight = cameras_on_square([solve_camera(sighting, 26.0) for sighting in sightings])
-        assert straight.aside_degrees < 0.1
+        assert straight.view_angle_degrees < 0.1
         np.testing.assert_allclose(oblique.place_cm * 20 / straight.place_cm[2], [6, 0, 40], atol=0.01)
 
 
@@ -197,9 +208,11 @@ def test_photographs_that_share_no_part_are_drawn_with_their_views() -> None:
     cameras = []
     for view in views:
         points = np.stack(np.meshgrid(np.arange(-8.0, 8.1), np.arange(-4.0, 4.1)), -1).reshape(-1, 2)
-        px = apply_homography(view.to_px(), points)
+        px = apply_homography(view.projection_matrix(), points)
         cameras.append(
-            solve_camera(Sighting(Path(), 240, 320, 26.0, 1.0, px, points, px, view.to_px(), False), FOCAL_MM)
+            solve_camera(
+                Sighting(Path(), 240, 320, 26.0, 1.0, px, points, px, view.projection_matrix(), False), FOCAL_MM
+            )
         )
     with pytest.raises(ValueError, match="no part is in all 3 photos"):
         cameras_on_square(cameras)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metapp.extensions.capture.markers import rectification
+from metapp.extensions.capture.markers import rectification, sample
 from metapp.extensions.capture.markers.rectified_photos import find_cameras
 from metapp.extensions.capture.markers.sample import find_largest_square, find_sample, select_middle_region
 from tests.extensions.capture.marker_photos import cv2
@@ -24,11 +24,11 @@ def photograph(folder: Path, thickness: float, half_side: float = HALF_SIDE, fin
     for seed, (name, camera) in enumerate(CAMERAS.items()):
         size = camera.width, camera.height
         seen, table = (
-            cv2.warpPerspective(material(number), camera.to_px(height) @ TO_CM, size, flags=cv2.INTER_AREA)
+            cv2.warpPerspective(material(number), camera.projection_matrix(height) @ TO_CM, size, flags=cv2.INTER_AREA)
             for number, height in ((1, 0.0), (2, -thickness))
         )
         on_sample = np.zeros(seen.shape[:2], np.uint8)
-        outline = cv2.perspectiveTransform(corners[None], camera.to_px())[0]
+        outline = cv2.perspectiveTransform(corners[None], camera.projection_matrix())[0]
         cv2.fillConvexPoly(on_sample, np.round(outline).astype(np.int32), 1)
         seen = np.where(on_sample[..., None] > 0, seen, 0.7 * table)
         if finger and name == "b":
@@ -53,7 +53,7 @@ def test_the_square_lies_on_a_sample_above_a_table(found: tuple) -> None:
     assert 0.1 < kept < 0.9
     corners = []
     for camera in cameras:
-        to_cm = np.linalg.inv(CAMERAS[camera.sighting.path.stem].to_px())
+        to_cm = np.linalg.inv(CAMERAS[camera.sighting.path.stem].projection_matrix())
         corners.append(cv2.perspectiveTransform(camera.sighting.corners_px()[None], to_cm)[0])
     assert np.abs(corners - CENTRE).max() < HALF_SIDE
     side = np.linalg.norm(corners[0][1] - corners[0][0])

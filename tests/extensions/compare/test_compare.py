@@ -77,7 +77,7 @@ def test_without_what_was_fitted_there_is_a_table_and_no_picture(
     result = metapp("compare", run, run)
     assert result.code == 0
     assert "m1" in result.out
-    assert "no picture: fits or what was fitted are not there" in result.err
+    assert "no picture: fits or the fitted files are missing" in result.err
     assert Path(metapp("compare", run, run, neural_fits(2), "--json").document["picture"]).is_file()
 
 

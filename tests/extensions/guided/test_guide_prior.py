@@ -71,7 +71,7 @@ def cache() -> Any:
     bounces = torch.zeros(CACHE_ENTRIES, 3, dtype=torch.float64)
     bounces[:7, 2] = 10
     made.sums, made.bounces = (mi.Float64(each.flatten().numpy()) for each in (sums, bounces))
-    assert made.learn() == 6 + 5  # voxels of twice the side, whose axes are six, and entries of their own
+    assert made.update_histograms() == 6 + 5  # voxels of twice the side, whose axes are six, and entries of their own
     return made
 
 
@@ -93,7 +93,7 @@ def test_entries_of_few_paths_share_the_row_of_those_around_them(cache: Any) -> 
 
 def test_of_nothing_nothing_is_learned(mi: Any) -> None:
     nothing = empty()
-    assert nothing.learn() == 0
+    assert nothing.update_histograms() == 0
     assert (nothing.rows.numpy() == 0).all()
     assert (nothing.density(mi.UInt32(0), mi.UInt32(5), mi.Bool(True)).numpy() == 1).all()
 
@@ -106,7 +106,7 @@ def test_directions_are_sampled_as_densely_as_it_says(mi: Any, cache: Any, entry
     row, yes = mi.UInt32(np.full(count, cache.rows.numpy()[entry], np.uint32)), mi.Bool(True)
     index, local = cache.sample(row, point, yes)
     density = cache.density(row, index, yes)
-    assert (cache.bin(local).numpy() == index.numpy()).mean() > 0.9999  # but on the bins' edges
+    assert (cache.bin_of_direction(local).numpy() == index.numpy()).mean() > 0.9999  # but on the bins' edges
     cosine = local.numpy()[2]
     assert (cosine >= 0).all()
     every = mi.UInt32(np.arange(HISTOGRAM_BINS, dtype=np.uint32))
@@ -242,7 +242,7 @@ def bounce(mi: Any, **more: Any) -> tuple[Any, ...]:
 
 def learned(cache: Any) -> dict[int, tuple[float, float]]:
     """Squares and counts of the bins that have any, by entry * BINS + bin."""
-    visited, squares, counts = cache.statistics()
+    visited, squares, counts = cache.visited_sums()
     cells = [(int(entry) * HISTOGRAM_BINS + b, float(squares.flatten(1)[i, b]), float(counts.flatten(1)[i, b]))
              for i, entry in enumerate(visited) for b in counts.flatten(1)[i].nonzero()[:, 0].tolist()]  # fmt: skip
     return {cell: (square, count) for cell, square, count in cells}
@@ -255,9 +255,9 @@ def test_a_bounce_carries_what_its_path_gains_after_it(mi: Any) -> None:
     records, cache = BounceRecords(3), empty()
     cells = [0, 7 * HISTOGRAM_BINS + 3, 4]  # the first bin of the first entry among them
     index = mi.UInt32(np.array(cells, np.uint32) + 1)
-    records.add(mi.UInt32(0), bounce(mi, index=index, density=[2.0, 4.0, 1.0], throughput=[0.5, 1.0, 1.0],
+    records.record_bounce(mi.UInt32(0), bounce(mi, index=index, density=[2.0, 4.0, 1.0], throughput=[0.5, 1.0, 1.0],
                                      radiance=[1.0, 0.25, 5.0]), mi.Bool(True))  # fmt: skip
-    records.train(cache, mi.Color3f(mi.Float([3.0, 1.25, 2.0])))
+    records.add_to_cache(cache, mi.Color3f(mi.Float([3.0, 1.25, 2.0])))
     found = learned(cache)
     assert sorted(found) == sorted(cells)
     for cell, (square, count) in {0: (4.0**2 * 2, 1 / 2), cells[1]: (1.0**2 * 4, 1 / 4), 4: (0.0, 1.0)}.items():
@@ -270,8 +270,8 @@ def test_bounces_are_recorded_by_depth_as_far_as_there_is_room(mi: Any) -> None:
     records, cache = BounceRecords(2), empty()
     for depth in range(MAX_RECORDED_BOUNCES + 2):
         index = mi.UInt32(np.array([1 + depth, 1 + 100 + depth], np.uint32))
-        records.add(mi.UInt32(depth), bounce(mi, index=index), mi.Bool([True, depth % 2 == 0]))
-    records.train(cache, mi.Color3f(1.0, 1.0, 1.0))
+        records.record_bounce(mi.UInt32(depth), bounce(mi, index=index), mi.Bool([True, depth % 2 == 0]))
+    records.add_to_cache(cache, mi.Color3f(1.0, 1.0, 1.0))
     assert sorted(learned(cache)) == [*range(MAX_RECORDED_BOUNCES), *range(100, 100 + MAX_RECORDED_BOUNCES, 2)]
 
 
@@ -280,8 +280,10 @@ def test_what_cannot_be_weighed_is_left_out(mi: Any) -> None:
     from metapp.extensions.guided.guide_cache import BounceRecords
 
     records, cache = BounceRecords(4), empty()
-    records.add(mi.UInt32(0), bounce(mi, index=mi.UInt32([0, 6, 7, 8]), density=[1.0, 0.0, 1.0, 1.0]), mi.Bool(True))
-    records.train(cache, mi.Color3f(mi.Float([1.0, 1.0, float("inf"), 1.0])))
+    records.record_bounce(
+        mi.UInt32(0), bounce(mi, index=mi.UInt32([0, 6, 7, 8]), density=[1.0, 0.0, 1.0, 1.0]), mi.Bool(True)
+    )
+    records.add_to_cache(cache, mi.Color3f(mi.Float([1.0, 1.0, float("inf"), 1.0])))
     assert sorted(learned(cache)) == [7]
 
 
@@ -297,16 +299,16 @@ def test_what_paths_are_expected_to_bring_is_the_mean_of_those_before(mi: Any) -
     )  # entries 0, which is known, and 7
     throughput, unlit, lit, after = rng.uniform(0.1, 1, (4, len(cells))).astype(np.float32)
     records = BounceRecords(len(cells))
-    records.add(
+    records.record_bounce(
         mi.UInt32(0),
         bounce(mi, index=mi.UInt32(cells + 1), throughput=mi.Float(throughput), unlit=mi.Float(unlit),
                radiance=mi.Float(unlit + lit)),
         mi.Bool(True),
     )  # fmt: skip
-    records.train(cache, mi.Color3f(mi.Float(unlit + lit + after)))
-    cache.learn()
+    records.add_to_cache(cache, mi.Color3f(mi.Float(unlit + lit + after)))
+    cache.update_histograms()
     rows = dr.gather(mi.UInt32, cache.rows, mi.UInt32([0, 7, 11]))
-    found = cache.expect(rows, mi.Bool(True)).numpy()
+    found = cache.row_expectations(rows, mi.Bool(True)).numpy()
     outgoing, carried = ((lit + after) / throughput)[:40], (after / throughput)[:40]
     assert found[:, 0] == pytest.approx([outgoing.mean(), np.sqrt((carried**2).mean())], rel=1e-4)
     assert (found[:, 1:] == 0).all()

@@ -108,7 +108,7 @@ def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
     for learns in (True, False):
         if not learns:
-            monkeypatch.setattr(GuideCache, "learn", lambda cache: 0)
+            monkeypatch.setattr(GuideCache, "update_histograms", lambda cache: 0)
         made = [np.array(mi.render(scene, integrator=integrator, spp=256, seed=seed)) for seed in (1, 2)]
         noise.append(np.mean(np.abs(made[0] - made[1]) / (made[0] + made[1] + 1e-2)))
     assert noise[0] < 0.85 * noise[1]
@@ -238,8 +238,8 @@ def test_the_guard_compares_errors_in_the_same_time(spread: float, bounces: floa
     shown = rng.uniform(0, 9, (64, 64, 1))
     regular = guided_picture.PartCost(shown + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
     guided = guided_picture.PartCost(shown + spread * rng.standard_normal((64, 64, 16)), bounces)
-    assert guided.pays(regular) is pays
-    assert guided_picture.PartCost(np.zeros((40, 3, 8)), 1.0).noise(8) == 0
+    assert guided.reduces_error(regular) is pays
+    assert guided_picture.PartCost(np.zeros((40, 3, 8)), 1.0).relative_noise(8) == 0
 
 
 @pytest.mark.parametrize("sides", [1, 2])
@@ -296,7 +296,7 @@ def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest
 
     # whatever is learned, all paths but the fewest go one way
     one = torch.eye(HISTOGRAM_BINS, dtype=torch.float64)[5:6]
-    monkeypatch.setattr(GuideCache, "learn", lambda cache: cache._tabulate(one))
+    monkeypatch.setattr(GuideCache, "update_histograms", lambda cache: cache._tabulate(one))
     scene = loaded(mi, random_scene(2), 32)
     guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
     with pytest.warns(UserWarning, match="does not lower the noise enough"):

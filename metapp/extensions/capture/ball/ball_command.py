@@ -1,4 +1,4 @@
-"""The command of `metapp data` for photographs of a mirror ball."""
+"""The command `metapp data ball`, which reads the light around a mirror ball from photographs."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def ball_command(
 ) -> None:
     """Read the light around a mirror ball from photographs of it.
 
-    The ball is found in each photo (borders may cut it), photos of several exposures are aligned by OpenCV and merged
-    (after Debevec & Malik 1997, the camera's curve a power of sRGB's), and the light in the ball is unwrapped. Writes
-    a data set for `metapp meta illumination DIR`, the map DIR/NAME.exr, whose alpha says where
-    it is seen and does not clip, and pictures of the balls that were found in DIR/found/.
+    The ball is found in each photo (borders may cut it). Photos of several exposures are aligned by OpenCV and merged
+    (after Debevec & Malik 1997; the camera's curve is a power of sRGB's), and the light in the ball is unwrapped.
+    Writes a data set for `metapp meta illumination DIR`, the map DIR/NAME.exr, whose alpha says where the light is
+    seen and does not clip, and pictures of the balls that were found in DIR/found/.
 
     Examples:
       metapp data ball a.jpg b.jpg c.jpg --shutter 1/20,1/60,1/160 --out garden
@@ -50,15 +50,14 @@ def ball_command(
     ]
     seen, clipped = captured.data["certain"].mean((1, 2)).tolist()
     for photo in () if quiet else photos:
-        place = f"ball at {photo['x']:.1f},{photo['y']:.1f}, radius {photo['radius']:.1f} px"
-        off = f", exposure {photo['exposure']:.4g}, {photo['residual']:.1%} from the merged radiance"
-        say(f"{Path(photo['source']).name}: {place}{off * (len(paths) > 1)}")
+        position = f"ball at {photo['x']:.1f},{photo['y']:.1f}, radius {photo['radius']:.1f} px"
+        exposure_text = f", exposure {photo['exposure']:.4g}, {photo['residual']:.1%} from the merged radiance"
+        say(f"{Path(photo['source']).name}: {position}{exposure_text * (len(paths) > 1)}")
     if not quiet:
-        curve = f"camera's curve: sRGB's to the power of {captured.power:.2f}; " * (len(paths) > 1)
-        say(f"{curve}{seen:.0%} of the texels seen, {clipped:.1%} clipped")
-        say(
-            f"{folder}: {folder.resolve().name}.exr and a data set; look at what was found: {folder / DIAGNOSTIC_FOLDER}"
-        )
+        curve_text = f"camera's curve: sRGB's to the power of {captured.power:.2f}; " * (len(paths) > 1)
+        say(f"{curve_text}{seen:.0%} of the texels seen, {clipped:.1%} clipped")
+        found = folder / DIAGNOSTIC_FOLDER
+        say(f"{folder}: {folder.resolve().name}.exr and a data set; look at what was found: {found}")
     if as_json:
-        map_ = {"chosen": str(paths[captured.chosen]), "seen": seen, "clipped": clipped}
-        print_json({"out": str(folder), "power": captured.power, **map_, "photos": photos})
+        map_entries = {"chosen": str(paths[captured.reference_index]), "seen": seen, "clipped": clipped}
+        print_json({"out": str(folder), "power": captured.power, **map_entries, "photos": photos})

@@ -1,8 +1,9 @@
 """A ball in a photograph: which direction each of its pixels mirrors, and where each direction is seen.
 
-The ball has radius 1 and its camera looks at it from +z, x to the right, y up, as in `metapp.appearance.latlong`. A
-point of its picture is told by its place in a disc of radius 1, which the contour bounds: in the plane through the
-ball's centre that faces the camera, seen from there.
+The ball has radius 1 and its camera looks at it from +z, with x to the right and y up, as in
+`metapp.appearance.latlong`. A point of the ball's picture is given by its place in a disc of radius 1 that the contour
+bounds. The disc lies in the plane through the ball's centre that faces the camera, and points are projected onto it
+from the camera.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from scipy.interpolate import CubicSpline
 
 from data_tools.readers.colours import Floats
 
-FAR_CAMERA_ANGLE_RAD = 1e-6  # rad, half the angle that a ball fills for a camera far away
-_NODES = 2000  # of the splines through where directions are seen
+FAR_CAMERA_ANGLE_RAD = 1e-6  # half the angle that a ball fills for a camera far away
+_SPLINE_NODES = 2000  # of the spline through the places where directions are seen
 
 
 class PinholeLens(NamedTuple):
-    """A pinhole camera: its focal length and its principal point, in px."""
+    """A pinhole camera: its focal length and its principal point, in px of the photograph."""
 
     focal: float
     x: float
@@ -31,13 +32,15 @@ PARALLEL_LENS = PinholeLens(1e9, 0.0, 0.0)  # rays are parallel, and contours ar
 
 
 class Ball(NamedTuple):
-    """A ball in a photograph; px from the picture's upper left corner, so that the first pixel's centre is (.5, .5).
+    """A ball in a photograph.
+
+    Lengths are in px from the photograph's upper left corner, so that the first pixel's centre is (.5, .5).
 
     Attributes:
-        x, y: the place of its centre.
-        radius: of its contour, measured in the plane through (x, y) that faces the camera.
-        lens: of the camera.
-        score: how much of the contour is there, in [0, 1].
+        x, y: the place of the ball's centre.
+        radius: the radius of the contour, measured in the plane through (x, y) that faces the camera.
+        lens: the lens of the camera.
+        score: the share of the contour that lies on edges, in [0, 1].
     """
 
     x: float
@@ -47,16 +50,16 @@ class Ball(NamedTuple):
     score: float = 1.0
 
     @property
-    def angle(self) -> float:
-        """Half the angle that it fills, rad. Directions as close to its back are not seen."""
+    def half_angle_rad(self) -> float:
+        """Half the angle that the ball fills, in rad. Directions within this angle of the ball's back are not seen."""
         return max(FAR_CAMERA_ANGLE_RAD, math.atan(self.radius / float(np.linalg.norm(self._centre()))))
 
     def _centre(self) -> Floats:
-        """Centre of the disc for a camera that looks to +z, x right, y down; unit px."""
+        """Return the disc's centre [3], in px, for a camera at the origin that looks to +z, with x right and y down."""
         return np.array([self.x - self.lens.x, self.y - self.lens.y, self.lens.focal])
 
     def to_px(self, disc_places: Floats) -> Floats:
-        """Places [2, ...] in the disc (right, up) as px [2, ...] of the photograph (right, down)."""
+        """Return the px [2, ...] of the photograph (right, down) of places [2, ...] in the disc (right, up)."""
         centre = self._centre()
         right = np.cross([0.0, 1.0, 0.0], centre)
         up = np.cross(right, centre)
@@ -64,49 +67,54 @@ class Ball(NamedTuple):
         x, y, z = np.tensordot(centre, np.ones(disc_places.shape[1:]), 0) + np.tensordot(axes, disc_places, (0, 0))
         return np.stack([self.lens.focal * x / z + self.lens.x, self.lens.focal * y / z + self.lens.y])
 
-    def scaled(self, share: float) -> Ball:
-        """The same in a picture of another size."""
+    def resize(self, share: float) -> Ball:
+        """Return the ball as it lies in the photograph resized by `share`."""
         x, y, radius, *lens = (share * value for value in (*self[:3], *self.lens))
         return self._replace(x=x, y=y, radius=radius, lens=PinholeLens(*lens))
 
 
 def disc_places(size: int) -> Floats:
-    """Places [2, size, size] of the pixels of a square picture that a ball fills."""
-    along = (np.arange(size) + 0.5) * (2 / size) - 1
-    return np.stack(np.meshgrid(along, -along))
+    """Return the places [2, size, size] in the disc of the pixels of a square picture that a ball fills."""
+    coordinates = (np.arange(size) + 0.5) * (2 / size) - 1
+    return np.stack(np.meshgrid(coordinates, -coordinates))
 
 
 def disc_to_directions(disc_places: Floats, angle: float = FAR_CAMERA_ANGLE_RAD) -> Floats:
-    """Directions [3, ...] that places [2, ...] in the disc mirror; beyond the contour those of the contour.
+    """Return the directions that places in the disc mirror; beyond the contour, those that the contour mirrors.
 
     Args:
-        disc: right, up.
-        angle: half the angle that the ball fills for its camera, rad.
+        disc_places: the places (right, up), [2, ...].
+        angle: half the angle that the ball fills for its camera, in rad.
+
+    Returns:
+        The directions, [3, ...], of unit length.
     """
-    reach = np.hypot(disc_places[0], disc_places[1])
-    # the law of sines in the triangle of camera, centre and point
-    beta = np.arctan(np.minimum(reach, 1) * math.tan(angle))
-    psi = (
-        2 * np.arcsin(np.minimum(np.sin(beta) / math.sin(angle), 1)) - beta
-    )  # twice the incidence, less the ray's lean
-    across = disc_places / np.maximum(reach, 1e-12)
-    return np.stack([np.sin(psi) * across[0], np.sin(psi) * across[1], np.cos(psi)])
+    radius = np.hypot(disc_places[0], disc_places[1])
+    # By the law of sines in the triangle of camera, centre and point: the mirrored direction leans by twice the angle
+    # of incidence, less the lean beta of the ray itself.
+    beta = np.arctan(np.minimum(radius, 1) * math.tan(angle))
+    psi = 2 * np.arcsin(np.minimum(np.sin(beta) / math.sin(angle), 1)) - beta
+    azimuth_axis = disc_places / np.maximum(radius, 1e-12)
+    return np.stack([np.sin(psi) * azimuth_axis[0], np.sin(psi) * azimuth_axis[1], np.cos(psi)])
 
 
-def directions_to_disc(towards: Floats, angle: float = FAR_CAMERA_ANGLE_RAD) -> tuple[Floats, Floats]:
-    """Places [2, ...] in the disc where directions are seen, and how fast these move with them [...], 1 / rad.
+def directions_to_disc(directions: Floats, angle: float = FAR_CAMERA_ANGLE_RAD) -> tuple[Floats, Floats]:
+    """Return where in the disc directions are seen, and how fast these places move with the directions.
 
-    The latter is along the radius, where it is least: 1/2 in the middle, 0 at the contour, and 0 for directions that
-    the ball hides, whose place is on the contour.
+    The speed is along the radius, where it is least: 1/2 in the middle, 0 at the contour. It is 0 for directions that
+    the ball hides, whose places are on the contour.
 
     Args:
-        towards: [3, ...], of unit length.
-        angle: as of `disc_to_directions`.
+        directions: the directions, [3, ...], of unit length.
+        angle: half the angle that the ball fills for its camera, in rad.
+
+    Returns:
+        The places (right, up), [2, ...], and the speeds, [...], in 1 / rad.
     """
-    normals = np.linspace(0, math.pi / 2 - angle, _NODES)
+    normals = np.linspace(0, math.pi / 2 - angle, _SPLINE_NODES)
     beta = np.arctan2(np.sin(normals), 1 / math.sin(angle) - np.cos(normals))
-    reach_of = CubicSpline(2 * normals + beta, np.tan(beta) / math.tan(angle))
-    across = np.hypot(towards[0], towards[1])
-    psi = np.minimum(np.arctan2(across, towards[2]), math.pi - angle)
-    place = np.stack([towards[0], towards[1]]) / np.maximum(across, 1e-12) * reach_of(psi)
-    return place, np.where(psi < math.pi - angle, reach_of(psi, 1).clip(0), 0.0)
+    radius_spline = CubicSpline(2 * normals + beta, np.tan(beta) / math.tan(angle))
+    sine = np.hypot(directions[0], directions[1])
+    psi = np.minimum(np.arctan2(sine, directions[2]), math.pi - angle)
+    place = np.stack([directions[0], directions[1]]) / np.maximum(sine, 1e-12) * radius_spline(psi)
+    return place, np.where(psi < math.pi - angle, radius_spline(psi, 1).clip(0), 0.0)

@@ -1,4 +1,4 @@
-"""Options of the command that reads the light around a mirror ball."""
+"""The options of the command that reads the light around a mirror ball."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from metapp.options import Option
 
 
 def parse_circle(text: str) -> tuple[float, ...]:
-    """Return centre and radius, in px, of "X,Y,RADIUS"; ValueError for another form."""
+    """Return the centre and the radius, in px, that a text "X,Y,RADIUS" states; raise ValueError for another form."""
     try:
         x, y, radius = map(float, text.split(","))
     except ValueError:
@@ -23,7 +23,7 @@ def parse_circle(text: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class BallOptions:
-    """The options of `ball` about photographs and map."""
+    """The options of `metapp data ball` about photographs and map."""
 
     shutter: Annotated[
         str, Option("Shutter times of the photos in their order, such as 1/20,1/60; auto: EXIF's.", "T,T,...")

@@ -1,4 +1,4 @@
-"""LDR photographs of balls, as tasks of illumination."""
+"""The format of LDR photographs of balls, which are inputs of illumination."""
 
 from __future__ import annotations
 
@@ -15,39 +15,42 @@ from metapp.learning.task import Task
 
 
 def recognises(path: Path) -> bool:
-    """True if a path is an LDR image, or a folder with one below it."""
+    """Return True if a path is an LDR image, or a folder with one below it."""
     return any(is_photo(file) and not environment_maps.is_map(file) for file in files_of(path, ALL_PICTURE_SUFFIXES))
 
 
 def find(path: Path) -> Sources:
-    """Find all LDR images, as `data_tools.readers.square_photos.find_images`."""
+    """Find all LDR images below a path as :func:`data_tools.readers.square_photos.find_images` does, without maps."""
     files, skipped = square_photos.find_images(path)
     return sources_of_files(([file for file in files if not environment_maps.is_map(file)], skipped), protocol="photo")
 
 
 def read_task(path: Path, rows: int = environment_maps.MAP_HEIGHT_PX, fov_rad: float = 0.0, layer: str = "") -> Task:
-    """Turn an LDR photograph of a ball into a task named by the file's stem; as `task_of_pixels`."""
+    """Read an LDR photograph of a ball as a task named by the file's stem; see :func:`task_of_pixels`."""
     return task_of_pixels(read_pixels(path, layer), str(path), rows, fov_rad)._replace(name=path.stem)
 
 
 def task_of_pixels(pixels: Pixels, name: str, rows: int = environment_maps.MAP_HEIGHT_PX, fov_rad: float = 0.0) -> Task:
     """Turn a photograph of a ball into a task.
 
-    The ball is found in the photograph, unless one that touches the borders of the central square explains it as well,
-    or none is found: then that square is taken.
+    The ball is found in the photograph. The central square is taken instead where no ball is found, or where a ball
+    that touches the square's borders explains the photograph as well.
 
     Args:
         pixels: the photograph.
-        name: of the task; begins errors.
-        rows: of a map.
-        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
+        name: the name of the task, with which messages begin.
+        rows: the number of rows of the map.
+        fov_rad: the field of view of the camera along the shorter side; 0 if it is not known: EXIF of uncropped
+            photographs gives it, else the camera is taken to be far away.
 
     Returns:
-        `photos` uint8 [1, 3, 64, 64], black outside the ball; of one that is surely a mirror also `seen` and `certain`,
-        as of `metapp.extensions.capture.ball.capture.unwrap_ball`, 1 if the photograph is white.
+        A task with `photos`, uint8 [1, 3, 64, 64], black outside the ball. If the ball is surely a mirror, also `seen`
+        and `certain` of :func:`metapp.extensions.capture.ball.capture.unwrap_ball`, with radiance 1 where the
+        photograph is white.
 
     Raises:
-        ValueError: as `data_tools.readers.square_photos.to_square_photo`; a picture twice as wide as high; a disc that is black.
+        ValueError: :func:`data_tools.readers.square_photos.to_square_photo` refuses the photograph, it is twice as wide
+            as high, or the disc is black.
     """
     height, width, channels = pixels.values.shape
     if environment_maps.is_latlong(height, width):
@@ -61,10 +64,11 @@ def task_of_pixels(pixels: Pixels, name: str, rows: int = environment_maps.MAP_H
     )
     if not square.any():
         raise ValueError(f"{name}: black inside the disc, expected a sphere that touches the borders; crop it to that.")
-    if channels == 4 and integers_to_unit_range(pixels.values[..., 3]).min() < 1:  # what is transparent is no contour
+    if (
+        channels == 4 and integers_to_unit_range(pixels.values[..., 3]).min() < 1
+    ):  # the border of transparency is no contour of a ball
         return Task(name, {"photos": square})
-    from metapp.extensions.capture.ball.capture import (
-        capture_single_photo,  # here: it takes 0.7 s, and maps need it not
-    )
+    # imported here: it takes 0.7 s, which maps need not pay
+    from metapp.extensions.capture.ball.capture import capture_single_photo
 
     return Task(name, capture_single_photo(pixels, name, square, rows, fov_rad))

@@ -1,4 +1,4 @@
-"""From photographs of a mirror ball to the light around it: found, aligned, merged, unwrapped."""
+"""From photographs of a mirror ball to the light around it: balls are found, aligned, merged and unwrapped."""
 
 from __future__ import annotations
 
@@ -33,30 +33,32 @@ from metapp.extensions.capture.ball.circle import MIN_BALL_SCORE, find_ball, sco
 from metapp.extensions.capture.hand_photos import display_values
 from metapp.learning.task import Task
 
-_AS_GOOD = 0.8  # of the best score: other balls are looked for where that one is
-_LARGEST_PX = 800  # side of the merged picture of the ball
-_MAX_WHITE = 0.01  # share of the ball, in the photograph that fits see
-_SHARP_RAD, _BLURRED_RAD = math.pi / 64, math.pi / 16  # a pixel: up to the one it is seen, from the other it is not
-_FINEST = 16  # samples along a texel
-_SAME = 0.03  # of the radius, by which a ball may miss the one that touches the central square's borders
-_BETTER = 1.2  # of its score, that another ball must have
+_MIN_SCORE_SHARE = 0.8  # of the best score: a ball of a lower one is looked for at the place of the best ball
+_MAX_BALL_PX = 800  # side of the merged picture of the ball
+_MAX_WHITE_SHARE = 0.01  # of the ball, in the photograph that fits see
+# What a pixel of the photograph spans: up to _SHARP_RAD its direction counts as seen, from _BLURRED_RAD on as not seen.
+_SHARP_RAD, _BLURRED_RAD = math.pi / 64, math.pi / 16
+_MAX_SAMPLES_PER_TEXEL = 16  # samples along the side of a texel
+_SAME_BALL_SHARE = 0.03  # of the radius: how far a ball may be off the one that touches the central square's borders
+_MIN_SCORE_GAIN = 1.2  # another ball must have so many times the score of the central one
 
 
 class CapturedLight(NamedTuple):
-    """Light around a ball.
+    """The light around a ball, with what photographs of the ball show of it.
 
     Attributes:
-        balls: in the photographs, as these agree.
-        chosen: which photograph fits see; white in it is radiance 1.
-        exposures: [N], the chosen one's 1.
-        power: of the camera's curve, as of `fit_curve_power`.
-        residuals: of each photograph, as of `merge_exposures`.
-        data: of a task: `photos`, the ball of the chosen photograph seen from far away, and the light that it mirrors,
-            `seen` and `certain`, as of `unwrap_ball`.
+        balls: the balls in the photographs, as these agree.
+        reference_index: the index of the photograph that fits see; white in it is radiance 1.
+        exposures: the exposures, [N], over the reference photograph's.
+        power: the power of the camera's curve; see :func:`fit_curve_power`.
+        residuals: for each photograph the share by which its radiance differs from the merged one; see
+            :func:`merge_exposures`.
+        data: the data of a task: `photos`, the ball of the reference photograph seen from far away; `seen` and
+            `certain`, the light that the ball mirrors; see :func:`unwrap_ball`.
     """
 
     balls: Sequence[Ball]
-    chosen: int
+    reference_index: int
     exposures: Floats
     power: float
     residuals: Sequence[float]
@@ -66,7 +68,7 @@ class CapturedLight(NamedTuple):
 def merge_photos(
     paths: Sequence[Path], shutter: str, rows: int = MAP_HEIGHT_PX, fov_rad: float = 0.0, layer: str = ""
 ) -> Task:
-    """Turn photographs of one mirror ball into a task named by the first one's stem; arguments as of `capture_light`."""
+    """Turn photographs of one mirror ball into a task named by the first photograph; see :func:`capture_light`."""
     return Task(paths[0].stem, capture_light(paths, shutter, rows, fov_rad, layer=layer).data)
 
 
@@ -79,40 +81,41 @@ def capture_light(
     done: Callable[[str], object] = str,
     layer: str = "",
 ) -> CapturedLight:
-    """Read photographs of one mirror ball.
+    """Read the light around a mirror ball from photographs of the ball.
 
     Args:
         paths: the photographs, of different exposures.
-        shutter: as of `read_exposures`.
-        rows: of the map.
-        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
-        circle: x, y, radius of the ball in px of the first photograph; (): it is found.
+        shutter: the exposure times that :func:`read_exposures` takes.
+        rows: the number of rows of the map.
+        fov_rad: the field of view of the camera along the shorter side; 0 if it is not known: EXIF of uncropped
+            photographs gives it, else the camera is taken to be far away.
+        circle: x, y and radius of the ball in px of the first photograph; () if it is to be found.
         done: called with the name of each photograph that was searched.
-        layer: as of `read_pixels`.
+        layer: the layer of the file that :func:`read_pixels` reads.
 
     Raises:
-        ValueError: as `read_pixels` and `read_exposures`; no ball; OpenCV is not installed and there are several
-            photographs.
+        ValueError: a file or an exposure cannot be read, no ball is found, or OpenCV is not installed where there are
+            several photographs.
     """
     exposures = read_exposures(paths, shutter)
-    photos, found, brightness = [], [], []
+    photos, found_balls, brightness = [], [], []
     for path in paths:
         pixels = read_pixels(path, layer)
         check_finite_pixels(pixels, path)
-        gray, lens = display_values(pixels).mean(-1), lens_of_photo(pixels, fov_rad)
+        grey, lens = display_values(pixels).mean(-1), lens_of_photo(pixels, fov_rad)
         photos.append(pixels)
-        found.append(Ball(circle[0], circle[1], circle[2], lens) if circle else find_ball(gray, lens))
-        brightness.append(float(gray.mean()))
+        found_balls.append(Ball(circle[0], circle[1], circle[2], lens) if circle else find_ball(grey, lens))
+        brightness.append(float(grey.mean()))
         done(path.name)
     if np.log(exposures) @ (np.array(brightness) - np.mean(brightness)) < 0:
         raise ValueError("exposures: photos get darker as times get longer, expected times such as 1/60, not 60.")
-    scores = [ball.score if ball else -1.0 for ball in found]
+    scores = [ball.score if ball else -1.0 for ball in found_balls]
     first = int(np.argmax(scores))
-    best, (height, width) = found[first], photos[0].values.shape[:2]
+    best, (height, width) = found_balls[first], photos[0].values.shape[:2]
     if not best or best.score < MIN_BALL_SCORE:
-        which = f"{paths[0]}" if len(paths) == 1 else f"{len(paths)} photos"
+        photos_text = f"{paths[0]}" if len(paths) == 1 else f"{len(paths)} photos"
         raise ValueError(
-            f"{which}: no ball found (best circle: {max(scores):.2f}), expected one whose contour shows "
+            f"{photos_text}: no ball found (best circle: {max(scores):.2f}), expected one whose contour shows "
             f"({MIN_BALL_SCORE:.2f} or more); say where it is with --ball X,Y,RADIUS."
         )
     if not (best.radius < 2 * max(height, width) and 0 <= best.x <= width and 0 <= best.y <= height):
@@ -120,103 +123,116 @@ def capture_light(
             f"a ball at {best.x:g},{best.y:g} of radius {best.radius:g} px, expected one in the picture of "
             f"{width}x{height} px; give --ball as X,Y,RADIUS in px from its upper left corner."
         )
-    balls = [ball if ball and ball.score >= _AS_GOOD * best.score else best for ball in found]
+    balls = [ball if ball and ball.score >= _MIN_SCORE_SHARE * best.score else best for ball in found_balls]
     balls = align_balls(photos, balls, np.argsort(exposures).tolist(), first)
     return recover_light(photos, balls, first, exposures, rows)
 
 
 def capture_single_photo(pixels: Pixels, name: str, square: Tensor, rows: int, fov_rad: float) -> dict[str, Tensor]:
-    """Return the data of a task of one photograph: of the ball in it, and of its light if it is surely a mirror.
+    """Return the data of a task of one photograph: the ball in it, and its light if the ball is surely a mirror.
 
     Args:
         pixels: the photograph.
-        name: of the task; begins errors.
-        square: its central square as fits see it, uint8 [1, 3, SIZE, SIZE], which is taken where the ball that touches
-            its borders explains the photograph as well as the one that is found.
-        rows: of the map.
-        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
+        name: the name of the task, with which messages begin.
+        square: the photograph's central square as fits see it, uint8 [1, 3, SIZE, SIZE], which is taken where the ball
+            that touches its borders explains the photograph as well as the ball that is found.
+        rows: the number of rows of the map.
+        fov_rad: the field of view of the camera along the shorter side; 0 if it is not known: EXIF of uncropped
+            photographs gives it, else the camera is taken to be far away.
 
     Raises:
         ValueError: the photograph has values that are not finite.
     """
     check_finite_pixels(pixels, name)
     height, width = pixels.values.shape[:2]
-    gray, central = display_values(pixels).mean(-1), Ball(width / 2, height / 2, min(height, width) / 2)
-    ball = find_ball(gray, lens_of_photo(pixels, fov_rad)) or central
-    is_same = max(np.abs(np.subtract(ball[:3], central[:3]))) < _SAME * central.radius
-    is_central = is_same or ball.score < max(MIN_BALL_SCORE, _BETTER * score_ball(gray, central))
-    ball = central if is_central else ball
+    grey, central_ball = display_values(pixels).mean(-1), Ball(width / 2, height / 2, min(height, width) / 2)
+    ball = find_ball(grey, lens_of_photo(pixels, fov_rad)) or central_ball
+    is_same = max(np.abs(np.subtract(ball[:3], central_ball[:3]))) < _SAME_BALL_SHARE * central_ball.radius
+    is_central = is_same or ball.score < max(MIN_BALL_SCORE, _MIN_SCORE_GAIN * score_ball(grey, central_ball))
+    ball = central_ball if is_central else ball
     if is_mirror_ball(pixels, ball):
         return recover_light([pixels], [ball], 0, np.ones(1), rows).data
-    return {"photos": square if is_central else extract_ball_photo(pixels, ball, ball.angle)}
+    return {"photos": square if is_central else extract_ball_photo(pixels, ball, ball.half_angle_rad)}
 
 
 def recover_light(
     photos: Sequence[Pixels], balls: Sequence[Ball], first: int, exposures: Floats, rows: int
 ) -> CapturedLight:
-    """The light that aligned photographs of one mirror ball show; floating-point ones with values above 1 never clip.
+    """Recover the light that aligned photographs of one mirror ball show.
+
+    Floating-point photographs with values above 1 never clip.
 
     Args:
         photos: the photographs.
-        balls: in them.
-        first: which one's camera looks along +z.
-        exposures: [N], in any unit.
-        rows: of the map.
+        balls: the balls in them.
+        first: the index of the photograph whose camera looks along +z.
+        exposures: the exposures, [N], in any unit.
+        rows: the number of rows of the map.
     """
-    nearest = balls[first]
-    size = min(_LARGEST_PX, 2 * math.ceil(nearest.radius))
+    first_ball = balls[first]
+    size = min(_MAX_BALL_PX, 2 * math.ceil(first_ball.radius))
     values = [photo.values[..., :3] for photo in photos]
-    is_hdr = all(each.dtype.kind == "f" for each in values) and max(each.max() for each in values) > 1
-    high = np.inf if is_hdr else 1.0
-    pictures = np.stack([extract_ball(*photo, size, nearest.angle, high) for photo in zip(photos, balls, strict=True)])
-    # the brightest photograph that is hardly white anywhere, else the darkest
-    is_white = pictures[:, :3].max(1) >= srgb_to_linear(torch.tensor(CLIPPED_VALUE)).item()
-    white = np.average(is_white.reshape(len(photos), -1), 1, pictures[:, 3].reshape(len(photos), -1))
+    is_hdr = all(pixels.dtype.kind == "f" for pixels in values) and max(pixels.max() for pixels in values) > 1
+    max_value = np.inf if is_hdr else 1.0
+    pictures = np.stack(
+        [extract_ball(*photo, size, first_ball.half_angle_rad, max_value) for photo in zip(photos, balls, strict=True)]
+    )
+    # fits see the brightest photograph that is hardly white anywhere, else the darkest
+    is_white_px = pictures[:, :3].max(1) >= srgb_to_linear(torch.tensor(CLIPPED_VALUE)).item()
+    white_shares = np.average(is_white_px.reshape(len(photos), -1), 1, pictures[:, 3].reshape(len(photos), -1))
     order = np.argsort(exposures).tolist()
-    chosen = next((number for number in reversed(order) if white[number] <= _MAX_WHITE), order[0])
-    exposures = exposures / exposures[chosen]
+    reference_index = next((number for number in reversed(order) if white_shares[number] <= _MAX_WHITE_SHARE), order[0])
+    exposures = exposures / exposures[reference_index]
     power = 1.0 if is_hdr else fit_curve_power(pictures, exposures)
     radiance, is_clipped, residuals = merge_exposures(pictures, exposures, power, is_hdr)
-    seen, certain = unwrap_ball(radiance, is_clipped, pictures[:, 3].max(0), nearest, rows)
+    seen, certain = unwrap_ball(radiance, is_clipped, pictures[:, 3].max(0), first_ball, rows)
     data = {
-        "photos": extract_ball_photo(photos[chosen], balls[chosen], FAR_CAMERA_ANGLE_RAD),
+        "photos": extract_ball_photo(photos[reference_index], balls[reference_index], FAR_CAMERA_ANGLE_RAD),
         "seen": seen,
         "certain": certain,
     }
-    return CapturedLight(balls, chosen, exposures, power, residuals, data)
+    return CapturedLight(balls, reference_index, exposures, power, residuals, data)
 
 
 def unwrap_ball(
     radiance: Floats, is_clipped: NDArray[np.bool_], shown: Floats, ball: Ball, rows: int
 ) -> tuple[Tensor, Tensor]:
-    """A map of a picture of a mirror ball.
+    """Unwrap the picture of a mirror ball to a lat-long map.
 
-    Texels are means over samples that lie as close as pixels do; where pixels are larger, they are interpolated.
+    Texels are means over samples that lie as close as pixels do; where pixels are larger than texels, they are
+    interpolated.
 
     Args:
-        radiance: [3, S, S] of the ball, which fills the picture.
-        is_clipped: where it is a lower bound.
-        shown: if it is known, 1, and if it is not, 0.
-        ball: in the photograph.
-        rows: of the map.
+        radiance: the picture, [3, S, S], which the ball fills.
+        is_clipped: where the radiance is a lower bound, [S, S].
+        shown: 1 where the radiance is known, 0 where it is not, [S, S].
+        ball: the ball in the photograph.
+        rows: the number of rows of the map.
 
     Returns:
-        `seen`, radiance [3, rows, 2 * rows], 0 where nothing is seen; `certain` [2, rows, 2 * rows] in [0, 1]: how far
-        a texel is seen unclipped, and how far it is seen but clipped. Both fall to 0 towards the contour, where a
-        pixel shows _BLURRED_RAD, and are 0 behind it.
+        `seen`, the radiance [3, rows, 2 * rows], 0 where nothing is seen; `certain` [2, rows, 2 * rows] in [0, 1]: how
+        far a texel is seen unclipped, and how far it is seen but clipped. Both fall to 0 towards the contour, where a
+        pixel spans _BLURRED_RAD, and are 0 behind it.
     """
     size = radiance.shape[1]
-    many = min(_FINEST, max(1, math.ceil(size / 4 * math.pi / rows)))
+    oversampling = min(_MAX_SAMPLES_PER_TEXEL, max(1, math.ceil(size / 4 * math.pi / rows)))
     planes = np.concatenate([radiance, is_clipped[None], shown[None]])
-    towards = texel_directions(rows * many, 2 * rows * many, dtype=torch.float64).numpy()
+    directions = texel_directions(rows * oversampling, 2 * rows * oversampling, dtype=torch.float64).numpy()
     texels = []
     for row in range(rows):
-        place, speed = directions_to_disc(towards[:, row * many : (row + 1) * many], ball.angle)
-        values = sample_pixels(planes, np.stack([1 + place[0], 1 - place[1]]) * (size / 2))
-        sharp = np.log(_BLURRED_RAD * (speed * ball.radius).clip(1e-9)) / math.log(_BLURRED_RAD / _SHARP_RAD)
-        is_seen = (np.hypot(*place) < 1 - 1 / ball.radius) & (values[4] > 0.99)
-        weight, is_lost = sharp.clip(0, 1) * is_seen, values[3] > 0.01
-        texels.append(block_means(np.stack([*(values[:3] * weight), weight * ~is_lost, weight * is_lost]), many))
+        places, speed = directions_to_disc(
+            directions[:, row * oversampling : (row + 1) * oversampling], ball.half_angle_rad
+        )
+        values = sample_pixels(planes, np.stack([1 + places[0], 1 - places[1]]) * (size / 2))
+        sharpness = np.log(_BLURRED_RAD * (speed * ball.radius).clip(1e-9)) / math.log(_BLURRED_RAD / _SHARP_RAD)
+        is_seen = (np.hypot(*places) < 1 - 1 / ball.radius) & (values[4] > 0.99)
+        weight, is_clipped_sample = sharpness.clip(0, 1) * is_seen, values[3] > 0.01
+        texels.append(
+            block_means(
+                np.stack([*(values[:3] * weight), weight * ~is_clipped_sample, weight * is_clipped_sample]),
+                oversampling,
+            )
+        )
     light, certain = np.split(np.concatenate(texels, 1), [3])
     seen = light / certain.sum(0).clip(1e-6)
     return torch.from_numpy(seen).float(), torch.from_numpy(certain.clip(0, 1)).float()

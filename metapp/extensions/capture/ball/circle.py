@@ -1,7 +1,7 @@
-"""Finding a ball in a photograph: the circle, or with a lens the ellipse, that most edges run along.
+"""A ball found in a photograph: the circle, or with a lens the ellipse, that most edges run along.
 
 Rings of all radii are correlated with the edges; the best ones are moved to where most of the contour lies on edges.
-Borders may cut the ball, and edges inside and around it only add noise.
+Borders may cut the ball, and edges inside and around it only add noise. Nothing here knows what the ball shows.
 """
 
 from __future__ import annotations
@@ -17,137 +17,176 @@ from data_tools.readers.colours import Floats
 from metapp.extensions.capture.ball.ball_geometry import PARALLEL_LENS, Ball, PinholeLens
 from metapp.extensions.capture.ball.ball_picture import sample_pixels
 
-MIN_BALL_SCORE = 0.34  # of a ball
+MIN_BALL_SCORE = 0.34  # a circle of a lower score is no ball
 
-_SEARCHED_PX = 160  # longer side of the picture that is searched
-_REFINED_PX = 150  # radius that the contour is refined at, or less
-_RADII = (0.12, 0.75)  # least of the shorter side, greatest of the longer one
-_STEP = 0.03  # between radii, relative
-_MARGIN = 0.15  # of the longer side, that centres may be outside the picture
-_VISIBLE = 0.5  # least share of the contour inside the picture
-_CANDIDATES, _MOVED = 60, 5  # circles that are compared, and that are moved
-_CHANCE = 0.15  # support of any circle
-_EDGE = 0.35  # least strength of an edge that counts
-_ANGLES = np.arange(120) * (2 * np.pi / 120)
-_RINGS = np.array((1.0, 0.88, 0.92, 0.96, 1.04, 1.07, 1.1))  # the contour, and what is around it, of the radius
-_UNITS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])[:, None] * _RINGS[:, None]
-_WEIGHTS = np.array([1.0, *[1 / 3] * 3, *[-1 / 3] * 3])
-_BIN = 2  # px of the searched picture
-_DARK = 0.05  # display value that logarithms are added to
-_NOISE = 0.02  # a gradient, of logarithms a px, that counts as half an edge, or more where others are strong
-_AROUND = 0.25  # of the picture's longer side: side of the square that they are in
+_SEARCH_PX = 160  # longer side of the picture that is searched
+_REFINEMENT_RADIUS_PX = 150  # radius at which the contour is refined, at most
+_RADIUS_SHARES = (0.12, 0.75)  # the least radius over the shorter side, the greatest over the longer side
+_RADIUS_STEP = 0.03  # relative step from one radius to the next
+_MARGIN_SHARE = 0.15  # of the longer side: how far outside the picture centres may be
+_MIN_VISIBLE_SHARE = 0.5  # of the contour, inside the picture
+_MAX_CANDIDATES, _MAX_REFINED = 60, 5  # circles that are scored, and the best of them that are moved
+_CHANCE_SUPPORT = 0.15  # the support that a circle has by chance
+_MIN_EDGE_STRENGTH = 0.35  # weaker edges do not count
+_RING_ANGLES = np.arange(120) * (2 * np.pi / 120)
+_RING_RADII = np.array((1.0, 0.88, 0.92, 0.96, 1.04, 1.07, 1.1))  # the contour, and rings inside and outside it
+_RING_PLACES = np.stack([np.cos(_RING_ANGLES), np.sin(_RING_ANGLES)])[:, None] * _RING_RADII[:, None]
+_RING_WEIGHTS = np.array([1.0, *[1 / 3] * 3, *[-1 / 3] * 3])
+_BIN_PX = 2  # of the searched picture, in which votes for circles are counted
+_LOG_OFFSET = 0.05  # display value that is added before logarithms
+_NOISE_GRADIENT = 0.02  # of logarithms, per px: it counts as half an edge, or more where the edges around are strong
+_NEIGHBOURHOOD_SHARE = 0.25  # of the picture's longer side: side of the square of edges around
 
 
-def find_ball(gray: Floats, lens: PinholeLens = PARALLEL_LENS) -> Ball | None:
-    """The ball that fits best, however badly: its score says; None in a picture without edges.
+def find_ball(grey: Floats, lens: PinholeLens = PARALLEL_LENS) -> Ball | None:
+    """Return the circle that fits the edges of a picture best, however badly: its score says how well.
 
     Args:
-        gray: display values [H, W] in [0, 1].
-        lens: of the camera.
+        grey: display values, [H, W] in [0, 1].
+        lens: the lens of the camera.
+
+    Returns:
+        The ball; None for a picture without edges.
     """
-    share = min(1.0, _SEARCHED_PX / max(gray.shape))
-    slopes = _slopes(gray, share)
-    own = Ball(0, 0, 1, lens).scaled(share).lens
-    scored = [_scored(slopes, Ball(*circle, own)) for circle in _candidates(slopes)]
-    moved = [_moved(slopes, ball) for ball in sorted(scored, key=_evidence, reverse=True)[:_MOVED]]
-    if not moved:
+    share = min(1.0, _SEARCH_PX / max(grey.shape))
+    edges = _find_edges(grey, share)
+    resized_lens = Ball(0, 0, 1, lens).resize(share).lens
+    candidates = [_score_ball(edges, Ball(*circle, resized_lens)) for circle in _find_candidates(edges)]
+    moved_balls = [_move_ball(edges, ball) for ball in sorted(candidates, key=_evidence, reverse=True)[:_MAX_REFINED]]
+    if not moved_balls:
         return None
-    best = max(moved, key=_evidence)
-    finer = min(1.0, _REFINED_PX * share / best.radius)
-    refined = _moved(_slopes(gray, finer), best.scaled(finer / share), 1, 1 / _REFINED_PX)
-    return refined.scaled(1 / finer)._replace(score=_evidence(best))
+    best = max(moved_balls, key=_evidence)
+    refined_share = min(1.0, _REFINEMENT_RADIUS_PX * share / best.radius)
+    refined = _move_ball(
+        _find_edges(grey, refined_share), best.resize(refined_share / share), 1, 1 / _REFINEMENT_RADIUS_PX
+    )
+    return refined.resize(1 / refined_share)._replace(score=_evidence(best))
 
 
-def score_ball(gray: Floats, ball: Ball) -> float:
-    """The score that `find_ball` gives a ball, here one that is known; display values [H, W] in [0, 1]."""
-    share = min(1.0, _SEARCHED_PX / max(gray.shape))
-    return _evidence(_scored(_slopes(gray, share), ball.scaled(share)))
+def score_ball(grey: Floats, ball: Ball) -> float:
+    """Return the score that :func:`find_ball` would give a known ball.
+
+    Args:
+        grey: display values, [H, W] in [0, 1].
+        ball: the ball in the picture.
+    """
+    share = min(1.0, _SEARCH_PX / max(grey.shape))
+    return _evidence(_score_ball(_find_edges(grey, share), ball.resize(share)))
 
 
 def _evidence(ball: Ball) -> float:
-    """Support beyond chance, which is greater for short contours than for long ones; of a large ball up to 1."""
-    return (ball.score - _CHANCE) * math.sqrt(2 * ball.radius / _SEARCHED_PX)
+    """Return how far the support of a ball is beyond chance, up to 1 for large balls.
 
-
-def _slopes(gray: Floats, share: float) -> Floats:
-    """Edges of a picture [H, W] at a share of its size up to 1, [3, h, w].
-
-    Gradients along x and y of smoothed logarithms, and the length that counts as half an edge.
+    Chance supports short contours more than long ones, so that the excess counts by the root of the radius.
     """
-    logs = np.log(gray + _DARK)
+    return (ball.score - _CHANCE_SUPPORT) * math.sqrt(2 * ball.radius / _SEARCH_PX)
+
+
+def _find_edges(grey: Floats, share: float) -> Floats:
+    """Return the edges of a picture, resized by a share up to 1.
+
+    Args:
+        grey: display values, [H, W].
+        share: the size of the result over the picture's.
+
+    Returns:
+        [3, h, w]: the gradients along x and y of smoothed logarithms, and the length of a gradient that counts as half
+        an edge.
+    """
+    logs = np.log(grey + _LOG_OFFSET)
     if share < 1:
-        y, x = ((np.arange(max(8, round(side * share))) + 0.5) / share for side in gray.shape)
+        y, x = ((np.arange(max(8, round(side * share))) + 0.5) / share for side in grey.shape)
         logs = gaussian_filter(logs, 0.4 / share, mode="nearest")
         (logs,) = sample_pixels(logs[None], np.stack(np.meshgrid(x, y)))
     y, x = np.gradient(gaussian_filter(logs, 1.0, mode="nearest"))
-    around = uniform_filter(np.hypot(x, y), round(_AROUND * max(logs.shape)), mode="nearest")
-    return np.stack([x, y, np.maximum(around, _NOISE)])
+    mean_gradient = uniform_filter(np.hypot(x, y), round(_NEIGHBOURHOOD_SHARE * max(logs.shape)), mode="nearest")
+    return np.stack([x, y, np.maximum(mean_gradient, _NOISE_GRADIENT)])
 
 
-def _scored(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> Ball:
-    """A ball whose score is how edges agree with it, up to about 1: -1 where half of the contour is not in the picture.
+def _score_ball(edges: Floats, ball: Ball, rings: int = len(_RING_RADII)) -> Ball:
+    """Return a ball with its score: how well edges agree with it, up to about 1.
 
-    The share of the contour that lies on edges along it; more where edges just inside run along it, too, as a mirror
-    presses its surroundings into its rim, and less where edges just outside do, as if it was inside a larger one.
+    The score is the share of the contour that lies on edges along it. It is higher where edges just inside run along
+    the contour, too, as a mirror presses its surroundings into its rim, and lower where edges just outside do, as
+    inside a larger ball. It is -1 where half of the contour is not in the picture.
+
+    Args:
+        edges: the edges that :func:`_find_edges` returns, [3, h, w].
+        ball: the ball, in px of the edges.
+        rings: how many of the rings are compared.
     """
-    px = ball.to_px(_UNITS[:, :rings])
-    _, height, width = slopes.shape
+    px = ball.to_px(_RING_PLACES[:, :rings])
+    _, height, width = edges.shape
     inside = np.all((px > 1) & (px < np.array([width - 1, height - 1])[:, None, None]), axis=0)
-    if inside[0].mean() < _VISIBLE:
+    if inside[0].mean() < _MIN_VISIBLE_SHARE:
         return ball._replace(score=-1.0)
     tangent = np.roll(px, -1, 2) - np.roll(px, 1, 2)
     tangent /= np.linalg.norm(tangent, axis=0)
-    x, y, half = sample_pixels(slopes, px)
-    through = np.abs(x * tangent[1] - y * tangent[0])
+    x, y, half_length = sample_pixels(edges, px)
+    normal_gradient = np.abs(x * tangent[1] - y * tangent[0])
     length = np.hypot(x, y)
-    straight = (2 * (through / np.maximum(length, 1e-12)) ** 2 - 1) * through / (through + half) * inside
-    found = straight.sum(1) / np.maximum(inside.sum(1), 0.2 * inside.shape[1])
-    return ball._replace(score=float(found @ _WEIGHTS[:rings]))
+    agreement = (
+        (2 * (normal_gradient / np.maximum(length, 1e-12)) ** 2 - 1)
+        * normal_gradient
+        / (normal_gradient + half_length)
+        * inside
+    )
+    support = agreement.sum(1) / np.maximum(inside.sum(1), 0.2 * inside.shape[1])
+    return ball._replace(score=float(support @ _RING_WEIGHTS[:rings]))
 
 
-def _moved(slopes: Floats, ball: Ball, rings: int = len(_RINGS), step: float = 0.02) -> Ball:
-    """The ball with most support by so many rings, near where it is: within about a few steps of its radius."""
+def _move_ball(edges: Floats, ball: Ball, rings: int = len(_RING_RADII), step: float = 0.02) -> Ball:
+    """Move a ball by a few steps of its radius to where most of its contour lies on edges.
 
-    def changed(change: Floats) -> Ball:
+    Args:
+        edges: the edges that :func:`_find_edges` returns, [3, h, w].
+        ball: the ball, in px of the edges.
+        rings: how many of the rings are compared.
+        step: the first step of the search, in radii.
+    """
+
+    def change_ball(change: Floats) -> Ball:
         x, y, radius = (ball.radius * change + ball[:3]).tolist()
         return ball._replace(x=x, y=y, radius=radius)
 
     simplex = np.concatenate([np.zeros((1, 3)), np.diag([step] * 3)]) - step / 4
     options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-4, "maxfev": 120}
-    moves = minimize(
-        lambda change: -_scored(slopes, changed(change), rings).score,
+    optimum = minimize(
+        lambda change: -_score_ball(edges, change_ball(change), rings).score,
         np.zeros(3),
         method="Nelder-Mead",
         options=options,
     )
-    return _scored(slopes, changed(moves.x))
+    return _score_ball(edges, change_ball(optimum.x))
 
 
-def _candidates(slopes: Floats) -> list[tuple[float, float, float]]:
-    """Centres and radii of circles that edges agree with most, at most _CANDIDATES.
+def _find_candidates(edges: Floats) -> list[tuple[float, float, float]]:
+    """Return the centres and radii of at most _MAX_CANDIDATES circles that edges agree with most.
 
-    Edges are complex numbers of twice their gradients' angle, and so are rings: an edge along a ring counts 1, one
-    across it -1.
+    Edges are complex numbers of twice the angle of their gradients, and so are rings: an edge along a ring counts 1,
+    one across it -1.
     """
-    x, y, half = slopes[:, : slopes.shape[1] // _BIN * _BIN, : slopes.shape[2] // _BIN * _BIN]
+    x, y, half_length = edges[:, : edges.shape[1] // _BIN_PX * _BIN_PX, : edges.shape[2] // _BIN_PX * _BIN_PX]
     length = np.hypot(x, y)
-    strength = length / (length + half)
-    edges = np.where(strength > _EDGE, strength, 0) * ((x + 1j * y) / np.maximum(length, 1e-12)) ** 2
-    height, width = (side // _BIN for side in edges.shape)
-    edges = edges.reshape(height, _BIN, width, _BIN).mean((1, 3))
-    least, most = _RADII[0] * min(height, width), _RADII[1] * max(height, width)
-    radii = np.geomspace(least, most, 1 + int(np.log(most / least) / np.log1p(_STEP)))
-    margin, reach = round(_MARGIN * max(height, width)), math.ceil(most) + 2
-    along = np.arange(-reach, reach + 1)
-    away = np.hypot(along, along[:, None])
-    angles = ((along - 1j * along[:, None]) / np.maximum(away, 1)) ** 2
-    edges, picture = np.pad(edges, margin), np.pad(np.ones((height, width)), margin)
+    strength = length / (length + half_length)
+    directed_edges = (
+        np.where(strength > _MIN_EDGE_STRENGTH, strength, 0) * ((x + 1j * y) / np.maximum(length, 1e-12)) ** 2
+    )
+    height, width = (side // _BIN_PX for side in directed_edges.shape)
+    directed_edges = directed_edges.reshape(height, _BIN_PX, width, _BIN_PX).mean((1, 3))
+    min_radius, max_radius = _RADIUS_SHARES[0] * min(height, width), _RADIUS_SHARES[1] * max(height, width)
+    radii = np.geomspace(min_radius, max_radius, 1 + int(np.log(max_radius / min_radius) / np.log1p(_RADIUS_STEP)))
+    margin, ring_reach = round(_MARGIN_SHARE * max(height, width)), math.ceil(max_radius) + 2
+    offsets = np.arange(-ring_reach, ring_reach + 1)
+    distance = np.hypot(offsets, offsets[:, None])
+    angles = ((offsets - 1j * offsets[:, None]) / np.maximum(distance, 1)) ** 2
+    directed_edges, is_picture = np.pad(directed_edges, margin), np.pad(np.ones((height, width)), margin)
     votes = []
     for radius in radii:
-        ring = np.exp(-(((away - radius) / (1 / _BIN + _STEP * radius / 2)) ** 2) / 2)
-        found, inside = fftconvolve(edges, ring * angles, "same").real, fftconvolve(picture, ring, "same")
-        votes.append(np.where(inside > _VISIBLE * ring.sum(), found / np.sqrt(np.maximum(inside, 1)), 0))
+        ring = np.exp(-(((distance - radius) / (1 / _BIN_PX + _RADIUS_STEP * radius / 2)) ** 2) / 2)
+        vote, inside = fftconvolve(directed_edges, ring * angles, "same").real, fftconvolve(is_picture, ring, "same")
+        votes.append(np.where(inside > _MIN_VISIBLE_SHARE * ring.sum(), vote / np.sqrt(np.maximum(inside, 1)), 0))
     peaks = np.nonzero((votes == maximum_filter(votes, (3, 3, 3))) & (np.stack(votes) > 1e-6))
-    best = np.argsort(-np.stack(votes)[peaks])[:_CANDIDATES]
-    rows, columns = (_BIN * (peaks[axis][best] - margin + 0.5) for axis in (1, 2))
-    return list(zip(columns.tolist(), rows.tolist(), (_BIN * radii[peaks[0][best]]).tolist(), strict=True))
+    best = np.argsort(-np.stack(votes)[peaks])[:_MAX_CANDIDATES]
+    rows, columns = (_BIN_PX * (peaks[axis][best] - margin + 0.5) for axis in (1, 2))
+    return list(zip(columns.tolist(), rows.tolist(), (_BIN_PX * radii[peaks[0][best]]).tolist(), strict=True))

@@ -34,17 +34,17 @@ def write_light(
     """Read the light around a ball from photographs of it, and write all that was found.
 
     Args:
-        paths: photographs of one ball, of different exposures.
-        options: about photographs and map.
-        folder: the folder of the data set, whose name is that of the task and of the map.
+        paths: the photographs of one ball, of different exposures.
+        options: the options about photographs and map.
+        folder: the folder of the data set; its name is the name of the task and of the map.
         overwrite: whether a data set that is there is replaced.
-        quiet: no progress.
+        quiet: whether no progress is shown.
 
     Returns:
-        What the photographs show, and where the balls are in them.
+        The light, and where the balls are in the photographs.
 
     Raises:
-        ValueError: a photograph that cannot be read or shows no ball; shutter times of another number or form.
+        ValueError: a photograph cannot be read or shows no ball, or shutter times have another number or form.
         OSError: a file cannot be written.
     """
     with progress("photos", len(paths), quiet=quiet) as bar:
@@ -52,15 +52,15 @@ def write_light(
         captured = capture_light(
             paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer
         )
-        bar.set_label("writing the map and pictures of what was found")
-        _write(folder.resolve().name, paths, captured, folder, options.layer, overwrite=overwrite)
+        bar.name("writing the map and pictures of what was found")
+        _write_light_files(folder.resolve().name, paths, captured, folder, options.layer, overwrite=overwrite)
     return captured
 
 
-def _write(
+def _write_light_files(
     name: str, paths: Sequence[Path], captured: CapturedLight, folder: Path, layer: str, *, overwrite: bool
 ) -> None:
-    """Write a data set of one task, its map NAME.exr and found/*.png."""
+    """Write a data set of one task, its map NAME.exr, and pictures of the balls in found/."""
     notes = {
         "made_by": "metapp data ball",
         "photos": [path.name for path in paths],
@@ -68,16 +68,16 @@ def _write(
         "power": captured.power,
         "files": [DIAGNOSTIC_FOLDER, f"{name}.exr"],
     }
-    turn = np.linspace(0, 2 * np.pi, 361)
+    angles = np.linspace(0, 2 * np.pi, 361)
 
-    def task() -> Iterator[tuple[Task, str, Path]]:
-        yield Task(name, captured.data), "test", paths[captured.chosen]
+    def make_task() -> Iterator[tuple[Task, str, Path]]:
+        yield Task(name, captured.data), "test", paths[captured.reference_index]
         for path, ball in zip(paths, captured.balls, strict=True):
-            contour = ball.to_px(np.stack([np.cos(turn), np.sin(turn)])).T
+            contour = ball.to_px(np.stack([np.cos(angles), np.sin(angles)])).T
             write_outlines(
                 read_pixels(path, layer), [(contour, "lime")], folder / DIAGNOSTIC_FOLDER / f"{path.stem}.png"
             )
         light = torch.cat([captured.data["seen"], captured.data["certain"][:1]])
         write_exr(light.permute(1, 2, 0), folder / f"{name}.exr")
 
-    write_data_set(folder, "illumination", LIGHT_UNITS, task(), notes, overwrite=overwrite)
+    write_data_set(folder, "illumination", LIGHT_UNITS, make_task(), notes, overwrite=overwrite)

@@ -1,4 +1,8 @@
-"""A printed sheet of markers round a square opening: its page, and photographs rectified, with the sheet or without.
+"""Flat materials in hand-held photographs: rectified by a printed sheet of markers, or by the material's own features.
 
-Markers are ArUco's (Garrido-Jurado et al. 2014), which OpenCV draws and finds.
+`sheet` has the places of the markers, `sheet_page` draws the sheet, and `sighting` finds it and the camera in a
+photograph. Without a sheet, `registration` places photographs on one of them, `plane` finds the cameras, and `sample`
+cuts away a table around the material. `rectified_photos` brings both ways together, `rectification` and
+`marker_commands` write the results. Markers are ArUco's (Garrido-Jurado et al. 2014), which OpenCV draws and
+finds.
 """

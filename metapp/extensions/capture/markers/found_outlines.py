@@ -1,4 +1,7 @@
-"""A picture of photographs that could not be rectified, with what was found in each of them."""
+"""A picture of photographs that could not be rectified, with what was found in each of them.
+
+Functions that search photographs pass what they find to a :data:`KeepOutlines`, and know nothing of the picture.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,14 @@ from metapp.extensions.capture.markers.sheet import Floats
 from metapp.storage.files import to_json_value
 from metapp.storage.image_writers import write_png
 
-# Takes a photograph, words for what was found in it, closed outlines [N, M, 2] in px from its upper left pixel's
-# centre, and their colour in words.
+# A function that takes a photograph, words for what was found in it, closed outlines [N, M, 2] in px from the centre of
+# its upper left pixel, and the colour of the outlines in words.
 KeepOutlines = Callable[[Path, str, Floats, str], object]
 
-_WIDTH_PX, _SMALLEST_PX, _LARGEST_PX = 2400, 240, 800  # of the picture, and of a photograph in it
-_COLUMNS = 3  # of up to nine photographs
-_TEXT_PX, _LINE_PX, _GAP_PX = 16, 22, 12
-_BACKGROUND, _PLAIN = (40, 40, 40), "white"
+_PICTURE_WIDTH_PX, _MIN_PHOTO_PX, _MAX_PHOTO_PX = 2400, 240, 800  # widths of the picture, and of a photograph in it
+_MAX_COLUMNS = 3  # for up to nine photographs; more photographs have more columns
+_TEXT_PX, _LINE_PX, _GAP_PX = 16, 22, 12  # height of text, distance of its lines, width of gaps
+_BACKGROUND_COLOUR, _TEXT_COLOUR = (40, 40, 40), "white"
 
 
 def ignore_outlines(path: Path, words: str, outlines: Floats, colour: str) -> None:
@@ -35,43 +38,43 @@ def ignore_outlines(path: Path, words: str, outlines: Floats, colour: str) -> No
 
 
 class FoundOutlines:
-    """What was found in photographs so far, one kind of outlines for each colour."""
+    """What was found in photographs so far: for each photograph and colour, the last outlines."""
 
     def __init__(self) -> None:
         self._found: dict[Path, dict[str, tuple[str, Floats]]] = {}
 
-    def show(self, path: Path, words: str, outlines: Floats, colour: str) -> None:
-        """Keep outlines to draw into a photograph in place of earlier ones of that colour; see `KeepOutlines`."""
+    def keep_outlines(self, path: Path, words: str, outlines: Floats, colour: str) -> None:
+        """Keep outlines to draw into a photograph, in place of earlier ones of the colour; see :data:`KeepOutlines`."""
         self._found.setdefault(path, {})[colour] = words, outlines
 
     def write(self, paths: Sequence[Path], reason: str, picture: Path) -> bool:
         """Write photographs with what was found in them as one PNG.
 
         Args:
-            paths: of the photographs; a grey field stands for one that could not be read.
+            paths: the photographs; a grey field stands for one that could not be read.
             reason: why they are not rectified, written above them.
-            picture: the file.
+            picture: the file to write.
 
         Returns:
-            Whether it was written: not if none of the photographs could be read.
+            Whether the picture was written: it is not if none of the photographs could be read.
 
         Raises:
-            OSError: it cannot be written; names the folder.
+            OSError: the picture cannot be written; the message names the folder.
         """
         if not any(path in self._found for path in paths):
             return False
-        columns = min(_COLUMNS, len(paths)) if len(paths) <= _COLUMNS**2 else math.ceil(math.sqrt(len(paths)))
-        side = min(max(_WIDTH_PX // columns, _SMALLEST_PX), _LARGEST_PX)
+        columns = min(_MAX_COLUMNS, len(paths)) if len(paths) <= _MAX_COLUMNS**2 else math.ceil(math.sqrt(len(paths)))
+        side = min(max(_PICTURE_WIDTH_PX // columns, _MIN_PHOTO_PX), _MAX_PHOTO_PX)
         font = fonts.load_default(_TEXT_PX)
-        tiles = [self._tile(path, side, font) for path in paths]
+        tiles = [self._draw_tile(path, side, font) for path in paths]
         rows = [tiles[i : i + columns] for i in range(0, len(tiles), columns)]
         width = columns * (side + _GAP_PX) + _GAP_PX
         lines = _wrap(reason, font, width - 2 * _GAP_PX)
         top = len(lines) * _LINE_PX + 2 * _GAP_PX
         height = top + sum(max(tile.height for tile in row) + _GAP_PX for row in rows)
-        sheet = image.new("RGB", (width, height), _BACKGROUND)
+        sheet = image.new("RGB", (width, height), _BACKGROUND_COLOUR)
         for number, line in enumerate(lines):
-            ImageDraw.Draw(sheet).text((_GAP_PX, _GAP_PX + number * _LINE_PX), line, _PLAIN, font)
+            ImageDraw.Draw(sheet).text((_GAP_PX, _GAP_PX + number * _LINE_PX), line, _TEXT_COLOUR, font)
         for row in rows:
             for column, tile in enumerate(row):
                 sheet.paste(tile, (_GAP_PX + column * (side + _GAP_PX), top))
@@ -79,18 +82,18 @@ class FoundOutlines:
         write_png(torch.from_numpy(np.array(sheet, np.float32) / 255), {"encoding": "sRGB"}, picture)
         return True
 
-    def _tile(self, path: Path, side: int, font: ImageFont | FreeTypeFont) -> Image:
+    def _draw_tile(self, path: Path, side: int, font: ImageFont | FreeTypeFont) -> Image:
         """Draw a photograph, up to `side` px wide and high, and below it its name and what was found."""
         found = self._found.get(path, {})
-        outlines = [(points + 0.5, colour) for colour, (_, each) in found.items() for points in each]
+        outlines = [(points + 0.5, colour) for colour, (_, polygons) in found.items() for points in polygons]
         if found:
             photo = draw_outlines(read_pixels(path), outlines, side)
         else:
             photo = image.new("RGB", (side, side * 3 // 4), "grey")
-        captions = [(path.name, _PLAIN)]
-        captions += [(words, colour) for colour, (words, _) in found.items()] or [("cannot be read", _PLAIN)]
+        captions = [(path.name, _TEXT_COLOUR)]
+        captions += [(words, colour) for colour, (words, _) in found.items()] or [("cannot be read", _TEXT_COLOUR)]
         wrapped = [(line, colour) for words, colour in captions for line in _wrap(words, font, side)]
-        tile = image.new("RGB", (side, photo.height + _LINE_PX * len(wrapped) + _GAP_PX), _BACKGROUND)
+        tile = image.new("RGB", (side, photo.height + _LINE_PX * len(wrapped) + _GAP_PX), _BACKGROUND_COLOUR)
         tile.paste(photo)
         for number, (line, colour) in enumerate(wrapped):
             ImageDraw.Draw(tile).text((0, photo.height + 4 + number * _LINE_PX), line, colour, font)
@@ -98,12 +101,12 @@ class FoundOutlines:
 
 
 def _wrap(text: str, font: ImageFont | FreeTypeFont, width: int) -> list[str]:
-    """Split a text at its spaces into lines of at most so many px; a longer word is cut."""
+    """Split a text at its spaces into lines that are at most `width` px wide; a longer word loses its beginning."""
     lines = [""]
     for word in to_json_value(text).split():
-        longer = f"{lines[-1]} {word}".strip()
-        if font.getlength(longer) <= width:
-            lines[-1] = longer
+        extended_line = f"{lines[-1]} {word}".strip()
+        if font.getlength(extended_line) <= width:
+            lines[-1] = extended_line
         else:
             while font.getlength(word) > width:
                 word = word[1:]

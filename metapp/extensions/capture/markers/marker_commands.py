@@ -26,7 +26,7 @@ def markers_command(
 ) -> None:
     """Write a marker sheet to print: a frame of markers round an opening, which is laid on a flat material.
 
-    `metapp data rectify` finds the markers in photographs of it. Needs OpenCV, which metapp's extra
+    `metapp data rectify` finds the markers in photographs of the material. Needs OpenCV, which metapp's extra
     `capture` installs.
 
     Example:
@@ -53,11 +53,12 @@ def rectify_command(
 ) -> None:
     """Rectify hand-held flash photographs of a flat material, and find the positions of camera and flash.
 
-    Of photos that show a marker sheet, rectifies the sheet's opening. Where none shows a marker, photos are registered
-    by the material's own features: one from about straight above, the others up to 30 degrees aside, all
-    aimed at one place. The straightest is the reference; the square is the largest that all show, and lengths are in
-    its sides. Where a table round the sample is seen, which lies lower, it is the largest on the sample.
-    Writes square pictures 00.png, 01.png, ..., that from nearest to straight above first, camera_pos.txt,
+    In photos that show a marker sheet, the sheet's opening is rectified. Where no photo shows a marker, photos are
+    registered by the material's own features: one from about straight above, the others up to 30 degrees aside, all
+    aimed at one place. The straightest photo is the reference; the square is the largest that all photos show, and
+    lengths are in its sides. Where a table around the sample is seen, which lies lower, the square is the largest on
+    the sample.
+    Writes square pictures 00.png, 01.png, ..., the one from nearest to straight above first, camera_pos.txt,
     light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR`. Pictures in its folder
     found/ show the markers or points found. Photos that do not fit are skipped, each with a line, and shown by
     found/skipped.png; where none is left, DIR.failed.png beside the folder shows what was found in them. Needs OpenCV,
@@ -69,28 +70,35 @@ def rectify_command(
     """
     if folder.is_dir() and any(folder.iterdir()):
         raise ValueError(f"{folder}: holds files, expected a new or empty folder to write to; choose another one.")
-    photos_alone = [
-        path for path in paths if not path.name.endswith(FAILED_PICTURE_SUFFIX)
-    ]  # which a shell's *.png names, too
+    # a shell's *.png also names the picture that an earlier failure left
+    photos_alone = [path for path in paths if not path.name.endswith(FAILED_PICTURE_SUFFIX)]
     for path in photos_alone or paths:
         check_files_of_user(path, "photographs of a flat material")
     from metapp.extensions.capture.markers.rectification import rectify_photos
 
     rectified = rectify_photos(photos_alone, options, folder, quiet=quiet)
-    photos, size, focal_mm = rectified.photos(), rectified.size, rectified.focal_mm
-    first, marks, unit = rectified.cameras[0].sighting, rectified.marks, rectified.unit
+    photos, size, focal_mm = rectified.describe_photos(), rectified.size, rectified.focal_mm
+    first, basis, unit = rectified.cameras[0].sighting, rectified.registration_basis, rectified.length_unit
     if not quiet:
         for photo in photos:
-            off = "the reference" if photo["reference"] else f"error {photo['error_px']:.2f} px"
-            found = f"{Path(photo['source']).name}, {photo[marks]} {marks}, {off}"
-            away = f"camera {math.hypot(*photo['camera']):.1f} {unit} away, {photo['aside_degrees']:.0f} degrees aside"
-            say(f"{photo['file']}: {found}, {away}, tilted by {photo['tilt_degrees']:.0f}")
+            error_text = "the reference" if photo["reference"] else f"error {photo['error_px']:.2f} px"
+            found_text = f"{Path(photo['source']).name}, {photo[basis]} {basis}, {error_text}"
+            camera_text = (
+                f"camera {math.hypot(*photo['camera']):.1f} {unit} away, {photo['aside_degrees']:.0f} degrees aside"
+            )
+            say(f"{photo['file']}: {found_text}, {camera_text}, tilted by {photo['tilt_degrees']:.0f}")
         if focal_mm:
-            say(f"focal length: {focal_mm:.1f} mm as of 35 mm film, found by the {marks}, as EXIF has none")
-        side = f"{first.opening_cm:g} cm, {size}" if first.sheet else f"{size}"
+            say(f"focal length: {focal_mm:.1f} mm on 35 mm film, found by the {basis}, as EXIF has none")
+        side = f"{first.opening_cm:g} cm, {size}" if first.shows_sheet else f"{size}"
         say(f"{folder}: {len(photos)} photos of {side} px a side; look at what was found: {folder / DIAGNOSTIC_FOLDER}")
     if as_json:
-        sizes = {"side": first.opening_cm, "unit": unit, "size": size, "focal_mm": focal_mm or None}
+        size_entries = {"side": first.opening_cm, "unit": unit, "size": size, "focal_mm": focal_mm or None}
         print_json(
-            {"out": str(folder), **sizes, "kept": rectified.kept, "photos": photos, "skipped": rectified.skipped}
+            {
+                "out": str(folder),
+                **size_entries,
+                "kept": rectified.kept_share,
+                "photos": photos,
+                "skipped": rectified.skipped,
+            }
         )

@@ -1,4 +1,4 @@
-"""Options of the commands that write marker sheets and rectify photographs."""
+"""The options of the commands that write marker sheets and rectify photographs."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from metapp.options import Option
 
 @dataclass(frozen=True)
 class SheetOptions:
-    """The options of `markers` about the sheet."""
+    """The options of `metapp data markers` about the sheet."""
 
     opening: Annotated[int, Option("Side of the square opening, 4 to 13 whole centimetres.", "CM", low=4, high=13)] = 10
     page: Annotated[str, Option("The paper.", "a4|letter", choices=("a4", "letter"))] = "a4"
 
 
 def parse_offset(text: str) -> tuple[float, ...]:
-    """Return the numbers of an offset "X,Y" in cm; ValueError for another form."""
+    """Return the two numbers, in cm, that an offset "X,Y" states; raise ValueError for another form."""
     try:
         x, y = map(float, text.split(","))
     except ValueError:
@@ -31,7 +31,7 @@ def parse_offset(text: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class RectifyOptions:
-    """The options of `rectify` about photographs and pictures."""
+    """The options of `metapp data rectify` about photographs and pictures."""
 
     size: Annotated[
         int, Option("Greatest side of the pictures; never finer than the first photo.", "PX", low=64, high=4096)

@@ -1,4 +1,4 @@
-"""Photographs of the marker sheet, or of a material without one, rectified to the opening, or a square.
+"""Photographs rectified to the opening of a marker sheet, or to a square of a material without one.
 
 They are written to a folder that the format `placed` reads.
 """
@@ -41,8 +41,8 @@ from metapp.storage.files import write_atomically
 from metapp.storage.folders import CAMERA_TEXT, DIAGNOSTIC_FOLDER, LIGHT_TEXT
 from metapp.storage.image_writers import write_png
 
-MIN_TILT_GAIN_DEGREES = 1.0  # by which a photo's tilt is less than the reference's that it takes the place of
-MAX_SHOWN_VIEW_SIDES = 10  # width and height of a photo, how far outside it a view of another one is still drawn
+MIN_TILT_GAIN_DEGREES = 1.0  # by which a photo must be straighter than the reference to become the reference itself
+MAX_SHOWN_VIEW_SIDES = 10  # how far outside a photo, in its sides, the view of another one is still drawn
 
 
 def find_cameras(
@@ -54,74 +54,82 @@ def find_cameras(
     show: KeepOutlines = ignore_outlines,
     parts: Mapping[Path, Floats] = MappingProxyType({}),
 ) -> tuple[list[Camera], float, list[str]]:
-    """Find sheet and camera in photographs; without any marker, the material's own features.
+    """Find the sheet and the camera in photographs; without any marker, register the material's own features.
 
     Args:
         paths: the photographs, of one sheet or of one material.
-        fov_rad: of the camera along the photographs' shorter side; 0: as EXIF says, else as fits best.
-        ruler_cm: measured length of the printed ruler.
+        fov_rad: the field of view of the camera along the photographs' shorter side; 0 if it is not known: EXIF gives
+            it, else the value that fits best is taken.
+        ruler_cm: the measured length of the printed ruler.
         done: called with the name of each photograph that was searched.
         begin: called with what is done next, in words, once all photographs have been searched.
-        show: called with what is found in photographs, for a picture of what does not serve.
-        parts: as :func:`register_photos` takes it.
+        show: called with what is found in photographs, for a picture of photographs that do not serve.
+        parts: the parts of photographs that :func:`register_photos` takes.
 
     Returns:
-        Cameras, the one from nearest to straight above first; the focal length in mm as of 35 mm film, if photographs
-        without EXIF tell it, else 0; a line for each photograph that is left out.
+        The cameras, the one from nearest to straight above first; the focal length in mm, as on 35 mm film, that was
+        found for photographs without EXIF, else 0; a line for each photograph that is left out.
 
     Raises:
-        ValueError: fewer than two can be used; they show sheets of several sizes; no focal length is known, and none
-            can be found; OpenCV is not installed.
+        ValueError: fewer than two photographs can be used, they show sheets of several sizes, no focal length is known
+            and none can be found, or OpenCV is not installed.
     """
-    sightings, plain, skipped = _sheets(paths, fov_rad, ruler_cm, done, show)
-    if not sightings and len(plain) > 1:
-        registration = register_photos(list(plain), fov_rad, parts, begin, show)
-        kept = [line for line in skipped if line not in plain.values()]
-        cameras, found_mm, odd = _cameras(registration.sightings(), begin, show)
+    sightings, unmarked, skipped = _find_sheets(paths, fov_rad, ruler_cm, done, show)
+    if not sightings and len(unmarked) > 1:
+        registration = register_photos(list(unmarked), fov_rad, parts, begin, show)
+        kept_lines = [line for line in skipped if line not in unmarked.values()]
+        cameras, found_mm, misfits = _fit_cameras(registration.sightings(), begin, show)
         straightest = min(cameras, key=lambda camera: camera.tilt_degrees)
         if straightest.tilt_degrees < cameras[0].tilt_degrees - MIN_TILT_GAIN_DEGREES:
             registration = change_reference(registration, straightest.sighting.path, begin)
-            known = [each._replace(focal_mm=each.focal_mm or found_mm) for each in registration.sightings()]
-            cameras, _, odd = _cameras(known, begin, show)
-        skipped = [*kept, *registration.lost(), *odd]
+            sightings_with_focal = [
+                sighting._replace(focal_mm=sighting.focal_mm or found_mm) for sighting in registration.sightings()
+            ]
+            cameras, _, misfits = _fit_cameras(sightings_with_focal, begin, show)
+        skipped = [*kept_lines, *registration.unmatched_lines(), *misfits]
     else:
-        cameras, found_mm, odd = _cameras(sightings, begin, show)
-        skipped += odd
+        cameras, found_mm, misfits = _fit_cameras(sightings, begin, show)
+        skipped += misfits
     if len(cameras) < 2:
-        why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
+        reason = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
-            f"{len(cameras)} of {len(paths)} photo{'s' * (len(paths) != 1)} can be used{why}, expected two or more of "
-            "one material; take more from other places, with the whole sheet in view."
+            f"{len(cameras)} of {len(paths)} photo{'s' * (len(paths) != 1)} can be used{reason}, expected two or more "
+            "of one material; take more from other places, with the whole sheet in view."
         )
-    return sorted(cameras, key=lambda camera: camera.aside_degrees), found_mm, skipped
+    return sorted(cameras, key=lambda camera: camera.view_angle_degrees), found_mm, skipped
 
 
-def _cameras(
+def _fit_cameras(
     sightings: Sequence[Sighting], begin: Callable[[str], object], show: KeepOutlines
 ) -> tuple[list[Camera], float, list[str]]:
-    """Find the cameras of photographs, in their order, and leave out those that do not fit.
+    """Find the cameras of photographs, in their order, and leave out photographs that do not fit.
 
     Returns:
-        Cameras; the focal length in mm as of 35 mm film, if photographs without EXIF tell it, else 0; a line for each
-        photograph that is left out.
+        The cameras; the focal length in mm, as on 35 mm film, that was found for photographs without EXIF, else 0; a
+        line for each photograph that is left out.
     """
     skipped: list[str] = []
-    for sighting in [] if not sightings or sightings[0].sheet else sightings:
+    for sighting in [] if not sightings or sightings[0].shows_sheet else sightings:
         show(sighting.path, f"{len(sighting.markers)} points shared", sighting.markers, "lime")
     begin("positions of the cameras")
-    while True:  # without the oddest photo the plane and the square are those of the others
-        plane = len(sightings) > 1 and not sightings[0].sheet
-        cameras_of, unknown = cameras_on_plane if plane else cameras_on_sheet, [x for x in sightings if not x.focal_mm]
-        found_mm = common_focal_length_mm(sightings if plane else unknown, cameras_of) if unknown else 0.0
+    while True:  # without the worst photo, plane and square are found again by the others
+        is_plane = len(sightings) > 1 and not sightings[0].shows_sheet
+        cameras_of, without_focal = (
+            cameras_on_plane if is_plane else cameras_on_sheet,
+            [sighting for sighting in sightings if not sighting.focal_mm],
+        )
+        found_mm = (
+            common_focal_length_mm(sightings if is_plane else without_focal, cameras_of) if without_focal else 0.0
+        )
         cameras = cameras_of(sightings, found_mm)
-        if plane:
+        if is_plane:
             show_views(cameras, show)
             cameras = cameras_on_square(cameras)
-        odd = max(filter(_fault_of, cameras), key=lambda camera: camera.error_px, default=None)
-        if odd is None:
+        worst = max(filter(_describe_misfit, cameras), key=lambda camera: camera.error_px, default=None)
+        if worst is None:
             return cameras, found_mm, skipped
-        skipped.append(_fault_of(odd))
-        sightings = [each for each in sightings if each.path != odd.sighting.path]
+        skipped.append(_describe_misfit(worst))
+        sightings = [sighting for sighting in sightings if sighting.path != worst.sighting.path]
 
 
 def show_views(cameras: Sequence[Camera], show: KeepOutlines) -> None:
@@ -135,20 +143,25 @@ def show_views(cameras: Sequence[Camera], show: KeepOutlines) -> None:
     show(first.path, "views of the other photos", np.reshape(outlines, (-1, 4, 2)), "cyan")
 
 
-def _sheets(
+def _find_sheets(
     paths: Sequence[Path], fov_rad: float, ruler_cm: float, done: Callable[[str], object], show: KeepOutlines
 ) -> tuple[list[Sighting], dict[Path, str], list[str]]:
-    """Sightings of one sheet; the lines of photographs without a marker; those of all that show no whole sheet."""
+    """Find the sheet in photographs, which must show one sheet.
+
+    Returns:
+        The sightings; for each photograph without a marker its line; the lines of all photographs that show no whole
+        sheet.
+    """
     import_opencv()
     sightings: list[Sighting] = []
-    plain, skipped = {}, []
+    unmarked, skipped = {}, []
     for path in paths:
         try:
             sightings.append(find_sheet(path, fov_rad, ruler_cm, show))
         except (ValueError, OSError) as error:
             skipped.append(str(error))
             if isinstance(error, NoMarkersError):
-                plain[path] = str(error)
+                unmarked[path] = str(error)
         done(path.name)
     for sighting in sightings[1:]:
         if sighting.opening_cm != sightings[0].opening_cm:
@@ -157,19 +170,18 @@ def _sheets(
                 f"{sightings[0].opening_cm:g} cm as in {sightings[0].path.name}; give photos of one material in one "
                 "sheet."
             )
-    return sightings, plain, skipped
+    return sightings, unmarked, skipped
 
 
-def _fault_of(camera: Camera) -> str:
-    """The line why points do not lie where a camera sees them; "" if they do."""
-    path, limit_px = (
-        camera.sighting.path,
-        MAX_MARKER_ERROR_SIDES * camera.sighting.opening_cm * camera.sighting.scales()[1],
-    )
+def _describe_misfit(camera: Camera) -> str:
+    """Return the line that points do not lie where a camera sees them; "" if they do."""
+    path, sighting = camera.sighting.path, camera.sighting
+    limit_px = MAX_MARKER_ERROR_SIDES * sighting.opening_cm * sighting.px_per_cm()[1]
     if camera.error_px <= limit_px:
         return ""
-    seen = f"{camera.error_px:.1f} px from where a lens of {camera.sighting.focal_mm:.0f} mm sees them"
-    return f"{path}: points are {seen}, expected up to {limit_px:.1f}; give the photo uncropped, or the camera's --fov."
+    error_text = f"{camera.error_px:.1f} px from where a lens of {sighting.focal_mm:.0f} mm sees them"
+    remedy = "give the photo uncropped, or the camera's --fov"
+    return f"{path}: points are {error_text}, expected up to {limit_px:.1f}; {remedy}."
 
 
 def write_rectified_photos(
@@ -179,13 +191,13 @@ def write_rectified_photos(
     folder: Path,
     done: Callable[[str], object] = str,
 ) -> None:
-    """Write pictures 00.png, ..., pictures of the markers in each, and the texts.
+    """Write pictures 00.png, ..., pictures of the markers in each photograph, and texts of the places.
 
     Args:
-        cameras: of the photographs.
-        lights_cm: places of the flash, [3] each.
-        size: side of the pictures in px.
-        folder: made if missing; the texts, by which readers know it, are written last.
+        cameras: the cameras of the photographs.
+        lights_cm: the places of the flashes, [3] each.
+        size: the side of the pictures, in px.
+        folder: the folder, made if missing; the texts, by which readers recognise it, are written last.
         done: called with the name of each picture that was written.
 
     Raises:
@@ -207,21 +219,29 @@ def write_rectified_photos(
 
 
 def rectify_opening(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float32]:
-    """The opening as a square, sRGB [size, size, 3] in [0, 1], the sheet's upper edge on top.
+    """Return the opening as a square, with the sheet's upper edge on top.
 
     Means are taken in linear light over as many samples as the photograph has there.
+
+    Args:
+        pixels: the photograph.
+        sighting: the sheet, or the square, in the photograph.
+        size: the side of the square, in px.
+
+    Returns:
+        sRGB values, [size, size, 3] in [0, 1].
     """
     cv2, side_cm = import_opencv(), sighting.opening_cm
     corners = sighting.corners_px()
     left, top = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
     right, bottom = np.ceil(corners.max(0)).astype(int) + 2
-    part = pixels._replace(values=pixels.values[top:bottom, left:right, :3])
-    linear = np.ascontiguousarray(part.linear())
-    side = size * max(2, math.ceil(sighting.scales()[1] * side_cm / size))
-    step, middle = side_cm / side, (side - 1) / 2  # cm, px
-    to_cm = np.array([[step, 0, -middle * step], [0, -step, middle * step], [0, 0, 1]])
-    to_part = np.array([[1, 0, -left], [0, 1, -top], [0, 0, 1]]) @ sighting.to_px @ to_cm
+    cutout = pixels._replace(values=pixels.values[top:bottom, left:right, :3])
+    linear = np.ascontiguousarray(cutout.linear())
+    side = size * max(2, math.ceil(sighting.px_per_cm()[1] * side_cm / size))
+    step_cm, middle_px = side_cm / side, (side - 1) / 2
+    to_cm = np.array([[step_cm, 0, -middle_px * step_cm], [0, -step_cm, middle_px * step_cm], [0, 0, 1]])
+    to_cutout = np.array([[1, 0, -left], [0, 1, -top], [0, 0, 1]]) @ sighting.to_px @ to_cm
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    samples = cv2.warpPerspective(linear, to_part, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    result = cv2.resize(samples, (size, size), interpolation=cv2.INTER_AREA)
-    return linear_to_srgb(torch.from_numpy(result)).numpy()
+    samples = cv2.warpPerspective(linear, to_cutout, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    means = cv2.resize(samples, (size, size), interpolation=cv2.INTER_AREA)
+    return linear_to_srgb(torch.from_numpy(means)).numpy()

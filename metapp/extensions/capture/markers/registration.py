@@ -1,8 +1,8 @@
 """Photographs of a flat material without markers, registered by the material's own features.
 
 Features are SIFT's (Lowe 2004), homographies MAGSAC++'s (Barath et al. 2020). A flash beside the lens shades relief
-anew in each photograph, so that few features look alike: many are compared, and a homography is judged by other means,
-the share of small pieces of both pictures that are most alike in the same place.
+differently in each photograph, so that few features look alike: many are compared, and a homography is judged by other
+means, the share of small pieces of both pictures that are most alike in the same place. Nothing here knows of cameras.
 """
 
 from __future__ import annotations
@@ -25,24 +25,27 @@ from metapp.extensions.capture.markers.sighting import Sighting, diamond_outline
 
 PRINT_MARKERS_ADVICE = "print a frame of markers: metapp data markers sheet.pdf"
 
-_LONGER_PX = 1600  # side of the pictures that are registered, at most
-_LEVELS, _FEATURES, _GUIDED = (1.0, 0.5, 0.25), 2500, 5000  # scales, features of each; of one scale, near a first guess
-_LIKE = 0.9, 0.75  # distance of the best match over that of the second, at most: anywhere, and near a first guess
-_TRIES, _FEWEST = 4, 10  # homographies of two photographs that are tried, matches of each
-_NEAR = 0.025  # of the shorter side, how far off a first guess is
-_PIECES_PX, _PIECE, _REACH, _OFF = 256, 32, 8, 2  # shorter side of pictures that are judged, pieces, search, errors, px
-_LEAST = 0.35  # share of pieces that agree, and of the reference in view
-_RIGHT = 0.5  # least share of matches near a first guess that fit
-_KEPT = 1000  # matches of a photograph
-_NOISE = 0.008  # of white: less contrast is not raised to that of the rest
+_MAX_SIDE_PX = 1600  # longer side of the pictures that are registered
+_SCALES, _FEATURES_PER_SCALE = (1.0, 0.5, 0.25), 2500  # for a first guess of a homography
+_REFINING_FEATURES = 5000  # at full scale, near a first guess
+# The distance of the best match over the distance of the second best, at most: anywhere, and near a first guess.
+_MAX_RATIO, _MAX_REFINING_RATIO = 0.9, 0.75
+_MAX_GUESSES, _MIN_MATCHES = 4, 10  # homographies of two photographs that are tried, and matches of each
+_GUESS_ERROR_SHARE = 0.025  # of the shorter side: how far off a first guess may be
+# For judging a homography, all in px: the shorter side of pictures, the side of a piece, how far around its place a
+# piece is searched, and how far from it the best place may be.
+_JUDGED_SIDE_PX, _PIECE_PX, _SEARCH_PX, _MAX_OFFSET_PX = 256, 32, 8, 2
+_MIN_AGREEMENT = 0.35  # share of pieces that agree, and share of the reference that is in view
+_MIN_INLIER_SHARE = 0.5  # of matches near a first guess
+_MAX_KEPT_MATCHES = 1000  # matches of a photograph by which cameras are found
+_NOISE_OF_WHITE = 0.008  # contrast below it is not raised to the contrast of the rest
 
-LocalFeatures = tuple[NDArray[np.float32], NDArray[np.float32]]  # places [N, 2] in px, descriptors [N, 128] of length 1
-WHOLE_PHOTO_CORNERS = np.array(
-    [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
-)  # a photograph's corners, in fractions of its sides
-PhotoMatch = tuple[
-    Floats, Floats, Floats
-]  # [3, 3] from px of a photograph to the reference's, matches [N, 2] in px of both
+# Places [N, 2] in px, and descriptors [N, 128] of length 1.
+LocalFeatures = tuple[NDArray[np.float32], NDArray[np.float32]]
+# The corners of a photograph, in fractions of its width and height.
+WHOLE_PHOTO_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+# A homography [3, 3] from px of a photograph to px of the reference, and matches, [N, 2] px of each of both.
+PhotoMatch = tuple[Floats, Floats, Floats]
 IDENTITY_MATCH: PhotoMatch = np.eye(3), np.zeros((0, 2)), np.zeros((0, 2))
 
 
@@ -51,24 +54,25 @@ class PhotoView(NamedTuple):
 
     Attributes:
         sighting: the photograph, without points.
-        picture: [height, width], grey, of like mean and contrast everywhere.
-        features: of the picture at several scales.
-        part: the only part by which others are registered on it, corners [4, 2] in fractions of width and height.
+        picture: its grey values, [height, width], with equal mean and contrast everywhere.
+        features: the features of the picture at several scales.
+        part_corners: the corners [4, 2], in fractions of width and height, of the only part by which others are
+            registered on the photograph.
     """
 
     sighting: Sighting
     picture: NDArray[np.float32]
     features: LocalFeatures
-    part: Floats = WHOLE_PHOTO_CORNERS
+    part_corners: Floats = WHOLE_PHOTO_CORNERS
 
-    def in_photo(self, points: Floats) -> Floats:
+    def to_photo_px(self, points: Floats) -> Floats:
         """Return places [N, 2] of the picture in px of the whole photograph."""
         return np.asarray((points + 0.5) * self.sighting.width / self.picture.shape[1] - 0.5, np.float64)
 
-    def holds(self, places: Floats) -> NDArray[np.bool_]:
+    def contains(self, places: Floats) -> NDArray[np.bool_]:
         """Test whether places [N, 2], in fractions of width and height, are in the part."""
-        sides = np.roll(self.part, -1, 0) - self.part
-        to_places = places[:, None] - self.part
+        sides = np.roll(self.part_corners, -1, 0) - self.part_corners
+        to_places = places[:, None] - self.part_corners
         turns = sides[:, 0] * to_places[..., 1] - sides[:, 1] * to_places[..., 0]
         return np.asarray((turns >= 0).all(1) | (turns <= 0).all(1))
 
@@ -77,30 +81,30 @@ class Registration(NamedTuple):
     """Photographs of one material, placed on one of them.
 
     Attributes:
-        views: all photographs, those that do not fit, too.
-        reference: number of the photograph that the others are placed on.
-        placed: by the numbers of the photographs that fit, the reference first, their homographies and matches.
+        views: all photographs, including those that do not fit.
+        reference: the index of the photograph that the others are placed on.
+        matches: for the index of each photograph that fits, the reference first, its homography and matches.
     """
 
     views: Sequence[PhotoView]
     reference: int
-    placed: Mapping[int, PhotoMatch]
+    matches: Mapping[int, PhotoMatch]
 
     def sightings(self) -> list[Sighting]:
-        """Return the points that photographs share with the reference, which is the first.
+        """Return sightings with the points that photographs share with the reference, which is the first.
 
-        Their `points_cm` are those of the reference, px from its middle over its diagonal, y up.
+        Their `points_cm` are places in the reference: px from its middle divided by its diagonal, y up.
         """
-        shared = np.concatenate([match[2] for match in self.placed.values()])
-        matches = {**self.placed, self.reference: (np.eye(3), shared, shared)}
-        sightings = [_sighted(self.views[i], self.views[self.reference], match) for i, match in matches.items()]
-        return [sightings[0]._replace(reference=True), *sightings[1:]]
+        shared = np.concatenate([match[2] for match in self.matches.values()])
+        matches = {**self.matches, self.reference: (np.eye(3), shared, shared)}
+        sightings = [_make_sighting(self.views[i], self.views[self.reference], match) for i, match in matches.items()]
+        return [sightings[0]._replace(is_reference=True), *sightings[1:]]
 
-    def lost(self) -> list[str]:
+    def unmatched_lines(self) -> list[str]:
         """Return a line for each photograph that does not fit."""
         name = self.views[self.reference].sighting.path.name
-        why = f"too few features in common with {name}, expected an overlap; {PRINT_MARKERS_ADVICE}."
-        return [f"{view.sighting.path}: {why}" for i, view in enumerate(self.views) if i not in self.placed]
+        reason = f"too few features in common with {name}, expected an overlap; {PRINT_MARKERS_ADVICE}."
+        return [f"{view.sighting.path}: {reason}" for i, view in enumerate(self.views) if i not in self.matches]
 
 
 def register_photos(
@@ -110,206 +114,285 @@ def register_photos(
     begin: Callable[[str], object] = str,
     show: KeepOutlines = ignore_outlines,
 ) -> Registration:
-    """Find points that photographs of one material share with a reference, the first that another one fits.
+    """Find points that photographs of one material share with a reference, the first photograph that another one fits.
 
     Args:
         paths: the photographs.
-        fov_rad: of their camera along the shorter side; 0: as EXIF says, if it does.
-        parts: of some photographs the only part by which others are registered on them, and judged: corners [4, 2] of
-            a convex one, in fractions of width and height from the upper left.
+        fov_rad: the field of view of their camera along the shorter side; 0 if EXIF is to give it, if it does.
+        parts: for some photographs the corners [4, 2] of a convex part, in fractions of width and height from the upper
+            left: others are registered on them, and judged, by that part alone.
         begin: called with what is done next, in words, before each step that takes a second or more.
-        show: called with the features that look alike, of each photograph that does not fit.
+        show: called with the features that look alike, for each photograph that does not fit.
 
     Raises:
-        ValueError: no two fit; as `read_pixels`.
+        ValueError: no two photographs fit, or one cannot be read.
     """
     views = []
     for path in paths:
         begin(f"{path.name}: finding features")
-        views.append(_view(path, fov_rad)._replace(part=parts.get(path, WHOLE_PHOTO_CORNERS)))
-    for first, reference in enumerate(views[:-1]):
-        fine = _within(_features(reference.picture, _LEVELS[:1], _GUIDED), reference)
-        placed: dict[int, PhotoMatch] = {first: IDENTITY_MATCH}
-        for other in [*range(first + 1, len(views))] * 2:  # one that fits no earlier photograph may fit a later one
-            if other not in placed:
+        views.append(_make_view(path, fov_rad)._replace(part_corners=parts.get(path, WHOLE_PHOTO_CORNERS)))
+    for reference_index, reference in enumerate(views[:-1]):
+        fine_features = _select_features(_find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES), reference)
+        matches: dict[int, PhotoMatch] = {reference_index: IDENTITY_MATCH}
+        for other in [
+            *range(reference_index + 1, len(views))
+        ] * 2:  # tried twice: a photo that fits no earlier one may fit one that is placed later
+            if other not in matches:
                 begin(f"{views[other].sighting.path.name}: comparing with {reference.sighting.path.name}")
-            for number in [] if other in placed else list(placed):
-                guesses = [placed[number][0] @ each for each in _guesses(views[other], views[number])]
-                match = _best(views[other], reference, fine, guesses)
+            for index in [] if other in matches else list(matches):
+                guesses = [matches[index][0] @ guess for guess in _guess_homographies(views[other], views[index])]
+                match = _find_match(views[other], reference, fine_features, guesses)
                 if match:
-                    placed[other] = match
+                    matches[other] = match
                     break
-        if len(placed) > 1:
-            lost = [view for number, view in enumerate(views) if number not in placed]
-            _show_alike(lost, reference, begin, show)
-            return Registration(views, first, placed)
-    _show_alike(views, views[0], begin, show)
+        if len(matches) > 1:
+            unmatched = [view for index, view in enumerate(views) if index not in matches]
+            _show_matches(unmatched, reference, begin, show)
+            return Registration(views, reference_index, matches)
+    _show_matches(views, views[0], begin, show)
     raise ValueError(
         f"{paths[0]}: none of {len(paths)} photos has features in common with another one; {PRINT_MARKERS_ADVICE}."
     )
 
 
 def change_reference(registration: Registration, path: Path, begin: Callable[[str], object] = str) -> Registration:
-    """Place photographs on another one of them, those placed before near where their homographies put them.
+    """Place photographs on another one of them, starting from the homographies that were found before.
 
     Args:
-        registration: of the photographs.
-        path: of the photograph to place them on, one that fits.
+        registration: the registration of the photographs.
+        path: the photograph to place the others on, one that fits.
         begin: called with what is done next, in words, before each step that takes a second or more.
 
     Returns:
-        The registration on that photograph; the one given if fewer photographs fit that photograph.
+        The registration on that photograph; the one that was given if fewer photographs fit the new reference.
     """
     views = registration.views
-    first = next(number for number in registration.placed if views[number].sighting.path == path)
-    reference, to_first = views[first], np.linalg.inv(registration.placed[first][0])
-    fine = _within(_features(reference.picture, _LEVELS[:1], _GUIDED), reference)
-    placed: dict[int, PhotoMatch] = {first: IDENTITY_MATCH}
-    for number, view in enumerate(views):
-        if number != first:
+    reference_index = next(index for index in registration.matches if views[index].sighting.path == path)
+    reference, to_reference = views[reference_index], np.linalg.inv(registration.matches[reference_index][0])
+    fine_features = _select_features(_find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES), reference)
+    matches: dict[int, PhotoMatch] = {reference_index: IDENTITY_MATCH}
+    for index, view in enumerate(views):
+        if index != reference_index:
             begin(f"{view.sighting.path.name}: comparing with {path.name}, the straightest")
-            known = registration.placed.get(number)
-            match = _best(view, reference, fine, [to_first @ known[0]] if known else _guesses(view, reference))
+            earlier_match = registration.matches.get(index)
+            match = _find_match(
+                view,
+                reference,
+                fine_features,
+                [to_reference @ earlier_match[0]] if earlier_match else _guess_homographies(view, reference),
+            )
             if match:
-                placed[number] = match
-    return Registration(views, first, placed) if len(placed) >= len(registration.placed) else registration
+                matches[index] = match
+    return Registration(views, reference_index, matches) if len(matches) >= len(registration.matches) else registration
 
 
-def _view(path: Path, fov_rad: float) -> PhotoView:
-    cv2, pixels, none = import_opencv(), read_pixels(path), np.zeros((0, 2))
+def _make_view(path: Path, fov_rad: float) -> PhotoView:
+    """Read a photograph, even out its mean and contrast, and find its features."""
+    cv2, pixels, no_points = import_opencv(), read_pixels(path), np.zeros((0, 2))
     grey = display_values(pixels).mean(-1).astype(np.float32)
     height, width = grey.shape
-    sighting = Sighting(path, height, width, focal_length_mm(pixels, fov_rad), 1.0, none, none, none, np.eye(3), False)
-    scale = min(1.0, _LONGER_PX / max(height, width))
+    sighting = Sighting(
+        path, height, width, focal_length_mm(pixels, fov_rad), 1.0, no_points, no_points, no_points, np.eye(3), False
+    )
+    scale = min(1.0, _MAX_SIDE_PX / max(height, width))
     grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    near = functools.partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=min(grey.shape) / 40)
-    rest = grey - near(grey)
-    picture = (rest / (np.sqrt(near(rest * rest)) + _NOISE)).clip(-3, 3)
-    return PhotoView(sighting, picture, _features(picture, _LEVELS, _FEATURES))
+    blur = functools.partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=min(grey.shape) / 40)
+    detail = grey - blur(grey)
+    picture = (detail / (np.sqrt(blur(detail * detail)) + _NOISE_OF_WHITE)).clip(-3, 3)
+    return PhotoView(sighting, picture, _find_features(picture, _SCALES, _FEATURES_PER_SCALE))
 
 
-def _features(picture: NDArray[np.float32], levels: Sequence[float], count: int) -> LocalFeatures:
-    """So many of SIFT's features at most of each scale, described as RootSIFT does."""
+def _find_features(picture: NDArray[np.float32], levels: Sequence[float], count: int) -> LocalFeatures:
+    """Find at most `count` of SIFT's features at each scale, described as RootSIFT describes them."""
     cv2, places, descriptors = import_opencv(), [np.zeros((0, 2), np.float32)], [np.zeros((0, 128), np.float32)]
     sift = cv2.SIFT_create(count, contrastThreshold=0.01, edgeThreshold=20)
     for level in levels:
-        small = cv2.resize(picture, None, fx=level, fy=level, interpolation=cv2.INTER_AREA)
-        small = small / max(float(small.std()), 0.1) if level < 1 else cv2.GaussianBlur(small, (0, 0), 1.0)
-        points, described = sift.detectAndCompute(((small + 3) * 42.5).clip(0, 255).astype(np.uint8), None)
+        resized = cv2.resize(picture, None, fx=level, fy=level, interpolation=cv2.INTER_AREA)
+        resized = resized / max(float(resized.std()), 0.1) if level < 1 else cv2.GaussianBlur(resized, (0, 0), 1.0)
+        points, sift_descriptors = sift.detectAndCompute(((resized + 3) * 42.5).clip(0, 255).astype(np.uint8), None)
         if points:
             places.append((np.array([point.pt for point in points], np.float32) + 0.5) / level - 0.5)
-            descriptors.append(np.sqrt(described / np.maximum(described.sum(1, keepdims=True), 1e-6)))
+            descriptors.append(np.sqrt(sift_descriptors / np.maximum(sift_descriptors.sum(1, keepdims=True), 1e-6)))
     return np.concatenate(places), np.concatenate(descriptors)
 
 
-def _pairs(one: LocalFeatures, other: LocalFeatures, like: float, near: float) -> tuple[Floats, Floats]:
-    """Places [M, 2] of features that are most alike of those within so many px of each other."""
-    if not len(one[0]) or not len(other[0]):
+def _match_features(
+    first: LocalFeatures, second: LocalFeatures, max_ratio: float, max_px: float
+) -> tuple[Floats, Floats]:
+    """Match features of two pictures that are most alike, each to the other.
+
+    Args:
+        first: the features of the first picture.
+        second: the features of the second picture.
+        max_ratio: the distance of the best match over the distance of the second best, at most.
+        max_px: how far apart the places of a match may be, in px.
+
+    Returns:
+        The places of M matches in both pictures, [M, 2] px each.
+    """
+    if not len(first[0]) or not len(second[0]):
         return np.zeros((0, 2)), np.zeros((0, 2))
-    alike, rows = one[1] @ other[1].T, np.arange(len(one[0]))
-    squares = (one[0] ** 2).sum(1)[:, None] + (other[0] ** 2).sum(1) - 2 * one[0] @ other[0].T
-    alike[squares > near * near] = 0.0
-    best, back = alike.argmax(1), alike.argmax(0)
-    value = alike[rows, best]
-    alike[rows, best] = 0.0
-    kept = (back[best] == rows) & (1 - value < like * like * (1 - alike.max(1))) & (value > 0.5)
-    return one[0][kept].astype(np.float64), other[0][best[kept]].astype(np.float64)
+    similarity, rows = first[1] @ second[1].T, np.arange(len(first[0]))
+    squared_distances = (first[0] ** 2).sum(1)[:, None] + (second[0] ** 2).sum(1) - 2 * first[0] @ second[0].T
+    similarity[squared_distances > max_px * max_px] = 0.0
+    best, best_back = similarity.argmax(1), similarity.argmax(0)
+    best_similarity = similarity[rows, best]
+    similarity[rows, best] = 0.0
+    is_match = (
+        (best_back[best] == rows)
+        & (1 - best_similarity < max_ratio * max_ratio * (1 - similarity.max(1)))
+        & (best_similarity > 0.5)
+    )
+    return first[0][is_match].astype(np.float64), second[0][best[is_match]].astype(np.float64)
 
 
-def _homography(own: Floats, on_reference: Floats, off_px: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """The homography that most matches fit, [3, 3], and which of them do, [N]."""
-    to, kept = np.eye(3), None
-    if len(own) >= _FEWEST:
-        to, kept = import_opencv().findHomography(
-            own, on_reference, import_opencv().USAC_MAGSAC, off_px, None, 20_000, 0.9999
+def _fit_homography(places: Floats, reference_places: Floats, max_error_px: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """Fit a homography to as many matches as possible.
+
+    Args:
+        places: the places of matches in a photograph, [N, 2] px.
+        reference_places: their places in the reference, [N, 2] px.
+        max_error_px: how far off a match may be that fits.
+
+    Returns:
+        The homography, [3, 3], and which matches fit it, [N].
+    """
+    homography, is_inlier = np.eye(3), None
+    if len(places) >= _MIN_MATCHES:
+        homography, is_inlier = import_opencv().findHomography(
+            places, reference_places, import_opencv().USAC_MAGSAC, max_error_px, None, 20_000, 0.9999
         )
-    return (to, kept[:, 0] > 0) if kept is not None and to is not None else (np.eye(3), np.zeros(len(own), bool))
+    return (
+        (homography, is_inlier[:, 0] > 0)
+        if is_inlier is not None and homography is not None
+        else (np.eye(3), np.zeros(len(places), bool))
+    )
 
 
-def _within(features: LocalFeatures, view: PhotoView) -> LocalFeatures:
+def _select_features(features: LocalFeatures, view: PhotoView) -> LocalFeatures:
     """Return the features that lie in the part of a view."""
-    kept = view.holds((features[0] + 0.5) / view.picture.shape[::-1])
-    return features[0][kept], features[1][kept]
+    is_inside = view.contains((features[0] + 0.5) / view.picture.shape[::-1])
+    return features[0][is_inside], features[1][is_inside]
 
 
-def _guesses(view: PhotoView, other: PhotoView) -> Iterable[Floats]:
-    """Homographies to another photograph, that of most matches first: repetitions may outnumber the right one."""
-    own, there = _pairs(view.features, _within(other.features, other), _LIKE[0], math.inf)
-    for _ in range(_TRIES):
-        to, kept = _homography(own, there, 3.0)
-        if kept.sum() < _FEWEST:
+def _guess_homographies(view: PhotoView, other: PhotoView) -> Iterable[Floats]:
+    """Yield homographies to another photograph, the one of most matches first.
+
+    There are several, as repetitions of a pattern may have more matches than the right homography.
+    """
+    places, other_places = _match_features(view.features, _select_features(other.features, other), _MAX_RATIO, math.inf)
+    for _ in range(_MAX_GUESSES):
+        homography, is_inlier = _fit_homography(places, other_places, 3.0)
+        if is_inlier.sum() < _MIN_MATCHES:
             break
-        yield to
-        far = np.linalg.norm(apply_homography(to, own) - there, axis=1) > 12
-        own, there = own[far], there[far]
+        yield homography
+        is_outlier = np.linalg.norm(apply_homography(homography, places) - other_places, axis=1) > 12
+        places, other_places = places[is_outlier], other_places[is_outlier]
 
 
-def _show_alike(
+def _show_matches(
     views: Sequence[PhotoView], reference: PhotoView, begin: Callable[[str], object], show: KeepOutlines
 ) -> None:
-    """Show the features of photographs that do not fit a reference: all, those alike, and of these those in a plane."""
+    """Show the features of photographs that do not fit a reference: all, those with a match, and those in one plane."""
     for view in views if show is not ignore_outlines else []:
         path, longer_px = view.sighting.path, max(view.sighting.height, view.sighting.width)
         begin(f"{path.name}: drawing what was found")
-        places = view.features[0].astype(np.float64)
-        chosen = np.random.default_rng(0).permutation(len(places))[:_KEPT]
-        show(path, f"{len(places)} features", diamond_outlines(view.in_photo(places[chosen]), longer_px), "orange")
+        feature_places = view.features[0].astype(np.float64)
+        shown_rows = np.random.default_rng(0).permutation(len(feature_places))[:_MAX_KEPT_MATCHES]
+        show(
+            path,
+            f"{len(feature_places)} features",
+            diamond_outlines(view.to_photo_px(feature_places[shown_rows]), longer_px),
+            "orange",
+        )
         if view is not reference:
-            own, there = _pairs(view.features, reference.features, _LIKE[0], math.inf)
-            _, kept = _homography(own, there, 3.0)
+            places, reference_places = _match_features(view.features, reference.features, _MAX_RATIO, math.inf)
+            _, is_inlier = _fit_homography(places, reference_places, 3.0)
             name = reference.sighting.path.name
-            alike = f"{len(own)} of them with a like one in {name}"
-            show(path, alike, diamond_outlines(view.in_photo(own), longer_px), "red")
-            in_plane = f"{kept.sum()} of these agree with one plane"
-            show(path, in_plane, diamond_outlines(view.in_photo(own[kept]), longer_px), "lime")
+            match_text = f"{len(places)} of them with a like one in {name}"
+            show(path, match_text, diamond_outlines(view.to_photo_px(places), longer_px), "red")
+            plane_text = f"{is_inlier.sum()} of these agree with one plane"
+            show(path, plane_text, diamond_outlines(view.to_photo_px(places[is_inlier]), longer_px), "lime")
 
 
-def _best(view: PhotoView, reference: PhotoView, fine: LocalFeatures, guesses: Iterable[Floats]) -> PhotoMatch | None:
-    """The guess by which most of two photographs agrees, refined twice by fine features near it."""
+def _find_match(
+    view: PhotoView, reference: PhotoView, fine_features: LocalFeatures, guesses: Iterable[Floats]
+) -> PhotoMatch | None:
+    """Return the guess by which most of two photographs agrees, refined twice by fine features; None if none agrees.
+
+    Args:
+        view: the photograph.
+        reference: the reference.
+        fine_features: features of the reference at full scale.
+        guesses: homographies from the photograph to the reference.
+    """
     size = reference.picture.shape[::-1]
-    to = max(guesses, key=lambda to: math.prod(_agreement(view, reference, to)), default=np.zeros((3, 3)))
+    homography = max(
+        guesses,
+        key=lambda homography: math.prod(_measure_agreement(view, reference, homography)),
+        default=np.zeros((3, 3)),
+    )
     for step in range(3):
-        if not to.any() or min(_agreement(view, reference, to)) < _LEAST:
+        if not homography.any() or min(_measure_agreement(view, reference, homography)) < _MIN_AGREEMENT:
             return None
         if step < 2:
-            warped = import_opencv().warpPerspective(view.picture, to, size, flags=import_opencv().INTER_CUBIC)
-            there, moved = _pairs(fine, _features(warped, _LEVELS[:1], _GUIDED), _LIKE[1], _NEAR * min(size))
-            own = apply_homography(np.asarray(np.linalg.inv(to), np.float64), moved)
-            to, kept = _homography(own, there, 2.0)
-    return (to, own[kept], there[kept]) if kept.sum() >= max(3 * _FEWEST, _RIGHT * len(kept)) else None
+            warped = import_opencv().warpPerspective(view.picture, homography, size, flags=import_opencv().INTER_CUBIC)
+            reference_places, moved_places = _match_features(
+                fine_features,
+                _find_features(warped, _SCALES[:1], _REFINING_FEATURES),
+                _MAX_REFINING_RATIO,
+                _GUESS_ERROR_SHARE * min(size),
+            )
+            places = apply_homography(np.asarray(np.linalg.inv(homography), np.float64), moved_places)
+            homography, is_inlier = _fit_homography(places, reference_places, 2.0)
+    return (
+        (homography, places[is_inlier], reference_places[is_inlier])
+        if is_inlier.sum() >= max(3 * _MIN_MATCHES, _MIN_INLIER_SHARE * len(is_inlier))
+        else None
+    )
 
 
-def _agreement(view: PhotoView, reference: PhotoView, to: Floats) -> tuple[float, float]:
-    """Shares of pieces of the reference: of those in view, that are most alike in the same place; of all, in view."""
-    cv2, scale, margin = import_opencv(), _PIECES_PX / min(reference.picture.shape), _PIECE + 2 * _REACH
-    small = cv2.resize(reference.picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    warp = np.array([[scale, 0, (scale - 1) / 2], [0, scale, (scale - 1) / 2], [0, 0, 1]]) @ to
-    smooth = cv2.GaussianBlur(view.picture, (0, 0), max(0.5 / scale, 0.1))
-    warped, inside = (cv2.warpPerspective(each, warp, small.shape[::-1]) for each in (smooth, np.ones_like(smooth)))
-    total, seen, good = 0, 0, 0
-    for top in range(0, small.shape[0] - margin, _PIECE // 2):
-        for left in range(0, small.shape[1] - margin, _PIECE // 2):
-            if not reference.holds((np.array([[left, top]]) + margin / 2) / small.shape[::-1]).all():
+def _measure_agreement(view: PhotoView, reference: PhotoView, homography: Floats) -> tuple[float, float]:
+    """Measure how two photographs agree by a homography.
+
+    Returns:
+        The share of the reference's pieces in view that are most alike in the same place, and the share in view.
+    """
+    cv2, scale, margin = import_opencv(), _JUDGED_SIDE_PX / min(reference.picture.shape), _PIECE_PX + 2 * _SEARCH_PX
+    small_reference = cv2.resize(reference.picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    warp = np.array([[scale, 0, (scale - 1) / 2], [0, scale, (scale - 1) / 2], [0, 0, 1]]) @ homography
+    smooth_picture = cv2.GaussianBlur(view.picture, (0, 0), max(0.5 / scale, 0.1))
+    warped, inside = (
+        cv2.warpPerspective(values, warp, small_reference.shape[::-1])
+        for values in (smooth_picture, np.ones_like(smooth_picture))
+    )
+    pieces, pieces_in_view, pieces_in_place = 0, 0, 0
+    for top in range(0, small_reference.shape[0] - margin, _PIECE_PX // 2):
+        for left in range(0, small_reference.shape[1] - margin, _PIECE_PX // 2):
+            if not reference.contains((np.array([[left, top]]) + margin / 2) / small_reference.shape[::-1]).all():
                 continue
-            wide, total = np.s_[top : top + margin, left : left + margin], total + 1
-            if inside[wide].min() > 0.99:
-                piece = small[wide][_REACH:-_REACH, _REACH:-_REACH]
-                place = cv2.minMaxLoc(cv2.matchTemplate(warped[wide], piece, cv2.TM_CCOEFF_NORMED))[3]
-                seen, good = seen + 1, good + (max(abs(each - _REACH) for each in place) <= _OFF)
-    return good / max(seen, 1), seen / max(total, 1)
+            window, pieces = np.s_[top : top + margin, left : left + margin], pieces + 1
+            if inside[window].min() > 0.99:
+                piece = small_reference[window][_SEARCH_PX:-_SEARCH_PX, _SEARCH_PX:-_SEARCH_PX]
+                place = cv2.minMaxLoc(cv2.matchTemplate(warped[window], piece, cv2.TM_CCOEFF_NORMED))[3]
+                pieces_in_view, pieces_in_place = (
+                    pieces_in_view + 1,
+                    pieces_in_place + (max(abs(coordinate - _SEARCH_PX) for coordinate in place) <= _MAX_OFFSET_PX),
+                )
+    return pieces_in_place / max(pieces_in_view, 1), pieces_in_view / max(pieces, 1)
 
 
-def _sighted(view: PhotoView, reference: PhotoView, match: PhotoMatch) -> Sighting:
-    """The matches of a photograph, in px of the whole photograph, and on the reference; marks of them are diamonds."""
-    chosen = np.random.default_rng(0).permutation(len(match[1]))[:_KEPT]
-    own, there = view.in_photo(match[1][chosen]), reference.in_photo(match[2][chosen])
+def _make_sighting(view: PhotoView, reference: PhotoView, match: PhotoMatch) -> Sighting:
+    """Return a photograph's sighting with its matches, on the photograph and on the reference; diamonds mark them."""
+    kept_rows = np.random.default_rng(0).permutation(len(match[1]))[:_MAX_KEPT_MATCHES]
+    photo_points, reference_points = view.to_photo_px(match[1][kept_rows]), reference.to_photo_px(match[2][kept_rows])
     height, width = reference.sighting.height, reference.sighting.width
-    points = (there - [(width - 1) / 2, (height - 1) / 2]) * [1, -1] / math.hypot(height, width)
-    marks = diamond_outlines(own, max(view.sighting.height, view.sighting.width))
-    return view.sighting._replace(markers=marks, points_cm=points, points_px=own)
+    points = (reference_points - [(width - 1) / 2, (height - 1) / 2]) * [1, -1] / math.hypot(height, width)
+    marks = diamond_outlines(photo_points, max(view.sighting.height, view.sighting.width))
+    return view.sighting._replace(markers=marks, points_cm=points, points_px=photo_points)
 
 
 def apply_homography(homography: Floats, points: Floats) -> Floats:
-    """Points [N, 2] that a homography moves."""
-    moved = np.pad(points, ((0, 0), (0, 1)), constant_values=1.0) @ homography.T
-    return np.asarray(moved[:, :2] / moved[:, 2:], np.float64)
+    """Return points [N, 2] moved by a homography [3, 3]."""
+    homogeneous_points = np.pad(points, ((0, 0), (0, 1)), constant_values=1.0) @ homography.T
+    return np.asarray(homogeneous_points[:, :2] / homogeneous_points[:, 2:], np.float64)

@@ -1,8 +1,8 @@
-"""The sample that photographs without markers show, apart from the table around it.
+"""The sample that photographs without markers show, separated from the table around it.
 
-A table lies lower than the surface of the sample on it. Where it is registered in place of the sample, or with it, maps
-are wrong. Photographs are compared on planes of many heights (a plane sweep: Collins 1996): on the plane by which they
-are registered they agree where the sample is, on another one where the table is.
+A table lies lower than the surface of the sample on it. Where the table is registered in place of the sample, or with
+it, maps are wrong. Photographs are compared on planes of many heights (a plane sweep: Collins 1996): on the plane by
+which they are registered they agree where the sample is, on another plane where the table is.
 """
 
 from __future__ import annotations
@@ -24,34 +24,33 @@ from metapp.extensions.capture.markers.registration import WHOLE_PHOTO_CORNERS
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
 from metapp.extensions.capture.markers.sighting import Camera, Sighting
 
-MIDDLE_CORNERS = (WHOLE_PHOTO_CORNERS + 0.5) / 2  # of a photograph, where the sample is, as people aim at it
-COMPARISON_SIDE_PX = 192  # of the compared pictures
-# Heights of planes over that of registration: a step moves a picture by about a px.
+MIDDLE_CORNERS = (WHOLE_PHOTO_CORNERS + 0.5) / 2  # the part of a photograph where the sample lies, as people aim at it
+COMPARISON_SIDE_PX = 192  # side of the compared pictures
+# Heights of planes above the plane of registration; a step moves a picture by about a px.
 PLANE_HEIGHTS_SIDES = np.arange(-0.36, 0.361, 0.015)
-SAME_PLANE_SIDES = 0.045  # relief and flashes move pictures by as much
-COMPARISON_DETAIL_PX, COMPARISON_WINDOW_PX = (
-    4.0,
-    4.0,
-)  # Gaussians: details that are compared are finer; places are compared in windows
-LOG_FLOOR_OF_WHITE = 0.03  # of white: the log of radiance is flat below
-SAMPLE_EDGE_PX = 9  # by which a sample seems wider, as its edge is in windows beside it
-MIN_SAMPLE_CORRELATION, MIN_TABLE_CORRELATION = 0.25, 0.35  # correlations of photographs
-CORRELATION_NOISE = 0.6  # over the root of the number of pairs: how much better another plane is than its noise
-# Share of the square, over the number of pairs, that a table is at least. Of five photographs filled by the sample up
-# to 0.0024 of the square seems to be a table. Where a table takes 8 % or more, 0.006 to 0.42 is seen; corners of 2 to
-# 6 % are mostly missed, as the edge of the sample is in all windows there.
+SAME_PLANE_SIDES = 0.045  # planes closer than this count as one: relief and flashes move pictures by as much
+# Standard deviations of Gaussians: compared details are finer than the first, windows are as wide as the second.
+COMPARISON_DETAIL_PX, COMPARISON_WINDOW_PX = 4.0, 4.0
+LOG_FLOOR_OF_WHITE = 0.03  # added to values before the logarithm, which is flat for darker ones
+SAMPLE_EDGE_PX = 9  # by which a sample seems wider on each side, as windows beside it hold its edge
+MIN_SAMPLE_CORRELATION, MIN_TABLE_CORRELATION = 0.25, 0.35  # of photographs, on the plane of the sample and the table
+CORRELATION_NOISE = 0.6  # divided by the root of the number of pairs: the least gain of another plane's correlation
+# The least share of the square that is seen as a table, divided by the number of pairs. In five photographs filled by
+# the sample, up to 0.0024 of the square seems to be a table. Where a table takes 8 % or more, 0.006 to 0.42 is seen;
+# corners of 2 to 6 % are mostly missed, as the edge of the sample is in all windows there.
 MIN_TABLE_SHARE = 0.05
-MIN_SAMPLE_SHARE = 0.05  # of the square, that is worth keeping
-SQUARE_TURN_DEGREES = 5  # steps by which a square is turned to fit the sample
+MIN_SAMPLE_SHARE = 0.05  # of the common square: a smaller square on the sample is not worth keeping
+SQUARE_TURN_DEGREES = 5  # step by which a square is turned to fit the sample
 
 
 class Agreement(NamedTuple):
-    """Where photographs agree on one of two planes, [SIDE_PX, SIDE_PX] of the square.
+    """Where photographs agree on one of two planes.
 
     Attributes:
-        sample: they agree on the plane by which they are registered, better than on any other one.
-        table: they agree on another plane.
-        pairs: number of pairs of photographs.
+        sample: where they agree on the plane by which they are registered, better than on any other one, a mask
+            [COMPARISON_SIDE_PX, COMPARISON_SIDE_PX] of the square.
+        table: where they agree on another plane, a mask of the same size.
+        pairs: the number of pairs of photographs.
     """
 
     sample: NDArray[np.bool_]
@@ -79,28 +78,31 @@ def find_sample(
 
     Args:
         paths: the photographs.
-        fov_rad: as :func:`find_cameras` takes it.
-        ruler_cm: as :func:`find_cameras` takes it.
+        fov_rad: the field of view that :func:`find_cameras` takes.
+        ruler_cm: the measured length of the printed ruler.
         done: called with the name of each photograph that was searched.
         begin: called with what is done next, in words.
-        show: as :func:`find_cameras` takes it.
-        register: finds cameras as :func:`find_cameras` does.
+        show: called with what is found in photographs, for a picture of photographs that do not serve.
+        register: finds the cameras, as :func:`find_cameras` does.
 
     Returns:
-        Cameras, focal length and lines of photographs left out, as :func:`find_cameras` returns them; and the share of
-        the common square that is kept: 1 where no table is seen, 0 where one is seen and the sample is not found.
+        Cameras, focal length and lines about photographs left out, as :func:`find_cameras` returns them; and the share
+        of the common square that is kept: 1 where no table is seen, 0 where one is seen and the sample is not found.
 
     Raises:
-        ValueError: as :func:`find_cameras`.
+        ValueError: :func:`find_cameras` finds no cameras.
     """
     found = register(paths, fov_rad, ruler_cm, done, begin, show)
     begin("comparing photos on planes of several heights")
-    if found[0][0].sighting.sheet or not compare_on_planes(found[0]).shows_table:
+    if found[0][0].sighting.shows_sheet or not compare_on_planes(found[0]).shows_table:
         return *found, 1.0
     result = *found, 0.0
     parts = dict.fromkeys(paths, MIDDLE_CORNERS)
-    paths = sorted(paths, key=lambda path: path not in [x.sighting.path for x in found[0] if x.sighting.reference])
-    for _ in range(2):  # by the middle, then by all of the sample, which is more exact
+    paths = sorted(
+        paths,
+        key=lambda path: path not in [camera.sighting.path for camera in found[0] if camera.sighting.is_reference],
+    )
+    for _ in range(2):  # first by the middle, then by all of the sample, which is more exact
         try:
             cameras, focal_mm, skipped = register(paths, fov_rad, ruler_cm, str, begin, parts=parts)
         except ValueError:  # too few features there
@@ -110,30 +112,32 @@ def find_sample(
             break
         cameras = cameras_on_part(cameras, middle, side, turn_rad)
         result = cameras, focal_mm, skipped, side * side
-        parts |= {camera.sighting.path: _part_of(camera.sighting) for camera in cameras}
+        parts |= {camera.sighting.path: _square_in_photo(camera.sighting) for camera in cameras}
     return result
 
 
-def _part_of(sighting: Sighting) -> Floats:
+def _square_in_photo(sighting: Sighting) -> Floats:
     """Return the corners [4, 2] of the square, in fractions of the photograph's width and height."""
     return np.asarray((sighting.corners_px() + 0.5) / [sighting.width, sighting.height])
 
 
 def compare_on_planes(cameras: Sequence[Camera]) -> Agreement:
-    """Compare photographs on planes of many heights over the square that all of them show."""
+    """Compare photographs on planes of many heights, over the square that all of them show."""
     pictures = [_log_picture(camera) for camera in cameras]
     scores = np.stack([_correlation(cameras, pictures, height) for height in PLANE_HEIGHTS_SIDES])
-    same = np.abs(PLANE_HEIGHTS_SIDES) < SAME_PLANE_SIDES
-    here, elsewhere = scores[same].max(0), scores[~same].max(0)
+    is_same_plane = np.abs(PLANE_HEIGHTS_SIDES) < SAME_PLANE_SIDES
+    sample_scores, table_scores = scores[is_same_plane].max(0), scores[~is_same_plane].max(0)
     pairs = math.comb(len(cameras), 2)
-    table = (elsewhere > MIN_TABLE_CORRELATION) & (elsewhere > here + CORRELATION_NOISE / math.sqrt(pairs))
-    return Agreement((here > MIN_SAMPLE_CORRELATION) & (here >= elsewhere), table, pairs)
+    table = (table_scores > MIN_TABLE_CORRELATION) & (
+        table_scores > sample_scores + CORRELATION_NOISE / math.sqrt(pairs)
+    )
+    return Agreement((sample_scores > MIN_SAMPLE_CORRELATION) & (sample_scores >= table_scores), table, pairs)
 
 
 def select_middle_region(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Select the connected region of a part [H, W] with the middle of the picture, without its outermost EDGE_PX.
+    """Select the connected region of a mask [H, W] that holds the middle of the picture, without its outermost edge.
 
-    Holes are filled: what lies on the sample belongs to it.
+    The edge is SAMPLE_EDGE_PX wide. Holes are filled: what lies on the sample belongs to it.
     """
     cv2 = import_opencv()
     _, labels = cv2.connectedComponents(part.astype(np.uint8), connectivity=4)
@@ -149,22 +153,22 @@ def select_middle_region(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def find_largest_square(part: NDArray[np.bool_]) -> tuple[float, float, float, float]:
-    """Find the largest square in a part [S, S] of a picture, turned by up to 45 degrees.
+    """Find the largest square in a mask [S, S] of a picture, turned by up to 45 degrees.
 
     Returns:
-        Its middle, x right and y up from that of the picture, and its side, in sides of the picture; its turn
-        counter-clockwise in radians. The side is 0 if nothing is in the part.
+        The middle of the square from the middle of the picture, x right and y up, and its side, in sides of the
+        picture; its turn counter-clockwise in radians. The side is 0 if the mask is empty.
     """
     cv2, size = import_opencv(), len(part)
     best = 0.0, 0.0, 0.0, 0.0
-    wide = math.ceil(size * (math.sqrt(2) - 1) / 2) + 1
-    padded, middle = np.pad(part.astype(np.uint8), wide), (size + 2 * wide - 1) / 2
+    margin = math.ceil(size * (math.sqrt(2) - 1) / 2) + 1
+    padded, middle = np.pad(part.astype(np.uint8), margin), (size + 2 * margin - 1) / 2
     for degrees in sorted(range(-45, 46, SQUARE_TURN_DEGREES), key=abs):
         turn = cv2.getRotationMatrix2D((middle, middle), -degrees, 1.0)
         turned = cv2.warpAffine(padded, turn, padded.shape, flags=cv2.INTER_NEAREST)
-        far = cv2.distanceTransform(turned, cv2.DIST_C, 3)
-        row, column = np.unravel_index(far.argmax(), far.shape)
-        side = max(2 * float(far[row, column]) - 1, 0) / size
+        edge_distance = cv2.distanceTransform(turned, cv2.DIST_C, 3)
+        row, column = np.unravel_index(edge_distance.argmax(), edge_distance.shape)
+        side = max(2 * float(edge_distance[row, column]) - 1, 0) / size
         if side > best[2]:
             x, y = (column - middle) / size, (middle - row) / size
             cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
@@ -173,13 +177,17 @@ def find_largest_square(part: NDArray[np.bool_]) -> tuple[float, float, float, f
 
 
 def _log_picture(camera: Camera) -> tuple[NDArray[np.float32], Floats]:
-    """Return logs of a photograph's grey, two a px of the square, and [3, 3] to them from the photograph's px."""
+    """Return the logarithms of a photograph's grey values, with two px for each px of the compared square.
+
+    Returns:
+        The logarithms, [h, w], and the matrix [3, 3] from px of the photograph to px of the logarithms.
+    """
     cv2, sighting = import_opencv(), camera.sighting
     grey = display_values(read_pixels(sighting.path)).mean(-1).astype(np.float32)
-    scale = min(1.0, 2 * COMPARISON_SIDE_PX / sighting.scales()[0])
-    small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    scale = min(1.0, 2 * COMPARISON_SIDE_PX / sighting.px_per_cm()[0])
+    resized = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     shift = (scale - 1) / 2
-    return cv2.GaussianBlur(np.log(small + LOG_FLOOR_OF_WHITE), (0, 0), 0.8), np.array(
+    return cv2.GaussianBlur(np.log(resized + LOG_FLOOR_OF_WHITE), (0, 0), 0.8), np.array(
         [[scale, 0, shift], [0, scale, shift], [0, 0, 1]]
     )
 
@@ -187,25 +195,38 @@ def _log_picture(camera: Camera) -> tuple[NDArray[np.float32], Floats]:
 def _correlation(
     cameras: Sequence[Camera], pictures: Sequence[tuple[NDArray[np.float32], Floats]], height: float
 ) -> Floats:
-    """Return the mean correlation of pairs of photographs on a plane so high, in windows, [SIDE_PX, SIDE_PX]."""
+    """Return the mean correlation of pairs of photographs on a plane, in windows around each px of the square.
+
+    Args:
+        cameras: the cameras of the photographs.
+        pictures: the logarithms of each photograph, and the matrix that :func:`_log_picture` returns.
+        height: the height of the plane, in sides of the square.
+
+    Returns:
+        The correlation, [COMPARISON_SIDE_PX, COMPARISON_SIDE_PX].
+    """
     cv2, middle = import_opencv(), (COMPARISON_SIDE_PX - 1) / 2
     to_square = np.array([[1, 0, -middle], [0, -1, middle], [0, 0, COMPARISON_SIDE_PX]])
     flags, details = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, []
-    for camera, (picture, to_small) in zip(cameras, pictures, strict=True):
-        to_picture = to_small @ camera.to_px(height) @ to_square
-        seen, inside = (
+    for camera, (picture, to_logs) in zip(cameras, pictures, strict=True):
+        to_picture = to_logs @ camera.projection_matrix(height) @ to_square
+        warped, is_inside = (
             cv2.warpPerspective(
                 values, to_picture, (COMPARISON_SIDE_PX, COMPARISON_SIDE_PX), flags=flags, borderMode=border
             )
             for values, border in ((picture, cv2.BORDER_REPLICATE), (np.ones_like(picture), cv2.BORDER_CONSTANT))
         )
-        detail = seen - cv2.GaussianBlur(seen, (0, 0), COMPARISON_DETAIL_PX)
+        detail = warped - cv2.GaussianBlur(warped, (0, 0), COMPARISON_DETAIL_PX)
         detail /= np.sqrt(cv2.GaussianBlur(detail * detail, (0, 0), COMPARISON_DETAIL_PX) + 1e-6)
-        details.append(np.where(inside > 0.99, detail, np.nan))
+        details.append(np.where(is_inside > 0.99, detail, np.nan))
     stack = np.stack(details)
-    others, stack = np.isfinite(stack).sum(0) - 1, np.nan_to_num(stack)
-    own = (stack * stack).sum(0)
-    pairs = cv2.GaussianBlur((stack.sum(0) ** 2 - own).astype(np.float32), (0, 0), COMPARISON_WINDOW_PX)
-    most = cv2.GaussianBlur((others.clip(0) * own).astype(np.float32), (0, 0), COMPARISON_WINDOW_PX)
-    result: Floats = pairs / (most + 1e-3)
-    return result
+    other_photos, stack = np.isfinite(stack).sum(0) - 1, np.nan_to_num(stack)
+    own_products = (stack * stack).sum(0)
+    pair_products = cv2.GaussianBlur(
+        (stack.sum(0) ** 2 - own_products).astype(np.float32), (0, 0), COMPARISON_WINDOW_PX
+    )
+    max_products = cv2.GaussianBlur(
+        (other_photos.clip(0) * own_products).astype(np.float32), (0, 0), COMPARISON_WINDOW_PX
+    )
+    correlation: Floats = pair_products / (max_products + 1e-3)
+    return correlation

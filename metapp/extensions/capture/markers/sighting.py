@@ -1,4 +1,7 @@
-"""Finding the marker sheet in a photograph, the plane that it lies in, and the camera."""
+"""The marker sheet in a photograph, the plane that it lies in, and the camera.
+
+Nothing here knows of other photographs, except where a focal length is found by several of them.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +25,11 @@ from metapp.extensions.capture.markers.sheet import (
     opening_of_markers,
 )
 
-MIN_SEEN_MARKERS = 4  # markers
+MIN_SEEN_MARKERS = 4
 
-MAX_MARKER_ERROR_SIDES = 1 / 256  # of the opening's side, that markers may be off on average: a texel of a fit
-_FOCALS_MM = (10.0, 150.0)  # where a lens is looked for
-_OFF = 1.1  # a focal length so much longer or shorter must fit visibly worse
+MAX_MARKER_ERROR_SIDES = 1 / 256  # how far markers may be off on average: a texel of a fit
+_FOCAL_RANGE_MM = (10.0, 150.0)  # in which a focal length is searched
+_FOCAL_TEST_RATIO = 1.1  # a focal length so much longer or shorter must fit visibly worse
 _REMEDY = "photograph the whole sheet, sharp and well lit"
 
 
@@ -34,15 +37,16 @@ class Sighting(NamedTuple):
     """The marker sheet in a photograph; px are of pixel centres, from the upper left one.
 
     Attributes:
-        path: of the photograph.
-        height, width: of the upright photograph in px.
-        focal_mm: as of 35 mm film; 0 if it is not known.
-        opening_cm: its side; lengths are the sheet's own.
-        markers: corners of those found [M, 4, 2], px.
+        path: the photograph.
+        height, width: the size of the upright photograph, in px.
+        focal_mm: the focal length, as on 35 mm film; 0 if it is not known.
+        opening_cm: the side of the opening; lengths are those printed on the sheet, corrected by its ruler.
+        markers: the corners of the markers found, [M, 4, 2] px.
         points_cm, points_px: corners [N, 2] that lie in one plane, on the sheet (x right, y up) and in the photograph.
-        to_px: [3, 3], takes points of the sheet to the photograph.
-        sheet: False without one: the opening is a square that all photographs show, and lengths are in its sides.
-        reference: whether the others are registered on this photograph, if there is no sheet.
+        to_px: the homography [3, 3] from points of the sheet to the photograph.
+        shows_sheet: False without a sheet: then the opening is a square that all photographs show, and lengths are in
+            its sides.
+        is_reference: whether the other photographs are registered on this one, if there is no sheet.
     """
 
     path: Path
@@ -54,29 +58,29 @@ class Sighting(NamedTuple):
     points_cm: Floats
     points_px: Floats
     to_px: Floats
-    sheet: bool = True
-    reference: bool = False
+    shows_sheet: bool = True
+    is_reference: bool = False
 
-    def lens(self) -> Floats:
-        """From directions, x right, y down, z forward, to the photograph, [3, 3]."""
+    def camera_matrix(self) -> Floats:
+        """Return the matrix [3, 3] from directions, x right, y down, z forward, to px of the photograph."""
         focal = self.focal_mm / FILM_DIAGONAL_MM * math.hypot(self.height, self.width)
         return np.array([[focal, 0, (self.width - 1) / 2], [0, focal, (self.height - 1) / 2], [0, 0, 1]])
 
     def corners_px(self) -> Floats:
-        """Corners of the opening in the photograph [4, 2], round it from the lower left one."""
-        marker_corners_cm = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.opening_cm / 2
-        result: Floats = import_opencv().perspectiveTransform(marker_corners_cm[None], self.to_px)[0]
-        return result
+        """Return the corners of the opening in the photograph, [4, 2] px, from the lower left one counter-clockwise."""
+        corners_cm = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.opening_cm / 2
+        corners: Floats = import_opencv().perspectiveTransform(corners_cm[None], self.to_px)[0]
+        return corners
 
-    def scales(self) -> tuple[float, float]:
-        """px per cm along the shortest and along the longest side of the opening."""
+    def px_per_cm(self) -> tuple[float, float]:
+        """Return the px per cm along the shortest and along the longest side of the opening."""
         corners = self.corners_px()
         sides = np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1) / self.opening_cm
         return float(sides.min()), float(sides.max())
 
 
 class NoMarkersError(ValueError):
-    """A photograph without a marker of a sheet."""
+    """An error about a photograph that shows no marker of a sheet."""
 
 
 class Camera(NamedTuple):
@@ -84,9 +88,9 @@ class Camera(NamedTuple):
 
     Attributes:
         sighting: the sheet in the photograph.
-        place_cm: [3], from the opening's centre: x right, y up on the sheet, z out of it.
-        axes: [3, 3], rows: right, down and forward of the photograph, in the same coordinates.
-        error_px: root mean square distance of the markers from where this camera sees them.
+        place_cm: the place [3] of the camera from the opening's centre: x right, y up on the sheet, z out of it.
+        axes: the directions right, down and forward of the photograph, rows [3, 3], in the coordinates of `place_cm`.
+        error_px: the root mean square distance of the markers from where this camera sees them.
     """
 
     sighting: Sighting
@@ -94,25 +98,27 @@ class Camera(NamedTuple):
     axes: Floats
     error_px: float
 
-    def beside_cm(self, right: float, up: float) -> Floats:
-        """The place [3] so many cm right and up of the camera as its photograph is shown."""
-        result: Floats = self.place_cm + right * self.axes[0] - up * self.axes[1]
-        return result
+    def offset_place_cm(self, right: float, up: float) -> Floats:
+        """Return the place [3] that lies some cm right and up of the camera, as its photograph is shown."""
+        place: Floats = self.place_cm + right * self.axes[0] - up * self.axes[1]
+        return place
 
-    def to_px(self, height_cm: float = 0.0) -> Floats:
-        """From points of the sheet, or of a plane so high above it, to the photograph, [3, 3]."""
-        below = self.place_cm - [0, 0, height_cm]
-        result: Floats = self.sighting.lens() @ np.column_stack([self.axes[:, :2], -self.axes @ below])
-        return result
+    def projection_matrix(self, height_cm: float = 0.0) -> Floats:
+        """Return the matrix [3, 3] from points of the sheet, or of a plane above it, to px of the photograph."""
+        place_above_plane = self.place_cm - [0, 0, height_cm]
+        projection: Floats = self.sighting.camera_matrix() @ np.column_stack(
+            [self.axes[:, :2], -self.axes @ place_above_plane]
+        )
+        return projection
 
     @property
-    def aside_degrees(self) -> float:
+    def view_angle_degrees(self) -> float:
         """The angle at the opening's centre between the direction to the camera and the sheet's normal."""
         return math.degrees(math.acos(self.place_cm[2] / float(np.linalg.norm(self.place_cm))))
 
     @property
     def tilt_degrees(self) -> float:
-        """The angle between the camera's axis and the sheet's normal: 0 if the photograph is taken straight."""
+        """The angle between the camera's axis and the sheet's normal: 0 for a photograph taken from straight above."""
         return math.degrees(math.acos(min(-float(self.axes[2, 2]), 1.0)))
 
 
@@ -126,19 +132,20 @@ def find_sheet(
 
     Args:
         path: the photograph.
-        fov_rad: of its camera along the shorter side; 0: as EXIF says, if it does.
-        ruler_cm: measured length of the printed ruler.
-        show: called with what is found, as far as it gets.
+        fov_rad: the field of view of its camera along the shorter side; 0 if EXIF is to give it, if it does.
+        ruler_cm: the measured length of the printed ruler.
+        show: called with what is found, as far as the search gets.
 
     Raises:
-        ValueError: as `read_pixels`; no sheet, or fewer than FEWEST markers of it; these do not lie in a plane or on
-            one side of the opening alone; the opening is not wholly in the picture; OpenCV is not installed.
+        ValueError: the photograph cannot be read, shows no sheet, or fewer than MIN_SEEN_MARKERS of its markers, the
+            markers do not lie in a plane or are on one side of the opening alone, the opening is not wholly in the
+            picture, or OpenCV is not installed.
     """
     cv2, pixels = import_opencv(), read_pixels(path)
     height, width = pixels.values.shape[:2]
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    settings.relativeCornerRefinmentWinSize = 0.4  # of a cell: none of its cells' edges
+    settings.relativeCornerRefinmentWinSize = 0.4  # of a cell, so that edges of the marker's inner cells do not count
     settings.cornerRefinementWinSize = 100
     green = (display_values(pixels)[..., 1] * 255).round().astype(np.uint8)  # the sharpest channel
     found, numbers, others = cv2.aruco.ArucoDetector(marker_dictionary(), settings).detectMarkers(green)
@@ -146,29 +153,31 @@ def find_sheet(
     opening = opening_of_markers(numbers)
     if opening is None:
         show(path, f"{len(others)} outlines looked at, no marker", np.reshape(others, (-1, 4, 2)), "orange")
-        raise NoMarkersError(f"{path}: no marker found, expected those of a marker sheet; {_REMEDY}.")
+        raise NoMarkersError(f"{path}: no marker found, expected the markers of a sheet; {_REMEDY}.")
     on_sheet, scale = marker_corners_cm(opening), ruler_cm / RULER_CM
     markers = {number: px[0].astype(float) for number, px in zip(numbers, found, strict=True) if number in on_sheet}
     points_cm = scale * np.concatenate([on_sheet[number] for number in markers])
-    every = np.stack(list(markers.values()))
-    show(path, f"{len(every)} marker{'s' * (len(every) != 1)}", every, "lime")
-    points_px, side = every.reshape(-1, 2), scale * opening
+    marker_corners = np.stack(list(markers.values()))
+    show(path, f"{len(marker_corners)} marker{'s' * (len(marker_corners) != 1)}", marker_corners, "lime")
+    points_px, side = marker_corners.reshape(-1, 2), scale * opening
     _, mask = cv2.findHomography(points_px, points_cm, cv2.RANSAC, 2 * MAX_MARKER_ERROR_SIDES * side)
-    kept = np.zeros(len(points_cm), bool) if mask is None else mask[:, 0].astype(bool)
-    if not kept.all():
-        off = f"{(~kept).sum()} of {len(kept)} corners in no plane with the others"
-        show(path, off, diamond_outlines(points_px[~kept], max(height, width)), "red")
-    if kept.mean() < 0.75:
+    is_in_plane = np.zeros(len(points_cm), bool) if mask is None else mask[:, 0].astype(bool)
+    if not is_in_plane.all():
+        outlier_text = f"{(~is_in_plane).sum()} of {len(is_in_plane)} corners in no plane with the others"
+        show(path, outlier_text, diamond_outlines(points_px[~is_in_plane], max(height, width)), "red")
+    if is_in_plane.mean() < 0.75:
         raise ValueError(
-            f"{path}: {kept.sum()} of {len(kept)} corners of markers lie in one plane, expected nearly all of a flat "
-            "sheet in focus; lay it flat, hold the camera still, or leave this photo out."
+            f"{path}: {is_in_plane.sum()} of {len(is_in_plane)} corners of markers lie in one plane, expected nearly "
+            "all of a flat sheet in focus; lay it flat, hold the camera still, or leave this photo out."
         )
-    points_cm, points_px = points_cm[kept], points_px[kept]
+    points_cm, points_px = points_cm[is_in_plane], points_px[is_in_plane]
     if len(markers) < MIN_SEEN_MARKERS or cv2.contourArea(cv2.convexHull(points_cm.astype(np.float32))) < side**2:
         found = f"{len(markers)} marker{'s' * (len(markers) != 1)}, on one side of the opening alone or too few"
         raise ValueError(f"{path}: {found}, expected {MIN_SEEN_MARKERS} to 12 all round; {_REMEDY}.")
     to_px, _ = cv2.findHomography(points_cm, points_px)
-    sighting = Sighting(path, height, width, focal_length_mm(pixels, fov_rad), side, every, points_cm, points_px, to_px)
+    sighting = Sighting(
+        path, height, width, focal_length_mm(pixels, fov_rad), side, marker_corners, points_cm, points_px, to_px
+    )
     corners = sighting.corners_px()
     show(path, "the opening", corners[None], "magenta")
     if (corners < -0.5).any() or (corners > np.array([width, height]) - 0.5).any():
@@ -177,57 +186,74 @@ def find_sheet(
 
 
 def diamond_outlines(points: Floats, longer_px: int) -> Floats:
-    """Return marks [N, 4, 2] of points [N, 2] in px of a photograph whose longer side is `longer_px`."""
+    """Return outlines [N, 4, 2] that mark points [N, 2], in px of a photograph whose longer side is `longer_px`."""
     return np.asarray(points[:, None] + np.array([[-1, 0], [0, -1], [1, 0], [0, 1]]) * longer_px / 250)
 
 
 def focal_length_mm(pixels: Pixels, fov_rad: float) -> float:
-    """The focal length in mm, as of 35 mm film, of a field of view along the shorter side; 0: as EXIF says, if so."""
+    """Return the focal length, in mm as on 35 mm film, of a photograph.
+
+    Args:
+        pixels: the photograph.
+        fov_rad: the field of view along the shorter side; 0 if EXIF is to give the focal length.
+
+    Returns:
+        The focal length; 0 if it is not known.
+    """
     height, width = pixels.values.shape[:2]
-    # the inverse of `data_tools.readers.square_photos.field_of_view_rad`
-    focal = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
-    return FILM_DIAGONAL_MM * focal or pixels.focal_mm
+    # This inverts `data_tools.readers.square_photos.field_of_view_rad`.
+    focal_share = min(height, width) / math.hypot(height, width) / 2 / math.tan(fov_rad / 2) if fov_rad else 0
+    return FILM_DIAGONAL_MM * focal_share or pixels.focal_mm
 
 
 def solve_camera(sighting: Sighting, focal_mm: float) -> Camera:
-    """The pinhole camera, its axis through the middle of the photograph, that sees the sheet so.
+    """Solve for the pinhole camera that took a photograph of the sheet; its axis meets the photograph's middle.
 
     Args:
         sighting: the sheet in the photograph.
-        focal_mm: as of 35 mm film, > 0.
+        focal_mm: the focal length, in mm as on 35 mm film, > 0.
     """
     cv2 = import_opencv()
     sighting = sighting._replace(focal_mm=focal_mm)
-    lens, points = sighting.lens(), np.pad(sighting.points_cm, ((0, 0), (0, 1)))
-    _, turn, shift = cv2.solvePnP(points, sighting.points_px, lens, None)
-    off = cv2.projectPoints(points, turn, shift, lens, None)[0][:, 0] - sighting.points_px
-    axes = cv2.Rodrigues(turn)[0]
-    error_px = float(np.sqrt((off**2).sum(-1).mean()))
-    return Camera(sighting, -axes.T @ shift[:, 0], axes, error_px)
+    camera_matrix, points = sighting.camera_matrix(), np.pad(sighting.points_cm, ((0, 0), (0, 1)))
+    _, rotation_vector, translation = cv2.solvePnP(points, sighting.points_px, camera_matrix, None)
+    errors_px = (
+        cv2.projectPoints(points, rotation_vector, translation, camera_matrix, None)[0][:, 0] - sighting.points_px
+    )
+    axes = cv2.Rodrigues(rotation_vector)[0]
+    error_px = float(np.sqrt((errors_px**2).sum(-1).mean()))
+    return Camera(sighting, -axes.T @ translation[:, 0], axes, error_px)
 
 
 def cameras_on_sheet(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> list[Camera]:
-    """Cameras of photographs of the sheet, of a focal length where they do not state theirs."""
-    return [solve_camera(each, each.focal_mm or focal_mm) for each in sightings]
+    """Return the cameras of photographs of the sheet, with a given focal length where they do not state theirs."""
+    return [solve_camera(sighting, sighting.focal_mm or focal_mm) for sighting in sightings]
 
 
 def common_focal_length_mm(sightings: Sequence[Sighting], cameras_of: CamerasOf = cameras_on_sheet) -> float:
-    """The focal length in mm, as of 35 mm film, by which photographs of one lens fit best.
+    """Find the focal length, in mm as on 35 mm film, by which photographs of one lens fit best.
+
+    Args:
+        sightings: the photographs.
+        cameras_of: finds the cameras of photographs with a given focal length.
 
     Raises:
-        ValueError: none of them is tilted enough to tell.
+        ValueError: no photograph is tilted enough to tell.
     """
 
-    def error(log_focal: Floats) -> float:
-        """Mean square error, in fractions of the photograph's diagonal."""
+    def focal_error(log_focal: Floats) -> float:
+        """Return the mean square error, in fractions of the photograph's diagonal."""
         cameras = cameras_of(sightings, float(np.exp(log_focal).item()))
-        return float(np.mean([(each.error_px / math.hypot(*each.sighting[1:3])) ** 2 for each in cameras]))
+        return float(np.mean([(camera.error_px / math.hypot(*camera.sighting[1:3])) ** 2 for camera in cameras]))
 
-    found = brute(error, [tuple(np.log(_FOCALS_MM))], Ns=25)
-    worse = min(error(found + math.log(_OFF)), error(found - math.log(_OFF)))
-    if worse < 2 * error(found):
+    best_log_focal = brute(focal_error, [tuple(np.log(_FOCAL_RANGE_MM))], Ns=25)
+    neighbour_error = min(
+        focal_error(best_log_focal + math.log(_FOCAL_TEST_RATIO)),
+        focal_error(best_log_focal - math.log(_FOCAL_TEST_RATIO)),
+    )
+    if neighbour_error < 2 * focal_error(best_log_focal):
         raise ValueError(
             f"{sightings[0].path}: no focal length in its EXIF, and too little tilt to find it; give the camera's "
             "field of view: --fov DEGREES."
         )
-    return float(np.exp(found).item())
+    return float(np.exp(best_log_focal).item())
