@@ -1,7 +1,8 @@
 """LPIPS (Zhang et al. 2018) and DISTS (Ding et al. 2020): distances of VGG-16's features with learned weights.
 
-The few weights are those of torchmetrics, the very files of the authors. Its own code needs torchvision, whose import
-fails beside torch's build for CPUs; results are the same to rounding. Pictures are taken at their own size.
+The learned weights come from the package torchmetrics, which holds the files of the authors. The measures are computed
+here, since torchmetrics computes them by torchvision, whose import fails beside torch's build for CPUs; results agree
+to rounding. Pictures are compared at their own size. This module does not know which application made the pictures.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d
+from typing_extensions import override
 
 from metapp.appearance.features import FeatureExtractor, describe_features, hann_window, load_features, vgg_weights_path
 from metapp.appearance.picture_measures import PictureMeasure
@@ -29,67 +31,76 @@ WEIGHTS_SHA256 = {
     DISTS_FILE: "f5e65c96230b7f6ca995691647d482237e4cab8a50c5c4a5784f219ef0748218",
 }
 PERCEPTUAL_TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
-PERCEPTUAL_TAP_CHANNELS = (64, 128, 256, 512, 512)  # of the taps
-LPIPS_STORED_SIZES = (512, 512, 128, 64, 256)  # numbers of LPIPS's weights, in the order of their file
-LPIPS_STORED_PLACES = (3, 2, 4, 1, 0)  # the place of each tap's among them
-DISTS_EPSILON = 1e-6  # stabilises both terms of DISTS
-LEAST_SIDE_PX = 2 ** (len(PERCEPTUAL_TAPS) - 1)  # px a side, of which one is left at the deepest tap
+PERCEPTUAL_TAP_CHANNELS = (64, 128, 256, 512, 512)  # number of channels at each of PERCEPTUAL_TAPS
+LPIPS_STORED_SIZES = (512, 512, 128, 64, 256)  # lengths of LPIPS's weight vectors, in the order of their file
+LPIPS_STORED_PLACES = (3, 2, 4, 1, 0)  # for each of PERCEPTUAL_TAPS, the index of its weights in that file
+DISTS_EPSILON = 1e-6  # added to numerator and denominator of both similarities of DISTS
+LEAST_SIDE_PX = 2 ** (len(PERCEPTUAL_TAPS) - 1)  # side of a picture of which one pixel is left at the deepest tap
 
 
 @torch.no_grad()
 def lpips(compared: PictureComparison) -> float:
-    """Mean over pictures: squared differences of features of unit length, weighted, summed over taps; >= 0.
+    """Return the LPIPS distance of pictures and references, >= 0, the mean over pictures.
 
-    NaN of pictures of less than LEAST_SIDE_PX a side.
+    It is the weighted sum over taps of squared differences of features that are scaled to unit length. Pictures of less
+    than LEAST_SIDE_PX a side have the distance NaN.
     """
     if min(compared.pictures.shape[-2:]) < LEAST_SIDE_PX:
         return math.nan
-    features, distances, stored = (
+    extractor, distances, weights = (
         load_features(PERCEPTUAL_TAPS, compared.pictures),
         [],
-        _tensors(LPIPS_FILE, LPIPS_STORED_SIZES),
+        _read_weight_tensors(LPIPS_FILE, LPIPS_STORED_SIZES),
     )
-    for made, wanted, place in zip(*map(features, compared[:2]), LPIPS_STORED_PLACES, strict=True):
-        made, wanted = (maps / (maps.square().sum(1, keepdim=True) + 1e-8).sqrt() for maps in (made, wanted))
-        distances.append((made - wanted).square().mean((2, 3)) @ stored[place].to(made))
+    taps = zip(*map(extractor, compared[:2]), LPIPS_STORED_PLACES, strict=True)
+    for picture_maps, reference_maps, index in taps:
+        picture_maps, reference_maps = (
+            maps / (maps.square().sum(1, keepdim=True) + 1e-8).sqrt() for maps in (picture_maps, reference_maps)
+        )
+        distances.append((picture_maps - reference_maps).square().mean((2, 3)) @ weights[index].to(picture_maps))
     return float(torch.stack(distances).sum(0).mean())
 
 
 @torch.no_grad()
 def dists(compared: PictureComparison) -> float:
-    """Mean over pictures: 1 less the weighted similarity of means and of variations of features, 0 to about 1.
+    """Return the DISTS distance of pictures and references, 0 to about 1, the mean over pictures.
 
-    The first features are the picture itself; VGG-16 pools by the root of a window's mean square, not its maximum.
+    It is 1 less the weighted similarity of means and of variations of features. The first features are the pictures
+    themselves; VGG-16 pools by :class:`L2Pooling` in place of the maximum.
     """
-    features = use_l2_pooling(load_features(PERCEPTUAL_TAPS, compared.pictures))
-    made, wanted = ([each, *features(each)] for each in compared[:2])
+    extractor = use_l2_pooling(load_features(PERCEPTUAL_TAPS, compared.pictures))
+    picture_maps, reference_maps = ([pixels, *extractor(pixels)] for pixels in compared[:2])
     similarity, total, sizes = torch.zeros(len(compared.pictures)), 0.0, (3, *PERCEPTUAL_TAP_CHANNELS)
-    stored = (part.split(sizes) for part in _tensors(DISTS_FILE, (sum(sizes),) * 2))  # of means and of variations
-    for a, b, *weights in zip(made, wanted, *stored, strict=True):
+    # the file holds the weights of means, alpha, and then the weights of variations, beta
+    weights_of_terms = (part.split(sizes) for part in _read_weight_tensors(DISTS_FILE, (sum(sizes),) * 2))
+    for a, b, *weights in zip(picture_maps, reference_maps, *weights_of_terms, strict=True):
         alpha, beta = (part.to(a) for part in weights)
         mean_a, mean_b = (maps.mean((2, 3), keepdim=True) for maps in (a, b))
         a, b = a - mean_a, b - mean_b
-        of_a, of_b, of_both = ((c * d).mean((2, 3)) for c, d in ((a, a), (b, b), (a, b)))
+        variance_a, variance_b, covariance = ((c * d).mean((2, 3)) for c, d in ((a, a), (b, b), (a, b)))
         mean_a, mean_b = mean_a[..., 0, 0], mean_b[..., 0, 0]
         means = (2 * mean_a * mean_b + DISTS_EPSILON) / (mean_a.square() + mean_b.square() + DISTS_EPSILON)
-        variations = (2 * of_both + DISTS_EPSILON) / (of_a + of_b + DISTS_EPSILON)
+        variations = (2 * covariance + DISTS_EPSILON) / (variance_a + variance_b + DISTS_EPSILON)
         similarity = similarity.to(a) + means @ alpha + variations @ beta
         total += float(alpha.sum() + beta.sum())
     return float(1 - (similarity / total).mean())
 
 
 class L2Pooling(nn.Module):
-    """Half the size: the root of the mean square in windows of 3 px, weighted by Hann's window."""
+    """A layer that halves height and width: the root of the mean square in windows of 3 px, weighted by Hann's window.
 
+    Maps [B, C, H, W] become maps [B, C, ceil(H / 2), ceil(W / 2)].
+    """
+
+    @override
     def forward(self, maps: Tensor) -> Tensor:
-        """Maps [B, C, H, W] to [B, C, ceil(H / 2), ceil(W / 2)]."""
         window = hann_window(3, maps)[:, None] * hann_window(3, maps)
         kernel = (window / window.sum()).expand(maps.shape[1], 1, 3, 3)
         return (conv2d(maps.square(), kernel, stride=2, padding=1, groups=maps.shape[1]) + 1e-12).sqrt()
 
 
 def use_l2_pooling(features: FeatureExtractor) -> FeatureExtractor:
-    """The same layers, which they share, with L2Pooling in place of the maximum."""
+    """Return an extractor that shares the layers of another one, but pools by L2Pooling in place of the maximum."""
     stages = [
         nn.Sequential(*(L2Pooling() if isinstance(layer, nn.MaxPool2d) else layer for layer in stage.children()))
         for stage in features.stages
@@ -98,22 +109,32 @@ def use_l2_pooling(features: FeatureExtractor) -> FeatureExtractor:
 
 
 @functools.lru_cache(maxsize=2)
-def _tensors(name: str, sizes: tuple[int, ...]) -> list[Tensor]:
-    """The tensors of a file of torch's first format: its end is each one's size and values. Nothing is unpickled.
+def _read_weight_tensors(name: str, sizes: tuple[int, ...]) -> list[Tensor]:
+    """Read the vectors of learned weights from a file of torchmetrics, without unpickling anything.
+
+    The file is of torch's first format, which ends with the length and the values of each tensor.
+
+    Args:
+        name: the file's path below the image functions of torchmetrics, a key of WEIGHTS_SHA256.
+        sizes: numbers of each vector, in the order of the file.
 
     Raises:
         ValueError: torchmetrics is missing, or holds another file.
     """
-    content, parts = _content(name), []
-    end = len(content) - sum(8 + 4 * size for size in sizes)
+    content, tensors = _read_weights_file(name), []
+    offset = len(content) - sum(8 + 4 * size for size in sizes)
     for size in sizes:
-        parts.append(torch.from_numpy(np.frombuffer(content, "<f4", size, end + 8).copy()))
-        end += 8 + 4 * size
-    return parts
+        tensors.append(torch.from_numpy(np.frombuffer(content, "<f4", size, offset + 8).copy()))
+        offset += 8 + 4 * size
+    return tensors
 
 
-def _content(name: str) -> bytes:
-    """A file of the package, by its known SHA-256."""
+def _read_weights_file(name: str) -> bytes:
+    """Read a file of torchmetrics and compare it with its known SHA-256.
+
+    Raises:
+        ValueError: torchmetrics is missing, or holds another file.
+    """
     try:
         package = importlib.metadata.distribution(WEIGHTS_PACKAGE)
     except importlib.metadata.PackageNotFoundError:
@@ -128,9 +149,13 @@ def _content(name: str) -> bytes:
 
 
 def describe_weights() -> str:
-    """The features and the package. ValueError: one is missing."""
+    """Say by which features and which version of torchmetrics LPIPS and DISTS are measured.
+
+    Raises:
+        ValueError: torchmetrics or the weights of VGG-16 are missing.
+    """
     for name in WEIGHTS_SHA256:
-        _content(name)
+        _read_weights_file(name)
     if not vgg_weights_path().is_file():
         raise ValueError("the weights of VGG-16 are missing: metapp data vgg")
     return f"{describe_features()}, weights of {WEIGHTS_PACKAGE} {importlib.metadata.version(WEIGHTS_PACKAGE)}"

@@ -1,7 +1,8 @@
-"""Steps in C (`step.c`) of the NBRDF network, whose loss is in C (`nbrdf`), and of rules whose parts are there.
+"""Steps of learning in C (`step.c`) for the NBRDF network and for rules all of whose parts have a form in C.
 
-Steps by torch are the reference, from which results differ by rounding. The trees that steps in C return are views of
-one tensor [T, P] (`packing.Flat`).
+The loss is in C as well (`nbrdf`). Steps by torch are the reference, from which results differ by rounding. The
+parameters that steps in C return are views of one tensor [T, P], see :class:`FlatParameters`. Nothing outside of this
+package knows the layout of the arguments of `step.c`.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+from typing_extensions import override
 
 from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load_library
-from metapp.extensions.native.packing import ParameterOrder, packed
+from metapp.extensions.native.packing import ParameterOrder, pack_hyperparameters
 from metapp.learning.adjoint import Loss, Steps, UpdateRule, select_loss_parameters
 from metapp.learning.task import Batch, Params
 
@@ -42,34 +44,53 @@ class _State(ctypes.Structure):
 
 
 def make_c_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps | None:
-    """Steps in C; None if the loss or a part of the rule has no such form, or without a compiler."""
+    """Make steps in C for a rule and a loss.
+
+    Args:
+        rule: the rule, with its hyperparameters.
+        loss: the loss that steps follow.
+        theta: parameters [T, ...], whose names and shapes count.
+        order: 2 if steps are differentiated through the gradient, else 1.
+
+    Returns:
+        The steps; None if the loss or a part of the rule has no form in C, or if there is no compiler.
+    """
     if not nbrdf.has_c_loss(loss, theta) or load_step_library() is None:
         return None
-    layout = ParameterOrder({name: theta[name] for name in nbrdf.NBRDF_PARAMETER_SHAPES})
-    alpha = packed(rule.step, rule.alpha, layout)
+    parameter_order = ParameterOrder({name: theta[name] for name in nbrdf.NBRDF_PARAMETER_SHAPES})
+    alpha = pack_hyperparameters(rule.step, rule.alpha, parameter_order)
     if alpha is None:
         return None
-    by = _Steps(layout, order, moments="adam" in alpha)
-    return Steps(alpha, by.init, by.value, by.step, by.vjp)
+    c_steps = _CSteps(parameter_order, order, moments="adam" in alpha)
+    return Steps(alpha, c_steps.init, c_steps.value, c_steps.step, c_steps.vjp)
 
 
-class _Value(torch.autograd.Function):
-    """A loss in C, whose gradient comes with it."""
+class _LossValue(torch.autograd.Function):
+    """The loss in C as a function that autograd can differentiate once: its gradient is computed with it."""
 
     @staticmethod
+    @override
     def forward(ctx: Any, theta: Tensor, batch: Batch) -> Tensor:
         ctx.gradient, losses = nbrdf.loss_gradient(theta.detach(), batch, {})
         return losses
 
     @staticmethod
     @once_differentiable
+    @override
     def backward(ctx: Any, pull: Tensor) -> tuple[Tensor, None]:
         return pull[:, None] * ctx.gradient, None
 
 
 @functools.cache
 def load_step_library(march: str = "native") -> ctypes.CDLL | None:
-    """The functions of `step.c` by the instructions of a CPU; None if there is no compiler for it."""
+    """Load the functions of `step.c`, compiled if need be.
+
+    Args:
+        march: the instruction set, a name that the compiler knows; native is this CPU's.
+
+    Returns:
+        The library; None if there is no compiler for these instructions.
+    """
     result = load_library(Path(__file__).with_name("step.c"), "step", "step_back", march=march)
     if result is not None:
         counts, pointer = [ctypes.c_int] * 3, ctypes.c_void_p
@@ -78,45 +99,61 @@ def load_step_library(march: str = "native") -> ctypes.CDLL | None:
     return result
 
 
-class _Steps:
-    """One step in C, forward and backward."""
+class _CSteps:
+    """The functions of :class:`metapp.learning.adjoint.Steps` in C, for parameters of one order and shape.
 
-    def __init__(self, layout: ParameterOrder, order: int, *, moments: bool) -> None:
-        self.layout, self.order, self.moments = layout, order, moments
-        functions = load_step_library()
-        assert functions is not None, "steps in C are offered with the library alone"
-        self.functions = functions
+    Args:
+        parameter_order: the order of parameters in flat tensors.
+        order: 2 if steps are differentiated through the gradient, else 1.
+        moments: whether the rule keeps Adam's moments.
+    """
+
+    def __init__(self, parameter_order: ParameterOrder, order: int, *, moments: bool) -> None:
+        self.parameter_order, self.order, self.moments = parameter_order, order, moments
+        library = load_step_library()
+        assert library is not None, "steps in C are offered with the library alone"
+        self.library = library
         shapes = [
-            (*shape, shape[0] > 1, shape[1] > 1) if len(shape) == 2 else (1, layout.sizes[key], False, False)
-            for key, shape in layout.shapes.items()
+            (*shape, shape[0] > 1, shape[1] > 1) if len(shape) == 2 else (1, parameter_order.sizes[key], False, False)
+            for key, shape in parameter_order.shapes.items()
         ]
-        self.shapes = layout.size, len(shapes), (_Shape * len(shapes))(*(_Shape(*shape) for shape in shapes))
+        self.shapes = parameter_order.size, len(shapes), (_Shape * len(shapes))(*(_Shape(*shape) for shape in shapes))
 
     def init(self, theta: Params) -> Params:
-        """Adam's moments [T, P], and the products of its betas [T, 2]; nothing without an Adam."""
+        """Return Adam's initial moments [T, P] and products of betas [T, 2]; nothing if the rule has no Adam."""
         if not self.moments:
             return {}
         zeros = next(iter(theta.values())).new_zeros
         tasks = len(next(iter(theta.values())))
-        state = {"m": zeros(tasks, self.layout.size), "v": zeros(tasks, self.layout.size)}
+        state = {"m": zeros(tasks, self.parameter_order.size), "v": zeros(tasks, self.parameter_order.size)}
         return state | {"products": zeros(tasks, 2) + 1}
 
     def value(self, theta: Params, batch: Batch) -> Tensor:
-        """As of `Steps`."""
-        result: Tensor = _Value.apply(self.layout.flat(theta), batch)  # type: ignore[no-untyped-call]
+        """Return the loss of each task, [T], differentiable once in theta."""
+        result: Tensor = _LossValue.apply(self.parameter_order.flatten(theta), batch)  # type: ignore[no-untyped-call]
         return result
 
     def step(self, alpha: Params, theta: Params, state: Params, batch: Batch) -> tuple[Params, Params, Tensor, Params]:
-        """As of `Steps`."""
-        flat = self.layout.flat(theta)
-        grads, losses = nbrdf.loss_gradient(flat, batch, select_loss_parameters(alpha))
-        moved, after = torch.empty_like(flat), {key: torch.empty_like(value) for key, value in state.items()}
-        tree = _alpha(alpha)
-        self.functions.step(
-            flat.shape[0], *self.shapes, ctypes.byref(tree), flat.data_ptr(), grads.data_ptr(),
-            _reference(_State, state), moved.data_ptr(), _reference(_State, after),
+        """Take one step.
+
+        Args:
+            alpha: the step's hyperparameters, see :func:`pack_hyperparameters`.
+            theta: parameters [T, ...].
+            state: Adam's moments and products of betas, see :meth:`init`.
+            batch: samples of the loss.
+
+        Returns:
+            Parameters and state after the step, the losses before it, [T], and the gradient, "flat" [T, P].
+        """
+        flat = self.parameter_order.flatten(theta)
+        gradient, losses = nbrdf.loss_gradient(flat, batch, select_loss_parameters(alpha))
+        moved_flat, moved_state = torch.empty_like(flat), {key: torch.empty_like(value) for key, value in state.items()}
+        alpha_pointers = _point_at_hyperparameters(alpha)
+        self.library.step(
+            flat.shape[0], *self.shapes, ctypes.byref(alpha_pointers), flat.data_ptr(), gradient.data_ptr(),
+            _point_at(_State, state), moved_flat.data_ptr(), _point_at(_State, moved_state),
         )  # fmt: skip
-        return self.layout.tree(moved), after, losses, {"flat": grads}
+        return self.parameter_order.unflatten(moved_flat), moved_state, losses, {"flat": gradient}
 
     def vjp(
         self,
@@ -128,32 +165,52 @@ class _Steps:
         pull_theta: Params,
         pull_state: Params,
     ) -> tuple[Params, Params, Params]:
-        """As of `Steps`."""
-        pull, grads, tree = self.layout.flat(pull_theta), gradient["flat"], _alpha(alpha)
-        by_grads, by_state = torch.empty_like(grads), {key: torch.empty_like(value) for key, value in state.items()}
-        sizes = {key: alpha[key].shape[-1] for key in ("adam", "matrices") if key in alpha} | {"rate": grads.shape[1]}
-        pulled: Params = {key: grads.new_empty(grads.shape[0], size) for key, size in sizes.items()}
-        self.functions.step_back(
-            grads.shape[0], *self.shapes, ctypes.byref(tree), grads.data_ptr(), _reference(_State, state),
-            pull.data_ptr(), _reference(_State, pull_state), by_grads.data_ptr(), _reference(_State, by_state),
-            _reference(_Pulled, pulled),
+        """Pull cotangents of the results of a step back to its arguments.
+
+        Args:
+            alpha: the step's hyperparameters.
+            theta: parameters before the step, [T, ...].
+            state: the state before the step.
+            batch: samples of the loss; {} for order 1, which does not read them.
+            gradient: the gradient that the step followed, "flat" [T, P].
+            pull_theta: cotangents of the parameters after the step.
+            pull_state: cotangents of the state after the step.
+
+        Returns:
+            Cotangents of theta, state and alpha.
+        """
+        pull, flat_gradient = self.parameter_order.flatten(pull_theta), gradient["flat"]
+        alpha_pointers = _point_at_hyperparameters(alpha)
+        pull_gradient = torch.empty_like(flat_gradient)
+        pull_old_state = {key: torch.empty_like(value) for key, value in state.items()}
+        sizes = {key: alpha[key].shape[-1] for key in ("adam", "matrices") if key in alpha} | {
+            "rate": flat_gradient.shape[1]
+        }
+        pulls: Params = {key: flat_gradient.new_empty(flat_gradient.shape[0], size) for key, size in sizes.items()}
+        self.library.step_back(
+            flat_gradient.shape[0], *self.shapes, ctypes.byref(alpha_pointers), flat_gradient.data_ptr(),
+            _point_at(_State, state), pull.data_ptr(), _point_at(_State, pull_state), pull_gradient.data_ptr(),
+            _point_at(_State, pull_old_state), _point_at(_Pulled, pulls),
         )  # fmt: skip
         if self.order == 2:
-            flat = self.layout.flat(theta)
-            product, by_learned = nbrdf.gradient_product(flat, batch, select_loss_parameters(alpha), by_grads)
+            flat = self.parameter_order.flatten(theta)
+            product, pull_learned = nbrdf.gradient_product(flat, batch, select_loss_parameters(alpha), pull_gradient)
             pull = pull + product
-            pulled |= {f"loss.{key}": value for key, value in by_learned.items()}
-        by_alpha = {key: pulled[key].sum_to_size(alpha[key].shape) for key in pulled}
-        return self.layout.tree(pull), by_state, by_alpha
+            pulls |= {f"loss.{key}": value for key, value in pull_learned.items()}
+        pull_alpha = {key: pulls[key].sum_to_size(alpha[key].shape) for key in pulls}
+        return self.parameter_order.unflatten(pull), pull_old_state, pull_alpha
 
 
-def _reference(kind: type[ctypes.Structure], tensors: Params) -> object:
-    """A structure of pointers to dense tensors, null if there is none of that name."""
+def _point_at(kind: type[ctypes.Structure], tensors: Params) -> object:
+    """Return a reference to a structure of pointers to dense tensors; names without a tensor are null."""
     return ctypes.byref(kind(**{key: value.data_ptr() for key, value in tensors.items()}))
 
 
-def _alpha(alpha: Params) -> _Alpha:
-    """Where one step's hyperparameters lie: [T or 1, n], of which the last axis is dense, unless it is 1."""
+def _point_at_hyperparameters(alpha: Params) -> _Alpha:
+    """Return pointers to one step's hyperparameters [T or 1, n], and their strides.
+
+    The last axis must be dense, unless it is 1; strides are 0 where tasks or weights share a hyperparameter.
+    """
     pointers, strides = [], []
     for key in ("rate", "adam", "matrices"):
         value = alpha.get(key)

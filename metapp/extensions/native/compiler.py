@@ -1,7 +1,8 @@
 """Small C sources, compiled once for a source and a CPU, kept in the cache folder, loaded through ctypes.
 
 All of them are optional: without a compiler, torch computes instead. A library is code, so it is loaded only from a
-folder that the user alone can write to, in which a whole one alone gets its name.
+folder that the user alone can write to, and a library gets its name there only when it is complete. This module does
+not know what the sources compute.
 """
 
 from __future__ import annotations
@@ -23,21 +24,24 @@ COMPILER_FLAGS = (
     *("-std=gnu11", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
     *("-fopenmp-simd", "-shared", "-fPIC"),
 )
-COMPILER_SECONDS = 60  # until a compiler is given up
+COMPILER_SECONDS = 60  # after which a compiler is stopped, and torch computes instead
 
 
 @functools.cache
 def load_library(source: Path, *names: str, march: str = "native") -> ctypes.CDLL | None:
-    """The functions of a C source; None if it can neither be found compiled nor be compiled, or lacks one.
+    """Load a C source as a library, compiled if the cache folder does not hold it.
 
     Args:
         source: a C file; the headers in its folder count as part of it.
-        names: of the functions.
-        march: the instructions to use, a name that the compiler knows. Other than this CPU's: tests and benchmarks.
+        names: the functions that the library must have.
+        march: the instruction set, a name that the compiler knows; tests and benchmarks ask for others than this CPU's.
+
+    Returns:
+        The library; None if it can neither be found nor compiled, or lacks a function.
     """
     try:
         folder = code_folder(cache_folder() / "native", "METAPP_CACHE")
-        path = folder / f"{source.stem}-{_key(source, march)}.so"
+        path = folder / f"{source.stem}-{_source_digest(source, march)}.so"
         if not path.is_file():
             _compile(source, path, march)
         library = ctypes.CDLL(str(path))
@@ -47,29 +51,29 @@ def load_library(source: Path, *names: str, march: str = "native") -> ctypes.CDL
 
 
 def find_compiler() -> str | None:
-    """The C compiler: CC if set, else the first of the usual names that there is."""
+    """Find the C compiler: the one that CC names if it is set, else the first of the usual names that is installed."""
     names = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
     return next((path for path in map(shutil.which, names) if path), None)
 
 
-def _key(source: Path, march: str) -> str:
-    """A digest of all that a compiled source, and the width of its vectors, depend on: text, options, CPU."""
+def _source_digest(source: Path, march: str) -> str:
+    """Return a digest of all that a compiled source and the width of its vectors depend on: text, options, CPU."""
     texts = (read_text(path) for path in (source, *sorted(source.parent.glob("*.h"))))
-    return hashlib.sha256("\0".join((*texts, *COMPILER_FLAGS, march, _cpu())).encode()).hexdigest()[:24]
+    return hashlib.sha256("\0".join((*texts, *COMPILER_FLAGS, march, _describe_cpu())).encode()).hexdigest()[:24]
 
 
-def _cpu() -> str:
-    """The CPU and its instruction sets, as the system says it."""
+def _describe_cpu() -> str:
+    """Return the system's description of the CPU and its instruction sets, without figures that change."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8").split("\n\n", 1)[0].splitlines()
     except OSError:
         lines = [platform.processor()]
-    lasting = [line for line in lines if not line.startswith(("cpu MHz", "bogomips", "processor", "core id", "apicid"))]
-    return "\n".join([platform.machine(), *lasting])
+    changing = ("cpu MHz", "bogomips", "processor", "core id", "apicid")
+    return "\n".join([platform.machine(), *(line for line in lines if not line.startswith(changing))])
 
 
 def _compile(source: Path, path: Path, march: str) -> None:
-    """Compile a source; of processes that do so at the same time the last one's file stays.
+    """Compile a source; if several processes do so at once, the file of the last one stays.
 
     Raises:
         OSError: there is no compiler, or it fails.

@@ -1,14 +1,17 @@
-// The loss of the NBRDF network (6-21-21-3, ReLU, exp(.) - 1), its gradient, and the derivatives of that.
+// The loss of the NBRDF network (6-21-21-3, ReLU, exp(.) - 1), its gradient, and the derivatives of the gradient along
+// a direction.
 //
-// Samples lie side by side, LANES in a vector; a block of them stays in the cache from inputs to gradients. Functions
-// of one size each compile fast and keep their sums in registers.
+// Samples lie side by side, LANES in a vector; a block of samples stays in the cache from inputs to gradients. Each
+// product of a layer is a function of fixed size, which compiles fast and keeps its sums in registers.
 #include <math.h>
 #include <string.h>
 
 #include "vectors.h"
 
 enum { BLOCK = 128, VECTORS = BLOCK / LANES, IN = 6, HIDDEN = 21, OUT = 3, KNOTS = 8 };
-enum { ROWS = 3, ACROSS = 4 };  // sums in registers: 12, and 3 weights and a vector beside them fill the 16 of AVX and SSE
+// Sums that are kept in registers, 3 x 4: with 3 weights and a vector they fill the 16 registers of AVX and SSE
+enum { ROWS = 3, ACROSS = 4 };
+// Offsets of weights and biases in the flat parameters
 enum { W1 = 0, B1 = W1 + HIDDEN * IN, W2 = B1 + HIDDEN, B2 = W2 + HIDDEN * HIDDEN, W3 = B2 + HIDDEN };
 enum { B3 = W3 + OUT * HIDDEN, WEIGHTS = B3 + OUT };
 #define QUARTER_TURN 1.57079632679f
@@ -16,10 +19,10 @@ enum { B3 = W3 + OUT * HIDDEN, WEIGHTS = B3 + OUT };
 #define ALONE static __attribute__((noinline))
 
 typedef int I __attribute__((vector_size(4 * LANES)));
-typedef float Four __attribute__((vector_size(16)));  // the narrowest V
-typedef V Row[VECTORS];  // a number of each sample of a block
+typedef float Four __attribute__((vector_size(16)));  // as wide as V on the narrowest CPUs
+typedef V Row[VECTORS];  // one number for each sample of a block
 
-// Functions of vectors, to two units in the last place
+// Functions of vectors, accurate to two units in the last place
 
 INLINE V splat(float x) { return x - (V){0}; }
 INLINE V pick(I mask, V yes, V no) { return (V)(((I)yes & mask) | ((I)no & ~mask)); }
@@ -29,7 +32,7 @@ INLINE V root(V x) {
   return x;
 }
 
-// exp(x) - 1: x = n log 2 + r, and a polynomial in r (Cephes); not finite from 88.4 on
+// Return exp(x) - 1: x = n log 2 + r, and a polynomial in r (Cephes); not finite from x = 88.4 on
 INLINE V exp_minus_1(V x) {
   x = pick(x > 89.0f, splat(89.0f), pick(x < -87.0f, splat(-87.0f), x));
   V n = x * 1.44269504f + 12582912.0f - 12582912.0f;  // the nearest whole number
@@ -41,7 +44,7 @@ INLINE V exp_minus_1(V x) {
   return scale * (p * r * r + r) + (scale - 1.0f);
 }
 
-// log(1 + u): 1 + u = 2^n (1 + f), where f is u itself if that is small, and a polynomial in f (Cephes)
+// Return log(1 + u): 1 + u = 2^n (1 + f), where f is u itself if u is small, and a polynomial in f (Cephes)
 INLINE V log_1_plus(V u) {
   I exponent = ((I)(u + 1.0f) - 0x3f3504f3) >> 23;
   V shrink = (V)((127 - exponent) << 23), f = u * shrink + (shrink - 1.0f), n = __builtin_convertvector(exponent, V);
@@ -53,7 +56,7 @@ INLINE V log_1_plus(V u) {
   return pick(u > -1.0f, result, splat(-INFINITY));
 }
 
-// arccos(x), x clamped to [-1, 1]: by arcsin on [0, 1/2] (Cephes)
+// Return arccos(x), x clamped to [-1, 1], by arcsin on [0, 1/2] (Cephes)
 INLINE V arc_cosine(V x) {
   V a = pick(x < 0.0f, -x, x);
   a = pick(a > 1.0f, splat(1.0f), a);
@@ -67,8 +70,9 @@ INLINE V arc_cosine(V x) {
 
 // Products of a layer
 
-// out[o] = start + sum over i of w[o * row + i * column] x[i], where start is a bias, 0, or what out holds (more);
-// then 0 where a ReLU is closed: that of `open`, or, where that is out itself, of what is computed. NaN stays.
+// Compute out[o] = start + sum over i of w[o * row + i * column] x[i], where start is a bias, 0, or, if more is set,
+// the value that out holds. Results are 0 where a ReLU is closed: the ReLU whose outputs are `open`, or, if open is
+// out, the ReLU of the results themselves; none if open is 0. NaN stays NaN.
 INLINE void multiply(int outs, int ins, int row, int column, const float *w, const float *bias, int more, Row *x,
                      Row *out, Row *open) {
   for (int o = 0; o < outs; o += ROWS)
@@ -93,7 +97,7 @@ INLINE void multiply(int outs, int ins, int row, int column, const float *w, con
     }
 }
 
-// sums[o][i] += sum over the block of d[o] x[i]
+// Add to sums[o][i] the sum over the block of d[o] x[i]
 INLINE void outer(int outs, int ins, Row *d, Row *x, V *sums) {
   for (int o = 0; o < outs; o += ROWS)
     for (int i = 0; i < ins; i += ROWS) {
@@ -136,12 +140,12 @@ INLINE float reduced(const V *x) {
   return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-// What both functions share: the samples of a task, and a block of them in the network
+// The samples of a task, and a block of them in the network, which both functions of the library share
 
 typedef struct {
   const float *where, *target;  // [IN + 1, count], [OUT, count]
-  float smoothing;              // s; below 0: the plain absolute difference
-  const float *knots;           // [KNOTS] logarithms of weights over theta_h, or none
+  float smoothing;              // s of sqrt(d^2 + s^2) - s; below 0 for the plain absolute difference
+  const float *knots;           // [KNOTS] log weights of samples at knots over theta_h, or none
   int count;
 } Samples;
 
@@ -160,7 +164,7 @@ INLINE void read(Row to, const float *from, int count) {
   memset(to, 0, sizeof(Row)), memcpy(to, from, count * sizeof(float));
 }
 
-// Evaluate the network on the block that begins at a sample; what lies beyond the last sample weighs 0
+// Evaluate the network on the block that begins at sample `at`; places beyond the last sample have the weight 0
 ALONE void forward(const float *theta, const Samples *s, int at, Block *b) {
   int n = s->count, count = n - at < BLOCK ? n - at : BLOCK;
   for (int i = 0; i < IN; i++) read(b->in[i], s->where + i * n + at, count);
@@ -183,8 +187,9 @@ ALONE void forward(const float *theta, const Samples *s, int at, Block *b) {
   layer_3(theta + W3, theta + B3, 0, b->two, b->out, 0);
 }
 
-// The norm of a difference d = log(1 + f) - target, f = cosine (exp(out) - 1), with the slope q of the logarithm in
-// out, whose own slope is q (1 - q), and of the norm the first and second derivative in d, and that in d and log s.
+// The comparison of an output with its target: the norm of the difference d = log(1 + f) - target, where
+// f = cosine (exp(out) - 1). q is the derivative of log(1 + f) in out, with the derivative q (1 - q); slope and bend
+// are the first and second derivative of the norm in d, and by_log is its derivative in d and log s.
 typedef struct {
   V q, norm, slope, bend, by_log;
 } Compared;
@@ -200,7 +205,8 @@ INLINE Compared compare(const Block *b, int c, int v, float s) {
   return (Compared){q, length - s, slope, square * inverse, -slope * square};
 }
 
-// Gradients [T, WEIGHTS] and losses [T]; smoothing: log s; strides are 0 where tasks share smoothing or knots
+// Compute gradients [T, WEIGHTS] and losses [T]. smoothing holds log s; a stride is 0 where tasks share smoothing or
+// knots
 void nbrdf_gradient(int tasks, int count, const float *theta, const float *where, const float *target,
                     const float *smoothing, int smoothing_by_task, const float *knots, int knots_by_task,
                     float *gradient, float *losses) {
@@ -228,7 +234,8 @@ void nbrdf_gradient(int tasks, int count, const float *theta, const float *where
   }
 }
 
-// Derivatives of gradient . along in theta [T, WEIGHTS], in log s [T] and in the knots [T, KNOTS]
+// Compute the derivatives of the product gradient . along in theta [T, WEIGHTS], in log s [T] and in the knots
+// [T, KNOTS]
 void nbrdf_product(int tasks, int count, const float *theta, const float *where, const float *target,
                    const float *smoothing, int smoothing_by_task, const float *knots, int knots_by_task,
                    const float *along, float *product, float *by_smoothing, float *by_knots) {
@@ -238,8 +245,9 @@ void nbrdf_product(int tasks, int count, const float *theta, const float *where,
     memset(sums, 0, sizeof sums), memset(tilted, 0, sizeof tilted);
     for (int at = 0; at < count; at += BLOCK) {
       Block b;
-      Row one[HIDDEN], two[HIDDEN], out[OUT];                        // how layers move along the direction
-      Row d3[OUT], d2[HIDDEN], e3[OUT], e2[HIDDEN], e1[HIDDEN];      // as above, and how these move
+      Row one[HIDDEN], two[HIDDEN], out[OUT];  // derivatives of the layers' values along the direction
+      Row d3[OUT], d2[HIDDEN];                 // derivatives of the loss in what goes into a layer's ReLU
+      Row e3[OUT], e2[HIDDEN], e1[HIDDEN];     // derivatives of d3, d2 and d1 along the direction
       forward(theta, &s, at, &b);
       layer_1(along + W1, along + B1, 0, b.in, one, b.one);
       layer_2(along + W2, along + B2, 0, b.one, two, 0), layer_2(theta + W2, 0, 1, one, two, b.two);

@@ -1,4 +1,7 @@
-"""The loss of the NBRDF network in C (`nbrdf.c`): `Brdf.loss` and its derivatives, for flat parameters [T, 675]."""
+"""The loss of the NBRDF network in C (`nbrdf.c`): `Brdf.loss` and its derivatives, for flat parameters [T, 675].
+
+A step spends most of its time in this loss. The module knows the loss of the BRDF application, but no rule of learning.
+"""
 
 from __future__ import annotations
 
@@ -20,58 +23,84 @@ NBRDF_PARAMETER_SHAPES = parameter_shapes(NBRDF_NETWORK)
 
 
 def has_c_loss(loss: Loss, theta: Params) -> bool:
-    """Tell whether a loss is `Brdf.loss` of parameters of this network, float32 on the CPU, and there is a compiler."""
-    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == NBRDF_PARAMETER_SHAPES
-    plain = all(value.dtype == torch.float32 and value.device.type == "cpu" for value in theta.values())
-    if not same or not plain or type(loss).gradient is not Loss.gradient:
+    """Return whether the loss is `Brdf.loss` of an NBRDF's parameters in float32 on the CPU, and a compiler exists."""
+    has_nbrdf_shapes = {key: tuple(value.shape[1:]) for key, value in theta.items()} == NBRDF_PARAMETER_SHAPES
+    is_cpu_float32 = all(value.dtype == torch.float32 and value.device.type == "cpu" for value in theta.values())
+    if not has_nbrdf_shapes or not is_cpu_float32 or type(loss).gradient is not Loss.gradient:
         return False
-    # a subclass with a loss of its own gets steps by torch
+    # a subclass of Brdf that overrides the loss gets steps by torch
     return getattr(loss.value, "__func__", loss.value) is Brdf.loss and load_nbrdf_library() is not None
 
 
 @functools.cache
 def load_nbrdf_library(march: str = "native") -> ctypes.CDLL | None:
-    """The functions of `nbrdf.c` by the instructions of a CPU; None if there is no compiler for it."""
-    result = load_library(
+    """Load the functions of `nbrdf.c`, compiled if need be.
+
+    Args:
+        march: the instruction set, a name that the compiler knows; native is this CPU's.
+
+    Returns:
+        The library; None if there is no compiler for these instructions.
+    """
+    library = load_library(
         Path(__file__).with_name("nbrdf.c"), "nbrdf_gradient", "nbrdf_product", "nbrdf_lanes", march=march
     )
-    if result is not None:
+    if library is not None:
         count, pointer = ctypes.c_int, ctypes.c_void_p
-        read = (count, count, pointer, pointer, pointer, pointer, count, pointer, count)
-        result.nbrdf_gradient.argtypes = [*read, *[pointer] * 2]
-        result.nbrdf_product.argtypes = [*read, *[pointer] * 4]
-    return result
+        shared_arguments = (count, count, pointer, pointer, pointer, pointer, count, pointer, count)
+        library.nbrdf_gradient.argtypes = [*shared_arguments, *[pointer] * 2]
+        library.nbrdf_product.argtypes = [*shared_arguments, *[pointer] * 4]
+    return library
 
 
 def loss_gradient(theta: Tensor, batch: Batch, learned: Params) -> tuple[Tensor, Tensor]:
-    """Gradient [T, 675] and loss [T]."""
-    result, losses = torch.empty_like(theta), theta.new_empty(theta.shape[0])
-    dense, functions = _dense(theta, batch), load_nbrdf_library()
-    assert functions is not None
-    functions.nbrdf_gradient(*_read(dense, learned), result.data_ptr(), losses.data_ptr())
-    return result, losses
+    """Return the gradient of the loss, [T, 675], and the losses, [T].
+
+    Args:
+        theta: flat parameters, [T, 675].
+        batch: `where` [T, 7, N] and `target` [T, 3, N], samples of T materials.
+        learned: the loss's learned parameters, `smoothing` [T or 1] and `weights` [T or 1, 8], or none.
+    """
+    gradient, losses = torch.empty_like(theta), theta.new_empty(theta.shape[0])
+    dense, library = _make_dense(theta, batch), load_nbrdf_library()
+    assert library is not None
+    library.nbrdf_gradient(*_shared_arguments(dense, learned), gradient.data_ptr(), losses.data_ptr())
+    return gradient, losses
 
 
 def gradient_product(theta: Tensor, batch: Batch, learned: Params, along: Tensor) -> tuple[Tensor, Params]:
-    """Derivatives of the sum of gradient * along in theta [T, 675] and in the learned parameters."""
-    dense, result, along = _dense(theta, batch), torch.empty_like(theta), along.contiguous()
-    pulled = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in learned.items()}
-    pulls = [pulled[key].data_ptr() if key in pulled else None for key in ("smoothing", "weights")]
-    functions = load_nbrdf_library()
-    assert functions is not None
-    functions.nbrdf_product(*_read(dense, learned), along.data_ptr(), result.data_ptr(), *pulls)
-    return result, pulled
+    """Return the derivatives of the product of the loss's gradient and a direction.
+
+    Args:
+        theta: flat parameters, [T, 675].
+        batch: `where` [T, 7, N] and `target` [T, 3, N], samples of T materials.
+        learned: the loss's learned parameters, `smoothing` [T or 1] and `weights` [T or 1, 8], or none.
+        along: the direction, [T, 675].
+
+    Returns:
+        Derivatives in theta, [T, 675], and in each learned parameter, [T, ...].
+    """
+    dense, product, along = _make_dense(theta, batch), torch.empty_like(theta), along.contiguous()
+    pulls = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in learned.items()}
+    pointers = [pulls[key].data_ptr() if key in pulls else None for key in ("smoothing", "weights")]
+    library = load_nbrdf_library()
+    assert library is not None
+    library.nbrdf_product(*_shared_arguments(dense, learned), along.data_ptr(), product.data_ptr(), *pointers)
+    return product, pulls
 
 
-def _dense(theta: Tensor, batch: Batch) -> list[Tensor]:
-    """theta, where and target without gaps."""
+def _make_dense(theta: Tensor, batch: Batch) -> list[Tensor]:
+    """Return theta, `where` and `target` as tensors without gaps, the samples as float32."""
     where, target = batch["where"], batch["target"]
     assert where.shape[0] == target.shape[0] == theta.shape[0], "a batch has as many tasks as theta"
     return [theta.contiguous(), where.float().contiguous(), target.float().contiguous()]
 
 
-def _read(dense: list[Tensor], learned: Params) -> list[int | None]:
-    """The arguments of both functions, in their order; `dense` and `learned` must live until they have."""
+def _shared_arguments(dense: list[Tensor], learned: Params) -> list[int | None]:
+    """Return the arguments that both functions of `nbrdf.c` begin with.
+
+    They are pointers: the tensors of `dense` and `learned` must live until the call has returned.
+    """
     tasks, _, samples = dense[1].shape
     arguments: list[int | None] = [tasks, samples, *(tensor.data_ptr() for tensor in dense)]
     for key in ("smoothing", "weights"):

@@ -1,22 +1,26 @@
-// One step of a learned rule on flat parameters, and its vector-Jacobian product, one task after the other:
-// Adam's directions, matrices on both sides of each parameter, rates. Each of these but rates may be missing.
+// One step of a rule on flat parameters, and its vector-Jacobian product, one task after the other. A step takes Adam's
+// directions, multiplies each parameter's direction by matrices from both sides, and goes along it by the rates. Adam
+// and the matrices may be missing. In the backward pass, by_x is the cotangent of x.
 #include <math.h>
 #include <string.h>
 
 #include "vectors.h"
 
-enum { AT_ONCE = 7, WIDEST = 64, MOST = 4096 };  // the last two above columns of a parameter and weights of a network
+// AT_ONCE: rows that are multiplied at once, whose sums stay in registers. WIDEST and MOST: sizes of buffers, not less
+// than the columns of a parameter and the weights of a network.
+enum { AT_ONCE = 7, WIDEST = 64, MOST = 4096 };
 
 typedef struct {
   int rows, columns, left, right;  // left, right: whether there is a matrix on that side
 } Shape;
 
-// Hyperparameters; strides are 0 where all tasks, or weights, share them
+// Hyperparameters of a step; a stride is 0 where all tasks, or all weights, share a hyperparameter
 typedef struct {
   const float *rate, *adam, *matrices;
   long rate_by_task, rate_by_weight, adam_by_task, matrices_by_task;
 } Alpha;
 
+// Cotangents of the hyperparameters
 typedef struct {
   float *rate, *adam, *matrices;  // [T, n], [T, 3], [T, M]
 } Pulled;
@@ -27,7 +31,7 @@ typedef struct {
 
 static void copy(int n, const float *from, float *to) { memcpy(to, from, n * sizeof(float)); }
 
-// c = a b: a [rows, inner] and b [inner, columns] by strides of rows and columns, c [rows, columns] dense
+// Compute c = a b: a [rows, inner] and b [inner, columns] have strides of rows and columns, c [rows, columns] is dense
 static void multiply(int rows, int inner, int columns, const float *a, int a_row, int a_column, const float *b,
                      int b_row, int b_column, float *c) {
   float wide[WIDEST][LANES] __attribute__((aligned(64)));
@@ -51,7 +55,7 @@ static void multiply(int rows, int inner, int columns, const float *a, int a_row
   }
 }
 
-// x = left d right, parameter after parameter; half: left d
+// Compute x = left d right for one parameter after the other; half receives left d, which mix_back needs
 static void mix(int parameters, const Shape *shapes, const float *matrices, const float *d, float *half, float *x) {
   for (int p = 0; p < parameters; p++) {
     int r = shapes[p].rows, c = shapes[p].columns, size = r * c;
@@ -64,7 +68,7 @@ static void mix(int parameters, const Shape *shapes, const float *matrices, cons
   }
 }
 
-// Pulls of d and of the matrices, of those of x
+// Compute the cotangents of d and of the matrices from the cotangent of x
 static void mix_back(int parameters, const Shape *shapes, const float *matrices, const float *d, const float *half,
                      const float *by_x, float *by_d, float *by_matrices) {
   for (int p = 0; p < parameters; p++) {
@@ -85,7 +89,7 @@ static void mix_back(int parameters, const Shape *shapes, const float *matrices,
 
 static State at(State all, int t, int n) { return (State){all.m + t * n, all.v + t * n, all.products + 2 * t}; }
 
-// Directions d and the state after them; b: both betas and eps
+// Compute Adam's directions d and the state after them; b holds both betas and eps
 static void adam(int n, const float *b, const float *g, State before, State after, float *d) {
   for (int i = 0; i < 2; i++) after.products[i] = before.products[i] * b[i];
   float unbias1 = 1 - after.products[0], unbias2 = 1 - after.products[1];
@@ -95,7 +99,7 @@ static void adam(int n, const float *b, const float *g, State before, State afte
   }
 }
 
-// Pulls of gradient, state and b, of those of the directions and the state after
+// Compute the cotangents of the gradient, the state and b from the cotangents of the directions and the state after
 static void adam_back(int n, const float *b, const float *g, State before, State after, const float *d,
                       const float *by_d, State by_after, float *by_g, State by_before, float *by_b) {
   float unbias1 = 1 - after.products[0], unbias2 = 1 - after.products[1];
@@ -116,7 +120,7 @@ static void adam_back(int n, const float *b, const float *g, State before, State
   by_b[2] = by_eps;
 }
 
-// theta and the state after a step; state and after are not read without an Adam
+// Take a step: write theta and the state after it; state and after are not read if there is no Adam
 void step(int tasks, int n, int parameters, const Shape *shapes, const Alpha *alpha, const float *theta,
           const float *g, const State *state, float *moved, const State *after) {
   for (int t = 0; t < tasks; t++, theta += n, g += n, moved += n) {
@@ -134,7 +138,8 @@ void step(int tasks, int n, int parameters, const Shape *shapes, const Alpha *al
   }
 }
 
-// Pulls of the gradient, the state and the hyperparameters, of those of what a step gives; by_moved is that of theta
+// Compute the cotangents of the gradient, the state and the hyperparameters from the cotangents of a step's results;
+// by_moved is the cotangent of theta after the step
 void step_back(int tasks, int n, int parameters, const Shape *shapes, const Alpha *alpha, const float *g,
                const State *state, const float *by_moved, const State *by_after, float *by_g, const State *by_state,
                const Pulled *pulled) {

@@ -1,4 +1,8 @@
-"""The fastest steps there are for a loss and a rule: in C, else by torch, compiled if that pays."""
+"""The choice of the fastest steps for a loss and a rule: in C, else by torch, compiled if that saves time.
+
+All steps compute what `metapp.learning.adjoint.torch_steps` computes, to rounding. Learning calls :func:`choose_steps`
+and need not know which of them it gets.
+"""
 
 from __future__ import annotations
 
@@ -20,27 +24,35 @@ from metapp.learning.task import Params
 from metapp.runs.reporter import say
 from metapp.storage.cache_folders import cache_folder, code_folder
 
-TORCH_CACHE_VARIABLE = "TORCHINDUCTOR_CACHE_DIR"  # where torch keeps code, which it loads again
-NO_COMPILING_VARIABLE = "TORCH_COMPILE_DISABLE"  # of the environment, torch's own: 1 for no compiling
+# variables of the environment that torch reads itself
+TORCH_CACHE_VARIABLE = "TORCHINDUCTOR_CACHE_DIR"  # the folder where torch keeps compiled code, which it loads again
+NO_COMPILING_VARIABLE = "TORCH_COMPILE_DISABLE"  # 1 if torch shall not compile
 
 
 def choose_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int, *, compiles: bool = False) -> Steps:
-    """Steps in C if the loss and the rule are to be had there, else by torch.
+    """Choose the fastest steps: in C if the loss and the rule have a form in C, else by torch.
 
     Args:
-        rule, loss, theta, order: as of `torch_steps`.
-        compiles: whether steps by torch are so many that compiling them pays; without a tool chain they are not.
+        rule: the rule, with its hyperparameters.
+        loss: the loss that steps follow.
+        theta: parameters [T, ...], whose names and shapes count.
+        order: 2 if steps are differentiated through the gradient, else 1.
+        compiles: whether so many steps follow that compiling steps by torch saves time; they are compiled only where
+            there is a tool chain.
     """
-    found = c_steps.make_c_steps(rule, loss, theta, order)
-    if found is None and compiles and can_compile():
+    steps = c_steps.make_c_steps(rule, loss, theta, order)
+    if steps is None and compiles and can_compile():
         _say_compiling()
-        found = make_compiled_steps(rule, loss, theta, order)
-    return found or torch_steps(rule, loss, theta, order)
+        steps = make_compiled_steps(rule, loss, theta, order)
+    return steps or torch_steps(rule, loss, theta, order)
 
 
 def make_compiled_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
-    """Steps by torch.compile, for the shapes of their first call: about twice as fast, after seconds of compiling."""
-    step, vjp = _compiled(rule.step, loss, order)
+    """Make steps by torch.compile, for the shapes of their first call.
+
+    They are about twice as fast as steps by torch, after seconds of compiling. See :func:`choose_steps`.
+    """
+    step, vjp = _make_programs(rule.step, loss, order)
     return torch_steps(rule, loss, theta, order)._replace(step=step, vjp=vjp)
 
 
@@ -55,7 +67,7 @@ def has_tool_chain() -> bool:
     if not any(shutil.which(name) for name in ("g++", "clang++")):
         return False
     try:
-        # torch's default is a folder of /tmp that anybody can make first
+        # torch's own choice is a folder below /tmp, which another user may have made before, with code in it
         folder = os.environ.get(TORCH_CACHE_VARIABLE) or cache_folder() / "torch"
         os.environ[TORCH_CACHE_VARIABLE] = str(code_folder(Path(folder), TORCH_CACHE_VARIABLE))
         torch.compile(lambda x: x.sin() + 1)(torch.ones(8))
@@ -70,23 +82,28 @@ def _say_compiling() -> None:
 
 
 @functools.lru_cache(maxsize=32)  # compiling takes seconds
-def _compiled(rule_step: RuleStep, loss: Loss, order: int) -> tuple[_Program, _Program]:
+def _make_programs(rule_step: RuleStep, loss: Loss, order: int) -> tuple[_Program, _Program]:
     step, vjp = step_and_vjp(rule_step, loss, order)
     return _Program(step), _Program(vjp)
 
 
-Compilation = tuple[Callable[..., Sequence[Tensor]], TreeSpec]  # flat tensors -> flat tensors, and their tree
+# a compiled function of a list of tensors that returns a list of tensors, and the tree that its results belong in
+Compilation = tuple[Callable[..., Sequence[Tensor]], TreeSpec]
 
 
 class _Program:
-    """Trace a function of flat trees that calls autograd, for the shapes of its first call, and compile the trace."""
+    """A function of dictionaries of tensors that calls autograd, traced and compiled for the shapes of each first call.
+
+    Args:
+        function: the function, whose results may be any tree of tensors.
+    """
 
     def __init__(self, function: Callable[..., object]) -> None:
         self.function = function
         self.programs: dict[tuple[object, ...], Compilation] = {}
 
     def __call__(self, *trees: Params) -> Any:
-        # contiguous, as the trace assumes: the key here stands for all that torch would check again at every call
+        # contiguous, as the trace assumes: torch's own checks at every call are left out, and this key stands for them
         leaves = [value.contiguous() for tree in trees for value in tree.values()]
         key = (*map(tuple, trees), *((leaf.shape, leaf.dtype, leaf.device) for leaf in leaves))
         if key not in self.programs:
@@ -98,22 +115,25 @@ class _Program:
     def _compile(self, names: list[list[str]], leaves: list[Tensor]) -> Compilation:
         spec: TreeSpec
 
-        def flat(*leaves: Tensor) -> list[Tensor]:
+        def call_flat(*leaves: Tensor) -> list[Tensor]:
             nonlocal spec
             values = iter(leaves)
             result = self.function(*({name: next(values) for name in tree} for tree in names))
             outputs, spec = tree_flatten(result)
             return outputs
 
-        flat(*leaves)  # fills caches, whose making a trace would take for a part of every step
-        table = {torch.ops.aten.bmm.default: _narrow_bmm}
-        program = make_fx(flat, decomposition_table=table)(*[leaf.detach() for leaf in leaves])
+        call_flat(*leaves)  # fills caches; a trace would take the filling for a part of every step
+        table = {torch.ops.aten.bmm.default: _multiply_narrow}
+        program = make_fx(call_flat, decomposition_table=table)(*[leaf.detach() for leaf in leaves])
         unguarded = torch.compiler.skip_all_guards_unsafe
         return torch.compile(program, options={"guard_filter_fn": unguarded}), spec
 
 
-def _narrow_bmm(left: Tensor, right: Tensor) -> Tensor:
-    """A product that is a long sum for few results, as weight gradients are: on CPUs a loop beats the library's."""
+def _multiply_narrow(left: Tensor, right: Tensor) -> Tensor:
+    """Multiply matrices whose product has few entries, each a long sum, as gradients of weights are.
+
+    On CPUs a loop is faster at these than the library's product. Returns NotImplemented for other matrices.
+    """
     rows, inner, columns = *left.shape[1:], right.shape[2]
     if left.device.type != "cpu" or inner < 8 * max(rows, columns):
         result: Tensor = NotImplemented

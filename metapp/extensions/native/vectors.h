@@ -1,4 +1,5 @@
-// Vectors of floats as wide as the CPU's registers: wider ones are split and spilled, 20 to 30 times as slow.
+// Vectors of floats as wide as the CPU's registers. A compiler splits wider vectors and spills them to memory, which is
+// 20 to 30 times as slow.
 #if defined __AVX512F__
 enum { LANES = 16 };
 #elif defined __AVX__

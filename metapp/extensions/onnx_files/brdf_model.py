@@ -1,4 +1,7 @@
-"""A fitted BRDF as an ONNX model: directions `wi` and `wo` [n, 3] to `reflectance` [n, 3]."""
+"""A fitted BRDF as an ONNX model, which returns `reflectance` [n, 3] for directions `wi` and `wo` [n, 3].
+
+It lets renderers and other tools evaluate a fit without this package. The export reads parameters alone, not the run.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from metapp.appearance.geometry import directions_to_four_angles, half_difference_and_cosine
 from metapp.apps.brdf.brdf_network import find_network
@@ -24,15 +28,19 @@ REFLECTANCE_DESCRIPTION = {
 
 
 class ReflectanceModule(torch.nn.Module):
-    """A fit, parameters without a task axis."""
+    """A fitted BRDF as a module to trace: reflectance [n, 3] of directions of light and viewer, [n, 3] each.
+
+    Args:
+        theta: the parameters of the fit, without a task axis.
+    """
 
     def __init__(self, theta: Params) -> None:
         super().__init__()
         self.network = find_network(theta)
         self.theta = torch.nn.ParameterDict({key: value.float()[None] for key, value in theta.items()})
 
+    @override
     def forward(self, wi: Tensor, wo: Tensor) -> Tensor:
-        """Reflectance [n, 3] of directions [n, 3]."""
         angles = directions_to_four_angles(wi, wo)
         where = half_difference_and_cosine(angles if self.network.anisotropic else angles[:, :3])
         values = self.network.reflectance(dict(self.theta.items()), where.T[None])[0].T.clamp_min(0)
@@ -41,10 +49,15 @@ class ReflectanceModule(torch.nn.Module):
 
 
 def write_onnx(app: Brdf, theta: Params, path: Path) -> None:
-    """Write <path>.onnx.
+    """Write a fitted BRDF as the ONNX model <path>.onnx.
+
+    Args:
+        app: the application, which the signature of exports asks for; all that counts is in the parameters.
+        theta: the parameters of the fit, without a task axis.
+        path: the file, to which the suffix is added.
 
     Raises:
-        ValueError: packages are missing.
+        ValueError: onnx or onnxscript is not installed.
     """
     examples = {name: torch.nn.functional.normalize(torch.rand(16, 3) + 0.1, dim=1) for name in ("wi", "wo")}
     sizes = {name: {0: "n"} for name in examples}

@@ -1,4 +1,7 @@
-"""General of flash photographs, of a checkpoint, as an ONNX model or as a page that runs it in a browser."""
+"""The export of a checkpoint: General of flash photographs as an ONNX model, or as a page that runs it in a browser.
+
+This is the part of `metapp export` that finds the checkpoint, names the files and says what was written.
+"""
 
 from __future__ import annotations
 
@@ -20,43 +23,50 @@ PHOTO_APP, PAGE_KIND = "svbrdf_nonstationary", "onnx-page"
 
 
 def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
-    """Write <folder>/<name>.onnx, or the page <folder>/index.html with its files beside it.
+    """Write General of flash photographs as <folder>/<name>.onnx, or as the page <folder>/index.html.
 
     Args:
         path: a checkpoint, or the name of one that ships: svbrdf_nonstationary, or with a recipe
             svbrdf_nonstationary/pretrained.
         kind: onnx or onnx-page.
-        folder: of the files.
-        quiet: no messages.
+        folder: the folder that files are written into.
+        quiet: whether to print no messages.
+
+    Returns:
+        The model or the page; the other files of a page lie beside it.
 
     Raises:
-        ValueError: no checkpoint of that General; packages, or the browser's part, cannot be had.
-        BadOption: the file is there already.
+        ValueError: there is no checkpoint of General of one photograph; onnx, onnxscript or onnxruntime-web is missing.
+        BadOption: the file exists already.
     """
-    options = _options(path)
+    options = _general_options(path)
     file = folder / (
         "index.html" if kind == PAGE_KIND else f"{path.stem if path.is_file() else '-'.join(path.parts)}.onnx"
     )
     check_new_files([file])
     require_packages()
-    parts = {}
+    runtime_files = {}
     if kind == PAGE_KIND:
         with progress(f"onnxruntime-web {RUNTIME_VERSION}", quiet=quiet) as bar:
-            parts = provide_runtime(
-                lambda done, total: bar.set_done(done // 10**6, total and total // 10**6, "MB from npm")
+            runtime_files = provide_runtime(
+                lambda done, total: bar.at(done // 10**6, total and total // 10**6, "MB from npm")
             )
-    found = attach_checkpoint(Run.from_options(options))
-    app, checkpoint = found.app, found.checkpoint
+    run = attach_checkpoint(Run.from_options(options))
+    app, checkpoint = run.app, run.checkpoint
     if not isinstance(app, CodedMaps):
-        raise ValueError(f"{path}: General of several photos, expected one of one photo; export maps of its fits.")
+        raise ValueError(
+            f"{path}: General of several photos, expected General of one photo; export the maps of its fits instead."
+        )
     assert checkpoint is not None
-    about = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
+    metadata = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
     if reads_features := bool(app.conditions()):
-        about |= {"features": VGG_CREDIT, "license": f"MIT; of the features: {VGG_CREDIT}"}
-    model, any_size = encode_photo_model(app, checkpoint.phi.encoder, about)
+        metadata |= {"features": VGG_CREDIT, "license": f"MIT; of the features: {VGG_CREDIT}"}
+    model, any_size = encode_photo_model(app, checkpoint.phi.encoder, metadata)
     side = app.network.height
     if kind == PAGE_KIND:
-        write_page_folder(folder, model, parts, MODEL_SIDES_PX if any_size else (side,), features=reads_features)
+        write_page_folder(
+            folder, model, runtime_files, MODEL_SIDES_PX if any_size else (side,), features=reads_features
+        )
     else:
         write_bytes(file, model)
     if not quiet:
@@ -65,16 +75,20 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
     return [file]
 
 
-def _options(path: Path) -> FitOptions:
-    """General of the checkpoint that a file is, or that ships by a name."""
+def _general_options(path: Path) -> FitOptions:
+    """Return the options of a fit by General whose checkpoint is a file, or ships by a name.
+
+    Raises:
+        ValueError: neither a file, nor the name of a checkpoint that ships.
+    """
     app, recipe = path.parts[:1], "".join(path.parts[1:2]) or FULL_RECIPE_NAME
     if is_file := path.is_file():
-        about = load_checkpoint(path)[1]
-        recipe = str(about.get("recipe", FULL_RECIPE_NAME)) if about.get("app") == PHOTO_APP else FULL_RECIPE_NAME
+        record = load_checkpoint(path)[1]
+        recipe = str(record.get("recipe", FULL_RECIPE_NAME)) if record.get("app") == PHOTO_APP else FULL_RECIPE_NAME
     elif app != (PHOTO_APP,) or len(path.parts) > 2:
         raise ValueError(
-            f"{path}: no such file, expected a run, a checkpoint of General of photos, or {PHOTO_APP} or {PHOTO_APP}/RECIPE, by "
-            "which one ships."
+            f"{path}: no such file, expected a run, a checkpoint of General of photos, or the name of one that ships: "
+            f"{PHOTO_APP} or {PHOTO_APP}/RECIPE."
         )
     return fit_options(
         PHOTO_APP, "general", recipe=recipe, observe="photo", checkpoint=path if is_file else None, quiet=True

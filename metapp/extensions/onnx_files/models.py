@@ -1,4 +1,8 @@
-"""Models of ONNX: traced by torch, with a description in their metadata."""
+"""ONNX models: modules of torch, traced, with small weights and a description in their metadata.
+
+This module turns any module into the content of a file. It does not know what the module computes, and it alone imports
+onnx, which an extra of the package brings.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +17,16 @@ import torch
 from torch import Tensor
 
 ONNX_OPSET = 18
-MIN_16_BIT_WEIGHT_NUMBERS, MIN_8_BIT_WEIGHT_NUMBERS = (
-    1024,
-    1 << 21,
-)  # numbers of a weight that is stored in 16 bits, and in 8
+# numbers of a weight from which on it is stored in 16 bits, and in 8 bits; smaller ones cost little in 32 bits
+MIN_16_BIT_WEIGHT_NUMBERS, MIN_8_BIT_WEIGHT_NUMBERS = 1024, 1 << 21
 MISSING_PACKAGES_MESSAGE = 'needs onnx and onnxscript: pip install "metapp[export]"'
 
 
 def require_packages() -> None:
-    """Refuse to go on without the packages.
+    """Refuse to go on without the packages onnx and onnxscript.
 
     Raises:
-        ValueError: they are not installed.
+        ValueError: one of them is not installed.
     """
     if not all(map(importlib.util.find_spec, ("onnx", "onnxscript"))):
         raise ValueError(f"ONNX {MISSING_PACKAGES_MESSAGE}.")
@@ -40,19 +42,22 @@ def encode_model(
     half: bool = False,
     largest: int = MIN_8_BIT_WEIGHT_NUMBERS,
 ) -> bytes:
-    """A module as a model, the content of its file.
+    """Trace a module as an ONNX model.
 
     Args:
-        module: its parameters are the weights; takes the inputs in order and gives the outputs.
-        inputs: examples, by name.
-        outputs: names.
-        sizes: of each input the axes of any size, as of torch.export.
-        about: kept as metadata.
-        half: store large weights in half precision, the largest in 8 bits.
-        largest: numbers of a weight from which on it is one of the largest.
+        module: the module, which takes the inputs in order and returns the outputs; its parameters become the weights.
+        inputs: examples of the inputs, by name.
+        outputs: names of the outputs.
+        sizes: axes of any size of each input, `dynamic_shapes` of torch.export.
+        about: texts that are kept as metadata, by name.
+        half: whether to store large weights in half precision, and the largest in 8 bits.
+        largest: numbers of a weight from which on it is stored in 8 bits.
+
+    Returns:
+        The content of the file.
 
     Raises:
-        ValueError: packages are missing.
+        ValueError: onnx or onnxscript is not installed.
     """
     require_packages()
     with warnings.catch_warnings(), torch.no_grad():
@@ -72,9 +77,9 @@ def encode_model(
     assert program is not None
     model = program.model_proto
     for node in model.graph.node:
-        del node.metadata_props[:]  # where in the source it comes from
+        del node.metadata_props[:]  # places in Python's source
     if half:
-        _halve(model.graph, largest)
+        _compress_weights(model.graph, largest)
     del model.metadata_props[:]
     for key, text in about.items():
         entry = model.metadata_props.add()
@@ -83,8 +88,15 @@ def encode_model(
     return content
 
 
-def _halve(graph: Any, largest: int) -> None:
-    """Store large weights in 16 bits, the largest in 8 with a scale for each output, of which runtimes make 32."""
+def _compress_weights(graph: Any, largest: int) -> None:
+    """Store large weights in 16 bits, and the largest in 8 bits with a scale for each output.
+
+    Nodes are added that make weights of 32 bits of them when a runtime loads the model.
+
+    Args:
+        graph: the graph of the model, which is changed.
+        largest: numbers of a weight from which on it is stored in 8 bits.
+    """
     from onnx import TensorProto, helper, numpy_helper
 
     nodes, scales = [], []

@@ -1,4 +1,5 @@
-// A photo to maps in the page: onnxruntime-web and the model come as text in scripts, since a page from disk may read nothing else.
+// The program of the page: it makes maps of a photo by onnxruntime-web. The runtime and the model are text in scripts,
+// since browsers forbid a page from disk to read other files.
 "use strict";
 
 const MAPS = Array.from(document.querySelectorAll("#maps canvas"), (canvas) => canvas.id);
@@ -19,7 +20,7 @@ function say(text, problem = false) {
   find("said").classList.toggle("problem", problem);
 }
 
-// The bytes of one of the scripts beside the page, which keeps them no longer.
+// Return the bytes that a script beside the page holds, and free its text.
 async function unpacked(name) {
   const answer = await fetch(`data:application/gzip;base64,${globalThis.packed[name]}`);
   delete globalThis.packed[name];
@@ -39,7 +40,7 @@ async function load() {
   return session;
 }
 
-// Means over `count` equal intervals of the rows of [rows, length, 3], transposed: [count, rows, 3].
+// Return means over `count` equal intervals of each row of values [rows, length, 3], transposed to [count, rows, 3].
 function intervals(values, rows, length, count) {
   const result = new Float32Array(count * rows * 3), scale = length / count;
   for (let i = 0; i < count; i++) {
@@ -55,7 +56,8 @@ function intervals(values, rows, length, count) {
   return result;
 }
 
-// The central square as the model's input [3, side, side], sRGB: means over areas in linear light, as metapp reads photos.
+// Return the central square of a photo as input of the model, [3, side, side], sRGB. Pixels are means over areas in
+// linear light, as metapp reads photos.
 function input(bitmap, side) {
   const own = Math.min(bitmap.width, bitmap.height), size = Math.min(Math.max(own, side), LARGEST);
   const canvas = Object.assign(document.createElement("canvas"), { width: size, height: size });
@@ -70,7 +72,7 @@ function input(bitmap, side) {
   return result;
 }
 
-// Show values [1 or 3, side, side] in 0 to 1 on a canvas.
+// Show values [1 or 3, side, side] from 0 to 1 on a canvas.
 function show(canvas, values, side, display) {
   const count = side * side, grey = values.length === count, picture = new ImageData(side, side);
   for (let i = 0; i < count; i++) {
@@ -102,7 +104,7 @@ async function run() {
   say(`${name}: maps of ${side} x ${side} px in ${((performance.now() - start) / 1000).toFixed(1)} s.`);
 }
 
-// Run what is open after what runs; a problem is said, and the next photo may work.
+// Run the open photo after the one that runs; a problem is shown, and does not keep the next photo from running.
 function next() {
   runs = runs.then(run).catch((error) => say(`${photo?.name}: ${error.message ?? error}`, true));
   return runs;

@@ -1,9 +1,14 @@
-"""General of flash photographs as an ONNX model: one photograph to the maps of its material."""
+"""General of flash photographs as an ONNX model: it makes the maps of a material from one photograph.
+
+The model holds all of the application that General needs: the decoding of sRGB, the encoder and the decoder. Programs
+that run it need to know neither this package nor torch.
+"""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
@@ -12,7 +17,7 @@ from metapp.extensions.onnx_files.models import encode_model
 from metapp.learning.task import Params
 
 MODEL_OUTPUTS = ("diffuse", "specular", "roughness", "normal")
-MODEL_SIDE_STEP_PX = 8  # sides are a multiple of it
+MODEL_SIDE_STEP_PX = 8  # of models that take photos of any size; sides are multiples of it
 PHOTO_MODEL_DESCRIPTION = {
     "photo": "sRGB values 0 to 1, [1, 3, H, W], of a flat patch under the flash beside the lens",
     "diffuse": "linear RGB, [1, 3, H, W]",
@@ -24,27 +29,32 @@ VGG_CREDIT = "VGG-16 of Simonyan and Zisserman 2014, weights of the Visual Geome
 
 
 class MaterialModule(torch.nn.Module):
-    """The maps that General reads from a photograph."""
+    """General as a module to trace: MODEL_OUTPUTS, the maps of a material, from a photograph [1, 3, H, W].
+
+    Args:
+        app: the application, with the size of its network.
+        encoder: the parameters of General's encoder.
+    """
 
     def __init__(self, app: CodedMaps, encoder: Params) -> None:
         super().__init__()
         self.app = app
         self.names = {name.replace(".", "-"): name for name in encoder}
-        weights = {short: encoder[name].float() for short, name in self.names.items()}
+        weights = {key: encoder[name].float() for key, name in self.names.items()}
         self.encoder = torch.nn.ParameterDict(weights)
 
+    @override
     def forward(self, photo: Tensor) -> tuple[Tensor, ...]:
-        """OUTPUTS of a photograph [1, 3, H, W]."""
         linear = srgb_to_linear(photo)
         inputs = pixel_inputs(linear)
-        encoder = {name: self.encoder[short] for short, name in self.names.items()}
+        encoder = {name: self.encoder[key] for key, name in self.names.items()}
         theta = self.app.encode(encoder, {"photo": linear, "inputs": inputs})
-        code = self.app.network.gain * theta["z"]  # one in each pixel
+        code = self.app.network.gain * theta["z"]  # a code in each pixel
         maps = self.app.maps_from(self.app.network.decoded(theta, code, inputs))
         return tuple(getattr(maps, name) for name in MODEL_OUTPUTS)
 
-    def any_size(self) -> bool:
-        """Whether it reads photographs of other sizes than the field's."""
+    def reads_any_size(self) -> bool:
+        """Return whether the module reads photographs of other sizes than the network's own."""
         with torch.no_grad():
             try:
                 return bool(
@@ -56,20 +66,24 @@ class MaterialModule(torch.nn.Module):
 
 
 def encode_photo_model(app: CodedMaps, encoder: Params, about: dict[str, str]) -> tuple[bytes, bool]:
-    """The model, the content of its file.
+    """Trace General of flash photographs as an ONNX model.
+
+    Args:
+        app: the application.
+        encoder: the parameters of General's encoder.
+        about: texts for the metadata, beside the description of inputs and outputs.
 
     Returns:
-        And whether it takes photographs of any size whose sides are multiples of SIDE_STEP_PX; else those of the
-        field's alone.
+        The content of the file, and whether the model takes photographs of any size whose sides are multiples of
+        MODEL_SIDE_STEP_PX; else it takes photographs of the network's size alone.
 
     Raises:
-        ValueError: packages are missing.
+        ValueError: onnx or onnxscript is not installed.
     """
     model, side = MaterialModule(app, encoder), app.network.height
-    any_size = model.any_size()
-    shape = (
-        (side, side - 8 * MODEL_SIDE_STEP_PX) if any_size else (side, side)
-    )  # of two numbers, so that they are told apart
+    any_size = model.reads_any_size()
+    # the example has two different sides, so that the trace does not take height and width for one number
+    shape = (side, side - 8 * MODEL_SIDE_STEP_PX) if any_size else (side, side)
     largest = 4096 // MODEL_SIDE_STEP_PX
     axes = {2 + i: MODEL_SIDE_STEP_PX * torch.export.Dim(name, min=2, max=largest) for i, name in enumerate(("h", "w"))}
     sizes = {"photo": axes} if any_size else {}

@@ -1,1 +1,5 @@
-"""BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
+"""BRDFs in the formats of Mitsuba 3: files of the RGL material database, and scenes that show fits.
+
+Read `tensor_file`, the container of these files; `rgl`, files as tasks and fits as files, with `spectra`, colours of
+spectra and spectra of colours; then `brdf_conversion`, conversion without a fit, and `brdf_scene`, scenes.
+"""

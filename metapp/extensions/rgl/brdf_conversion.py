@@ -1,4 +1,7 @@
-"""Measured BRDFs from one form into another, without a fit: MERL tables, RGL files in RGB and with spectra, NBRDF."""
+"""The conversion of measured BRDFs without a fit: MERL tables, RGL files in RGB or with spectra, NBRDF networks.
+
+It is `metapp export` of files that are no runs. The module knows readers and writers of formats, but no applications.
+"""
 
 from __future__ import annotations
 
@@ -22,60 +25,76 @@ from metapp.runs.reporter import progress, say
 from metapp.storage.files import error_about_file
 from metapp.storage.folders import check_files_of_user
 
-CONVERTED_ENDINGS = {
+CONVERTED_ENDINGS = {  # endings of the files that are written, by the kind of export
     "merl": ".binary",
     "bsdf": rgl.RGL_SUFFIX,
     "bsdf-spectral": f"{rgl.SPECTRAL_ENDING}{rgl.RGL_SUFFIX}",
-}  # of what is written
+}
 CONVERTED_READERS: tuple[ModuleType, ...] = (rgl, merl, nbrdf_files)
 
 
 def write_converted(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path]:
-    """Write a file, or those of a folder, in a form, without the ends _rgb and _spec of RGL names.
+    """Convert a measured BRDF, or all of a folder, and write them under their names without _rgb and _spec.
 
-    RGL files are evaluated by Mitsuba at the centres of MERL's bins; colours and spectra of RGL files become each
-    other on the file's own grid. Spectra that are made of colours are the smoothest of that colour in D65.
+    For MERL tables, RGL files are evaluated by Mitsuba at the centres of the bins. RGL files become RGL files on their
+    own grids: spectra become colours in D65, and colours become the smoothest spectra that have them in D65.
+
+    Args:
+        path: a MERL table, an RGL file, an NBRDF folder, or a folder of these.
+        kind: the format to write, a key of CONVERTED_ENDINGS.
+        folder: the folder that files are written into.
+        quiet: whether to show no progress.
+
+    Returns:
+        The files that were written.
 
     Raises:
-        ValueError: none of these, damaged, two of one name, or an anisotropic material for a MERL table.
-        BadOption: a file is there already.
+        ValueError: no measured BRDF, a damaged file, two files of one name, an anisotropic material for a MERL table.
+        BadOption: a file exists already.
     """
     check_files_of_user(path, "a run, MERL tables, RGL files or NBRDF networks")
-    found = [reader.find(path) for reader in CONVERTED_READERS if reader.recognises(path)]
-    if not found:
+    found_sources = [reader.find(path) for reader in CONVERTED_READERS if reader.recognises(path)]
+    if not found_sources:
         problem = "another kind" if path.exists() else "no such file"
         remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
         raise ValueError(f"{path}: {problem}, expected a run, MERL tables, RGL files or NBRDF networks; {remedy}.")
-    places: dict[Path, Path] = {}  # by the files that they are written to
-    for source in dict.fromkeys(source.path for sources, _ in found for source in sources):
-        name = source.stem if source.is_file() else source.resolve().name  # which may have dots
+    sources_by_target: dict[Path, Path] = {}
+    for source in dict.fromkeys(source.path for sources, _ in found_sources for source in sources):
+        name = source.stem if source.is_file() else source.resolve().name  # names of folders may have dots
         target = folder / f"{name.removesuffix('_rgb').removesuffix(rgl.SPECTRAL_ENDING)}{CONVERTED_ENDINGS[kind]}"
-        if target in places:
+        if target in sources_by_target:
             raise ValueError(
-                f"{target}: of both {places[target]} and {source}, expected names that differ; export one at a time."
+                f"{target}: both {sources_by_target[target]} and {source} would be written to it, expected names that "
+                "differ; export one at a time."
             )
-        places[target] = source
-    check_new_files(places)
-    for line in found[0][1] if len(found) == 1 else ():  # else another reader's files
+        sources_by_target[target] = source
+    check_new_files(sources_by_target)
+    # of several readers each one warns of the files of the others
+    for line in found_sources[0][1] if len(found_sources) == 1 else ():
         say(f"warning: {line}")
-    with progress(kind, len(places), quiet=quiet) as bar:
-        for target, source in places.items():
+    with progress(kind, len(sources_by_target), quiet=quiet) as bar:
+        for target, source in sources_by_target.items():
             convert_brdf(source, kind, target)
             bar.advance(target.name)
-    return list(places)
+    return list(sources_by_target)
 
 
 def convert_brdf(source: Path, kind: str, target: Path) -> None:
-    """Write a source in a form; of RGL files for RGL files grids stay as they are.
+    """Convert a measured BRDF and write it; RGL files that become RGL files keep their grids.
+
+    Args:
+        source: a MERL table, an RGL file, or an NBRDF folder.
+        kind: the format to write, a key of CONVERTED_ENDINGS.
+        target: the file to write.
 
     Raises:
-        ValueError: damaged; an anisotropic material for a MERL table.
+        ValueError: the source is damaged, or it is an anisotropic material and the format MERL.
     """
     try:
         if kind == "merl":
-            evaluate, back = read_evaluator(source), torch.tensor([0, 0, math.pi])
-            # light and viewer exchanged are the same in a MERL table, and not quite in measurements
-            merl.write_merl(target, tabulate_merl(lambda angles: (evaluate(angles) + evaluate(angles + back)) / 2))
+            evaluate, half_turn = read_evaluator(source), torch.tensor([0, 0, math.pi])
+            # a MERL table has one value for a pair of directions and the exchanged pair, where measurements differ
+            merl.write_merl(target, tabulate_merl(lambda angles: (evaluate(angles) + evaluate(angles + half_turn)) / 2))
         elif source.suffix.lower() == rgl.RGL_SUFFIX:
             fields = read_tensor_file(source)
             rgl.check_fields(source, fields)
@@ -87,7 +106,11 @@ def convert_brdf(source: Path, kind: str, target: Path) -> None:
 
 
 def read_evaluator(source: Path) -> Callable[[Tensor], Tensor]:
-    """Linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad."""
+    """Read a measured BRDF as a function.
+
+    Returns:
+        A function of angles (theta_h, theta_d, phi_d) [..., 3] in rad that returns linear RGB [..., 3] in 1/sr.
+    """
     if not source.is_file():
         return partial(nbrdf_files.evaluate_nbrdf, nbrdf_files.read_nbrdf(source))
     if source.suffix.lower() == rgl.RGL_SUFFIX:

@@ -1,7 +1,7 @@
-"""Mitsuba 3: scenes that show a fitted BRDF, beside the files that they need.
+"""Scenes of Mitsuba 3 that show a fitted BRDF, and the files that they need.
 
 `<name>.xml` has the BSDF `neural_brdf`, which evaluates the fit; it needs `import metapp.mitsuba` before
-`mitsuba.load_file`. `<name>_builtin.xml` needs nothing but Mitsuba: `measured`, on a table of the BRDF.
+`mitsuba.load_file`. `<name>_builtin.xml` has Mitsuba's own `measured` on a table of the BRDF, and needs nothing else.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from metapp.storage.xml_files import write_xml
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
-SCENE_AND_BRDF_ENDINGS = {
+SCENE_AND_BRDF_ENDINGS = {  # by the BSDF: what the name of the scene ends with before .xml, and the ending of its data
     "neural_brdf": ("", ".safetensors"),
     "measured": ("_builtin", ".bsdf"),
-}  # of the scene, of its file
+}
 BRDF_SCENE_TEMPLATE = """<scene version="3.0.0"><integrator type="path"/>
 <bsdf type="" id=""><string name="filename" value=""/></bsdf>
 <shape type="sphere"><ref id=""/></shape>
@@ -37,18 +37,34 @@ BRDF_SCENE_TEMPLATE = """<scene version="3.0.0"><integrator type="path"/>
 
 
 def write_brdf_scenes(app: Brdf, theta: Params, path: Path) -> None:
-    """Write <path>/<name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf."""
+    """Write two scenes that show a fitted BRDF, and the parameters and the table that they read, into a folder.
+
+    Args:
+        app: the BRDF application.
+        theta: the parameters of the fit, without a task axis.
+        path: the folder, whose name the files <name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf get.
+    """
     tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
     write_bytes(path / f"{path.name}.safetensors", save(tensors))
     write_table(app, theta, path / f"{path.name}.bsdf")
-    for plugin, (suffix, ending) in SCENE_AND_BRDF_ENDINGS.items():
-        write_xml(path / f"{path.name}{suffix}.xml", brdf_scene(plugin, path.name, f"{path.name}{ending}"))
+    for bsdf, (scene_ending, data_ending) in SCENE_AND_BRDF_ENDINGS.items():
+        write_xml(path / f"{path.name}{scene_ending}.xml", brdf_scene(bsdf, path.name, f"{path.name}{data_ending}"))
 
 
 def brdf_scene(plugin: str, name: str, file: str) -> ET.Element:
-    """A sphere with the material, a lamp above it to the left, a dim sky."""
+    """Return the scene of a sphere with a material, a lamp above it to the left and a dim sky.
+
+    Args:
+        plugin: the type of the BSDF.
+        name: the name of the material.
+        file: the file that the BSDF reads, relative to the scene.
+    """
     root = ET.fromstring(BRDF_SCENE_TEMPLATE)
-    parts = {"bsdf": {"type": plugin, "id": name}, "bsdf/string": {"value": file}, "shape/ref": {"id": name}}
-    for path, attributes in parts.items():
+    attributes_by_path = {
+        "bsdf": {"type": plugin, "id": name},
+        "bsdf/string": {"value": file},
+        "shape/ref": {"id": name},
+    }
+    for path, attributes in attributes_by_path.items():
         next(root.iterfind(path)).attrib.update(attributes)
     return root

@@ -1,4 +1,4 @@
-"""Help and options of `metapp data bsdf`."""
+"""Help and options of `metapp data bsdf`; the reader itself is in `rgl`."""
 
 from __future__ import annotations
 

@@ -1,14 +1,15 @@
 """Files of the RGL material database (Dupuy and Jakob 2018): read by Mitsuba's `measured` BSDF, and written for it.
 
-They are tensor files, `*_rgb.bsdf` of linear RGB or `*_spec.bsdf` of spectra, which become linear RGB: Mitsuba's own
-spectra need another variant.
+They are tensor files, `*_rgb.bsdf` of linear RGB or `*_spec.bsdf` of spectra. Spectra are read as linear RGB, since
+Mitsuba evaluates spectra in spectral variants alone. This module knows what fields mean; `tensor_file` knows how they
+are stored.
 
-For each angle of the viewer there is a grid over half vectors m, in u = sqrt(2 theta_m / pi), which is dense at the
-normal, and v = phi_m / (2 pi) + 1/2, the azimuth to the viewer's. Of an anisotropic material, whose viewers have
-three azimuths phi_i or more, phi_m is from the tangent, and there is a grid for each pair of phi_i and theta_i; phi_i
-goes from -pi to pi, or to 0 or -pi/2 of a material that is symmetric. The database warps grids by the visible normals
-of a microfacet model; in files written here that warp is the identity (`vndf` is 1), and `luminance` alone says how
-Mitsuba samples.
+For each angle theta_i of the viewer there is a grid over half vectors m, in u = sqrt(2 theta_m / pi), which is dense at
+the normal, and v = phi_m / (2 pi) + 1/2, where phi_m is the azimuth from the viewer's azimuth. The viewers of an
+anisotropic material have three azimuths phi_i or more: there phi_m is the azimuth from the tangent, and there is a grid
+for each pair of phi_i and theta_i. phi_i goes from -pi to pi, or to 0 or -pi/2 if the material is symmetric. The
+database warps grids by the visible normals of a microfacet model; in files written here that warp is the identity
+(`vndf` is 1), and Mitsuba samples by `luminance` alone.
 """
 
 from __future__ import annotations
@@ -40,22 +41,20 @@ from metapp.storage.files import add_suffix
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
-VIEWER_ANGLES = 40  # angles of the viewer
-HALF_VECTORS_PER_AXIS = 160  # half vectors along u and v
-ANISOTROPIC_VIEWER_AZIMUTHS, ANISOTROPIC_VIEWER_ANGLES, ANISOTROPIC_HALF_VECTORS_PER_AXIS = (
-    17,
-    20,
-    96,
-)  # azimuths of the viewer, angles and half vectors of an anisotropic material
-LAST_VIEWER_DEGREES = 89.5
-MIN_LUMINANCE_SHARE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
+# Grids of files written here, of isotropic and of anisotropic materials
+VIEWER_ANGLES = 40  # number of angles theta_i of the viewer
+HALF_VECTORS_PER_AXIS = 160  # number of half vectors along u, and along v
+ANISOTROPIC_VIEWER_AZIMUTHS = 17  # number of azimuths phi_i of the viewer
+ANISOTROPIC_VIEWER_ANGLES = 20  # number of angles theta_i of the viewer
+ANISOTROPIC_HALF_VECTORS_PER_AXIS = 96  # number of half vectors along u, and along v
+LAST_VIEWER_DEGREES = 89.5  # greatest angle theta_i of the viewer
+MIN_LUMINANCE_SHARE = 1e-3  # of the mean luminance, added everywhere, so that Mitsuba samples all directions
 RGL_SUFFIX = ".bsdf"
-SPECTRAL_ENDING = "_spec"  # end of names of files of spectra, before the suffix
-NEGATIVE_DENSITY_SHARE = 1e-6  # of the greatest value of a density: values that little below 0 are noise
-NEGATIVE_REFLECTANCE_SHARE = (
-    0.1  # of the greatest reflectance: saturated colours of measurements, outside of Rec.709, have so much
-)
-MAX_FIELD_VALUE = 1e9  # of any number; measurements are below 1e6
+SPECTRAL_ENDING = "_spec"  # ending of names of files with spectra, before the suffix
+NEGATIVE_DENSITY_SHARE = 1e-6  # of the greatest density: a density that is negative by less is taken for noise
+# of the greatest reflectance, by which values may be negative: saturated measured colours lie outside of Rec.709
+NEGATIVE_REFLECTANCE_SHARE = 0.1
+MAX_FIELD_VALUE = 1e9  # absolute value of any number; measurements are below 1e6
 # number of axes of each field that `measured` reads
 FIELD_AXES = {
     "description": 1,
@@ -67,7 +66,7 @@ FIELD_AXES = {
     "luminance": 4,
     "jacobian": 1,
 }
-COVERED_WAVELENGTHS_NM = (420.0, 680.0)  # nm, that spectra must cover
+COVERED_WAVELENGTHS_NM = (420.0, 680.0)  # the range that spectra must cover
 UNITS = brdf_task.UNITS
 recognises = partial(has_suffix, suffix=RGL_SUFFIX)
 
@@ -80,20 +79,22 @@ def write_rgl(
     azimuths: bool = False,
     spectral: bool = False,
 ) -> None:
-    """Tabulate a BRDF as a file that `measured` loads in RGB variants, or in spectral ones; whole or not at all.
+    """Tabulate a BRDF as a file that Mitsuba's `measured` loads; the file is written whole or not at all.
 
     Args:
-        path: the file, 16 MB, or 57 MB of spectra; three times as much of an anisotropic BRDF.
-        evaluate: linear RGB [N, 3] in 1/sr, of angles (theta_h, theta_d, phi_d) [N, 3] in rad, or with phi_h [N, 4].
-        description: kept in the file.
+        path: the file, of 16 MB, or of 57 MB with spectra; three times as much if the BRDF is anisotropic.
+        evaluate: a function of angles (theta_h, theta_d, phi_d) [N, 3] in rad, or with phi_h [N, 4], that returns
+            linear RGB [N, 3] in 1/sr.
+        description: a text that is kept in the file.
         azimuths: whether the BRDF is anisotropic and takes phi_h.
-        spectral: whether it is for spectral variants, with spectra as of `fields_in_spectra`.
+        spectral: whether the file is for spectral variants, with spectra made by :func:`fields_in_spectra`.
 
     Raises:
-        ValueError: a value that is not finite.
+        ValueError: the BRDF has a value that is not finite.
     """
-    rest = np.linspace(1, 0, ANISOTROPIC_VIEWER_ANGLES if azimuths else VIEWER_ANGLES)
-    theta = math.radians(LAST_VIEWER_DEGREES) * (1 - rest * rest)  # of the viewer, from the normal and denser there
+    fraction = np.linspace(1, 0, ANISOTROPIC_VIEWER_ANGLES if azimuths else VIEWER_ANGLES)
+    # angles of the viewer from the normal, denser at grazing angles
+    theta = math.radians(LAST_VIEWER_DEGREES) * (1 - fraction * fraction)
     phi = np.linspace(-np.pi, np.pi, ANISOTROPIC_VIEWER_AZIMUTHS) if azimuths else np.zeros(1)
     viewers = _directions(torch.from_numpy(theta)[None], torch.from_numpy(phi)[:, None])
     line = torch.linspace(
@@ -103,20 +104,21 @@ def write_rgl(
     half = _directions(u * u * (math.pi / 2), (2 * v - 1) * math.pi)
     to_angles = directions_to_four_angles if azimuths else directions_to_full_rusinkiewicz
 
-    def table(viewer: Tensor) -> NDArray[np.float64]:
-        """f cos theta of the light, [3, side, side]; 0 if the light is below the surface."""
+    def tabulate(viewer: Tensor) -> NDArray[np.float64]:
+        """Return f cos theta_light over half vectors, [3, side, side]; 0 where the light is below the surface."""
         light = 2 * (half @ viewer)[..., None] * half - viewer
-        up = (light[..., 2] > 0) & (half @ viewer > 0)
+        is_visible = (light[..., 2] > 0) & (half @ viewer > 0)
         values = torch.zeros_like(light)
         with torch.no_grad():
-            pairs = to_angles(light[up], viewer.expand_as(light[up])).float()
-            values[up] = evaluate(pairs).double() * light[up][:, 2:]
+            angles = to_angles(light[is_visible], viewer.expand_as(light[is_visible])).float()
+            values[is_visible] = evaluate(angles).double() * light[is_visible][:, 2:]
         return values.movedim(-1, 0).numpy()
 
-    tables = np.stack([[table(viewer) for viewer in row] for row in viewers])
+    tables = np.stack([[tabulate(viewer) for viewer in row] for row in viewers])
     if not np.isfinite(tables).all():
         raise ValueError(f"{path}: values that are NaN or infinite, expected finite reflectance; fit again.")
-    # densities per area of the grid, so that what counts is the light a cell reflects: solid angle of lights over it
+    # Mitsuba samples cells by luminance, so it is the light that a cell reflects: f cos times the cell's solid angle of
+    # lights
     area = 4 * torch.einsum("vuc,ptc->ptvu", half, viewers).clamp_min(0) * (u * (1 - half[..., 2] ** 2).sqrt())
     luminance = tables.mean(2) / np.maximum(np.cos(theta), 1e-3)[:, None, None] * area.numpy()
     luminance += MIN_LUMINANCE_SHARE * luminance.mean((2, 3), keepdims=True) + 1e-12
@@ -135,13 +137,20 @@ def write_rgl(
 
 
 def _directions(theta: Tensor, phi: Tensor) -> Tensor:
-    """Unit vectors [..., 3] of angles in rad that broadcast."""
-    parts = (theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
-    return torch.stack(torch.broadcast_tensors(*parts), -1)
+    """Return unit vectors [..., 3] for angles from the normal and azimuths in rad, whose shapes are broadcast."""
+    components = (theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
+    return torch.stack(torch.broadcast_tensors(*components), -1)
 
 
 def export(app: Brdf, theta: Params, path: Path, *, spectral: bool = False) -> None:
-    """Write a fitted network of the BRDF application as <path>.bsdf, or <path>_spec.bsdf for spectral variants."""
+    """Write a fitted BRDF as <path>.bsdf, or as <path>_spec.bsdf for spectral variants of Mitsuba.
+
+    Args:
+        app: the BRDF application.
+        theta: the parameters of the fit, without a task axis.
+        path: the file, to which the ending is added.
+        spectral: whether to write spectra in place of RGB.
+    """
     file = path.with_name(f"{path.name}{SPECTRAL_ENDING}{RGL_SUFFIX}") if spectral else add_suffix(path, RGL_SUFFIX)
     evaluate, anisotropic = partial(app.reflectance, theta), app.network.anisotropic
     write_rgl(
@@ -157,21 +166,28 @@ export_spectral = partial(export, spectral=True)
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
-    """Turn a file into a BRDF task of so many samples, named by the file's stem; warns of implausible values.
+    """Read an RGL file as a BRDF task that is named by the file's stem; warn of implausible values.
+
+    Args:
+        path: the file.
+        samples: number of samples of the task.
 
     Raises:
-        ValueError: as `read_rgl`.
+        ValueError: the file cannot be read, see :func:`read_rgl`.
     """
     return brdf_task.make_measured_task(path.stem, read_rgl(path), samples, path, azimuths=is_anisotropic(path))
 
 
 def find(path: Path) -> Sources:
-    """Find files, and which are of anisotropic materials; of a damaged one reading it says what is wrong."""
+    """Find RGL files, and say of each whether its material is anisotropic.
+
+    A damaged file is found all the same; reading it raises an error that says what is wrong.
+    """
     files, skipped = find_by_suffix(path, RGL_SUFFIX, "an RGL .bsdf file")
-    return [Source(file.stem, file, facts=_facts_of(file)) for file in files], skipped
+    return [Source(file.stem, file, facts=_read_facts(file)) for file in files], skipped
 
 
-def _facts_of(file: Path) -> Facts:
+def _read_facts(file: Path) -> Facts:
     try:
         return {ANISOTROPIC_FACT: is_anisotropic(file)}
     except (ValueError, OSError):
@@ -179,19 +195,25 @@ def _facts_of(file: Path) -> Facts:
 
 
 def is_anisotropic(path: Path) -> bool:
-    """Test whether a file is of an anisotropic material; ValueError or OSError if it cannot be read."""
+    """Return whether the material of a file is anisotropic.
+
+    Raises:
+        ValueError: the file is damaged.
+        OSError: the file cannot be read.
+    """
     return math.prod(read_shapes(path).get("phi_i", (0,))) > 2
 
 
 def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
-    """Read a file.
+    """Read an RGL file as a function, which Mitsuba evaluates.
 
     Returns:
-        Linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad, and phi_h of an
-        anisotropic material, as Mitsuba evaluates it; ValueError if that is missing.
+        A function of angles (theta_h, theta_d, phi_d) [..., 3] in rad, or with phi_h [..., 4] for an anisotropic
+        material, that returns linear RGB [..., 3] in 1/sr, >= 0. It raises ValueError if an anisotropic material is
+        evaluated without phi_h.
 
     Raises:
-        ValueError: it is damaged; its spectra do not cover visible light; Mitsuba cannot be loaded.
+        ValueError: the file is damaged; its spectra do not cover visible light; Mitsuba cannot be loaded.
     """
     fields = read_tensor_file(path)
     check_fields(path, fields)
@@ -211,29 +233,36 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
 
 
 def check_fields(path: Path, fields: TensorFields) -> None:
-    """Refuse files that Mitsuba would refuse at length, or not at all.
+    """Refuse a file that Mitsuba would refuse by a long message, or would load though it is damaged.
+
+    Args:
+        path: the file, named in messages.
+        fields: the arrays of the file.
 
     Raises:
-        ValueError: one line.
+        ValueError: the first fault of the file, in one line.
     """
-    for fault in _faults(fields):
+    for fault in _find_faults(fields):
         raise ValueError(f"{path}: {fault}; download it again.")
-    for name in ("vndf", "luminance"):  # `measured` draws directions by them, and `eval` does not use them
-        if (least := float(fields[name].min())) < 0:
-            warnings.warn(f"{path}: {name} of down to {least:.1g}, taken for noise below 0.", stacklevel=2)
+    for name in ("vndf", "luminance"):  # `measured` samples directions by them, and evaluates without them
+        if (lowest := float(fields[name].min())) < 0:
+            warnings.warn(f"{path}: {name} as low as {lowest:.1g}; values below 0 are taken for noise.", stacklevel=2)
 
 
-def _faults(fields: TensorFields) -> Iterator[str]:
-    """Faults of a file, each with the expectation; the next one is only to be asked for if there is none."""
+def _find_faults(fields: TensorFields) -> Iterator[str]:
+    """Yield the faults of a file, each with what was expected.
+
+    Each check relies on the ones before it: ask for the next fault only if none was found so far.
+    """
     colours = "spectra" if "spectra" in fields and "rgb" not in fields else "rgb"
     axes = FIELD_AXES | ({"spectra": 5, "wavelengths": 1} if colours == "spectra" else {"rgb": 5})
     for name, count in axes.items():
         if name not in fields or fields[name].ndim != count:
             found = fields[name].ndim if name in fields else "no"
             yield f"field {name} of {found} axes, expected {count} of an RGL measurement"
-        kind = "u1" if name in ("description", "jacobian") else "f4"
-        if fields[name].dtype != kind:
-            yield f"{name} of type {fields[name].dtype}, expected {np.dtype(kind)}"
+        expected_type = "u1" if name in ("description", "jacobian") else "f4"
+        if fields[name].dtype != expected_type:
+            yield f"{name} of type {fields[name].dtype}, expected {np.dtype(expected_type)}"
         if not (np.abs(fields[name]) < MAX_FIELD_VALUE).all():
             yield f"{name} has NaN, infinite or huge values, expected below {MAX_FIELD_VALUE:g}"
     phis, thetas, side = len(fields["phi_i"]), len(fields["theta_i"]), fields[colours].shape[-1]
@@ -252,9 +281,9 @@ def _faults(fields: TensorFields) -> Iterator[str]:
     for name in {"theta_i", "phi_i", "wavelengths"} & axes.keys():
         if (np.diff(fields[name]) <= 0).any():
             yield f"{name} not ascending, expected ascending ones"
-    least, most = float(fields[colours].min()), float(fields[colours].max())
-    if least < -NEGATIVE_REFLECTANCE_SHARE * most or most <= 0:
-        yield f"{colours} from {least:.4g} to {most:.4g}, expected reflectance of 0 or more"
+    lowest, highest = float(fields[colours].min()), float(fields[colours].max())
+    if lowest < -NEGATIVE_REFLECTANCE_SHARE * highest or highest <= 0:
+        yield f"{colours} from {lowest:.4g} to {highest:.4g}, expected reflectance of 0 or more"
     for name in ("vndf", "luminance"):
         if (
             fields[name].min() < -NEGATIVE_DENSITY_SHARE * fields[name].max()
@@ -269,4 +298,5 @@ def _faults(fields: TensorFields) -> Iterator[str]:
         first, last = fields["wavelengths"][[0, -1]]
         if channels < 4 or first > COVERED_WAVELENGTHS_NM[0] or last < COVERED_WAVELENGTHS_NM[1]:
             found = f"{channels} wavelengths from {first:g} to {last:g} nm"
-            yield f"{found}, expected 4 or more that cover {COVERED_WAVELENGTHS_NM[0]:g} to {COVERED_WAVELENGTHS_NM[1]:g} nm, or the _rgb.bsdf"
+            expected = f"{COVERED_WAVELENGTHS_NM[0]:g} to {COVERED_WAVELENGTHS_NM[1]:g} nm"
+            yield f"{found}, expected 4 or more that cover {expected}, or the _rgb.bsdf"

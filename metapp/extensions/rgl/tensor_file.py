@@ -1,7 +1,8 @@
 """Tensor files, the container of the RGL database: named arrays.
 
-"tensor_file" and a zero byte, the version 1.0, the number of fields; of each field its name, number of axes, type,
-offset in the file and shape; then the values. All little-endian, in C order.
+A file begins with "tensor_file" and a zero byte, the version 1.0 and the number of fields. For each field follow its
+name, number of axes, type, offset in the file and shape; then the values. All numbers are little-endian, all arrays in
+C order. This module does not know what the fields mean.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from numpy.typing import NDArray
 
 from metapp.storage.files import check_readable, open_regular, read_bytes, write_bytes
 
-TENSOR_FILE_MAGIC = b"tensor_file\0\1\0"  # with the version
-TENSOR_TYPES = {
+TENSOR_FILE_MAGIC = b"tensor_file\0\1\0"  # the first bytes of a file, with the version
+TENSOR_TYPES = {  # types of numpy by their numbers in files
     1: "<u1",
     2: "<i1",
     3: "<u2",
@@ -31,17 +32,17 @@ TENSOR_TYPES = {
     10: "<f4",
     11: "<f8",
 }
-ALIGNMENT_BYTES = 8
-HEAD_BYTES = 1 << 16  # at the beginning of a file, where names and shapes are
+ALIGNMENT_BYTES = 8  # offsets of arrays are multiples of it
+HEAD_BYTES = 1 << 16  # bytes at the beginning of a file, among which all names and shapes are
 
 TensorFields = Mapping[str, NDArray[np.number]]
 
 
 def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
-    """Read all arrays of a file.
+    """Read all arrays of a tensor file, by name.
 
     Raises:
-        ValueError: it is none, is of another version, or is damaged.
+        ValueError: the file is no tensor file, is of another version, or is damaged.
     """
     check_readable(Path(path))
     content = read_bytes(path)
@@ -49,9 +50,9 @@ def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
         raise ValueError(f"{path}: no tensor file of version 1.0, expected one; not an RGL measurement.")
     fields: dict[str, NDArray[np.number]] = {}
     try:
-        for name, dtype, shape, offset in _heads(content):
+        for name, dtype, shape, offset in _parse_heads(content):
             size = math.prod(shape)
-            if not 0 < size * dtype.itemsize <= len(content) - offset:  # numpy refuses not all of these
+            if not 0 < size * dtype.itemsize <= len(content) - offset:  # numpy accepts some of these
                 raise ValueError(name)
             fields[name] = np.frombuffer(content, dtype, size, offset).reshape(shape)
     except (struct.error, ValueError, KeyError):
@@ -61,45 +62,51 @@ def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
 
 
 def read_shapes(path: str | Path) -> dict[str, tuple[int, ...]]:
-    """Read the shapes of all arrays of a file, from its beginning alone.
+    """Read the shapes of all arrays of a tensor file, by name, from the beginning of the file alone.
 
     Raises:
-        ValueError: it is none, is of another version, or is damaged.
+        ValueError: the file is no tensor file, is of another version, or is damaged.
     """
     check_readable(Path(path))
     with open_regular(path) as file:
         content = file.read(HEAD_BYTES)
     try:
         if content.startswith(TENSOR_FILE_MAGIC):
-            return {name: shape for name, _, shape, _ in _heads(content)}
+            return {name: shape for name, _, shape, _ in _parse_heads(content)}
     except (struct.error, ValueError, KeyError):
         pass
     raise ValueError(f"{path}: damaged or of another version, expected a tensor file; download it again.")
 
 
-def _heads(content: bytes) -> Iterator[tuple[str, np.dtype[Any], tuple[int, ...], int]]:
-    """Name, type, shape and offset of each array; struct.error, ValueError or KeyError if they are damaged."""
+def _parse_heads(content: bytes) -> Iterator[tuple[str, np.dtype[Any], tuple[int, ...], int]]:
+    """Yield name, type, shape and offset of each array of a file.
+
+    Raises:
+        struct.error, ValueError, KeyError: the beginning of the file is damaged.
+    """
     (count,) = struct.unpack_from("<I", content, len(TENSOR_FILE_MAGIC))
-    at = len(TENSOR_FILE_MAGIC) + 4
+    position = len(TENSOR_FILE_MAGIC) + 4
     for _ in range(count):
-        (length,) = struct.unpack_from("<H", content, at)
-        name = content[at + 2 : at + 2 + length].decode()
-        at += 2 + length
-        axes, kind, offset = struct.unpack_from("<HBQ", content, at)
-        shape = struct.unpack_from(f"<{axes}Q", content, at + 11)
-        at += 11 + 8 * axes
-        yield name, np.dtype(TENSOR_TYPES[kind]), shape, offset
+        (length,) = struct.unpack_from("<H", content, position)
+        name = content[position + 2 : position + 2 + length].decode()
+        position += 2 + length
+        axes, type_number, offset = struct.unpack_from("<HBQ", content, position)
+        shape = struct.unpack_from(f"<{axes}Q", content, position + 11)
+        position += 11 + 8 * axes
+        yield name, np.dtype(TENSOR_TYPES[type_number]), shape, offset
 
 
 def write_tensor_file(path: str | Path, fields: TensorFields) -> None:
-    """Write arrays, whole or not at all."""
-    kinds = {np.dtype(word): kind for kind, word in TENSOR_TYPES.items()}
+    """Write arrays as a tensor file, whole or not at all."""
+    type_numbers = {np.dtype(type_name): number for number, type_name in TENSOR_TYPES.items()}
     offset = len(TENSOR_FILE_MAGIC) + 4 + sum(13 + len(name) + 8 * array.ndim for name, array in fields.items())
     head, body = [TENSOR_FILE_MAGIC, struct.pack("<I", len(fields))], []
     for name, array in fields.items():
-        pad = -offset % ALIGNMENT_BYTES
+        padding = -offset % ALIGNMENT_BYTES
         head.append(struct.pack("<H", len(name)) + name.encode())
-        head.append(struct.pack(f"<HBQ{array.ndim}Q", array.ndim, kinds[array.dtype], offset + pad, *array.shape))
-        body.append(bytes(pad) + np.ascontiguousarray(array).tobytes())
-        offset += pad + array.nbytes
+        head.append(
+            struct.pack(f"<HBQ{array.ndim}Q", array.ndim, type_numbers[array.dtype], offset + padding, *array.shape)
+        )
+        body.append(bytes(padding) + np.ascontiguousarray(array).tobytes())
+        offset += padding + array.nbytes
     write_bytes(path, b"".join((*head, *body)))

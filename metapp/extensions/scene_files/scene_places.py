@@ -1,6 +1,7 @@
-"""Places of files of scenes: regular files of a bounded size, in folders that the user named alone.
+"""The files that a scene may name: regular files of a bounded size in folders that the user named.
 
-Pictures and volumes are of a size that Mitsuba can take.
+A scene comes from anywhere, so a name in it gives no right to read the file. Pictures and volumes must have a size that
+Mitsuba can take. This module does not know whether the scene is in XML, in JSON or in memory.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import OpenImageIO as oiio
+from typing_extensions import override
 
 from data_tools.readers.image_files import (
     check_memory,
@@ -26,50 +28,56 @@ from data_tools.readers.image_files import (
 from metapp.rendering.scenes.rules import SceneFiles, to_snake_case
 from metapp.storage.files import open_regular, open_text, placeholder_line
 
-MAX_TEXT_CHARACTERS = 2**24  # characters of a scene file or an include
+MAX_TEXT_CHARACTERS = 2**24  # of a scene file, an include, and of a scene file with all of its includes
 MAX_DATA_BYTES = 2**31  # of a mesh, bitmap or spectrum
-_VOLUME = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
-_BOX_BYTES = 24
-_DRIVE = re.compile(r"[A-Za-z]:[\\/]")  # begins an absolute name of Windows
+_VOLUME_HEADER = struct.Struct("<4s5i")  # VOL and a version, type, width, height, depth, channels
+_BOUNDING_BOX_BYTES = 24  # six floats, which follow the header of a volume
+_WINDOWS_DRIVE = re.compile(r"[A-Za-z]:[\\/]")  # begins an absolute name of Windows
 
-# Data files of scenes that were read in this process. A scene is kept as text beside its samples, and may be loaded
-# from it again, but text from elsewhere gives no right to read files.
-_read_before: set[Path] = set()
+# Data files that scenes read in this process have named. A scene is kept as text beside its samples, and may be loaded
+# from this text again, but text from elsewhere gives no right to read files.
+_files_read_before: set[Path] = set()
 
 
 @dataclass(frozen=True)
 class ScenePlaces(SceneFiles):
-    """Places of the files of a scene.
+    """The places where the files of a scene may lie.
 
     Attributes:
-        search: folders in which relative names are looked for, in this order.
-        roots: resolved folders that hold all files that may be read; none: of a stored scene.
-        most_bytes: of a mesh, bitmap or spectrum.
+        search_folders: folders in which relative names are looked for, in this order.
+        allowed_folders: resolved folders outside of which no file may be read; none for a stored scene, which may read
+            files that were read in this process before.
+        most_bytes: size of a mesh, bitmap or spectrum at most.
     """
 
-    search: tuple[Path, ...] = ()
-    roots: tuple[Path, ...] = ()
+    search_folders: tuple[Path, ...] = ()
+    allowed_folders: tuple[Path, ...] = ()
     most_bytes: int = MAX_DATA_BYTES
 
     @classmethod
-    def beside(cls, path: Path, others: Iterable[Path] = ()) -> ScenePlaces:
-        """The folder of a scene file, then further folders; files may lie in each."""
+    def from_scene_file(cls, path: Path, others: Iterable[Path] = ()) -> ScenePlaces:
+        """Return the places of a scene file.
+
+        Args:
+            path: the scene file, whose folder is searched first.
+            others: further folders that are searched, and in which files may lie as well.
+        """
         folders = tuple(folder.resolve() for folder in (path.resolve().parent, *others))
         return cls(folders, folders)
 
+    @override
     def first(self, folder: str | Path) -> ScenePlaces:
-        """The places with a folder searched first: a path, or the name of one, as of <path>."""
-        path = folder if isinstance(folder, Path) else self.folder(folder)
-        return replace(self, search=(path, *self.search))
+        """Return the places with a folder that is searched first: a path, or the value of a <path> element."""
+        path = folder if isinstance(folder, Path) else self.find_folder(folder)
+        return replace(self, search_folders=(path, *self.search_folders))
 
+    @override
     def file(self, name: str) -> Path:
-        """The data file of a name.
-
-        Returns:
-            Its absolute path without links.
+        """Find the data file of a name; stored scenes may then name it in this process.
 
         Raises:
-            ValueError: it is missing, too large, no regular file, elsewhere, or stands for another file.
+            ValueError: the file is missing, too large, no regular file, outside of the allowed folders, or a
+                placeholder for another file.
         """
         path = self._find(name, "file")
         if not path.is_file():
@@ -79,47 +87,56 @@ class ScenePlaces(SceneFiles):
             raise ValueError(f"names {path!s:.200}, of {size:,} bytes, expected {self.most_bytes:,} at most.")
         if line := placeholder_line(path):
             raise ValueError(f"names {line}")
-        _read_before.add(path)
+        _files_read_before.add(path)
         return path
 
+    @override
     def check(self, kind: str, parameters: Mapping[str, object]) -> None:
-        """Refuse a picture or volume that takes too much memory."""
         for name, value in parameters.items():
             if to_snake_case(name) == "filename" and isinstance(value, str):
                 check_data_file(kind, Path(value))
 
-    def text(self, name: str) -> tuple[Path, str]:
-        """The resolved path and the content of a document that is included."""
+    def read_included_text(self, name: str) -> tuple[Path, str]:
+        """Read a document that a scene includes, and return its resolved path and its text.
+
+        Raises:
+            ValueError: the document is missing, too large, no text, or outside of the allowed folders.
+        """
         path = self._find(name, "include")
         return path, read_scene_text(path)
 
-    def folder(self, name: str) -> Path:
-        """The folder of a <path>."""
+    def find_folder(self, name: str) -> Path:
+        """Find the folder that a <path> element names.
+
+        Raises:
+            ValueError: the folder is missing, no folder, or outside of the allowed folders.
+        """
         path = self._find(name, "<path>")
         if not path.is_dir():
             raise ValueError(f"a <path> {path!s:.200}, which is no folder; give one.")
         return path
 
     def _find(self, name: str, what: str) -> Path:
+        """Find a file or folder by its name; `what` says in messages what the scene names."""
         if "\0" in name or len(name) > 1024:
             raise ValueError(f"a name of a {what}, {name[:40]!r}, expected one of up to 1024 characters, without NUL.")
-        folders = (Path("/"),) if os.path.isabs(name) else self.search
-        first = next((path for path in (folder / name for folder in folders) if os.path.lexists(path)), None)
-        first = first or next(filter(None, (_spelled_otherwise(folder, name) for folder in folders)), None)
+        folders = (Path("/"),) if os.path.isabs(name) else self.search_folders
+        candidate = next((path for path in (folder / name for folder in folders) if os.path.lexists(path)), None)
+        candidate = candidate or next(filter(None, (_find_windows_name(folder, name) for folder in folders)), None)
         try:
-            path = first.resolve(strict=True) if first else None
+            path = candidate.resolve(strict=True) if candidate else None
         except (OSError, RuntimeError):  # a link to nowhere or to itself
             path = None
         if path is None:
-            elsewhere = ", and name it without its drive" if _DRIVE.match(name) else ""
+            drive_remedy = ", and name it without its drive" if _WINDOWS_DRIVE.match(name) else ""
             raise ValueError(
-                f"names the {what} {name[:100]!r}: file not found; put it in the scene's folder{elsewhere}."
+                f"names the {what} {name[:100]!r}: file not found; put it in the scene's folder{drive_remedy}."
             )
         if not str(path).isprintable() or "$" in str(path):
             raise ValueError(f"names {str(path)[:150]!r}, expected a path that is printable and without '$'.")
-        if not self.roots and path not in _read_before:
+        if not self.allowed_folders and path not in _files_read_before:
             raise ValueError(f"names the {what} {name[:100]!r}, expected none in a stored scene; give the scene file.")
-        if self.roots and not any(path.is_relative_to(root) for root in self.roots):
+        if self.allowed_folders and not any(path.is_relative_to(folder) for folder in self.allowed_folders):
             raise ValueError(
                 f"names the {what} {name[:60]!r} outside the scene's folder; if you trust it, name a folder that holds "
                 f"it: --scene-root {str(path if what == '<path>' else path.parent)[:120]}"
@@ -127,32 +144,36 @@ class ScenePlaces(SceneFiles):
         return path
 
 
-def _spelled_otherwise(folder: Path, name: str) -> Path | None:
-    """The file that a name means on Windows, where backslashes divide and case does not count; None if not just one."""
+def _find_windows_name(folder: Path, name: str) -> Path | None:
+    """Find the file that a name means on Windows, where backslashes divide folders and case does not count.
+
+    Returns:
+        The file; None if no file, or more than one, has such a name.
+    """
     path = folder
     for part in name.replace("\\", "/").split("/"):
         if part in ("", ".", "..") or os.path.lexists(path / part):
             path = path / part
             continue
         try:
-            alike = [each for each in os.listdir(path) if each.casefold() == part.casefold()]
+            matches = [entry for entry in os.listdir(path) if entry.casefold() == part.casefold()]
         except OSError:
             return None
-        if len(alike) != 1:
+        if len(matches) != 1:
             return None
-        path = path / alike[0]
+        path = path / matches[0]
     return path
 
 
 def read_scene_text(path: Path, most_characters: int = MAX_TEXT_CHARACTERS) -> str:
-    """Read the text of a regular file; a FIFO or a device is refused at once, not waited for.
+    """Read the text of a scene file; a FIFO or a device is refused at once, and not waited for.
 
     Args:
-        path: of the file.
-        most_characters: of the text.
+        path: the file.
+        most_characters: length of the text at most.
 
     Raises:
-        ValueError: no regular file, too large, not readable, no text.
+        ValueError: the file is no regular file, too large, not readable, or no text.
     """
     try:
         with open_text(path) as file:
@@ -160,8 +181,8 @@ def read_scene_text(path: Path, most_characters: int = MAX_TEXT_CHARACTERS) -> s
     except UnicodeDecodeError:
         raise ValueError("not text in UTF-8 or UTF-16, expected a scene of Mitsuba 3.") from None
     except (IsADirectoryError, ValueError) as error:
-        found = placeholder_line(path).removeprefix(f"{path}: ") if isinstance(error, ValueError) else ""
-        raise ValueError(found or "no regular file, expected a scene of Mitsuba 3.") from None
+        reason = placeholder_line(path).removeprefix(f"{path}: ") if isinstance(error, ValueError) else ""
+        raise ValueError(reason or "no regular file, expected a scene of Mitsuba 3.") from None
     except OSError as error:
         raise ValueError(f"{error.strerror}, expected a scene of Mitsuba 3 that can be read.") from None
     if len(content) > most_characters:
@@ -172,14 +193,16 @@ def read_scene_text(path: Path, most_characters: int = MAX_TEXT_CHARACTERS) -> s
 
 
 def check_data_file(kind: str, path: Path) -> None:
-    """Refuse a file that would take the memory of a much larger one, or whose grid is empty; values are not looked at.
+    """Refuse a picture or a volume of a size that Mitsuba cannot take; the values in it are not checked.
+
+    Mitsuba allocates what the header asks for, however small the file is, and ends the process at an empty grid.
 
     Args:
-        kind: name of the plugin that reads it; of others than pictures and volumes nothing is checked.
-        path: of the file.
+        kind: type of the plugin that reads the file; plugins that read no pictures or volumes are not checked.
+        path: the file.
 
     Raises:
-        ValueError: no image or volume, or one of another size than it may have, naming the file.
+        ValueError: the file is no image or volume, or its size is not allowed.
     """
     check = {"bitmap": _check_picture, "envmap": _check_picture, "gridvolume": _check_volume, "sdfgrid": _check_volume}
     if kind not in check:
@@ -192,7 +215,7 @@ def check_data_file(kind: str, path: Path) -> None:
 
 
 def _check_picture(path: Path) -> None:
-    """The rule of photographs."""
+    """Refuse a file that is no image, or larger than photographs may be."""
     with silence_libraries():
         source = oiio.ImageInput.open(str(path))
         if source is None:
@@ -206,15 +229,15 @@ def _check_picture(path: Path) -> None:
 
 
 def _check_volume(path: Path) -> None:
-    """A grid of 32-bit floats; Mitsuba ends the process at one without samples."""
+    """Refuse a volume whose grid of 32-bit floats is empty, or larger than the file."""
     with open_regular(path) as file:
-        header = file.read(_VOLUME.size).ljust(_VOLUME.size, b"\0")
+        header = file.read(_VOLUME_HEADER.size).ljust(_VOLUME_HEADER.size, b"\0")
         size = file.seek(0, 2)
-    _, _, *grid, channels = _VOLUME.unpack(header)
-    needed = _VOLUME.size + _BOX_BYTES + 4 * math.prod(grid) * channels
-    if min(*grid, channels) < 1 or size < needed:
+    _, _, *grid, channels = _VOLUME_HEADER.unpack(header)
+    needed_bytes = _VOLUME_HEADER.size + _BOUNDING_BOX_BYTES + 4 * math.prod(grid) * channels
+    if min(*grid, channels) < 1 or size < needed_bytes:
         shape = " x ".join(map(str, grid))
         raise ValueError(
             f"a grid of {shape}, {channels} channels and {size:,} bytes, expected 1 or more along each axis and "
-            f"{needed:,} bytes; export it again."
+            f"{needed_bytes:,} bytes; export it again."
         )

@@ -1,6 +1,7 @@
-"""Scenes of Mitsuba 3 as tasks of light transport: files, XML or a dictionary as JSON, and the same in memory.
+"""Scenes of Mitsuba 3 as tasks of light transport: files in XML, files of a dictionary in JSON, and both in memory.
 
-Nothing in memory is trusted more than in a file.
+A scene in memory is trusted no more than a file: it may hold the same plugins, values and file names. This module reads
+and checks scenes; paths are traced elsewhere.
 """
 
 from __future__ import annotations
@@ -27,73 +28,83 @@ __all__ = ["BESIDE", "UNITS", "find", "read_scene", "read_task", "recognises", "
 
 SCENE_FILE_SUFFIXES = (".xml", ".json")
 
-_NUMBERS = ("numpy", "mitsuba", "drjit", "torch")  # whose arrays of numbers a scene in memory may hold
-_SHAPES = ((), (3,), (3, 3), (4, 4))
+_ARRAY_PACKAGES = ("numpy", "mitsuba", "drjit", "torch")  # whose arrays of numbers a scene in memory may hold
+_ARRAY_SHAPES = ((), (3,), (3, 3), (4, 4))  # of numbers, vectors and transforms
 
 
 def recognises(path: Path) -> bool:
-    """True if a path is a scene file, or a folder with one in it, known by its suffix."""
-    return bool(_below(path)) if path.is_dir() else path.suffix.lower() in SCENE_FILE_SUFFIXES
+    """Return whether a path is a scene file, or a folder with scene files in it, by their suffixes."""
+    return bool(_find_scene_files(path)) if path.is_dir() else path.suffix.lower() in SCENE_FILE_SUFFIXES
 
 
 def find(path: Path) -> Sources:
-    """Find scene files: in a folder by their suffix, at any depth; a named file as it is.
+    """Find scene files: in a folder by their suffixes, at any depth; a file that is named counts whatever its suffix.
 
     Returns:
-        The files, sorted; and no line about others, since meshes and textures belong to scenes.
+        The files, sorted; no lines about skipped files, since meshes and textures belong to scenes.
 
     Raises:
-        ValueError: a path that does not exist, a folder without any scene.
+        ValueError: the path does not exist, or the folder has no scene in it.
     """
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing scene files.")
-    scenes = _below(path) if path.is_dir() else [path]
+    scenes = _find_scene_files(path) if path.is_dir() else [path]
     if not scenes:
         raise ValueError(f"{path}: no scene in this folder, expected .xml or .json files of Mitsuba 3.")
     return sources_of_files((scenes, []))
 
 
 def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Iterable[Path] = ()) -> Task:
-    """Trace the paths of a scene file, as the task that is named by the file's stem.
+    """Read a scene file and trace its paths, as a task that is named by the file's stem.
 
-    The same file name gives the same draws.
+    Random numbers are drawn by the name: two files of one name give the same draws.
 
     Args:
-        path: of the file.
-        samples: N, for fits to see.
-        held: M, for tests alone.
-        roots: folders that its files may come from, beside its own.
+        path: the scene file.
+        samples: number of samples that fits see.
+        held: number of samples that tests alone see.
+        roots: folders that its data files may come from, beside its own folder.
 
     Returns:
-        As `make_transport_task`.
+        The task, see :func:`data_tools.synthetic.transport_task.make_transport_task`.
 
     Raises:
-        ValueError: as `read_scene`, `load_scene` and `draw_samples`, with the path.
+        ValueError: the scene may not be read, cannot be loaded, or has no paths to sample; the message names the file.
     """
-    load_mitsuba()  # what keeps it from rendering is no fault of the scene
+    load_mitsuba()  # before the scene is read: an error of Mitsuba itself is no fault of the scene
     scene = read_scene(path, roots)
-    return _traced(path.stem, scene, str(path), samples=samples, held=held)
+    return _trace_task(path.stem, scene, str(path), samples=samples, held=held)
 
 
 def task_of_object(source: object, name: str, *, roots: Iterable[Path] = (), **_: object) -> Task:
-    """Make the task of a scene in memory; files that it names lie in the current folder.
+    """Trace the paths of a scene in memory, as a task; data files that it names lie in the current folder.
 
     Args:
         source: a dictionary of type "scene", as `mi.load_dict` takes it, of numbers, texts, transforms and
             dictionaries; or the text of an XML document.
-        name: of the task.
-        roots: further folders that its files may come from.
+        name: the name of the task, by which random numbers are drawn.
+        roots: further folders that its data files may come from.
 
     Raises:
-        ValueError: neither; it holds something that JSON does not, such as a material that Mitsuba has loaded; as
-            `read_task`.
+        ValueError: the source is neither; it holds something that JSON cannot, such as a material that Mitsuba has
+            loaded; it may not be read, cannot be loaded, or has no paths to sample.
     """
     load_mitsuba()
-    return _traced(name, resolve_scene_in_memory(source, name, roots), name)
+    return _trace_task(name, resolve_scene_in_memory(source, name, roots), name)
 
 
-def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
-    """The task of a scene, drawn by its name; `subject` begins errors."""
+def _trace_task(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
+    """Trace the paths of a scene, as a task.
+
+    Args:
+        name: the name of the task, by which random numbers are drawn.
+        scene: the scene, see :func:`resolve_scene`.
+        subject: what messages begin with: the file or the name.
+        counts: numbers of samples, arguments of `make_transport_task`.
+
+    Raises:
+        ValueError: the scene cannot be loaded, or has no paths to sample.
+    """
     seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big")
     try:
         try_scene(scene, load_mitsuba().variant())
@@ -104,64 +115,67 @@ def _traced(name: str, scene: SceneDict, subject: str, **counts: int) -> Task:
             reason = f"{reason.rstrip('.')}; change it, or leave it out."
         if "xml" in scene and "that Mitsuba can load: " in reason:
             reason = explain_version(scene["xml"], locate_reason(scene["xml"], reason))
-    # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
+    # raised outside of `except`: the frames of an error would keep the scene alive, and Dr.Jit traces the materials of
+    # all scenes that are alive
     raise ValueError(f"{subject}: {reason}")
 
 
 def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
-    """The content of a scene file, as `load_scene` takes it, with file names that hold from everywhere.
+    """Read a scene file as `metapp.rendering.scenes.loading.load_scene` takes it, with absolute file names.
 
     Args:
-        path: of the file.
-        roots: folders that its files may come from, beside its own.
+        path: the scene file.
+        roots: folders that its data files may come from, beside its own folder.
 
     Raises:
-        ValueError: no text; of a .json file, no JSON or no object; something that a scene may not hold.
+        ValueError: the file is no text; a .json file is no JSON or no object; the scene holds what it may not.
     """
     try:
         text = read_scene_text(path)
-        scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
-        return resolve_scene(scene, ScenePlaces.beside(path, roots), str(path.resolve()))
+        scene = {"xml": text} if path.suffix.lower() == ".xml" else _parse_json(text)
+        return resolve_scene(scene, ScenePlaces.from_scene_file(path, roots), str(path.resolve()))
     except ValueError as error:
-        reason, builtin = str(error), path.with_name(f"{path.stem}_builtin.xml")  # as our exports have
+        # metapp's own exports of BRDFs have such a scene beside the one that needs metapp's plugin
+        reason, builtin = str(error), path.with_name(f"{path.stem}_builtin.xml")
         if builtin.is_file():
             reason = f"{reason.rstrip('.')}; or take {builtin.name} beside it, which needs no plugin of metapp."
         raise ValueError(f"{path}: {reason}") from None
 
 
 def resolve_scene_in_memory(source: object, name: str, roots: Iterable[Path] = ()) -> SceneDict:
-    """The content of a scene in memory, as `read_scene` has that of a file.
+    """Return a scene in memory as `metapp.rendering.scenes.loading.load_scene` takes it, with absolute file names.
 
     Args:
-        source, name: as of `task_of_object`.
-        roots: folders that its files may come from, beside the current one.
+        source: a dictionary of type "scene", or the text of an XML document; see :func:`task_of_object`.
+        name: the name of the scene in messages.
+        roots: folders that its data files may come from, beside the current folder.
 
     Raises:
-        ValueError: as `task_of_object`.
+        ValueError: the source is neither; it holds something that JSON cannot, or that a scene may not hold.
     """
     try:
         if isinstance(source, str):
             scene: SceneDict = {"xml": source}
         elif isinstance(source, Mapping):
-            scene = _scene(_plain("scene", source))
+            scene = _check_type(_to_json_value("scene", source))
         else:
             expected = "a path, a scene as Mitsuba's load_dict takes it, or XML text"
             raise ValueError(f"{type(source).__name__}, expected {expected}.")
-        return resolve_scene(scene, ScenePlaces.beside(Path.cwd() / name, roots))
+        return resolve_scene(scene, ScenePlaces.from_scene_file(Path.cwd() / name, roots))
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 
 
 def resolve_scene(scene: SceneDict, places: ScenePlaces, name: str = "") -> SceneDict:
-    """The same scene, of the same form, with absolute file names, includes and defaults in it.
+    """Check a scene, and return it with absolute file names, and with its includes and defaults put in.
 
     Args:
-        scene: a dictionary, or {"xml": text}.
-        places: of its files.
-        name: resolved path of its file, if it has one.
+        scene: a dictionary of plugins, or {"xml": text}; the result has the form of the argument.
+        places: where its data files may lie.
+        name: the resolved path of the scene's file, if it has one.
 
     Raises:
-        ValueError: something that a scene may not hold.
+        ValueError: the scene holds something that it may not.
     """
     if not isinstance(scene, dict):
         raise ValueError("no scene, expected an object of type 'scene'.")
@@ -173,60 +187,61 @@ def resolve_scene(scene: SceneDict, places: ScenePlaces, name: str = "") -> Scen
 
 
 def check_stored_scene(scene: SceneDict) -> SceneDict:
-    """The same scene of a data set, whose files must have been read in this process.
+    """Check a scene of a data set, and return it; files that it names must have been read in this process before.
 
     Raises:
-        ValueError: as `resolve_scene`.
+        ValueError: the scene holds something that it may not.
     """
     return resolve_scene(scene, ScenePlaces())
 
 
-def _from_json(text: str) -> SceneDict:
+def _parse_json(text: str) -> SceneDict:
     try:
         scene = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"not readable as JSON ({error}), expected a scene dictionary of Mitsuba 3.") from None
-    return _scene(scene)
+    return _check_type(scene)
 
 
-def _scene(scene: object) -> SceneDict:
+def _check_type(scene: object) -> SceneDict:
+    """Refuse an object that is no dictionary of type "scene" and holds no XML."""
     if not isinstance(scene, dict) or not (scene.get("type") == "scene" or isinstance(scene.get("xml"), str)):
         raise ValueError("no scene, expected an object of type 'scene'; write one with metapp data cornell.")
     return scene
 
 
-def _below(folder: Path) -> list[Path]:
+def _find_scene_files(folder: Path) -> list[Path]:
     return [path for path in files_below(folder, SCENE_FILE_SUFFIXES) if path.name != MANIFEST]
 
 
-def _plain(key: str, value: object, depth: int = 0) -> SceneValue:
-    """A value of a scene in memory as JSON holds it."""
+def _to_json_value(key: str, value: object, depth: int = 0) -> SceneValue:
+    """Return a value of a scene in memory as JSON can hold it; `key` is its name in messages."""
     if depth > MAX_NESTED_LEVELS:
         raise ValueError(f"objects within each other, more than {MAX_NESTED_LEVELS} deep, expected fewer.")
     if isinstance(value, Mapping):
-        return {str(below): _plain(str(below), part, depth + 1) for below, part in value.items()}
+        return {str(name): _to_json_value(str(name), part, depth + 1) for name, part in value.items()}
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, list | tuple):
-        return [_plain(key, part, depth + 1) for part in value]
-    numbers = _numbers(value)
+        return [_to_json_value(key, part, depth + 1) for part in value]
+    numbers = _to_array(value)
     if numbers is None:
         raise ValueError(
             f"{type(value).__name__} as {key[:40]!r}, expected numbers, text, a transform or a dictionary; "
-            "give what it was made of, or the name of a file."
+            "give the dictionary that the object was loaded from, or the name of a file."
         )
     return numbers.tolist()
 
 
-def _numbers(value: object) -> np.ndarray | None:
-    """Numbers of numpy, Mitsuba or Dr.Jit, a transform as its matrix; None of all else."""
-    if type(value).__module__.partition(".")[0] not in _NUMBERS:
+def _to_array(value: object) -> np.ndarray | None:
+    """Return numbers of another package as an array, a transform as its matrix; None for other objects."""
+    if type(value).__module__.partition(".")[0] not in _ARRAY_PACKAGES:
         return None
     try:
         numbers = np.array(value)
         numbers = np.array(value.matrix) if numbers.dtype == object and hasattr(value, "matrix") else numbers
     except Exception:  # whatever an object of another library raises
         return None
-    if numbers.shape[-1:] == (1,):  # of a variant that works on arrays
+    if numbers.shape[-1:] == (1,):  # variants of Mitsuba that work on arrays add an axis
         numbers = numbers[..., 0]
-    return numbers if numbers.dtype.kind in "uifb" and numbers.shape in _SHAPES else None
+    return numbers if numbers.dtype.kind in "uifb" and numbers.shape in _ARRAY_SHAPES else None

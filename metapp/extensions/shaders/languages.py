@@ -1,4 +1,8 @@
-"""The neutral source of `source` in shading languages."""
+"""The translation of neutral source code into shading languages and C++.
+
+The neutral language, see `neutral_source`, is so simple that a few replacements by regular expressions translate it.
+This module does not know what the code computes.
+"""
 
 from __future__ import annotations
 
@@ -6,36 +10,37 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-_FUNCTION = re.compile(r"^fn (\w+) (\w+)\((.*)\) \{$", re.MULTILINE)
-_DECLARED = re.compile(r"\b(let|var) (\w+) (\w+) =")
-_PLAIN = re.compile(r"(?<![\w.])(\d+(?:\.\d*)?e[-+]?\d+|\d+\.\d*)")
-_TYPES = re.compile(r"\b(float3|float)\b")
+_FUNCTION_HEAD = re.compile(r"^fn (\w+) (\w+)\((.*)\) \{$", re.MULTILINE)
+_DECLARATION = re.compile(r"\b(let|var) (\w+) (\w+) =")
+_FLOAT_LITERAL = re.compile(r"(?<![\w.])(\d+(?:\.\d*)?e[-+]?\d+|\d+\.\d*)")
+_TYPE = re.compile(r"\b(float3|float)\b")
 _COMPONENT = re.compile(r"\.([xyz])\b")
 
 
 class Language(NamedTuple):
-    """How a language writes things.
+    """The syntax of a language.
 
     Attributes:
-        suffix: of files.
+        suffix: the suffix of its files.
         types: its names of `float` and `float3`.
-        function: a function's head, of its type, name and arguments.
-        argument: of a type and a name.
-        declared: a declaration, of `let` or `var`, type and name.
-        plain: a suffix of all other numbers.
-        head, tail: the beginning and end of a file.
-        indexed: whether components are written as [0].
+        function: the head of a function, a template with {type}, {name} and {arguments}.
+        argument: an argument of a function, a template with {type} and {name}.
+        declarations: the declarations by `let` and by `var`, templates with {type} and {name}.
+        float_suffix: the suffix of literals of numbers.
+        head: the beginning of a file.
+        tail: the end of a file, in which NAME is replaced by the name of the material.
+        is_indexed: whether components of vectors are written as [0], [1], [2] in place of .x, .y, .z.
     """
 
     suffix: str
     types: Mapping[str, str]
     function: str = "{type} {name}({arguments}) {{"
     argument: str = "{type} {name}"
-    declared: Mapping[str, str] = {"let": "{type} {name} =", "var": "{type} {name} ="}
-    plain: str = ""
+    declarations: Mapping[str, str] = {"let": "{type} {name} =", "var": "{type} {name} ="}
+    float_suffix: str = ""
     head: str = ""
     tail: str = ""
-    indexed: bool = False
+    is_indexed: bool = False
 
 
 _HLSL = {"float": "float", "float3": "float3"}
@@ -70,43 +75,50 @@ shader NAME(vector wi = vector(0, 0, 1), vector wo = vector(0, 0, 1), output col
 }
 """
 LANGUAGES = {
-    "cpp": Language("h", _HLSL, function="inline {type} {name}({arguments}) {{", plain="f", head=_CPP, tail="}\n"),
+    "cpp": Language(
+        "h", _HLSL, function="inline {type} {name}({arguments}) {{", float_suffix="f", head=_CPP, tail="}\n"
+    ),
     "glsl": Language("glsl", {"float": "float", "float3": "vec3"}),
     "hlsl": Language("hlsl", _HLSL),
-    "osl": Language("osl", {"float": "float", "float3": "vector"}, tail=_OSL, indexed=True),
+    "osl": Language("osl", {"float": "float", "float3": "vector"}, tail=_OSL, is_indexed=True),
     "wgsl": Language(
         "wgsl",
         {"float": "f32", "float3": "vec3f"},
         function="fn {name}({arguments}) -> {type} {{",
         argument="{name}: {type}",
-        declared={"let": "let {name}: {type} =", "var": "var {name}: {type} ="},
+        declarations={"let": "let {name}: {type} =", "var": "var {name}: {type} ="},
     ),
 }
 
 
 def translate_source(source: str, name: str, language: Language) -> str:
-    """The neutral source of a material in a language.
+    """Translate the neutral source of a material into a language.
 
     Args:
-        source: of `source_of`.
-        name: the material's, which its functions begin with.
-        language: one of LANGUAGES.
+        source: the neutral source, see :func:`metapp.extensions.shaders.neutral_source.brdf_source`.
+        name: the name of the material, by which the names of its functions begin.
+        language: the language, one of LANGUAGES.
+
+    Returns:
+        The content of a file.
     """
     types = language.types
 
-    def function(match: re.Match[str]) -> str:
+    def write_function(match: re.Match[str]) -> str:
         pairs = (argument.split() for argument in match[3].split(", "))
-        arguments = ", ".join(language.argument.format(type=types[of], name=each) for of, each in pairs)
+        arguments = ", ".join(
+            language.argument.format(type=types[type_name], name=argument) for type_name, argument in pairs
+        )
         return language.function.format(type=types[match[1]], name=match[2], arguments=arguments)
 
-    def declared(match: re.Match[str]) -> str:
-        return language.declared[match[1]].format(type=types[match[2]], name=match[3])
+    def write_declaration(match: re.Match[str]) -> str:
+        return language.declarations[match[1]].format(type=types[match[2]], name=match[3])
 
-    text = _FUNCTION.sub(function, source)
-    text = _DECLARED.sub(declared, text)
-    text = _TYPES.sub(lambda match: types[match[1]], text)
-    if language.plain:
-        text = _PLAIN.sub(rf"\1{language.plain}", text)
-    if language.indexed:
+    text = _FUNCTION_HEAD.sub(write_function, source)
+    text = _DECLARATION.sub(write_declaration, text)
+    text = _TYPE.sub(lambda match: types[match[1]], text)
+    if language.float_suffix:
+        text = _FLOAT_LITERAL.sub(rf"\1{language.float_suffix}", text)
+    if language.is_indexed:
         text = _COMPONENT.sub(lambda match: f"[{'xyz'.index(match[1])}]", text)
     return f"{language.head}{text}{language.tail.replace('NAME', name)}"

@@ -1,7 +1,8 @@
-"""A BRDF as source code of a neutral shading language, which `languages` writes in others.
+"""A BRDF as source code of a neutral shading language, which `languages` translates into real ones.
 
-Its statements are those of HLSL, but that declarations say `let` (a name for a value) or `var` (a variable), functions
-`fn`. No arrays and no loops: every language takes sums of products, which compilers map to the hardware.
+The neutral language is HLSL, except that declarations begin with `let` (a name for a value) or `var` (a variable), and
+functions with `fn`. The code has neither arrays nor loops: every language takes sums of products, and compilers map
+them to the hardware. This module knows NBRDF networks and sampling lobes, but no real language.
 """
 
 from __future__ import annotations
@@ -69,41 +70,52 @@ fn float3 NAME_sample(float3 wo, float3 u) {
     return float3(wi.x, wi.y, max(abs(wi.z), 1e-6));
 }
 """
-NETWORK_INPUT_EXPRESSIONS = ("angle.x", "", "h.z", "d.x", "d.y", "d.z")  # of an NBRDF; half_y is 0
+# inputs of an NBRDF, in order: half vector and difference vector; the y of the half vector is always 0
+NETWORK_INPUT_EXPRESSIONS = ("angle.x", "", "h.z", "d.x", "d.y", "d.z")
 
 
 def brdf_source(name: str, folded: PlainLayers, lobes: LobeMixture) -> str:
-    """The functions <name>_eval, <name>_sample and <name>_pdf of an NBRDF network and its sampling density."""
-    parts = {
+    """Write the functions <name>_eval, <name>_sample and <name>_pdf of an NBRDF network in the neutral language.
+
+    Args:
+        name: the name that the names of functions begin with.
+        folded: the network.
+        lobes: the lobes that directions are sampled from.
+    """
+    replacements = {
         "NAME": name,
-        "LAYERS": "\n".join(f"    {line}" for line in _layers(name, folded.layers)),
-        "SHARES": "\n".join(f"    {line}" for line in _shares(lobes)),
+        "LAYERS": "\n".join(f"    {line}" for line in _layer_lines(name, folded.layers)),
+        "SHARES": "\n".join(f"    {line}" for line in _share_lines(lobes)),
         "SCALE": float_literal((VIEWER_NODES - 1) / LAST_VIEWER_RAD),
         "FINAL": float_literal(VIEWER_NODES - 1),
         "FIRST": f"float3({float_literal(lobes.alphas[0][0])}, {float_literal(lobes.alphas[0][1])}, 1.0)",
         "SECOND": f"float3({float_literal(lobes.alphas[1][0])}, {float_literal(lobes.alphas[1][1])}, 1.0)",
         "PI": float_literal(math.pi),
     }
-    shared = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").split("\n\n", 1)[1]
-    return re.sub("|".join(parts), lambda match: parts[match[0]], f"{shared}\n{COMMON_SOURCE}")
+    facets_source = (
+        (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").split("\n\n", 1)[1]
+    )
+    return re.sub("|".join(replacements), lambda match: replacements[match[0]], f"{facets_source}\n{COMMON_SOURCE}")
 
 
 def float_literal(value: float) -> str:
-    """A number of 32 bits as all languages read it."""
+    """Write a number of 32 bits so that all languages read it as a float."""
     text = f"{value:.9g}"
     return text if set(text) & set(".e") else f"{text}.0"
 
 
-def _layers(name: str, layers: Sequence[tuple[Tensor, Tensor]]) -> list[str]:
+def _layer_lines(name: str, layers: Sequence[tuple[Tensor, Tensor]]) -> list[str]:
+    """Write the lines that evaluate the layers of a network and return the reflectance."""
     inputs: tuple[str, ...] = NETWORK_INPUT_EXPRESSIONS
     lines: list[str] = []
     for i, (weights, bias) in enumerate(layers):
-        last, outputs = i == len(layers) - 1, []
+        is_last, outputs = i == len(layers) - 1, []
         for row, (factors, shift) in enumerate(zip(weights.tolist(), bias.tolist(), strict=True)):
-            terms = [f"{float_literal(factor)} * {of}" for factor, of in zip(factors, inputs, strict=True) if of]
+            products = zip(factors, inputs, strict=True)
+            terms = [f"{float_literal(factor)} * {expression}" for factor, expression in products if expression]
             total = " + ".join([float_literal(shift), *terms])
             outputs.append(f"{'abc'[i]}{row}")
-            if last:
+            if is_last:
                 lines.append(f"let float {outputs[-1]} = {name}_expm1(max(0.0, {total}));")
             else:
                 lines.append(f"let float {outputs[-1]} = max(0.0, {total});")
@@ -111,8 +123,8 @@ def _layers(name: str, layers: Sequence[tuple[Tensor, Tensor]]) -> list[str]:
     return [*lines, f"return float3({', '.join(inputs)});"]
 
 
-def _shares(lobes: LobeMixture) -> list[str]:
-    """Linear between nodes: a hat function each."""
+def _share_lines(lobes: LobeMixture) -> list[str]:
+    """Write the lines that interpolate the shares of lobes linearly between nodes, by a hat function for each node."""
     lines = []
     for node, shares in enumerate(lobes.shares.tolist()):
         vector = ", ".join(map(float_literal, shares))

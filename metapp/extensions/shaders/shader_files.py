@@ -1,4 +1,7 @@
-"""Files of shader code: <name>.<suffix>."""
+"""The exports of fitted BRDFs as shader code: <name>.<suffix>, and a node of MaterialX.
+
+Each is a function of the application, the parameters and a path, as `metapp export` calls it.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,8 @@ from metapp.storage.xml_files import write_xml
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
 
-MATERIALX_VERSION = "1.39"  # of MaterialX
-NODE_FUNCTIONS = {  # the function of a node of MaterialX
+MATERIALX_VERSION = "1.39"  # that documents state
+NODE_FUNCTIONS = {  # by language, the function that MaterialX calls for a node
     "glsl": "\nvoid NAME(vec3 wi, vec3 wo, out vec3 result) {\n    result = NAME_eval(wi, wo);\n}\n",
     "osl": "\nvoid NAME(vector wi, vector wo, output color result) {\n"
     "    vector value = NAME_eval(wi, wo);\n    result = color(value[0], value[1], value[2]);\n}\n",
@@ -28,24 +31,36 @@ NODE_FUNCTIONS = {  # the function of a node of MaterialX
 
 
 def function_prefix(name: str) -> str:
-    """The name of the functions of a material: brdf_ and the letters and digits of its name."""
+    """Return what names of a material's functions begin with: brdf_ and the letters and digits of its name."""
     return "_".join(["brdf", *re.findall("[A-Za-z0-9]+", name)])
 
 
 def neutral_code(theta: Params, name: str) -> str:
-    """The neutral source of an NBRDF network, parameters without a task axis."""
+    """Write the code of a fitted NBRDF in the neutral language.
+
+    Args:
+        theta: the parameters of the fit, without a task axis.
+        name: the name of the material.
+    """
     network = find_network(theta)
     lobes = fit_lobes(functools.partial(network.evaluate, theta))
     return brdf_source(function_prefix(name), network.fold(theta), lobes)
 
 
 def write_shader(language: str, app: Brdf, theta: Params, path: Path) -> None:
-    """Write a fit in one of LANGUAGES."""
-    of = LANGUAGES[language]
-    name = path.name.removesuffix(f".{of.suffix}")
-    about = f"// {name}: a BRDF fitted by metapp, as an NBRDF network (Sztrajman et al. 2021)\n"
-    text = about + translate_source(neutral_code(theta, name), function_prefix(name), of)
-    _write(path.with_name(f"{name}.{of.suffix}"), text)
+    """Write a fitted NBRDF as shader code.
+
+    Args:
+        language: the language, a key of LANGUAGES.
+        app: the BRDF application, which the signature of exports asks for.
+        theta: the parameters of the fit, without a task axis.
+        path: the file, to which the suffix of the language is added.
+    """
+    syntax = LANGUAGES[language]
+    name = path.name.removesuffix(f".{syntax.suffix}")
+    comment = f"// {name}: a BRDF fitted by metapp, as an NBRDF network (Sztrajman et al. 2021)\n"
+    text = comment + translate_source(neutral_code(theta, name), function_prefix(name), syntax)
+    _write_text(path.with_name(f"{name}.{syntax.suffix}"), text)
 
 
 write_cpp = functools.partial(write_shader, "cpp")
@@ -56,28 +71,37 @@ write_wgsl = functools.partial(write_shader, "wgsl")
 
 
 def write_materialx(app: Brdf, theta: Params, path: Path) -> None:
-    """Write <path>/<name>.mtlx, a node of wi and wo, and its implementations for GLSL and OSL beside it."""
+    """Write a fitted NBRDF as a node of MaterialX, <path>/<name>.mtlx, with implementations for GLSL and OSL beside it.
+
+    Args:
+        app: the BRDF application, which the signature of exports asks for.
+        theta: the parameters of the fit, without a task axis.
+        path: the folder, whose name the files get.
+    """
     name = function_prefix(path.name)
     source = neutral_code(theta, path.name)
     for language, function in NODE_FUNCTIONS.items():
         text = translate_source(source, name, LANGUAGES[language]._replace(tail=function))
-        _write(path / f"{path.name}.{language}", text)
+        _write_text(path / f"{path.name}.{language}", text)
     write_xml(path / f"{path.name}.mtlx", node_document(path.name))
 
 
 def node_document(name: str) -> ET.Element:
-    """The document of a node: reflectance in 1/sr, linear RGB, of two vectors whose z is along the normal."""
-    root, short = ET.Element("materialx", version=MATERIALX_VERSION), function_prefix(name)
-    definition = ET.SubElement(root, "nodedef", name=f"ND_{short}", node=short, nodegroup="pbr")
+    """Return the MaterialX document of a node, which has the inputs wi and wo, vectors whose z is along the normal.
+
+    The output is the reflectance in 1/sr, linear RGB.
+    """
+    root, prefix = ET.Element("materialx", version=MATERIALX_VERSION), function_prefix(name)
+    definition = ET.SubElement(root, "nodedef", name=f"ND_{prefix}", node=prefix, nodegroup="pbr")
     for direction in ("wi", "wo"):
         ET.SubElement(definition, "input", name=direction, type="vector3", value="0, 0, 1")
     ET.SubElement(definition, "output", name="out", type="color3", default="0, 0, 0")
     for language in NODE_FUNCTIONS:
         target = f"gen{language}"
-        attributes = {"name": f"IM_{short}_{target}", "nodedef": f"ND_{short}", "target": target}
-        ET.SubElement(root, "implementation", attributes | {"file": f"{name}.{language}", "function": short})
+        attributes = {"name": f"IM_{prefix}_{target}", "nodedef": f"ND_{prefix}", "target": target}
+        ET.SubElement(root, "implementation", attributes | {"file": f"{name}.{language}", "function": prefix})
     return root
 
 
-def _write(path: Path, text: str) -> None:
+def _write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())

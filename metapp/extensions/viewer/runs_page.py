@@ -1,4 +1,8 @@
-"""Interactive pages of runs: the fits that stand side by side, and their labels."""
+"""Interactive pages of runs: which fits stand side by side, and how they are labelled.
+
+Fits of one task stand side by side, whichever runs they are of. This module reads records and inputs of runs; what a
+page shows of a fit is the business of `view`.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +29,9 @@ from metapp.storage import Document
 from metapp.storage.files import file_name
 from metapp.storage.parameters import read_checked_params
 
-MAX_PAGE_TASKS = 20  # tasks of a page, unless it says otherwise
+MAX_PAGE_TASKS = 20  # default number of tasks of a page
 PAGE_FILE_NAME = "view.html"
-INPUTS_FOLDER = "inputs"  # the folder of those of `metapp try`
+INPUTS_FOLDER = "inputs"  # the folder of the inputs that `metapp try` makes
 
 
 def write_runs_page(
@@ -40,72 +44,72 @@ def write_runs_page(
     most: int = MAX_PAGE_TASKS,
     quiet: bool = False,
 ) -> Path:
-    """Write the page of runs; fits of the same task stand side by side.
+    """Write a page of runs, and return its path; fits of one task stand side by side.
 
     Args:
-        folders: of runs, or of their tasks.
-        out: the file; None: `view.html` in the first run's folder.
-        inputs: the fitted files, if they are not in the places of records.
-        data: the data set that was fitted, for the same.
-        task: the one to show; "" for all.
-        most: tasks at most.
-        quiet: no progress.
+        folders: folders of runs, or of their tasks.
+        out: the HTML file; None for `view.html` in the first run's folder.
+        inputs: the fitted files, if they do not lie where records say.
+        data: the fitted data set, if it does not lie where records say.
+        task: the name of the task to show; "" for all tasks.
+        most: number of tasks at most.
+        quiet: whether to show no progress.
 
     Raises:
-        ValueError: no run, no fit of that task, damaged records or parameters, nothing that can be shown.
+        ValueError: there is no run, or no fit of that task; records or parameters are damaged; no fit can be shown.
     """
-    read = [read_run_records(path, task) for path in folders]
-    labels, page = _labels(read), out or read[0].folder / PAGE_FILE_NAME
-    names = dict.fromkeys((record["settings"]["app"], record["name"]) for _, records in read for record in records)
-    shown = list(names)[:most]
+    runs = [read_run_records(path, task) for path in folders]
+    labels, page = _label_runs(runs), out or runs[0].folder / PAGE_FILE_NAME
+    names = dict.fromkeys((record["settings"]["app"], record["name"]) for _, records in runs for record in records)
+    shown_names = list(names)[:most]
     if len(names) > most:
         say(f"view: {most} of {len(names)} tasks; --most {len(names)} shows all.")
-    by_task: dict[tuple[str, str], list[tuple[str, Run, Task, Document]]] = {}
-    with progress("view: reading", len(read), quiet=quiet) as bar:
-        for folder, records in read:
-            records = [record for record in records if (record["settings"]["app"], record["name"]) in shown]
+    fits_by_task: dict[tuple[str, str], list[tuple[str, Run, Task, Document]]] = {}
+    with progress("view: reading", len(runs), quiet=quiet) as bar:
+        for folder, records in runs:
+            records = [record for record in records if (record["settings"]["app"], record["name"]) in shown_names]
             missing = 0
-            for some in group_by_settings(records):
-                run = Run.from_settings(some[-1]["settings"])
-                tasks = find_fitted_tasks(some, run.app, list(inputs), data)
-                missing += sum(record["name"] not in tasks for record in some)
-                for record in some:
+            for records_of_run in group_by_settings(records):
+                run = Run.from_settings(records_of_run[-1]["settings"])
+                tasks = find_fitted_tasks(records_of_run, run.app, list(inputs), data)
+                missing += sum(record["name"] not in tasks for record in records_of_run)
+                for record in records_of_run:
                     name = record["name"]
                     fit = labels[folder], run, tasks.get(name, Task(name, {})), record
-                    by_task.setdefault((run.app.name, name), []).append(fit)
+                    fits_by_task.setdefault((run.app.name, name), []).append(fit)
             if missing:
-                what = f"the inputs of {missing} of {len(records)} fits are not at hand"
-                say(f"view: {what}; give them by --input or --data to see references.")
+                found = f"the inputs of {missing} of {len(records)} fits are not at hand"
+                say(f"view: {found}; give them by --input or --data to see references.")
             bar.advance()
-    make_folder(page.parent)  # before what takes time
-    groups, lacking = [], list[str]()
-    with progress("view", len(by_task), quiet=quiet) as bar:
-        for several in by_task.values():
+    make_folder(page.parent)  # before views are made, which takes time
+    groups, omissions = [], list[str]()
+    with progress("view", len(fits_by_task), quiet=quiet) as bar:
+        for fits in fits_by_task.values():
             views = []
-            for label, run, fitted, record in several:
+            for label, run, fitted_task, record in fits:
                 try:
                     views.append(
-                        make_labelled_view(Fit(run, fitted, record, read_checked_params(record, run.app)), label)
+                        make_labelled_view(Fit(run, fitted_task, record, read_checked_params(record, run.app)), label)
                     )
                 except ValueError as error:
-                    lacking.append(f"{label} of {error}")
-            _, run, fitted, _ = several[0]
-            groups += [FitGroup(fitted.name, run.presenter.title, views)] if views else []
-            bar.advance(fitted.name)
+                    omissions.append(f"{label} of {error}")
+            _, run, fitted_task, _ = fits[0]
+            groups += [FitGroup(fitted_task.name, run.presenter.title, views)] if views else []
+            bar.advance(fitted_task.name)
     if not groups:
-        raise ValueError(lacking[0])
-    for line in lacking:
+        raise ValueError(omissions[0])
+    for line in omissions:
         say(f"warning: left out: {line}")
-    titles = dict.fromkeys(several[0][1].presenter.title for several in by_task.values())
+    titles = dict.fromkeys(fits[0][1].presenter.title for fits in fits_by_task.values())
     return write_page(f"metapp: {', '.join(titles)}", groups, page)
 
 
-def _labels(found: Sequence[RunRecords]) -> dict[Path, str]:
-    """Labels that tell the runs of an application apart: the paradigm, and as many differences as are needed."""
-    settings = {each.folder: each.records[-1]["settings"] for each in found}
-    labels = {folder: of["paradigm"] for folder, of in settings.items()}
-    for app in {of["app"] for of in settings.values()}:
-        folders = [folder for folder, of in settings.items() if of["app"] == app]
+def _label_runs(runs: Sequence[RunRecords]) -> dict[Path, str]:
+    """Return labels by folder that tell runs of one application apart: the paradigm, and settings that differ."""
+    settings = {run.folder: run.records[-1]["settings"] for run in runs}
+    labels = {folder: run_settings["paradigm"] for folder, run_settings in settings.items()}
+    for app in {run_settings["app"] for run_settings in settings.values()}:
+        folders = [folder for folder, run_settings in settings.items() if run_settings["app"] == app]
         for key in ("rule", "recipe", "steps", "seed"):
             if len({labels[folder] for folder in folders}) == len(folders):
                 break
@@ -117,10 +121,10 @@ def _labels(found: Sequence[RunRecords]) -> dict[Path, str]:
 
 @torch.no_grad()
 def make_labelled_view(fit: Fit, label: str) -> View:
-    """The view of a fit, with a label, its error and its seconds.
+    """Make the view of a fit, with a label, and with its error and seconds as the caption.
 
     Raises:
-        ValueError: the view needs the input, which is not at hand.
+        ValueError: the view needs the input of the fit, which is not at hand.
     """
     try:
         with torch_defaults(single=fit.app.single_threaded):
@@ -129,8 +133,8 @@ def make_labelled_view(fit: Fit, label: str) -> View:
         if fit.task.data:
             raise
         raise ValueError(
-            f"{fit.name}: its view is made of the fit and its input ({missing}), expected both; "
-            "give what was fitted by --input or --data."
+            f"{fit.name}: its view needs the input of the fit as well ({missing}), expected both; "
+            "give the input by --input or --data."
         ) from None
     error = "" if fit.error is None else f"error{fit.app.error_measure.factor} {format_number(fit.error, '.3f')}, "
     return view._replace(label=label, caption=f"{error}{format_number(fit.seconds, '.3g')} s")
@@ -140,8 +144,11 @@ def write_fit_page(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     """Write an interactive page of a fit, as `metapp view` does.
 
     Args:
-        fit: of the Python API, whose method `view` this is.
-        path: the HTML file; "" for one of the task's name in the current folder.
+        fit: a fit of the Python API, whose method `view` this is.
+        path: the HTML file; "" for a file with the task's name in the current folder.
+
+    Returns:
+        The HTML file.
 
     Raises:
         OSError: the file cannot be written.
@@ -152,23 +159,24 @@ def write_fit_page(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
 
 
 def fit_synthetic_input(app: str, out: Path, recipe: str = "") -> tuple[Path, Document]:
-    """Write an input of an application into `out` and fit it by Meta, its run in the same folder.
+    """Write a synthetic input of an application into a folder and fit it by Meta.
 
     Args:
-        app: the application.
-        out: folder of inputs and runs.
-        recipe: of the fit; "" for the application's own.
+        app: the name of the application.
+        out: the folder of inputs and runs.
+        recipe: the recipe of the fit; "" for the application's own.
 
     Returns:
-        The fit's folder; application, name, error, seconds of inference, and those that all of it took.
+        The folder of the fit, and its record for the user: application, name, error, seconds of inference, and seconds
+        that writing and fitting took together.
 
     Raises:
-        ValueError: a folder that cannot be written to; no such recipe, no checkpoint.
+        ValueError: the folder cannot be written to; there is no such recipe, or no checkpoint.
     """
     begin = time.perf_counter()
     source = write_example(app, out / INPUTS_FOLDER)[0]
     report = execute_run(Run.from_options(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
-    assert report is not None  # of several ranks only
-    (fit,) = report.records
-    told = {key: fit[key] for key in ("name", "error", "seconds")}
-    return report.path, {"app": app, **told, "whole_seconds": time.perf_counter() - begin}
+    assert report is not None  # only ranks of a distributed run have none
+    (record,) = report.records
+    figures = {key: record[key] for key in ("name", "error", "seconds")}
+    return report.path, {"app": app, **figures, "whole_seconds": time.perf_counter() - begin}

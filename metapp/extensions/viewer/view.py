@@ -1,4 +1,8 @@
-"""The content of a page for one fit: numbers and pictures, and which of the page's viewers shows them."""
+"""The content of a page for one fit: numbers and pictures, and which of the page's viewers shows them.
+
+An application's view is made by its entry of `registry.pages`. This module does not know how a page is written; the
+text at the head of each viewer's script states which arrays, pictures and facts the viewer reads.
+"""
 
 from __future__ import annotations
 
@@ -18,22 +22,24 @@ from metapp.appearance.sphere import environment_radiance
 from metapp.learning.task import Params, Task
 from metapp.registry import registry
 
-MAX_THUMBNAIL_PX = 80  # px of a side of the pictures in the list of fits
+MAX_THUMBNAIL_PX = 80  # side of the pictures in the list of fits
+MAX_HALF_FLOAT = 65504.0  # the greatest finite number of float16
 NO_ENTRIES: Mapping[str, Never] = MappingProxyType({})
 
 
 class View(NamedTuple):
-    """One fit, as a viewer of the page reads it.
+    """The content of a page for one fit, as a viewer of the page reads it.
 
     Attributes:
-        kind: the viewer, one of `page.KINDS`; the text at the head of its script says its input.
+        kind: the name of the viewer, one of `viewer_page.VIEWER_KINDS`.
         arrays: numbers of float16, float32 or uint8, by name.
-        pictures: display values [H, W, 1, 3 or 4] in [0, 1], by name, kept as PNG of 8 bits; the fourth is coverage.
-        facts: entries of JSON.
-        shared: arrays that are the same for all fits of a page that name them.
-        thumbnail: display values [h, w, 3] of the fit in the list, small; None for none.
-        label: a word that tells it from others beside it, such as the paradigm.
-        caption: error, seconds and the like.
+        pictures: display values [H, W, 1, 3 or 4] in [0, 1], by name, kept as PNG of 8 bits; the fourth channel is
+            coverage.
+        facts: values that JSON can hold, by name.
+        shared: arrays by name that are equal for all fits of a page, which keeps each of them once.
+        thumbnail: small display values [h, w, 3] for the list of fits; None for no picture.
+        label: a word that tells the fit from others beside it, such as the paradigm.
+        caption: a line on the fit, such as its error and seconds.
     """
 
     kind: str
@@ -47,15 +53,15 @@ class View(NamedTuple):
 
 
 def make_view(presenter: Presenter[Any], theta: Params, task: Task) -> View:
-    """The view of a fit as its application's page makes it: its pictures, if the application has no page.
+    """Make the view of a fit by its application's entry of `registry.pages`, else a view of its pictures.
 
     Args:
-        presenter: of the application.
-        theta: the fit, without a task axis.
-        task: of the fit, without data if that is not at hand.
+        presenter: the presenter of the application.
+        theta: the parameters of the fit, without a task axis.
+        task: the task that was fitted, without data if they are not at hand.
 
     Raises:
-        KeyError: the fit alone is not enough.
+        KeyError: the view needs data that the task lacks.
     """
     if page := registry().pages.get(presenter.app.name):
         view: View = page.load()(presenter, theta, task)
@@ -64,13 +70,22 @@ def make_view(presenter: Presenter[Any], theta: Params, task: Task) -> View:
 
 
 def make_pictures_view(outputs: Mapping[str, np.ndarray | Tensor]) -> View:
-    """The view of linear pictures, as of `Presenter.preview`."""
-    shown = {name: torch.from_numpy(composite_to_srgb(pixels)) for name, pixels in outputs.items()}
-    return View("pictures", pictures=shown, thumbnail=thumbnail(shown["fit"]) if "fit" in shown else None)
+    """Make a view of linear pictures, by name.
+
+    Args:
+        outputs: linear pictures [H, W, 3 or 4], see :meth:`metapp.appearance.presenter.Presenter.preview`; the picture
+            named "fit" is the thumbnail.
+    """
+    pictures = {name: torch.from_numpy(composite_to_srgb(pixels)) for name, pixels in outputs.items()}
+    return View("pictures", pictures=pictures, thumbnail=crop_thumbnail(pictures["fit"]) if "fit" in pictures else None)
 
 
-def thumbnail(pixels: Tensor) -> Tensor:
-    """The central square of display values [H, W, 1, 3 or 4], as [h, h, 3], THUMBNAIL px a side at most."""
+def crop_thumbnail(pixels: Tensor) -> Tensor:
+    """Crop display values [H, W, 1, 3 or 4] to their central square, reduced to at most MAX_THUMBNAIL_PX a side.
+
+    Returns:
+        Display values [h, h, 3]; coverage is left out.
+    """
     height, width = pixels.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
@@ -80,5 +95,5 @@ def thumbnail(pixels: Tensor) -> Tensor:
 
 
 def reference_light_map() -> Tensor:
-    """The environment of the reference sphere as a page's light map, [64, 128, 3], float16."""
+    """Return the environment of the reference sphere as a light map for pages, [64, 128, 3], float16."""
     return environment_radiance(texel_directions(64, 128).permute(1, 2, 0)).half()

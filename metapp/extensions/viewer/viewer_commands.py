@@ -1,4 +1,7 @@
-"""`metapp view`, an interactive page of runs, and `metapp try`, one of a fit of each application."""
+"""The commands `metapp view`, an interactive page of runs, and `metapp try`, a page of one fit of each application.
+
+They turn options into calls of `runs_page`, which is imported only when a command runs, and say what was written.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +91,7 @@ def try_command(
         check_app_name(app)
     for app in apps or app_names():
         try:
-            with progress(f"try {app}", quiet=quiet):  # its own bars are of one input, and quiet
+            with progress(f"try {app}", quiet=quiet):  # the bars of the fit itself, of one input, are not shown
                 run, fit = fit_synthetic_input(app, out, recipe)
         except ValueError as reason:
             if apps or not runs or isinstance(reason, BadOption):
@@ -99,16 +102,17 @@ def try_command(
         fits.append(fit)
         if not quiet:
             error = "" if fit["error"] is None else f"error {format_number(fit['error'], '.3f')}, "
-            seconds = f"fitted in {format_number(fit['seconds'], '.3g')} s, total {format_number(fit['whole_seconds'], '.1f')} s"
-            say(f"{app}: {fit['name']}, {error}{seconds}")
+            seconds = f"fitted in {format_number(fit['seconds'], '.3g')} s"
+            whole_seconds = f"total {format_number(fit['whole_seconds'], '.1f')} s"
+            say(f"{app}: {fit['name']}, {error}{seconds}, {whole_seconds}")
     if not quiet:
-        say("page: rendering what it shows")
+        say("page: rendering its pictures")
     page = write_runs_page(runs, out / "try.html", quiet=quiet)
-    whole = time.perf_counter() - begin
+    seconds_of_all = time.perf_counter() - begin
     if open_page:
         webbrowser.open(page.resolve().as_uri())
     if json:
         size = page.stat().st_size
-        print_json({"page": str(page), "bytes": size, "seconds": whole, "fits": fits})
+        print_json({"page": str(page), "bytes": size, "seconds": seconds_of_all, "fits": fits})
     elif not quiet:
-        say(f"page: {page}, {page.stat().st_size / 1e6:.1f} MB; all in {whole:.0f} s")
+        say(f"page: {page}, {page.stat().st_size / 1e6:.1f} MB; all in {seconds_of_all:.0f} s")

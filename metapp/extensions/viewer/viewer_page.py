@@ -1,4 +1,8 @@
-"""The page: fits as JSON, the scripts that show them, and three.js, all in one file."""
+"""The HTML file of a page: fits as JSON, the scripts that show them, and three.js, all in one file.
+
+Pages are opened from disk, where browsers forbid scripts to read other files; so all that a page needs is in it. This
+module does not know what views mean.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +24,9 @@ from metapp.storage.files import write_bytes
 from metapp.storage.image_writers import png_data_url, to_8_bit_image
 
 VIEWER_KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
-_BEFORE = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawing", "stage", "raster", "polar")
-PAGE_SCRIPTS = (*_BEFORE, *VIEWER_KINDS, "listing", "main")  # in this order
-ARRAY_TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
+_SHARED_SCRIPTS = ("core", "panes", "shading", "shapes", "overlay", "comparing", "drawing", "stage", "raster", "polar")
+PAGE_SCRIPTS = (*_SHARED_SCRIPTS, *VIEWER_KINDS, "listing", "main")  # in the order in which a page runs them
+ARRAY_TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}  # as scripts name them
 
 HTML_HEAD = """<!doctype html>
 <html lang="en">
@@ -47,12 +51,12 @@ HTML_BODY = """<header>
 
 
 class FitGroup(NamedTuple):
-    """Fits that are shown side by side: of one task, and of one kind.
+    """A group of fits of one task, which one viewer shows side by side.
 
     Attributes:
-        title: of the task.
-        section: of the list, such as the application's title.
-        views: of one fit or more.
+        title: the name of the task.
+        section: the heading in the list of fits, such as the title of the application.
+        views: the views of one fit or more.
     """
 
     title: str
@@ -61,9 +65,9 @@ class FitGroup(NamedTuple):
 
 
 def page_document(title: str, groups: Sequence[FitGroup]) -> Document:
-    """The document that the scripts read."""
+    """Return the content of a page as the document that its scripts read."""
     shared: dict[str, Document] = {}
-    parts: list[Document] = []
+    documents: list[Document] = []
     for group in groups:
         fits: list[Document] = []
         for view in group.views:
@@ -74,31 +78,41 @@ def page_document(title: str, groups: Sequence[FitGroup]) -> Document:
             fits.append({"label": view.label, "caption": view.caption, "facts": dict(view.facts), "arrays": arrays,
                          "pictures": pictures, "thumbnail": thumbnail})  # fmt: skip
         kind = group.views[0].kind
-        parts.append({"title": group.title, "section": group.section, "kind": kind, "fits": fits})
-    return {"title": title, "groups": parts, "shared": shared}
+        documents.append({"title": group.title, "section": group.section, "kind": kind, "fits": fits})
+    return {"title": title, "groups": documents, "shared": shared}
 
 
 def encode_array(values: Tensor) -> Document:
-    """Numbers as text: deflated, base64."""
+    """Return an array as text, deflated and in base64, with its type and shape."""
     content = zlib.compress(values.detach().cpu().contiguous().numpy().tobytes(), 6)
     return {"type": ARRAY_TYPES[values.dtype], "shape": list(values.shape), "data": base64.b64encode(content).decode()}
 
 
 def display_png_url(pixels: Tensor) -> str:
-    """Display values [H, W, 1, 3 or 4] in [0, 1] as the address of a PNG."""
+    """Return display values [H, W, 1, 3 or 4] in [0, 1] as a PNG of 8 bits, in a URL that holds its data."""
     return png_data_url(to_8_bit_image(pixels.detach().cpu().numpy()))
 
 
 def viewer_html(data: Document) -> str:
-    """The page of a document, as of `page_document`; ValueError if a number is not finite."""
+    """Return the HTML of a page.
+
+    Args:
+        data: the content of the page, see :func:`page_document`.
+
+    Raises:
+        ValueError: a number in it is not finite.
+    """
     facets = (resources.files("metapp.appearance") / "facets.shader").read_text(encoding="utf-8").replace("NAME_", "")
-    scripts = [f"const FACETS = {json.dumps(facets)};", *(_text(f"scripts/{name}.js") for name in PAGE_SCRIPTS)]
+    scripts = [
+        f"const FACETS = {json.dumps(facets)};",
+        *(_read_page_file(f"scripts/{name}.js") for name in PAGE_SCRIPTS),
+    ]
     content = json.dumps(data, allow_nan=False).replace("<", "\\u003c")  # no text can end the script
     lines = [
         f"{HTML_HEAD}<title>{escape(data['title'])}</title>",
-        f"<style>{_text('page.css')}</style>",
+        f"<style>{_read_page_file('page.css')}</style>",
         f"</head>\n<body>\n{HTML_BODY}",
-        f"<script>{_text('three.min.js')}</script>",
+        f"<script>{_read_page_file('three.min.js')}</script>",
         f'<script type="application/json" id="data">{content}</script>',
         *("<script>", *scripts, "</script>"),
         "</body>\n</html>\n",
@@ -107,18 +121,20 @@ def viewer_html(data: Document) -> str:
 
 
 def write_page(title: str, groups: Sequence[FitGroup], path: Path) -> Path:
-    """Write the page of fits, whole or not at all.
+    """Write a page of fits, whole or not at all, and return its path.
 
-    Returns:
-        The file.
+    Args:
+        title: the title of the page.
+        groups: the fits, in the order of the list.
+        path: the HTML file.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     text = viewer_html(page_document(title, groups))
     write_bytes(path, text.encode(errors="backslashreplace"))
     return path
 
 
-def _text(name: str) -> str:
+def _read_page_file(name: str) -> str:
     return (resources.files("metapp.extensions.viewer") / name).read_text(encoding="utf-8")

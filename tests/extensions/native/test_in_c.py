@@ -109,13 +109,13 @@ def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, f
     rng = Generator().manual_seed(samples)
     theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
     layout = ParameterOrder(theta)
-    flat, along = layout.flat(theta), torch.randn(TASKS, 675, generator=rng)
+    flat, along = layout.flatten(theta), torch.randn(TASKS, 675, generator=rng)
     gradient, losses = nbrdf.loss_gradient(flat, batch, learned)
     product, pulls = nbrdf.gradient_product(flat, batch, learned, along)
 
     exact = flat.double().requires_grad_()
     leaves = {key: value.double().requires_grad_() for key, value in learned.items()}
-    expected = APP.loss(layout.tree(exact), double(batch), leaves)
+    expected = APP.loss(layout.unflatten(exact), double(batch), leaves)
     (slope,) = torch.autograd.grad(expected.sum(), exact, create_graph=True)
     bends = torch.autograd.grad((slope * along.double()).sum(), [exact, *leaves.values()])
     assert away(losses, expected.detach()) < 10 * EPS
@@ -131,7 +131,7 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
     rng = Generator().manual_seed(2)
     theta = theta_of(rng)
     theta["b3"][1] = bad
-    flat = ParameterOrder(theta).flat(theta)
+    flat = ParameterOrder(theta).flatten(theta)
     assert torch.isfinite(nbrdf.loss_gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
     loss = replace(loss_of([]), draw=lambda data, rng, done: DrawnBatch(("a", "b", "c"), batch_of(rng, 40)))
     with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
@@ -157,7 +157,7 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int) -> None:
 
     def noted(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
         steps = fastest(rule, loss, theta, order)
-        in_c_of.append(isinstance(getattr(steps.step, "__self__", None), c_steps._Steps))
+        in_c_of.append(isinstance(getattr(steps.step, "__self__", None), c_steps._CSteps))
         return steps
 
     def grads(kind: Callable[[Params], Params], steps_of: StepsOf) -> Params:
@@ -287,7 +287,7 @@ def test_compiling_is_said_once(randn: Callable[..., Tensor], monkeypatch: pytes
         monkeypatch.delenv(NO_COMPILING_VARIABLE)
         for _ in range(2):
             value_and_grads(mean(2, functools.partial(fastest, compiles=True)), phi)
-    steps_module._compiled.cache_clear()
+    steps_module._make_programs.cache_clear()
     assert said == ["compiling steps of the rule by torch: a minute or two, the first time"]
 
 

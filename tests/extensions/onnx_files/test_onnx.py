@@ -99,7 +99,7 @@ def _maps(photo: Tensor) -> tuple[Tensor, ...]:
 
 def test_what_cannot_be_written_is_one_line(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     general = shipped_checkpoint_path("svbrdf_nonstationary", "general-photo", "pretrained")
-    assert "expected a run, a checkpoint of General of photos, or svbrdf_n" in metapp("export", "texture", "onnx").error
+    assert "a checkpoint of General of photos, or the name of one that" in metapp("export", "texture", "onnx").error
     assert "General of several photos" in metapp("export", "svbrdf_nonstationary/several", "onnx").error
     assert "--recipe 'none'" in metapp("export", "svbrdf_nonstationary/none", "onnx").misuse
     other = shipped_checkpoint_path("texture", "general")

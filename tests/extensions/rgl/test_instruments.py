@@ -195,7 +195,7 @@ def test_what_cannot_be_converted_is_refused_in_one_line(metapp: Callable) -> No
     for name in ("paint_rgb.bsdf", "paint_spec.bsdf"):
         Path("both").mkdir(exist_ok=True)
         shutil.copy("paint_rgb.bsdf", f"both/{name}")
-    assert "of both both/paint_rgb.bsdf and both/paint_spec.bsdf" in convert("both").refusal
+    assert "both both/paint_rgb.bsdf and both/paint_spec.bsdf would be written to it" in convert("both").refusal
     assert convert("paint_rgb.bsdf", to="bsdf").code == 0
     assert "out/paint.bsdf: is there already" in convert("paint_rgb.bsdf", to="bsdf").misuse
     assert "out/paint.bsdf: is there already" in convert("out/paint.bsdf", to="bsdf").misuse

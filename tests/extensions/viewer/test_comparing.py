@@ -16,7 +16,7 @@ from PIL import Image
 
 from metapp.appearance.surface import Surface
 from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
-from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, thumbnail
+from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, crop_thumbnail
 from metapp.extensions.viewer.viewer_page import (
     VIEWER_KINDS,
     FitGroup,
@@ -43,12 +43,12 @@ def surface(*, photo: bool = False) -> View:
 
 def pictures(name: str) -> View:
     shown = {each: torch.rand(8, 8, 3) for each in ("reference", "fit")}
-    return View("pictures", pictures=shown, facts={"name": name}, thumbnail=thumbnail(shown["fit"]))
+    return View("pictures", pictures=shown, facts={"name": name}, thumbnail=crop_thumbnail(shown["fit"]))
 
 
 def test_thumbnails_are_small_squares() -> None:
-    assert thumbnail(torch.rand(64, 300, 3)).shape == (64, 64, 3)
-    gray = thumbnail(torch.full((200, 100, 1), 0.5))
+    assert crop_thumbnail(torch.rand(64, 300, 3)).shape == (64, 64, 3)
+    gray = crop_thumbnail(torch.full((200, 100, 1), 0.5))
     assert gray.shape == (MAX_THUMBNAIL_PX, MAX_THUMBNAIL_PX, 3)
     assert float((gray - 0.5).abs().max()) < 1e-6
 

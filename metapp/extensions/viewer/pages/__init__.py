@@ -1,1 +1,5 @@
-"""The pages of the applications that ship, each an entry of `registry.pages`."""
+"""Views of the applications that ship, each of which is an entry of `registry.pages`.
+
+Read `brdf` with `anisotropic_residual`, networks and samples; `flat`, textures and maps of surfaces; `illumination`,
+light maps; then `transport`, scenes.
+"""

@@ -1,14 +1,16 @@
-// BRDFs: the fitted network itself in the fragment shader, on shapes; below the pointer a polar plot.
+// The viewer of BRDFs: it evaluates the fitted network in the fragment shader, on shapes, and draws a polar plot below the
+// pointer.
 //
-// facts: network ("nbrdf", "featured" or "anisotropic"), inputs, hidden, smoothing
-// (TURNS, SMOOTH and GRAZING of metapp.apps.brdf.featured), turn, darkest, alphas [[2], [2]] of the lobes, samples.
-// arrays: weights [N, 4] as metapp.extensions.viewer.pages.brdf.packed lays them out, shares [24, 3] of the lobes; perhaps residual
-// [phi_d, theta_d, theta_h, 4], what the samples' log(1 + f) has more than the fit's (phi_d in [0, 2 pi), of
-// reciprocal fits in [0, pi); theta_h by its square root), or of samples with phi_h the five axes of metapp.extensions.viewer.pages.anisotropic_residual; and samples [N, 6 or 7] (theta_h, theta_d, phi_d, perhaps phi_h, RGB).
+// facts: network ("nbrdf", "featured" or "anisotropic"), inputs, hidden, smoothing (AZIMUTH_ONSET_RAD2, VECTOR_SMOOTHING
+// and COSINE_SMOOTHING of metapp.apps.brdf.feature_network), turn, darkest, alphas [[2], [2]] of the lobes.
+// arrays: weights [N, 4], laid out by metapp.extensions.viewer.pages.brdf.pack_layers; shares [24, 3] of the lobes;
+// optional: residual [phi_d, theta_d, theta_h, 4], log(1 + f) of the samples less that of the fit (phi_d in [0, 2 pi), or
+// in [0, pi) if the fit is reciprocal; theta_h by its square root), or with phi_h the axes of
+// metapp.extensions.viewer.pages.anisotropic_residual; samples [N, 6 or 7]: theta_h, theta_d, phi_d, phi_h if any, RGB.
 // shared: light, a lat-long map [H, W, 3]; studio [2, L, 4], the lights of metapp's pictures.
 
-const DRAWN = 128;       // directions that albedos of lobes are the mean of
-const HALF_CIRCLE = 24;  // cells of phi_d from 0 to pi
+const DRAWN = 128;       // number of directions over which albedos of lobes are averaged
+const HALF_CIRCLE = 24;  // number of cells of phi_d from 0 to pi
 
 const NETWORK = `
 #if IN_BLOCK
@@ -63,7 +65,8 @@ vec3 fitted(Half at, float incident, float outgoing) {
   if (darkest == 0.0) return max(expm1_of(last), 0.0);
   return max((exp(min(last, 14.0)) - darkest) / max(incident * outgoing, darkest), 0.0);
 }
-// What log(1 + f) of the samples has more; with phi_h in slices of one phi_h + phi_d each, side by side.
+// Return log(1 + f) of the samples less that of the fit. With phi_h the grid lies in slices of one phi_h + phi_d, side by
+// side.
 vec3 beyond(Half at) {
   float radius = sqrt(atan(at.sine, at.cosine) / (PI / 2.0)), theta_d = acos(clamp(at.difference.z, 0.0, 1.0)) / (PI / 2.0);
   float phi_d = atan(at.difference.y, at.difference.x) / PI;
@@ -73,7 +76,7 @@ vec3 beyond(Half at) {
   float slices = float(SLICES), width = float(textureSize(residual, 0).x) / slices;
   float slice = fract(phi_d + atan(at.sin_phi, at.cos_phi) / PI) * slices - 0.5, first = floor(slice);
   vec2 disc = 0.5 + 0.5 * radius * vec2(at.sin_phi, at.cos_phi);
-  float column = clamp((1.0 - sqrt(max(1.0 - theta_d, 0.0))) * width, 0.5, width - 0.5);  // not into the next slice
+  float column = clamp((1.0 - sqrt(max(1.0 - theta_d, 0.0))) * width, 0.5, width - 0.5);  // so that the texture's filter does not read the next slice
   vec2 columns = (column + width * mod(vec2(first, first + 1.0), slices)) / (width * slices);
   return mix(textureLod(residual, vec3(columns.x, disc), 0.0).rgb, textureLod(residual, vec3(columns.y, disc), 0.0).rgb, slice - first);
 #endif
@@ -84,7 +87,7 @@ void reflectances(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {  // in 1
   fit = fitted(at, wi.z, wo.z);
   vec3 base = fit;
 #if KIND != 2 && SLICES > 0
-  if (at.difference.y < 0.0) {  // what such samples have more is known for phi_d in [0, pi] alone
+  if (at.difference.y < 0.0) {  // the residual is known for phi_d in [0, pi] alone
     at.difference.xy = -at.difference.xy;
     base = fitted(at, wo.z, wi.z);
   }
@@ -116,8 +119,8 @@ void first_look(vec3 wo, mat3 frameOf, out vec3 fit, out vec3 reference) {
   fit += albedo(fitAlbedos, 2, place) * light; reference += albedo(referenceAlbedos, 2, place) * light;
 }`;
 
-// The layers with a variable for each four neurons: an array that is indexed would lie in memory. Weights lie as
-// metapp.extensions.viewer.pages.brdf.packed puts them.
+// Return the code of the layers, with a variable for every four neurons: an array that is indexed would lie in memory.
+// Weights are laid out by metapp.extensions.viewer.pages.brdf.pack_layers.
 function layers(inputs4, hidden4) {
   const each = (count, text, between = " ") => Array.from({ length: count }, (_, i) => text(i)).join(between);
   const sum = (count, first, name) => each(count, (i) => `dot(weight(${first} + ${i}), ${name}${i})`, " + ");
@@ -144,7 +147,7 @@ void main() {
   fitOut = vec4(fit, 1.0); referenceOut = vec4(reference, 1.0);
 }`;
 
-// The residual as a texture, of which phi_d, the last axis where there is no phi_h, repeats.
+// Return the residual as a texture that repeats along phi_d, the last axis of the texture if there is no phi_h.
 function tableOf(residual) {
   const [depth, height, ...widths] = residual ? residual.shape.slice(0, -1) : [1, 1, 1];
   const table = new THREE.Data3DTexture(residual ? residual.values : new Uint16Array(4), widths.reduce((a, b) => a * b), height, depth);
@@ -154,7 +157,7 @@ function tableOf(residual) {
 
 class BrdfViewer extends ShapeViewer {
   static shapes = ["sphere", "plane", "knot", "cylinder"];
-  static lights = [["map", "Light map"], ["lamp", "Lamp"], ["studio", "Studio lights"]];  // under a lamp metals are black but for a dot
+  static lights = [["map", "Light map"], ["lamp", "Lamp"], ["studio", "Studio lights"]];  // the map comes first: under a lamp metals are black but for a dot
 
   async open() {
     const studio = await shared("studio");
@@ -165,7 +168,7 @@ class BrdfViewer extends ShapeViewer {
     this.samples = await Promise.all(this.fits.map((fit) => (fit.arrays.samples ? samplesOf(fit.arrays.samples) : [])));
   }
 
-  _listed(values) {  // as a texture, 256 texels a row
+  _listed(values) {  // return the values as a texture of 256 texels a row
     const rows = Math.ceil(values.length / 1024), padded = new Float32Array(1024 * rows);
     padded.set(values);
     return texture(padded, 256, rows);
@@ -192,7 +195,7 @@ class BrdfViewer extends ShapeViewer {
     };
   }
 
-  // What each lobe reflects by the viewer's angle, once for a material.
+  // Compute the albedo of each lobe by the viewer's angle, once for a material.
   prepare(material) {
     if (material.albedos) return;
     const u = material.uniforms, before = [u.light.value, u.frame.value, u.chunks.value];
@@ -219,7 +222,7 @@ class BrdfViewer extends ShapeViewer {
     ];
   }
 
-  // Reflectance of pairs of directions [[wi, wo], ...] in the frame of the surface: [fit, reference], RGB in 1/sr each.
+  // Return the reflectance [fit, reference], RGB in 1/sr, of pairs of directions [[wi, wo], ...] in the surface's frame.
   evaluate(column, pairs) {
     const own = this.materials[column], count = pairs.length, values = new Float32Array(8 * count);
     pairs.forEach(([wi, wo], i) => { values.set(wi, 4 * i); values.set(wo, 4 * (count + i)); });
@@ -270,7 +273,7 @@ class BrdfViewer extends ShapeViewer {
 const meanOf = (rgb) => (rgb[0] + rgb[1] + rgb[2]) / 3;
 const degrees = (angle) => `${Math.round(angle * 180 / Math.PI)}\u00b0`;
 
-// Angles (theta_h, theta_d, phi_d, perhaps phi_h) and RGB of each row.
+// Return the angles theta_h, theta_d, phi_d, phi_h if any, and the RGB of each sample.
 async function samplesOf(spec) {
   const values = floatsOf(await numbersOf(spec)), width = spec.shape[1];
   return Array.from({ length: spec.shape[0] }, (_, i) => {
@@ -279,7 +282,7 @@ async function samplesOf(spec) {
   });
 }
 
-// Of a direction in the frame at a place that `pick` found.
+// Return a direction in the local frame of a place that `pick` has found.
 function azimuthOf(direction, { n, t }) {
   const x = t.clone().addScaledVector(n, -n.dot(t)).normalize();
   return Math.atan2(direction.dot(n.clone().cross(x)), direction.dot(x));

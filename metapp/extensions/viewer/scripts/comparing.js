@@ -1,19 +1,20 @@
-// Fits and references in panes of the same camera, light and exposure: side by side, their difference, a wipe on request.
+// A viewer that compares fits with references in panes of one camera, light and exposure: side by side, as a difference, or
+// with a wipe.
 
 const COMPARED = {
   beside: "Side by side", all: "Side by side + difference", difference: "Difference in false colours",
   wipe: "Wipe between them", reference: "Reference", fit: "Fit",
 };
-const PARTS = ["fit", "reference", "wipe", "difference", "measured"];  // of a pane, as shaders count them
+const PARTS = ["fit", "reference", "wipe", "difference", "measured"];  // the parts that a pane can show, in the order of their numbers in shaders
 const DIFFERENCE = "|fit \u2212 reference|";
-const MEASURE_EVERY = 1500;  // ms, while a picture improves
+const MEASURE_EVERY = 1500;  // ms between measurements while a picture improves
 
 class ComparingViewer extends Viewer {
-  static curve = 0;  // of `encoded`
+  static curve = 0;  // the curve of `encoded` in shaders
   referenced(fit) { return false; }  // whether there is a reference to compare with
   named(fit) { return "Reference"; }
-  shapeOfPane() { return 1; }  // width over height of what a pane shows
-  numbers = [];  // of each fit with a reference {mean, rms, high}, of differences of display values
+  shapeOfPane() { return 1; }  // width over height of the picture in a pane
+  numbers = [];  // {mean, rms, high} of differences of display values, for each fit with a reference
 
   comparing() {
     const compared = () => this.fits.some((fit) => this.referenced(fit)), scaled = (s) => ["all", "difference"].includes(s.show) && compared();
@@ -24,7 +25,7 @@ class ComparingViewer extends Viewer {
     ];
   }
 
-  // What is shown: [{fit: index, part}]; one reference for all fits.
+  // Return the panes to show, [{fit: index, part}]; all fits share one reference.
   parts() {
     const { show } = this.settings, all = this.fits.map((_, fit) => fit), known = all.filter((fit) => this.referenced(this.fits[fit]));
     const fits = all.map((fit) => ({ fit, part: "fit" })), [first] = known;
@@ -35,7 +36,7 @@ class ComparingViewer extends Viewer {
     return fits.map((each) => (known.includes(each.fit) ? { fit: each.fit, part: show } : each));
   }
 
-  // Panes {fit, part, x, y, width, height} in px of the canvas, from its upper left.
+  // Return the panes {fit, part, x, y, width, height} in px of the canvas from its upper left corner.
   arrange() {
     const ratio = this.renderer.getPixelRatio(), size = this.renderer.getDrawingBufferSize(new THREE.Vector2()), parts = this.parts(), before = this.panes?.[0];
     const foot = parts.some(({ part }) => part === "difference") ? LEGEND * ratio : 0, shape = this.shapeOfPane(), gap = GAP * ratio;
@@ -48,7 +49,7 @@ class ComparingViewer extends Viewer {
     return Boolean(now) && (now.width !== before?.width || now.height !== before?.height);  // whether pictures have another size
   }
 
-  // The pane of an event or place, and the place in it in px: {pane, fit, x, y, width, height}.
+  // Return the pane of an event or a place, and the place in this pane in px: {pane, fit, x, y, width, height}.
   paneAt({ clientX, clientY }) {
     const box = this.element.getBoundingClientRect(), ratio = this.renderer.getPixelRatio(), [px, py] = [(clientX - box.left) * ratio, (clientY - box.top) * ratio];
     const away = (pane) => Math.hypot(Math.max(pane.x - px, px - pane.x - pane.width, 0), Math.max(pane.y - py, py - pane.y - pane.height, 0));
@@ -56,7 +57,7 @@ class ComparingViewer extends Viewer {
     return { pane, fit, x: (px - x) / ratio, y: (py - y) / ratio, width: width / ratio, height: height / ratio };
   }
 
-  // Uniforms of SHOWING, and its pass over the panes; `each(i)` sets what else a fit needs.
+  // Set the uniforms of SHOWING and draw the panes; `each(i)` sets further uniforms of fit i.
   _shown() {
     return { map: null, referenceMap: null, exposure: 1, full: 1, wipe: 0.5, curve: 0, show: 0, mapScale: 1, column: new THREE.Vector4(), paper: new THREE.Vector3() };
   }
@@ -88,9 +89,9 @@ class ComparingViewer extends Viewer {
     u.map.value = own.map; u.referenceMap.value = own.reference; u.mapScale.value = own.scale; u.show.value = PARTS.indexOf(part);
   }
 
-  finished() { return true; }  // whether the picture does not improve any more
+  finished() { return true; }  // whether the picture has stopped improving
 
-  // The numbers of all fits that have a reference, at most so often, once more when a picture is finished.
+  // Measure all fits that have a reference, every MEASURE_EVERY at most, and once more when the picture is finished.
   _measure(material, each) {
     const key = JSON.stringify([this.settings, this.panes, this.count]), now = performance.now();
     if (key === this.measuredAs || !this.panes.length || (!this.finished() && now - (this.measuredAt ?? 0) < MEASURE_EVERY)) return;
@@ -112,7 +113,7 @@ class ComparingViewer extends Viewer {
   }
 }
 
-// Of [difference, -, -, coverage] a pixel: the mean, root mean square and 95th percentile of differences in [0, 1].
+// Return mean, root mean square and 95th percentile of differences in [0, 1] over pixels [difference, -, -, coverage].
 function summed(values) {
   const bins = new Float64Array(1001);
   let [total, sum, squares] = [0, 0, 0];

@@ -1,10 +1,10 @@
 "use strict";
-// What all viewers share: the page's data, arrays and pictures from it, controls.
+// The parts that all viewers share: the page's data, its arrays and pictures, and controls.
 
 const DATA = JSON.parse(document.getElementById("data").textContent);
-const ARRAYS = { float16: Uint16Array, float32: Float32Array, uint8: Uint8Array };  // halves as their bits
+const ARRAYS = { float16: Uint16Array, float32: Float32Array, uint8: Uint8Array };  // half floats as their bits
 
-// Deflated, base64 text to {shape, values}.
+// Decode deflated text in base64 as {shape, values}.
 async function numbersOf(spec) {
   const bytes = Uint8Array.from(atob(spec.data), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -18,7 +18,7 @@ function fromHalf(bits) {
   return exponent === 31 ? sign * Infinity : sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
 }
 
-// Float32Array of an array of any type.
+// Return an array of any type as Float32Array.
 const floatsOf = (array) => (array.type === "float16" ? Float32Array.from(array.values, fromHalf) : Float32Array.from(array.values));
 
 async function imageOf(address) {
@@ -30,7 +30,7 @@ async function imageOf(address) {
 
 const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 const sharedArrays = new Map();
-function shared(name) {  // an array that several fits have in common
+function shared(name) {  // return an array that several fits have in common
   if (!sharedArrays.has(name)) sharedArrays.set(name, numbersOf(DATA.shared[name]));
   return sharedArrays.get(name);
 }
@@ -49,8 +49,8 @@ function make(tag, attributes = {}, ...children) {
 // Settings of a viewer by name, and the form that changes them.
 //
 // A control is {name, label, type, value, ...}: "choice" with options [[value, text], ...], "range" with min, max, step and
-// perhaps text(value), "check", "action" with run(), "file" with accept and run(file), "note" with a text. `when(settings)`
-// says whether it is shown.
+// optional text(value), "check", "action" with run(), "file" with accept and run(file), "note" with a text. `when(settings)`
+// returns whether the control is shown.
 class Controls {
   constructor(form, controls, changed) {
     this.form = form; this.controls = controls; this.changed = changed; this.settings = {};
@@ -109,22 +109,23 @@ class Controls {
 
 // A viewer shows the fits of a group side by side in an element of its own, all by the same settings and from the same place.
 //
-// Its own: `controls()`, `open()` before the first frame, `draw()` -> whether the picture still improves, `resize()`,
-// `close()`, `png()` -> canvas that holds what is seen. Once it is open the page gives it `set(name, value)`,
-// which its controls follow; from the start `lost()` and `restored()`, to be called where it cannot draw for now, and can again.
+// A subclass defines `controls()`, `open()`, called before the first frame, `draw()`, which returns whether the picture still
+// improves, `resize()`, `close()` and `png()`, which returns a canvas with the picture. The page gives the viewer `set(name,
+// value)` once it is open, which controls follow, and `lost()` and `restored()` from the start: the viewer calls them when it
+// cannot draw for now, and when it can again.
 class Viewer {
   constructor(stage, group, redraw) {
     this.element = make("div", { className: "view" }); this.fits = group.fits; this.redraw = redraw;
     stage.append(this.element);
-    this.settings = {};  // of its controls
+    this.settings = {};  // values of the controls
   }
   controls() { return []; }
   async open() {}
   draw() { return false; }
   resize() {}
   changed() {}
-  get strip() { return true; }  // whether labels stand above pictures, not over them
+  get strip() { return true; }  // whether labels stand above pictures in place of over them
   close() { this.lost = this.restored = null; this.element.remove(); }
 }
 
-const VIEWERS = {};  // by kind
+const VIEWERS = {};  // classes of viewers, by kind

@@ -1,14 +1,14 @@
-// How a picture comes about: sample after sample, each in tiles, so that the page answers meanwhile.
+// Progressive drawing: sample after sample, each in tiles, so that the page answers meanwhile.
 //
-// First a coarse picture, of few pixels; then all pixels, tile by tile over it. Under a light map the first picture is of blurred
-// maps (`FIRST_LOOK`), which samples replace little by little; under a lamp that picture is a faint surround.
+// A coarse picture of few pixels comes first; then all pixels, tile by tile over it. Under a light map the first picture is
+// lit by blurred maps (`FIRST_LOOK`), and samples replace it little by little; under a lamp it is a faint surround.
 
 const MINUTE = 60000;  // ms
-const PIECE = 50;      // ms, after which the page may answer
-const BLENDED = 24;    // samples that count as much as the first look
-const SURROUND = 0.15; // of the light map, under a lamp
+const PIECE = 50;      // ms of drawing, after which the page may answer
+const BLENDED = 24;    // number of samples whose mean counts as much as the first look
+const SURROUND = 0.15; // share of the light map that is visible under a lamp
 
-// A picture at some share of all pixels across: samples, their sum, what is seen at each pixel.
+// A picture at a share of all pixels across: its samples, their sum, and the surface that is seen at each pixel.
 class Level {
   constructor(detail, fits, pane) {
     this.detail = detail; this.pane = pane;
@@ -22,20 +22,20 @@ class Level {
   get begun() { return this.tiles !== null || this.count > 0; }
   get sum() { return this.sums[this.count & 1]; }
   get next() { return this.sums[1 - (this.count & 1)]; }
-  // The share of its next sample that is drawn.
+  // Return the share of the next sample that is drawn.
   get part() { return this.tiles ? 1 - this.tiles.reduce((sum, { width, height }) => sum + width * height, 0) / (this.sum.width * this.height) : 0; }
   free() { [this.sample, ...this.sums, this.look, this.buffer].forEach((each) => each.dispose()); }
 }
 
 class DrawnViewer extends ComparingViewer {
-  count = 0;     // samples of all pixels
-  cost = 0;      // ms of a sample of all pixels; 0: not known yet
+  count = 0;     // number of samples of all pixels
+  cost = 0;      // ms of a sample of all pixels; 0 if not known yet
   lookCost = 0;  // ms of a first look at all pixels
-  side = 16;     // px of a tile that takes PIECE
+  side = 16;     // side in px of a tile that takes PIECE
   moves = false;
-  stale = true;  // whether the screen shows what is no longer asked for
+  stale = true;  // whether the screen shows a picture of settings that have changed
   shownAt = 0;
-  showCost = 0;  // ms
+  showCost = 0;  // ms that putting a picture onto the screen takes
   stopped = false;
 
   constructor(stage, group, redraw) { super(stage, group, () => { this.stale = true; redraw(); }); }
@@ -44,14 +44,14 @@ class DrawnViewer extends ComparingViewer {
   get buffer() { return this._top().buffer; }
   _top() { return this.fine.begun || !this.coarse.begun ? this.fine : this.coarse; }
 
-  // Shares of pixels across: of a picture that is there at once, and at rest.
+  // Return shares of pixels across: of the picture that is drawn at once, and of the picture at rest.
   _details() {
     const { light } = this.lighting(), before = this.fine?.detail, looks = light === "map" || this.surrounded() ? this.lookCost : 0;
     const cost = looks + (this.moves && light === "map" ? 0 : this.cost), left = Math.max(1.4 * PIECE - this.showCost, 0.4 * PIECE);
     const coarse = this.cost ? clamp(Math.sqrt(left / cost), 0.1, 1) : 0.25;
     if (light === "lamp") return [coarse, 1];
     if (light === "studio") return [coarse, clamp(Math.sqrt(2000 / Math.max(this.cost, 1)), 0.25, 1)];
-    return [coarse, this.cost > 2000 || (before === 0.5 && this.cost > 1000) ? 0.5 : 1];  // between them as it is: each change begins anew
+    return [coarse, this.cost > 2000 || (before === 0.5 && this.cost > 1000) ? 0.5 : 1];  // between both thresholds the share stays: each change begins a picture anew
   }
 
   _targets() {
@@ -76,14 +76,14 @@ class DrawnViewer extends ComparingViewer {
     this.redraw(); this.overlay?.place();
   }
 
-  // Samples of a picture; under a light map as many as a minute has, where that is fewer.
+  // Return the number of samples of a picture; under a light map no more than a minute has time for.
   most() {
     const { light } = this.lighting(), cost = Math.max(this.cost * this.fine.detail ** 2, 1);
     if (light === "lamp") return 16;
     if (light === "studio") return (cost > 500 ? 1 : 4) * this.chunks;
     return clamp(Math.round(MINUTE / cost), 64, 1024);
   }
-  get chunks() { return 16; }  // samples that share the studio's lights
+  get chunks() { return 16; }  // number of samples among which the studio's lights are divided
   surrounded() { return this.lampShown() && this.settings.surround; }
   finished() { return this.stopped || this.count >= this.most(); }
 
@@ -93,16 +93,16 @@ class DrawnViewer extends ComparingViewer {
     const begin = performance.now();
     if (this.stale || this.finished() || begin - this.shownAt > 4 * this.showCost) {
       this._show();
-      this.renderer.getContext().readPixels(0, 0, 1, 1, 0x1908, 0x1401, new Uint8Array(4));  // waits until all is drawn
+      this.renderer.getContext().readPixels(0, 0, 1, 1, 0x1908, 0x1401, new Uint8Array(4));  // waits until everything is drawn
       if (this.coarse.looked || this.coarse.count || this.fine.looked || this.fine.count) this.element.classList.remove("waiting");
       this.stale = false; this.shownAt = performance.now(); this.showCost = this.shownAt - begin;
     }
     (this.bar ??= new Progress(this)).show();
     return Boolean(this.awaited) || (!this.finished() && !(this.moves && this._top().begun && !this._level()));
   }
-  _wait(target) { this.renderer.readRenderTargetPixels(target, 0, 0, 1, 1, target.textures[0].type === THREE.FloatType ? new Float32Array(4) : new Uint16Array(4)); }  // until it is drawn
+  _wait(target) { this.renderer.readRenderTargetPixels(target, 0, 0, 1, 1, target.textures[0].type === THREE.FloatType ? new Float32Array(4) : new Uint16Array(4)); }  // waits until the target is drawn
 
-  // What is drawn next: the coarse picture where there is none yet, unless all pixels take no longer.
+  // Return the picture to draw next: the coarse one if it is missing, unless all pixels take no longer.
   _level() {
     const { coarse, fine } = this, map = this.lighting().light === "map", fast = this.cost && this.cost * fine.detail ** 2 < 2 * PIECE;
     if (fast || (coarse.count && !this.moves)) return fine;
@@ -121,7 +121,7 @@ class DrawnViewer extends ComparingViewer {
     level.count += 1; level.tiles = null;
     const cost = level.spent / level.detail ** 2;
     if (!this.cost) this.cost = cost;
-    else if (level === this.fine) this.cost = 0.7 * this.cost + 0.3 * cost;  // of few pixels what does not depend on them would count
+    else if (level === this.fine) this.cost = 0.7 * this.cost + 0.3 * cost;  // not of the coarse picture, where costs that do not depend on pixels would count too much
     level.spent = 0;
     this.count = this.fine.count;
     const { fine } = this;
@@ -129,7 +129,7 @@ class DrawnViewer extends ComparingViewer {
     if (this.fine !== fine) this.count = 0;
   }
 
-  // What is seen at each pixel, for all tiles of a sample; before the first one the first look.
+  // Draw the surface that is seen at each pixel, for all tiles of a sample, and the first look before the first sample.
   _begin(level) {
     const { renderer } = this, view = this.view(this._aspect()), { light, lamp, power } = this.lighting();
     const shift = light === "studio" ? Math.floor(level.count / this.chunks) : level.count;
@@ -154,7 +154,7 @@ class DrawnViewer extends ComparingViewer {
     });
     level.tiles = this.materials.map((_, fit) => ({ fit, x: 0, y: 0, width: level.width, height: level.height }));
     if (level.count) return;
-    renderer.setClearColor(0, -1);  // not drawn yet
+    renderer.setClearColor(0, -1);  // marks pixels that are not drawn yet
     renderer.setRenderTarget(level.next);
     renderer.clear();
     if (light === "map" || this.surrounded()) this._lookFirst(level);
@@ -169,12 +169,12 @@ class DrawnViewer extends ComparingViewer {
       this._fill(material.look, level.look);
     });
     this._wait(level.look);
-    if (this.materials[0].looked) this.lookCost = (performance.now() - begin) / level.detail ** 2;  // else it compiled
+    if (this.materials[0].looked) this.lookCost = (performance.now() - begin) / level.detail ** 2;  // the first call compiles, and its time says nothing
     this.materials.forEach((material) => { material.looked = true; });
     level.looked = true;
   }
 
-  // A tile: one that is too large is halved, and the half nearer to the middle comes first.
+  // Return the next tile: a tile that is too large is halved, and the half nearer to the middle comes first.
   _tile(level) {
     const tile = level.tiles.pop(), { fit, x, y, width, height } = tile, material = this.materials[fit], side = material.compiled ? this.side : 16;
     if (Math.max(width, height) > side) {
@@ -225,7 +225,7 @@ class DrawnViewer extends ComparingViewer {
   }
 }
 
-// How far a picture is that takes seconds, and a way to stop it.
+// The progress of a picture that takes seconds, and a button that stops it.
 class Progress {
   constructor(viewer) {
     this.viewer = viewer;

@@ -1,11 +1,12 @@
-// Light maps: to look around in, flat, lighting spheres, and the ball of a photograph beside the fit's.
+// The viewer of light maps: to look around in, flat, lighting spheres, and the photographed ball beside the fit's.
 //
-// facts: scale of what arrays hold, note; of spheres metal, albedo, specular, silver and diffuse {roughness}.
-// arrays: map [H, W, 3], radiance over the mean of the fit's; perhaps reference, the same of what was
-// fitted. pictures: perhaps photo and ball, of what the fit saw and its own, both of the same size.
-// shared: lobes [2, N], the share of light that the glosses of silver and diffuse reflect, by the cosine to the viewer.
+// facts: scale, the factor of all arrays; note, a text; of the spheres metal, albedo, specular, silver {roughness} and
+// diffuse {roughness}.
+// arrays: map [H, W, 3], the fit's radiance over its mean; optional: reference, radiance of the fitted map in this unit.
+// pictures: optional: photo, which the fit saw, and ball, which the fit lights, of one size.
+// shared: lobes [2, N], the share of light that the lobes of silver and diffuse reflect, by the cosine of the viewer.
 
-// The spheres of metapp.apps.illumination.spheres; where on the shape says which.
+// The spheres of metapp.apps.illumination.spheres in one shape, whose first coordinate says which sphere a place is on.
 const SPHERES = `
 uniform sampler2D lobeAlbedos; uniform float metal, albedo, specular; uniform vec2 alphas;
 int kind;
@@ -43,11 +44,11 @@ Lobes lobes(vec3 wo) {
   return Lobes(vec2(alpha_of()), vec2(1.0), kind == 0 ? vec3(0.0) : vec3(1.0 - gloss, gloss, 0.0), 0.0);
 }`;
 
-// A map seen from its middle or flat, or a picture of a ball.
+// Draw a map seen from its middle or flat, or a picture of a ball.
 const LOOK = `${SHOWING}
 uniform sampler2D photo, ball; uniform int mode, finer; uniform float zoom; uniform vec2 heading;
 const float PI = 3.14159265358979;
-bool place_at(vec2 px, out vec2 uv) {  // in the map, of a place in the column
+bool place_at(vec2 px, out vec2 uv) {  // the place in the map that a place in the column shows
   vec2 at = 2.0 * px - column.zw;
   if (mode == 1) {
     uv = 0.5 + vec2(at.x, -at.y) / (2.0 * min(column.z, 2.0 * column.w) * vec2(1.0, 0.5));
@@ -86,7 +87,7 @@ void main() {
   result = vec4(sum, show == 4 ? covered : 1.0);
 }`;
 
-// Spheres [[kind, radius, x, y], ...] as one shape, their kind as the place on it.
+// Return spheres [[kind, radius, x, y], ...] as one shape, with the kind in the first coordinate.
 function spheres(several) {
   const one = sphere(), count = one.attributes.position.count, geometry = new THREE.BufferGeometry(), index = [];
   for (const [name, { itemSize, array }] of Object.entries(one.attributes)) {
@@ -130,11 +131,11 @@ class LightViewer extends ShapeViewer {
   async ownLight() {
     const lights = [];
     for (const fit of this.fits) lights.push(await this._read(fit));
-    this.lights = lights;  // all at once: frames are drawn meanwhile
+    this.lights = lights;  // assigned at once, since frames are drawn meanwhile
     return lights[0];
   }
 
-  // The light of a fit and its reference, and textures of what else there is.
+  // Return the light of a fit and of its reference, and textures of the photograph and the ball if there are any.
   async _read({ arrays, pictures, facts }) {
     const map = await numbersOf(arrays.map), [height, width] = map.shape, reference = arrays.reference && floatsOf(await numbersOf(arrays.reference));
     const own = { ...lightOf(floatsOf(map), height, width, reference), scale: facts.scale };
@@ -144,7 +145,7 @@ class LightViewer extends ShapeViewer {
     return own;
   }
 
-  // A texture of halves [H, W], in its first channel.
+  // Return half floats [H, W] as the first channel of a texture.
   _gray({ values, shape }, options) {
     const texels = new Uint16Array(4 * values.length);
     values.forEach((value, i) => { texels[4 * i] = value; });
@@ -216,7 +217,7 @@ class LightViewer extends ShapeViewer {
     }, { passive: false });
   }
 
-  // What a fit saw stands before it.
+  // The photograph that a fit saw stands before it.
   parts() {
     const { view } = this.settings, photos = this.fits.flatMap(({ pictures }, fit) => (pictures.photo ? [fit] : []));
     const photo = photos.slice(0, 1).map((fit) => ({ fit, part: "photo", label: "Photo that the fit saw" }));
@@ -233,7 +234,7 @@ class LightViewer extends ShapeViewer {
     const { settings } = this, u = this.looking.uniforms, { field } = settings;
     u.zoom.value = Math.tan(field / 2 * DEGREE); u.heading.value.set(settings.heading * DEGREE, settings.pitch * DEGREE);
     this._columns(this.looking, (fit, { part, width, height }) => {
-      const { size, photo, ball } = this.lights[fit], flat = settings.view === "flat", px = flat ? Math.min(width / 2, height) : height * 180 / field;  // of all rows
+      const { size, photo, ball } = this.lights[fit], flat = settings.view === "flat", px = flat ? Math.min(width / 2, height) : height * 180 / field;  // height of the whole map in px
       u.finer.value = clamp(Math.ceil(size.y / px), 1, 4); u.mode.value = { photo: 2, ball: 3 }[part] ?? (flat ? 1 : 0);
       u.photo.value = photo; u.ball.value = ball;
     });

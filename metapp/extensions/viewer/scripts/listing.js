@@ -1,4 +1,4 @@
-// The list of fits with their thumbnails, keys for all of the page, and the help that tells of them.
+// The list of fits with their thumbnails, keys of the whole page, and the help that explains them.
 
 const KEYS = [
   ["\u2191 \u2193", "the fit before or after this one; Home and End: the first and last"],
@@ -29,7 +29,7 @@ function mark(nav, index) {
   nav.querySelector('[aria-current="true"]')?.scrollIntoView({ block: "nearest", inline: "nearest" });
 }
 
-// The help, opened by its button or by the key.
+// Open the help, by its button or its key.
 function helpOf(button) {
   const rows = KEYS.map(([keys, does]) => make("tr", {}, make("th", { textContent: keys }), make("td", { textContent: does })));
   const close = make("button", { type: "button", textContent: "Close" }), dialog = make("dialog", { className: "help" },
@@ -41,7 +41,7 @@ function helpOf(button) {
   return dialog;
 }
 
-// Keys that count wherever the focus is, but in what takes keys itself.
+// Keys that count wherever the focus is, except in elements that take keys themselves.
 function listen(nav, help, page) {
   document.addEventListener("keydown", (event) => {
     const { target, key } = event, typed = target.closest("input, select, textarea, dialog[open]"), own = typed || target.closest(".lamp, .wipe, canvas");

@@ -34,17 +34,17 @@ async function openGroup(wanted) {
   mark(page.nav, index);
   const next = new VIEWERS[group.kind](page.stage, group, () => { dirty = true; });
   next.lost = () => tell("The browser stopped WebGL, as drawing took too long or the page was left. The view comes back when WebGL does; if it stays away, load the page anew.");
-  next.restored = () => openGroup(wanted);  // whatever the GPU held is gone
+  next.restored = () => openGroup(wanted);  // the contents of the GPU's memory are lost
   try {
     await next.open();
-    if (turn !== opened) return next.close();  // another one was asked for meanwhile
+    if (turn !== opened) return next.close();  // another group was opened meanwhile
     const made = new Controls(page.form, next.controls(), (name) => { next.changed(name); dirty = true; });
     next.settings = made.settings;
     next.set = (name, value) => made.set(name, value);
     next.kind = group.kind;
     [viewer, controls] = [next, made];
     resize();
-    for (const { name, options } of made.controls) {  // as they were, where that is possible here
+    for (const { name, options } of made.controls) {  // settings stay as they were, where this viewer has them
       if (name in before && (!options || options.some(([value]) => value === before[name]))) made.set(name, before[name]);
     }
   } catch (error) {
@@ -69,7 +69,7 @@ function frame() {
   requestAnimationFrame(frame);
 }
 
-// By keys: what is compared, where the viewer has it, and the exposure.
+// Change by keys what is compared, if the viewer can compare, and the exposure.
 function compare(show) {
   const { options } = controls?.controls.find(({ name, when }) => name === "show" && (!when || when(controls.settings))) ?? {};
   const has = (value) => options?.some(([each]) => each === value), usual = ["beside", "all"].find(has);
@@ -86,7 +86,7 @@ async function png() {
   return viewer.png().toDataURL("image/png");
 }
 
-// The same with the labels, plots and lines that lie over it.
+// Return the picture of the viewer with the labels, plots and lines that lie over it.
 async function labelled() {
   viewer.draw();
   const seen = viewer.png(), box = seen.getBoundingClientRect(), ratio = seen.width / box.width;
@@ -110,7 +110,7 @@ function drawBox(g, x, y, width, height, colour) {
   g.fill();
 }
 
-// The text of an element, with the browser's own line breaks.
+// Return the text of an element, with the browser's own line breaks.
 function drawText(g, element, x, y) {
   const range = document.createRange(), text = element.firstChild, box = element.getBoundingClientRect(), lines = [];
   for (let i = 0; i < text.length; i++) {

@@ -1,6 +1,6 @@
-// What lies over the panes of a ShapeViewer: labels, legends, and handles of wipe and lamp, which keys move, too.
+// Elements over the panes of a ShapeViewer: labels, legends, and handles of wipe and lamp, which keys move as well.
 
-const STEP = Math.PI / 36;  // of the lamp, by a key
+const STEP = Math.PI / 36;  // angle in rad by which a key moves the lamp
 
 class Overlay {
   constructor(viewer) {
@@ -9,7 +9,7 @@ class Overlay {
   }
   get labels() { return this.each.map(({ label }) => label); }
 
-  // As many as there are panes, with their texts.
+  // Make as many labels as there are panes, and set their texts.
   label() {
     const { viewer } = this;
     while (this.each.length > viewer.panes.length) Object.values(this.each.pop()).forEach((element) => element.remove());
@@ -44,7 +44,8 @@ class Overlay {
     canvas.addEventListener("pointermove", (event) => { if (!event.buttons && viewer.panes?.length) viewer.pointed?.(viewer.paneAt(event)); });
   }
 
-  // The lamp's handle: its angle from the line of sight grows with the distance from the middle, so that all directions are within reach.
+  // Place the lamp's handle: its angle from the line of sight grows with the distance from the middle, so that all directions
+  // are within reach.
   _lampTo(event) {
     const { viewer } = this, { x, y, width, height } = viewer.paneAt(event), half = halfOf(width, height);
     const [right, up] = [(x - width / 2) / half, -(y - height / 2) / half];
@@ -54,7 +55,7 @@ class Overlay {
     viewer.restart();
   }
 
-  // Turn the lamp about the object, as it is seen: angles to the right and up.
+  // Turn the lamp about the object by angles to the right and up, as the object is seen.
   moveLamp(right, up) {
     const { viewer } = this, [x, y] = [0, 1].map((axis) => new THREE.Vector3().setFromMatrixColumn(viewer.camera.matrixWorld, axis));
     viewer.lampAt.applyAxisAngle(y, right).applyAxisAngle(x, -up).normalize();
@@ -83,7 +84,7 @@ class Overlay {
     this.tell();
   }
 
-  // Legends, and the numbers of comparisons below the view.
+  // Set the legends, and the numbers of comparisons below the view.
   tell() {
     const { viewer } = this, { panes, numbers, fits, settings } = viewer, ratio = viewer.renderer.getPixelRatio();
     panes.forEach(({ fit, part, width }, i) => {
@@ -94,7 +95,7 @@ class Overlay {
   }
   _measured(fit) { return DIFFERENCE.replace("reference", this.viewer.named(this.viewer.fits[fit]).toLowerCase()); }
 
-  // Which of several fits it is, and what of it is shown; nothing where a fit stands alone.
+  // Return the label of a fit and of the part that is shown; nothing if a fit stands alone.
   _text({ fit: index, part, label }) {
     const { viewer } = this, fit = viewer.fits[index], named = viewer.named(fit);
     const own = [fit.label, viewer.fits.length > 1 && fit.caption].filter(Boolean).join(": ");
@@ -106,17 +107,18 @@ class Overlay {
   }
 }
 
-// The radius at which a lamp's handle is seen from aside.
+// The radius at which the lamp's handle stands for light from aside.
 const halfOf = (width, height) => Math.min(width, height) * 0.46;
 
-// Have `move(event)` called while an element is dragged, and `moving(on)` where that begins and ends.
+// Call `move(event)` while an element is dragged, and `moving(on)` when dragging begins and ends.
 function draggable(element, move, moving = () => {}) {
   element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); element.focus({ preventScroll: true }); moving(true); event.preventDefault(); });
   element.addEventListener("pointermove", (event) => { if (element.hasPointerCapture(event.pointerId)) move(event); });
   element.addEventListener("lostpointercapture", () => moving(false));
 }
 
-// The handle of a wipe, by pointer and keys: `get()` and `put(share)` of its setting, `share(event)` that a pointer means.
+// Return the handle of a wipe, which pointer and keys move: `get()` and `put(share)` read and set its setting, `share(event)`
+// is the share that a pointer stands for.
 function wipeHandle(get, put, share, moving) {
   const wipe = make("div", { className: "wipe", tabIndex: 0, title: "Drag, or left and right keys" });
   wipe.setAttribute("role", "slider"); wipe.setAttribute("aria-label", "Wipe");

@@ -1,8 +1,8 @@
-// Panes: what is compared stands in rectangles of one size, side by side, or above one another where the view is narrow.
-// False colours of errors, and their legends.
+// Panes: pictures that are compared stand in rectangles of one size, side by side, or above one another in a narrow view.
+// Also false colours of errors, and their legends.
 
-const GAP = 6;  // between panes, px
-const HEAT = [[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]];  // of errors, from none to all
+const GAP = 6;  // px between panes
+const HEAT = [[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]];  // false colours of errors from 0 to the greatest, sRGB in 0 to 255
 const HEAT_GLSL = `
 const vec3 HEAT[5] = vec3[](${HEAT.map((rgb) => `vec3(${rgb.map((x) => (x / 255).toFixed(6)).join(", ")})`).join(", ")});
 vec3 heat(float x) {
@@ -16,8 +16,9 @@ function heat(x) {
   return HEAT[i].map((low, c) => low + (at - i) * (HEAT[i + 1][c] - low));
 }
 
-// The grid in which `count` pictures of one shape, width over height, are largest: rectangles {x, y, width, height} in whole px.
-// Above each picture `head` px are left for its label, below it `foot` px for its legend; a last row that is not full is centred.
+// Return the grid in which `count` pictures of one shape, width over height, are largest: rectangles {x, y, width, height} in
+// whole px. Above each picture `head` px are left for its label, below it `foot` px for its legend; a last row that is not
+// full is centred.
 function gridOf(count, width, height, { shape = 1, head = 0, foot = 0, gap = GAP } = {}) {
   let best = { size: 0 };
   for (let columns = 1; columns <= count; columns++) {
@@ -35,7 +36,7 @@ function gridOf(count, width, height, { shape = 1, head = 0, foot = 0, gap = GAP
   });
 }
 
-// The strip that labels need: texts are wrapped to the width of a pane.
+// Return the height of the strip that labels need, whose texts are wrapped to the width of a pane.
 function headOf(labels, width) {
   labels.forEach((label) => { label.style.maxWidth = `${Math.max(width - 8, 40)}px`; });
   return Math.max(0, ...labels.map((label) => (label.hidden ? 0 : label.offsetHeight + 4)));
@@ -43,8 +44,8 @@ function headOf(labels, width) {
 
 const percent = (x) => `${parseFloat((100 * x).toPrecision(3))} %`;
 
-// A colour scale with numbers, as a canvas over a view: from 0 to `most`, `title` says of what, `told` the numbers found.
-const LEGEND = 46;  // px high
+// A canvas with a colour scale from 0 to `most`: `title` says what the colours stand for, `told` which numbers were found.
+const LEGEND = 46;  // height in px
 function drawLegend(canvas, width, { most, title, told = "", text = percent }) {
   const ratio = devicePixelRatio, g = canvas.getContext("2d"), wide = Math.min(width - 28, 320), left = 14;
   Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(LEGEND * ratio) });

@@ -1,18 +1,22 @@
-// Pictures: side by side or one at a time, a wipe and the difference of two, errors against a reference, tiles, texels.
+// The viewer of pictures: side by side or one at a time, a wipe and the difference of two, errors against a reference, tiles,
+// texels.
 //
-// pictures: display values, 8 bits. arrays: linear radiance [H, W, 1 or 3] of any unit, tone-mapped here as in metapp's PNGs.
-// facts, none of which is needed:
-//   pictures   [{title, name, tiles, told, error, part, row}]: what is shown, in this order; by default all, titled as they are named.
-//              name: of `pictures` or `arrays`. tiles: "whole" (its edges meet) or "seams" (they do not). told: what its label says
-//              beside the title. error: show its error against the reference. part: [x, y, width, height] of it, enlarged. row: which
-//              row of the view it is in, where there is the room. chart: instead of a name, what `drawChart` draws
-//   compared   [left, right]: titles of the pair that is compared first; by default reference and fit
-//   reference  title of the radiance whose mean all are exposed by, and that errors are against; by default each has its own mean
-//   region     [x, y, width, height] that is marked in pictures
-//   notes      [text]
+// pictures: display values of 8 bits.
+// arrays: linear radiance [H, W, 1 or 3] of any unit, which is tone-mapped here as in metapp's PNGs.
+// facts, all of which are optional:
+//   pictures   [{title, name, tiles, told, error, part, row, chart}]: the panels, in order; by default all, by name.
+//              name: a name of `pictures` or `arrays`; in its place chart: the argument of `drawChart`. tiles: "whole" if the
+//              edges of the picture meet, "seams" if they do not. told: the text of the label after the title. error: whether to
+//              show the error against the reference. part: [x, y, width, height] of the region that is enlarged. row: the row of
+//              the view, if there is room for rows.
+//   compared   [left, right]: titles of the pair that is compared first; by default reference and fit.
+//   reference  title of the radiance by whose mean all pictures are exposed, and against which errors are; by default each
+//              picture is exposed by its own mean.
+//   region     [x, y, width, height] of the region that is marked in pictures.
+//   notes      [text].
 
-const FITTED = -6;  // of the setting `zoom`, a logarithm to base 2: as large as fits in the view
-const LARGEST = 6;  // of the same
+const FITTED = -6;  // value of the setting `zoom`, a logarithm to base 2, that stands for as large as fits in the view
+const LARGEST = 6;  // greatest value of the setting `zoom`
 
 class PicturesViewer extends Viewer {
 
@@ -27,7 +31,7 @@ class PicturesViewer extends Viewer {
     this._listen();
   }
 
-  // Of each fit the pictures by title.
+  // Pictures by title, for each fit.
   async _load() {
     this.sets = await Promise.all(this.fits.map(async (fit) => {
       const specs = fit.facts.pictures ?? [...Object.keys(fit.pictures), ...Object.keys(fit.arrays)].map((name) => ({ title: name, name }));
@@ -63,7 +67,7 @@ class PicturesViewer extends Viewer {
       { name: "zoom", label: "Zoom", type: "range", min: FITTED, max: LARGEST, step: 0.25, value: FITTED, text: (x) => `${zoomed()}${x <= FITTED ? ", fits" : ""}` },
       { name: "fit", label: "Fit to view", type: "action", run: () => this._put({ zoom: FITTED, x: 0, y: 0 }) },
       { name: "whole", label: "100 %", type: "action", run: () => this._put({ zoom: 0 }) },
-      { name: "x", label: "", type: "note", value: 0, when: () => false },  // of what is in the middle: texels from the pictures' middle
+      { name: "x", label: "", type: "note", value: 0, when: () => false },  // texels from the middle of the pictures to the middle of the view
       { name: "y", label: "", type: "note", value: 0, when: () => false },
       ...[...new Set(this.fits.flatMap((fit) => fit.facts.notes ?? []))].map((text, i) => ({ name: `note${i}`, label: text, type: "note" })),
     ];
@@ -86,7 +90,7 @@ class PicturesViewer extends Viewer {
     controls?.refresh();
   }
 
-  // The raster of a title in a fit, at the chosen exposure; undefined where it has none.
+  // Return the raster of a title in a fit, at the chosen exposure; undefined if the fit has none.
   _raster(i, title) {
     const picture = this.sets[i].get(title);
     if (!picture) return undefined;
@@ -96,7 +100,7 @@ class PicturesViewer extends Viewer {
     return Object.assign(raster, { tiles: picture.tiles, note: picture.told });
   }
 
-  // What is shown: [{fit, titles, row, rasters: one, or two of a wipe}]; what fits have in common is shown once.
+  // Return the panels to show: [{fit, titles, row, rasters: one, or two of a wipe}]; pictures that fits share are shown once.
   _panels() {
     const { show, one, left, right } = this.settings, panels = [], known = new Set(), reference = this.facts("reference");
     const sources = (i, titles) => titles.map((title) => this._raster(i, title)?.source).join("\n");
@@ -126,7 +130,7 @@ class PicturesViewer extends Viewer {
     return this.derived.get(key);
   }
 
-  // |a - b| of display values, the mean over channels, over what both cover, in false colours.
+  // Return |a - b| of display values in false colours, the mean over channels, where both rasters cover the view.
   _difference(a, b) {
     if (!a || !b) return undefined;
     const { scale } = this.settings, key = `d ${scale} ${a.scale} ${b.scale} ${a.source} ${b.source}`;
@@ -142,7 +146,7 @@ class PicturesViewer extends Viewer {
     });
   }
 
-  // |p - r| / max(r, 1 % of r's mean), as metapp.appearance.metrics.mape has it, the mean over channels.
+  // Return |p - r| / max(r, 1 % of r's mean) in false colours, the mean over channels; see metapp.appearance.metrics.mape.
   _error(picture, reference) {
     if (!picture?.radiance || !reference?.radiance || picture.radiance.length !== reference.radiance.length) return undefined;
     const { most } = this.settings, key = `e ${most} ${picture.source} ${reference.source}`;
@@ -159,7 +163,7 @@ class PicturesViewer extends Viewer {
     });
   }
 
-  // How many texels a raster covers, its repetitions counted.
+  // Return how many texels a raster covers with all of its repetitions.
   _area(raster) {
     const { tiles } = this.settings;
     if (raster.chart) return [1, 1];
@@ -169,14 +173,15 @@ class PicturesViewer extends Viewer {
     return [tiles * Math.max(...tiled.map((each) => each.width)), tiles * Math.max(...tiled.map((each) => each.height))];
   }
 
-  // Rows of panels to choose from: those that pictures ask for, else all grids.
+  // Return the layouts in rows to choose from: the rows that pictures ask for, else all grids.
   _rows() {
     const { panels } = this, asked = [...new Set(panels.map(({ row }) => row))];
     if (asked.length > 1 && !asked.includes(undefined)) return [asked.sort().map((row) => panels.filter((each) => each.row === row))];
     return panels.map((_, i) => Array.from({ length: Math.ceil(panels.length / (i + 1)) }, (_, k) => panels.slice(k * (i + 1), (k + 1) * (i + 1))));
   }
 
-  // Rows with their cells: {rows, strips: head and foot of each, cell, fit: zoom at which a picture of w x h fills one}.
+  // Return rows with their cells: {rows, strips: head and foot of each row, cell, fit: zoom at which a picture of w x h fills a
+  // cell}.
   _sized(rows, w, h) {
     const { canvas } = this, ratio = devicePixelRatio, gap = Math.round(GAP * ratio), most = Math.max(...rows.map((row) => row.length));
     const width = Math.floor((canvas.width - gap * (most - 1)) / most);
@@ -189,7 +194,7 @@ class PicturesViewer extends Viewer {
     return { rows, strips, cell, fit: Math.max(Math.min(cell[0] / w, cell[1] / h), 0) };
   }
 
-  // Cells for all panels, as large as they can be, and the zoom: px of the screen a texel.
+  // Return cells for all panels, as large as they can be, and the zoom in px of the screen a texel.
   _layout() {
     const { canvas, settings } = this, ratio = devicePixelRatio, gap = Math.round(GAP * ratio);
     if (!canvas.width || !canvas.height || settings.show === undefined) return;
@@ -198,7 +203,7 @@ class PicturesViewer extends Viewer {
     const [w, h] = [0, 1].map((axis) => Math.max(1, ...areas.map((area) => area[axis])));
     const best = this._rows().map((rows) => this._sized(rows, w, h)).reduce((a, b) => (b.fit > a.fit ? b : a), { fit: 0 });
     if (!best.fit) return;
-    this.fitting = best.fit >= 2 ? Math.floor(best.fit) : best.fit >= 1 ? Math.floor(4 * best.fit) / 4 : best.fit;  // whole px a texel, where little is lost by that
+    this.fitting = best.fit >= 2 ? Math.floor(best.fit) : best.fit >= 1 ? Math.floor(4 * best.fit) / 4 : best.fit;  // whole px a texel, if pictures get little smaller by that
     this.zoom = settings.zoom <= FITTED ? this.fitting : 2 ** settings.zoom;
     if (settings.zoom <= FITTED) Object.assign(settings, { x: 0, y: 0 });
     settings.x = clamp(settings.x, -w / 2, w / 2);
@@ -212,7 +217,7 @@ class PicturesViewer extends Viewer {
     this._place();
   }
 
-  // Where a raster begins on the canvas, px.
+  // Return the place in px of the canvas at which a raster begins.
   _origin(panel, raster) {
     const area = this._area(raster), middle = [panel.x + panel.width / 2, panel.y + panel.height / 2];
     return [0, 1].map((axis) => Math.round(middle[axis] - (area[axis] / 2 + this.settings[axis ? "y" : "x"]) * this.zoom));
@@ -247,7 +252,7 @@ class PicturesViewer extends Viewer {
     const source = raster.level(n), times = raster.times ?? 1;
     g.imageSmoothingEnabled = zoom * times < 2 && zoom !== 1;
     if (w === width * times && h === height * times) g.drawImage(source, left, top, w * zoom, h * zoom);
-    else {  // filtered across the edges, too
+    else {  // tiles are filtered across their edges
       const pattern = g.createPattern(source, "repeat");
       pattern.setTransform(new DOMMatrix([width * zoom / source.width, 0, 0, height * zoom / source.height, left, top]));
       g.fillStyle = pattern;
@@ -261,7 +266,7 @@ class PicturesViewer extends Viewer {
     for (let y = 0; y <= h; y += height) g.fillRect(left, top + Math.round(y * zoom) - (y === h ? line : 0), w * zoom, line);
   }
 
-  // A frame about the region that others enlarge.
+  // Draw a frame around the region that other panels enlarge.
   _mark(g, raster, left, top) {
     const region = this.facts("region"), line = Math.max(1, Math.round(1.5 * devicePixelRatio));
     if (!region || raster.times || this.settings.show === "one") return;
@@ -272,7 +277,7 @@ class PicturesViewer extends Viewer {
 
   png() { return this.canvas; }
 
-  // Labels, legends and the handles of wipes, as many as there are panels.
+  // Make labels, legends and handles of wipes, as many as there are panels.
   _overlay(width) {
     while (this.overlays.length > this.panels.length) Object.values(this.overlays.pop()).forEach((each) => each.remove());
     while (this.overlays.length < this.panels.length) this.overlays.push(this._made(this.overlays.length));
@@ -287,7 +292,7 @@ class PicturesViewer extends Viewer {
     return { label, legend, wipe };
   }
 
-  // The label of a panel of a width in px; narrow ones leave out what is told beside the title.
+  // Return the label of a panel of a width in px; narrow panels leave out the text after the title.
   _text(panel, width) {
     const fit = this.fits[panel.fit], several = this.fits.length > 1 && !panel.shared, wide = width > 150 || this.settings.show !== "all";
     const says = (raster) => [wide && raster.note, this._area(raster)[0] > raster.width && raster.tiles === "seams" && "repeated",
@@ -297,7 +302,7 @@ class PicturesViewer extends Viewer {
     return several ? `${[fit.label, caption].filter(Boolean).join(", ")}: ${told}` : told;
   }
 
-  // Where they are, over the panels.
+  // Place labels, legends and handles over the panels.
   _place() {
     const ratio = devicePixelRatio;
     this.panels.forEach((panel, i) => {
@@ -323,7 +328,7 @@ class PicturesViewer extends Viewer {
   }
   _panelAt([x, y]) { return this.panels.find((each) => x >= each.x && x < each.x + each.width && y >= each.y && y < each.y + each.height); }
 
-  // What is under the pointer: {title, raster, x, y}, the texel within the raster; null beside the pictures.
+  // Return the texel under the pointer, {title, raster, x, y}; null beside the pictures.
   pick(place) {
     const panel = this._panelAt(place);
     if (!panel) return null;
@@ -340,7 +345,7 @@ class PicturesViewer extends Viewer {
     if (picked) this.pointed.textContent = `${picked.title}, texel ${picked.x}, ${picked.y}: ${picked.raster.told(picked.x, picked.y)}`;
   }
 
-  // Zoom by stops, the texel at a place staying where it is.
+  // Zoom by stops; the texel at a place stays where it is.
   _zoom(stops, place) {
     const panel = this._panelAt(place) ?? this.panels[0], least = Math.log2(Math.min(this.fitting, 1)), before = this.zoom;
     if (!panel) return;

@@ -2,8 +2,8 @@
 
 const PLOT = [300, 258], LINES = { fit: "#ffffff", reference: "#7fb2ff", seen: "#ffd76a" };
 
-// Reflectance by angle in rad, the mean of RGB, log radius: angles, fit and perhaps reference [N], dots [[angle, value], ...] of
-// samples; `at` is the angle of what `seen` names.
+// Plot reflectance, the mean of RGB, by angle in rad, with a logarithmic radius: angles, fit and optional reference [N], dots
+// [[angle, value], ...] of samples; `at` is the angle of the direction that `seen` names.
 function drawPolar(canvas, { angles, fit, reference, dots, at: marked, seen, title, axis }) {
   const ratio = devicePixelRatio, [width, height] = PLOT, g = canvas.getContext("2d"), base = [width / 2, height - 86], most = 118, floor = 1e-3;
   Object.assign(canvas, { width: width * ratio, height: height * ratio });
@@ -52,13 +52,13 @@ function drawPolar(canvas, { angles, fit, reference, dots, at: marked, seen, tit
   canvas.setAttribute("aria-label", `Polar plot of f in 1/sr: ${entries.map(([name]) => name).join(", ")}. ${title}; ${axis}`);
 }
 
-// The plane of incidence of a viewer at theta and an azimuth: pairs of directions, angles of the light, and which of these a
-// sample is of. Those without phi_h are of any azimuth.
+// Return the plane of incidence of a viewer at theta and an azimuth: pairs of directions, angles of the light, and the angles
+// that samples lie at. Samples without phi_h lie at any azimuth.
 function lobeOf(theta, azimuth) {
   const angles = Array.from({ length: 179 }, (_, i) => (i - 89) * Math.PI / 180);
   const along = (angle) => turnedBy(azimuth, [Math.sin(angle), 0, Math.cos(angle)]), wo = along(theta);
   const near = (h, d, phi, phiH) => {
-    if (Math.abs(Math.sin(phi)) * Math.sin(d) > 0.05 || Math.abs(Math.sin((phiH ?? azimuth) - azimuth)) > 0.15) return [];  // across the plane
+    if (Math.abs(Math.sin(phi)) * Math.sin(d) > 0.05 || Math.abs(Math.sin((phiH ?? azimuth) - azimuth)) > 0.15) return [];  // the sample's half vector or difference vector lies outside of the plane
     const side = Math.sign(Math.cos(phi)) || 1, [wi, other] = [h + side * d, h - side * d];
     const signs = phiH === undefined ? [1, -1] : [Math.sign(Math.cos(phiH - azimuth))];
     return signs.flatMap((sign) => [[sign * wi, sign * other], [sign * other, sign * wi]])
@@ -67,7 +67,7 @@ function lobeOf(theta, azimuth) {
   return { angles, pairs: angles.map((a) => [along(a), wo]), near };
 }
 
-// The slice at theta_h, and phi_h: by theta_d to the right where phi_d is 90 degrees, to the left where it is 0.
+// Return the slice at theta_h and phi_h, by theta_d: to the right for phi_d of 90 degrees, to the left for phi_d of 0.
 function sliceOf(thetaH, azimuth) {
   const pair = (d, phi) => [1, -1].map((sign) => {
     const [x, y, z] = [sign * Math.sin(d) * Math.cos(phi), sign * Math.sin(d) * Math.sin(phi), Math.cos(d)];

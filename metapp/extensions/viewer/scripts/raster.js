@@ -1,6 +1,6 @@
-// Pictures of the page as rasters: display values, and the numbers behind them.
+// Rasters, the pictures of the page: display values, and the numbers behind them.
 
-// A picture of the page: display values as a canvas, and the numbers behind it.
+// A raster: display values as a canvas, and the numbers behind them.
 class Raster {
   constructor(width, height, source) { Object.assign(this, { width, height, source, levels: [] }); }
 
@@ -15,7 +15,7 @@ class Raster {
     return Object.assign(made, { radiance: values, channels: shape[2], mean: Math.max(values.reduce((sum, x) => sum + x, 0) / values.length, 1e-20) });
   }
 
-  // A part of it, enlarged to its size: [x, y, width, height] in texels.
+  // Return the region [x, y, width, height] in texels, enlarged to the size of the raster.
   part([x, y, width, height]) {
     const made = new Raster(width, height, `${this.source} ${[x, y, width, height]}`), { channels, mean } = this;
     const radiance = new Float32Array(width * height * channels);
@@ -26,7 +26,7 @@ class Raster {
     return Object.assign(made, { radiance, channels, mean, times: this.width / width });
   }
 
-  // Radiance over a mean and at an exposure: x / (1 + x), encoded as sRGB.
+  // Tone-map radiance over a mean at an exposure: x / (1 + x), encoded as sRGB.
   exposed(scale) {
     if (!this.radiance || this.scale === scale) return;
     this.scale = scale;
@@ -36,7 +36,7 @@ class Raster {
     });
   }
 
-  // Fill it with value(texel, channel) in [0, 255].
+  // Fill the canvas with value(texel, channel) in [0, 255].
   paint(value) {
     const canvas = make("canvas", { width: this.width, height: this.height }), g = canvas.getContext("2d"), data = g.createImageData(this.width, this.height);
     for (let i = 0; i < this.width * this.height; i++) {
@@ -48,7 +48,7 @@ class Raster {
     this.bytes = data.data;
   }
 
-  // Display values, RGBA, 8 bits.
+  // Return display values, RGBA of 8 bits.
   get data() {
     if (!this.bytes) {
       const g = make("canvas", { width: this.width, height: this.height }).getContext("2d");
@@ -58,7 +58,7 @@ class Raster {
     return this.bytes;
   }
 
-  // Halved so often: a browser that draws far less than there is skips texels.
+  // Return the canvas halved so many times: a browser that draws a canvas much smaller skips texels.
   level(n) {
     while (this.levels.length <= n) {
       const last = this.levels.at(-1), half = make("canvas", { width: Math.ceil(last.width / 2), height: Math.ceil(last.height / 2) });
@@ -68,7 +68,7 @@ class Raster {
     return this.levels[n];
   }
 
-  // What its numbers are at a texel.
+  // Return the text of the numbers at a texel.
   told(x, y) {
     const i = y * this.width + x;
     if (this.says) return this.says(i);
@@ -77,7 +77,7 @@ class Raster {
   }
 }
 
-// Curves with logarithmic axes: {x, y: what axes are, lines: [{label, points: [[x, y], ...]}], level: {label, y}}.
+// Draw curves with logarithmic axes: {x, y: titles of the axes, lines: [{label, points: [[x, y], ...]}], level: {label, y}}.
 const CURVES = ["#f2a541", "#7fb2ff", "#7fd18b", "#e07bd0"];
 class Chart {
   constructor(chart) { Object.assign(this, { chart, source: JSON.stringify(chart), width: 1, height: 1 }); }
@@ -116,7 +116,7 @@ function text(g, what, x, y, align, most) {
   g.fillText(what, x, y, most);
 }
 
-// 1, 2 and 5 times powers of ten within a range, and some between where it is small.
+// Return 1, 2 and 5 times powers of ten within a range, and numbers between them if the range is small.
 function ticksOf(low, high) {
   const all = [];
   for (let decade = Math.floor(Math.log10(low)); decade <= Math.log10(high); decade++) for (const k of high < 4 * low ? [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8] : [1, 2, 5]) all.push(parseFloat((k * 10 ** decade).toPrecision(2)));

@@ -1,9 +1,9 @@
-// GLSL of shapes and light maps: what is seen at each pixel, its light, the sum of frames, what of it is shown.
+// GLSL of shapes and light maps: the surface that is seen at each pixel, its light, the sum of frames, and the shown parts.
 
-const LAMP_DISTANCE = 2.414;  // of a lamp under which a white matte surface that faces it has radiance 1
-const NODES = 24;             // angles of the viewer that lobes are known at
+const LAMP_DISTANCE = 2.414;  // distance of a lamp that gives radiance 1 to a white matte surface facing it
+const NODES = 24;             // number of the viewer's angles at which lobes are tabulated
 const LAST_NODE = 89 * Math.PI / 180;
-const PLACES = 8;             // about a lobe that a blurred light map is read at
+const PLACES = 8;             // number of places around a lobe at which a blurred light map is read
 
 const COMMON = `
 precision highp float; precision highp int; precision highp sampler2D; precision highp sampler3D;
@@ -15,7 +15,7 @@ ${FACETS}
 vec3 towards_node(int i) { float angle = float(i) * ${(LAST_NODE / (NODES - 1)).toFixed(7)}; return vec3(sin(angle), 0.0, cos(angle)); }
 struct Lobes { vec2 first; vec2 second; vec3 shares; float turn; };  // GGX alphas of two lobes; shares of the cosine and of both
 
-uint seed; float draw, stride;  // of a pixel; which frame; by how much of 1 numbers go on from frame to frame
+uint seed; float draw, stride;  // seed of the pixel; number of the frame; step of random numbers from frame to frame
 // PCG of the pixel, and from frame to frame a Kronecker sequence, whose mean converges faster: powers of the root of g^6 + g^5 = 1.
 float random() {
   seed = seed * 747796405u + 2891336453u;
@@ -24,7 +24,7 @@ float random() {
   return fract(float((word >> 22u) ^ word) * (1.0 / 4294967296.0) + draw * stride);
 }
 vec3 turned(vec3 v, float angle) { float c = cos(angle), s = sin(angle); return vec3(c * v.x - s * v.y, s * v.x + c * v.y, v.z); }
-vec3 lobes_densities(Lobes m, vec3 v, vec3 l) {  // of the cosine and of both
+vec3 lobes_densities(Lobes m, vec3 v, vec3 l) {  // densities of the cosine and of both lobes
   if (l.z <= 0.0) return vec3(0.0);
   vec3 v_axes = turned(v, -m.turn), l_axes = turned(l, -m.turn);
   return m.shares * vec3(l.z / PI, facets(l_axes, v_axes, vec3(m.first, 1.0)), facets(l_axes, v_axes, vec3(m.second, 1.0)));
@@ -44,8 +44,8 @@ vec3 lobes_sample(Lobes m, vec3 v) {
 
 const VERTEX = `
 precision highp float; precision highp sampler2D;
-// What is seen at each pixel, which is shaded after: shading triangles would pay for all that lies behind others, and for the
-// quads at their edges.
+// The surface that is seen at each pixel, which is shaded later: shading triangles at once would cost time for hidden ones, and
+// for the quads at their edges.
 in vec3 position; in vec3 normal; in vec3 tangent; in vec2 uv;
 uniform mat4 toClip; uniform vec2 jitter;
 out vec3 P; out vec3 N; out vec3 T; out vec2 U;
@@ -62,7 +62,8 @@ in vec3 P; in vec3 N; in vec3 T; in vec2 U;
 layout(location = 0) out vec4 place; layout(location = 1) out vec4 normalOut; layout(location = 2) out vec4 tangentOut;
 void main() { place = vec4(P, 1.0); normalOut = vec4(N, U.x); tangentOut = vec4(T, U.y); }`;
 
-// A pixel of what is seen, and light maps as metapp.appearance.latlong has them: u = atan2(x, -z) / 2 pi, v = acos(y) / pi.
+// A pixel of the surface that is seen, and light maps, laid out as in metapp.appearance.latlong: u = atan2(x, -z) / 2 pi,
+// v = acos(y) / pi.
 const PIXEL = `
 uniform sampler2D seen0, seen1, seen2;
 vec3 P, N, T; vec2 U;
@@ -85,8 +86,8 @@ bool seen_at(ivec2 pixel, out mat3 frameOf, out vec3 wo) {
   return true;
 }
 vec2 place_of(vec3 d) { return vec2(fract(atan(d.x, -d.z) / (2.0 * PI) - mapTurn), acos(clamp(d.y, -1.0, 1.0)) / PI); }
-// The light of both maps in the mean over the cosine about a direction, and over a lobe, in the frame of the shape: the maps'
-// levels are as coarse as the places about a lobe that light is read at.
+// Return the mean light of both maps over the cosine about a direction, and over a lobe, in the frame of the shape. Levels of
+// the maps are as coarse as the distances of the places at which light is read.
 vec3 matte_light(vec3 n, out vec3 other) {
   vec2 at = place_of(n);
   other = mapScale * textureLod(referenceMatte, at, 0.0).rgb;
@@ -131,7 +132,7 @@ void main() {
   put(fit, reference);
 }`;
 
-const ALBEDOS = 3;  // as the number of a light: what each lobe reflects, by the viewer's angle across and the lobe above
+const ALBEDOS = 3;  // number of the light that stands for albedos: of each lobe, by the viewer's angle in x and the lobe in y
 const FRAGMENT = `${UNLIT}
 uniform int light, frame, chunks; uniform vec3 lamp; uniform float flashPower;
 uniform sampler2D places, studio; uniform float mapTotal;
@@ -139,22 +140,22 @@ uniform sampler2D places, studio; uniform float mapTotal;
 #ifndef BENT
 mat3 bent() { return mat3(1.0); }
 #endif
-float map_density(vec2 at) { return textureLod(map, at, 0.0).a / (mapTotal * max(sin(PI * at.y), 1e-4)); }  // of samples: luminance
+float map_density(vec2 at) { return textureLod(map, at, 0.0).a / (mapTotal * max(sin(PI * at.y), 1e-4)); }  // density of samples: luminance
 float tent(float u) { float t = 2.0 * u - 1.0; return sign(t) * (1.0 - sqrt(1.0 - abs(t))); }
-vec3 map_sample() {  // around a texel as radiance is interpolated, so that one bright texel among dark ones is no noise
+vec3 map_sample() {  // spread around a texel as radiance is interpolated, so that a bright texel among dark ones makes no noise
   int count = textureSize(places, 0).x;
   vec2 texel = texelFetch(places, ivec2(min(int(random() * float(count)), count - 1), 0), 0).xy;
   float phi = 2.0 * PI * ((texel.x + 0.5 + tent(random())) / mapSize.x + mapTurn), theta = PI * (texel.y + 0.5 + tent(random())) / mapSize.y;
-  float radius = abs(sin(theta));  // beyond a pole it is mirrored there
+  float radius = abs(sin(theta));  // places beyond a pole are mirrored at it
   return vec3(radius * sin(phi), cos(theta), -radius * cos(phi));
 }
-// Light from one direction in the frame of the shape, and what a response to it counts.
+// Light from one direction in the frame of the shape, and the weight of the response to it.
 vec3 by_lamp(mat3 frameOf, out vec3 weight) {
   vec3 towards = lamp - P;
   weight = vec3(flashPower / dot(towards, towards));
   return normalize(towards) * frameOf;
 }
-vec3 by_map(vec3 wo, mat3 frameOf, out vec3 weight, out vec3 other) {  // one sample of either strategy, balance heuristic
+vec3 by_map(vec3 wo, mat3 frameOf, out vec3 weight, out vec3 other) {  // one sample by each strategy, weighted by the balance heuristic
   mat3 axes = bent();
   vec3 viewer = wo * axes;
   viewer = normalize(vec3(viewer.xy, max(viewer.z, 1e-3)));
@@ -167,8 +168,8 @@ vec3 by_map(vec3 wo, mat3 frameOf, out vec3 weight, out vec3 other) {  // one sa
   other = textureLod(referenceMap, at, 0.0).rgb * scale;
   return wi;
 }
-// The lights of metapp's pictures of BRDFs, some in each frame: row 0 holds directions, row 1 irradiance; of the rings about
-// each normal row 0 holds half vectors in the frame of the shape, row 1 a solid angle and in its fourth number 1.
+// The lights of metapp's pictures of BRDFs, of which each frame takes some: row 0 holds directions, row 1 irradiance. For
+// rings about each normal row 0 holds half vectors in the frame of the shape, row 1 a solid angle, and 1 as its fourth number.
 vec3 by_studio(int i, vec3 wo, mat3 frameOf, out vec3 weight) {
   vec4 where = texelFetch(studio, ivec2(i, 0), 0), power = texelFetch(studio, ivec2(i, 1), 0);
   weight = power.rgb * float(chunks);
@@ -178,7 +179,7 @@ vec3 by_studio(int i, vec3 wo, mat3 frameOf, out vec3 weight) {
   weight *= 4.0 * cosine * (0.06 + 0.05 * (frameOf * wi).y);
   return wi;
 }
-// What a lobe reflects of the same light from everywhere: its share of what all do.
+// Return the share that a lobe has of all that is reflected of uniform light.
 vec3 by_lobe(int which, vec3 wo, out vec3 weight) {
   Lobes mixture = lobes(wo);
   vec3 wi = lobes_sample(mixture, wo), densities = lobes_densities(mixture, wo, wi);
@@ -198,10 +199,10 @@ void main() {
   if (light == ${ALBEDOS}) { wo = towards_node(pixel.x); last = frame; }
   else if (!seen_at(pixel, frameOf, wo)) return;
   at_point(U);
-  if (light == 2) { first = frame % chunks; last = textureSize(studio, 0).x; }  // lights of each kind in each frame
-  for (int i = first; i < last; i += chunks) {  // one call of response, which may be long
+  if (light == 2) { first = frame % chunks; last = textureSize(studio, 0).x; }  // each frame takes lights of each kind
+  for (int i = first; i < last; i += chunks) {  // a single call of response in the code, which may be long
     vec3 wi;
-    if (light == ${ALBEDOS}) {  // for a viewer all round
+    if (light == ${ALBEDOS}) {  // averaged over azimuths of the viewer
       draw = float(i); stride = 1.0;
       wo = turned(wo, 2.399963);
       wi = by_lobe(pixel.y, wo, weight);
@@ -224,26 +225,26 @@ void main() {
   first = keep * texelFetch(a0, at, 0) + texelFetch(b0, at, 0);
   second = keep * texelFetch(a1, at, 0) + texelFetch(b1, at, 0);
 }`;
-// What puts fit and reference on the screen, in a pane of it: column is [left, bottom, width, height], px; show one of PARTS.
+// Put fit and reference on the screen, in a pane: column is [left, bottom, width, height] in px, show is one of PARTS.
 const SHOWING = `
 precision highp float; precision highp int; precision highp sampler2D;
 uniform float exposure, full, wipe, mapScale; uniform int curve, show; uniform vec4 column; uniform vec3 paper;
 uniform sampler2D map, referenceMap;
 out vec4 result;
 vec3 srgb(vec3 x) { return mix(12.92 * x, 1.055 * pow(max(x, 0.0031308), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, x)); }
-vec3 encoded(vec3 x) {  // the curves of metapp's PNGs
+vec3 encoded(vec3 x) {  // the tone curves of metapp's PNGs
   x = max(x * exposure, 0.0);
   if (curve == 1) return pow(clamp(x, 1e-6, 1.0), vec3(1.0 / 2.2));
   return srgb(curve == 2 ? x / (1.0 + x) : min(x, 1.0));
 }
 ${HEAT_GLSL}
-float difference(vec3 a, vec3 b) { return dot(abs(a - b), vec3(1.0 / 3.0)); }  // of display values
+float difference(vec3 a, vec3 b) { return dot(abs(a - b), vec3(1.0 / 3.0)); }  // difference of display values, the mean over channels
 bool is_reference() { return show == 1 || (show == 2 && gl_FragCoord.x - column.x < wipe * column.z); }`;
 const DISPLAY = `${SHOWING}
 uniform sampler2D fit, reference, fitUnder, referenceUnder, fitLook, referenceLook;
 uniform float samples, scale, first, underScale, underFirst, trust, surround, mapTurn;
 uniform bool looked, mapBehind, parallel; uniform mat4 fromClip; uniform vec3 eye;
-vec4 read(sampler2D sum, float scale, float first) {  // between pixels of a picture that has fewer, where all of them are drawn
+vec4 read(sampler2D sum, float scale, float first) {  // interpolated between pixels of a coarser picture, if all of them are drawn
   ivec2 offset = ivec2(first, 0);
   vec2 at = (gl_FragCoord.xy - column.xy) * scale;
   vec4 nearest = texelFetch(sum, offset + ivec2(at), 0);
@@ -255,7 +256,8 @@ vec4 read(sampler2D sum, float scale, float first) {  // between pixels of a pic
   if (min(min(a.a, b.a), min(c.a, d.a)) < 0.0) return nearest;
   return mix(mix(a, b, share.x), mix(c, d, share.x), share.y);
 }
-// The mean of samples: of the coarse picture where none is drawn yet; with the first look, as far as samples are not trusted.
+// Return the mean of samples: of the coarse picture where no sample is drawn yet, and mixed with the first look while samples
+// are few.
 vec4 shown(sampler2D sum, sampler2D under, sampler2D look) {
   vec4 v = read(sum, scale, first), at_first = looked ? read(look, scale, first) : vec4(0.0);
   at_first.rgb /= max(at_first.a, 1e-6);

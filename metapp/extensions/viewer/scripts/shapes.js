@@ -1,11 +1,11 @@
-// Light maps as textures, and shapes to put materials on.
+// Light maps as textures, and shapes that materials are shown on.
 
 THREE.ColorManagement.enabled = false;
 const LINEAR = { minFilter: THREE.LinearFilter, magFilter: THREE.LinearFilter };
-const AROUND = { ...LINEAR, wrapS: THREE.RepeatWrapping };  // of light maps
+const AROUND = { ...LINEAR, wrapS: THREE.RepeatWrapping };  // options of textures of light maps, which wrap around
 const NEAREST = { minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter };
 
-// A texture of numbers, four a texel.
+// Return a texture of numbers, four a texel.
 function texture(values, width, height, options = {}) {
   const half = values instanceof Uint16Array;
   const made = new THREE.DataTexture(values, width, height, THREE.RGBAFormat, half ? THREE.HalfFloatType : THREE.FloatType);
@@ -13,8 +13,8 @@ function texture(values, width, height, options = {}) {
   return made;
 }
 
-// A light map [H, W, 3] for shaders: radiance, in the fourth channel luminance times the sine of the polar angle;
-// and places drawn by that over the map. Where the reference has a light of its own, the luminance is the mean of both.
+// Return a light map [H, W, 3] for shaders: radiance, in the fourth channel luminance times the sine of the polar angle, and
+// places that are sampled in proportion to it. If the reference has a light of its own, the luminance is the mean of both.
 function lightOf(values, height, width, reference = values) {
   const half = (x) => THREE.DataUtils.toHalfFloat(clamp(x, 0, 65504));
   const sums = new Float64Array(height * width), [texels, others] = [0, 1].map(() => new Uint16Array(4 * height * width));
@@ -41,8 +41,8 @@ function lightOf(values, height, width, reference = values) {
   return { map, matte, reference: other, referenceMatte: otherMatte, places: texture(places, 8192, 1), size: new THREE.Vector2(width, height), total, scale: 0.5 / mean };
 }
 
-// A map with levels that are blurred alike all over the sphere, each half as many texels across, and its mean over the cosine
-// about each direction.
+// Return a map with levels that are blurred uniformly over the sphere, each with half as many texels across, and its mean over
+// the cosine about each direction.
 function blurred(texels, values, width, height) {
   const mipmaps = [{ data: texels, width, height }];
   let level = { values: Float32Array.from(values, (x) => clamp(x, 0, 65504)), width, height }, small = level;
@@ -62,13 +62,13 @@ function fourHalves(values) {
   return texels;
 }
 
-// The mean over a tent of two rows either way and, of each row, over two of its texels at the equator, towards the poles more.
+// Return the mean over a tent of two rows either way, and in each row over two texels at the equator, more towards the poles.
 function halved({ values, width, height }) {
   const wide = Math.floor(width / 2), high = Math.floor(height / 2), result = new Float32Array(3 * wide * high), sums = new Float64Array(3 * (width + 1));
   const sine = (row, rows) => Math.sin(Math.PI * (row + 0.5) / rows), totals = new Float64Array(high);
   for (let row = 0; row < height; row++) {
     for (let x = 0; x < width; x++) for (let c = 0; c < 3; c++) sums[3 * (x + 1) + c] = sums[3 * x + c] + values[3 * (row * width + x) + c];
-    const upTo = (x, c) => {  // of the row from 0 to a place, which may lie beyond it
+    const upTo = (x, c) => {  // the sum of the row from 0 to a place, which may lie beyond its end
       const rounds = Math.floor(x / width), at = x - rounds * width, first = Math.floor(at), i = 3 * first + c;
       return rounds * sums[3 * width + c] + sums[i] + (first < width ? (at - first) * (sums[i + 3] - sums[i]) : 0);
     };
@@ -107,10 +107,10 @@ function overCosine({ values, width, height }, wide, high) {
   return result;
 }
 
-// Gives up the textures of a light.
+// Free the textures of a light.
 function forget(light) { Object.values(light).forEach((part) => { if (part?.isTexture) part.dispose(); }); }
 
-// A grid of [u, v] in [0, 1] on a surface, with normals and tangents by differences.
+// Return a surface over a grid of [u, v] in [0, 1], with normals and tangents by differences.
 function parametric(place, across, down) {
   const count = (across + 1) * (down + 1), arrays = { position: [3], normal: [3], tangent: [3], uv: [2] };
   for (const [name, [size]] of Object.entries(arrays)) arrays[name] = new THREE.BufferAttribute(new Float32Array(count * size), size);
@@ -140,7 +140,7 @@ function parametric(place, across, down) {
   return geometry;
 }
 
-function sphere() {  // exact normals; tangents lie horizontally, as in metapp's pictures
+function sphere() {  // with exact normals; tangents are horizontal, as in metapp's pictures
   const made = parametric((u, v) => {
     const phi = 2 * Math.PI * u, theta = Math.PI * (1 - v);
     return [Math.sin(theta) * Math.sin(phi), Math.cos(theta), Math.sin(theta) * Math.cos(phi)];

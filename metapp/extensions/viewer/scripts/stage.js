@@ -1,29 +1,29 @@
-// Shapes of a material in 3D, in panes of one camera: lamp, light map, accumulation. Fit and reference are drawn at once.
+// The viewer of shapes in 3D, in panes of one camera: lamp, light map, accumulation. Fit and reference are drawn at once.
 //
 // A subclass of ShapeViewer gives each fit a material: GLSL with
-//   void at_point(vec2 uv)                                what depends on the place alone
+//   void at_point(vec2 uv)                                sets all that depends on the place alone
 //   void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference)   BRDF times cosine, in the frame of the shape
-//   void first_look(vec3 wo, mat3 frameOf, out vec3 fit, out vec3 reference)   about what a light map makes, by `blurred`
-//   Lobes lobes(vec3 wo)                                  what to sample light from, for a direction to the viewer; without
-//                                                         any share it is a perfect mirror, whose response is a reflectance
+//   void first_look(vec3 wo, mat3 frameOf, out vec3 fit, out vec3 reference)   approximate radiance under a map, by `blurred`
+//   Lobes lobes(vec3 wo)                                  the lobes that light is sampled from for a direction to the viewer;
+//                                                         without any share a perfect mirror, whose response is a reflectance
 // and may define
-//   #define BENT, mat3 bent()                             the frame that lobes are in, in that of the shape
-//   #define UNLIT, void unlit(inout vec3 fit, inout vec3 reference)   radiance that stands for what the light makes
+//   #define BENT, mat3 bent()                             the frame of the lobes, in the frame of the shape
+//   #define UNLIT, void unlit(inout vec3 fit, inout vec3 reference)   radiance in place of reflected light
 // The frame has z along the shape's normal and x along its tangent. All light is linear RGB.
 
-const STUDIO = "studio";  // of `environments`
+const STUDIO = "studio";  // the name of the studio among `environments`
 
 class ShapeViewer extends DrawnViewer {
-  // What subclasses change.
+  // Members that subclasses override.
   static shapes = ["sphere", "plane", "knot"];
   static lights = [["lamp", "Lamp"], ["map", "Light map"]];
-  static stops = 6;  // of exposure, either way
+  static stops = 6;  // range of the exposure in stops, either way
   async material(fit) { throw new Error("no material"); }  // -> {glsl, displacement, uniforms}
   lampShown() { return this.settings.light === "lamp" && this.settings.view === "free"; }
-  picture(settings) { return null; }  // where metapp's own picture is looked at: {lamp, eye, half: of an orthographic view}
+  picture(settings) { return null; }  // {lamp, eye, half: half the side of an orthographic view} while metapp's own picture is shown
 
   async open() {
-    const [{ thumbnail }] = this.fits;  // a still picture, until there is something to see
+    const [{ thumbnail }] = this.fits;  // a still picture until the first frame
     if (thumbnail) { this.element.classList.add("waiting"); this.element.style.setProperty("--still", `url(${thumbnail})`); }
     this.renderer = this._renderer();
     if (!this.renderer.extensions.has("EXT_color_buffer_float")) throw new Error("WebGL 2 lacks EXT_color_buffer_float here");
@@ -73,13 +73,13 @@ class ShapeViewer extends DrawnViewer {
 
   async ownLight() { return this.lightFrom(STUDIO); }
 
-  // Maps to light by: the studio, and the fits of light that this page holds.
+  // Return the light maps to choose from: the studio, and the fitted light maps of this page.
   environments() { return [[STUDIO, "Studio"], ...DATA.groups.flatMap(({ kind, title }, i) => (kind === "light" ? [[`${i}`, title]] : []))]; }
   async lightFrom(name) {
     const array = await (name === STUDIO ? shared("light") : numbersOf(DATA.groups[name].fits[0].arrays.map));
     return lightOf(floatsOf(array), ...array.shape.slice(0, 2));
   }
-  async relight(promised) {  // by a light, once it is there, unless another is wanted by then
+  async relight(promised) {  // takes a light once it is loaded, unless another one is wanted by then
     this.awaited = promised;
     const light = await promised;
     if (this.awaited !== promised) return forget(light);
@@ -120,7 +120,7 @@ class ShapeViewer extends DrawnViewer {
   }
 
   changed(name) {
-    if (name === "light" || name === "view") [this.cost, this.side] = [0, 16];  // each light has its own
+    if (name === "light" || name === "view") [this.cost, this.side] = [0, 16];  // each light has its own costs
     if (name === "environment") this.relight(this.lightFrom(this.settings.environment));
     if (name === "shape" || name === "view") this.mesh.geometry = shapeOf(this.shape());
     if (["wipe", "scale", "exposure", "paper"].includes(name)) this.redraw();
@@ -138,7 +138,7 @@ class ShapeViewer extends DrawnViewer {
     event.preventDefault();
     does();
   }
-  // Turn the camera about the object, by angles around it and down, and move it to so many times its distance.
+  // Turn the camera about the object by angles around it and down, and multiply its distance by a factor.
   look(around, down, times = 1) {
     const at = new THREE.Spherical().setFromVector3(this.camera.position);
     this.camera.position.setFromSphericalCoords(clamp(at.radius * times, 1.5, 20), clamp(at.phi + down, 0.01, Math.PI - 0.01), at.theta + around);
@@ -160,7 +160,7 @@ class ShapeViewer extends DrawnViewer {
     this.orbit?.dispose();
     this.materials?.forEach((each) => this._free(each));
     [this.coarse, this.fine].forEach((each) => each?.free());
-    Object.values(builtShapes).forEach((each) => each.dispose());  // each knows all that drew it
+    Object.values(builtShapes).forEach((each) => each.dispose());  // a shape knows all renderers that drew it
     this.renderer?.dispose();
     this.renderer?.forceContextLoss();
     super.close();
@@ -191,7 +191,7 @@ class ShapeViewer extends DrawnViewer {
     return Object.assign(material, { glsl, seen, look, block: block && this._buffer(block) });
   }
 
-  // A uniform block: shaders read many weights from one several times faster than from a texture.
+  // Return a uniform block: shaders read many weights from it several times faster than from a texture.
   _buffer(values) {
     const gl = this.renderer.getContext(), buffer = gl.createBuffer();
     gl.bindBuffer(gl.UNIFORM_BUFFER, buffer);
@@ -211,7 +211,7 @@ class ShapeViewer extends DrawnViewer {
     this._arranged(true);
   }
 
-  // Arrange the panes anew; where pictures have another size then they begin anew, and true is returned.
+  // Arrange the panes anew; if pictures get another size by that, they begin anew, and true is returned.
   _arranged(always = false) {
     if (!this.renderer.domElement.width || this.settings.exposure === undefined) return false;
     const resized = this.arrange();
@@ -221,7 +221,7 @@ class ShapeViewer extends DrawnViewer {
     return true;
   }
 
-  // -> {matrix: world to clip, eye, parallel, towardsEye} of a column of this aspect.
+  // Return {matrix: world to clip, eye, parallel, towardsEye} of a column of this aspect.
   view(aspect) {
     const own = this.settings.view === "picture" ? this.picture(this.settings) : null;
     if (own) {
@@ -247,7 +247,7 @@ class ShapeViewer extends DrawnViewer {
 
   png() { return this.renderer.domElement; }
 
-  // What is seen at a place of a pane: {p, n, towards: to the viewer}, or null.
+  // Return the point that is seen at a place of a pane, {p, n, towards: the direction to the viewer}, or null.
   pick({ fit, x, y, width, height }) {
     if (x < 0 || y < 0 || x >= width || y >= height) return null;
     const { buffer } = this, at = [Math.floor((fit + x / width) / this.fits.length * buffer.width), Math.floor((1 - y / height) * buffer.height)];

@@ -1,17 +1,20 @@
-// Maps of flat materials on shapes, and as in metapp's pictures of them: metapp.appearance.surface_view, metapp.appearance.flash.
+// The viewer of flat materials: maps on shapes, and as in metapp's pictures (metapp.appearance.surface_view,
+// metapp.appearance.flash).
 //
-// Pictures of a fit: fit_diffuse and fit_specular at gamma 2.2, fit_detail (x and y of normals, 0 at 128, and roughness), height from
-// the lowest to the highest of facts.heights, in texture widths; reference_diffuse and so on where the true maps are known; photo_1, ...
-// at gamma 2.2. facts.lit has light, eye, gain and shown part of metapp's pictures, by name.
+// pictures: fit_diffuse and fit_specular at gamma 2.2, fit_detail (x and y of normals, 0 at 128, and roughness), height from the
+// lowest to the highest of facts.heights, in texture widths; reference_diffuse and so on if the true maps are known; photo_1, ...
+// at gamma 2.2.
+// facts: lit has light, eye, gain and shown part of metapp's pictures, by name; see make_surface_view in
+// metapp.extensions.viewer.pages.flat for the others.
 
 const MAPS = ["diffuse", "specular", "detail"];
 const SHOWN_MAPS = { lit: "Material", diffuse: "Diffuse", specular: "Specular", roughness: "Roughness", normal: "Normal", height: "Height" };
-// Of a shape: copies of the maps around it for one along it, the width of one, and vertices across.
+// For each shape: copies of the maps around it for one copy along it, the width of a copy, and vertices across.
 const UNROLLED = { plane: [1, 2, 256], cylinder: [2, 2.2, 256], sphere: [2, Math.PI, 192], cloth: [1, 2.4, 256] };
 
-const MARCH = 16;  // places between a point and its light at which heights are compared
+const MARCH = 16;  // number of places between a point and its light at which heights are compared
 
-// What vertices and pixels know of heights, 0 to 1: places count copies from the upper left, which are mirrored unless the maps tile.
+// Heights from 0 to 1, for vertices and pixels: places count copies from the upper left, which are mirrored unless maps tile.
 const HEIGHTS = `
 uniform sampler2D height; uniform vec2 repeats, heights; uniform bool tiles;
 vec2 odd(vec2 place) { return tiles ? vec2(0.0) : mod(floor(place), 2.0); }
@@ -27,8 +30,8 @@ uniform sampler2D fit_diffuse, fit_specular, fit_detail, reference_diffuse, refe
 uniform bool pictured, hasReference, hasPhoto; uniform float across, falloff, steepness; uniform int shownMap;
 Texel fitAt, referenceAt; vec2 at, turned_over, within;
 
-// Metapp's pictures have a pixel a texel, so there texels are squares, unless they are enlarged; elsewhere frames are jittered, which
-// smooths as the last half of a level would. The patch is so many pixels across.
+// Metapp's pictures have a pixel for each texel, so in them texels are squares, unless they are enlarged; elsewhere frames are
+// jittered, which smooths as half a level of the texture would. The patch is so many pixels across.
 vec4 read(sampler2D map, vec2 place, float copies) {
   vec2 size = vec2(textureSize(map, 0));
   float texels = copies * size.y / across;
@@ -50,7 +53,7 @@ void at_point(vec2 uv) {
   if (hasReference) referenceAt = texel(reference_diffuse, reference_specular, reference_detail);
   else referenceAt = fitAt;
 }
-vec3 reflected(Texel m, vec3 wi, vec3 wo) {  // metapp.appearance.flash.brdf times the cosine
+vec3 reflected(Texel m, vec3 wi, vec3 wo) {  // metapp.appearance.flash.evaluate_brdf times the cosine
   float incident = dot(wi, m.n), outgoing = dot(wo, m.n), length_ = length(wi + wo), alpha = m.roughness * m.roughness;
   if (incident <= 0.0) return vec3(0.0);
   vec3 body = m.diffuse * (1.0 - m.specular) / PI;
@@ -61,7 +64,7 @@ vec3 reflected(Texel m, vec3 wi, vec3 wo) {  // metapp.appearance.flash.brdf tim
   vec3 fresnel = m.specular + (1.0 - m.specular) * pow(max(1.0 - 0.5 * length_, 0.0), 5.0);
   return (body + fresnel * alpha * alpha / (PI * spread * spread * masked)) * incident;
 }
-// Whether heights around hide the light: a march to where it is above all of them, at most a copy away. Lengths are in copies.
+// Return whether heights hide the light: march until the ray is above all of them, at most a copy away. Lengths are in copies.
 bool shadowed(vec3 wi) {
   vec2 place = within * repeats, along = vec2(wi.x, -wi.y) / wi.z;
   float rise = steepness * (heights.y - heights.x), here = rise * height_at(place, 0.0), part = 1.0 / ${MARCH}.0;
@@ -75,7 +78,7 @@ bool shadowed(vec3 wi) {
 void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
   fit = reference = vec3(0.0);
   if (steepness > 0.0 && shadowed(wi)) return;
-  float flat_lamp = falloff > 0.0 ? pow(wi.z, falloff) : 1.0;  // whose axis points straight down
+  float flat_lamp = falloff > 0.0 ? pow(wi.z, falloff) : 1.0;  // the axis of the flash points straight down
   fit = flat_lamp * reflected(fitAt, wi, wo);
   reference = hasReference ? flat_lamp * reflected(referenceAt, wi, wo) : fit;
 }
@@ -89,7 +92,7 @@ Lobes lobes(vec3 wo) {
   float share = clamp(mirrored / (mirrored + body + 1e-4), 0.2, 0.9);
   return Lobes(vec2(fitAt.roughness * fitAt.roughness), vec2(1.0), vec3(1.0 - share, share, 0.0), 0.0);
 }
-// What a light map makes of it: blurred light, and what the gloss reflects in all (Karis 2014, of GGX).
+// Approximate the radiance under a light map: blurred light times the share that GGX reflects (Karis 2014).
 vec3 about(Texel m, vec3 wo, mat3 frameOf) {
   vec3 t = normalize(vec3(1.0, 0.0, 0.0) - m.n * m.n.x), other, viewer;
   mat3 axes = mat3(t, cross(m.n, t), m.n);
@@ -118,7 +121,7 @@ const RELIEF = `${HEIGHTS}
 uniform bool poles; uniform float relief, heightLod;
 float displacement(vec2 uv) {
   float share = height_at(vec2(uv.x, 1.0 - uv.y) * repeats, heightLod);
-  float faded = poles ? smoothstep(0.0, 0.04, min(uv.y, 1.0 - uv.y)) : 1.0;  // to a point
+  float faded = poles ? smoothstep(0.0, 0.04, min(uv.y, 1.0 - uv.y)) : 1.0;  // heights fade towards poles, where the shape is a point
   return relief * mix(heights.x, heights.y, share) * faded;
 }`;
 
@@ -146,7 +149,7 @@ class SurfaceViewer extends ShapeViewer {
     return { glsl: MATERIAL, displacement: RELIEF, uniforms: { ...uniforms, ...changing } };
   }
 
-  // Metapp's picture that is chosen, of one fit; others of its group may have another number of photographs.
+  // Return the chosen picture of metapp for one fit; other fits of the group may have another number of photographs.
   lit(fit) {
     const { lit } = fit.facts, name = this.settings.pictured in lit ? this.settings.pictured : Object.keys(lit)[0];
     return { name, ...lit[name] };
@@ -158,7 +161,7 @@ class SurfaceViewer extends ShapeViewer {
   }
 
   photo(fit) { return this.settings.view === "picture" && this.photos.get(fit.pictures[this.lit(fit).name]); }
-  firstView() { return this.fits.some((fit) => "photo_1" in fit.pictures) ? "picture" : "free"; }  // a photo beside the fit under its flash
+  firstView() { return this.fits.some((fit) => "photo_1" in fit.pictures) ? "picture" : "free"; }  // first the photo beside the fit under its flash
   lampShown() { return super.lampShown() && this.settings.map === "lit"; }
   named(fit) { return this.photo(fit) ? "Photo" : super.named(fit); }
   referenced(fit) {
@@ -184,7 +187,7 @@ class SurfaceViewer extends ShapeViewer {
     u.photo.value = photo || this.nothing;
     u.falloff.value = pictured ? fit.facts.falloff : 0;
     if (!pictured) return;
-    u.jitter.value.multiplyScalar(0.9);  // within the texel: rasterisers round places to some sixteenth of a pixel
+    u.jitter.value.multiplyScalar(0.9);  // stays within the texel, since rasterisers round places to about a sixteenth of a pixel
     u.lamp.value = new THREE.Vector3(...lit.light);
     u.eye.value = new THREE.Vector3(...lit.eye);
     u.flashPower.value = lit.gain * Math.PI * LAMP_DISTANCE ** 2;
@@ -213,7 +216,7 @@ class SurfaceViewer extends ShapeViewer {
 }
 VIEWERS.surface = SurfaceViewer;
 
-// A picture as a texture, display values as they are, row 0 at v = 0.
+// Return a picture as a texture of unchanged display values, row 0 at v = 0.
 async function pictureTexture(address, tiles) {
   const wrap = tiles ? THREE.RepeatWrapping : THREE.ClampToEdgeWrapping, made = new THREE.Texture(await imageOf(address));
   return Object.assign(made, { wrapS: wrap, wrapT: wrap, flipY: false, minFilter: THREE.LinearMipmapLinearFilter, needsUpdate: true });
