@@ -4,14 +4,15 @@
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
     {"type": "metapp_guided_path", "max_depth": 8}
 
-All that extensions have are registered. The last of these is an integrator: Mitsuba's `path` with path guiding that it
-learns while it renders; see `metapp.extensions.guided.integrator`.
+The plugins of all extensions are registered. The last one above is an integrator: Mitsuba's `path` with path guiding
+that it learns while it renders; see `metapp.extensions.guided.integrator`.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of any of its networks, or a folder with an
-NBRDF network of six .npy files. Variants: llvm_ad_rgb, cuda_ad_rgb.
+NBRDF network of six .npy files. The variants are llvm_ad_rgb and cuda_ad_rgb.
 
-Import it before mitsuba if an old libLLVM is installed beside one that works: mitsuba keeps the one it finds first.
+Import this module before mitsuba if an old libLLVM is installed beside one that works: mitsuba keeps the one it finds
+first.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Colorimetry by colour-science: spectra as linear RGB, colour differences.
 
-It takes a second to import, so that no fit needs it.
+The package takes a second to import, so that no fit may need this module; only readers and measures do.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 
 
 def import_colour_science() -> ModuleType:
-    """colour-science, imported without its warning of a missing SciPy, which nothing here needs.
+    """Import colour-science without its warning of a missing SciPy, which nothing here needs.
 
     It may not see OpenImageIO: references to it would be reported as leaks when Python ends. The mocks that it
-    leaves in place of SciPy go again: other libraries would take them for the package.
+    leaves in place of SciPy are removed: other libraries would take them for the package.
     """
     import OpenImageIO as oiio
 
@@ -37,7 +37,7 @@ def import_colour_science() -> ModuleType:
 
 
 def spectrum_to_rgb_matrix(wavelengths: Array) -> Array:
-    """The matrix [W, 3] that turns reflectance at some wavelengths into colour, multiplied with from the right.
+    """Compute the matrix [W, 3] that turns reflectance at some wavelengths into colour, multiplied with from the right.
 
     Between wavelengths reflectance is linear, beyond the last ones constant. A perfect white is (1, 1, 1).
 
@@ -49,19 +49,26 @@ def spectrum_to_rgb_matrix(wavelengths: Array) -> Array:
     """
     colour = import_colour_science()
     shape = colour.SpectralShape(360, 830, 1)
-    # each row: how much of each nanometre a measured wavelength stands for
-    share = np.stack([np.interp(shape.wavelengths, wavelengths, row) for row in np.eye(len(wavelengths))])
-    with warnings.catch_warnings(action="ignore", category=colour.utilities.ColourRuntimeWarning):  # D65 is resampled
+    # each row: the share of each nanometre that a measured wavelength stands for
+    shares = np.stack([np.interp(shape.wavelengths, wavelengths, row) for row in np.eye(len(wavelengths))])
+    with warnings.catch_warnings(
+        action="ignore", category=colour.utilities.ColourRuntimeWarning
+    ):  # it warns that D65 is resampled
         light = colour.SDS_ILLUMINANTS["D65"]
-        xyz = colour.msds_to_XYZ(share, illuminant=light, method="Integration", shape=shape) / 100
-    result: Array = colour.XYZ_to_RGB(xyz, "sRGB")
-    white: Array = result.sum(0)
-    return result / white  # D65 as tabulated is white to four digits
+        xyz = colour.msds_to_XYZ(shares, illuminant=light, method="Integration", shape=shape) / 100
+    rgb_matrix: Array = colour.XYZ_to_RGB(xyz, "sRGB")
+    white: Array = rgb_matrix.sum(0)
+    return rgb_matrix / white  # D65 as tabulated is white to four digits
 
 
 def colour_difference(pictures: Array, references: Array) -> Array:
-    """CIE 2000 colour differences (CIEDE2000, all weights 1) of display values in [0, 1], sRGB [..., 3], D65: [...]."""
+    """Compute CIE 2000 colour differences (CIEDE2000, all weights 1) under D65, [...].
+
+    Args:
+        pictures: display values in [0, 1], sRGB [..., 3].
+        references: display values in [0, 1], sRGB [..., 3].
+    """
     colour = import_colour_science()
-    labs = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(each)) for each in (pictures, references)]
-    result: Array = colour.delta_E(*labs, method="CIE 2000")
-    return result
+    labs = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(colours)) for colours in (pictures, references)]
+    differences: Array = colour.delta_E(*labs, method="CIE 2000")
+    return differences

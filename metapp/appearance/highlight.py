@@ -1,4 +1,8 @@
-"""The fall-off of brightness about the flash in a photo, the gloss that it shows, and highlights that clip."""
+"""The fall-off of brightness about the flash in a photo, the gloss that it shows, and highlights that clip.
+
+All of it is measured on the photo itself, before or without any fit; maps come in only to be filled where a photo
+clips.
+"""
 
 from __future__ import annotations
 
@@ -11,135 +15,162 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, ma
 from metapp.appearance.flash import DISPLAY_GAMMA, Maps, render_maps, texel_positions
 from metapp.appearance.order import even_out_brightness
 
-PROFILE_RINGS = 24
+PROFILE_RINGS = 24  # number of rings about the flash
 PROFILE_RADIUS_HALF_SIDES = 1.5  # half sides of the patch from the flash to the last ring
 RING_SPACING_POWER = 1.5  # power by which rings are closer together near the flash
 CANDIDATE_ROUGHNESSES = tuple(0.08 * 1.12**i for i in range(22))  # 0.08 to 0.86
-CLIPPED_DISPLAY_VALUE, CLIPPED_RING_SHARE = (
-    0.98,
-    0.02,
-)  # a ring with a larger share of px above says no more than "so bright"
+CLIPPED_DISPLAY_VALUE = 0.98  # display value from which a channel counts as clipped
+CLIPPED_RING_SHARE = 0.02  # a ring with a larger share of clipped px says no more than "so bright"
 MIN_WHITE_DISPLAY_VALUE = 0.9  # least channel of a clipped highlight; paint that saturates one or two channels has less
-CLIPPED_WINDOW_HALF_SHARE, MIN_CLIPPED_DENSITY = (
-    1 / 128,
-    0.5,
-)  # half the window's side over the photo's; share of its px
-# Between photos that show next to nothing clipped (< 0.1 %) and those of which 0.5 % or more is. Of flat materials
-# whose photos have 1 % the highlight says at least 0.75 of F0, of those with more down to 0.34 (9 in 10 of 136
-# renderings, roughness 0.16 to 0.6, F0 up to 1).
+CLIPPED_WINDOW_HALF_SHARE = 1 / 128  # half the side of the window of a clipped px's surroundings, in sides of the photo
+MIN_CLIPPED_DENSITY = 0.5  # least share of clipped px in the window
+# This share lies between photos that show next to nothing clipped (< 0.1 % of px) and photos of which 0.5 % or more is.
+# The highlight of a flat material whose photo has 1 % of clipped px gives an F0 of at least 0.75 of the true one, of
+# photos with more clipped px down to 0.34 (9 in 10 of 136 renderings, roughness 0.16 to 0.6, F0 up to 1).
 WARNING_CLIPPED_PX_SHARE = 0.002
 F0_BOUND_CLAUSE = "so F0 is a lower bound"
 FILL_PX = 256  # side at which clipped px are found and fills are made, which are smooth
-FILL_MARGIN_SHARE = 1 / 64  # of the side: by which fills reach beyond what clips, and over which they fade
-FILL_FADE_DISPLAY_VALUES = (
-    0.4,
-    0.8,
-)  # mean display values between which px beside those that clip come to be filled as these
-HALO_SHARE = 3 / 16  # of the side: maps so near to a wide highlight are taken for part of it
-HALO_WEIGHT, COVERED_WEIGHT = 1e-3, 1e-6  # of maps there, and beneath the fill, if there is nothing else to fill from
+FILL_MARGIN_SHARE = 1 / 64  # margin by which fills reach beyond clipped px, and over which they fade, in sides
+FILL_FADE_DISPLAY_VALUES = (0.4, 0.8)  # mean display values: px of the margin below are not filled, px above fully
+HALO_SHARE = 3 / 16  # distance, in sides, up to which maps beside a wide highlight bear its traces
+HALO_WEIGHT = 1e-3  # weight of maps in the halo as sources of the fill
+COVERED_WEIGHT = 1e-6  # weight of maps beneath the fill, for photos where there is nothing else to fill from
 
 
 class Gloss(NamedTuple):
-    """The properties of a material by its highlight's profile.
+    """The gloss of a material by the profile of its highlight.
 
     Attributes:
-        roughness: [B], of the flat even material that looks most alike.
+        roughness: [B], roughness of the flat even material that looks most alike.
         specular: [B], its F0.
-        contrast: [B], the lobe's share of the light that is reflected right below the flash, 0 to 1.
-        share: [B], the same of all that the photo's patch reflects.
+        central_lobe_share: [B], the lobe's share of the light that is reflected right below the flash, 0 to 1.
+        lobe_share: [B], the lobe's share of all light that the photo's patch reflects, 0 to 1.
         diffuse: [B, 3], its diffuse albedo, linear RGB.
     """
 
     roughness: Tensor
     specular: Tensor
-    contrast: Tensor
-    share: Tensor
+    central_lobe_share: Tensor
+    lobe_share: Tensor
     diffuse: Tensor
 
 
 def ring_profile(pictures: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
-    """Means of pictures [..., C, H, W] in rings about the point below the flash [..., 3].
+    """Compute means of pictures in rings about the point below the flash.
+
+    Args:
+        pictures: [..., C, H, W].
+        light: position of the flash in half sides of the patch, [..., 3].
 
     Returns:
-        Means [..., C, RINGS], and by how much each px belongs to each ring, linear between two, [..., RINGS, H W].
+        Means [..., C, PROFILE_RINGS], and by how much each px belongs to each ring, linear between two,
+        [..., PROFILE_RINGS, H W].
     """
-    place = texel_positions(*pictures.shape[-2:], dtype=light.dtype, device=light.device).flatten(1)
-    distance = (place - light[..., :2, None]).square().sum(-2).sqrt()
-    at = (distance / PROFILE_RADIUS_HALF_SIDES).clamp_max(1) ** (1 / RING_SPACING_POWER) * (PROFILE_RINGS - 1)
+    positions = texel_positions(*pictures.shape[-2:], dtype=light.dtype, device=light.device).flatten(1)
+    distance = (positions - light[..., :2, None]).square().sum(-2).sqrt()
+    ring_coordinate = (distance / PROFILE_RADIUS_HALF_SIDES).clamp_max(1) ** (1 / RING_SPACING_POWER) * (
+        PROFILE_RINGS - 1
+    )
     ring = torch.arange(PROFILE_RINGS, dtype=light.dtype, device=light.device)[:, None]
-    belongs = (1 - (at[..., None, :] - ring).abs()).clamp_min(0)
-    means = pictures.flatten(-2) @ belongs.mT / belongs.sum(-1).clamp_min(1e-3)[..., None, :]
-    return means, belongs
+    memberships = (1 - (ring_coordinate[..., None, :] - ring).abs()).clamp_min(0)
+    means = pictures.flatten(-2) @ memberships.mT / memberships.sum(-1).clamp_min(1e-3)[..., None, :]
+    return means, memberships
 
 
 def remove_flash_falloff(pictures: Tensor, light: Tensor) -> Tensor:
-    """Pictures [..., C, H, W] of display values under a flash [..., 3] as if all rings about it were as bright."""
-    means, belongs = ring_profile(pictures, light)
-    around = (means @ belongs).unflatten(-1, pictures.shape[-2:]).clamp_min(0.02)
-    even: Tensor = pictures * pictures.mean((-1, -2), keepdim=True) / around
-    return even
+    """Scale pictures of display values as if all rings about the flash were equally bright.
+
+    Args:
+        pictures: [..., C, H, W].
+        light: position of the flash in half sides of the patch, [..., 3].
+    """
+    means, memberships = ring_profile(pictures, light)
+    ring_brightness = (means @ memberships).unflatten(-1, pictures.shape[-2:]).clamp_min(0.02)
+    scaled: Tensor = pictures * pictures.mean((-1, -2), keepdim=True) / ring_brightness
+    return scaled
 
 
 def remove_shading(photos: Tensor, light: Tensor) -> Tensor:
-    """Photos [..., 3, H, W] under a flash [..., 3] as if the light were the same everywhere."""
+    """Scale photos as if the light were the same everywhere: by rings about the flash, then by local means.
+
+    Args:
+        photos: display values [..., 3, H, W].
+        light: position of the flash in half sides of the patch, [..., 3].
+    """
     return even_out_brightness(remove_flash_falloff(photos, light))
 
 
 @torch.no_grad()
 def estimate_gloss(photos: Tensor, light: Tensor) -> Gloss:
-    """The gloss of the flat even material whose profile is most like that of photos [B, 3, H, W].
+    """Estimate the gloss of the flat even material whose profile is most like the profile of photos.
 
-    A Lambertian body of any colour under one GGX lobe without colour: linear in both but where the photo is clipped.
+    The material is a Lambertian body of any colour under one GGX lobe without colour: radiance is linear in both but
+    where the photo is clipped.
 
     Args:
-        photos: display values in [0, 1].
+        photos: display values in [0, 1], [B, 3, H, W].
         light: position of the flash, and the camera above the same point, [B, 3].
 
     Returns:
         Roughness to about 10 %, below 0.2, where the lobe is a few px wide, to 25 %.
     """
-    means, belongs = ring_profile(photos.clamp(1e-3, 1) ** DISPLAY_GAMMA, light)
+    means, memberships = ring_profile(photos.clamp(1e-3, 1) ** DISPLAY_GAMMA, light)
     display = means.clamp_min(1e-4) ** (1 / DISPLAY_GAMMA)
-    inside = (belongs.sum(-1) > 2).to(means)[:, None]
-    over = (photos.amax(1, keepdim=True) > CLIPPED_DISPLAY_VALUE).to(means)
-    clipped = (ring_profile(over, light)[0] > CLIPPED_RING_SHARE).to(means)
-    weight = inside * display / means.clamp_min(1e-4) / DISPLAY_GAMMA  # of display values, not of radiance
-    body, lobes = _flat(light)
-    # what diffuse red, green, blue and F0 add
-    rows = body.new_zeros(len(body), len(CANDIDATE_ROUGHNESSES), 3, PROFILE_RINGS, 4)
+    covered_rings = (memberships.sum(-1) > 2).to(means)[:, None]
+    is_clipped = (photos.amax(1, keepdim=True) > CLIPPED_DISPLAY_VALUE).to(means)
+    clipped_rings = (ring_profile(is_clipped, light)[0] > CLIPPED_RING_SHARE).to(means)
+    # derivative of display values by radiance: differences count as they are seen
+    weight = covered_rings * display / means.clamp_min(1e-4) / DISPLAY_GAMMA
+    body, lobes = _flat_profiles(light)
+    # radiance by diffuse red, green, blue and F0, of each candidate roughness, channel and ring
+    terms = body.new_zeros(len(body), len(CANDIDATE_ROUGHNESSES), 3, PROFILE_RINGS, 4)
     for channel in range(3):
-        rows[:, :, channel, :, channel] = body[:, None]
-    rows[..., 3] = lobes[:, :, None]
-    counts = (1 - clipped)[:, None]
+        terms[:, :, channel, :, channel] = body[:, None]
+    terms[..., 3] = lobes[:, :, None]
+    counted_rings = (1 - clipped_rings)[:, None]
     for _ in range(3):
-        used = (weight[:, None] * counts)[..., None]
-        a = (rows * used).flatten(2, 3)
-        y = (means[:, None, ..., None] * used).expand(*rows.shape[:-1], 1).flatten(2, 3)
-        solution = torch.linalg.solve(a.mT @ a + 1e-4 * torch.eye(4).to(a), a.mT @ y).clamp_min(0)
-        made = (rows @ solution[:, :, None]).squeeze(-1)
-        counts = torch.maximum((1 - clipped)[:, None], (made < means[:, None]).to(made))
-    wrong = (made.clamp(1e-4, 1) ** (1 / DISPLAY_GAMMA) - display[:, None]) * inside[:, None]
-    best = wrong.square().mean((2, 3)).argmin(1)
-    row = torch.arange(len(best), device=best.device)
-    specular, under = solution[row, best, 3, 0], solution[row, best, :3, 0]
-    lobe, beneath = specular[:, None] * lobes[row, best], under.mean(1)[:, None] * body
-    contrast = lobe[:, 0] / (lobe[:, 0] + beneath[:, 0] + 0.01)
-    by_ring = belongs.sum(-1)
-    share = (lobe * by_ring).sum(1) / ((lobe + beneath) * by_ring).sum(1).clamp_min(1e-4)
-    diffuse = under / (1 - specular).clamp_min(0.1)[:, None]  # what the surface lets through reaches the body
-    return Gloss(lobes.new_tensor(CANDIDATE_ROUGHNESSES)[best], specular, contrast, share, diffuse)
+        row_weights = (weight[:, None] * counted_rings)[..., None]
+        weighted_rows = (terms * row_weights).flatten(2, 3)
+        weighted_means = (means[:, None, ..., None] * row_weights).expand(*terms.shape[:-1], 1).flatten(2, 3)
+        solution = torch.linalg.solve(
+            weighted_rows.mT @ weighted_rows + 1e-4 * torch.eye(4).to(weighted_rows), weighted_rows.mT @ weighted_means
+        ).clamp_min(0)
+        fitted = (terms @ solution[:, :, None]).squeeze(-1)
+        counted_rings = torch.maximum((1 - clipped_rings)[:, None], (fitted < means[:, None]).to(fitted))
+    differences = (fitted.clamp(1e-4, 1) ** (1 / DISPLAY_GAMMA) - display[:, None]) * covered_rings[:, None]
+    best = differences.square().mean((2, 3)).argmin(1)
+    batch_rows = torch.arange(len(best), device=best.device)
+    specular, body_colour = solution[batch_rows, best, 3, 0], solution[batch_rows, best, :3, 0]
+    lobe_profile, body_profile = specular[:, None] * lobes[batch_rows, best], body_colour.mean(1)[:, None] * body
+    central_lobe_share = lobe_profile[:, 0] / (lobe_profile[:, 0] + body_profile[:, 0] + 0.01)
+    ring_sizes = memberships.sum(-1)
+    lobe_share = (lobe_profile * ring_sizes).sum(1) / ((lobe_profile + body_profile) * ring_sizes).sum(1).clamp_min(
+        1e-4
+    )
+    # the body reflects the light that the surface lets through
+    diffuse = body_colour / (1 - specular).clamp_min(0.1)[:, None]
+    return Gloss(lobes.new_tensor(CANDIDATE_ROUGHNESSES)[best], specular, central_lobe_share, lobe_share, diffuse)
 
 
-def _flat(light: Tensor) -> tuple[Tensor, Tensor]:
-    """Radiance by ring of a flat white Lambertian patch [B, RINGS], and of lobes with F0 = 1 [B, K, RINGS]."""
+def _flat_profiles(light: Tensor) -> tuple[Tensor, Tensor]:
+    """Compute radiance by ring of a flat white Lambertian patch, and of lobes with F0 = 1 of each candidate roughness.
+
+    Args:
+        light: position of the flash in half sides of the patch, [B, 3].
+
+    Returns:
+        [B, PROFILE_RINGS] and [B, K, PROFILE_RINGS].
+    """
     ring = torch.arange(PROFILE_RINGS, dtype=light.dtype, device=light.device) / (PROFILE_RINGS - 1)
-    place = torch.stack([PROFILE_RADIUS_HALF_SIDES * ring**RING_SPACING_POWER, torch.zeros_like(ring)])[:, None]
-    above = torch.cat([torch.zeros_like(light[:, :2]), light[:, 2:]], 1)
-    one, up = torch.ones_like(ring)[None, None], torch.eye(3).to(light)[2, :, None, None].expand(3, 1, PROFILE_RINGS)
-    body = render_maps(Maps(one.expand(3, 1, -1), 0 * one, one, up), place, above, above, falloff=1.0)
+    positions = torch.stack([PROFILE_RADIUS_HALF_SIDES * ring**RING_SPACING_POWER, torch.zeros_like(ring)])[:, None]
+    centred_light = torch.cat([torch.zeros_like(light[:, :2]), light[:, 2:]], 1)
+    ones, up = torch.ones_like(ring)[None, None], torch.eye(3).to(light)[2, :, None, None].expand(3, 1, PROFILE_RINGS)
+    body = render_maps(
+        Maps(ones.expand(3, 1, -1), 0 * ones, ones, up), positions, centred_light, centred_light, falloff=1.0
+    )
     lobes = [
-        render_maps(Maps(0 * up, one, rough * one, up), place, above, above, falloff=1.0)
-        for rough in CANDIDATE_ROUGHNESSES
+        render_maps(Maps(0 * up, ones, roughness * ones, up), positions, centred_light, centred_light, falloff=1.0)
+        for roughness in CANDIDATE_ROUGHNESSES
     ]
     return body[:, 0, 0], torch.stack(lobes, 1)[:, :, 0, 0]
 
@@ -161,7 +192,7 @@ def find_white(photos: Tensor) -> Tensor:
 
 
 def find_clipped(photos: Tensor) -> Tensor:
-    """Find the px of clipped highlights: those of :func:`find_white` that are dense. Single ones are glints.
+    """Find the px of clipped highlights: dense px of :func:`find_white`. Single ones are glints.
 
     Args:
         photos: display values in [0, 1], [T, 3, H, W].
@@ -179,10 +210,9 @@ def find_clipped(photos: Tensor) -> Tensor:
 def fill_clipped(maps: Maps, photos: Tensor) -> Maps:
     """Fill diffuse colour, specular colour and roughness beneath clipped highlights smoothly from their surroundings.
 
-    Fits see nothing there but "at least so bright", and leave dark diffuse discs with bright specular ones. What is
-    near to a wide highlight bears its traces and counts little; what is dark among clipped px is seen, and stays. So do
-    normals: of 30 materials with known maps, fills were worse for 28. Maps of photographs that do not clip are returned
-    as they are.
+    Fits see nothing there but "at least so bright", and leave dark diffuse discs with bright specular ones. Maps beside
+    a wide highlight bear its traces and count little; dark px among clipped ones are seen, and stay. So do normals: of
+    30 materials with known maps, fills were worse for 28. Maps of photographs that do not clip stay as they are.
 
     Args:
         maps: [T, C, h, w] each.
@@ -194,18 +224,21 @@ def fill_clipped(maps: Maps, photos: Tensor) -> Maps:
     mask = clipped.to(maps.diffuse)
     margin, halo = (max(1, round(min(mask.shape[-2:]) * share)) for share in (FILL_MARGIN_SHARE, HALO_SHARE))
     covered = _grow(mask, margin)
-    faded = avg_pool2d(covered, 2 * margin + 1, 1, margin, count_include_pad=False)
+    fading = avg_pool2d(covered, 2 * margin + 1, 1, margin, count_include_pad=False)
     low, high = FILL_FADE_DISPLAY_VALUES
-    bright = ((photos.mean(1, keepdim=True) - low) / (high - low)).clamp(0, 1)
-    opacity = (faded * bright).maximum(mask)
-    wide = 1 - _grow(1 - mask, margin)  # a few px have no halo, and what is around them is the best guess
-    known = 1 - _grow(wide, halo) * (1 - HALO_WEIGHT)
-    known = torch.where(covered > 0, COVERED_WEIGHT, known)
+    brightness = ((photos.mean(1, keepdim=True) - low) / (high - low)).clamp(0, 1)
+    opacity = (fading * brightness).maximum(mask)
+    # highlights of few px have no halo, and their surroundings are the best guess
+    wide_mask = 1 - _grow(1 - mask, margin)
+    source_weights = 1 - _grow(wide_mask, halo) * (1 - HALO_WEIGHT)
+    source_weights = torch.where(covered > 0, COVERED_WEIGHT, source_weights)
 
     def fill(values: Tensor, gamma: float) -> Tensor:
         size = (values.shape[-2], values.shape[-1])
-        shades = values.clamp_min(0) ** (1 / gamma)  # colours as the eye spaces them
-        smooth = _fill_gaps(adaptive_avg_pool2d(shades, (mask.shape[-2], mask.shape[-1])) * known, known)
+        shades = values.clamp_min(0) ** (1 / gamma)  # colours in steps that look equal
+        smooth = _fill_gaps(
+            adaptive_avg_pool2d(shades, (mask.shape[-2], mask.shape[-1])) * source_weights, source_weights
+        )
         smooth, share = (interpolate(part, size, mode="bilinear") for part in (smooth, opacity))
         return torch.where(share > 0, torch.lerp(shades, smooth, share) ** gamma, values)
 
@@ -214,7 +247,7 @@ def fill_clipped(maps: Maps, photos: Tensor) -> Maps:
 
 
 def _grow(mask: Tensor, radius: int) -> Tensor:
-    """A mask [T, 1, H, W] of 0 and 1, grown by a square of such a radius in px."""
+    """Grow a mask [T, 1, H, W] of 0 and 1 by a square whose half side is `radius` px."""
     rows = max_pool2d(mask, (2 * radius + 1, 1), 1, (radius, 0))
     grown: Tensor = max_pool2d(rows, (1, 2 * radius + 1), 1, (0, radius))
     return grown
@@ -246,12 +279,12 @@ def format_percent(share: float) -> str:
 
 
 def clipped_highlight_warnings(photo: Tensor, effect: str, subject: str = "the photo") -> list[str]:
-    """Return a clause on a photo if more than CLIPPED_PX_SHARE of its px clip and are white, else [].
+    """Return a clause on a photo of whose px more than WARNING_CLIPPED_PX_SHARE clip and are white, else [].
 
     Args:
         photo: display values in [0, 1], [3, H, W].
-        effect: says what that does to the maps, such as "so F0 is a lower bound".
-        subject: names what is clipped.
+        effect: says what clipping does to the maps, such as "so F0 is a lower bound".
+        subject: names the clipped photo.
     """
     share = float(find_white(photo).float().mean())
     clause = f"{format_percent(share)} of {subject} is clipped, {effect} (a darker exposure shows more)"

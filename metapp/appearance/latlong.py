@@ -5,7 +5,7 @@ has its centre at u = (column + 0.5) / W and v = (row + 0.5) / H, and lies in th
 u = atan2(d.x, -d.z) / (2 pi) mod 1 and v = acos(d.y) / pi, as in Mitsuba 3's `envmap`: the middle looks to +z.
 The sphere that maps light is seen from +z: x to the right, y up, all rays of view parallel.
 
-Everything is differentiable and takes any dtype and device.
+Everything is differentiable and takes any dtype and device. Materials and cameras are not known here.
 """
 
 from __future__ import annotations
@@ -18,66 +18,77 @@ from torch import Tensor
 from metapp.appearance.geometry import Cosines
 from metapp.appearance.reflection import microfacet_lobe
 
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
+_LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue, Rec.709
 
 
 def texel_directions(
     height: int, width: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> Tensor:
-    """Directions of the texels' centres, [3, height, width], of unit length."""
+    """Return directions of the texels' centres, [3, height, width], of unit length."""
     phi = (torch.arange(width, dtype=torch.float64) + 0.5) * (math.tau / width)
     theta = ((torch.arange(height, dtype=torch.float64) + 0.5) * (math.pi / height))[:, None]
     y = theta.cos().expand(height, width)
     return torch.stack([theta.sin() * phi.sin(), y, -theta.sin() * phi.cos()]).to(device, dtype)
 
 
-def texel_index(towards: Tensor, height: int, width: int) -> Tensor:
-    """Which texel of a map directions [3, ...] of unit length lie in, counted row by row: int64 [...]."""
-    x, y, z = towards
+def texel_index(directions: Tensor, height: int, width: int) -> Tensor:
+    """Return the index of the texel in which each direction lies, counted row by row: int64 [...].
+
+    Args:
+        directions: directions of unit length, [3, ...].
+        height: rows of the map.
+        width: columns of the map.
+    """
+    x, y, z = directions
     across = torch.atan2(x, -z) / math.tau % 1
     down = torch.acos(y.clamp(-1, 1)) / math.pi
-    row, column = ((place * count).long().clamp(max=count - 1) for place, count in ((down, height), (across, width)))
+    row, column = (
+        (coordinate * count).long().clamp(max=count - 1) for coordinate, count in ((down, height), (across, width))
+    )
     return row * width + column
 
 
 def solid_angles(
     height: int, width: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> Tensor:
-    """Solid angle of one texel of each row, exact, [height, 1] in sr; those of all texels sum to 4 pi."""
+    """Return the solid angle of one texel of each row, exact, [height, 1] in sr.
+
+    All texels together have 4 pi.
+    """
     theta = (torch.arange(height, dtype=torch.float64) + 0.5) * (math.pi / height)
     # cos a - cos b as a product: near the poles the difference would cancel.
     return (theta.sin() * (2 * math.sin(math.pi / 2 / height) * math.tau / width))[:, None].to(device, dtype)
 
 
 def luminance(rgb: Tensor) -> Tensor:
-    """Luminance [..., H, W] of linear Rec.709 [..., 3, H, W].
+    """Return luminance [..., H, W] of linear Rec.709 [..., 3, H, W].
 
     >>> luminance(torch.ones(3, 1, 1))
     tensor([[1.]])
     """
-    return torch.einsum("...chw,c->...hw", rgb, rgb.new_tensor(_LUMINANCE))
+    return torch.einsum("...chw,c->...hw", rgb, rgb.new_tensor(_LUMINANCE_WEIGHTS))
 
 
 def mean_luminance(maps: Tensor) -> Tensor:
-    """Mean luminance over the sphere of directions, [...], of maps [..., 3, H, W]."""
+    """Return the mean luminance of maps [..., 3, H, W] over the sphere of directions, [...]."""
     height, width = maps.shape[-2:]
     share = solid_angles(height, width, dtype=torch.float64) / (4 * math.pi)
     return (luminance(maps) * share.to(maps)).sum((-2, -1))
 
 
 def resample_maps(maps: Tensor, height: int, width: int) -> Tensor:
-    """Maps [..., 3, H, W] at another resolution, [..., 3, height, width]: the mean over each new texel's exact area.
+    """Resample maps [..., 3, H, W] to [..., 3, height, width]: each new texel is the mean over its exact area.
 
     Radiance times solid angle, summed over the sphere, stays as it is.
     """
     rows, columns = maps.shape[-2:]
-    along_v = _shares(*(-torch.linspace(0, math.pi, n + 1, dtype=torch.float64).cos() for n in (height, rows)))
-    along_u = _shares(*(torch.linspace(0, 1, n + 1, dtype=torch.float64) for n in (width, columns)))
+    along_v = _overlap_shares(*(-torch.linspace(0, math.pi, n + 1, dtype=torch.float64).cos() for n in (height, rows)))
+    along_u = _overlap_shares(*(torch.linspace(0, 1, n + 1, dtype=torch.float64) for n in (width, columns)))
     return along_v.to(maps) @ maps @ along_u.to(maps).T
 
 
-def _shares(target: Tensor, source: Tensor) -> Tensor:
-    """Which share of each interval between rising edges [M + 1] lies in those between [N + 1], as [M, N]."""
+def _overlap_shares(target: Tensor, source: Tensor) -> Tensor:
+    """Return the share of each target interval, between edges [M + 1], that lies in each source interval: [M, N]."""
     upper = torch.minimum(target[1:, None], source[1:])
     lower = torch.maximum(target[:-1, None], source[:-1])
     return (upper - lower).clamp_min(0) / target.diff()[:, None]
@@ -86,10 +97,11 @@ def _shares(target: Tensor, source: Tensor) -> Tensor:
 def sphere_normals(
     size: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> tuple[Tensor, Tensor]:
-    """The sphere that touches the borders of a square picture of `size` px: normals and mask.
+    """Return normals and mask of the sphere that touches the borders of a square picture of `size` px.
 
-    Normals [3, size, size] of unit length at the pixels' centres, z >= 0, outside the disc those of the rim; bool
-    [size, size], which pixels have their centre on the sphere.
+    Returns:
+        Normals [3, size, size] of unit length at the pixels' centres, z >= 0, outside the disc the rim's normals; and
+        bool [size, size], which pixels have their centre on the sphere.
     """
     centre = (torch.arange(size, dtype=torch.float64) + 0.5) * (2 / size) - 1
     x, y = centre.expand(size, size), -centre[:, None].expand(size, size)
@@ -100,41 +112,57 @@ def sphere_normals(
 
 
 def cosine_transfer(normals: Tensor, height: int, width: int) -> Tensor:
-    """Light transport from a map [height, width] to white diffuse points with normals [P, 3]: [P, height * width].
+    """Compute light transport from a map [height, width] to white diffuse points with normals [P, 3].
 
     Entries are max(n . d, 0) * solid angle / pi at the texels' centres, rows scaled by their quadrature error to sum to
     1, so that a constant map gives itself; `cosine_transfer(...) @ maps.flatten(-2).mT` is radiance [..., P, 3].
+
+    Args:
+        normals: [P, 3], unit length.
+        height: rows of the map.
+        width: columns of the map.
+
+    Returns:
+        [P, height * width].
     """
-    to_light, weights = _texels(normals, height, width)
-    return _to_one((normals @ to_light).clamp_min(0) * weights)
+    to_light, weights = _texel_quadrature(normals, height, width)
+    return _normalize_rows((normals @ to_light).clamp_min(0) * weights)
 
 
 def glossy_transfer(normals: Tensor, roughness: Tensor | float, height: int, width: int, *, samples: int = 1) -> Tensor:
-    """As `cosine_transfer`, of a rough mirror seen from +z: a GGX lobe with separable masking, scaled to lose nothing.
+    """Compute light transport from a map [height, width] to points of a rough mirror, seen from +z.
+
+    It reflects by a GGX lobe with separable masking; rows are scaled to sum to 1, so that a constant map gives itself.
 
     Args:
         normals: [P, 3], unit length, z > 0; where z <= 0 the row is 0.
         roughness: in (0, 1]; GGX's alpha is its square.
         height: rows of the map.
-        width: its columns.
-        samples: of the lobe along each side of a texel. An alpha below about pi / (2 height samples) is undersampled.
+        width: columns of the map.
+        samples: samples of the lobe along each side of a texel. An alpha below about pi / (2 height samples) is
+            undersampled.
+
+    Returns:
+        [P, height * width].
     """
-    fine = height * samples, width * samples
-    to_light, weights = _texels(normals, *fine)
+    fine_size = height * samples, width * samples
+    to_light, weights = _texel_quadrature(normals, *fine_size)
     incident, outgoing = normals @ to_light, normals[:, 2:]
-    length = (2 + 2 * to_light[2]).clamp_min(torch.finfo(normals.dtype).eps).sqrt()  # of d + (0, 0, 1)
-    at = Cosines(incident, outgoing, (incident + outgoing) / length, length / 2)
-    lobe = microfacet_lobe(at, roughness * roughness, torch.ones_like).squeeze(-1) * incident.clamp_min(0) * weights
-    return _to_one(lobe.reshape(-1, height, samples, width, samples).sum((2, 4)).flatten(1))
+    length = (2 + 2 * to_light[2]).clamp_min(torch.finfo(normals.dtype).eps).sqrt()  # length of d + (0, 0, 1)
+    cosines = Cosines(incident, outgoing, (incident + outgoing) / length, length / 2)
+    lobe = (
+        microfacet_lobe(cosines, roughness * roughness, torch.ones_like).squeeze(-1) * incident.clamp_min(0) * weights
+    )
+    return _normalize_rows(lobe.reshape(-1, height, samples, width, samples).sum((2, 4)).flatten(1))
 
 
-def _texels(normals: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """Directions [3, H * W] of a map's texels and their solid angles over pi [H * W], as the normals are stored."""
+def _texel_quadrature(normals: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Return directions [3, H * W] of a map's texels and their solid angles over pi, [H * W], in the normals' dtype."""
     dtype, device = normals.dtype, normals.device
     weights = solid_angles(height, width, dtype=dtype, device=device).expand(height, width).flatten() / math.pi
     return texel_directions(height, width, dtype=dtype, device=device).flatten(1), weights
 
 
-def _to_one(rows: Tensor) -> Tensor:
-    """Rows [P, N] >= 0 over their sums; zeros stay zeros."""
+def _normalize_rows(rows: Tensor) -> Tensor:
+    """Divide rows [P, N] >= 0 by their sums; zeros stay zeros."""
     return rows / rows.sum(-1, keepdim=True).clamp_min(torch.finfo(rows.dtype).tiny)

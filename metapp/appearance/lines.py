@@ -1,8 +1,8 @@
-"""Straight lines in pictures: whether a picture breaks those of its exemplar, and whether it shows seams.
+"""Straight lines in pictures: whether a picture breaks the lines of its exemplar, and whether it shows seams.
 
 Neither needs a lattice, nor anything but the two pictures. Joints, cracks, threads and fibres are lines that go on for
 many texels; a generator that loses them leaves edges as strong, but short ones. Blocks that do not meet add lines that
-are longer than any of the exemplar's.
+are longer than any in the exemplar.
 """
 
 from __future__ import annotations
@@ -17,47 +17,50 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.order import remove_quadratic_trend
 
-SMALLEST_SIDE_PX = 64  # side of pictures that are measured
-IGNORED_BORDER_PX = 16  # left out at each side: exemplars do not tile, and what is filtered does
-LINE_LENGTH_WIDTHS = 8.0  # standard deviation along a line, in widths of it
-QUANTILE_PX = 60_000  # px whose energies are sorted
-FAINTEST_LINE_ENERGY, MIN_EDGE_ENERGY = (
-    1e-14,
-    1e-9,
-)  # energies, display values squared, below which lines and edges are not there
-# Lines added by pictures without visible seams: at most 1.3 of image quilting and of fits of 66 photographs, but 1.6 to
-# 3.8 of quilts where edges of blocks are seen.
+SMALLEST_SIDE_PX = 64  # least side of pictures that are measured, px
+IGNORED_BORDER_PX = 16  # px left out at each side: exemplars do not tile, and filters by Fourier transforms assume it
+LINE_LENGTH_WIDTHS = 8.0  # standard deviation of filters along a line, in widths of the line
+QUANTILE_PX = 60_000  # number of px, at least, of which quantiles are taken where there are as many
+# energies, in squared display values, below which lines and edges count as absent
+FAINTEST_LINE_ENERGY = 1e-14
+MIN_EDGE_ENERGY = 1e-9
+# The ratio of long lines, of a picture's to its exemplar's, above which a picture shows seams: without visible seams it
+# is at most 1.3 (image quilting and fits of 66 photographs), but 1.6 to 3.8 of quilts where edges of blocks are seen.
 SEAM_STRENGTH_RATIO = 1.5
 
 
 class LineComparison(NamedTuple):
-    """The strengths of a picture's lines over those of its exemplar's, each relative to the edges in the same picture.
+    """The strengths of a picture's lines relative to its edges, over the same strengths of its exemplar.
 
     Attributes:
-        kept: lines of 1 and 2 px, about 0.94 to 1.05 of intact textures, less of broken ones; NaN if not known.
-        added: the strongest long lines of 4 px, about 1, above MOST_ADDED where seams are seen; NaN as `kept`.
+        fine_ratio: for lines of 1 and 2 px, about 0.94 to 1.05 if lines are intact, less if broken; NaN if not known.
+        long_ratio: for the strongest long lines of 4 px, about 1, above SEAM_STRENGTH_RATIO where seams are seen; NaN
+            if not known.
     """
 
-    kept: float
-    added: float
+    fine_ratio: float
+    long_ratio: float
 
 
-def compare_lines(exemplar: Tensor, made: Tensor) -> LineComparison:
-    """Compare the straight lines of a picture [C, h, w] with those of its exemplar [C, H, W], at the same scale.
+def compare_lines(exemplar: Tensor, picture: Tensor) -> LineComparison:
+    """Compare the straight lines of a picture with the lines of its exemplar, at the same scale.
 
     Args:
-        exemplar: display values.
-        made: display values, of a texture that tiles.
+        exemplar: display values [C, H, W].
+        picture: display values [C, h, w], of a texture that tiles.
 
     Returns:
-        NaN for both if a picture has a side below SMALLEST_PX or the exemplar has no edges.
+        NaN for both if a picture has a side below SMALLEST_SIDE_PX or the exemplar has no edges.
     """
-    smallest = min(*exemplar.shape[-2:], *made.shape[-2:])
+    smallest = min(*exemplar.shape[-2:], *picture.shape[-2:])
     if smallest < SMALLEST_SIDE_PX or _edge_energy(_gray(exemplar)) < MIN_EDGE_ENERGY:
         return LineComparison(math.nan, math.nan)
-    of_exemplar, of_made = (_line_strengths(_gray(picture)) for picture in (exemplar, made))
-    kept, added = (math.exp(found - wanted) for found, wanted in zip(of_made, of_exemplar, strict=True))
-    return LineComparison(kept, added)
+    exemplar_strengths, picture_strengths = (_line_strengths(_gray(image)) for image in (exemplar, picture))
+    fine_ratio, long_ratio = (
+        math.exp(strength - exemplar_strength)
+        for strength, exemplar_strength in zip(picture_strengths, exemplar_strengths, strict=True)
+    )
+    return LineComparison(fine_ratio, long_ratio)
 
 
 def _gray(picture: Tensor) -> Tensor:
@@ -67,33 +70,33 @@ def _gray(picture: Tensor) -> Tensor:
 
 def _edge_energy(gray: Tensor) -> float:
     """Return the energy of short edges of 2 px that a tenth of all px exceed."""
-    return _quantile(_strongest(gray, 2, 1.0), 0.9)
+    return _quantile(_strongest_response(gray, 2, 1.0), 0.9)
 
 
 def _line_strengths(gray: Tensor) -> tuple[float, float]:
-    """Return the logarithms of the strength of lines of 1 and 2 px, and of the strongest ones of 4 px."""
+    """Return the logarithms of the strength of lines of 1 and 2 px, and of the strongest long lines of 4 px."""
     fine = [
-        math.log(max(_quantile(_strongest(gray, width, LINE_LENGTH_WIDTHS), 0.95), FAINTEST_LINE_ENERGY))
+        math.log(max(_quantile(_strongest_response(gray, width, LINE_LENGTH_WIDTHS), 0.95), FAINTEST_LINE_ENERGY))
         for width in (1, 2)
     ]
     edges = math.log(max(_edge_energy(gray), MIN_EDGE_ENERGY))
-    coarse = math.log(max(_quantile(_strongest(gray, 4, 1.0), 0.95), MIN_EDGE_ENERGY))
-    # the fourth moment counts few px of much energy, as seams are
-    longest = float(_strongest(gray, 4, LINE_LENGTH_WIDTHS).double().pow(4).mean().pow(0.25))
+    coarse = math.log(max(_quantile(_strongest_response(gray, 4, 1.0), 0.95), MIN_EDGE_ENERGY))
+    # the fourth moment counts px of much energy even if they are few, as on seams
+    longest = float(_strongest_response(gray, 4, LINE_LENGTH_WIDTHS).double().pow(4).mean().pow(0.25))
     return sum(fine) / len(fine) - edges, math.log(max(longest, FAINTEST_LINE_ENERGY)) - coarse
 
 
-def _strongest(gray: Tensor, width: int, length: float) -> Tensor:
+def _strongest_response(gray: Tensor, width: int, length: float) -> Tensor:
     """Return the energy of edges and ridges along the direction where they are strongest, of px off the border, [N].
 
     Args:
         gray: a picture [H, W].
-        width: standard deviation across them in px, a power of 2, by which the picture is reduced first.
-        length: standard deviation along them, in widths.
+        width: standard deviation across edges in px, a power of 2, by which the picture is reduced first.
+        length: standard deviation along edges, in widths.
     """
     small = avg_pool2d(gray[None], width)[0] if width > 1 else gray
     spectrum, strongest = torch.fft.fft2(small), torch.zeros(())
-    for kernel in _kernels(small.shape[0], small.shape[1], length):
+    for kernel in _directional_kernels(small.shape[0], small.shape[1], length):
         response = torch.fft.ifft2(spectrum * kernel)
         strongest = torch.maximum(strongest, response.real.square() + response.imag.square())
     border = min(max(6, IGNORED_BORDER_PX // width), (min(small.shape) - 1) // 2)
@@ -101,7 +104,7 @@ def _strongest(gray: Tensor, width: int, length: float) -> Tensor:
 
 
 @functools.lru_cache(maxsize=8)
-def _kernels(height: int, width: int, length: float) -> list[Tensor]:
+def _directional_kernels(height: int, width: int, length: float) -> list[Tensor]:
     """Return the spectra [H, W] of derivatives of Gaussians in all directions, 1 px wide, without negative frequencies.
 
     Half of the spectrum alone makes responses complex, so that their energy is the same on an edge and on a ridge.
@@ -118,5 +121,5 @@ def _kernels(height: int, width: int, length: float) -> list[Tensor]:
 
 
 def _quantile(energies: Tensor, share: float) -> float:
-    """Return a quantile of energies [N], of SAMPLES to twice as many of them."""
+    """Return a quantile of energies [N], by at least QUANTILE_PX of them and fewer than twice as many."""
     return float(torch.quantile(energies[:: max(1, len(energies) // QUANTILE_PX)], share))

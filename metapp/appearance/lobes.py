@@ -1,6 +1,7 @@
 """Importance sampling of a BRDF by a mixture of cosine and GGX lobes, fitted for each angle of the viewer.
 
-Any mixture leaves the mean right and changes the noise alone. So the weights are those of least variance.
+Any mixture leaves the mean right and changes the noise alone. So the weights minimise the variance. Renderers and the
+viewer draw directions by the mixture; what represents the BRDF does not matter here, it is a function of angles.
 """
 
 from __future__ import annotations
@@ -22,28 +23,29 @@ DirectionPair = tuple[Tensor, Tensor]
 
 CANDIDATE_ALPHAS = tuple(float(alpha) for alpha in np.geomspace(0.005, 0.7, 12))  # GGX roughness of the candidates
 ISOTROPIC_ALPHAS = tuple((alpha, alpha) for alpha in CANDIDATE_ALPHAS)
-# roughness along and across the axes: of highlights that reach farther along the first one, or as far
+# roughness along the first and the second axis: all pairs of every other candidate from the third on
 ANISOTROPIC_ALPHAS = tuple((first, second) for first in CANDIDATE_ALPHAS[2::2] for second in CANDIDATE_ALPHAS[2::2])
-LOBE_COUNT = 2  # of these; the cosine is a further one
-VIEWER_NODES = 24  # angles of the viewer, from the normal to LAST_RAD
-LAST_VIEWER_RAD = math.radians(89)
-MIN_COSINE_SHARE = 0.1  # share of the cosine: bounds the weight of a sample where no lobe of the fit reaches
-_DRAWS, _FEW_DRAWS = 128, 48  # directions for each candidate and node, isotropic and anisotropic
-_ROUNDS = 20
+LOBE_COUNT = 2  # GGX lobes of a mixture, beside the cosine lobe
+VIEWER_NODES = 24  # number of viewer angles, from the normal to LAST_VIEWER_RAD, that mixtures are fitted for
+LAST_VIEWER_RAD = math.radians(89)  # greatest angle between viewer and normal, rad
+MIN_COSINE_SHARE = 0.1  # least share of the cosine lobe: bounds a sample's weight where no GGX lobe reaches
+_ISOTROPIC_DRAWS, _ANISOTROPIC_DRAWS = 128, 48  # directions drawn of each candidate at each node
+_SHARE_UPDATES = 20  # multiplicative updates of the shares
 
 
 class LobeMixture(NamedTuple):
-    """A mixture for each angle of the viewer.
+    """A mixture of a cosine lobe and GGX lobes for each angle of the viewer.
 
     Attributes:
         alphas: GGX roughness along two axes, of each lobe beside the cosine.
-        shares: [NODES, 1 + L], of the cosine and each lobe, at angles evenly from 0 to LAST_RAD; each row sums to 1.
-        turn: azimuth of the axes in rad.
+        shares: [VIEWER_NODES, 1 + L], of the cosine and each lobe, at angles evenly from 0 to LAST_VIEWER_RAD; each row
+            sums to 1.
+        azimuth_rad: azimuth of the axes in rad.
     """
 
     alphas: tuple[tuple[float, float], ...]
     shares: Array
-    turn: float = 0.0
+    azimuth_rad: float = 0.0
 
 
 def fit_lobes(reflectance: Callable[[Tensor], Tensor], turn: float | None = None) -> LobeMixture:
@@ -51,56 +53,61 @@ def fit_lobes(reflectance: Callable[[Tensor], Tensor], turn: float | None = None
 
     Args:
         reflectance: linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad; of an anisotropic
-            one also phi_h, [..., 4].
-        turn: azimuth of the axes of an anisotropic one in rad; shares are then the same for all azimuths of a viewer.
+            BRDF also phi_h, [..., 4].
+        turn: azimuth of the axes of an anisotropic BRDF in rad; shares are then the same for all azimuths of a viewer.
+            None for an isotropic BRDF.
     """
     candidates = ISOTROPIC_ALPHAS if turn is None else ANISOTROPIC_ALPHAS
-    angles, cosine, densities = _directions(turn)
+    angles, cosine, densities = _training_directions(turn)
     with torch.no_grad():
-        value = reflectance(angles).double().mean(-1).numpy()
-    # a network's values beside the horizon may be infinite, which must not decide alone
-    target, drawn = np.nan_to_num(value, posinf=0) * cosine, densities.mean(0) + 1e-30
+        mean_reflectance = reflectance(angles).double().mean(-1).numpy()
+    # a network's values close to the horizon may be infinite; these must not decide alone
+    target, sampling_density = np.nan_to_num(mean_reflectance, posinf=0) * cosine, densities.mean(0) + 1e-30
     chosen = [0]
     for _ in range(LOBE_COUNT):
         others = [i for i in range(1, len(densities)) if i not in chosen]
-        chosen.append(min(others, key=lambda i: _fitted(target, drawn, densities[[*chosen, i]])[1]))
-    shares, _ = _fitted(target, drawn, densities[chosen])
+        chosen.append(min(others, key=lambda i: _fit_shares(target, sampling_density, densities[[*chosen, i]])[1]))
+    shares, _ = _fit_shares(target, sampling_density, densities[chosen])
     shares *= 1 - MIN_COSINE_SHARE
     shares[:, 0] += MIN_COSINE_SHARE
     return LobeMixture(tuple(candidates[i - 1] for i in chosen[1:]), shares, turn or 0.0)
 
 
-def _fitted(target: Array, drawn: Array, lobes: Array) -> tuple[Array, float]:
-    """Shares [NODES, K] of least variance, and the mean log of the second moment over the squared mean.
+def _fit_shares(target: Array, sampling_density: Array, lobes: Array) -> tuple[Array, float]:
+    """Fit the shares of least variance at each node.
 
     The second moment, the sum of target^2 / mixture, is convex in the shares. Multiplying these by the square root of
     its slopes never increases it and keeps them positive (as in A-optimal design: Silvey, Titterington, Torsney 1978).
 
     Args:
         target: f cos theta of the light, mean of RGB, at S directions of each node, [NODES, S].
-        drawn: density of these directions, [NODES, S].
+        sampling_density: density of these directions, [NODES, S].
         lobes: densities of K lobes there, [K, NODES, S].
+
+    Returns:
+        Shares [NODES, K], and the mean over nodes of the log of the second moment over the squared mean.
     """
-    cost = target**2 / drawn
+    cost = target**2 / sampling_density
     shares = np.full((len(lobes), len(cost), 1), 1 / len(lobes))
-    for _ in range(_ROUNDS):
+    for _ in range(_SHARE_UPDATES):
         mixture = (shares * lobes).sum(0) + 1e-30
         shares *= np.sqrt((cost / mixture**2 * lobes).sum(-1, keepdims=True)) + 1e-30
         shares /= shares.sum(0)
-    second = (cost / ((shares * lobes).sum(0) + 1e-30)).mean(-1)
-    mean = (target / drawn).mean(-1)
-    excess = np.log(np.maximum(second, 1e-30) / np.maximum(mean, 1e-15) ** 2)
+    second_moment = (cost / ((shares * lobes).sum(0) + 1e-30)).mean(-1)
+    mean = (target / sampling_density).mean(-1)
+    excess = np.log(np.maximum(second_moment, 1e-30) / np.maximum(mean, 1e-15) ** 2)
     return shares[..., 0].T, float(np.where(mean > 0, excess, 0).mean())
 
 
 @functools.cache
 def _isotropic_directions() -> tuple[Tensor, Array, Array]:
-    pair, cosine, lobes = _drawn(ISOTROPIC_ALPHAS, _DRAWS, 0.0)
+    """Return the result of :func:`_training_directions` for isotropic BRDFs, drawn once."""
+    pair, cosine, lobes = _draw_directions(ISOTROPIC_ALPHAS, _ISOTROPIC_DRAWS, 0.0)
     return directions_to_rusinkiewicz(*pair), cosine, lobes
 
 
-def _directions(turn: float | None) -> tuple[Tensor, Array, Array]:
-    """Directions, the same for every isotropic BRDF, and for every anisotropic one but for the axes.
+def _training_directions(turn: float | None) -> tuple[Tensor, Array, Array]:
+    """Return directions, the same for every isotropic BRDF, and for every anisotropic one but for the axes.
 
     Returns:
         Half and difference angles [NODES, S, 3 or 4], cosines of the light [NODES, S], 0 below the surface, and
@@ -108,15 +115,27 @@ def _directions(turn: float | None) -> tuple[Tensor, Array, Array]:
     """
     if turn is None:
         return _isotropic_directions()
-    (light, viewer), cosine, lobes = _drawn(ANISOTROPIC_ALPHAS, _FEW_DRAWS, math.tau)
-    light, viewer = (rotate_about_normal(each, each.new_full(each.shape[:-1], turn)) for each in (light, viewer))
+    (light, viewer), cosine, lobes = _draw_directions(ANISOTROPIC_ALPHAS, _ANISOTROPIC_DRAWS, math.tau)
+    light, viewer = (
+        rotate_about_normal(direction, direction.new_full(direction.shape[:-1], turn)) for direction in (light, viewer)
+    )
     return directions_to_four_angles(light, viewer), cosine, lobes
 
 
-def _drawn(
+def _draw_directions(
     candidates: Sequence[tuple[float, float]], draws: int, azimuths: float
 ) -> tuple[DirectionPair, Array, Array]:
-    """Directions to light and viewer, float32, in the axes of lobes, and the rest of `_directions`."""
+    """Draw directions by the cosine lobe and by each candidate, at each node.
+
+    Args:
+        candidates: GGX roughness along two axes, of A lobes.
+        draws: directions of each lobe at each node; S = (1 + A) draws.
+        azimuths: range of the viewer's azimuth in rad; 0 if it does not matter.
+
+    Returns:
+        Directions to light and viewer, [NODES, S, 3], float32, in the axes of lobes; cosines of the light [NODES, S], 0
+        below the surface; and densities of the cosine and all candidates [1 + A, NODES, S].
+    """
     rng = np.random.default_rng(0)
     theta = np.linspace(0, LAST_VIEWER_RAD, VIEWER_NODES)[:, None]
     u = rng.random((2, 1 + len(candidates), VIEWER_NODES, draws))
@@ -125,18 +144,28 @@ def _drawn(
     radius, azimuth = np.sqrt(u[0, 0]), 2 * math.pi * u[1, 0]
     lights = [np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - u[0, 0])], -1)]
     for i, alpha in enumerate(candidates, 1):
-        half = _visible_normal(viewer, alpha, u[0, i], u[1, i])
+        half = _sample_visible_normal(viewer, alpha, u[0, i], u[1, i])
         lights.append(2 * (viewer * half).sum(-1, keepdims=True) * half - viewer)
     light, viewer = np.concatenate(lights, 1), np.concatenate([viewer] * len(lights), 1)
-    up = light[..., 2] > 1e-4
-    light = np.where(up[..., None], light, [0.0, 0.0, 1.0])
+    is_above = light[..., 2] > 1e-4
+    light = np.where(is_above[..., None], light, [0.0, 0.0, 1.0])
     cosine = light[..., 2]
-    lobes = np.stack([cosine / math.pi, *(_density(viewer, light, alpha) for alpha in candidates)]) * up
-    return (torch.from_numpy(light).float(), torch.from_numpy(viewer).float()), cosine * up, lobes
+    lobes = np.stack([cosine / math.pi, *(_light_density(viewer, light, alpha) for alpha in candidates)]) * is_above
+    return (torch.from_numpy(light).float(), torch.from_numpy(viewer).float()), cosine * is_above, lobes
 
 
-def _visible_normal(viewer: Array, alpha: tuple[float, float], u: Array, v: Array) -> Array:
-    """Normals of facets that the viewer sees, of GGX roughness alpha (Dupuy and Benyoub 2023: a spherical cap)."""
+def _sample_visible_normal(viewer: Array, alpha: tuple[float, float], u: Array, v: Array) -> Array:
+    """Return normals of facets that the viewer sees, of GGX roughness alpha (Dupuy and Benyoub 2023: a spherical cap).
+
+    Args:
+        viewer: directions [..., 3].
+        alpha: roughness along two axes.
+        u: uniform numbers in [0, 1), [...].
+        v: uniform numbers in [0, 1), [...].
+
+    Returns:
+        Unit vectors [..., 3].
+    """
     stretched = viewer * [*alpha, 1]
     stretched /= np.linalg.norm(stretched, axis=-1, keepdims=True)
     z = (1 - u) * (1 + stretched[..., 2]) - stretched[..., 2]
@@ -146,15 +175,21 @@ def _visible_normal(viewer: Array, alpha: tuple[float, float], u: Array, v: Arra
     return result
 
 
-def _density(viewer: Array, light: Array, alpha: tuple[float, float]) -> Array:
-    """Density of a light drawn by mirroring the viewer at a visible facet: D G1 / (4 cos theta of the viewer)."""
+def _light_density(viewer: Array, light: Array, alpha: tuple[float, float]) -> Array:
+    """Return the density per sr of light drawn by mirroring the viewer at a visible facet: D G1 / (4 cos theta_o).
+
+    Args:
+        viewer: directions [..., 3].
+        light: directions [..., 3].
+        alpha: roughness along two axes.
+    """
     half = viewer + light
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
     first, second = alpha
     spread = (half[..., 0] / first) ** 2 + (half[..., 1] / second) ** 2 + half[..., 2] ** 2
     distribution = 1 / (math.pi * first * second * spread**2)
     cosine = viewer[..., 2]
-    # G1 / cosine, finite at grazing angles
+    # masking is G1 / cosine, finite at grazing angles
     slope = (first * viewer[..., 0]) ** 2 + (second * viewer[..., 1]) ** 2
     masking = 2 / (cosine + np.sqrt(slope + cosine**2))
     result: Array = distribution * masking / 4

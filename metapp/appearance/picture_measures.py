@@ -1,4 +1,7 @@
-"""Measures of the pictures that fits make: by name in the registry, and an application's own."""
+"""Measures of the pictures that fits make: by name in the registry, and an application's own.
+
+Extensions add measures by the registry; no table and no application names any of them.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,9 @@ class PictureMeasure(NamedTuple):
     """A measure of pictures of fits against their references, a row of the table `image`.
 
     Attributes:
-        value: of such pictures; NaN if there is none.
-        source: by which package and version; ValueError if that is missing. None if metapp does.
+        value: returns the measure of a comparison; NaN if there is none.
+        source: returns the package and version that compute it, and raises ValueError if the package is missing. None
+            if metapp computes it.
         more_is_better: whether a higher value is better.
     """
 
@@ -28,7 +32,7 @@ class PictureMeasure(NamedTuple):
 
 
 def mean_ssim(compared: PictureComparison) -> float:
-    """Mean SSIM over the pixels that count."""
+    """Return the mean SSIM over the pixels that count."""
     values = ssim(compared.pictures, compared.references)
     return float((values if compared.mask is None else values[..., compared.mask]).mean())
 
@@ -37,7 +41,14 @@ SSIM = PictureMeasure(mean_ssim, more_is_better=True)
 
 
 def describe_picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
-    """Notes on the measures of an application's pictures, by name, and a line for each that lacks something."""
+    """Describe the registered measures of an application's pictures.
+
+    Args:
+        app: name of the application.
+
+    Returns:
+        Notes on measures, by name, and a line for each measure whose package is missing.
+    """
     notes, missing = {}, []
     for name, entry in registry().measures.items():
         if app in entry.apps:
@@ -50,7 +61,12 @@ def describe_picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
 
 
 def registered_picture_errors(app: str, compared: PictureComparison) -> dict[str, float]:
-    """Registered measures of an application's pictures, by name; missing and infinite ones are left out."""
+    """Return registered measures of an application's pictures, by name; missing and infinite ones are left out.
+
+    Args:
+        app: name of the application.
+        compared: the pictures and their references.
+    """
     values = {name: registry().measures[name].load().value(compared) for name in describe_picture_measures(app)[0]}
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
@@ -62,6 +78,6 @@ def measure_pictures(
     errors = presenter.picture_errors(fits, task)
     for name, fit in fits.items():
         compared = presenter.comparison(fit.theta, task)
-        if compared and (further := registered_picture_errors(presenter.app.name, compared)):
-            errors[name] = errors.get(name, {}) | further
+        if compared and (registered_errors := registered_picture_errors(presenter.app.name, compared)):
+            errors[name] = errors.get(name, {}) | registered_errors
     return errors

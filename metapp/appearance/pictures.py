@@ -1,4 +1,8 @@
-"""Pictures that applications make of fits, as plain data."""
+"""Pictures that applications make of fits, as plain data.
+
+Presenters make them and commands write them; both import this module, so that it knows neither. It knows no
+application and no file format either.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +14,12 @@ from metapp.learning.task import Params
 
 PictureKind = Literal["srgb", "data", "height", "radiance"]
 PICTURE_KINDS: tuple[PictureKind, ...] = get_args(PictureKind)
-CLIPPED_8BIT_VALUE = 250  # of 255, from which a photograph says no more
-REFERENCE_ERROR_NAME = "reference"  # among measures of pictures: what the references are off by themselves
+CLIPPED_8BIT_VALUE = 250  # of 255: from this value on a photograph says no more than "so bright"
+REFERENCE_ERROR_NAME = "reference"  # name, among measures of pictures, of the error that references have themselves
 
 
 class Picture(NamedTuple):
-    """A file that a fit makes.
+    """A picture file that a fit makes.
 
     Attributes:
         pixels: [H, W, 1 or 3].
@@ -29,7 +33,7 @@ class Picture(NamedTuple):
 
 
 class ScenePictures(NamedTuple):
-    """Pictures of a task's scene.
+    """The pictures of a task's scene.
 
     Attributes:
         files: by the file's name without its ending.
@@ -41,9 +45,12 @@ class ScenePictures(NamedTuple):
 
 
 class PictureComparison(NamedTuple):
-    """Pictures of a fit and their references: display values [B, 3, H, W] in [0, 1].
+    """The pictures of a fit beside their references.
 
-    The bool `mask` [H, W] says which pixels count; None: all.
+    Attributes:
+        pictures: display values [B, 3, H, W] in [0, 1].
+        references: display values [B, 3, H, W] in [0, 1].
+        mask: which pixels count, bool [H, W]; None if all do.
     """
 
     pictures: Tensor
@@ -52,37 +59,44 @@ class PictureComparison(NamedTuple):
 
 
 def photo_error_percent(compared: PictureComparison) -> float:
-    """Mean difference of pictures and references in 8 bits, % of white, where the references do not clip.
+    """Return the mean difference of pictures and references in 8 bits, in % of white, where the references do not clip.
 
     >>> import torch
-    >>> one = torch.full((1, 3, 2, 2), 0.5)
-    >>> photo_error(Compared(one, one + 0.1)), photo_error(Compared(one, one + 0.5))
-    (9.803921568627452, 0.0)
+    >>> gray = torch.full((1, 3, 2, 2), 0.5)
+    >>> photo_error_percent(PictureComparison(gray, gray + 0.1))
+    9.803921568627452
+    >>> photo_error_percent(PictureComparison(gray, gray + 0.5))
+    0.0
     """
-    pictures, references = ((each.clamp(0, 1) * 255).round() for each in compared[:2])
-    counts = (references < CLIPPED_8BIT_VALUE).all(1)
+    pictures, references = ((images.clamp(0, 1) * 255).round() for images in compared[:2])
+    is_counted = (references < CLIPPED_8BIT_VALUE).all(1)
     if compared.mask is not None:
-        counts = counts & compared.mask
-    apart = (pictures - references).abs().mean(1)[counts]
-    return float(apart.double().mean()) * 100 / 255 if len(apart) else 0.0
+        is_counted = is_counted & compared.mask
+    differences = (pictures - references).abs().mean(1)[is_counted]
+    return float(differences.double().mean()) * 100 / 255 if len(differences) else 0.0
 
 
 class VisibleData(NamedTuple):
-    """The part of a task that a fit may see.
+    """The amount of a task's data that a fit may see.
 
     Attributes:
-        samples: how many it draws from; 1 if each step sees all there is.
-        size: bytes of one, as data sets keep it.
-        encoder: samples that General's encoder reads of these.
+        sample_count: number of samples that a fit draws from; 1 if each step sees all there is.
+        sample_bytes: size of one sample as data sets keep it, in bytes.
+        encoder_samples: number of these samples that General's encoder reads.
     """
 
-    samples: int
-    size: int
-    encoder: int
+    sample_count: int
+    sample_bytes: int
+    encoder_samples: int
 
 
 class TimedFit(NamedTuple):
-    """A fit of one task: parameters without task axis, and the seconds of inference that it took."""
+    """A fit of one task, and how long it took.
+
+    Attributes:
+        theta: the fitted parameters, without a task axis.
+        seconds: seconds of inference.
+    """
 
     theta: Params
     seconds: float

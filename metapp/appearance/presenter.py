@@ -49,7 +49,7 @@ class Presenter(Generic[PresentedApp]):
         """
         if self.size and (refusal := self.size_refusal(*self.size)):
             raise ValueError(f"--size {self.size[0]}x{self.size[1]}: {self.app.name} {refusal}.")
-        object.__setattr__(self, "_last", (None, None, None))  # what `cache_last` kept
+        object.__setattr__(self, "_last", (None, None, None))  # the fit, the task and the value that `cache_last` keeps
 
     @property
     def title(self) -> str:
@@ -59,7 +59,7 @@ class Presenter(Generic[PresentedApp]):
 
     @property
     def picture_measure(self) -> str:
-        """The pictures that `picture_errors` and registered measures judge, in one line; "" if there are none."""
+        """The pictures that :meth:`picture_errors` and registered measures judge, in one line; "" if there are none."""
         return ""
 
     def caption(self, *, measured: bool = True) -> str:
@@ -84,13 +84,13 @@ class Presenter(Generic[PresentedApp]):
     # Pictures of one fit
 
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Return linear RGB pictures [H, W, 3 or 4]: `fit`, and `reference` or `samples` if the task has such."""
+        """Return linear RGB pictures [H, W, 3 or 4]: `fit`, and `reference` or `samples` if the task has them."""
         return {}
 
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3] for the row of a fit in the picture of a run, by name.
 
-        The names `reference` and `photo` are of what the task holds; `reference X` stands below the picture X.
+        The names `reference` and `photo` stand for pictures of the task; `reference X` is shown below the picture X.
         """
         return self.preview(theta, task)
 
@@ -119,18 +119,18 @@ class Presenter(Generic[PresentedApp]):
     # Comparisons and doubts
 
     def comparison(self, theta: Params, task: Task) -> PictureComparison | None:
-        """Return the pictures of a fit beside their references, which registered measures compare; None without."""
+        """Return the pictures and references of a fit, which registered measures compare; None if there are none."""
         return None
 
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
-        """Return the fit's pictures of the photographs that it saw, beside these; None if it saw something else."""
+        """Return renderings of a fit beside the photographs that it saw; None if it saw something else."""
         return None
 
     def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:
         """Return the application's own measures of pictures, by the fit's name, then by the measure's, such as SSIM.
 
-        There may be further names, of pictures that are made without any fit; `pictures.REFERENCE` is of the
-        references' own error. Of SSIM more is better, of others less.
+        There may be further names, of pictures that are made without any fit; `pictures.REFERENCE_ERROR_NAME` names
+        the error that references have themselves. A higher SSIM is better, and a lower value of all other measures.
         """
         return {}
 
@@ -156,20 +156,21 @@ class Presenter(Generic[PresentedApp]):
         return None
 
     def sample_fit(self, theta: Params, task: Task) -> Task | None:
-        """Return a task sampled from the fit itself, to distil it into another network; None if there is only one."""
+        """Return a task sampled from the fit itself, to distil it into another network; None if there is no other."""
         return None
 
     def cache_last(self, theta: Params, task: Task, make: Callable[[], CachedValue]) -> CachedValue:
-        """Return what `make` makes of a fit, made once if it is asked for several times in turn.
+        """Return the value that `make` makes of a fit, made once if it is asked for several times in turn.
 
         Args:
-            theta: the fit; another mapping counts as another fit, whatever is in it.
+            theta: the fit; another mapping counts as another fit, even if it holds the same tensors.
             task: the task of the fit.
             make: makes the value, such as maps at the size of files.
         """
         last: tuple[Params, Task, CachedValue] = self._last  # type: ignore[attr-defined]
         if last[0] is not theta or last[1] is not task:
-            object.__setattr__(self, "_last", (None, None, None))  # may be 0.6 GB, not to lie beside the next fit's
+            # the value may be 0.6 GB: it goes before the next fit's is made
+            object.__setattr__(self, "_last", (None, None, None))
             last = theta, task, make()
             object.__setattr__(self, "_last", last)
         return last[2]

@@ -1,4 +1,7 @@
-"""Image quilting: a picture of blocks of an exemplar that agree where they overlap (Efros & Freeman 2001)."""
+"""Image quilting: a picture of blocks of an exemplar that agree where they overlap (Efros & Freeman 2001).
+
+It is a method by itself, which knows neither networks nor tasks; textures begin with it, and baselines consist of it.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,19 @@ from numpy.typing import NDArray
 
 FloatImage = NDArray[np.floating]
 PixelMask = NDArray[np.bool_]
-OVERLAP_TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more than the best one's are as good
-PHASE_TOLERANCE_PX = 1.0  # distance from a place of the same phase within which a block is in phase
+OVERLAP_TOLERANCE = 0.1  # as published: blocks whose error exceeds the least error by up to this share count as good
+PHASE_TOLERANCE_PX = 1.0  # distance from a place of equal phase within which a block counts as in phase
 
 
 def choose_block_size(exemplar: FloatImage) -> tuple[int, int]:
-    """Side of a block, a quarter of the exemplar [H, W, C], and of the overlap, in px."""
+    """Choose the side of a block, a quarter of the exemplar's shorter side, and the overlap of blocks.
+
+    Args:
+        exemplar: [H, W, C].
+
+    Returns:
+        Side and overlap in px.
+    """
     block = max(2, min(exemplar.shape[:2]) // 4)
     return block, max(1, round(block / 6))
 
@@ -29,45 +39,48 @@ def quilt(
     tiles: bool = False,
     frequencies: FloatImage | None = None,
 ) -> FloatImage:
-    """A picture [h, w, C] of blocks of an exemplar [H, W, C], each cut from its neighbours where both agree most.
+    """Make a picture [h, w, C] of blocks of an exemplar [H, W, C], each cut from its neighbours where both agree most.
 
     Args:
         exemplar: at least as high and wide as a block.
         size: h and w in px.
         rng: chooses among blocks that agree about as well.
         block: side of a square block in px.
-        overlap: of neighbours, at least, in px.
-        tiles: blocks agree across the edges of the picture, too.
-        frequencies: of the exemplar's lattice, [1 or 2, 2] (y, x) in cycles per px; all blocks are in phase with the
-            first one. None for blocks of any phase.
+        overlap: least overlap of neighbouring blocks in px.
+        tiles: whether blocks agree across the edges of the picture, too.
+        frequencies: frequencies of the exemplar's lattice, [1 or 2, 2] (y, x) in cycles per px; all blocks are in phase
+            with the first one. None for blocks of any phase.
     """
     height, width = size
-    places = [_places(length, block - overlap, tiles=tiles) for length in size]
-    over = [block - max(np.diff([*of, of[-1] + block - overlap])) for of in places]
-    beyond = 0 if tiles else block  # cut off at the end
-    result = np.zeros((height + beyond, width + beyond), np.intp)  # numbers of px of the exemplar, row by row
+    starts = [_block_starts(length, block - overlap, tiles=tiles) for length in size]
+    overlaps = [block - max(np.diff([*axis_starts, axis_starts[-1] + block - overlap])) for axis_starts in starts]
+    margin = 0 if tiles else block  # px beyond the picture, cut off at the end
+    # for each px of the picture its px of the exemplar, counted row by row
+    exemplar_px = np.zeros((height + margin, width + margin), np.intp)
     colours = exemplar.reshape(-1, exemplar.shape[2])
     pixels, numbers = colours.astype(float), np.arange(len(colours)).reshape(exemplar.shape[:2])
-    find = _finder(exemplar, block, frequencies)
-    for i, top in enumerate(places[0]):
-        for j, left in enumerate(places[1]):
-            rows = (top + np.arange(block)) % len(result)
-            columns = (left + np.arange(block)) % result.shape[1]
-            there = result[np.ix_(rows, columns)]
-            part = pixels[there]
-            sides = (i > 0, j > 0, tiles and i == len(places[0]) - 1, tiles and j == len(places[1]) - 1)
-            y, x = find(part, _shared(block, over, sides), (top, left), rng)
+    find = _make_block_finder(exemplar, block, frequencies)
+    for i, top in enumerate(starts[0]):
+        for j, left in enumerate(starts[1]):
+            rows = (top + np.arange(block)) % len(exemplar_px)
+            columns = (left + np.arange(block)) % exemplar_px.shape[1]
+            present = exemplar_px[np.ix_(rows, columns)]
+            known_pixels = pixels[present]
+            occupied = (i > 0, j > 0, tiles and i == len(starts[0]) - 1, tiles and j == len(starts[1]) - 1)
+            y, x = find(known_pixels, _overlap_mask(block, overlaps, occupied), (top, left), rng)
             patch = numbers[y : y + block, x : x + block]
-            result[np.ix_(rows, columns)] = np.where(_taken(part, pixels[patch], over, sides), patch, there)
-    return colours[result[:height, :width]]
+            exemplar_px[np.ix_(rows, columns)] = np.where(
+                _patch_mask(known_pixels, pixels[patch], overlaps, occupied), patch, present
+            )
+    return colours[exemplar_px[:height, :width]]
 
 
 OccupiedSides = tuple[bool, bool, bool, bool]
-"""True if there is something above a block, before it, below it, behind it."""
+"""Whether the picture is filled already above a block, left of it, below it, and right of it."""
 
 
-def _places(length: int, step: int, *, tiles: bool) -> list[int]:
-    """The first px of blocks; even if the picture tiles, as far as whole px allow."""
+def _block_starts(length: int, step: int, *, tiles: bool) -> list[int]:
+    """Return the first px of blocks along an axis; if the picture tiles, as evenly spread as whole px allow."""
     if not tiles:
         return list(range(0, length, step))
     count = -(-length // step)
@@ -75,69 +88,96 @@ def _places(length: int, step: int, *, tiles: bool) -> list[int]:
 
 
 BlockFinder = Callable[[FloatImage, PixelMask, tuple[int, int], np.random.Generator], tuple[int, int]]
+"""Finds a block of the exemplar, (y, x), by known pixels, where they are known, the block's place, and a generator."""
 
 
-def _finder(exemplar: FloatImage, block: int, frequencies: FloatImage | None) -> BlockFinder:
-    """Make the search for a block of the exemplar that agrees with the picture: its errors are correlations."""
+def _make_block_finder(exemplar: FloatImage, block: int, frequencies: FloatImage | None) -> BlockFinder:
+    """Return a search for blocks of the exemplar that agree with the picture where it is known.
+
+    The errors of all blocks are correlations, computed by Fourier transforms.
+    """
     height, width, _ = exemplar.shape
     size = (height, width)
-    channels = np.fft.rfft2(exemplar, axes=(0, 1))
-    squares = np.fft.rfft2(np.square(exemplar).sum(2))
+    channel_spectra = np.fft.rfft2(exemplar, axes=(0, 1))
+    square_spectrum = np.fft.rfft2(np.square(exemplar).sum(2))
     rows, columns = height - block + 1, width - block + 1
-    places = np.moveaxis(np.indices((rows, columns)), 0, 2)
-    first = np.zeros(2)  # of the first block, from its place in the picture to that in the exemplar
+    positions = np.moveaxis(np.indices((rows, columns)), 0, 2)
+    first_shift = np.zeros(2)  # shift of the first block, from its place in the picture to its place in the exemplar
 
-    def find(part: FloatImage, shared: PixelMask, place: tuple[int, int], rng: np.random.Generator) -> tuple[int, int]:
-        if not shared.any():
+    def find(
+        known_pixels: FloatImage, known: PixelMask, start: tuple[int, int], rng: np.random.Generator
+    ) -> tuple[int, int]:
+        if not known.any():
             found = int(rng.integers(rows)), int(rng.integers(columns))
-            first[:] = np.subtract(found, place)
+            first_shift[:] = np.subtract(found, start)
             return found
-        there = np.fft.rfft2(part * shared[..., None], size, axes=(0, 1))
-        product = squares * np.conj(np.fft.rfft2(shared, size)) - 2 * (channels * np.conj(there)).sum(2)
-        error = np.fft.irfft2(product, size)[:rows, :columns] + np.square(part[shared]).sum()
+        known_channels = np.fft.rfft2(known_pixels * known[..., None], size, axes=(0, 1))
+        product = square_spectrum * np.conj(np.fft.rfft2(known, size)) - 2 * (
+            channel_spectra * np.conj(known_channels)
+        ).sum(2)
+        error = np.fft.irfft2(product, size)[:rows, :columns] + np.square(known_pixels[known]).sum()
         error = np.maximum(error, 1e-6)
         if frequencies is not None:
-            in_phase = _in_phase(places - place - first, frequencies)
+            in_phase = _is_in_phase(positions - start - first_shift, frequencies)
             error = np.where(in_phase, error, np.inf) if in_phase.any() else error
-        good = np.argwhere(error <= (1 + OVERLAP_TOLERANCE) * error.min())
-        i, j = good[rng.integers(len(good))]
+        candidates = np.argwhere(error <= (1 + OVERLAP_TOLERANCE) * error.min())
+        i, j = candidates[rng.integers(len(candidates))]
         return int(i), int(j)
 
     return find
 
 
-def _in_phase(shifts: FloatImage, frequencies: FloatImage) -> PixelMask:
-    """Shifts [..., 2] that are within PHASE_PX of a lattice's."""
+def _is_in_phase(shifts: FloatImage, frequencies: FloatImage) -> PixelMask:
+    """Return which shifts [..., 2] are within PHASE_TOLERANCE_PX of a shift by which the lattice maps to itself."""
     cycles = shifts @ frequencies.T
-    beside = (cycles - cycles.round()) / np.linalg.norm(frequencies, axis=1)
-    result: PixelMask = np.square(beside).sum(-1) <= PHASE_TOLERANCE_PX**2
+    distances = (cycles - cycles.round()) / np.linalg.norm(frequencies, axis=1)
+    result: PixelMask = np.square(distances).sum(-1) <= PHASE_TOLERANCE_PX**2
     return result
 
 
-def _shared(block: int, over: list[int], sides: OccupiedSides) -> PixelMask:
-    """Which px [block, block] of a block are there already."""
-    shared = np.zeros((block, block), bool)
-    above, before, below, behind = sides
-    shared[: over[0]] |= above
-    shared[:, : over[1]] |= before
-    shared[block - over[0] :] |= below
-    shared[:, block - over[1] :] |= behind
-    return shared
+def _overlap_mask(block: int, overlaps: list[int], occupied: OccupiedSides) -> PixelMask:
+    """Return which px [block, block] of a block are in the picture already.
+
+    Args:
+        block: side of a block in px.
+        overlaps: overlap of blocks along y and x in px.
+        occupied: which sides of the block are filled.
+    """
+    known = np.zeros((block, block), bool)
+    above, left, below, right = occupied
+    known[: overlaps[0]] |= above
+    known[:, : overlaps[1]] |= left
+    known[block - overlaps[0] :] |= below
+    known[:, block - overlaps[1] :] |= right
+    return known
 
 
-def _taken(part: FloatImage, patch: FloatImage, over: list[int], sides: OccupiedSides) -> PixelMask:
-    """Which px [block, block] are taken from the patch: those beyond the cuts."""
-    differs = np.square(part - patch).sum(2)
-    mask = np.ones(differs.shape, bool)
-    for there, turns, width in zip(sides, (3, 0, 1, 2), (over[0], over[1], over[0], over[1]), strict=True):
-        if there:  # turned so that what is there is before the block
+def _patch_mask(known_pixels: FloatImage, patch: FloatImage, overlaps: list[int], occupied: OccupiedSides) -> PixelMask:
+    """Return which px [block, block] are taken from the patch: all px beyond the cuts of least difference.
+
+    Args:
+        known_pixels: the picture's pixels at the block, [block, block, C].
+        patch: the block of the exemplar, [block, block, C].
+        overlaps: overlap of blocks along y and x in px.
+        occupied: which sides of the block are filled.
+    """
+    squared_differences = np.square(known_pixels - patch).sum(2)
+    mask = np.ones(squared_differences.shape, bool)
+    for is_filled, turns, width in zip(
+        occupied, (3, 0, 1, 2), (overlaps[0], overlaps[1], overlaps[0], overlaps[1]), strict=True
+    ):
+        if is_filled:  # turned so that the filled side is on the left
             turned = np.rot90(mask, -turns)
-            turned[:, :width] &= cut_mask(np.rot90(differs, -turns)[:, :width])
+            turned[:, :width] &= cut_mask(np.rot90(squared_differences, -turns)[:, :width])
     return mask
 
 
 def cut_mask(cost: FloatImage) -> PixelMask:
-    """Which entries lie on or beyond the path from top to bottom of least total cost, one entry a row, [H, W]."""
+    """Return which entries lie on or right of the path of least total cost from top to bottom, bool [H, W].
+
+    Args:
+        cost: [H, W]; the path has one entry in each row, at most one column from the entry above.
+    """
     height, width = cost.shape
     total = cost.copy()
     for row in range(1, height):

@@ -1,4 +1,8 @@
-"""A lit sphere, the picture of a BRDF."""
+"""A lit sphere, the picture of a BRDF.
+
+All sphere pictures of BRDFs, of fits and references alike, come from the scenes here: pairs of pixel and light, to be
+multiplied with reflectance. Nothing here knows what represents a BRDF; it is a function of angles.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +25,8 @@ class SphereScene(NamedTuple):
     Attributes:
         mask: [size, size] bool, the pixels that the sphere touches; P of them, in row-major order.
         coverage: [size, size] in [0, 1], the share of the pixel that the sphere covers.
-        angles: [P, L, 3] in rad, of light (wi) and camera (wo) at the pixel's point; [P, L, 4] with phi_h, from a
-            tangent that lies horizontally.
+        angles: [P, L, 3] in rad, half and difference angles of light (wi) and camera (wo) at the pixel's point;
+            [P, L, 4] with phi_h, from a tangent that lies horizontally.
         weights: [P, L, 3] linear RGB, radiance * cosine * solid angle; zero for lights below the horizon.
     """
 
@@ -33,6 +37,13 @@ class SphereScene(NamedTuple):
 
 
 def _softbox(centre: tuple[float, float, float], size_rad: tuple[float, float], grid: tuple[int, int]) -> Tensor:
+    """Return the directions [A * B, 3] of the lamps of a softbox, a grid of A times B.
+
+    Args:
+        centre: direction of its centre.
+        size_rad: its width and height in rad.
+        grid: A and B, numbers of lamps across and along.
+    """
     forward = torch.nn.functional.normalize(torch.tensor(centre, dtype=torch.float64), dim=0)
     right = torch.nn.functional.normalize(torch.linalg.cross(forward.new_tensor([0.0, 1.0, 0.0]), forward), dim=0)
     across, along = (
@@ -44,8 +55,12 @@ def _softbox(centre: tuple[float, float, float], size_rad: tuple[float, float], 
 
 
 def _studio_lights() -> tuple[Tensor, Tensor]:
-    """Directions [L, 3] (x right, y up, z to the camera) and their linear RGB irradiance [L, 3] across the beam."""
-    lights = [  # directions, tint, power
+    """Return the lights of the reference picture but for its sky.
+
+    Returns:
+        Directions [L, 3] (x right, y up, z to the camera) and their linear RGB irradiance [L, 3] across the beam.
+    """
+    lights = [  # directions, linear RGB tint, irradiance
         (_softbox((-0.55, 0.6, 0.75), (0.45, 0.45), (6, 6)), (1.0, 0.95, 0.88), 1.0),  # key
         (_softbox((0.95, 0.05, 0.45), (0.2, 0.7), (2, 8)), (0.84, 0.93, 1.0), 0.35),  # fill
         (_softbox((0.35, 0.75, -0.6), (0.6, 0.1), (8, 1)), (1.0, 1.0, 1.0), 0.4),  # rim, from behind
@@ -55,8 +70,16 @@ def _studio_lights() -> tuple[Tensor, Tensor]:
     return torch.cat([d for d, _, _ in lights]), torch.cat(power)
 
 
-def _ring_halves(rings: int, around: int) -> tuple[Tensor, Tensor]:
-    """Half vectors [M, 3] on rings about a normal, dense towards it, and each one's share of d half in sr, [M]."""
+def _half_vector_rings(rings: int, around: int) -> tuple[Tensor, Tensor]:
+    """Return half vectors on rings about a normal, dense towards it.
+
+    Args:
+        rings: number of rings.
+        around: number of half vectors on each ring.
+
+    Returns:
+        Unit vectors [M, 3], and each one's share of d half in sr, [M].
+    """
     nodes, weights = gauss_legendre(rings)
     narrowest, reach = 0.05, math.asinh(math.pi / 2 / 0.05)
     theta_h = (narrowest * (nodes * reach).sinh())[:, None]
@@ -69,31 +92,47 @@ def _ring_halves(rings: int, around: int) -> tuple[Tensor, Tensor]:
     return half, share.expand(rings, around).reshape(-1)
 
 
-def _rings(wo: Tensor, rings: int, around: int) -> tuple[Tensor, Tensor]:
-    """Quadrature over light for each pixel: wi [P, rings * around, 3] and solid angles, of `wo` [P, 3], all local.
+def _ring_quadrature(wo: Tensor, rings: int, around: int) -> tuple[Tensor, Tensor]:
+    """Return a quadrature over light for each pixel.
 
     Half vectors lie on rings about each pixel's normal, dense towards it, which integrates lobes of any width to a few
     percent; fixed lights would show as dots in polished metal.
+
+    Args:
+        wo: directions to the camera, [P, 3], in the frame of each pixel's point.
+        rings: number of rings.
+        around: number of half vectors on each ring.
+
+    Returns:
+        wi, [P, rings * around, 3], in the same frames, and solid angles in sr, [P, rings * around].
     """
-    half, share = _ring_halves(rings, around)
+    half, share = _half_vector_rings(rings, around)
     cos_d = wo @ half.T
     wi = 2 * cos_d[..., None] * half - wo[:, None]
     return wi, 4 * cos_d.clamp_min(0) * share  # d wi = 4 cos theta_d d half
 
 
-_DOME, _SKY = (7, 6), (0.95, 0.97, 1.0)  # rings and half vectors on each; colour
+_SKY_RINGS, _SKY_COLOUR = (7, 6), (0.95, 0.97, 1.0)  # rings and half vectors on each; linear RGB
 
 
-def _dome(wo: Tensor, up: Tensor) -> tuple[Tensor, Tensor]:
-    """A dim sky for each pixel: directions [P, 42, 3] and irradiance [P, 42, 3] of `wo` and "up" [P, 3], all local."""
-    wi, solid_angle = _rings(wo, *_DOME)
+def _sky_light(wo: Tensor, up: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the light of a dim sky for each pixel.
+
+    Args:
+        wo: directions to the camera, [P, 3], in the frame of each pixel's point.
+        up: the vertical direction, [P, 3], in the same frames.
+
+    Returns:
+        Directions [P, 42, 3] and linear RGB irradiance [P, 42, 3].
+    """
+    wi, solid_angle = _ring_quadrature(wo, *_SKY_RINGS)
     radiance = 0.06 + 0.05 * (wi * up[:, None]).sum(-1)  # brighter above than below
     irradiance = radiance * solid_angle
-    return wi, irradiance[..., None] * irradiance.new_tensor(_SKY)
+    return wi, irradiance[..., None] * irradiance.new_tensor(_SKY_COLOUR)
 
 
 def environment_radiance(directions: Tensor) -> Tensor:
-    """An analytic environment map: a sky above a floor, a low sun in haze, two windows.
+    """Evaluate an analytic environment map: a sky above a floor, a low sun in haze, two windows.
 
     Args:
         directions: unit vectors [..., 3], x right, y up, z to the camera.
@@ -102,9 +141,9 @@ def environment_radiance(directions: Tensor) -> Tensor:
         Linear RGB radiance [..., 3], > 0, so smooth that 320 directions a pixel resolve it.
     """
     colour = directions.new_tensor
-    above = torch.sigmoid(12 * directions[..., 1:2])
+    sky_share = torch.sigmoid(12 * directions[..., 1:2])
     sky = colour([0.25, 0.35, 0.55]) + colour([0.35, 0.25, 0.10]) * torch.exp(-6 * directions[..., 1:2].square())
-    radiance = above * sky + (1 - above) * colour([0.16, 0.13, 0.10])
+    radiance = sky_share * sky + (1 - sky_share) * colour([0.16, 0.13, 0.10])
     for towards, sharpness, power in (
         ((-0.55, 0.45, 0.70), 25.0, (10.0, 8.0, 5.6)),
         ((0.80, 0.35, 0.49), 20.0, (2.0, 2.3, 2.7)),
@@ -115,8 +154,13 @@ def environment_radiance(directions: Tensor) -> Tensor:
     return radiance
 
 
-def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Mask and coverage of a picture of the sphere, and the frame of each pixel's point, [P, 3, 3], rows are axes."""
+def _sphere_points(size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the points of a sphere that the pixels of its picture show.
+
+    Returns:
+        Mask and coverage of the picture, [size, size]; and the frame of each pixel's point, [P, 3, 3], whose rows are
+        tangent, bitangent and normal.
+    """
     if size < 8:
         raise ValueError(f"size of the reference sphere: {size} pixels, expected at least 8")
     centre = (torch.arange(size, dtype=torch.float64) + 0.5) * 2 / size - 1
@@ -137,49 +181,60 @@ def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
     return mask, coverage, frame
 
 
-def _exposure(wi: Tensor, irradiance: Tensor) -> Tensor:
-    """The factor of light by which a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
+def _exposure_factor(wi: Tensor, irradiance: Tensor) -> Tensor:
+    """Return the factor of light by which a white diffuse sphere of albedo 0.8 is 0.85 where it is brightest."""
     return 0.85 * math.pi / 0.8 / (irradiance * wi[..., 2:].clamp_min(0)).sum(1).mean(-1).max()
 
 
-def _studio(frame: Tensor) -> tuple[Tensor, Tensor]:
-    """Light of the reference picture at points with frames [P, 3, 3]: directions and irradiance, both [P, 103, 3]."""
+def _studio_illumination(frame: Tensor) -> tuple[Tensor, Tensor]:
+    """Return light of the reference picture at points with frames [P, 3, 3].
+
+    Returns:
+        Directions and linear RGB irradiance, both [P, 103, 3].
+    """
     directions, irradiance = _studio_lights()
-    sky, sky_irradiance = _dome(frame[:, :, 2], frame[:, :, 1])
+    sky, sky_irradiance = _sky_light(frame[:, :, 2], frame[:, :, 1])
     wi = torch.cat([torch.einsum("pij,lj->pli", frame, directions), sky], dim=1)
     return wi, torch.cat([irradiance.expand(len(wi), -1, -1), sky_irradiance], dim=1)
 
 
-def _surroundings(frame: Tensor) -> tuple[Tensor, Tensor]:
-    """The same of `environment_radiance`, both [P, 320, 3]."""
-    wi, solid_angle = _rings(frame[:, :, 2], 16, 20)
+def _environment_illumination(frame: Tensor) -> tuple[Tensor, Tensor]:
+    """Return light of :func:`environment_radiance` at points with frames [P, 3, 3].
+
+    Returns:
+        Directions and linear RGB irradiance, both [P, 320, 3].
+    """
+    wi, solid_angle = _ring_quadrature(frame[:, :, 2], 16, 20)
     return wi, environment_radiance(torch.einsum("pji,plj->pli", frame, wi)) * solid_angle[..., None]
 
 
 @functools.cache
 def studio_lights() -> Tensor:
-    """The lights of the reference picture as numbers, float32 [2, 103, 4], exposed as that is.
+    """Return the lights of the reference picture as numbers, float32 [2, 103, 4], at the picture's exposure.
 
     The first row holds directions (x right, y up, z to the camera) and 0, the second linear RGB irradiance across the
     beam and 0. Of the sky these are half vectors in the frame of each point and 0, and its colour times the share of
     d half in sr, and 1: radiance is 0.06 + 0.05 times the light's y, and d wi = 4 cos theta_d d half.
     """
-    exposure = _exposure(*_studio(_surface(96)[2]))
+    exposure = _exposure_factor(*_studio_illumination(_sphere_points(96)[2]))
     directions, irradiance = _studio_lights()
-    half, share = _ring_halves(*_DOME)
-    sky = share[:, None] * share.new_tensor(_SKY)
-    places, powers = torch.cat([directions, half]), exposure * torch.cat([irradiance, sky])
-    is_sky = torch.arange(len(places)) >= len(directions)
-    lights = [torch.nn.functional.pad(places, (0, 1)), torch.cat([powers, is_sky[:, None]], 1)]
+    half, half_solid_angle = _half_vector_rings(*_SKY_RINGS)
+    sky = half_solid_angle[:, None] * half_solid_angle.new_tensor(_SKY_COLOUR)
+    directions_or_halves, irradiance_or_colour = torch.cat([directions, half]), exposure * torch.cat([irradiance, sky])
+    is_sky = torch.arange(len(directions_or_halves)) >= len(directions)
+    lights = [
+        torch.nn.functional.pad(directions_or_halves, (0, 1)),
+        torch.cat([irradiance_or_colour, is_sky[:, None]], 1),
+    ]
     return torch.stack(lights).float()
 
 
 def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, chunk: int = 8192) -> Tensor:
-    """A picture of a sphere of some BRDF.
+    """Render a sphere of some BRDF.
 
     Args:
         scene: the geometry and lights.
-        evaluate: BRDF [..., 3] in 1/sr, linear RGB, of the scene's angles; called with [<= chunk, 3 or 4].
+        evaluate: returns the BRDF [..., 3] in 1/sr, linear RGB, at angles of the scene; called with [<= chunk, 3 or 4].
         chunk: (pixel, light) pairs a call, few enough to stay in the CPU's cache.
 
     Returns:
@@ -198,31 +253,41 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
 
 @functools.cache
 def reference_scene(size: int = 96, *, azimuths: bool = False) -> SphereScene:
-    """The scene of all BRDF pictures, of fits and references alike: three softboxes, a small lamp and a dim sky.
+    """Return the scene of all BRDF pictures, of fits and references alike: three softboxes, a small lamp and a dim sky.
 
     Args:
         size: width and height in pixels, >= 8; the sphere fills 96 % of it.
-        azimuths: with phi_h, for anisotropic reflection.
+        azimuths: whether angles include phi_h, for anisotropic reflection.
     """
-    return _scene(f"studio-{size}", size, _studio, azimuths)
+    return _load_scene(f"studio-{size}", size, _studio_illumination, azimuths)
 
 
 @functools.cache
 def environment_scene(*, azimuths: bool = False) -> SphereScene:
-    """The sphere at 48 px under `environment_radiance` alone, 320 directions a pixel."""
-    return _scene("environment-48", 48, _surroundings, azimuths)
+    """Return the scene of a sphere at 48 px under :func:`environment_radiance` alone, 320 directions a pixel.
+
+    Args:
+        azimuths: whether angles include phi_h, for anisotropic reflection.
+    """
+    return _load_scene("environment-48", 48, _environment_illumination, azimuths)
 
 
-def _scene(name: str, size: int, light: Callable[[Tensor], tuple[Tensor, Tensor]], azimuths: bool) -> SphereScene:
-    """A scene, float32, cached, such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest.
+def _load_scene(name: str, size: int, light: Callable[[Tensor], tuple[Tensor, Tensor]], azimuths: bool) -> SphereScene:
+    """Return a scene, float32, from the cache or made now.
 
-    `light` has directions and irradiance, both [P, L, 3], at points with frames [P, 3, 3].
+    A white diffuse sphere of albedo 0.8 is 0.85 where it is brightest.
+
+    Args:
+        name: name of the lights and the size in the cache.
+        size: width and height in pixels.
+        light: returns directions and irradiance, both [P, L, 3], at points with frames [P, 3, 3].
+        azimuths: whether angles include phi_h.
     """
 
     def make() -> dict[str, Tensor]:
-        mask, coverage, frame = _surface(size)
+        mask, coverage, frame = _sphere_points(size)
         wi, irradiance = light(frame)
-        weights = irradiance * wi[..., 2:].clamp_min(0) * _exposure(wi, irradiance)
+        weights = irradiance * wi[..., 2:].clamp_min(0) * _exposure_factor(wi, irradiance)
         to_angles = directions_to_four_angles if azimuths else directions_to_full_rusinkiewicz
         angles = to_angles(wi, frame[:, None, :, 2].expand_as(wi))
         return {"mask": mask, "coverage": coverage.float(), "angles": angles.float(), "weights": weights.float()}

@@ -1,5 +1,7 @@
 """The maps of a fitted flat surface, their pictures, and the metallic-roughness workflow of other programs.
 
+Exports and the viewer read a :class:`Surface` and need not know what was fitted, or how.
+
 In the workflow a texel is a mixture of a dielectric of specular reflectance c = 0.04 and a metal, as in glTF 2.0's core
 materials:
 
@@ -25,9 +27,9 @@ from metapp.appearance.flash import (
 )
 from metapp.appearance.pictures import Picture
 
-DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of nearly all that is no metal
-PHOTOGRAPH_STRIP_TEXELS = 2**17  # rendered at a time
-DESCRIPTION_FILE = "material.json"  # describes the files of an asset folder
+DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of nearly all materials but metals
+PHOTOGRAPH_STRIP_TEXELS = 2**17  # texels rendered at a time
+DESCRIPTION_FILE = "material.json"  # name of the file that describes the files of an asset folder
 
 
 class Surface(NamedTuple):
@@ -36,7 +38,7 @@ class Surface(NamedTuple):
     Attributes:
         base: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or the texture.
         tiles: whether its opposite edges match.
-        maps: all maps, without leading axes; None of a texture.
+        maps: all maps, without leading axes; None if it is a texture.
         height: [1, H, W] in texels, if the fit has one.
     """
 
@@ -47,11 +49,11 @@ class Surface(NamedTuple):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Height and width in texels."""
+        """The height and width in texels."""
         return self.base.shape[-2], self.base.shape[-1]
 
-    def heights(self) -> Tensor:
-        """Heights [1, H, W] in texture widths, about a mean of 0; those of normals if the fit has none."""
+    def heights_in_widths(self) -> Tensor:
+        """Return heights [1, H, W] in texture widths, about a mean of 0; if the fit has none, its normals' integral."""
         height = self.height
         if height is None:
             assert self.maps is not None
@@ -59,7 +61,7 @@ class Surface(NamedTuple):
         return (height - height.mean()) / self.size[1]
 
     def linear_maps(self) -> dict[str, Tensor]:
-        """The fit's own maps by name, linear: [H, W, 3], or [H, W] of roughness and of heights in texels.
+        """Return the maps that the fit has, by name, linear: [H, W, 3], or [H, W] for roughness and heights in texels.
 
         Normals are unit vectors. There are heights if the fit has them.
         """
@@ -67,12 +69,12 @@ class Surface(NamedTuple):
             return {"basecolor": self.base.movedim(0, -1)}
         diffuse, specular, roughness, normal = self.maps
         maps = {"diffuse": diffuse, "specular": specular.expand(3, -1, -1), "normal": normal}
-        maps = {name: part.movedim(0, -1) for name, part in maps.items()} | {"roughness": roughness[0]}
+        maps = {name: tensor.movedim(0, -1) for name, tensor in maps.items()} | {"roughness": roughness[0]}
         return maps if self.height is None else maps | {"height": self.height[0]}
 
 
 def scale_relief(maps: Maps, factor: float) -> Maps:
-    """Maps [..., C, H, W] with the slopes of normals times a factor; 0: flat."""
+    """Scale the slopes of normals in maps [..., C, H, W] by a factor; 0 makes them flat."""
     if factor == 1:
         return maps
     across, up = maps.normal.split((2, 1), -3)
@@ -80,18 +82,23 @@ def scale_relief(maps: Maps, factor: float) -> Maps:
 
 
 def metallic_to_specular(base: Tensor, metallic: Tensor) -> tuple[Tensor, Tensor]:
-    """Diffuse and specular colour [..., 3, H, W] of the workflow's maps."""
+    """Convert maps of the workflow to diffuse and specular colour, linear RGB [..., 3, H, W] both.
+
+    Args:
+        base: base colour, linear RGB [..., 3, H, W].
+        metallic: share of the metal in [0, 1], [..., 1, H, W].
+    """
     return base * (1 - metallic), DIELECTRIC_F0 * (1 - metallic) + base * metallic
 
 
 @torch.no_grad()
 def map_pictures(maps: Maps, height: Tensor | None = None, *, falloff: float = 0.0) -> dict[str, Picture]:
-    """Maps, specular colour as F0, and three photographs of the material under other lights, by the name of a file.
+    """Return pictures of maps, specular colour as F0, and three photographs under other lights, by the name of a file.
 
     Args:
         maps: [C, H, W] each.
         height: [1, H, W] in texels, if a fit has it.
-        falloff: of the flash, as of `metapp.appearance.flash.render_maps`.
+        falloff: fall-off of the flash, see :func:`metapp.appearance.flash.render_maps`.
     """
     pictures = {
         "diffuse": Picture(linear_to_srgb(maps.diffuse), "srgb"),
@@ -103,14 +110,24 @@ def map_pictures(maps: Maps, height: Tensor | None = None, *, falloff: float = 0
         pictures["height"] = Picture(height, "height")
     for name, (light, view) in relighting_positions(device=maps.diffuse.device).items():
         pictures[f"lit_from_{name}"] = Picture(photograph_maps(maps, light, view, falloff=falloff), "srgb")
-    return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
+    return {name: Picture(picture.pixels.permute(1, 2, 0), picture.kind) for name, picture in pictures.items()}
 
 
 def photograph_maps(maps: Maps, light: Tensor, view: Tensor, *, falloff: float = 0.0) -> Tensor:
-    """Display values [3, H, W] of maps [C, H, W] under a flash; light and view [3]. Made by rows, for large maps."""
-    place = texel_positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
-    rows = max(1, PHOTOGRAPH_STRIP_TEXELS // place.shape[-1])
-    strips = zip(*(part.split(rows, -2) for part in (*maps, place)), strict=True)
+    """Photograph maps under a flash, by strips of rows, since maps may be large.
+
+    Args:
+        maps: [C, H, W] each.
+        light: position of the flash in half sides of the patch, [3].
+        view: position of the camera in half sides of the patch, [3].
+        falloff: fall-off of the flash, see :func:`metapp.appearance.flash.render_maps`.
+
+    Returns:
+        Display values [3, H, W] in [0.002, 1].
+    """
+    positions = texel_positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
+    rows = max(1, PHOTOGRAPH_STRIP_TEXELS // positions.shape[-1])
+    strips = zip(*(tensor.split(rows, -2) for tensor in (*maps, positions)), strict=True)
     return torch.cat(
         [
             radiance_to_display(render_maps(Maps(*strip[:4]), strip[4], light, view, falloff=falloff))

@@ -1,12 +1,15 @@
-"""Inputs that are the same everywhere, and fits that are so, or black, where their inputs are not."""
+"""Warnings of inputs that are the same everywhere, and of fits that are so, or black, where their inputs are not.
+
+Each returns clauses, to be printed and recorded by callers; what inputs are is theirs to say.
+"""
 
 from __future__ import annotations
 
 from torch import Tensor
 
-UNIFORM_SPREAD = 1e-3  # (greatest - least) / greatest of a channel, up to which values are the same everywhere
-VARIED_SPREAD = 0.1  # from which they are not: noise of measurements of one diffuse reflectance may be fitted by it
-BLACK_SHARE = 1e-3  # of the input's greatest value: a fit that is below it everywhere is black
+UNIFORM_SPREAD = 1e-3  # (greatest - least) / greatest of a channel, up to which values count as the same everywhere
+VARIED_SPREAD = 0.1  # spread from which values count as varied: below, one value may rightly fit noise of measurements
+BLACK_SHARE = 1e-3  # share of the input's greatest value: a fit that is below it everywhere counts as black
 COLLAPSE_REMEDY = "take another checkpoint or paradigm, or more steps"
 
 
@@ -14,20 +17,20 @@ def relative_spread(values: Tensor) -> float:
     """Return (greatest - least) / greatest of values >= 0 [C, ...], of the channel where it is greatest; 0 of black.
 
     >>> import torch
-    >>> spread_of(torch.tensor([[2.0, 2.0], [1.0, 4.0]]))
+    >>> relative_spread(torch.tensor([[2.0, 2.0], [1.0, 4.0]]))
     0.75
     """
     channels = values.flatten(1)
-    high = channels.amax(1)
-    return float(((high - channels.amin(1)) / high.clamp_min(1e-30)).amax())
+    greatest = channels.amax(1)
+    return float(((greatest - channels.amin(1)) / greatest.clamp_min(1e-30)).amax())
 
 
 def uniform_input_remarks(values: Tensor, what: str) -> list[str]:
     """Return a clause on an input [C, ...] that is the same everywhere, which a file may hold rightly; else [].
 
     Args:
-        values: of the input, >= 0, not black.
-        what: it is, with its unit.
+        values: values of the input, >= 0, not black.
+        what: names the quantity, with its unit.
     """
     if not values.any() or relative_spread(values) > UNIFORM_SPREAD:
         return []
@@ -36,14 +39,19 @@ def uniform_input_remarks(values: Tensor, what: str) -> list[str]:
 
 
 def black_fit_warnings(fit: Tensor, given: Tensor) -> list[str]:
-    """Return a clause on a fit that is black where its input is not; else []. Arguments as of `collapsed_fit_warnings`."""
+    """Return a clause on a fit that is black where its input is not; else [].
+
+    Args:
+        fit: values of the fit, >= 0, [C, ...].
+        given: values of the input, >= 0, [C, ...].
+    """
     if fit.amax() >= BLACK_SHARE * given.amax():
         return []
     return [f"the fit is black, and its input is not: {COLLAPSE_REMEDY}"]
 
 
 def collapsed_fit_warnings(fit: Tensor, given: Tensor) -> list[str]:
-    """Return a clause on a fit that is black, or the same everywhere, where what it was fitted to is not; else [].
+    """Return a clause on a fit that is black, or the same everywhere, where its input is not; else [].
 
     Args:
         fit: values of the fit, >= 0, [C, ...].

@@ -1,1 +1,6 @@
-"""All that drives Mitsuba."""
+"""Rendering by Mitsuba: everything that imports it, and nothing that a fit without scenes needs.
+
+Read `variant`, which Mitsuba is loaded with; `jit` and `types`, its modules and the names of its types; `scenes`,
+scenes by others; `paths`, light paths by their random numbers; `pictures`, pictures by any integrator; and
+`second_scene`, the scene in which inferred illumination is judged.
+"""

@@ -1,6 +1,7 @@
 """Dr.Jit and Mitsuba, imported after a fit libLLVM was chosen: Dr.Jit keeps the first one that it finds.
 
-All are `Any`, since the types of arrays are other ones in each variant, and Mitsuba's stubs mix those of two.
+Code that runs inside Mitsuba's kernels imports them from here. All are `Any`, since the types of arrays are different
+ones in each variant, and Mitsuba's stubs mix the types of two variants.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any, NoReturn
 from metapp.rendering import types as mt
 from metapp.rendering.variant import choose_kernel_folder, choose_llvm
 
-with suppress(ValueError):  # there is no libLLVM: variants of GPUs need none
+with suppress(ValueError):  # no libLLVM was found: variants for GPUs need none
     choose_kernel_folder()
     choose_llvm()
 
@@ -28,13 +29,13 @@ MITSUBA_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
 
 def register_plugin(kind: str, name: str, make: Callable[[], mt.PluginClass]) -> None:
-    """Have Mitsuba know a plugin, in the variant that is active and in all that will be.
+    """Register a plugin in Mitsuba, in the active variant and in all variants that are set later.
 
-    In variants other than VARIANTS a scene that names it is refused.
+    In variants other than MITSUBA_VARIANTS a scene that names it is refused.
 
     Args:
-        kind: of plugin, as Mitsuba's functions name it: bsdf, integrator, ...
-        name: of the plugin in scenes.
+        kind: kind of plugin in the names of Mitsuba's functions: bsdf, integrator, ...
+        name: name of the plugin in scenes.
         make: returns its class in the active variant.
     """
 
@@ -44,7 +45,7 @@ def register_plugin(kind: str, name: str, make: Callable[[], mt.PluginClass]) ->
         )
 
     def register(*_: object) -> None:
-        # the function is another one in each variant
+        # Mitsuba has another function of this name in each variant
         getattr(mi, f"register_{kind}")(name, make() if mi.variant() in MITSUBA_VARIANTS else refuse)
 
     mi.detail.add_variant_callback(register)

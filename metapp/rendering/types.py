@@ -1,6 +1,6 @@
 """Names of types of Dr.Jit and Mitsuba, for signatures; importing them imports neither.
 
-All are `Any`: the classes are other ones in each variant, and no annotation can name the one that is active. Numbers,
+All are `Any`: the classes are different ones in each variant, and no annotation can name the active variant's. Numbers,
 vectors and records hold one entry a path, ray or sample.
 """
 

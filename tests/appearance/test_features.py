@@ -142,7 +142,7 @@ def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> 
     first = load_features(TAPS, image)(image)
     assert [tuple(each.shape) for each in first] == [(2, RANDOM_FILTER_COUNT, size, size) for size in (16, 8, 4, 2)]
     torch.manual_seed(99)
-    features._load.cache_clear()
+    features._load_extractor.cache_clear()
     again = load_features(TAPS, image)(image)
     assert all(torch.equal(one, other) for one, other in zip(first, again, strict=True))
     # checkpoints were trained with these: another value makes old ones worthless
@@ -199,7 +199,7 @@ def test_vgg_is_what_its_paper_lists(
     for tap, each in zip(taps, maps, strict=True):
         torch.testing.assert_close(each, expected[tap])
     assert tap_channels(taps) == [each.shape[1] for each in maps]
-    features._load.cache_clear()  # 60 MB each
+    features._load_extractor.cache_clear()  # 60 MB each
 
 
 def gradient_of(pictures: Tensor) -> tuple[list[Tensor], list[Tensor]]:
@@ -218,7 +218,7 @@ def whole_vgg_in_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(features, "has_bfloat16", lambda: True)
     monkeypatch.delenv(features.FLOAT32_VARIABLE)
     yield
-    features._load.cache_clear()
+    features._load_extractor.cache_clear()
 
 
 @pytest.mark.long

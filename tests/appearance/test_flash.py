@@ -466,10 +466,12 @@ def test_clipped_highlights_still_say_how_wide_they_are() -> None:
 
 def test_contrast_tells_varnish_from_cloth_and_share_metal() -> None:
     light = above(0.0, 0.0)
-    shiny, matte = (float(estimate_gloss(photo(*each, light), light).contrast) for each in ((0.2, 0.04), (0.8, 0.02)))
+    shiny, matte = (
+        float(estimate_gloss(photo(*each, light), light).central_lobe_share) for each in ((0.2, 0.04), (0.8, 0.02))
+    )
     assert matte < 0.3 < 0.8 < shiny
     bodies = ((0.2, (0.0, 0.0, 0.0)), (0.02, (0.4, 0.4, 0.4)))
-    metal, cloth = (float(estimate_gloss(photo(0.5, f0, light, diffuse=body), light).share) for f0, body in bodies)
+    metal, cloth = (float(estimate_gloss(photo(0.5, f0, light, diffuse=body), light).lobe_share) for f0, body in bodies)
     assert cloth < 0.15 < 0.9 < metal
 
 

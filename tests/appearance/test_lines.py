@@ -136,7 +136,7 @@ LIKE = ("planks", "cells", "knit", "spots")  # whose parts are alike; threads an
 def speaks(exemplar: Tensor, made: Tensor) -> bool:
     """Return True if fits would say that a texture breaks lines or shows seams."""
     lines = compare_lines(exemplar, made)
-    return lines.kept < MIN_LINE_STRENGTH or lines.added > SEAM_STRENGTH_RATIO
+    return lines.fine_ratio < MIN_LINE_STRENGTH or lines.long_ratio > SEAM_STRENGTH_RATIO
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -158,7 +158,7 @@ def test_a_texture_that_is_moved_and_repeated_is_intact(name: str, seed: int) ->
 @pytest.mark.parametrize("name", LINES)
 def test_lines_in_pieces_are_told(name: str, seed: int) -> None:
     exemplar, _ = drawn(name, seed)
-    assert compare_lines(exemplar, chopped(exemplar, Generator().manual_seed(seed))).kept < MIN_LINE_STRENGTH
+    assert compare_lines(exemplar, chopped(exemplar, Generator().manual_seed(seed))).fine_ratio < MIN_LINE_STRENGTH
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -166,7 +166,7 @@ def test_lines_in_pieces_are_told(name: str, seed: int) -> None:
 def test_noise_of_the_same_spectrum_is_told(name: str, seed: int) -> None:
     """Joints, cracks and scratches become noise, though no wave is stronger or weaker."""
     exemplar, _ = drawn(name, seed)
-    assert compare_lines(exemplar, scattered(exemplar, Generator().manual_seed(seed))).kept < MIN_LINE_STRENGTH
+    assert compare_lines(exemplar, scattered(exemplar, Generator().manual_seed(seed))).fine_ratio < MIN_LINE_STRENGTH
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -183,7 +183,7 @@ def test_seams_of_a_quilt_under_uneven_light_are_told(seed: int) -> None:
     for photo, seams in ((exemplar, False), (uneven, True)):
         numbers, pixels = np.random.default_rng(seed), photo.movedim(0, -1).numpy()
         made = quilt(pixels, (SIDE, SIDE), numbers, block=64, overlap=10, tiles=True)
-        assert (compare_lines(photo, torch.from_numpy(made).movedim(-1, 0)).added > SEAM_STRENGTH_RATIO) == seams
+        assert (compare_lines(photo, torch.from_numpy(made).movedim(-1, 0)).long_ratio > SEAM_STRENGTH_RATIO) == seams
 
 
 @pytest.mark.parametrize("change", [chopped, scattered])
@@ -207,4 +207,4 @@ def test_nothing_is_said_of_small_pictures_and_of_flat_exemplars() -> None:
     flat = torch.full_like(exemplar, 0.4)
     for pair in ((exemplar, small), (small, exemplar), (flat, exemplar), (flat, flat)):
         assert all(math.isnan(value) for value in compare_lines(*pair))
-    assert compare_lines(exemplar, flat).kept < MIN_LINE_STRENGTH
+    assert compare_lines(exemplar, flat).fine_ratio < MIN_LINE_STRENGTH

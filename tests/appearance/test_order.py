@@ -91,7 +91,7 @@ def test_a_slope_without_peaks_ends_the_search_of_a_vector() -> None:
     """A correlation that falls off evenly from shift 0 has no peak at any multiple; the search ends all the same."""
     y, x = torch.meshgrid(torch.arange(-SIZE, SIZE), torch.arange(-SIZE, SIZE), indexing="ij")
     cone = torch.exp(-(y * y + x * x).double().sqrt() / 100)
-    vector = order._refined(cone, 0, 8)
+    vector = order._refine_vector(cone, 0, 8)
     assert float((vector - torch.tensor([0.0, 8.0])).abs().max()) <= order.MAX_PEAK_SHIFT_PX
 
 

@@ -39,8 +39,8 @@ def gloss(roughness: float) -> SphereMaterials:
 
 def render_material_spheres(light: Tensor, of: SphereMaterials, size: int) -> Tensor:
     """One picture [3, size, size], by the one roughness that the gloss has."""
-    kind = int(of.gloss.argmax())
-    single = of._replace(gloss=of.gloss[:, kind : kind + 1])
+    kind = int(of.gloss_weights.argmax())
+    single = of._replace(gloss_weights=of.gloss_weights[:, kind : kind + 1])
     return shade_all(light[None], single, size, GLOSS_ROUGHNESSES[kind : kind + 1])[0]
 
 

@@ -230,7 +230,7 @@ def test_the_tracer_mirrors_scenes_as_variants_do() -> None:
         scene, points = random_scene(seed), torch.rand(2**15, 4, generator=rng(seed))
         turned = torch.where(torch.tensor([True, False, True, False]), 1 - points, points)
         plain, other = (
-            Tracer(each, depth=2).contributions(where, rng())
+            Tracer(each, depth=2).trace_radiance(where, rng())
             for each, where in ((scene, points), (mirrored(scene), turned))
         )
         lit = plain.sum(1) > 0

@@ -64,7 +64,7 @@ def read_scene(folder: Path, file: Path) -> None:
     scene = read_scene(path)
     try:
         try_scene(scene, load_mitsuba().variant())
-        brightest = load_scene(scene).brightest
+        brightest = load_scene(scene).greatest_luminance
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None  # as read_task names it
     assert math.isfinite(brightest)

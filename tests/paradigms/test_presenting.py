@@ -48,9 +48,9 @@ def test_what_tables_say(app: App, presenter: Presenter[Any], sources: list[Task
     assert presenter.picture_measure == " ".join(presenter.picture_measure.split())
     visible = presenter.visible(sources[0])
     if visible:
-        assert visible.samples >= 1
-        assert visible.size > 0
-        assert visible.encoder >= 0
+        assert visible.sample_count >= 1
+        assert visible.sample_bytes > 0
+        assert visible.encoder_samples >= 0
 
 
 def test_pictures_of_a_fit_and_of_its_reference(presenter: Presenter[Any], fitted: Params, sources: list[Task]) -> None:

@@ -19,7 +19,7 @@ from metapp.rendering.variant import (
 )
 from tests.needs_mitsuba import needs_mitsuba
 
-SYSTEM = sorted(path for place in mitsuba_variant._PLACES for path in Path("/").glob(f"{place[1:]}/libLLVM[-.]*"))
+SYSTEM = sorted(path for folder in mitsuba_variant._SYSTEM_FOLDERS for path in Path("/").glob(f"{folder[1:]}/libLLVM[-.]*"))
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The library folder of an environment, where nothing else is in reach."""
     monkeypatch.delenv(LLVM_VARIABLE, raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    monkeypatch.setattr(mitsuba_variant, "_PLACES", ())
+    monkeypatch.setattr(mitsuba_variant, "_SYSTEM_FOLDERS", ())
     (tmp_path / "lib" / "llvm").mkdir(parents=True)
     return tmp_path / "lib"
 

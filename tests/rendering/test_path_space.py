@@ -37,7 +37,7 @@ def cell_means(tracer: Tracer, count: int, dimensions: int) -> tuple[Tensor, Ten
     """Mean luminance of cells of the film [8, 8], row by row, and its standard errors."""
     rng = seeded()
     points = torch.rand(count, dimensions, generator=rng)
-    values = colour_luminance(tracer.contributions(points, rng)).double()
+    values = colour_luminance(tracer.trace_radiance(points, rng)).double()
     cell = (points[:, 1] * CELLS).long() * CELLS + (points[:, 0] * CELLS).long()
     hits, first, second = (torch.bincount(cell, values**power, CELLS**2) for power in (0, 1, 2))
     mean = first / hits
@@ -82,9 +82,9 @@ def test_all_is_as_bright_as_its_surroundings() -> None:
     }  # fmt: skip
     tracer = Tracer(scene)
     rng = seeded()
-    carried = tracer.contributions(torch.rand(4096, 4, generator=rng), rng)
+    carried = tracer.trace_radiance(torch.rand(4096, 4, generator=rng), rng)
     torch.testing.assert_close(carried, torch.tensor([0.5, 0.5, 0.375]).expand(4096, -1))
-    assert tracer.brightest == pytest.approx(float(colour_luminance(torch.tensor([[1.0, 2.0, 3.0]]))))
+    assert tracer.greatest_luminance == pytest.approx(float(colour_luminance(torch.tensor([[1.0, 2.0, 3.0]]))))
 
 
 @needs_mitsuba
@@ -97,9 +97,9 @@ def test_directions_are_for_surfaces_that_scatter() -> None:
     scene["back"] = {**scene["back"], "bsdf": mirror}
     tracer = Tracer(scene, depth=4)
     points = torch.rand(2**17, 4, generator=seeded())
-    carried = tracer.contributions(points, seeded(1))
-    assert torch.equal(carried, tracer.contributions(points, seeded(2)))
-    assert not torch.equal(carried[:, 0] > 0, tracer.contributions(points[:, :2], seeded(2))[:, 0] > 0)
+    carried = tracer.trace_radiance(points, seeded(1))
+    assert torch.equal(carried, tracer.trace_radiance(points, seeded(2)))
+    assert not torch.equal(carried[:, 0] > 0, tracer.trace_radiance(points[:, :2], seeded(2))[:, 0] > 0)
     in_mirror = (points[:, 1] > 0.72) & (points[:, 1] < 0.79)  # the floor itself ends at 0.796, its image at 0.71
     assert (carried[in_mirror] > 0).sum() > 20
 
@@ -110,9 +110,9 @@ class _Sloped:
     batch_paths = 1000
 
     def __init__(self, brightest: float, most: float = 2.0) -> None:
-        self.brightest, self.most = brightest, most
+        self.greatest_luminance, self.most = brightest, most
 
-    def contributions(self, points: Tensor, rng: Generator) -> Tensor:
+    def trace_radiance(self, points: Tensor, rng: Generator) -> Tensor:
         return self.most * points[:, 2:3].expand(-1, 3)
 
 
@@ -252,12 +252,12 @@ def test_pixels_are_where_they_belong() -> None:
 def test_few_paths_of_nan_count_as_dark_and_many_are_refused() -> None:
     carried = torch.ones(1000, 3)
     carried[3, 1], carried[5, 0] = float("nan"), float("inf")
-    found = path_space._finite(carried)
+    found = path_space._drop_bad_paths(carried)
     assert found.isfinite().all()
     assert found.sum() == 3 * 998
     carried[10:20] = float("nan")
     with pytest.raises(ValueError, match="12 of 1,000 paths carry NaN or infinite values"):
-        path_space._finite(carried)
+        path_space._drop_bad_paths(carried)
 
 
 # Next-event estimation
@@ -287,7 +287,7 @@ class _Steep:
 
     next_event, batch_paths = True, 2**16
 
-    def contributions(self, points: Tensor, rng: Generator) -> Tensor:
+    def trace_radiance(self, points: Tensor, rng: Generator) -> Tensor:
         noise = 4.0 * (torch.rand(len(points), 1, generator=rng) < 0.25)
         return (3 * points[:, 2:3] ** 2 * noise).expand(-1, 3)
 

@@ -23,7 +23,7 @@ from tests.needs_mitsuba import needs_mitsuba
 
 def checked(most_values: int = MAX_SCENE_VALUES, **parts: Any) -> dict[str, Any]:
     """A scene of these, after its check."""
-    return SceneChecker(SceneFiles(), most_values).object({"type": "scene", **parts})
+    return SceneChecker(SceneFiles(), most_values).check_object({"type": "scene", **parts})
 
 
 def nested(depth: int) -> dict[str, Any]:

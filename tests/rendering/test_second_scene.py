@@ -100,7 +100,7 @@ def test_pictures_agree_with_mitsubas_path_tracer(matrix: Tensor, illumination: 
 def test_the_matrix_is_built_once_and_again_if_damaged(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[int, int]] = []
     made = torch.rand(6, 8)
-    monkeypatch.setattr(relighting, "_build", lambda height, width: calls.append((height, width)) or made)
+    monkeypatch.setattr(relighting, "_build_matrix", lambda height, width: calls.append((height, width)) or made)
     for size in ((2, 4), (2, 4), (4, 2)):
         assert torch.equal(transfer_matrix(*size), made)
     assert calls == [(2, 4), (4, 2)]

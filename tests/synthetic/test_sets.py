@@ -366,7 +366,7 @@ def test_a_scene_as_xml_is_the_same_as_its_dictionary() -> None:
 
     points = torch.rand(4000, 4, generator=torch.Generator().manual_seed(0))
     carried = [
-        Tracer(each).contributions(points, torch.Generator().manual_seed(0))
+        Tracer(each).trace_radiance(points, torch.Generator().manual_seed(0))
         for each in (SCENES[3], {"xml": to_xml(SCENES[3])})
     ]
     assert carried[0].any()

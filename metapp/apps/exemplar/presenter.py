@@ -99,11 +99,13 @@ class ExemplarPresenter(Presenter[Generating]):
         if (share := kept_order_share(find_lattice(exemplar), picture)) < MIN_ORDER_SHARE:
             return [f"keeps {share:.2f} of the photo's regular structure ({instead} it)"]
         lines = compare_lines(exemplar, enlarged)
-        if lines.kept < self.least_lines:
-            figures = f"{lines.kept:.2f} as strong, expected {self.least_lines:g} or more"
+        if lines.fine_ratio < self.least_lines:
+            figures = f"{lines.fine_ratio:.2f} as strong, expected {self.least_lines:g} or more"
             return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {instead} them)"]
-        if self.shows_seams and lines.added > SEAM_STRENGTH_RATIO:
-            return [f"shows seams, lines {lines.added:.1f} times as strong as the photo's ({instead} it, with fewer)"]
+        if self.shows_seams and lines.long_ratio > SEAM_STRENGTH_RATIO:
+            return [
+                f"shows seams, lines {lines.long_ratio:.1f} times as strong as the photo's ({instead} it, with fewer)"
+            ]
         return []
 
     def pictures_for_lines(self, theta: Params, pictures: Tensor) -> Tensor:

@@ -190,6 +190,8 @@ def _shine(photos: Tensor, light: Tensor) -> Tensor:
     """The highlight's confidence in the gloss, 0 to 1, and specular and roughness as networks make them, [B, 3]."""
     highlight = estimate_gloss(avg_pool2d(photos, 2), light)
     low, high = LOBE_SHARES
-    sure = ((highlight.contrast - low) / (high - low)).clamp(0, 1) * (highlight.roughness < MAX_LOBE_ROUGHNESS)
+    sure = ((highlight.central_lobe_share - low) / (high - low)).clamp(0, 1) * (
+        highlight.roughness < MAX_LOBE_ROUGHNESS
+    )
     made = encode_gloss(highlight.specular.clamp(0.01, 0.5), highlight.roughness.clamp(0.12, 0.98))
     return torch.stack([sure, *made], 1)

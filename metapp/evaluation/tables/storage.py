@@ -104,14 +104,14 @@ def _make_sample_row(evaluation: EvaluationRun, name: str) -> Row:
     visible = evaluation.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row
-    preparations, empty_phi = run.paradigm.preparations[:1], MetaParameters()
-    phi = run.checkpoint.phi if run.checkpoint else preparations[0].template(empty_phi) if preparations else empty_phi
-    count = min(steps * batch + (visible.encoder if phi.encoder else 0), visible.samples)
+    first, none = run.paradigm.preparations[:1], MetaParameters()
+    phi = run.checkpoint.phi if run.checkpoint else first[0].template(none) if first else none
+    count = min(steps * batch + (visible.encoder_samples if phi.encoder else 0), visible.sample_count)
     return row | {
         "tasks": len(tasks),
         "seen": count,
-        "all": visible.samples,
-        "seen_bytes": count * visible.size,
-        "all_bytes": visible.samples * visible.size,
-        "saved": 1 - count / visible.samples,
+        "all": visible.sample_count,
+        "seen_bytes": count * visible.sample_bytes,
+        "all_bytes": visible.sample_count * visible.sample_bytes,
+        "saved": 1 - count / visible.sample_count,
     }

@@ -41,7 +41,7 @@ def fitted_surface_maps(surface: Surface) -> dict[str, SurfaceMap]:
         "specular": SurfaceMap(maps.specular.expand(3, -1, -1), "srgb", "F0, reflectance at normal incidence"),
         "roughness": SurfaceMap(maps.roughness, "linear", "roughness; GGX alpha is its square"),
         "normal_gl": SurfaceMap(maps.normal * 0.5 + 0.5, "linear", "normal, 0..1 for -1..1; x right, y up, z out"),
-        "height": SurfaceMap(surface.heights(), "stretched", "height, up; in texture widths, mean 0"),
+        "height": SurfaceMap(surface.heights_in_widths(), "stretched", "height, up; in texture widths, mean 0"),
     }
 
 

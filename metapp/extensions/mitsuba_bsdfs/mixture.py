@@ -27,7 +27,7 @@ class MitsubaLobeMixture:
     """
 
     def __init__(self, lobes: LobeMixture) -> None:
-        self.alphas, self.turn = lobes.alphas, lobes.turn
+        self.alphas, self.turn = lobes.alphas, lobes.azimuth_rad
         self.shares = [mi.Float(column) for column in lobes.shares.astype(np.float32).T]
 
     def lobe_shares(self, viewer: mt.Vector3) -> list[mt.Float]:

@@ -65,15 +65,16 @@ class ScenePlaces(SceneFiles):
         folders = tuple(folder.resolve() for folder in (path.resolve().parent, *others))
         return cls(folders, folders)
 
-    @override
-    def first(self, folder: str | Path) -> ScenePlaces:
-        """Return the places with a folder that is searched first: a path, or the value of a <path> element."""
-        path = folder if isinstance(folder, Path) else self.find_folder(folder)
-        return replace(self, search_folders=(path, *self.search_folders))
+    def search_first(self, folder: str | Path) -> ScenePlaces:
+        """The places with a folder searched first: a path, or the name of one, as of <path>."""
+        path = folder if isinstance(folder, Path) else self.folder(folder)
+        return replace(self, search=(path, *self.search))
 
-    @override
-    def file(self, name: str) -> Path:
-        """Find the data file of a name; stored scenes may then name it in this process.
+    def resolve_file(self, name: str) -> Path:
+        """The data file of a name.
+
+        Returns:
+            Its absolute path without links.
 
         Raises:
             ValueError: the file is missing, too large, no regular file, outside of the allowed folders, or a

@@ -183,7 +183,7 @@ def resolve_scene(scene: SceneDict, places: ScenePlaces, name: str = "") -> Scen
         if not isinstance(scene["xml"], str):
             raise ValueError("an 'xml' that is no text, expected a document; change it.")
         return {"xml": resolve_xml(scene["xml"], places, name)}
-    return SceneChecker(places).object(scene)
+    return SceneChecker(places).check_object(scene)
 
 
 def check_stored_scene(scene: SceneDict) -> SceneDict:

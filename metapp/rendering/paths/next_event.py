@@ -1,10 +1,10 @@
-"""Paths by their random numbers, for `metapp.rendering.paths.path_space`, with or without next-event estimation.
+"""Paths by their random numbers, for :mod:`metapp.rendering.paths.path_space`, with or without next-event estimation.
 
-With it, the mean over all numbers that a point does not hold is that of paths without it, where these meet the light at
-all: a direction that the point holds decides alone its light, and emitters are sampled from the next surface
-on. There multiple importance sampling counts light from both sides once (Veach & Guibas 1995). Emitters that no
-direction meets (point, spot, directional) are sampled at all surfaces but the first. Their light on the first
-surface depends on no direction: it is no part of a path's radiance, but comes beside it, for pictures.
+With it, the mean over all numbers that a point does not hold is the mean of paths without it, where these meet the
+light at all: a direction that the point holds decides alone which light the path meets, and emitters are sampled from
+the next surface on. There multiple importance sampling counts light from both sides once (Veach & Guibas 1995).
+Emitters that no direction meets (point, spot, directional) are sampled at all surfaces but the first. Their light on
+the first surface depends on no direction: it is no part of a path's radiance, but comes beside it, for pictures.
 """
 
 from __future__ import annotations
@@ -16,7 +16,12 @@ from metapp.rendering.jit import dr, mi
 
 
 def mis_weight(density: mt.Float, other: mt.Float) -> mt.Float:
-    """The power heuristic (Veach & Guibas 1995)."""
+    """Return the weight of a sample by the power heuristic (Veach & Guibas 1995).
+
+    Args:
+        density: density by which the sample was drawn.
+        other: density by which the other technique would draw it.
+    """
     square = dr.square(density)
     weight = square / (square + dr.square(other))
     return dr.select(dr.isfinite(weight), weight, 0)
@@ -24,13 +29,20 @@ def mis_weight(density: mt.Float, other: mt.Float) -> mt.Float:
 
 @dataclass
 class _Paths:
-    """All paths in the loop, each before its next surface.
+    """The state of all paths in the loop, each before its next surface.
 
     Attributes:
+        rng: random streams, one a path.
+        ray: the ray to the next surface.
+        depth: edges so far.
         used: surfaces so far that scatter.
+        radiance: radiance so far, linear RGB.
+        direct: light on the first surface that scatters, of emitters that no direction meets.
+        throughput: share of the next surface's light that reaches the film, linear RGB.
         origin: the surface that the ray leaves, by a direction of `density` per solid angle.
-        weighted: whether emitters were sampled there, too, so that light which the ray meets counts by a weight.
-        direct: light of the first surface that scatters, of emitters that no direction meets.
+        density: density of the ray's direction.
+        weighted: whether emitters were sampled at `origin`, too, so that light which the ray meets counts by a weight.
+        active: whether the path goes on.
     """
 
     rng: mt.RandomStreams
@@ -54,14 +66,14 @@ def trace_paths(
     depth: int,
     next_event: bool,
 ) -> tuple[mt.Color, mt.Color]:
-    """Trace paths.
+    """Trace paths through a scene by given numbers for their first directions, and random ones for all others.
 
     Args:
-        scene: Mitsuba's.
+        scene: Mitsuba's object.
         ray: the first ray of each path.
         directions: numbers for the direction at each of the first surfaces that scatter; the first surface has no
             next-event estimation of lights that a direction can meet, even if there are none.
-        rng: of all further numbers.
+        rng: draws all further numbers.
         depth: edges of the longest path.
         next_event: whether emitters are sampled, too; else a path counts only by the lights that it meets.
 
@@ -69,37 +81,41 @@ def trace_paths(
         The radiance of paths; and beside it the light of point, spot and directional emitters at the first surface that
         scatters, 0 without next-event estimation.
     """
-    first = max(len(directions), 1)
+    first_sampled = max(len(directions), 1)
 
     def bounce(paths: _Paths) -> tuple[_Paths]:
         si = scene.ray_intersect(paths.ray, paths.active)
-        paths.radiance += paths.throughput * _emitted(scene, si, paths, next_event)
+        paths.radiance += paths.throughput * _weighted_emission(scene, si, paths, next_event)
         paths.depth += 1
         active = paths.active & si.is_valid() & (paths.depth < depth)
         bsdf, rng, context = si.bsdf(paths.ray), paths.rng, mi.BSDFContext()
         scatters = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         if next_event:
-            place = mi.Point2f(rng.next_float32(), rng.next_float32())
-            emitter, emitted = scene.sample_emitter_direction(si, place, True, scatters)
-        lobe, pair = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
+            emitter_numbers = mi.Point2f(rng.next_float32(), rng.next_float32())
+            emitter, emitted = scene.sample_emitter_direction(si, emitter_numbers, True, scatters)
+        lobe_number, direction_numbers = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
         for number, direction in enumerate(directions):
-            pair = dr.select(paths.used == number, direction, pair)
+            direction_numbers = dr.select(paths.used == number, direction, direction_numbers)
         if next_event:
             to_emitter = si.to_local(emitter.d)
-            value, density, drawn, weight = bsdf.eval_pdf_sample(context, si, to_emitter, lobe, pair, active)
-            share = dr.select(emitter.delta, 1, mis_weight(emitter.pdf, density))
-            is_lit = scatters & (emitter.pdf != 0) & (emitter.delta | (paths.used >= first))
-            light = dr.select(is_lit, paths.throughput * value * emitted * share, 0)
+            value, density, sample, weight = bsdf.eval_pdf_sample(
+                context, si, to_emitter, lobe_number, direction_numbers, active
+            )
+            emitter_weight = dr.select(emitter.delta, 1, mis_weight(emitter.pdf, density))
+            is_lit = scatters & (emitter.pdf != 0) & (emitter.delta | (paths.used >= first_sampled))
+            light = dr.select(is_lit, paths.throughput * value * emitted * emitter_weight, 0)
             paths.direct += dr.select(paths.used == 0, light, 0)
             paths.radiance += dr.select(paths.used == 0, 0, light)
-            paths.weighted = scatters & (paths.used >= first) & ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-            paths.origin, paths.density = si, drawn.pdf
+            paths.weighted = (
+                scatters & (paths.used >= first_sampled) & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+            )
+            paths.origin, paths.density = si, sample.pdf
         else:
-            drawn, weight = bsdf.sample(context, si, lobe, pair, active)
+            sample, weight = bsdf.sample(context, si, lobe_number, direction_numbers, active)
         paths.used += dr.select(scatters, mi.UInt32(1), mi.UInt32(0))
         paths.throughput *= weight
         paths.active = active & (dr.max(paths.throughput) > 0)
-        paths.ray = si.spawn_ray(si.to_world(drawn.wo))
+        paths.ray = si.spawn_ray(si.to_world(sample.wo))
         return (paths,)
 
     count = dr.width(ray)
@@ -111,11 +127,11 @@ def trace_paths(
     return paths.radiance, paths.direct
 
 
-def _emitted(scene: mt.Scene, si: mt.Interaction, paths: _Paths, next_event: bool) -> mt.Color:
-    """Emission of the surface or sky that paths met, by its weight where emitters were sampled before."""
+def _weighted_emission(scene: mt.Scene, si: mt.Interaction, paths: _Paths, next_event: bool) -> mt.Color:
+    """Return the emission of the surface or sky that paths met, by its MIS weight if emitters were sampled before."""
     light = si.emitter(scene, paths.active).eval(si, paths.active)
     if not next_event:
         return light
-    there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
-    density = scene.pdf_emitter_direction(paths.origin, there, paths.active & paths.weighted)
+    direction_sample = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
+    density = scene.pdf_emitter_direction(paths.origin, direction_sample, paths.active & paths.weighted)
     return light * dr.select(paths.weighted, mis_weight(paths.density, density), 1)

@@ -1,9 +1,10 @@
 """Samples of light paths if rejection accepts hardly any: small lamps, and lights that no path meets by chance.
 
-Paths with next-event estimation (`metapp.rendering.paths.next_event`) are resampled in proportion to their luminance
-(sampling importance resampling), then moved by Metropolis and Hastings' rule, which leaves that proportion as it is and
-parts those that were drawn more than once (resample-move, Gilks & Berzuini 2001). A path keeps the luminance that it
-was accepted by, so that the random numbers which no point holds are integrated exactly (Andrieu & Roberts 2009).
+Paths with next-event estimation (:mod:`metapp.rendering.paths.next_event`) are resampled in proportion to their
+luminance (sampling importance resampling), then moved by Metropolis and Hastings' rule, which leaves that proportion as
+it is and separates paths that were drawn more than once (resample-move, Gilks & Berzuini 2001). A path keeps the
+luminance that it was accepted by, so that the random numbers which no point holds are integrated exactly (Andrieu &
+Roberts 2009).
 """
 
 from __future__ import annotations
@@ -21,19 +22,29 @@ from metapp.rendering.paths.path_space import (
 )
 from metapp.rendering.scenes.loading import colour_luminance
 
-ENOUGH_PATHS_PER_SAMPLE = 0.25  # effective paths of the pool, for each sample
-MIN_EFFECTIVE_PATHS = 256  # of these at all
-MAX_POOL_BATCHES, LAST_POOL_BATCH = 32, 128  # batches of the pool, and of one that has not the fewest yet
-MAX_DARK_BATCHES = 4  # batches without any light that are enough
-PROPOSALS_PER_SAMPLE = 24  # proposals for each sample
-PROPOSAL_DEVIATIONS = (2.0**-12, 2.0**-3)  # standard deviation of proposals in each number, log-uniform
+ENOUGH_PATHS_PER_SAMPLE = 0.25  # effective paths of a pool that is large enough, for each sample
+MIN_EFFECTIVE_PATHS = 256  # least number of effective paths of a pool
+MAX_POOL_BATCHES, LAST_POOL_BATCH = 32, 128  # batches of a pool; and while it has fewer than MIN_EFFECTIVE_PATHS
+MAX_DARK_BATCHES = 4  # batches without any light after which a scene is given up
+PROPOSALS_PER_SAMPLE = 24  # Metropolis proposals for each sample
+PROPOSAL_DEVIATIONS = (2.0**-12, 2.0**-3)  # range of the standard deviation of proposals, drawn log-uniformly
 
 
 def draw_path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Samples as of `sample_by_rejection`, or resampled if there are too few; that sets `next_event` of the tracer.
+    """Draw points of primary sample space in proportion to the luminance of their paths.
+
+    By rejection, or, if that accepts too few paths, by resampling, which sets `next_event` of the tracer.
+
+    Args:
+        tracer: the scene's tracer.
+        count: number of points.
+        rng: makes all draws.
+
+    Returns:
+        points float32 [count, POINT_DIMENSIONS]; and the picture of all paths, float32 [3, 32, 32], linear RGB.
 
     Raises:
-        ValueError: hardly any path meets a light, even so.
+        TooFewPathsError: hardly any path meets a light, even so.
     """
     if not tracer.next_event:
         try:
@@ -44,72 +55,89 @@ def draw_path_samples(tracer: Tracer, count: int, rng: Generator) -> tuple[Tenso
 
 
 def sample_by_resampling(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Points of primary sample space in proportion to the luminance of their paths, by resample-move.
+    """Draw points of primary sample space in proportion to the luminance of their paths, by resample-move.
 
     Points are in the order of the pool that they come from: two parts of them have at most one path in common.
 
     Args:
-        tracer: of the scene, with next-event estimation.
-        count: points wanted.
-        rng: of all draws.
+        tracer: the scene's tracer, with next-event estimation.
+        count: number of points.
+        rng: makes all draws.
 
     Returns:
-        As `sample_by_rejection`.
+        points float32 [count, POINT_DIMENSIONS]; and the picture of all paths, float32 [3, 32, 32], linear RGB.
 
     Raises:
-        FewPaths: too few paths meet a light.
+        TooFewPathsError: too few paths meet a light.
     """
-    points, weights, image = _pool(tracer, count, rng)
-    ends = weights[:, 0].double().cumsum(0)
-    places = (torch.arange(count) + torch.rand(1, generator=rng, dtype=torch.float64)) * (ends[-1] / count)
-    rows = torch.searchsorted(ends, places, right=True).clamp_max(len(ends) - 1)
-    return _moved(tracer, points[rows], weights[rows, 1], rng), image
+    points, weights, image = _trace_pool(tracer, count, rng)
+    cumulative_weights = weights[:, 0].double().cumsum(0)
+    quantiles = (torch.arange(count) + torch.rand(1, generator=rng, dtype=torch.float64)) * (
+        cumulative_weights[-1] / count
+    )
+    rows = torch.searchsorted(cumulative_weights, quantiles, right=True).clamp_max(len(cumulative_weights) - 1)
+    return _move_points(tracer, points[rows], weights[rows, 1], rng), image
 
 
-def _pool(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor, Tensor]:
-    """Points [P, d], their weights and luminances [P, 2], and the picture of all paths.
+def _trace_pool(tracer: Tracer, count: int, rng: Generator) -> tuple[Tensor, Tensor, Tensor]:
+    """Trace paths until their pool is large enough to resample from.
 
     Dark paths are kept by chance, with a weight that makes up for it, so that memory is bounded.
+
+    Returns:
+        points [P, d], their weights and luminances [P, 2], and the picture of all paths.
     """
-    kept, weights, image = [], [], ImageSum()
-    first, second, batch = 0.0, 0.0, tracer.batch_paths
+    kept_points, weights, image = [], [], ImageSum()
+    luminance_sum, luminance_square_sum, batch_paths = 0.0, 0.0, tracer.batch_paths
     for number in range(1, LAST_POOL_BATCH + 1):
-        points = torch.rand(batch, POINT_DIMENSIONS, generator=rng)
-        carried = tracer.contributions(points, rng)
-        image.add(points, carried)
-        bright = colour_luminance(carried).clamp_min(0)
-        first, second = first + float(bright.double().sum()), second + float(bright.double().square().sum())
-        least = float(bright.double().sum()) / (2 * count)
-        keep = (torch.rand(batch, generator=rng) * least < bright) & (bright > 0)
-        kept.append(points[keep])
-        weights.append(torch.stack([bright.clamp_min(least), bright], 1)[keep])
-        effective = first**2 / second if second else 0.0
-        if effective >= MIN_EFFECTIVE_PATHS and (
-            number >= MAX_POOL_BATCHES or effective >= ENOUGH_PATHS_PER_SAMPLE * count
+        points = torch.rand(batch_paths, POINT_DIMENSIONS, generator=rng)
+        radiance = tracer.trace_radiance(points, rng)
+        image.add(points, radiance)
+        brightness = colour_luminance(radiance).clamp_min(0)
+        luminance_sum, luminance_square_sum = (
+            luminance_sum + float(brightness.double().sum()),
+            luminance_square_sum + float(brightness.double().square().sum()),
+        )
+        dark_weight = float(brightness.double().sum()) / (2 * count)
+        is_kept = (torch.rand(batch_paths, generator=rng) * dark_weight < brightness) & (brightness > 0)
+        kept_points.append(points[is_kept])
+        weights.append(torch.stack([brightness.clamp_min(dark_weight), brightness], 1)[is_kept])
+        effective_paths = luminance_sum**2 / luminance_square_sum if luminance_square_sum else 0.0
+        if effective_paths >= MIN_EFFECTIVE_PATHS and (
+            number >= MAX_POOL_BATCHES or effective_paths >= ENOUGH_PATHS_PER_SAMPLE * count
         ):
             break
-        if not effective and number >= MAX_DARK_BATCHES:
+        if not effective_paths and number >= MAX_DARK_BATCHES:
             break
-    if effective < MIN_EFFECTIVE_PATHS:
-        kinds = {emitter.class_name() for emitter in tracer.scene.emitters()}
-        only = " (its only light is a projector)" if kinds == {"Projector"} else ""
+    if effective_paths < MIN_EFFECTIVE_PATHS:
+        emitter_classes = {emitter.class_name() for emitter in tracer.scene.emitters()}
+        projector_note = " (its only light is a projector)" if emitter_classes == {"Projector"} else ""
         raise TooFewPathsError(
-            f"{effective:.0f} of {number * batch:,} paths meet a light{only}, expected {MIN_EFFECTIVE_PATHS} or more, counted "
-            "by what they carry; point the camera at surfaces that light reaches, turn or enlarge the lights."
+            f"{effective_paths:.0f} of {number * batch_paths:,} paths meet a light{projector_note}, "
+            f"expected {MIN_EFFECTIVE_PATHS} or more, weighted by their radiance; "
+            "point the camera at surfaces that light reaches, turn or enlarge the lights."
         )
-    return torch.cat(kept), torch.cat(weights), image.mean()
+    return torch.cat(kept_points), torch.cat(weights), image.mean()
 
 
-def _moved(tracer: Tracer, points: Tensor, bright: Tensor, rng: Generator) -> Tensor:
-    """Points [N, d] after MOVES proposals, of these luminances [N] before; the unit cube is periodic."""
+def _move_points(tracer: Tracer, points: Tensor, brightness: Tensor, rng: Generator) -> Tensor:
+    """Move points [N, d] by PROPOSALS_PER_SAMPLE proposals each; the unit cube is periodic.
+
+    Args:
+        tracer: the scene's tracer.
+        points: float32 [N, d] in [0, 1).
+        brightness: their luminances [N].
+        rng: makes all draws.
+    """
     low, high = (torch.tensor(step).log() for step in PROPOSAL_DEVIATIONS)
     for _ in range(PROPOSALS_PER_SAMPLE):
         scale = (low + (high - low) * torch.rand(len(points), 1, generator=rng)).exp()
         step = scale * torch.randn(points.shape, generator=rng)
-        step[:, :2] *= torch.rand(len(points), 1, generator=rng) < 0.5  # half of them stay where they are on the film
-        tried = (points + step).remainder(1).clamp_max(BELOW_ONE)
-        found = colour_luminance(tracer.contributions(tried, rng))
-        accepted = torch.rand(len(points), generator=rng) * bright < found
-        points = torch.where(accepted[:, None], tried, points)
-        bright = torch.where(accepted, found, bright)
+        # half of the proposals stay where they are on the film
+        step[:, :2] *= torch.rand(len(points), 1, generator=rng) < 0.5
+        proposals = (points + step).remainder(1).clamp_max(BELOW_ONE)
+        proposed_brightness = colour_luminance(tracer.trace_radiance(proposals, rng))
+        accepted = torch.rand(len(points), generator=rng) * brightness < proposed_brightness
+        points = torch.where(accepted[:, None], proposals, points)
+        brightness = torch.where(accepted, proposed_brightness, brightness)
     return points.contiguous()

@@ -35,17 +35,20 @@ class LoadedScene(NamedTuple):
 
     Attributes:
         mitsuba: the module, in its variant.
-        scene: Mitsuba's.
-        brightest: the greatest luminance that its lights send out; 0 if they do not tell.
+        scene: Mitsuba's object.
+        greatest_luminance: the greatest luminance that its lights send out; 0 if they do not tell.
     """
 
     mitsuba: Mitsuba
     scene: Scene
-    brightest: float
+    greatest_luminance: float
 
 
 def check_scene(scene: SceneDict) -> SceneDict:
-    """The same scene of a data set, checked; XML and files that were read before if an extension checks these.
+    """Check a scene of a data set, and return it with absolute file names.
+
+    An extension may check scenes in XML, and scenes with files that were read in this process before; without it, both
+    are refused.
 
     Raises:
         ValueError: something that a scene may not hold.
@@ -57,7 +60,7 @@ def check_scene(scene: SceneDict) -> SceneDict:
         return result
     if "xml" in scene:
         raise ValueError(f"a scene in XML, expected a dictionary; XML needs {SCENE_FILE_READER}.")
-    return SceneChecker(SceneFiles()).object(scene)
+    return SceneChecker(SceneFiles()).check_object(scene)
 
 
 def load_scene(scene: SceneDict) -> LoadedScene:
@@ -71,26 +74,28 @@ def load_scene(scene: SceneDict) -> LoadedScene:
     mi.set_log_level(mi.LogLevel.Error)
     try:
         loaded = instantiate_scene(mi, scene)
-    except Exception as error:  # whatever it is, the scene is to blame
+    except Exception as error:  # whatever Mitsuba raises, the scene is to blame
         raise ValueError(f"no scene that Mitsuba can load: {mitsuba_message(error)}") from None
-    _check_traced(mi, loaded)
-    brightest = max(_brightest(mi, emitter) for emitter in loaded.emitters())
-    if not 0 <= brightest < math.inf:
-        raise ValueError(f"a light of luminance {brightest}, expected a finite one of 0 or more; change its radiance.")
-    return LoadedScene(mi, loaded, brightest)
+    _check_traceable(mi, loaded)
+    greatest_luminance = max(_greatest_luminance(mi, emitter) for emitter in loaded.emitters())
+    if not 0 <= greatest_luminance < math.inf:
+        raise ValueError(
+            f"a light of luminance {greatest_luminance}, expected a finite one of 0 or more; change its radiance."
+        )
+    return LoadedScene(mi, loaded, greatest_luminance)
 
 
 def mitsuba_message(error: BaseException) -> str:
-    """Mitsuba's message of an error, in one line."""
+    """Return Mitsuba's message of an error, in one line."""
     return shorten_mitsuba_message(str(error.__cause__ or error))  # the cause of an error within a loop
 
 
 def colour_luminance(radiance: Tensor) -> Tensor:
-    """Luminance [N] of linear Rec.709 [N, 3]."""
+    """Return luminance [N] of linear Rec.709 [N, 3]."""
     return luminance(radiance.T[..., None])[:, 0]
 
 
-def _check_traced(mi: Mitsuba, scene: Scene) -> None:
+def _check_traceable(mi: Mitsuba, scene: Scene) -> None:
     """Refuse a scene in Mitsuba whose paths cannot be traced.
 
     Raises:
@@ -102,7 +107,7 @@ def _check_traced(mi: Mitsuba, scene: Scene) -> None:
         flags = emitter.flags()
         if mi.has_flag(flags, mi.EmitterFlags.Delta) and mi.has_flag(flags, mi.EmitterFlags.Surface):
             raise ValueError(
-                f"an emitter {emitter.class_name()}, which path tracers find no light of, expected others; put a "
+                f"an emitter {emitter.class_name()}, whose light no path tracer finds, expected another one; put a "
                 "directional light or a small area light in its place."
             )
     if not scene.sensors():
@@ -115,7 +120,8 @@ def _check_traced(mi: Mitsuba, scene: Scene) -> None:
         raise ValueError(f"a film of {width} x {height} px, expected 1 or more of both; change its crop.")
 
 
-def _brightest(mi: Mitsuba, emitter: Emitter) -> float:
+def _greatest_luminance(mi: Mitsuba, emitter: Emitter) -> float:
+    """Return the greatest luminance that an emitter sends out; 0 if its parameters do not tell."""
     values = mi.traverse(emitter)
     for name in ("radiance.value", "radiance.data", "data"):
         if name in values:

@@ -1,6 +1,8 @@
-"""Scene dictionaries: their text, their checks, and Mitsuba's object of a checked one; imports no torch.
+"""Scene dictionaries: their text, their checks, and Mitsuba's object of a checked one.
 
-A scene may name plugins that Mitsuba or metapp ships, names without paths, and files that were let in alone.
+A scene may name plugins that Mitsuba or metapp ships, by names without paths, and files that the user let in, alone:
+Mitsuba would run libraries and read any file that a stranger's scene names. Imports no torch, so that workers which
+check scenes start quickly.
 """
 
 from __future__ import annotations
@@ -18,34 +20,37 @@ from metapp.registry import registry
 from metapp.rendering.types import Mitsuba, Scene
 from metapp.storage import Document
 
-SceneValue = Any  # a value of a scene
+SceneValue = Any  # a value in a scene's dictionary
 
-SceneDict = Document  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
+SceneDict = Document  # an argument of Mitsuba's `load_dict`, of values that JSON can hold
 SCENE_FILE_READER = "the extension scene_files"
-_LONGEST = 200  # characters of Mitsuba's messages
+_MESSAGE_CHARACTERS = 200  # characters of Mitsuba's messages that are shown
 
 
 def box_film(width: int, height: int) -> SceneDict:
-    """A film of so many pixels, each by itself."""
+    """Return the dictionary of a film of so many pixels whose filter does not reach into neighbouring pixels."""
     return {"type": "hdrfilm", "width": width, "height": height, "pixel_format": "rgb", "rfilter": {"type": "box"}}
 
 
-RESOURCES_TYPE = (
-    "resources"  # the type of an object that declares a folder of files; Mitsuba takes it at the root alone
-)
-_MEDIA = {"homogeneous", "heterogeneous"}
-_MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers
-_REQUIRED = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
-_SAMPLES = 2**20  # some samplers never come to an end with more; paths here need none
-_SIDE = 2**15  # px of a film: pictures of it are made
+# the type of an object that declares a folder of files; Mitsuba takes it at the root alone
+RESOURCES_TYPE = "resources"
+_MEDIUM_PLUGINS = {"homogeneous", "heterogeneous"}
+_MEMORY_PLUGINS = {"blender"}  # these read addresses in memory that a scene gives as numbers
+_REQUIRED_PARAMETERS = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
+_MAX_SAMPLE_COUNT = 2**20  # some samplers never come to an end with more; paths here need no sampler
+_MAX_FILM_PX = 2**15  # greatest side of a film, px: pictures of this size are made
 
 
 class UnsupportedPluginError(ValueError):
-    """Something of other versions of Mitsuba, or of other people's plugins."""
+    """The error of a scene that names something of other versions of Mitsuba, or a plugin by other people."""
 
 
 def mitsuba_folder() -> Path:
-    """Mitsuba's own folder, without importing it."""
+    """Return Mitsuba's own folder, without importing it.
+
+    Raises:
+        ValueError: Mitsuba is not installed.
+    """
     spec = importlib.util.find_spec("mitsuba")
     if spec is None or spec.origin is None:
         raise ValueError("mitsuba: not installed, expected a package that can be imported; pip install mitsuba.")
@@ -54,38 +59,42 @@ def mitsuba_folder() -> Path:
 
 @functools.cache
 def mitsuba_plugins() -> frozenset[str]:
-    """Names of the plugins that Mitsuba ships."""
+    """Return the names of the plugins that Mitsuba ships."""
     return frozenset(path.stem for path in (mitsuba_folder() / "plugins").iterdir())
 
 
 def extension_bsdfs() -> list[str]:
-    """Names of the BSDFs that extensions add to Mitsuba; integrators alone have help."""
+    """Return the names of the BSDFs that extensions add to Mitsuba; of plugins, integrators alone have help."""
     return [name for name, entry in registry().plugins.items() if not entry.help]
 
 
 @functools.cache
 def mitsuba_metals() -> frozenset[str]:
-    """Names of the metals that Mitsuba knows."""
+    """Return the names of the metals that Mitsuba knows."""
     return frozenset(path.name.removesuffix(".eta.spd") for path in (mitsuba_folder() / "data/ior").glob("*.eta.spd"))
 
 
 def to_snake_case(name: str) -> str:
-    """A parameter's name as Mitsuba changes those of scenes of version 1 and older: sampleCount to sample_count."""
+    """Change a parameter's name as Mitsuba does in scenes of version 1 and older: sampleCount to sample_count."""
     return re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()
 
 
 def check_plugin(kind: str) -> None:
-    """Refuse all but plugins that Mitsuba ships and that paths can be traced with, and BSDFs of extensions.
+    """Refuse all plugins but BSDFs of extensions and plugins by Mitsuba that paths can be traced with.
 
     Args:
         kind: name of the plugin.
+
+    Raises:
+        ValueError: a participating medium, a plugin that reads memory, or a declaration of a folder in the wrong place.
+        UnsupportedPluginError: another plugin.
     """
-    if kind in _MEDIA:
+    if kind in _MEDIUM_PLUGINS:
         raise ValueError(
             f"a participating medium, '{kind}', expected surfaces alone: paths do not scatter in fog here; leave it "
             "out of the shape or sensor that has it (as 'interior' or 'exterior'), or render by Mitsuba's 'volpath'."
         )
-    if kind in _MEMORY:
+    if kind in _MEMORY_PLUGINS:
         raise ValueError(f"a plugin {kind[:60]!r}, expected one that reads files; leave it out.")
     if kind == RESOURCES_TYPE:
         raise ValueError(f"a '{RESOURCES_TYPE}' within another object, expected it beside the sensor; move it there.")
@@ -94,42 +103,44 @@ def check_plugin(kind: str) -> None:
 
 
 def check_parameters(kind: str, given: Mapping[str, object]) -> None:
-    """Refuse a plugin with parameters, or without some, that Mitsuba ends the process or never ends with.
+    """Refuse a plugin whose parameters, or lack of them, would end Mitsuba's process or never let it end.
 
     Args:
         kind: name of the plugin.
         given: its parameters and nested objects, by name; numbers may be text.
 
     Raises:
-        ValueError: a count, size or temperature that is out of range.
+        ValueError: a count, size or temperature that is out of range; a name that is missing or occurs twice.
     """
-    if len({to_snake_case(name) for name in given}) < len(given):  # Mitsuba would take one of them
+    if len({to_snake_case(name) for name in given}) < len(given):  # Mitsuba would take either
         raise ValueError(f"a '{kind}' with a parameter under two names, {sorted(given)!s:.100}; leave one out.")
     given = {to_snake_case(name): value for name, value in given.items()}
-    required = _REQUIRED.get(kind)
+    required = _REQUIRED_PARAMETERS.get(kind)
     if required and required not in given:
         raise ValueError(f"a plugin '{kind}' without '{required}', expected one; add it.")
-    for name, (least, most) in _RANGES.items():
+    for name, (low, high) in _NUMBER_RANGES.items():
         number = parse_number(given.get(name))
-        if number is not None and not least <= number <= most:
-            raise ValueError(f"a '{name}' of {number:.12g}, expected {least:,} to {most:,}; change it.")
-    if kind in _HOLDERS and not any(isinstance(value, Mapping) or value is NESTED_OBJECT for value in given.values()):
-        raise ValueError(f"a '{kind}' without {_HOLDERS[kind]}, expected one or more; leave it out.")
+        if number is not None and not low <= number <= high:
+            raise ValueError(f"a '{name}' of {number:.12g}, expected {low:,} to {high:,}; change it.")
+    if kind in _REQUIRED_CHILDREN and not any(
+        isinstance(value, Mapping) or value is NESTED_OBJECT for value in given.values()
+    ):
+        raise ValueError(f"a '{kind}' without {_REQUIRED_CHILDREN[kind]}, expected one or more; leave it out.")
 
 
-NESTED_OBJECT = object()  # in the place of what is within another one, where a number or text is no parameter
-_HOLDERS = {"merge": "shapes", "shapegroup": "shapes", "volume": "a volume"}
-_RANGES = {
-    "sample_count": (1, _SAMPLES),
-    "width": (1, _SIDE),
-    "height": (1, _SIDE),
+NESTED_OBJECT = object()  # stands for a nested object where only numbers and texts are known
+_REQUIRED_CHILDREN = {"merge": "shapes", "shapegroup": "shapes", "volume": "a volume"}
+_NUMBER_RANGES = {
+    "sample_count": (1, _MAX_SAMPLE_COUNT),
+    "width": (1, _MAX_FILM_PX),
+    "height": (1, _MAX_FILM_PX),
     "temperature": (1, 10**6),  # K
     "shape_index": (0, 2**31 - 1),
 }
 
 
 def parse_number(value: object) -> float | None:
-    """A number, or text that is one; None for all else."""
+    """Return a value as a number if it is a number or the text of one; None for all else."""
     try:
         return float(value) if isinstance(value, str | int | float) else None
     except (ValueError, OverflowError):
@@ -137,21 +148,18 @@ def parse_number(value: object) -> float | None:
 
 
 class SceneFiles:
-    """The data files that a scene may name: none, which holds of scenes of data sets."""
+    """The data files that a scene may name: none in this class, as is right for scenes of data sets."""
 
-    def file(self, name: str) -> Path:
-        """The data file of a name.
-
-        Returns:
-            Its absolute path without links.
+    def resolve_file(self, name: str) -> Path:
+        """Return the data file of a name, as an absolute path without links.
 
         Raises:
             ValueError: it may not be read.
         """
         raise ValueError(f"names the file {name[:100]!r}, expected none; scenes with files need {SCENE_FILE_READER}.")
 
-    def first(self, folder: str) -> SceneFiles:
-        """The files of a scene that declares a folder, in which relative names are looked for before all others.
+    def search_first(self, folder: str) -> SceneFiles:
+        """Return the files of a scene that declares a folder, in which relative names are looked for before all others.
 
         Raises:
             ValueError: it may not be read.
@@ -164,18 +172,26 @@ class SceneFiles:
         """Refuse parameters of a plugin that name a file which Mitsuba cannot take; file names are absolute."""
 
 
-MAX_NESTED_LEVELS = 64  # of elements or objects within each other
-MAX_SCENE_VALUES = 200_000  # elements, or values
+MAX_NESTED_LEVELS = 64  # levels of elements or objects within each other
+MAX_SCENE_VALUES = 200_000  # elements of an XML document, or values of a dictionary
 MAX_VALUE_CHARACTERS = 2**20  # characters of one value
 
 
 def check_string(name: str, value: str, files: SceneFiles) -> str:
-    """A parameter's text; file names come out absolute.
+    """Check a parameter's text, and return it; file names come out absolute.
 
     Mitsuba builds file names from other parameters too, such as a conductor's material.
+
+    Args:
+        name: name of the parameter.
+        value: its text.
+        files: the files that the scene may name.
+
+    Raises:
+        ValueError: a file that may not be read, a path where none is expected, or an unknown material.
     """
     if to_snake_case(name).endswith("filename"):
-        return str(files.file(value))
+        return str(files.resolve_file(value))
     plain = value.isascii() and value.isprintable()
     if len(value) > MAX_VALUE_CHARACTERS or not plain or set("/\\$") & set(value) or ".." in value:
         raise ValueError(f"a parameter {name[:40]!r} of {value[:60]!r}, expected plain text, no path; change it.")
@@ -185,25 +201,31 @@ def check_string(name: str, value: str, files: SceneFiles) -> str:
 
 
 class SceneChecker:
-    """Checks a scene dictionary as JSON holds it: kinds of all values, plugins, file names.
+    """A check of one scene dictionary as JSON holds it: kinds of all values, plugins, file names.
 
     Args:
-        files: that it may name.
-        most_values: of the whole scene.
+        files: the files that it may name.
+        most_values: greatest number of values in the whole scene.
     """
 
     def __init__(self, files: SceneFiles, most_values: int = MAX_SCENE_VALUES) -> None:
-        self.files, self.parts, self.most_values = files, 0, most_values
+        self.files, self.value_count, self.most_values = files, 0, most_values
 
-    def object(self, scene: SceneDict, depth: int = 0) -> SceneDict:
-        """The same with file names absolute.
+    def check_object(self, scene: SceneDict, depth: int = 0) -> SceneDict:
+        """Check an object of a scene, and return it with file names absolute.
+
+        Args:
+            scene: the object; at depth 0 the whole scene.
+            depth: number of objects that it lies in.
 
         Raises:
             ValueError: something that a scene may not hold.
         """
         kind = scene.get("type")
         if not isinstance(kind, str):
-            raise ValueError(f"an object of type {_shown(kind)}, expected each to name a plugin as 'type'; add it.")
+            raise ValueError(
+                f"an object of type {_describe_value(kind)}, expected each to name a plugin as 'type'; add it."
+            )
         if depth >= MAX_NESTED_LEVELS:
             raise ValueError(f"objects within each other, {MAX_NESTED_LEVELS} deep, expected fewer.")
         for key in scene:
@@ -215,95 +237,104 @@ class SceneChecker:
             raise ValueError("a scene within a scene, or none at all, expected one around all else.")
         elif depth:
             check_plugin(kind)
-        media = {} if depth else _media(scene)
-        scene = scene if depth else self._without_folders(scene)
-        made = {key: self._value(key, value, depth, kind) for key, value in scene.items() if key not in media}
+        media = {} if depth else _declared_media(scene)
+        scene = scene if depth else self._take_folders(scene)
+        checked = {key: self._check_value(key, value, depth, kind) for key, value in scene.items() if key not in media}
         if depth:
-            check_parameters(kind, made)
-            self.files.check(kind, made)
+            check_parameters(kind, checked)
+            self.files.check(kind, checked)
         for key, medium in media.items():
-            if any(name in (key, medium.get("id")) for name in _references(made)):
+            if any(name in (key, medium.get("id")) for name in _referenced_names(checked)):
                 check_plugin(medium["type"])
-        return made
+        return checked
 
-    def _without_folders(self, scene: SceneDict) -> SceneDict:
-        """The scene without its declarations of folders, of type `resources`, in which all its files are looked for."""
-        left = {}
+    def _take_folders(self, scene: SceneDict) -> SceneDict:
+        """Return the scene without its declarations of folders, of type `resources`.
+
+        From then on, all its files are looked for in these folders first.
+        """
+        remaining = {}
         for key, value in scene.items():
             if not (isinstance(value, dict) and value.get("type") == RESOURCES_TYPE):
-                left[key] = value
+                remaining[key] = value
                 continue
             path = value.get("path")
             if not isinstance(path, str) or value.keys() - {"type", "id", "path"}:
                 raise ValueError(
                     f"a '{RESOURCES_TYPE}' {key[:40]!r}, expected a 'path' alone, the name of a folder; change it."
                 )
-            self.files = self.files.first(path)
-        return left
+            self.files = self.files.search_first(path)
+        return remaining
 
-    def _value(self, key: str, value: SceneValue, depth: int, kind: str) -> SceneValue:
-        self.parts += 1
-        if self.parts > self.most_values:
+    def _check_value(self, key: str, value: SceneValue, depth: int, kind: str) -> SceneValue:
+        """Check a value of an object, and return it with file names absolute."""
+        self.value_count += 1
+        if self.value_count > self.most_values:
             raise ValueError(f"more than {self.most_values:,} values, expected fewer; put meshes in files.")
         if isinstance(value, dict):
-            return self.object(value, depth + 1)
+            return self.check_object(value, depth + 1)
         if isinstance(value, str):
             if key in ("type", "id"):
-                return _identifier(value)
+                return _check_identifier(value)
             return check_string(key, value, self.files)
-        if key in ("type", "id") or not (_is_number(value) or isinstance(value, bool) or _is_list(value, kind)):
+        if key in ("type", "id") or not (_is_number(value) or isinstance(value, bool) or _is_number_list(value, kind)):
             raise ValueError(
-                f"a value of {key[:40]!r}, {_shown(value)}, expected a finite number, text, true, false, three "
-                "numbers, a matrix or an object; change it."
+                f"a value of {key[:40]!r}, {_describe_value(value)}, expected a finite number, text, true, false, "
+                "three numbers, a matrix or an object; change it."
             )
         return value
 
     def _check_plain(self, kind: str, scene: SceneDict) -> None:
-        """Refuse a colour, spectrum or reference that holds something else than it should."""
+        """Refuse a colour, spectrum or reference that holds anything but its value."""
         expected = {"rgb": ({"value"},), "ref": ({"id"},), "spectrum": ({"value"}, {"filename"})}[kind]
         found = set(scene) - {"type"}
         value = scene.get("value", 0.0)
-        fits = _is_number(value) or (isinstance(value, list) and _is_list(value, kind))
+        fits = _is_number(value) or (isinstance(value, list) and _is_number_list(value, kind))
         if found not in expected or not fits:
             names = " or ".join(next(iter(keys)) for keys in expected)
             raise ValueError(f"a '{kind}' with {sorted(found)!s:.60}, expected '{names}' of numbers or text.")
 
 
-def _media(scene: SceneDict) -> dict[str, SceneDict]:
-    """The participating media that a scene declares, by key; they do nothing if no shape and no sensor has them."""
+def _declared_media(scene: SceneDict) -> dict[str, SceneDict]:
+    """Return the participating media that a scene declares, by key; without a shape or sensor they do nothing."""
     objects = {key: value for key, value in scene.items() if isinstance(value, dict)}
-    return {key: value for key, value in objects.items() if value.get("type") in tuple(_MEDIA)}
+    return {key: value for key, value in objects.items() if value.get("type") in tuple(_MEDIUM_PLUGINS)}
 
 
-def _references(value: SceneValue) -> Iterator[str]:
-    """The names that an object refers to."""
+def _referenced_names(value: SceneValue) -> Iterator[str]:
+    """Yield the names that an object refers to."""
     if isinstance(value, dict):
         if value.get("type") == "ref":
             yield value["id"]
         for part in value.values():
-            yield from _references(part)
+            yield from _referenced_names(part)
 
 
-def _identifier(value: str) -> str:
+def _check_identifier(value: str) -> str:
+    """Check the name of a plugin or object, and return it."""
     if not value.isprintable() or len(value) > 256:
         raise ValueError(f"a name {value[:40]!r}, expected up to 256 printable characters.")
     return value
 
 
-def _shown(value: SceneValue) -> str:
-    """A value in a message; text of a deeply nested list would need a deep stack."""
+def _describe_value(value: SceneValue) -> str:
+    """Return a value as a message shows it, or its type if it is a list or an object.
+
+    The text of a deeply nested list would need a deep stack.
+    """
     plain = value is None or isinstance(value, str | int | float)
     return repr(value if plain else type(value).__name__)[:40]
 
 
 def _is_number(value: SceneValue) -> bool:
+    """Return whether a value is a finite number that Mitsuba can hold."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < 2**63 if isinstance(value, int) else math.isfinite(value)
 
 
-def _is_list(value: SceneValue, kind: str) -> bool:
-    """True if a value is three numbers, a matrix of nine or sixteen, or pairs of a spectrum."""
+def _is_number_list(value: SceneValue, kind: str) -> bool:
+    """Return whether a value is three numbers, a matrix of nine or sixteen, or pairs of numbers of a spectrum."""
     if not isinstance(value, list) or not value or len(value) > MAX_SCENE_VALUES:
         return False
     if kind == "spectrum":
@@ -315,28 +346,40 @@ def _is_list(value: SceneValue, kind: str) -> bool:
 
 
 def instantiate_scene(mi: Mitsuba, scene: dict[str, SceneValue]) -> Scene:
-    """A checked scene in Mitsuba, in this thread: others would write their messages to the screen."""
+    """Make Mitsuba's object of a checked scene, in this thread: others would write their messages to the screen.
+
+    Args:
+        mi: Mitsuba, in its variant.
+        scene: the scene's dictionary, or the text of an XML document, {"xml": text}.
+    """
     text = json.dumps(scene)
     for name in extension_bsdfs():
         if name in text:
             registry().plugins[name].load()()
     if "xml" in scene:
         return mi.load_string(scene["xml"], parallel=False)
-    return mi.load_dict(_matrices(mi, scene), parallel=False)
+    return mi.load_dict(_to_mitsuba_matrices(mi, scene), parallel=False)
 
 
-def _matrices(mi: Mitsuba, value: SceneValue) -> SceneValue:
-    """The same with its matrices as Mitsuba wants them."""
+def _to_mitsuba_matrices(mi: Mitsuba, value: SceneValue) -> SceneValue:
+    """Return a value with nested lists turned into Mitsuba's matrices."""
     if isinstance(value, dict):
         plain = value.get("type") in ("rgb", "spectrum")
-        return {key: part if plain else _matrices(mi, part) for key, part in value.items()}
+        return {key: child if plain else _to_mitsuba_matrices(mi, child) for key, child in value.items()}
     if isinstance(value, list) and isinstance(value[0], list):
         return mi.ScalarTransform4f(value) if len(value) == 4 else mi.ScalarTransform3f(value)
     return value
 
 
 def shorten_mitsuba_message(reason: str) -> str:
-    """Mitsuba's message of an error, or that of an extension's BSDF alone, in one line."""
+    """Shorten a message of Mitsuba to one line.
+
+    If an extension's BSDF raised the error, its message alone remains.
+    """
     reason = reason.rpartition("ValueError: ")[2]
-    reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda part: " " if part[0].isspace() else "", reason).strip()
-    return reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"
+    reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda match: " " if match[0].isspace() else "", reason).strip()
+    return (
+        reason
+        if len(reason) <= _MESSAGE_CHARACTERS
+        else f"{reason[: _MESSAGE_CHARACTERS // 2]} ... {reason[5 - _MESSAGE_CHARACTERS // 2 :]}"
+    )

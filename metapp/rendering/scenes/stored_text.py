@@ -1,4 +1,7 @@
-"""Scenes as tasks hold them: their JSON text, in a tensor."""
+"""Scenes as tasks hold them: their JSON text, in a tensor.
+
+A task has tensors alone, so that a scene travels with its samples in data sets and over processes.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,9 @@ from torch import Tensor
 
 from metapp.rendering.scenes.rules import SceneDict
 
-TEXT_BLOCK_BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
+TEXT_BLOCK_BYTES = (
+    8192  # texts fill whole blocks of this size, so that most have one length and sets of tasks can be joined
+)
 
 
 def encode_scene(scene: SceneDict) -> Tensor:

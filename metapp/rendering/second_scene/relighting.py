@@ -1,10 +1,10 @@
-"""The second scene, in which inferred illumination is judged: a matte and a glossy sphere on a floor, by Mitsuba.
+"""Pictures of the second scene under maps: a matte and a glossy sphere on a floor, by Mitsuba.
 
 All is neutral grey, as the grey and the mirror ball that film sets are lit by: any colour in a picture is the
 light's. The floor fills the picture and reaches to the horizon, so no pixel shows the map itself, and the lower half of
 a map does nothing. Pictures are linear in the map, which makes the scene a matrix: a thousand maps cost one rendering.
 
-The paths that fill the matrix are of `metapp.rendering.second_scene.paths`.
+The paths that fill the matrix are in :mod:`metapp.rendering.second_scene.paths`.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from metapp.rendering.variant import load_mitsuba
 from metapp.storage.cache_folders import cache_folder
 from metapp.storage.files import read_tensors, write_bytes
 
-MATRIX_VERSION = 1  # of the scene and its matrix, in the name of the cached file
+MATRIX_VERSION = 1  # version of the scene and its matrix, in the name of the cached file
 PATHS_PER_PIXEL = 16384  # paths from each pixel to the light, spread over the texels
 
-_BOUNCES = 4  # between patches; what is left out is 0.1 % of the light
+_BOUNCES = 4  # bounces of light between patches; further ones would add 0.1 % of the light
 
 
 def transfer_matrix(height: int = 32, width: int = 64) -> Tensor:
-    """The scene as a matrix, from the cache, or else built now, in about 20 s on one core.
+    """Return the scene as a matrix, from the cache, or else built now, in about 20 s on one core.
 
     Args:
         height: rows of the maps, even.
-        width: their columns.
+        width: columns of the maps.
 
     Returns:
         [P, N] float32, >= 0, with the pixels P and the texels N in row-major order, the same for each colour:
@@ -48,40 +48,41 @@ def transfer_matrix(height: int = 32, width: int = 64) -> Tensor:
     if height < 2 or height % 2 or width < 1:
         raise ValueError(f"second scene: maps of {height} x {width} texels, expected an even number of rows.")
     path = matrix_file(height, width)
-    with suppress(OSError, SafetensorError, KeyError):  # not there, or damaged
-        return _load(path, path.stat().st_mtime_ns)
-    matrix = _build(height, width)
+    with suppress(OSError, SafetensorError, KeyError):  # the file is missing or damaged
+        return _load_matrix(path, path.stat().st_mtime_ns)
+    matrix = _build_matrix(height, width)
     write_bytes(path, save({"matrix": matrix}))
     return matrix
 
 
 def matrix_file(height: int = 32, width: int = 64) -> Path:
-    """The cached file of the matrix for maps of that size."""
+    """Return the path of the cached matrix for maps of height x width texels."""
     return cache_folder() / f"second-scene-{height}x{width}-v{MATRIX_VERSION}.safetensors"
 
 
 @functools.lru_cache(maxsize=1)
-def _load(path: Path, changed: int) -> Tensor:
+def _load_matrix(path: Path, changed: int) -> Tensor:
+    """Read a matrix from a file and keep it; a file that changes is read again."""
     return read_tensors(path)["matrix"]
 
 
 def relight(maps: Tensor, *, height: int = 32, width: int = 64) -> Tensor:
-    """Pictures [B, 3, 64, 96] of the scene, linear RGB radiance, under maps [B, 3, H, W] of any size.
+    """Render pictures [B, 3, 64, 96] of the scene, linear RGB radiance, under maps of any size.
 
     Args:
-        maps: linear RGB radiance; each texel of the matrix's maps takes the mean radiance over its area.
+        maps: linear RGB radiance, [B, 3, H, W]; each texel of the matrix's maps takes the mean radiance over its area.
         height: rows of the matrix's maps.
-        width: their columns.
+        width: columns of the matrix's maps.
     """
     texels = latlong.resample_maps(maps, height, width).flatten(-2)
-    result: Tensor = (texels @ transfer_matrix(height, width).to(maps).T).unflatten(
+    pictures: Tensor = (texels @ transfer_matrix(height, width).to(maps).T).unflatten(
         -1, (PICTURE_HEIGHT_PX, PICTURE_WIDTH_PX)
     )
-    return result
+    return pictures
 
 
-def _build(height: int, width: int) -> Tensor:
-    """The matrix of `transfer_matrix`: surfaces that the map lights, and those that see lit patches."""
+def _build_matrix(height: int, width: int) -> Tensor:
+    """Build the matrix by tracing paths: light of the map on surfaces, then light of patches that it lights."""
     load_mitsuba()
     from metapp.rendering.second_scene.paths import MATRIX_ROWS, PICTURE_PIXELS, TransferPaths
 
@@ -89,8 +90,8 @@ def _build(height: int, width: int) -> Tensor:
     passes = math.ceil(PATHS_PER_PIXEL / (height // 2 * width))
     lit = torch.zeros(MATRIX_ROWS, height // 2 * width)
     for number in range(passes):
-        lit += paths.to_texels(height, width, number) / passes
-    from_patches, total = paths.to_patches(), lit
+        lit += paths.trace_to_texels(height, width, number) / passes
+    from_patches, total = paths.trace_to_patches(), lit
     for _ in range(_BOUNCES):
         total = lit + torch.sparse.mm(from_patches, total[PICTURE_PIXELS:])
     upper = total[:PICTURE_PIXELS]

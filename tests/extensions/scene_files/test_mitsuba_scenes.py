@@ -111,7 +111,7 @@ def test_folders_of_files_are_declared_in_dictionaries_as_in_xml(tmp_path: Path)
     read = read_scene(write(tmp_path / "room.json", scene))
     assert read["lamp"]["filename"] == str((tmp_path / "parts" / "lamp.obj").resolve())
     assert "files" not in read
-    assert Tracer(read).brightest > 0
+    assert Tracer(read).greatest_luminance > 0
     inside = {**scene, "lamp": {**lamp, "files": scene["files"]}}
     for changed, problem in (
         ({**scene, "files": {"type": "resources", "path": "none"}}, "the <path> 'none': file not found"),
@@ -181,7 +181,7 @@ def test_a_medium_that_nothing_refers_to_is_left_out(tmp_path: Path) -> None:
     scene = random_scene(0)
     smoke = {"type": "heterogeneous", "phase": {"type": "evil"}}
     assert read_scene(write(tmp_path / "smoke.json", {**scene, "smoke": smoke})) == scene
-    assert Tracer(expected).brightest == pytest.approx(4)
+    assert Tracer(expected).greatest_luminance == pytest.approx(4)
 
 
 AIM = '<transform name="to_world"><lookat origin="2, 2, 2" target="0, 0, 0" up="0, 1, 0"/></transform>'

@@ -300,7 +300,7 @@ def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Call
     plain = write(scenes / "plain.xml", preview())
     with pytest.raises(ValueError, match=r"names the file 'textures/sky\.exr': file not found"):
         read_scene(plain)
-    brightest = Tracer(read_scene(plain, [data / "common"])).brightest
+    brightest = Tracer(read_scene(plain, [data / "common"])).greatest_luminance
     assert brightest == pytest.approx(6, rel=0.01)  # 2 of the map, times its scale
     # but plugins never do
     mark = evil(data / "common", "cylinder")
@@ -426,7 +426,7 @@ def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path) -> None:
     for content, text in ((b"", ""), (b"x" * 10, "x" * 10), (b"\xef\xbb\xbfab", "ab")):  # without a byte order mark
         file.write_bytes(content)
         assert read_scene_text(file, 10) == text
-        assert places.file("x.xml") == file
+        assert places.resolve_file("x.xml") == file
     file.write_bytes(b"x" * 11)
     refused("more than 10 characters", read_scene_text, file, 10)
     refused("of 11 bytes, expected 10 at most", places.file, "x.xml")

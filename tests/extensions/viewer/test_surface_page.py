@@ -98,7 +98,7 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
     assert surface.maps is not None
     assert_same(maps_in(view), surface.maps)
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"].movedim(-1, 0))
-    torch.testing.assert_close(heights, surface.heights(), atol=1e-5, rtol=0)
+    torch.testing.assert_close(heights, surface.heights_in_widths(), atol=1e-5, rtol=0)
     assert list(view.facts["lit"]) == ["photo_1", *relighting_positions()]
     assert view.facts["lit"]["photo_1"]["part"] == 1 / 4
     assert (view.facts["tiles"], view.facts["falloff"], view.facts["size"]) == (True, 1, [4 * SIDE, 4 * SIDE])
@@ -160,7 +160,7 @@ def test_large_maps_are_reduced() -> None:
         maps.diffuse, large.maps.diffuse.unfold(1, 2, 2).unfold(2, 2, 2).mean((3, 4)), atol=1e-5, rtol=0
     )
     torch.testing.assert_close(maps.normal, large.maps.normal[:, ::2, ::2], atol=0.02, rtol=0)
-    heights = large.heights()
+    heights = large.heights_in_widths()
     assert view.facts["heights"] == pytest.approx([float(heights.min()), float(heights.max())], rel=2e-3)
     assert view.pictures["fit_specular"].shape[-1] == 3
     gray = large._replace(maps=large.maps._replace(specular=large.maps.specular[:1]))

@@ -148,7 +148,7 @@ def make_surface_view(
         raise ValueError("a surface of one colour, expected one with maps")
     small = _reduce_surface(surface, largest)
     assert small.maps is not None
-    heights = small.heights()
+    heights = small.heights_in_widths()
     height, low, high = stretch_to_unit_range(
         heights if surface.height is not None or surface.tiles else _remove_drift(heights)
     )
