@@ -76,7 +76,7 @@ def adapt(size: ProblemSize, meta_parameters: MetaParameters, loss: Loss) -> Non
     theta, rng = expand_tasks(meta_parameters.theta, size.tasks, 0), Generator().manual_seed(0)
     learn(
         theta,
-        GROWTH_RULE.rule(expand_tasks(meta_parameters.alpha, size.tasks, 1)),
+        GROWTH_RULE.update_rule(expand_tasks(meta_parameters.alpha, size.tasks, 1)),
         None,
         loss,
         steps=size.steps,

@@ -306,8 +306,8 @@ def bench_brdf() -> None:
     rules = {
         "sgd": (sgd, alpha),
         "default": (
-            rule_of(DEFAULT_RULE).rule,
-            rule_of(DEFAULT_RULE).alpha(LEARNING_APP, theta, INNER_STEPS, first_order_adam),
+            rule_of(DEFAULT_RULE).update_rule,
+            rule_of(DEFAULT_RULE).initial_alpha(LEARNING_APP, theta, INNER_STEPS, first_order_adam),
         ),
     }
 

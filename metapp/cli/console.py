@@ -117,11 +117,11 @@ class _Bar(Bar):
             self.lines.say(f"{self.title}: {self.done} of {self.total}, {note}")
 
     @override
-    def name(self, note: str, share: float = 0.0) -> None:
+    def set_label(self, note: str, share: float = 0.0) -> None:
         self.bars.update(self.row, completed=self.done + share, note=note)
 
     @override
-    def at(self, done: int, total: int | None, note: str = "") -> None:
+    def set_done(self, done: int, total: int | None, note: str = "") -> None:
         self.done = done
         self.bars.update(self.row, completed=done, total=total, note=note)
         if self.lines:
@@ -151,11 +151,11 @@ class _Lines(Bar):
         self.set_done(self.done + 1, self.total, note)
 
     @override
-    def name(self, note: str, share: float = 0.0) -> None:
+    def set_label(self, note: str, share: float = 0.0) -> None:
         self.at(self.done, self.total, note)
 
     @override
-    def at(self, done: int, total: int | None, note: str = "") -> None:
+    def set_done(self, done: int, total: int | None, note: str = "") -> None:
         self.done, self.total, self.note = done, total, note
         if time.monotonic() > self._next:
             self._say()

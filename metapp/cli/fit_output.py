@@ -64,8 +64,8 @@ def fit_and_print(options: FitOptions, *, json: bool) -> None:
     if report is None:
         return
     _print_report(report, json=json)
-    counted_failures = [failure for failure in report.failures if failure.counted]
-    unwritten = sum(failure.kept for failure in counted_failures)
+    counted_failures = [failure for failure in report.failures if failure.fails_run]
+    unwritten = sum(failure.is_fit_kept for failure in counted_failures)
     if failed := len(counted_failures) - unwritten:
         say(f"error: {failed} of {failed + len(report.records)} inputs were not fitted.")
     if unwritten:
@@ -95,7 +95,7 @@ def _print_report(report: RunReport, *, json: bool) -> None:
             line = f"{skipped} of {len(records)} inputs are skipped, since they have a fit by equal settings"
             has_file_options = run.options.exports or run.presenter.size
             say(f"{line}; metapp export writes other files of these fits" if has_file_options else line)
-        if replaced := sum(outcome.replaces for outcome in outcomes):
+        if replaced := sum(outcome.replaces_earlier for outcome in outcomes):
             fits = f"{replaced} of {len(records)} fits and their pictures"
             say(f"{fits} replace earlier ones; --resume keeps earlier fits")
         for line in _describe_exports(outcomes):
@@ -104,7 +104,7 @@ def _print_report(report: RunReport, *, json: bool) -> None:
         if "view" in registry().commands:
             say(f"to look at: metapp view {shlex.quote(str(report.path))}")
     for failure in report.failures:
-        prefix = "failed" if failure.counted else "warning: skipped"
+        prefix = "failed" if failure.fails_run else "warning: skipped"
         say(f"{prefix}: {shorten_to_line(failure.reason)}")
     if json:
         print_json(_make_document(report))

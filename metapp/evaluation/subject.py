@@ -168,10 +168,10 @@ class EvaluationRun:
             row_name, task_steps, total = f"{full_name(self.app)} {title}", steps + 1, (steps + 1) * len(missing)
             bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
             with bars as bar, torch_defaults(single=self.app.single_threaded):
-                bar.at(0, total, row_name)
+                bar.set_done(0, total, row_name)
                 for count, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
-                    folder.write({**record, "content": task_digest(task), "origin": self.run.origin(())}, tensors)
-                    bar.at(task_steps * count, total, f"{row_name} {task.name}")
+                    folder.write({**record, "content": task_digest(task), "origin": self.run.input_places(())}, tensors)
+                    bar.set_done(task_steps * count, total, f"{row_name} {task.name}")
             records = _read_records(folder, tasks)
             if not self.run.options.quiet:
                 say(f"{row_name}: {_summarise(records)}")

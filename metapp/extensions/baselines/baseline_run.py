@@ -76,7 +76,7 @@ def run_baseline(options: FitOptions, method: str) -> BaselineRun:
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(run, baseline, tasks, warm=False)
         for task, (record, picture, answer_at_size) in zip(tasks, fits, strict=True):
-            record |= {"content": task_digest(task), "origin": run.origin(run.options.paths)}
+            record |= {"content": task_digest(task), "origin": run.input_places(run.options.paths)}
             files = run.presenter.answer_pictures(answer_at_size(run.presenter.size), task)
             records.append(run_folder.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)

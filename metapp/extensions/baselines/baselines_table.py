@@ -95,7 +95,7 @@ def baseline_records(subject: EvaluationRun, baseline: Baseline) -> list[Record]
     run_folder = None
     if subject.tasks and (not baseline.learns or find_training_folder(subject.run, baseline)):
         settings = baseline_settings(subject.run, baseline, subject.label)
-        run_folder = subject.kept(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
+        run_folder = subject.record_folder(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
 
     def fit_tasks(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         """Yield the record and the picture of each task, until one cannot be fitted."""
@@ -105,7 +105,7 @@ def baseline_records(subject: EvaluationRun, baseline: Baseline) -> list[Record]
         except ValueError as error:
             say(f"{full_name(subject.app)} {baseline.name}: {error}")
 
-    return subject.measured(baseline.name, run_folder, fit_tasks, subject.tasks)
+    return subject.measure_records(baseline.name, run_folder, fit_tasks, subject.tasks)
 
 
 def _make_paradigm_row(subject: EvaluationRun, name: str) -> Row:

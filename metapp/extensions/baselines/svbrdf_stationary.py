@@ -54,10 +54,10 @@ def quilt_maps(
     pictures = quilt_pictures(stretch_to_tile(unshaded, size)[0], size, rng, tiles=True, count=count)
     colours, mean = pictures**DISPLAY_GAMMA, (unshaded**DISPLAY_GAMMA).mean((1, 2)).clamp_min(1e-4)
     brightness = colours.mean(-3, keepdim=True) / mean.mean()
-    one, gray = torch.ones_like(brightness), pictures.mean(-3, keepdim=True)
-    relief = subtract_local_mean(gray, RELIEF_WINDOW_TEXELS * side // 256 | 1) / gray.mean((-1, -2), keepdim=True)
+    ones, grey = torch.ones_like(brightness), pictures.mean(-3, keepdim=True)
+    relief = subtract_local_mean(grey, RELIEF_WINDOW_TEXELS * side // 256 | 1) / grey.mean((-1, -2), keepdim=True)
     smooth = highlight.lobe_share[0].where(highlight.central_lobe_share[0] < CLEAR_HIGHLIGHT_SHARE, torch.ones(()))
-    texels = RELIEF_DEPTH_TEXELS * (1 - smooth) * side / 256
+    relief_texels = RELIEF_DEPTH_TEXELS * (1 - smooth) * side / 256
     return Maps(
         (colours * (highlight.diffuse[0] / mean)[:, None, None]).clamp(0, 1),
         (brightness * highlight.specular[0]).clamp(0, 1),

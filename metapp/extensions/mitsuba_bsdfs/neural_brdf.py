@@ -280,7 +280,7 @@ class NetworkReflection(Reflection):
         self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
         theta = read_parameters(self.path)
         network = find_network(theta)
-        folded = network.folded(theta)
+        folded = network.fold(theta)
         self.network = MitsubaNetwork(folded)
         self.mixture = MitsubaLobeMixture(fit_lobes(functools.partial(network.evaluate, theta), folded.turn))
         self.tint = props.get_texture("tint", 1.0)

@@ -49,7 +49,7 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
     if kind == PAGE_KIND:
         with progress(f"onnxruntime-web {RUNTIME_VERSION}", quiet=quiet) as bar:
             runtime_files = provide_runtime(
-                lambda done, total: bar.at(done // 10**6, total and total // 10**6, "MB from npm")
+                lambda done, total: bar.set_done(done // 10**6, total and total // 10**6, "MB from npm")
             )
     run = attach_checkpoint(Run.from_options(options))
     app, checkpoint = run.app, run.checkpoint

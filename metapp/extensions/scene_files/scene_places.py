@@ -65,16 +65,15 @@ class ScenePlaces(SceneFiles):
         folders = tuple(folder.resolve() for folder in (path.resolve().parent, *others))
         return cls(folders, folders)
 
+    @override
     def search_first(self, folder: str | Path) -> ScenePlaces:
-        """The places with a folder searched first: a path, or the name of one, as of <path>."""
-        path = folder if isinstance(folder, Path) else self.folder(folder)
-        return replace(self, search=(path, *self.search))
+        """Return the places with a folder that is searched first: a path, or the value of a <path> element."""
+        path = folder if isinstance(folder, Path) else self.find_folder(folder)
+        return replace(self, search_folders=(path, *self.search_folders))
 
+    @override
     def resolve_file(self, name: str) -> Path:
-        """The data file of a name.
-
-        Returns:
-            Its absolute path without links.
+        """Find the data file of a name; stored scenes may then name it in this process.
 
         Raises:
             ValueError: the file is missing, too large, no regular file, outside of the allowed folders, or a

@@ -206,7 +206,7 @@ class _SceneResolver:
             elif child.tag == "default":
                 self._add_default(child)
             elif child.tag == "path":
-                places = places.search_first(self._substituted(child.get("value", "")))
+                places = places.search_first(self._substitute_defaults(child.get("value", "")))
             elif child.tag == "medium" and source.tag == "scene":
                 medium = self._resolve_attributes(child, places)
                 self.media[medium.get("id", "")] = medium.get("type", "")
@@ -273,7 +273,7 @@ class _SceneResolver:
             path, text = places.read_included_text(name)
             if str(path) in chain:
                 raise ValueError("it includes itself.")
-            root = self.document(text, places.search_first(path.parent), (*chain, str(path)), depth)
+            root = self.resolve_document(text, places.search_first(path.parent), (*chain, str(path)), depth)
         except ValueError as error:
             if str(error).startswith("includes "):
                 raise  # the message names the innermost document, which is at fault

@@ -38,7 +38,7 @@ def vgg_command(
     with progress("VGG-16", quiet=quiet) as bar:
 
         def show_progress(note: str, done: int, total: int | None) -> None:
-            bar.at(done // 10**6, total and total // 10**6, note)
+            bar.set_done(done // 10**6, total and total // 10**6, note)
 
         origin, was_cached = provide_weights(weights, show_progress)
     file = vgg_weights_path()

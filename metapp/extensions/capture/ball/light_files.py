@@ -52,7 +52,7 @@ def write_light(
         captured = capture_light(
             paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer
         )
-        bar.name("writing the map and pictures of what was found")
+        bar.set_label("writing the map and pictures of what was found")
         _write_light_files(folder.resolve().name, paths, captured, folder, options.layer, overwrite=overwrite)
     return captured
 

@@ -89,7 +89,7 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     found_outlines, failed_picture = FoundOutlines(), _failed_picture_path(folder)
     try:
         with progress("photos", len(names), quiet=quiet) as bar:
-            fov_rad, done, begin = math.radians(options.fov), bar.advance, bar.name
+            fov_rad, done, begin = math.radians(options.fov), bar.advance, bar.set_label
             cameras, focal_mm, skipped, kept_share = find_sample(
                 names, fov_rad, options.ruler, done, begin, found_outlines.keep_outlines
             )

@@ -48,7 +48,7 @@ def make_brdf_view(presenter: Presenter[Brdf], theta: Params, task: Task) -> Vie
         columns = [task.data["angles"], *([task.data["phi_h"][:, None]] if "phi_h" in task.data else [])]
         arrays["samples"] = torch.cat([*columns, task.data["reflectance"]], 1)[:MAX_PLOTTED_SAMPLES].half()
     if "render" in task.data:  # else the material is known at the samples alone, and not between them
-        arrays["residual"] = _fit_residual(evaluate, folded.turn, task)
+        arrays["residual"] = _fit_residual(evaluate, folded.axes_azimuth_rad, task)
     facts = {
         "network": folded.inputs,
         "inputs": folded.layers[0][0].shape[1],
@@ -62,7 +62,7 @@ def make_brdf_view(presenter: Presenter[Brdf], theta: Params, task: Task) -> Vie
         "darkest": folded.log_floor,
         "alphas": [list(alpha) for alpha in lobes.alphas],
     }
-    sphere = shade_sphere(environment_scene(azimuths=folded.turn is not None), evaluate)
+    sphere = shade_sphere(environment_scene(azimuths=folded.axes_azimuth_rad is not None), evaluate)
     thumbnail = crop_thumbnail(torch.from_numpy(composite_to_srgb(sphere[..., :3])))
     return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": reference_light_map()}, thumbnail)
 

@@ -43,7 +43,7 @@ def make_illumination_view(
     """
     app = presenter.app
     batched_theta = {key: value[None] for key, value in theta.items()}
-    pixels = presenter.map_picture(theta, task).pixels
+    pixels = presenter.draw_map(theta, task).pixels
     unit = pixels.mean().clamp_min(1e-20)  # maps are shown in units of the fit's mean radiance
     light = pixels.permute(2, 0, 1) / unit
     maps = {"map": resample_maps(light, *largest) if light.shape[1] > largest[0] else light}
@@ -62,7 +62,7 @@ def make_illumination_view(
     }
     pictures = {}
     if app.protocol == "photo":
-        data = {key: value[None] for key, value in {"photo": task.data["photos"][0], **app.mirrored(task)}.items()}
+        data = {key: value[None] for key, value in {"photo": task.data["photos"][0], **app.mirror_light(task)}.items()}
         pictures = {
             "photo": data["photo"][0].permute(1, 2, 0) / 255,
             "ball": _render_ball(app, batched_theta, data).permute(1, 2, 0),

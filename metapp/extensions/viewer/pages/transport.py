@@ -183,7 +183,7 @@ def _render_all(flow: Flow, theta: Params, task: Task, effort: Effort) -> dict[s
         table_seconds, path_guide = time.process_time() - begin, path_space.Guide(table.sample, table.density)
         side, seconds = effort.side_px, effort.seconds
         progress_by_name = {
-            REGULAR: render_in_steps(lambda spp, seed: renderer.regular(spp, seed).picture, reference, 0.0, seconds),
+            REGULAR: render_in_steps(lambda spp, seed: renderer.render_regular(spp, seed).picture, reference, 0.0, seconds),
             GUIDED_LABEL: render_in_steps(
                 lambda spp, seed: path_space.render_paths(renderer.tracer, spp, side, seed, path_guide),
                 reference,
@@ -205,10 +205,10 @@ def _render_reference_halves(renderer: SceneRenderer, seconds: float) -> Tensor:
         renderer: the renderer of the scene.
         seconds: seconds of CPU that both may take together.
     """
-    renderer.path(1)  # the first call compiles
-    seconds_per_spp = renderer.path(4).seconds / 4
+    renderer.render_path(1)  # the first call compiles
+    seconds_per_spp = renderer.render_path(4).seconds / 4
     spp = max(1, round(seconds / 2 / max(seconds_per_spp, 1e-9)))
-    return torch.stack([renderer.path(spp, seed).picture for seed in (1, 2)])
+    return torch.stack([renderer.render_path(spp, seed).picture for seed in (1, 2)])
 
 
 def render_in_steps(
