@@ -152,7 +152,7 @@ class _Lines(Bar):
 
     @override
     def set_label(self, note: str, share: float = 0.0) -> None:
-        self.at(self.done, self.total, note)
+        self.set_done(self.done, self.total, note)
 
     @override
     def set_done(self, done: int, total: int | None, note: str = "") -> None:

@@ -89,7 +89,10 @@ def _print_report(report: RunReport, *, json: bool) -> None:
                 for remark in _describe_guard(run.paradigm.name, records):
                     say(remark)
         remarks = [remark for outcome in outcomes for remark in outcome.remarks]
-        for line in (*remarks, *relief_lines(records, changed="relief" in run.options.app_options.non_default_values())):
+        for line in (
+            *remarks,
+            *relief_lines(records, changed="relief" in run.options.app_options.non_default_values()),
+        ):
             say(line)
         if skipped := sum(outcome.is_earlier for outcome in outcomes):
             line = f"{skipped} of {len(records)} inputs are skipped, since they have a fit by equal settings"

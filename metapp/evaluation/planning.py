@@ -58,7 +58,9 @@ def plan_brdf(
     )
     wi, wo = plan_directions(theta, count, limits, measured_angles, Generator().manual_seed(seed))
     all_angles = torch.cat([measured_angles.float(), directions_to_full_rusinkiewicz(wi, wo)])
-    posteriors = (Posterior.from_samples(theta, places_at_angles(angles)) for angles in (measured_angles.float(), all_angles))
+    posteriors = (
+        Posterior.from_samples(theta, places_at_angles(angles)) for angles in (measured_angles.float(), all_angles)
+    )
     error_before, error_after = (100 * expected_errors(posterior)["expected"] for posterior in posteriors)
     return wi, wo, (error_before, error_after)
 

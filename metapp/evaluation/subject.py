@@ -86,7 +86,9 @@ class EvaluationRun:
         rules = run.recipe.meta if run.options.checkpoint or not run.options.data else ()
         for rule in (rule for rule in rules if rule != run.options.rule):
             with suppress(ValueError):  # no checkpoint was trained by this rule
-                self.runs[f"meta:{rule}"] = attach_checkpoint(Run.from_options(replace(run.options, paradigm="meta", rule=rule)))
+                self.runs[f"meta:{rule}"] = attach_checkpoint(
+                    Run.from_options(replace(run.options, paradigm="meta", rule=rule))
+                )
         make_folder(run.options.out)
         self.tasks: list[Task] = []
         self.label = "none"

@@ -1,4 +1,7 @@
-"""Applications whose network has a code in every place, which General's encoder reads from a photograph."""
+"""Applications whose network has a code in every place, which General's encoder reads from a photograph.
+
+The functions below split General's parameters into a reader of the condition and a decoder that all tasks share.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +11,26 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.networks.field import LocalField, regrid
 
-CHEAP_TEXELS = 64 * 64  # texels of a field that a search can afford to fit for all validation tasks
+CHEAP_TEXELS = 64 * 64  # texels of the largest field that a search can afford to fit to all validation tasks
+INITIAL_SMOOTHING = 0.3  # of |d| in losses, in their unit, before a rule has learned it
 
 
 @dataclass(frozen=True)
 class CodedApp(App):
-    """A `LocalField` a task, fitted to the thing itself ("reference") or to one photograph of it alone ("photo").
+    """A field for each task, fitted to the thing itself ("reference") or to one photograph of it alone ("photo").
 
-    General's encoder makes a task's own parameters, the code z among them, of `photo` [T, 3, S, S]; the field's other
-    parameters are then the same for all tasks. It may read a coarser code than the field has, so that recipes of
-    several sizes share checkpoints of the smallest. Nothing that a fit sees is drawn at random.
+    General's encoder reads a task's parameters, the code z among them, from `photo` [T, 3, S, S]; the field's other
+    parameters are then equal for all tasks. It may read a coarser code than the field has, so that recipes of several
+    sizes share checkpoints of the smallest one. Nothing that a fit sees is drawn at random.
 
     Attributes:
-        network: of one task.
+        network: the field of one task.
     """
 
     network: LocalField = field()
@@ -33,64 +38,83 @@ class CodedApp(App):
     single_threaded = deterministic = True
 
     @property
+    @override
     def cheap_fits(self) -> bool:
         return self.network.height * self.network.width <= CHEAP_TEXELS
 
+    @override
     def loss_parameters(self, steps: int) -> Params:
-        return {"smoothing": torch.full((steps,), math.log(0.3))}
+        return {"smoothing": torch.full((steps,), math.log(INITIAL_SMOOTHING))}
 
     def init_reader(self, rng: Generator) -> Params:
-        """Random parameters of the reader of photographs."""
+        """Draw random parameters of the reader of photographs."""
         raise NotImplementedError
 
     def read(self, reader: Params, photos: Tensor) -> Params:
-        """A task's own parameters, [T, ...] each, from its photograph."""
+        """Read the parameters that tasks do not share, [T, ...] each, from their photographs [T, 3, S, S]."""
         raise NotImplementedError
 
+    @override
     def init_encoder(self, rng: Generator) -> Params:
-        """The reader of photographs, and the parameters of the field that all tasks share."""
+        """Draw the reader of photographs, then the parameters of the field that all tasks share."""
         return join_encoder(self.init_reader(rng), self.network.init(rng, 1), ("z",))
 
+    @override
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"photo": tasks.data["photo"][tasks.rows]}
 
+    @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        own, network = self.read(select_reader(encoder), condition["photo"]), self.network
-        own["z"] = regrid(own["z"], network.rows, network.columns, periodic=network.periodic)
-        return add_decoder(own, encoder)
+        theta, network = self.read(select_reader(encoder), condition["photo"]), self.network
+        theta["z"] = regrid(theta["z"], network.rows, network.columns, periodic=network.periodic)
+        return add_decoder(theta, encoder)
 
+    @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """All there is of each task."""
+        """Return all data of each task."""
         return {key: value[tasks.rows] for key, value in tasks.data.items()}
 
 
-def join_encoder(reader: Params, theta: Params, own: Collection[str]) -> Params:
-    """General's encoder: a reader of a task's own parameters from a condition, and the network's shared parameters.
+def join_encoder(reader: Params, theta: Params, predicted: Collection[str]) -> Params:
+    """Join the parameters of General: a reader of conditions, and the network's parameters that all tasks share.
 
     Args:
-        reader: becomes `encoder.<name>`.
-        theta: the network's parameters [1, ...]; without a task axis they become `decoder.<name>`.
-        own: names of those that the reader predicts, which are left out.
+        reader: the parameters of the reader; they are called `encoder.<name>` in the result.
+        theta: the network's parameters [1, ...]; without a task axis they are called `decoder.<name>`.
+        predicted: the names of the network's parameters that the reader predicts for each task; they are left out.
     """
-    shared = {f"decoder.{key}": value[0] for key, value in theta.items() if key not in own}
+    shared = {f"decoder.{key}": value[0] for key, value in theta.items() if key not in predicted}
     return {f"encoder.{key}": value for key, value in reader.items()} | shared
 
 
 def select_reader(encoder: Params) -> Params:
-    """The part of General's encoder that reads the condition, `encoder.<name>`, by name."""
+    """Select the parameters of the reader of conditions, by name, from General's: those called `encoder.<name>`."""
     return {key.removeprefix("encoder."): value for key, value in encoder.items() if key.startswith("encoder.")}
 
 
-def add_decoder(own: Params, encoder: Params) -> Params:
-    """Tasks' own parameters [T, ...], and those of General's decoder, the same for each."""
+def add_decoder(predicted: Params, encoder: Params) -> Params:
+    """Add General's decoder, whose parameters are equal for all tasks, to predicted parameters.
+
+    Args:
+        predicted: the parameters that the reader predicted for each task, [T, ...].
+        encoder: General's parameters, whose `decoder.<name>` have no task axis.
+
+    Returns:
+        All parameters of the network, [T, ...].
+    """
     shared = {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
-    count = len(next(iter(own.values())))
-    return own | {key: value.expand(count, *value.shape) for key, value in shared.items()}
+    count = len(next(iter(predicted.values())))
+    return predicted | {key: value.expand(count, *value.shape) for key, value in shared.items()}
 
 
 def smooth_absolute(difference: Tensor, learned: Params) -> Tensor:
-    """|d|, or sqrt(d^2 + s^2) - s if a rule has learned an s for each task: the loss's parameter `smoothing`."""
+    """Return |d| of differences d [T, ...], or sqrt(d^2 + s^2) - s where a rule has learned the loss parameter s.
+
+    Args:
+        difference: the differences.
+        learned: `smoothing` [T], the logs of s; {} for |d|.
+    """
     if not learned:
         return difference.abs()
-    s = torch.exp(learned["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
-    return (difference * difference + s * s).sqrt() - s
+    smoothing = torch.exp(learned["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
+    return (difference * difference + smoothing * smoothing).sqrt() - smoothing

@@ -1,4 +1,8 @@
-"""Options that several applications have."""
+"""Options of applications that read or write pictures, and the values that they take.
+
+Its classes are bases of applications' own options, whose fields become options of the command line. Nothing heavy is
+imported here.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +11,20 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+from typing_extensions import override
+
 from metapp.options import INPUT, OUTPUT, AppOptions, Option
 
-MIN_FOV_DEGREES = 0.5  # degrees of a field of view
+MIN_FOV_DEGREES = 0.5  # narrowest field of view, as of a telescope
 
 
 def parse_size(value: object) -> tuple[int, int]:
-    """Height and width in px of "HxW", of "N" for a square, of a number or of a pair.
+    """Parse a size: "HxW", "N" for a square, a number or a pair. Return height and width in px.
 
     Raises:
-        ValueError: another form.
+        ValueError: the value has another form.
 
-    >>> size_of("512"), size_of("512x1024")
+    >>> parse_size("512"), parse_size("512x1024")
     ((512, 512), (512, 1024))
     """
     sides = value if isinstance(value, tuple | list) else re.split("x", str(value))
@@ -28,25 +34,25 @@ def parse_size(value: object) -> tuple[int, int]:
 
 
 def parse_field_of_view(degrees: float) -> float:
-    """A camera's field of view in degrees; 0, which is not known, stays 0.
+    """Return a camera's field of view in degrees if it is possible; 0 stands for one that is not known.
 
     Raises:
-        ValueError: narrower than a telescope's.
+        ValueError: the field of view is narrower than a telescope's.
     """
     if 0 < degrees < MIN_FOV_DEGREES:
         raise ValueError(f"expected 0 or {MIN_FOV_DEGREES:g} to 150 degrees")
     return float(degrees)
 
 
-def size(limits: str) -> Option:
-    """The option --size of files that fits make; `limits` say how large they may be."""
+def size_option(limits: str) -> Option:
+    """Return the option --size of the files that fits write; `limits` say how large these may be."""
     return Option(f"Rows x columns of files: {limits}.", "HxW|N", panel=OUTPUT, parse=parse_size)
 
 
-def fov(default: str) -> Option:
-    """The option --fov of photos that fits read; `default` says the meaning of 0."""
-    about = f"Field of view, shorter side; default: {default}."
-    return Option(about, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=parse_field_of_view)
+def fov_option(default: str) -> Option:
+    """Return the option --fov of the photos that fits read; `default` says what holds where it is not given."""
+    help_text = f"Field of view, shorter side; default: {default}."
+    return Option(help_text, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=parse_field_of_view)
 
 
 LayerOption = Annotated[
@@ -56,25 +62,26 @@ LayerOption = Annotated[
 
 @dataclass(frozen=True)
 class PictureOptions(AppOptions):
-    """The option of applications that read pictures."""
+    """The options of applications that read pictures: the layer of files that hold several."""
 
     layer: LayerOption = ""
 
 
 @dataclass(frozen=True)
 class CameraOptions(PictureOptions):
-    """The option of applications that read photos of a known camera."""
+    """The options of applications that read photos of a known camera: its field of view, too."""
 
-    fov: Annotated[float, fov("EXIF's, else 45")] = 0.0
+    fov: Annotated[float, fov_option("EXIF's, else 45")] = 0.0
 
+    @override
     def reader_keywords(self) -> dict[str, Any]:
-        """Readers take the field of view in rad."""
+        """Add the field of view in rad, if it is given."""
         return super().reader_keywords() | ({"fov_rad": math.radians(self.fov)} if self.fov else {})
 
 
 @dataclass(frozen=True)
 class ReliefOptions(AppOptions):
-    """The option of applications whose fits are normals."""
+    """The options of applications whose fits have normals: the relief of the normals in files."""
 
     relief: Annotated[
         float,
@@ -87,16 +94,19 @@ class ReliefOptions(AppOptions):
         ),
     ] = 1.0
 
+    @override
     def recorded_values(self) -> dict[str, object]:
-        """With the factor, by which later exports and pages show the fit, too."""
+        """Add the factor of slopes, by which later exports and pages show the fit, too."""
         return super().recorded_values() | ({"relief": self.relief} if self.relief != 1 else {})
 
 
 @dataclass(frozen=True)
 class FlashOptions(ReliefOptions, CameraOptions):
-    """Size and relief of maps, camera and exposure of flash photos."""
+    """The options of fits of flash photos: size and relief of maps, camera and exposure of photos."""
 
-    size: Annotated[tuple[int, int] | None, size("square maps up to 4096; default: the photo's, up to 2048")] = None
+    size: Annotated[tuple[int, int] | None, size_option("square maps up to 4096; default: the photo's, up to 2048")] = (
+        None
+    )
 
     stops: Annotated[
         float,

@@ -1,4 +1,4 @@
-"""Recipes that follow from others: smaller ones, and those of both protocols."""
+"""The table of recipes of an application with two protocols: fits of the thing itself, and of one photograph of it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from metapp.learning.recipe import Recipe, paper_recipe
 def recipes_by_protocol(
     quick: Recipe, photo: Recipe, *, full: Mapping[str, App], paper: Mapping[str, App]
 ) -> dict[str, dict[str, Recipe]]:
-    """Return the recipes of an application whose fits see the thing itself or one photograph of it, by protocol.
+    """Return the recipes "paper", "quick" and "full" of an application, by protocol: "reference" and "photo".
 
     Args:
-        quick: of fits that see the thing itself.
-        photo: of fits of photographs, of the same size.
-        full, paper: the application at the size that people use and at the paper's, by "reference" and "photo".
+        quick: the recipe "quick" of fits that see the thing itself.
+        photo: the recipe "quick" of fits that see one photograph, of equal size.
+        full, paper: the application at the size that people use, and at the paper's, by protocol.
     """
     published = paper_recipe(quick, paper["reference"])
-    of_photos = replace(
+    photo_paper = replace(
         published, app=paper["photo"], overfit=photo.overfit, finetune=photo.finetune, quickft=photo.quickft
     )
     return {
         "reference": {"paper": published, "quick": quick, "full": replace(quick, app=full["reference"])},
-        "photo": {"paper": of_photos, "quick": photo, "full": replace(photo, app=full["photo"])},
+        "photo": {"paper": photo_paper, "quick": photo, "full": replace(photo, app=full["photo"])},
     }

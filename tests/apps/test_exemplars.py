@@ -101,14 +101,14 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
     alone = {key: value[1:] for key, value in theta.items()}
     assert warnings_of(app, alone, both.select([1]))[0][0] == clause
     copies = app.octaves.take_exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
-    monkeypatch.setattr(type(app.statistics), "look", lambda *_: copies)
+    monkeypatch.setattr(type(app.statistics), "render_answer", lambda *_: copies)
     assert not any("regular structure" in other for clauses in warnings_of(app, theta, both) for other in clauses)
     quick = app_of(app.name, recipes_of(app.name)["quick"])
     assert warnings_of(quick, {}, both) == [[], []]
 
 
 def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
-    theta, shape = app.init(Generator().manual_seed(0), 3), (3, 1, 3, *app.octaves.size())
+    theta, shape = app.init(Generator().manual_seed(0), 3), (3, 1, 3, *app.octaves.octave_size())
     varied = torch.rand(shape, generator=Generator().manual_seed(1))
     for made, said in (
         (torch.zeros(shape), "the fit is black, and its input is not"),
@@ -116,7 +116,7 @@ def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, mon
         (0.02 * varied, ""),
         (varied, ""),
     ):
-        monkeypatch.setattr(type(app.statistics), "look", lambda *_, made=made: made)
+        monkeypatch.setattr(type(app.statistics), "render_answer", lambda *_, made=made: made)
         for clauses in warnings_of(app, theta, tasks):
             assert any(clause.startswith("the fit is") for clause in clauses) == bool(said)
             assert any(clause.startswith(said) for clause in clauses) or not said
@@ -143,12 +143,12 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
 @TEXTURE
 def test_lines_are_those_of_a_texture_as_large_as_files_are_quilted_for(app: ExemplarApp, tasks: Tasks) -> None:
     theta = app.init(Generator().manual_seed(0), 3)
-    made = torch.zeros(3, 3, *app.octaves.size())
+    made = torch.zeros(3, 3, *app.octaves.octave_size())
     assert shown(app).pictures_for_lines(theta, made).shape == (3, 3, 2 * app.octaves.height, 2 * app.octaves.width)
 
 
 def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
-    images = torch.rand(2, 3, *app.octaves.size(), generator=Generator().manual_seed(0))
+    images = torch.rand(2, 3, *app.octaves.octave_size(), generator=Generator().manual_seed(0))
     whole, cropped = (
         app.statistics.compute_features(images, 0),
         app.statistics.compute_features(images, 0, lambda some: some[..., : some.shape[-2] // 2, :]),
@@ -163,24 +163,24 @@ def test_softness_counts_at_the_finest_octave_by_exemplar(app: ExemplarApp, task
     """0 of the exemplar itself; weighted, about ln 2 of one whose detail is half as strong."""
     exemplars = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)
     batch = app.sample(tasks, Generator().manual_seed(0), 1)
-    torch.testing.assert_close(app.statistics.softness(exemplars[:, None], batch), torch.zeros(3))
+    torch.testing.assert_close(app.statistics.softness_loss(exemplars[:, None], batch), torch.zeros(3))
     half = 0.5 + (exemplars - 0.5) / 2
     ratio = (detail_statistics(exemplars) + NOISE_DISPLAY_VALUE) / (
         detail_statistics(exemplars) / 2 + NOISE_DISPLAY_VALUE
     )
     torch.testing.assert_close(
-        app.statistics.softness(half[:, None], batch), SOFTNESS_WEIGHT * ratio.log().mean((1, 2))
+        app.statistics.softness_loss(half[:, None], batch), SOFTNESS_WEIGHT * ratio.log().mean((1, 2))
     )
     mixed = torch.stack([exemplars[0], half[1], exemplars[2]])[:, None]
-    assert (app.statistics.softness(mixed, batch) > 0.05).tolist() == [False, True, False]
+    assert (app.statistics.softness_loss(mixed, batch) > 0.05).tolist() == [False, True, False]
     coarse = app.sample(app.stage(tasks, 0.0), Generator().manual_seed(0), 1)
-    assert app.statistics.softness(half[:, None], coarse).tolist() == [0, 0, 0]
+    assert app.statistics.softness_loss(half[:, None], coarse).tolist() == [0, 0, 0]
 
 
 def test_coarse_stages_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:
     coarse = app.stage(tasks, SHARE - 0.01).data
     assert app.stage(tasks, SHARE) is tasks
-    for name in app.statistics.names:
+    for name in app.statistics.statistic_names:
         assert sorted(key for key in coarse if key.startswith(name)) == [f"{name}{i}" for i in range(3)]
         assert sorted(key for key in tasks.data if key.startswith(name)) == [f"{name}{i}" for i in range(5)]
     assert (app.octaves.find_octave(coarse), app.octaves.find_octave(tasks.data)) == (1, 0)
@@ -228,7 +228,7 @@ def test_relief_keeps_its_slopes(app: Any) -> None:
     silent = theta | {key: torch.zeros_like(theta[key]) for key in ("out0.kernel", "out0.shift")}
     noise = torch.randn(1, 1, 8, 64, 64, generator=rng)
     small = avg_pool2d(noise[0], 2)[None] * 2
-    height, low = app.maps(silent, noise)[1], app.maps(silent, small, 1)[1]
+    height, low = app.generate_maps(silent, noise)[1], app.generate_maps(silent, small, 1)[1]
     torch.testing.assert_close(height[0], 2 * enlarge_periodic(low[0]))
 
 

@@ -182,7 +182,7 @@ def test_the_light_is_where_the_highlight_is(sources: list[Task], tasks: Tasks) 
 def test_maps_stay_in_their_ranges(scale: float) -> None:
     app, theta = TINY, TINY.init(seeded(), 2)
     theta["out.kernel"] = scale * theta["out.kernel"]
-    maps, height = app.maps(theta, draw_noise(app, seeded(), 2, 3))
+    maps, height = app.generate_maps(theta, draw_noise(app, seeded(), 2, 3))
     leading = (2, 3)
     assert [tuple(each.shape) for each in (*maps, height)] == [
         (*leading, channels, SIZE, SIZE) for channels in (3, 1, 1, 3, 1)
@@ -277,7 +277,7 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
 def test_references_under_other_lights_are_compared(sources: list[Task]) -> None:
     app = TINY
     theta = flat(app, 0.5, -0.5, 0.0, 0.5, -1.0, 0.0)
-    (maps, _), place = app.maps(theta, draw_noise(app, seeded(), 1, 1)), camera_position()
+    (maps, _), place = app.generate_maps(theta, draw_noise(app, seeded(), 1, 1)), camera_position()
     whole = Maps(*(part[0] for part in maps))
 
     def as_bytes(light: Tensor, view: Tensor) -> Tensor:
@@ -299,7 +299,7 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
     app = TINY
     theta = app.init(seeded(), 1)
     noise = draw_noise(app, seeded(), 1, 1)
-    own = map_statistics(app.maps(theta, noise)[0])[0]
+    own = map_statistics(app.generate_maps(theta, noise)[0])[0]
     image = sources[0].data["image"]
 
     def loss_of(truth: Tensor) -> Tensor:
@@ -335,7 +335,7 @@ def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
 def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
     truth = torch.arange(36.0).view(3, 2, 6) / 36
     tasks = stack_tasks(TINY, [Task("known", {"image": sources[0].data["image"], "truth": truth})])
-    found = TINY.carried(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
+    found = TINY.permute_data(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
     torch.testing.assert_close(found, truth[..., [2, 0, 1, 3, 4, 5]])
     assert TINY.augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
     # photographs without it go beside those with it
@@ -389,7 +389,7 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: 
     predicted = flat(KEPT, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
     theta = KEPT.encode(encoder, KEPT.condition(tasks, seeded()))
-    maps, _ = KEPT.maps(theta, draw_noise(KEPT, seeded(), 1, 1).expand(2, -1, -1, -1, -1))
+    maps, _ = KEPT.generate_maps(theta, draw_noise(KEPT, seeded(), 1, 1).expand(2, -1, -1, -1, -1))
     polished, cloth = maps.roughness.mean((1, 2, 3, 4)).tolist()
     assert polished == pytest.approx(0.25, rel=0.2)
     assert cloth == pytest.approx(0.1 + 0.9 * float(torch.sigmoid(torch.tensor(-1.5))))

@@ -19,7 +19,9 @@ from metapp.rendering.variant import (
 )
 from tests.needs_mitsuba import needs_mitsuba
 
-SYSTEM = sorted(path for folder in mitsuba_variant._SYSTEM_FOLDERS for path in Path("/").glob(f"{folder[1:]}/libLLVM[-.]*"))
+SYSTEM = sorted(
+    path for folder in mitsuba_variant._SYSTEM_FOLDERS for path in Path("/").glob(f"{folder[1:]}/libLLVM[-.]*")
+)
 
 
 @pytest.fixture

@@ -1,4 +1,7 @@
-"""What is known of exemplars, and how far pictures are from it."""
+"""The statistics by which exemplars are described, and the distance of pictures from them.
+
+Applications extend :class:`Statistics`; nothing here knows of networks, noise or steps.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from metapp.appearance.features import detail_difference, detail_statistics, mom
 from metapp.apps.exemplar.octaves import Crop, Octaves
 from metapp.learning.task import Batch, Tasks
 
-SOFTNESS_WEIGHT = 0.2  # weight in the loss of how far the finest detail is from the exemplar's
+SOFTNESS_WEIGHT = 0.2  # weight in the loss of the difference of the finest detail from the exemplar's
 
 
 @dataclass(frozen=True)
@@ -21,52 +24,52 @@ class Statistics(ABC):
 
     Attributes:
         octaves: the sizes of pictures, and the features of each.
-        names: of what is known of each map of features: `gram0`, `gram1`, ... by "gram".
-        reduced: whether fits see features in reduced precision.
+        statistic_names: the names of what describes a map of features: "gram" for `gram0`, `gram1` and so on.
+        reduced_precision: whether fits compute features in reduced precision.
     """
 
     octaves: Octaves
-    names: ClassVar[tuple[str, ...]] = ("gram",)
-    reduced: ClassVar[bool] = False
+    statistic_names: ClassVar[tuple[str, ...]] = ("gram",)
+    reduced_precision: ClassVar[bool] = False
 
     @abstractmethod
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """Return all that fitting and encoding need of exemplars of the size of an octave, without layouts.
+        """Compute all that fits and General's encoder need of exemplars, except layouts.
 
         Args:
-            exemplars: [B, 3, h, w], sRGB in [0, 1].
-            octave: 0 for the whole size.
+            exemplars: pictures [B, 3, h, w] of the size of an octave, sRGB in [0, 1].
+            octave: the octave, 0 for the whole size.
 
         Returns:
-            The statistics `names` of each map, such as `gram0`, and `summary` [B, S].
+            The statistics of each map of features, such as `gram0`, named by `statistic_names`; `summary` [B, S].
         """
 
     def summarise(self, maps: list[Tensor], octave: int) -> Tensor:
-        """Return the encoder's input [B, S] from maps of an octave and coarser ones: means, root mean squares."""
-        return moments(self.octaves.fill(maps, octave))
+        """Return the encoder's input [B, S]: means and root mean squares of features of an octave and coarser ones."""
+        return moments(self.octaves.repeat_finest(maps, octave))
 
     @property
     def summary_size(self) -> int:
-        """S, the length of the encoder's input."""
-        return 2 * self.octaves.channels
+        """The length of the encoder's input, S."""
+        return 2 * self.octaves.feature_channels
 
     def compute_features(self, pictures: Tensor, octave: int, crop: Crop | None = None) -> list[Tensor]:
         """Compute features [B, C, H', W'] of pictures [B, 3, H, W] of an octave's size, in the precision of fits."""
-        return self.octaves.compute_features(pictures, octave, crop=crop, reduced=self.reduced)
+        return self.octaves.compute_features(pictures, octave, crop=crop, reduced=self.reduced_precision)
 
-    def look(self, answer: Any, described: Batch) -> Tensor:
-        """Return the pictures [T, B, 3, H, W] of an answer, as `errors` takes it, under the light of its exemplars."""
+    def render_answer(self, answer: Any, described: Batch) -> Tensor:
+        """Render what `errors` takes under the light of the exemplars described: pictures [T, B, 3, H, W]."""
         pictures: Tensor = answer
         return pictures
 
-    def evenly_lit(self, pictures: Tensor, described: Batch) -> Tensor:
-        """Return pictures [B, 3, H, W] as if their exemplars' light were the same everywhere; here as they are."""
+    def even_light(self, pictures: Tensor, described: Batch) -> Tensor:
+        """Remove the shading of the exemplars' light from pictures [B, 3, H, W]; here there is none."""
         return pictures
 
-    def softness(self, pictures: Tensor, batch: Batch) -> Tensor:
-        """Return part of a loss [T]: how far the detail of pictures [T, B, 3, H, W] is from the exemplars'.
+    def softness_loss(self, pictures: Tensor, batch: Batch) -> Tensor:
+        """Return the part of a loss, [T], that keeps the detail of pictures [T, B, 3, H, W] as fine as the exemplars'.
 
-        It is 0 of pictures of coarser octaves, and if the batch has no `detail_statistics`, as for networks that read no layout.
+        It is 0 for pictures of coarser octaves, and without `detail` in the batch, as for networks that read no layout.
         """
         if "detail" not in batch or self.octaves.find_octave(batch):
             return pictures.new_zeros(len(pictures))
@@ -74,4 +77,4 @@ class Statistics(ABC):
 
     @abstractmethod
     def errors(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
-        """Return measures [T] of how far pictures or maps [T, B, ...] are from the exemplars."""
+        """Return error measures [T], by name, of pictures or maps [T, B, ...] against the exemplars of tasks."""

@@ -11,7 +11,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from metapp.appearance.features import load_features, tap_channels
 
-Crop = Callable[[Tensor], Tensor]
+Crop = Callable[[Tensor], Tensor]  # takes a part of pictures [B, 3, H, W]
 Item = TypeVar("Item")
 
 
@@ -19,21 +19,20 @@ Item = TypeVar("Item")
 class Octaves:
     """The sizes at which pictures are compared with an exemplar, each half of the one before (Snelgrove 2017).
 
-    An octave is counted from 0, the finest. What describes several is in order from the coarsest to the finest, one
-    item for each map of features: each finer octave leaves out the deepest layer of the one below, so that deep layers
-    see large structures at little cost.
+    Octaves are counted from 0, the finest. Lists of feature maps go from the coarsest octave to the finest. Each finer
+    octave leaves out the deepest layer of the one below, so that deep layers see large structures at little cost.
 
     Attributes:
-        height, width: texels of the exemplar and of generated pictures in training.
-        taps: the layers of VGG-16 whose statistics are compared, at the coarsest octave all of them.
+        height, width: the size of exemplars, and of pictures that are compared with them, in texels.
+        taps: the layers of VGG-16 whose statistics are compared; the coarsest octave has all of them.
         count: the number of octaves.
-        shares: of its steps up to which a descent sees the coarsest octave alone, the two coarsest, and so on; () if
-            it sees all from the beginning. A `Pyramid` makes small pictures, too.
-        finer: octaves by which exemplars are finer than those of training; layouts, which hold the
-            structures that are larger in texels then, stay as they are.
+        shares: the shares of a descent's steps up to which it sees the coarsest octave alone, the two coarsest, and so
+            on; () if it sees all from the beginning. A `Pyramid` makes pictures of coarser octaves, too.
+        finer: the number of octaves by which exemplars are finer than in training. Layouts stay as coarse as they are,
+            since structures are larger in texels then.
 
     >>> octaves = Octaves(64, 96, ("relu1_1", "relu2_1", "relu3_1"), count=2)
-    >>> octaves.size(1), octaves.count_maps(1), octaves.count_maps(0)
+    >>> octaves.octave_size(1), octaves.count_maps(1), octaves.count_maps(0)
     ((32, 48), 3, 5)
     """
 
@@ -44,65 +43,69 @@ class Octaves:
     shares: tuple[float, ...] = ()
     finer: int = 0
 
-    def size(self, octave: int = 0) -> tuple[int, int]:
-        """Return height and width of the pictures of an octave in texels."""
+    def octave_size(self, octave: int = 0) -> tuple[int, int]:
+        """Return the height and width, in texels, of pictures of an octave."""
         return self.height >> octave, self.width >> octave
 
     @property
     def layout_size(self) -> tuple[int, int]:
-        """Height and width of layouts: twice those of the coarsest pictures in training, if there are finer ones."""
-        return self.size(max(0, self.count - 2) + self.finer)
+        """The height and width of layouts in texels: twice the coarsest octave of training, if it has finer ones."""
+        return self.octave_size(max(0, self.count - 2) + self.finer)
 
     def layout_ratio(self, octave: int = 0) -> float:
-        """Return the ratio of the sides of an octave's pictures to those of their layouts."""
-        return self.size(octave)[0] / self.layout_size[0]
+        """Return the ratio of the sides of pictures of an octave to the sides of their layouts."""
+        return self.octave_size(octave)[0] / self.layout_size[0]
 
     def count_maps(self, octave: int) -> int:
-        """Count the maps of features from an octave to the coarsest."""
-        return sum(map(self._taps_of, range(octave, self.count)))
+        """Count the feature maps of an octave and all coarser ones."""
+        return sum(map(self._count_taps, range(octave, self.count)))
 
     def find_octave(self, data: Mapping[str, Tensor]) -> int:
-        """Return the finest octave that data describe, which hold `gram0`, `gram1` ..., one a map of features."""
+        """Return the finest octave that data describe, which hold `gram0`, `gram1` and so on for its feature maps."""
         counts = [self.count_maps(octave) for octave in range(self.count)]
         return counts.index(sum(key.startswith("gram") for key in data))
 
     def compute_features(
         self, images: Tensor, octave: int = 0, *, crop: Crop | None = None, reduced: bool = False
     ) -> list[Tensor]:
-        """Compute features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, in it and all coarser ones.
+        """Compute the feature maps [B, C, H', W'] of images at an octave and at all coarser ones, the coarsest first.
 
         Args:
-            images: sRGB in [0, 1].
-            octave: 0 for the whole size.
-            crop: takes the part of images whose features of the finest octave, which take the longest, are computed.
-            reduced: in reduced precision where a descent needs them (`metapp.appearance.features.FeatureExtractor`).
+            images: pictures [B, 3, H, W] of the size of the octave, sRGB in [0, 1].
+            octave: the octave, 0 for the whole size.
+            crop: takes a part of images; octave 0, whose features take the longest, is computed of that part alone.
+            reduced: whether precision is reduced where a descent needs features; see
+                :class:`metapp.appearance.features.FeatureExtractor`.
         """
         features, maps = load_features(self.taps, images), []
         for coarser in reversed(range(octave, self.count)):
-            times = 2 ** (coarser - octave)
-            some = avg_pool2d(images, times) if times > 1 else images
-            some = crop(some) if crop and coarser == 0 else some
-            maps += features(some, self._taps_of(coarser), reduced=reduced)
+            factor = 2 ** (coarser - octave)
+            octave_images = avg_pool2d(images, factor) if factor > 1 else images
+            octave_images = crop(octave_images) if crop and coarser == 0 else octave_images
+            maps += features(octave_images, self._count_taps(coarser), reduced=reduced)
         return maps
 
-    def fill(self, maps: list[Item], octave: int) -> list[Item]:
-        """Return as many maps as of octave 0 from those of an octave: the finest one stands for all that are finer."""
-        finest = maps[self.count_maps(octave + 1) :]
-        return maps + [each for finer in reversed(range(octave)) for each in finest[: self._taps_of(finer)]]
+    def repeat_finest(self, maps: list[Item], octave: int) -> list[Item]:
+        """Complete a list of items, one for each feature map of an octave and coarser ones, to one of octave 0.
+
+        Items of the finest octave stand for all finer ones.
+        """
+        finest_maps = maps[self.count_maps(octave + 1) :]
+        return maps + [item for finer in reversed(range(octave)) for item in finest_maps[: self._count_taps(finer)]]
 
     @property
-    def channels(self) -> int:
-        """The number of channels of all maps of features."""
+    def feature_channels(self) -> int:
+        """The number of channels of all feature maps together."""
         channels = tap_channels(self.taps)
-        return sum(sum(channels[: self._taps_of(octave)]) for octave in range(self.count))
+        return sum(sum(channels[: self._count_taps(octave)]) for octave in range(self.count))
 
     def take_exemplar(self, images: Tensor, octave: int = 0) -> Tensor:
-        """Take the part of square images [B, 3, S, S] of these proportions, and resample it to an octave's size."""
+        """Crop square images [B, 3, S, S] to the proportions of exemplars, and resample them to an octave's size."""
         rows = round(images.shape[-1] * self.height / self.width)
         top = (images.shape[-2] - rows) // 2
-        size, part = self.size(octave), images[..., top : top + rows, :]
+        size, part = self.octave_size(octave), images[..., top : top + rows, :]
         return interpolate(part, size=size, mode="area" if part.shape[-2] >= size[0] else "bilinear")
 
-    def _taps_of(self, octave: int) -> int:
-        """Return the number of layers that are compared at an octave."""
+    def _count_taps(self, octave: int) -> int:
+        """Count the layers that are compared at an octave."""
         return len(self.taps) - (self.count - 1 - octave)

@@ -1,19 +1,21 @@
-"""Options of applications that fit a texture to an exemplar."""
+"""Options of applications that generate pictures with the statistics of an exemplar."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from metapp.networks.picture_options import PictureOptions, size
+from typing_extensions import override
+
+from metapp.networks.picture_options import PictureOptions, size_option
 from metapp.options import FIT, Option
 
 
 @dataclass(frozen=True)
 class ExemplarOptions(PictureOptions):
-    """The options of applications that fit a texture to an exemplar."""
+    """Size and resolution of the pictures that are generated, and of the exemplar."""
 
-    size: Annotated[tuple[int, int] | None, size("textures and maps up to 4096x4096")] = None
+    size: Annotated[tuple[int, int] | None, size_option("textures and maps up to 4096x4096")] = None
     detail: Annotated[
         int,
         Option(
@@ -24,8 +26,9 @@ class ExemplarOptions(PictureOptions):
         ),
     ] = 0
 
+    @override
     def adapt_recipe(self, recipe: Any) -> Any:
-        """Return the recipe for exemplars of `detail` px a side."""
+        """Return the recipe for exemplars of `detail` px a side, if that is given."""
         from metapp.apps.exemplar.app import set_detail
 
         return set_detail(recipe, self.detail) if self.detail else recipe

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from typing_extensions import override
 
-from metapp.networks.picture_options import CameraOptions, fov, size
+from metapp.networks.picture_options import CameraOptions, fov_option, size_option
 from metapp.options import INPUT, Option
 
 
@@ -15,8 +15,8 @@ from metapp.options import INPUT, Option
 class IlluminationOptions(CameraOptions):
     """The options of illumination: size of the map, camera, and shutter times of photos of a mirror ball."""
 
-    size: Annotated[tuple[int, int] | None, size("of the map, up to 1024x2048")] = None
-    fov: Annotated[float, fov("EXIF's, else a distant camera")] = 0.0
+    size: Annotated[tuple[int, int] | None, size_option("of the map, up to 1024x2048")] = None
+    fov: Annotated[float, fov_option("EXIF's, else a distant camera")] = 0.0
     shutter: Annotated[
         str,
         Option(

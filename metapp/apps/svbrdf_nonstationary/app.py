@@ -34,8 +34,9 @@ RADIANCE_FLOOR = 0.1  # of white: the log of radiance is flat below
 LEVEL_SINE = 0.01  # sine of an angle that hardly shows
 JUDGED_LIGHTS = (6, 6)  # lights that fits are judged under: anywhere above the patch, mirrored in it
 DRAWN_LIGHTS = (1, 2)  # lights that are drawn anew for each outer step: anywhere above the patch, mirrored in it
-FINER, FINEST_SHOT_PX = 2, 256  # augmented materials are photographed so many times as fine as their maps, up to px
-FINEST_PX = 2048  # a side of a user's photograph
+# Augmented materials are photographed FINER times as fine as fits' maps, up to this side.
+FINER, FINEST_SHOT_PX = 2, 256
+FINEST_PX = 2048  # longest side at which a user's photograph is read
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class SvbrdfNonstationary(App):
 
     @property
     def fills(self) -> bool:
-        """True if maps are made up where photographs clip."""
+        """Whether maps are made up where photographs clip."""
         return False
 
     @property
@@ -98,14 +99,14 @@ class SvbrdfNonstationary(App):
         if "maps" not in task.data:
             return prepared
         maps = task.data["maps"].float()
-        fine = min(maps.shape[-1], 2 * self.shot_size)  # twice as large, to have room for crops
-        prepared["fine"] = pool_maps(maps, (fine, fine)).half()
+        fine_side = min(maps.shape[-1], 2 * self.shot_size)  # twice as large, to have room for crops
+        prepared["fine"] = pool_maps(maps, (fine_side, fine_side)).half()
         if "predicted" in task.data:
             prepared["predicted"] = pool_maps(task.data["predicted"].float(), size)
         return prepared | {key: value[0] for key, value in self.describe_maps(pool_maps(maps, size)[None]).items()}
 
     def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
-        """Return maps [T, 10, H, W] as `maps`, for errors, and what fits see of them, by name."""
+        """Return packed maps [T, 10, H, W] as `maps`, for errors, and what fits see of them, by name."""
         return {"maps": maps}
 
     @override
@@ -116,27 +117,32 @@ class SvbrdfNonstationary(App):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Return all that fits see of each task.
 
-        And, if the maps are known, random lights and viewers for outer losses, `pairs` [T, V, 2, 3].
+        Where the maps are known, there are also random lights and viewers for outer losses, `pairs` [T, V, 2, 3].
         """
-        drawn = {"pairs": draw_pairs(DRAWN_LIGHTS, rng, len(tasks))} if "maps" in tasks.data else {}
+        pairs = {"pairs": draw_pairs(DRAWN_LIGHTS, rng, len(tasks))} if "maps" in tasks.data else {}
         visible = {key: value for key, value in tasks.data.items() if key not in ("fine", "predicted")}
-        return {key: value[tasks.rows] for key, value in visible.items()} | drawn
+        return {key: value[tasks.rows] for key, value in visible.items()} | pairs
 
     @abstractmethod
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """Return the fitted maps [T, C, h, w] at the size of linear photographs [T, 3, h, w], as losses see them."""
 
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
-        """Return the maps of `maps_of` where photographs [T, 3, h, w] may be too large for one pass."""
+        """Return the maps of :meth:`maps_of`, for photographs [T, 3, h, w] that may be too large for one pass."""
         return self.maps_of(theta, photo)
 
     def fill(self, maps: Maps, photo: Tensor) -> Maps:
-        """Return maps [T, C, h, w] with what linear photographs [T, 3, h, w] do not show made up; here all is seen."""
+        """Fill maps [T, C, h, w] where linear photographs [T, 3, h, w] show no material; here maps stay as they are."""
         return maps
 
     def final_maps(self, theta: Params, photo: Tensor) -> Maps:
         """Return the fitted maps [T, C, h, w] of linear photographs [T, 3, h, w], filled where these clip."""
         return self.fill(self.maps_of(theta, photo), photo)
+
+    def radiance_difference(self, maps: Maps, target: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:
+        """Return the mean absolute difference of :meth:`log_radiance` of two sets of maps, [T]."""
+        logs, references = (self.log_radiance(material, pairs, place) for material in (maps, target))
+        return (logs - references).abs().mean((1, 2, 3, 4))
 
     @abstractmethod
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
@@ -146,15 +152,15 @@ class SvbrdfNonstationary(App):
         """Return log(radiance + RADIANCE_FLOOR), [T, V, 3, H, W], of maps [T, C, H, W].
 
         Args:
-            maps: of all of the patch, or of the part of it that `place` says.
-            pairs: places of light and viewer in half sides of the patch, [T or 1, V, 2, 3].
-            place: the positions of the texels, [T, 2, H, W].
+            maps: maps of all of the patch, or of the part of it that `place` says.
+            pairs: positions of light and viewer in half sides of the patch, [T or 1, V, 2, 3].
+            place: the positions of the texels, [T, 2, H, W]; None if the maps are of all of the patch.
         """
         if place is None:
             place = texel_positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)[None]
         place = place[:, None]
-        spread = Maps(*(part[:, None] for part in maps))
-        return (render_maps(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + RADIANCE_FLOOR).log()
+        maps_by_pair = Maps(*(part[:, None] for part in maps))
+        return (render_maps(maps_by_pair, place, pairs[:, :, 0], pairs[:, :, 1]) + RADIANCE_FLOOR).log()
 
     @override
     @torch.no_grad()
@@ -172,21 +178,21 @@ class SvbrdfNonstationary(App):
         if "maps" not in tasks.data:
             return {}
         maps, target = answer, unpack_maps(tasks.data["maps"][tasks.rows])
-        logs, references = self.judged(maps), self.judged(target)
+        logs, references = self.judged_radiance(maps), self.judged_radiance(target)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
-        parts = dict(zip(("diffuse", "specular", "roughness"), map_differences(maps, target), strict=False))
-        steepness = [map_statistics(each)[:, 0, -1] + LEVEL_SINE for each in (maps, target)]
+        differences = dict(zip(("diffuse", "specular", "roughness"), map_differences(maps, target), strict=False))
+        steepness = [map_statistics(material)[:, 0, -1] + LEVEL_SINE for material in (maps, target)]
         photo = tasks.data["photo"][tasks.rows]
         return {
             "error": (logs - references).abs().mean((1, 2, 3, 4)),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steepness[0] / steepness[1],
-            "blots": blots(parts["diffuse"], photo),
-            **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
+            "blots": blots(differences["diffuse"], photo),
+            **{name: difference.abs().mean((1, 2, 3)) for name, difference in differences.items()},
         }
 
-    def judged(self, maps: Maps) -> Tensor:
-        """Return the logs of the radiance of maps [T, ...] under the lights that errors are of, [T, V, 3, H, W]."""
+    def judged_radiance(self, maps: Maps) -> Tensor:
+        """Return log radiance [T, V, 3, H, W] of maps [T, C, H, W] under the lights that fits are judged under."""
         return self.log_radiance(maps, fixed_pairs(JUDGED_LIGHTS).to(maps.diffuse)[None])
 
 

@@ -43,10 +43,10 @@ from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, smooth_absolute
 from metapp.networks.field import LocalField, evaluate_by_rows
 
-MAPS_WEIGHT, PHOTO_WEIGHT = 0.3, 0.3  # of the outer loss, beside 1 for pictures under other lights
-STEEPNESS_WEIGHT = 0.2  # of the outer loss, of how steep normals are, which a photo hardly shows
-BLOTS_WEIGHT = 0.3  # of the outer loss, of diffuse colours where the photo clips
-STEEPNESS_CELLS = 8  # cells a side, in each of which normals are as steep on average as they should be
+MAPS_WEIGHT, PHOTO_WEIGHT = 0.3, 0.3  # weights in the outer loss, beside 1 for pictures under other lights
+STEEPNESS_WEIGHT = 0.2  # weight in the outer loss of the mean steepness of normals, which a photo hardly shows
+BLOTS_WEIGHT = 0.3  # weight in the outer loss of diffuse colours where the photo clips
+STEEPNESS_CELLS = 8  # cells a side, in each of which the mean steepness of normals counts
 RIG_LIGHTS = (2, 3)  # lights that fits of the maps see the material under: anywhere above the patch, mirrored in it
 SMOOTHING = 0.03  # initial learned rounding of |d| in losses
 
@@ -58,7 +58,7 @@ def field_of(side: int, hidden: int) -> LocalField:
         side,
         inputs=PIXEL_INPUTS,
         outputs=sum(CHANNELS),
-        rows=side,  # a cell for each texel, so that a step moves each by itself
+        rows=side,  # a cell for each texel, so that a step moves texels independently
         columns=side,
         code=12,
         hidden=hidden,
@@ -74,9 +74,9 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
     """Maps that a field makes of the photograph and of the code at each place.
 
     Attributes:
-        encoder_width: channels of the encoder's level of 64 texels.
-        encoder_size: side of the photograph that the encoder reads, 0 for the network's.
-        encoder_finer: channels of the encoder's levels above that.
+        encoder_width: the number of channels of the encoder's level of 64 texels.
+        encoder_size: the side of the photograph that the encoder reads; 0 for the side of the network's maps.
+        encoder_finer: the numbers of channels of the encoder's levels above 64 texels, the coarsest first.
     """
 
     encoder_width: int = 16
@@ -101,12 +101,12 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
     @override
     def fine_maps(self, theta: Params, photo: Tensor) -> Maps:
         """Make the maps by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB."""
-        field = self.network._replace(height=photo.shape[-2], width=photo.shape[-1])
-        parts = [self.maps_from(rows) for rows in evaluate_by_rows(field, theta, pixel_inputs(photo))]
-        return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
+        field_of_photo = self.network._replace(height=photo.shape[-2], width=photo.shape[-1])
+        strips = [self.maps_from(rows) for rows in evaluate_by_rows(field_of_photo, theta, pixel_inputs(photo))]
+        return Maps(*(torch.cat(strip_maps, -2) for strip_maps in zip(*strips, strict=True)))
 
     def maps_from(self, raw: Tensor) -> Maps:
-        """Return the maps [T, C, h, w] of outputs of fields [T, sum(RAW), h, w]."""
+        """Return the maps [T, C, h, w] that outputs of fields, [T, sum(CHANNELS), h, w], stand for."""
         return decode_maps(raw)
 
     @override
@@ -118,22 +118,23 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Return the difference of the maps and of their radiance under any light, whatever fits see, [T].
 
-        How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
+        The mean steepness of normals counts, too: the normals with the least mean difference from all that a photo
+        allows are flat.
         """
         maps, target = self.maps_of(theta, batch["photo"]), unpack_maps(batch["maps"])
-        logs, references = (self.log_radiance(each, batch["pairs"]) for each in (maps, target))
-        pictures = (logs - references).abs().mean((1, 2, 3, 4))
+        pictures = self.radiance_difference(maps, target, batch["pairs"])
         photo = self.photo_difference(theta, maps, batch, {})
-        steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
-        apart = map_differences(maps, target)
-        wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
-        loss = pictures + MAPS_WEIGHT * wanted + PHOTO_WEIGHT * photo + STEEPNESS_WEIGHT * steep
-        return loss + BLOTS_WEIGHT * blots(apart[0], batch["photo"])
+        steepness_difference = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
+        differences = map_differences(maps, target)
+        # roughness and normals count twice, as photos say less of them
+        map_loss = _map_loss(differences, {}) + _map_loss(differences[2:], {})
+        loss = pictures + MAPS_WEIGHT * map_loss + PHOTO_WEIGHT * photo + STEEPNESS_WEIGHT * steepness_difference
+        return loss + BLOTS_WEIGHT * blots(differences[0], batch["photo"])
 
     def photo_difference(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
         """Return the mean difference of the logs of the photograph and of the maps under the fitted flash, [T]."""
-        seen = render_photo(maps, decode_flash(self.network.gain * theta["flash"]), batch.get("place"))
-        return photo_loss(seen, batch["photo"], learned)
+        radiance = render_photo(maps, decode_flash(self.network.gain * theta["flash"]), batch.get("place"))
+        return photo_loss(radiance, batch["photo"], learned)
 
     @override
     def loss_parameters(self, steps: int) -> Params:
@@ -147,7 +148,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
     def read(self, reader: Params, photos: Tensor) -> Params:
         photos = adaptive_avg_pool2d(photos, self.encoder_size or photos.shape[-1])
         parameters = self.encoder(reader, photos)
-        return parameters | {"z": parameters["z"] / self.network.gain, "flash": parameters["flash"] / self.network.gain}
+        return parameters | {key: parameters[key] / self.network.gain for key in ("z", "flash")}
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
@@ -175,21 +176,23 @@ class FromMaps(CodedMaps):
 
     @override
     def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
-        """Return `maps`, the lights that fits see, `rig` [T, V, 2, 3], and the logs of radiance under them, `lit`."""
-        rig = fixed_pairs(RIG_LIGHTS).to(maps).expand(len(maps), -1, -1, -1)
-        return {"maps": maps, "rig": rig, "lit": self.log_radiance(unpack_maps(maps), rig)}
+        """Return `maps`, lights and viewers that fits see, `rig` [T, V, 2, 3], and `lit`, log radiance under these."""
+        pairs = fixed_pairs(RIG_LIGHTS).to(maps).expand(len(maps), -1, -1, -1)
+        return {"maps": maps, "rig": pairs, "lit": self.log_radiance(unpack_maps(maps), pairs)}
 
     @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Return the difference of maps and of their pictures under the lights that fits see, [T]."""
+        """Return the difference of maps plus the difference of log radiance under the lights that fits see, [T]."""
         maps = self.maps_of(theta, batch["photo"])
-        pictures = smooth_absolute(self.log_radiance(maps, batch["rig"]) - batch["lit"], learned)
-        return pictures.mean((1, 2, 3, 4)) + _map_loss(map_differences(maps, unpack_maps(batch["maps"])), learned)
+        log_differences = smooth_absolute(self.log_radiance(maps, batch["rig"]) - batch["lit"], learned)
+        return log_differences.mean((1, 2, 3, 4)) + _map_loss(
+            map_differences(maps, unpack_maps(batch["maps"])), learned
+        )
 
 
 @dataclass(frozen=True)
 class FromPhoto(CodedMaps):
-    """Fits that see one photograph alone, whose flash they look for, too (--observe photo)."""
+    """Fits that see one photograph alone, and estimate its flash, too (--observe photo)."""
 
     protocol: str = field(default="photo", kw_only=True)
 
@@ -203,7 +206,7 @@ class FromPhoto(CodedMaps):
     def fill(self, maps: Maps, photo: Tensor) -> Maps:
         """Fill maps [T, C, h, w] where linear photographs [T, 3, h, w] clip; see :func:`fill_clipped`.
 
-        Losses are of maps as fields make them: fits see there that the photograph is at least so bright.
+        Losses see maps before they are filled: a photograph that clips is at least so bright.
         """
         if not self.fills:
             return maps
@@ -215,24 +218,24 @@ class FromPhoto(CodedMaps):
         return self.photo_difference(theta, self.maps_of(theta, batch["photo"]), batch, learned)
 
 
-def photo_loss(seen: Tensor, photos: Tensor, learned: Params) -> Tensor:
-    """Return the mean difference of the logs of radiance and photographs, [T]; of clipped px only darker values count.
+def photo_loss(radiance: Tensor, photos: Tensor, learned: Params) -> Tensor:
+    """Return the mean difference of the logs of radiance and photographs, [T]; where these clip, only if it is darker.
 
     Args:
-        seen: radiance [T, ...].
-        photos: linear photographs, of the same shape.
+        radiance: the radiance of maps, [T, ...].
+        photos: linear photographs of that shape.
         learned: learned parameters of the loss, {} for |d|.
     """
-    short = (photos + RADIANCE_FLOOR).log() - (seen + RADIANCE_FLOOR).log()
-    short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
-    return smooth_absolute(short, learned).mean(tuple(range(1, short.ndim)))
+    log_differences = (photos + RADIANCE_FLOOR).log() - (radiance + RADIANCE_FLOOR).log()
+    log_differences = torch.where(photos > CLIPPED_VALUE, relu(log_differences), log_differences)
+    return smooth_absolute(log_differences, learned).mean(tuple(range(1, log_differences.ndim)))
 
 
-def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:
-    """Return the sum of the mean differences of maps, [T], colours as the eye spaces them."""
-    return torch.stack([smooth_absolute(each, learned).mean((1, 2, 3)) for each in apart]).sum(0)
+def _map_loss(differences: list[Tensor], learned: Params) -> Tensor:
+    """Return the sum of the means of the differences of maps that :func:`map_differences` returns, [T]."""
+    return torch.stack([smooth_absolute(difference, learned).mean((1, 2, 3)) for difference in differences]).sum(0)
 
 
 def _steepness(maps: Maps) -> Tensor:
-    """Return sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, 8, 8]."""
+    """Return the mean sine of the tilt of normals in each cell, plus a little, so that it has a log, [T, 1, 8, 8]."""
     return adaptive_avg_pool2d(tilt_sine(maps.normal), STEEPNESS_CELLS) + 2 * LEVEL_SINE

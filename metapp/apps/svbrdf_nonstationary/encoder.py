@@ -16,11 +16,11 @@ from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, PIXEL_INPUTS, p
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution, apply_dense
 
-LEAKY_SLOPE = 0.1  # of leaky rectifiers below 0
+LEAKY_SLOPE = 0.1  # slope of leaky ReLUs below 0
 BASE_TEXELS = 64  # a side of the level that all others are counted from
 LEVEL_COUNT = 5  # resolutions from BASE_TEXELS down, each half of the one before
 FLASH_CELLS = 4  # cells a side of the coarsest level that the flash is looked for in
-WIDEST_TIMES = 8  # times the finest level's channels, at the coarsest
+WIDEST_TIMES = 8  # the most channels of a level, over the channels of the level of BASE_TEXELS
 
 
 class Encoder(NamedTuple):
@@ -30,39 +30,42 @@ class Encoder(NamedTuple):
     coarser ones. So its weights serve at every resolution up to BASE_TEXELS * 2^len(finer).
 
     Attributes:
-        width: channels of the level of BASE_TEXELS; each level down has twice as many, up to WIDEST_TIMES times.
-        code: length of the code in a pixel.
-        finer: channels of the levels above, the coarsest first.
+        width: the number of channels of the level of BASE_TEXELS; each level down has twice as many, up to WIDEST_TIMES
+            times as many.
+        code: the length of the code in a pixel.
+        finer: the numbers of channels of the levels above, the coarsest first.
     """
 
     width: int
     code: int
     finer: tuple[int, ...] = ()
 
-    def channels(self, level: int) -> int:
-        """Return the number of channels of a level, counted down from that of BASE_TEXELS, which is 0."""
+    def level_channels(self, level: int) -> int:
+        """Return the number of channels of a level; level 0 has BASE_TEXELS a side, each further one half as many."""
         result: int = self.width * min(2**level, WIDEST_TIMES)
         return result
 
     def init(self, rng: Generator) -> Params:
         """Draw random parameters; finer levels add nothing at first."""
         encoder: Params = {}
-        layer, block = (functools.partial(add, encoder, rng) for add in (add_layer, add_block))
-        block("down0", PIXEL_INPUTS, self.channels(0))
+        add_random_layer, add_random_block = (functools.partial(add, encoder, rng) for add in (add_layer, add_block))
+        add_random_block("down0", PIXEL_INPUTS, self.level_channels(0))
         for level in range(1, LEVEL_COUNT):
-            block(f"down{level}", self.channels(level - 1), self.channels(level))
+            add_random_block(f"down{level}", self.level_channels(level - 1), self.level_channels(level))
         for level in reversed(range(LEVEL_COUNT - 1)):
-            block(f"up{level}", self.channels(level + 1) + self.channels(level), self.channels(level))
-        layer("code", self.code, self.channels(0), gain=0.3)
-        layer("flash", FLASH_NUMBERS, self.channels(LEVEL_COUNT - 1) * FLASH_CELLS**2, gain=0.1)
-        below = self.channels(0)
-        for level, (width, above) in enumerate(zip(self.finer, (*self.finer, 0)[1:], strict=True)):
-            block(f"finer{level}.down", PIXEL_INPUTS + above, width)
-            block(f"finer{level}.up", below + width, width)
-            layer(f"finer{level}.code", self.code, width, gain=0.0)
+            add_random_block(
+                f"up{level}", self.level_channels(level + 1) + self.level_channels(level), self.level_channels(level)
+            )
+        add_random_layer("code", self.code, self.level_channels(0), gain=0.3)
+        add_random_layer("flash", FLASH_NUMBERS, self.level_channels(LEVEL_COUNT - 1) * FLASH_CELLS**2, gain=0.1)
+        below = self.level_channels(0)
+        for level, (width, width_above) in enumerate(zip(self.finer, (*self.finer, 0)[1:], strict=True)):
+            add_random_block(f"finer{level}.down", PIXEL_INPUTS + width_above, width)
+            add_random_block(f"finer{level}.up", below + width, width)
+            add_random_layer(f"finer{level}.code", self.code, width, gain=0.0)
             below = width
         if self.finer:
-            layer("finer0.known", PIXEL_INPUTS, self.finer[0], gain=0.0)
+            add_random_layer("finer0.known", PIXEL_INPUTS, self.finer[0], gain=0.0)
         return encoder
 
     def __call__(self, encoder: Params, photos: Tensor) -> Params:
@@ -73,37 +76,37 @@ class Encoder(NamedTuple):
         Returns:
             `z`, the code [T, code, H, H], and `flash`, the numbers that stand for the flash, [T, FLASH_NUMBERS].
         """
-        added, finer = self._finer_down(encoder, photos)
-        base = adaptive_avg_pool2d(photos, min(BASE_TEXELS, photos.shape[-1])) if finer else photos
-        x, skips = pixel_inputs(base).contiguous(memory_format=torch.channels_last), []
-        x = x if added is None else x + added
+        finer_output, finer_features = self._apply_finer(encoder, photos)
+        base_photos = adaptive_avg_pool2d(photos, min(BASE_TEXELS, photos.shape[-1])) if finer_features else photos
+        x, skips = pixel_inputs(base_photos).contiguous(memory_format=torch.channels_last), []
+        x = x if finer_output is None else x + finer_output
         for level in range(LEVEL_COUNT):
-            x = block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
+            x = apply_block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
         flash = apply_dense(encoder, "flash", adaptive_avg_pool2d(x, FLASH_CELLS).flatten(1))
         for level in reversed(range(LEVEL_COUNT - 1)):
-            x = block(encoder, f"up{level}", torch.cat([upsample(x), skips[level]], 1))
+            x = apply_block(encoder, f"up{level}", torch.cat([upsample(x), skips[level]], 1))
         code = apply_pointwise(encoder, "code", x)
-        for level, skip in enumerate(finer):
-            x = block(encoder, f"finer{level}.up", torch.cat([upsample(x), skip], 1))
-            larger = interpolate(code, scale_factor=2, mode="bilinear")
-            code = larger + apply_pointwise(encoder, f"finer{level}.code", x)
+        for level, features in enumerate(finer_features):
+            x = apply_block(encoder, f"finer{level}.up", torch.cat([upsample(x), features], 1))
+            enlarged = interpolate(code, scale_factor=2, mode="bilinear")
+            code = enlarged + apply_pointwise(encoder, f"finer{level}.code", x)
         return {"z": code, "flash": flash}
 
-    def _finer_down(self, encoder: Params, photos: Tensor) -> tuple[Tensor | None, list[Tensor]]:
+    def _apply_finer(self, encoder: Params, photos: Tensor) -> tuple[Tensor | None, list[Tensor]]:
         """Return what the levels above BASE_TEXELS add to that one, and their features, the coarsest first."""
         count = min(len(self.finer), max(0, (photos.shape[-1] // BASE_TEXELS).bit_length() - 1))
         x, features = None, []
         for level in reversed(range(count)):
             size = BASE_TEXELS << (level + 1)
             inputs = pixel_inputs(adaptive_avg_pool2d(photos, size)).contiguous(memory_format=torch.channels_last)
-            if level + 1 < len(self.finer):  # none above: as if these had nothing to tell
-                above = inputs.new_zeros(len(inputs), self.finer[level + 1], size, size)
-                inputs = torch.cat([inputs, above if x is None else avg_pool2d(x, 2)], 1)
-            x = block(encoder, f"finer{level}.down", inputs)
+            if level + 1 < len(self.finer):  # a level that is missing above counts as zeros
+                no_features = inputs.new_zeros(len(inputs), self.finer[level + 1], size, size)
+                inputs = torch.cat([inputs, no_features if x is None else avg_pool2d(x, 2)], 1)
+            x = apply_block(encoder, f"finer{level}.down", inputs)
             features.append(x)
-        added = None if x is None else apply_pointwise(encoder, "finer0.known", avg_pool2d(x, 2))
-        return added, features[::-1]
+        output = None if x is None else apply_pointwise(encoder, "finer0.known", avg_pool2d(x, 2))
+        return output, features[::-1]
 
 
 def upsample(x: Tensor) -> Tensor:
@@ -117,13 +120,13 @@ def apply_pointwise(encoder: Params, name: str, x: Tensor) -> Tensor:
 
 
 def add_block(encoder: Params, rng: Generator, name: str, inputs: int, outputs: int) -> None:
-    """Add the random parameters of a `block` from `inputs` to `outputs` channels."""
+    """Add the random parameters of :func:`apply_block` from `inputs` to `outputs` channels."""
     add_layer(encoder, rng, f"{name}.first", outputs, inputs, 3, 3)
     add_layer(encoder, rng, f"{name}.second", outputs, outputs, 3, 3, gain=0.7)
     add_layer(encoder, rng, f"{name}.mean", outputs, outputs, gain=0.5)
 
 
-def block(encoder: Params, name: str, x: Tensor) -> Tensor:
+def apply_block(encoder: Params, name: str, x: Tensor) -> Tensor:
     """Apply two convolutions; the second is beside a path around it and knows the mean of the picture."""
     first = leaky_relu(apply_convolution(encoder, f"{name}.first", x), LEAKY_SLOPE)
     mean = apply_dense(encoder, f"{name}.mean", first.mean((2, 3)))

@@ -30,7 +30,7 @@ PIXEL_INPUTS = 8  # numbers of a pixel of a photograph that fields and encoders 
 FLASH_NUMBERS = 4  # unbounded numbers that stand for a flash: its shift in x and y, its height, its gain
 # What 1 of such a number means: half sides of the patch, the log of the height, the log of the gain
 FLASH_SHIFT, FLASH_LOG_HEIGHT, FLASH_LOG_GAIN = 0.3, 0.2, 0.3
-MIN_ROUGHNESS = 0.05
+MIN_ROUGHNESS = 0.05  # the roughness of maps, whose square is alpha of GGX, is not below
 CLIPPED_VALUE = 0.95  # linear value, 1 is white, from which on a photograph may be clipped
 MIN_COSINE = 0.4  # cosine with the patch's normal of the most oblique light or view
 CONTRAST_CELLS = 64  # a picture's side over the distance of the neighbours that contrasts are taken of
@@ -40,8 +40,8 @@ def decode_maps(raw: Tensor) -> Maps:
     """Return the maps [T, C, H, W] that unbounded numbers [T, 9, H, W] stand for."""
     slopes, diffuse, roughness, specular = raw.split(CHANNELS, 1)
     return Maps(
-        torch.sigmoid(diffuse) ** 2.2,  # about evenly spread for the eye
-        torch.sigmoid(specular - 2) ** 2,  # about 0.02 at first, as of dielectrics
+        torch.sigmoid(diffuse) ** 2.2,  # so that outputs are about evenly spread for the eye
+        torch.sigmoid(specular - 2) ** 2,  # about 0.02 at first, like dielectrics
         MIN_ROUGHNESS + (1 - MIN_ROUGHNESS) * torch.sigmoid(roughness),
         normalise(torch.cat([slopes, torch.ones_like(roughness)], 1)),
     )
@@ -54,7 +54,8 @@ def encode_roughness(roughness: Tensor) -> Tensor:
 
 def decode_photo(photo: Tensor) -> Tensor:
     """Convert a photograph of any shape from uint8 sRGB, as tasks hold it, to linear RGB."""
-    levels = srgb_to_linear(torch.arange(256, device=photo.device) / 255)  # as a large photograph has many times
+    # a table of the 256 levels, each of which a large photograph has many times
+    levels = srgb_to_linear(torch.arange(256, device=photo.device) / 255)
     return levels[photo.int()]
 
 
@@ -74,8 +75,11 @@ def map_differences(maps: Maps, target: Maps) -> list[Tensor]:
 
     They are of diffuse and specular colour, both at gamma 2.2, of roughness and of normals, in this order.
     """
-    colours = [_encode_gamma(each) - _encode_gamma(other) for each, other in zip(maps[:2], target[:2], strict=True)]
-    return [*colours, maps.roughness - target.roughness, maps.normal - target.normal]
+    colour_differences = [
+        _encode_gamma(colour) - _encode_gamma(target_colour)
+        for colour, target_colour in zip(maps[:2], target[:2], strict=True)
+    ]
+    return [*colour_differences, maps.roughness - target.roughness, maps.normal - target.normal]
 
 
 def _encode_gamma(colour: Tensor) -> Tensor:
@@ -86,9 +90,9 @@ class Flash(NamedTuple):
     """A flash beside the lens, and the camera's exposure.
 
     Attributes:
-        place: [T, 3].
-        gain: [T, 1], its intensity, as `metapp.appearance.flash.render_maps` has it.
-        eye: position of the camera, [T, 3] or [3].
+        place: the position of the flash in half sides of the patch, [T, 3].
+        gain: the intensity of the flash, as :func:`metapp.appearance.flash.render_maps` takes it, [T, 1].
+        eye: the position of the camera in half sides of the patch, [T, 3] or [3].
     """
 
     place: Tensor
@@ -102,10 +106,10 @@ def decode_flash(flash: Tensor) -> Flash:
     Zeros stand for a flash beside the lens in whose light a white patch has radiance 1 right below it,
     whatever its height, since exposure makes up for that.
     """
-    higher = torch.exp(FLASH_LOG_HEIGHT * flash[:, 2:3])
-    place = torch.cat([FLASH_SHIFT * flash[:, :2], camera_distance() * higher], 1)
+    height_factor = torch.exp(FLASH_LOG_HEIGHT * flash[:, 2:3])
+    place = torch.cat([FLASH_SHIFT * flash[:, :2], camera_distance() * height_factor], 1)
     eye = camera_position(dtype=flash.dtype, device=flash.device)
-    return Flash(place, torch.exp(FLASH_LOG_GAIN * flash[:, 3:4]) * higher * higher, eye)
+    return Flash(place, torch.exp(FLASH_LOG_GAIN * flash[:, 3:4]) * height_factor * height_factor, eye)
 
 
 def render_photo(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tensor:
@@ -113,9 +117,9 @@ def render_photo(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tenso
 
     Maps of a part of the patch come with the positions of their texels, `place` [T, 2, H, W].
     """
-    like = maps.diffuse
+    diffuse = maps.diffuse
     if place is None:
-        place = texel_positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
+        place = texel_positions(*diffuse.shape[-2:], dtype=diffuse.dtype, device=diffuse.device)
     return render_maps(maps, place, flash.place, flash.eye, intensity=flash.gain)
 
 
@@ -128,15 +132,15 @@ def draw_mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
     """Draw places of a light and of a viewer who sees it mirrored in a smooth patch, [*shape, 2, 3] in half sides."""
     centre = 1.6 * draw_uniform(rng, *shape, 2) - 0.8
     centre = torch.cat([centre, torch.zeros_like(centre[..., :1])], -1)
-    towards = _draw_directions(rng, shape)
-    mirrored = towards * towards.new_tensor([-1.0, -1.0, 1.0])
-    return torch.stack([centre + camera_distance() * each for each in (towards, mirrored)], -2)
+    directions = _draw_directions(rng, shape)
+    mirrored_directions = directions * directions.new_tensor([-1.0, -1.0, 1.0])
+    return torch.stack([centre + camera_distance() * direction for direction in (directions, mirrored_directions)], -2)
 
 
 def _draw_directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
     """Draw unit vectors [*shape, 3], even in solid angle, whose z, along the normal, is at least MIN_COSINE."""
-    z, turn = draw_uniform(rng, 2, *shape)
-    z, phi = MIN_COSINE + (1 - MIN_COSINE) * z, 2 * math.pi * turn
+    z, turns = draw_uniform(rng, 2, *shape)
+    z, phi = MIN_COSINE + (1 - MIN_COSINE) * z, 2 * math.pi * turns
     sine = (1 - z * z).sqrt()
     return torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1)
 
@@ -148,13 +152,13 @@ def pixel_inputs(photo: Tensor) -> Tensor:
     have one distance in the patch at every resolution, so that a field fitted at one resolution works at others.
     """
     logs = (photo + 0.02).log()
-    side = max(1, min(photo.shape[-2:]) // CONTRAST_CELLS)
-    wide = pad(logs.mean(1, keepdim=True), (side, side, side, side), mode="replicate")
-    middle, after = slice(side, -side), slice(2 * side, None)
-    before = slice(None, -2 * side)
-    left, right = wide[..., middle, before], wide[..., middle, after]
-    above, below = wide[..., before, middle], wide[..., after, middle]
-    here = wide[..., middle, middle]
-    contrasts = [right - left, above - below, 4 * here - left - right - above - below]
+    distance = max(1, min(photo.shape[-2:]) // CONTRAST_CELLS)
+    padded = pad(logs.mean(1, keepdim=True), (distance, distance, distance, distance), mode="replicate")
+    inner, after = slice(distance, -distance), slice(2 * distance, None)
+    before = slice(None, -2 * distance)
+    left, right = padded[..., inner, before], padded[..., inner, after]
+    above, below = padded[..., before, inner], padded[..., after, inner]
+    centre = padded[..., inner, inner]
+    contrasts = [right - left, above - below, 4 * centre - left - right - above - below]
     place = texel_positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device).expand(len(photo), -1, -1, -1)
     return torch.cat([logs / 1.5 + 1, *contrasts, place], 1)

@@ -10,10 +10,11 @@ from torch import Generator, Tensor
 from metapp.appearance.flash import camera_distance
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 
-ASIDE_HALF_SIDES = 0.6  # at most, of all photographs but the first
-NEAREST_TIMES, FARTHEST_TIMES = 0.8, 2.2  # of the distance at which a camera of 45 degrees sees the patch
-# Standard deviation of each coordinate of a measured place, as a share of its height: 1 degree, as of a camera's pose
-# from a sheet of markers.
+ASIDE_HALF_SIDES = 0.6  # farthest from above the middle, of all photographs but the first
+# Heights of cameras, over the distance at which a field of view of 45 degrees shows the patch
+NEAREST_TIMES, FARTHEST_TIMES = 0.8, 2.2
+# Standard deviation of each coordinate of a measured place, as a share of its height: 1 degree, the error of a pose
+# that is estimated from a sheet of markers.
 PLACE_ERROR = 0.02
 
 
@@ -22,7 +23,7 @@ def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Te
 
     Args:
         materials, photos: how many patches, and photographs of each.
-        rng: of all draws.
+        rng: draws all random numbers.
 
     Returns:
         Places and offsets, [materials, photos, 3] each, in half sides of the patch. The first place is straight above
@@ -30,9 +31,9 @@ def held_places(materials: int, photos: int, rng: Generator) -> tuple[Tensor, Te
     """
     angle = 2 * math.pi * draw_uniform(rng, materials, photos, 1)
     aside = ASIDE_HALF_SIDES * draw_uniform(rng, materials, photos, 1).sqrt()
-    share = draw_uniform(rng, materials, photos, 1)
-    height = camera_distance() * NEAREST_TIMES * (FARTHEST_TIMES / NEAREST_TIMES) ** share
+    height_share = draw_uniform(rng, materials, photos, 1)
+    height = camera_distance() * NEAREST_TIMES * (FARTHEST_TIMES / NEAREST_TIMES) ** height_share
     places = torch.cat([aside * angle.cos(), aside * angle.sin(), height], -1)
     places[:, 0] = places.new_tensor([0.0, 0.0, camera_distance()])
-    off = PLACE_ERROR * places[..., 2:] * draw_normal(rng, materials, photos, 3)
-    return places, off
+    offsets = PLACE_ERROR * places[..., 2:] * draw_normal(rng, materials, photos, 3)
+    return places, offsets

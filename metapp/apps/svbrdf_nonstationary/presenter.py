@@ -1,4 +1,4 @@
-"""Pictures of non-stationary svBRDFs: maps, their look under flashes and other lights, and warnings."""
+"""The presenter of non-stationary svBRDFs: maps, pictures of them under flashes and other lights, and warnings."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, RADIANCE_FLOOR, Svbr
 from metapp.apps.svbrdf_nonstationary.maps import Flash, decode_photo, pool_maps, render_photo
 from metapp.learning.task import Params, Task, Tasks
 
-LARGEST_PX = 4096  # a side of the maps that can be asked for
-SHOWN_PX = 256  # a side of the maps that are shown
+LARGEST_PX = 4096  # longest side of maps in files
+SHOWN_PX = 256  # longest side of maps that are shown
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     Applications that extend :class:`SvbrdfNonstationary` are shown by it, too: it asks them for maps and flashes.
 
     Attributes:
-        relief: the factor of the slopes of normals that are written and shown; errors are without it.
+        relief: the factor of slopes of normals in files and pictures; errors are without it.
     """
 
     relief: float = 1.0
@@ -40,30 +40,30 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
     @override
     def size_refusal(self, height: int, width: int) -> str:
-        fits = height == width and 32 <= height <= LARGEST_PX
-        return "" if fits else f"expects square maps of 32 to {LARGEST_PX} px, as photos are cut to a square"
+        is_possible = height == width and 32 <= height <= LARGEST_PX
+        return "" if is_possible else f"expects square maps of 32 to {LARGEST_PX} px, as photos are cut to a square"
 
     @override
     @torch.no_grad()
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Return four maps above their look under the flash and three other lights, beside the true maps' pictures."""
+        """Return four maps above pictures of them under the flash and three other lights, beside the true ones."""
         maps, photo = self._small_maps(theta, task)
-        target = {}
+        reference = {}
         if "maps" in task.data:
-            target = {"reference": _sheet(unpack_maps(pool_maps(task.data["maps"].float(), photo.shape[-2:])))}
-        return target | {"fit": _sheet(scale_relief(maps, self.relief))}
+            reference = {"reference": _draw_sheet(unpack_maps(pool_maps(task.data["maps"].float(), photo.shape[-2:])))}
+        return reference | {"fit": _draw_sheet(scale_relief(maps, self.relief))}
 
     @override
     @torch.no_grad()
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return the photograph, the fit under its flash, maps, and the fit under three other lights."""
-        seen, (maps, photo) = self.photo_comparison(theta, task), self._small_maps(theta, task)
+        comparison, (maps, photo) = self.photo_comparison(theta, task), self._small_maps(theta, task)
         eye = camera_position()
-        shown = photograph_maps(maps, eye, eye) if seen is None else seen.pictures[0]
-        tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(shown).permute(1, 2, 0)}
-        tiles |= _linear_pictures(scale_relief(maps, self.relief))
+        fitted_photo = photograph_maps(maps, eye, eye) if comparison is None else comparison.pictures[0]
+        tiles = {"photo": photo[0].permute(1, 2, 0), "fit": srgb_to_linear(fitted_photo).permute(1, 2, 0)}
+        tiles |= _draw_linear_maps(scale_relief(maps, self.relief))
         if "maps" in task.data:
-            target = _linear_pictures(unpack_maps(pool_maps(task.data["maps"].float(), photo.shape[-2:])))
+            target = _draw_linear_maps(unpack_maps(pool_maps(task.data["maps"].float(), photo.shape[-2:])))
             tiles |= {f"reference {name}": picture for name, picture in target.items()}
         return tiles
 
@@ -72,7 +72,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Return the maps, of the size asked for, else of the photograph's, and pictures under three other lights.
 
-        Of several photographs also `photo_1` and so on: the maps in each, from where the fit places its camera.
+        Fits of several photographs also have `photo_1` and so on: the maps as each photograph shows them.
         """
         maps = self._shown_maps(theta, task)
         pictures = map_pictures(scale_relief(maps, self.relief))
@@ -100,9 +100,9 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         if "maps" not in task.data:
             return None
         data = {key: value[None] for key, value in self.app.prepare(task).items()}
-        fitted = self.app.final_maps(_batched(theta), data["photo"])
-        both = (self.app.judged(maps)[0] for maps in (fitted, unpack_maps(data["maps"])))
-        return PictureComparison(*(radiance_to_display(logs.exp() - RADIANCE_FLOOR) for logs in both))
+        fitted_maps = self.app.final_maps(_add_task_axis(theta), data["photo"])
+        log_pictures = (self.app.judged_radiance(maps)[0] for maps in (fitted_maps, unpack_maps(data["maps"])))
+        return PictureComparison(*(radiance_to_display(logs.exp() - RADIANCE_FLOOR) for logs in log_pictures))
 
     @override
     @torch.no_grad()
@@ -113,29 +113,29 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         flashes = self.app.flashes(theta, task)
         photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
         photos = adaptive_avg_pool2d(decode_photo(photos), min(SHOWN_PX, photos.shape[-1]))
-        maps = self.app.final_maps(_batched(theta), photos[:1])
+        maps = self.app.final_maps(_add_task_axis(theta), photos[:1])
         pictures = torch.stack([_photograph_by(flash, maps) for flash in flashes])
         return PictureComparison(linear_to_srgb(pictures.clamp(0, 1)), linear_to_srgb(photos))
 
     @override
     @torch.no_grad()
     def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
-        """Return `mean_tilt_degrees` of normals as fitted, without `relief`, where fits see photographs alone.
+        """Return the number of photographs, if fits see several, and where they see photographs alone, the mean tilt.
 
-        And the number of photographs, if fits see several.
+        `mean_tilt_degrees` is the mean tilt of fitted normals, without the factor `relief`.
         """
         counts = {"counts": {"photos": self._photo_count(task)}} if self.app.sees_others else {}
         if self.app.protocol != "photo":
             return counts
-        fit = self.app.maps_of(_batched(theta), _small_photo(task))
-        return {"mean_tilt_degrees": mean_tilt_degrees(fit.normal)} | counts
+        maps = self.app.maps_of(_add_task_axis(theta), _small_photo(task))
+        return {"mean_tilt_degrees": mean_tilt_degrees(maps.normal)} | counts
 
     @override
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Return clauses on maps that are black where the photo is not and, where maps are filled, on clipping.
 
-        Of several photographs: on what clips in all of them, alone.
+        Fits of several photographs have clauses on clipping alone, where all photographs clip.
         """
         app = self.app
         if app.sees_others and app.protocol == "photo":
@@ -149,10 +149,10 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         ]
         if not app.fills:
             return warnings
-        shown = linear_to_srgb(photos)
-        shares = find_clipped(shown).float().mean((1, 2, 3)).tolist()
+        displayed_photos = linear_to_srgb(photos)
+        shares = find_clipped(displayed_photos).float().mean((1, 2, 3)).tolist()
         effects = [f"{format_percent(share)} of the maps is filled from its surroundings" for share in shares]
-        clipped = (clipped_highlight_warnings(*pair) for pair in zip(shown, effects, strict=True))
+        clipped = (clipped_highlight_warnings(*pair) for pair in zip(displayed_photos, effects, strict=True))
         return [black + highlight for black, highlight in zip(warnings, clipped, strict=True)]
 
     @override
@@ -170,35 +170,35 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     def _small_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps [C, h, w] of at most SHOWN_PX a side, as fitted, and the linear photograph [1, 3, h, w]."""
         photo = _small_photo(task)
-        return Maps(*(part[0] for part in self.app.final_maps(_batched(theta), photo))), photo
+        return Maps(*(part[0] for part in self.app.final_maps(_add_task_axis(theta), photo))), photo
 
     def _shown_maps(self, theta: Params, task: Task) -> Maps:
         """Return the maps [C, H, W] of the size of files, as fitted."""
         side = self.size[0] if self.size else min(FINEST_PX, task.data["photo"].shape[-1])
 
         def make() -> Maps:
-            photo = _photo_of(task, side)
-            return self.app.fill(self.app.fine_maps(_batched(theta), photo), photo)
+            photo = _resize_photo(task, side)
+            return self.app.fill(self.app.fine_maps(_add_task_axis(theta), photo), photo)
 
         maps = self.cache_last(theta, task, make)
         return Maps(*(part[0] for part in maps))
 
 
-def _batched(theta: Params) -> Params:
+def _add_task_axis(theta: Params) -> Params:
     """Return the parameters of one fit with a task axis of one entry."""
     return {key: value[None] for key, value in theta.items()}
 
 
-def _photo_of(task: Task, side: int) -> Tensor:
+def _resize_photo(task: Task, side: int) -> Tensor:
     """Return the photograph, linear [1, 3, side, side]: means over areas; a smaller one is interpolated."""
     photo = decode_photo(task.data["photo"])[None]
-    finer = side > photo.shape[-1]
-    return interpolate(photo, size=(side, side), mode="bilinear") if finer else adaptive_avg_pool2d(photo, side)
+    enlarges = side > photo.shape[-1]
+    return interpolate(photo, size=(side, side), mode="bilinear") if enlarges else adaptive_avg_pool2d(photo, side)
 
 
 def _small_photo(task: Task) -> Tensor:
     """Return the photograph, linear [1, 3, h, w], of at most SHOWN_PX a side."""
-    return _photo_of(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
+    return _resize_photo(task, min(SHOWN_PX, task.data["photo"].shape[-1]))
 
 
 def _photograph_by(flash: Flash, maps: Maps) -> Tensor:
@@ -206,15 +206,15 @@ def _photograph_by(flash: Flash, maps: Maps) -> Tensor:
     return render_photo(maps, Flash(*(part[None] for part in flash)))[0]
 
 
-def _linear_pictures(maps: Maps) -> dict[str, Tensor]:
+def _draw_linear_maps(maps: Maps) -> dict[str, Tensor]:
     """Return the pictures that `map_pictures` makes of maps [C, H, W], linear [H, W, 3]."""
     return {name: srgb_to_linear(picture.pixels).expand(-1, -1, 3) for name, picture in map_pictures(maps).items()}
 
 
-def _sheet(maps: Maps) -> Tensor:
+def _draw_sheet(maps: Maps) -> Tensor:
     """Return a linear picture [2 H, 4 W, 3] of maps [C, H, W]: four maps; below, the flash and three other lights."""
     pictures, eye = map_pictures(maps), camera_position(device=maps.diffuse.device)
     flash = photograph_maps(maps, eye, eye).permute(1, 2, 0)
-    above = [pictures.pop(name).pixels.expand(-1, -1, 3) for name in ("normal", "diffuse", "roughness", "specular")]
-    below = [flash, *(picture.pixels for picture in pictures.values())]
-    return srgb_to_linear(torch.cat([torch.cat(row, 1) for row in (above, below)]))
+    map_row = [pictures.pop(name).pixels.expand(-1, -1, 3) for name in ("normal", "diffuse", "roughness", "specular")]
+    light_row = [flash, *(picture.pixels for picture in pictures.values())]
+    return srgb_to_linear(torch.cat([torch.cat(row, 1) for row in (map_row, light_row)]))

@@ -1,4 +1,4 @@
-"""Recipes of non-stationary svBRDFs."""
+"""The recipes of non-stationary svBRDFs whose General is trained without features of VGG-16, by protocol."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, fie
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.networks.protocol_recipes import recipes_by_protocol
 
-# exact second order, from General's encoder, which goes on learning through the steps
+# Rules are trained with exact second order from General's encoder, which goes on learning through the steps of fits.
 LEARNED = MetaTraining(
     steps=600,
     tasks=4,
@@ -35,7 +35,7 @@ QUICK = Recipe(
     rule="meta-lgd",
     app=FromMaps(field_of(64, 32)),
 )
-# a photograph says little that General has not read from it: small steps, and hardly any training through them
+# A photograph says little that General has not read from it: steps are small, and training through them is short.
 GENTLE = replace(
     LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25, guard=None
 )
@@ -58,13 +58,13 @@ RECIPES = recipes_by_protocol(
         "photo": FromPhoto(field_of(256, 32), encoder_finer=FINER),
     },
     # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
-    paper={kind.protocol: kind(field_of(256, 64), encoder_width=64) for kind in (FromMaps, FromPhoto)},
+    paper={app.protocol: app(field_of(256, 64), encoder_width=64) for app in (FromMaps, FromPhoto)},
 )
-# at a side, in texels, whose outer steps take seconds on CPUs
+# 64 texels a side, at which an outer step takes seconds on CPUs
 RECIPES["reference"]["paper-64"] = replace(
     RECIPES["reference"]["paper"], app=FromMaps(field_of(64, 64), encoder_width=64)
 )
-# 20 outer steps through the steps of fits raised validation errors, so that the rule is a searched Adam
+# 20 outer steps of training a rule raised validation errors, so that the rule is an Adam that is searched for.
 SEARCHED = Adam(6e-4, beta1=0.8, beta2=0.8, eps=1e-3)
 RECIPES["photo"]["full"] = replace(
     RECIPES["photo"]["full"],

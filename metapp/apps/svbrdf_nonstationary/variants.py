@@ -42,10 +42,10 @@ FLASH_DEVIATIONS = (
 CROP_SIDES = (0.35, 0.7)  # sides of crops over that of the maps, in which a square of any direction has room
 EXPOSED_SHARE, EXPOSURE_STOPS = 0.2, 1.1  # the share of photographs that are exposed wrongly, and by how many stops
 TINTED_SHARE, LOG_TINT = 0.3, 0.04  # the share whose white balance is off, and the log of how much
-MAX_SLOPE = 2.0  # slope
+MAX_SLOPE = 2.0  # tangent of the tilt of normals, at most, in restyled materials
 RESTYLED_SHARES = (0.75, 0.3)  # the share of materials of other gloss and colour, before and after they are mixed
 
-Draw = Callable[..., Tensor]
+Draw = Callable[..., Tensor]  # draws random numbers [T, *shape] from a shape
 
 
 def vary_materials(maps: Tensor, side: int, rng: Generator) -> Tensor:
@@ -61,7 +61,7 @@ def vary_materials(maps: Tensor, side: int, rng: Generator) -> Tensor:
 
 
 def draw_photos(maps: Tensor, rng: Generator) -> Tensor:
-    """Photograph maps [T, 10, S, S] under a random flash and exposure, with noise and 8 bits: linear [T, 3, S, S]."""
+    """Photograph maps [T, 10, S, S] with random flash, exposure and noise, in 8 bits: linear [T, 3, S, S]."""
     uniform, normal = draws_per_material(len(maps), rng)
     flash = normal(FLASH_NUMBERS) * maps.new_tensor(FLASH_DEVIATIONS) * (uniform(1) > BESIDE_LENS_SHARE)
     stops = EXPOSURE_STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED_SHARE)
@@ -81,8 +81,8 @@ def draws_per_material(count: int, rng: Generator) -> tuple[Draw, Draw]:
 
 def change_some(change: Callable[[Tensor, Generator], Tensor], maps: Tensor, share: float, rng: Generator) -> Tensor:
     """Apply a change to a random share of the materials [T, ...] and leave the others as they are."""
-    chosen = torch.rand(len(maps), 1, 1, 1, generator=rng, device=rng.device) < share
-    return torch.where(chosen, change(maps, rng), maps)
+    is_chosen = torch.rand(len(maps), 1, 1, 1, generator=rng, device=rng.device) < share
+    return torch.where(is_chosen, change(maps, rng), maps)
 
 
 def _crop(maps: Tensor, side: int, rng: Generator) -> Tensor:
@@ -101,15 +101,15 @@ def crop_turned(
     Args:
         maps: the packed maps.
         side: texels a side of the crops.
-        angle: of the crops, rad, [T].
-        share: sides of the crops over those of the maps, [T].
+        angle: the angles of the crops in rad, [T].
+        share: sides of the crops over sides of the maps, [T].
         centre: centres of the crops, x and y from -1 to 1, [T, 2].
-        mirrored: whether crops are mirrored after that, [T, 1, 1, 1].
-        padding: what lies beyond the maps, as `grid_sample` has it.
+        mirrored: whether crops are mirrored after they are turned, [T, 1, 1, 1].
+        padding: what lies beyond the maps: `padding_mode` of torch's `grid_sample`.
     """
     cosine, sine = angle.cos(), angle.sin()
-    turn = share[:, None, None] * torch.stack([cosine, -sine, sine, cosine], 1).unflatten(1, (2, 2))
-    grid = affine_grid(torch.cat([turn, centre[:, :, None]], 2), [len(maps), 1, side, side], False)
+    matrix = share[:, None, None] * torch.stack([cosine, -sine, sine, cosine], 1).unflatten(1, (2, 2))
+    grid = affine_grid(torch.cat([matrix, centre[:, :, None]], 2), [len(maps), 1, side, side], False)
     x, y, rest = grid_sample(maps, grid, padding_mode=padding, align_corners=False).split((1, 1, 8), 1)
     cosine, sine = cosine[:, None, None, None], sine[:, None, None, None]
     x, y = cosine * x - sine * y, sine * x + cosine * y  # rows go down, y goes up
@@ -124,29 +124,35 @@ def restyle(maps: Tensor, rng: Generator) -> Tensor:
     """
     uniform, normal = draws_per_material(len(maps), rng)
 
-    def chance(share: float) -> Tensor:
+    def draw_chance(share: float) -> Tensor:
         return uniform(1, 1, 1) < share
 
     normals, diffuse, roughness, specular = maps.split((3, 3, 1, 3), 1)
     slopes = normals[:, :2] / normals[:, 2:].clamp_min(0.2)
-    slopes = slopes * torch.where(chance(0.6), torch.exp(0.5 * normal(1, 1, 1)), 1)
+    slopes = slopes * torch.where(draw_chance(0.6), torch.exp(0.5 * normal(1, 1, 1)), 1)
     slopes = _limit_slopes(slopes, MAX_SLOPE)
-    tone = _standardise((diffuse.mean(1, keepdim=True) + 1e-3).log())
-    rough = _standardise(roughness)
-    relief = _standardise(avg_pool2d(slopes.square().sum(1, keepdim=True).add(1e-8).sqrt(), 9, 1, 4))
-    level = torch.where(chance(0.5), torch.exp(-3.9 + 2.7 * uniform(1, 1, 1)), 0.03 + 0.03 * uniform(1, 1, 1))
-    level = level * torch.exp(0.06 * normal(3, 1, 1) * chance(0.4))
-    even = level * torch.exp(0.08 * normal(1, 1, 1) * tone + 0.05 * normal(1, 1, 1) * rough)
-    specular = torch.where(chance(0.5), even.clamp(0.005, 0.95), specular)
-    parts = 0.06 * normal(1, 1, 1) * tone + 0.06 * normal(1, 1, 1) * rough + 0.05 * normal(1, 1, 1) * relief
-    follows = (0.1 + 0.95 * uniform(1, 1, 1) + parts).clamp(0.08, 1)
-    roughness = torch.where(chance(0.6), follows, roughness)
+    tone_pattern = _standardise((diffuse.mean(1, keepdim=True) + 1e-3).log())
+    roughness_pattern = _standardise(roughness)
+    relief_pattern = _standardise(avg_pool2d(slopes.square().sum(1, keepdim=True).add(1e-8).sqrt(), 9, 1, 4))
+    f0 = torch.where(draw_chance(0.5), torch.exp(-3.9 + 2.7 * uniform(1, 1, 1)), 0.03 + 0.03 * uniform(1, 1, 1))
+    f0 = f0 * torch.exp(0.06 * normal(3, 1, 1) * draw_chance(0.4))
+    even_specular = f0 * torch.exp(0.08 * normal(1, 1, 1) * tone_pattern + 0.05 * normal(1, 1, 1) * roughness_pattern)
+    specular = torch.where(draw_chance(0.5), even_specular.clamp(0.005, 0.95), specular)
+    pattern = (
+        0.06 * normal(1, 1, 1) * tone_pattern
+        + 0.06 * normal(1, 1, 1) * roughness_pattern
+        + 0.05 * normal(1, 1, 1) * relief_pattern
+    )
+    new_roughness = (0.1 + 0.95 * uniform(1, 1, 1) + pattern).clamp(0.08, 1)
+    roughness = torch.where(draw_chance(0.6), new_roughness, roughness)
     grey = diffuse.mean(1, keepdim=True)
-    other = torch.where(chance(0.35), torch.lerp(grey.expand_as(diffuse), diffuse, 0.5 * uniform(1, 1, 1)), diffuse)
-    other = other * torch.exp(0.6 * normal(1, 1, 1) - 0.4) * torch.where(chance(0.15), 0.05, 1)
-    diffuse = torch.where(chance(0.5), other, diffuse)
-    plain = torch.lerp(diffuse, diffuse.mean((2, 3), keepdim=True), 0.9 * uniform(1, 1, 1))
-    diffuse = torch.where(chance(0.3), plain, diffuse)
+    new_diffuse = torch.where(
+        draw_chance(0.35), torch.lerp(grey.expand_as(diffuse), diffuse, 0.5 * uniform(1, 1, 1)), diffuse
+    )
+    new_diffuse = new_diffuse * torch.exp(0.6 * normal(1, 1, 1) - 0.4) * torch.where(draw_chance(0.15), 0.05, 1)
+    diffuse = torch.where(draw_chance(0.5), new_diffuse, diffuse)
+    plain_diffuse = torch.lerp(diffuse, diffuse.mean((2, 3), keepdim=True), 0.9 * uniform(1, 1, 1))
+    diffuse = torch.where(draw_chance(0.3), plain_diffuse, diffuse)
     normals = normalise(torch.cat([slopes, torch.ones_like(roughness)], 1))
     return torch.cat([normals, diffuse.clamp(0, 0.98), roughness, specular.clamp(0, 0.98)], 1)
 
@@ -159,8 +165,8 @@ def _limit_slopes(slopes: Tensor, steepest: float) -> Tensor:
 
 def _standardise(values: Tensor) -> Tensor:
     """Scale values [T, 1, H, W] to mean 0 and standard deviation 1; values that are equal become 0."""
-    mean, std = values.mean((2, 3), keepdim=True), values.std((2, 3), keepdim=True)
-    return (values - mean) / (std + 1e-4)
+    mean, deviation = values.mean((2, 3), keepdim=True), values.std((2, 3), keepdim=True)
+    return (values - mean) / (deviation + 1e-4)
 
 
 def _turn(maps: Tensor, rng: Generator) -> Tensor:
@@ -169,7 +175,7 @@ def _turn(maps: Tensor, rng: Generator) -> Tensor:
     x, y, rest = maps[:1], maps[1:2], maps[2:]
     if mirrored:
         x, y, rest = -x.flip(2), y.flip(2), rest.flip(2)
-    x, y, rest = (torch.rot90(each, quarters, (1, 2)) for each in (x, y, rest))
+    x, y, rest = (torch.rot90(part, quarters, (1, 2)) for part in (x, y, rest))
     for _ in range(quarters):  # anticlockwise, as rot90 with rows downwards: (x, y) goes to (-y, x)
         x, y = -y, x
     return torch.cat([x, y, rest])
@@ -179,25 +185,27 @@ def recolour(maps: Tensor, rng: Generator) -> Tensor:
     """Scale colours and roughness at random, and exchange the channels of a third of the materials."""
     count, device = len(maps), rng.device
     order = torch.rand(count, 3, generator=rng, device=device).argsort(1)
-    kept = torch.rand(count, 1, generator=rng, device=device) > 1 / 3
-    order = torch.where(kept, torch.arange(3, device=device), order)[:, :, None, None]
+    keeps_order = torch.rand(count, 1, generator=rng, device=device) > 1 / 3
+    order = torch.where(keeps_order, torch.arange(3, device=device), order)[:, :, None, None]
     gains = torch.exp(0.2 * torch.randn(count, 7, 1, 1, generator=rng, device=device))
     parts = [maps[:, :3]]
     for first, last in ((3, 6), (7, 10)):
         colour = maps[:, first:last]
         colour = colour.gather(1, order.expand_as(colour))
         parts.append((colour * gains[:, first - 3 : last - 3]).clamp(0, 0.98))
-    rough = (maps[:, 6:7] * gains[:, 3:4]).clamp(0.05, 1)
-    return torch.cat([parts[0], parts[1], rough, parts[2]], 1)
+    roughness = (maps[:, 6:7] * gains[:, 3:4]).clamp(0.05, 1)
+    return torch.cat([parts[0], parts[1], roughness, parts[2]], 1)
 
 
 def mix_materials(maps: Tensor, rng: Generator) -> Tensor:
-    """Mix half of the materials with the next one, by one share all over or by one that varies smoothly."""
+    """Mix half of the materials with the one before, by one share all over or by one that varies smoothly."""
     count, device = len(maps), rng.device
     coarse = torch.randn(count, 1, 4, 4, generator=rng, device=device)
     masks = torch.sigmoid(6 * interpolate(coarse, size=maps.shape[-2:], mode="bicubic"))
-    even = torch.rand(count, 1, 1, 1, generator=rng, device=device)
-    kind = torch.rand(count, 1, 1, 1, generator=rng, device=device)
-    share = torch.where(kind < 0.5, torch.ones_like(masks), torch.where(kind < 0.75, even.expand_as(masks), masks))
-    both = torch.lerp(maps.roll(1, 0), maps, share)
-    return torch.cat([normalise(both[:, :3]), both[:, 3:]], 1)
+    even_shares = torch.rand(count, 1, 1, 1, generator=rng, device=device)
+    kinds = torch.rand(count, 1, 1, 1, generator=rng, device=device)
+    shares = torch.where(
+        kinds < 0.5, torch.ones_like(masks), torch.where(kinds < 0.75, even_shares.expand_as(masks), masks)
+    )
+    mixed = torch.lerp(maps.roll(1, 0), maps, shares)
+    return torch.cat([normalise(mixed[:, :3]), mixed[:, 3:]], 1)

@@ -1,4 +1,7 @@
-"""Stationary svBRDFs: a network from noise to maps that look as a flash photo under its light (paper section 4.1.3)."""
+"""The application of stationary svBRDFs: pictures of generated maps under a flash are fitted to a flash photo.
+
+One photograph does not tell diffuse colour, specular colour and relief apart: priors keep them near what is usual.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +11,26 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import pad
+from typing_extensions import override
 
 from metapp.appearance.flash import DISPLAY_GAMMA, STATISTICS_SIDES_PX, Maps, map_statistics, normal_from_height
 from metapp.appearance.highlight import remove_shading
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, fixed_noise, generate_raw
 from metapp.apps.svbrdf_stationary.flash_statistics import FlashStatistics, chroma_deviations, encode_gloss
-from metapp.apps.svbrdf_stationary.windows import WINDOWS_PER_SIDE
+from metapp.apps.svbrdf_stationary.windows import WINDOW_COUNT
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.layout import layout_deviation
 
-DRAWN_WINDOWS = 3
-POOLED_WEIGHT = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
-TRUTH_WEIGHT = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
-GLOSS_WEIGHT = (
-    0.05  # further weight in the outer loss of how far specular and roughness are from the truth's, in logits
-)
-UNUSUAL_WEIGHT = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
-ROUGHNESS_WEIGHT = 0.4  # varies more between materials than specular does
-COLOUR_WEIGHT = 3.0  # weight in the loss of how much more or less colours vary than in the photo
-RELIEF_WIDTHS = 1 / 32  # widths of the photo a unit of the network's output, as height
+DRAWN_WINDOWS = 3  # windows of the photo that one step compares
+POOLED_WEIGHT = 2.0  # added to the weight of pooled pictures in the outer loss, as they hold the shape of the highlight
+TRUTH_WEIGHT = 3.0  # weight in the outer loss of the difference of the maps' statistics from the true maps'
+# Weights in the outer loss of mean specular and roughness, in logits: of their difference from the true ones, and where
+# these are unknown, of their squared deviation from usual ones
+GLOSS_WEIGHT, UNUSUAL_WEIGHT = 0.05, 0.05
+ROUGHNESS_WEIGHT = 0.4  # weight of roughness beside specular, as it varies more between materials
+COLOUR_WEIGHT = 3.0  # weight in the loss of the difference of standard deviations of chroma from the photo's
+RELIEF_WIDTHS = 1 / 32  # height, in widths of the photo, that 1 in the network's output stands for
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class SvbrdfStationary(ExemplarApp):
     The generator does not know the place, which keeps highlights out of the maps.
 
     Attributes:
-        prior: weight in the loss of the distance of maps from General's: one picture does not tell maps apart.
+        prior: the weight in the loss of the distance of specular and roughness from General's.
     """
 
     prior: float = 0.0
@@ -53,117 +56,145 @@ class SvbrdfStationary(ExemplarApp):
     }
 
     @property
+    @override
     def statistics(self) -> FlashStatistics:
         return FlashStatistics(self.octaves)
 
+    @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """As for all exemplars, and, if the task has them, `relit` uint8 [3, 3, S, S] and `truth` [3, 2, 6]."""
+        """Add `relit`, uint8 [3, 3, S, S], and `truth` [3, 2, 6], if the task has them.
+
+        They are photographs under three other lights, and the statistics of the true maps at three resolutions.
+        """
         return super().prepare(task) | {key: task.data[key] for key in ("relit", "truth") if key in task.data}
 
-    def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
+    @override
+    def permute_data(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         if "truth" not in tasks.data:
             return {}
         order = torch.cat([channels, torch.arange(3, 6, device=channels.device).expand(len(channels), -1)], 1)
         truth = tasks.data["truth"][tasks.rows]
         return {"truth": truth.gather(-1, order[:, None, None].expand(truth.shape))}
 
+    @override
     def init(self, rng: Generator, count: int) -> Params:
         theta = super().init(rng, count)
         return theta | {"gloss": torch.zeros(count, 2, device=rng.device)} if self.prior else theta
 
+    @override
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return super().condition(tasks, rng) | {"shine": tasks.data["shine"][tasks.rows]}
 
+    @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """As for all exemplars, and if fits have a prior, `gloss` [T, 2], its expected value."""
+        """Add `gloss` [T, 2] if fits have a prior: the mean logits of specular and roughness that it expects."""
         theta = super().encode(encoder, condition)
-        return self._as_glossy(theta, condition["shine"]) if self.prior else theta
+        return self._set_gloss(theta, condition["shine"]) if self.prior else theta
 
-    def _as_glossy(self, theta: Params, shine: Tensor) -> Params:
-        """Theta whose maps have the mean gloss that a clear highlight says, else General's, and that as `gloss`."""
-        expected, sure = self._expected(theta), shine[:, :1]
-        change = sure * (shine[:, 1:] - expected)
-        offset = self.network.offset
-        return theta | {"gloss": expected + change, offset: theta[offset] + pad(change, (3, 1))}
+    def _set_gloss(self, theta: Params, shine: Tensor) -> Params:
+        """Shift the mean gloss of General's maps to the gloss that a clear highlight shows, and add it as `gloss`.
+
+        Args:
+            theta: General's parameters.
+            shine: the confidence in the highlight, 0 to 1, and its logits of specular and roughness, [T, 3].
+        """
+        gloss, confidence = self._mean_gloss(theta), shine[:, :1]
+        change = confidence * (shine[:, 1:] - gloss)
+        output_shift = self.network.output_shift
+        return theta | {"gloss": gloss + change, output_shift: theta[output_shift] + pad(change, (3, 1))}
 
     @torch.no_grad()
-    def _expected(self, theta: Params) -> Tensor:
-        """Means of specular and roughness [T, 2] as the network makes them, of a small picture from the same noise."""
+    def _mean_gloss(self, theta: Params) -> Tensor:
+        """Return mean logits of specular and roughness [T, 2] of small maps, from noise that is equal for all tasks."""
         coarsest = self.octaves.count - 1
         noise = fixed_noise(self, theta["z"], 1, octave=coarsest)
         maps = self.generate(theta, noise, coarsest)
-        return torch.stack([part.mean((1, 2, 3, 4)) for part in encode_gloss(maps.specular, maps.roughness)], -1)
+        return torch.stack([values.mean((1, 2, 3, 4)) for values in encode_gloss(maps.specular, maps.roughness)], -1)
 
-    def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
-        """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
+    def generate_maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
+        """Generate maps of materials, and the height that their normals are of.
+
+        Args:
+            theta: fits [T, ...].
+            noise: the noise of B materials of each task, [T, B, C, H, W].
+            octave: the octave whose size noise has, 0 for the whole size.
+
+        Returns:
+            Maps [T, B, ...], and their height [T, B, 1, H, W] in texels.
+        """
         raw = generate_raw(self, theta, noise, octave)
-        diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # about evenly spread for the eye
-        specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, as most dielectrics
+        diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # so that outputs are about evenly spread for the eye
+        specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, like most dielectrics
         roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
-        height = RELIEF_WIDTHS * self.octaves.size(octave)[1] * raw[:, :, 5:]
+        height = RELIEF_WIDTHS * self.octaves.octave_size(octave)[1] * raw[:, :, 5:]
         return Maps(diffuse, specular, roughness, normal_from_height(height)), height
 
+    @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`noise` for `count` materials of each task, some of the windows and the photo's statistics there."""
-        drawn = torch.randperm(WINDOWS_PER_SIDE * WINDOWS_PER_SIDE, generator=rng, device=rng.device)[
-            :DRAWN_WINDOWS
-        ].expand(len(tasks), -1)
+        """Draw `noise` [T, count, C, H, W] and numbers of `windows` [T, N], and add the photos' statistics in these."""
+        order = torch.randperm(WINDOW_COUNT, generator=rng, device=rng.device)
+        windows = order[:DRAWN_WINDOWS].expand(len(tasks), -1)
         noise = draw_noise(self, rng, len(tasks), count, octave=self.octaves.find_octave(tasks.data))
-        return {"noise": noise, "windows": drawn} | self.statistics.targets(tasks, drawn)
+        return {"noise": noise, "windows": windows} | self.statistics.targets(tasks, windows)
 
+    @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Distance of Gram matrices in windows, of the features' spectra, and of the pooled pictures, [T].
+        """Return the distance of pictures from the photo, [T], plus the distance of gloss from the prior's, if any.
 
-        And how unusual the maps are, by `prior`.
+        Gram matrices in windows, spectra of features and pooled pictures are compared.
         """
         maps = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
-        loss = torch.stack(list(self._distances(theta, maps, batch).values())).sum(0)
-        return loss + self.prior * _unusual(maps, theta["gloss"]) if self.prior else loss
+        loss = torch.stack(list(self._measure_distances(theta, maps, batch).values())).sum(0)
+        return loss + self.prior * _gloss_deviation(maps, theta["gloss"]) if self.prior else loss
 
+    @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The same, but how far the maps are from the truth, or how unusual if that is unknown, [T].
+        """Return the distance of pictures from the photo plus the difference of maps from the true ones, [T].
 
-        Without it General comes to explain all photographs by one bright, rough, specular surface without colour: one
-        flash photo does not tell diffuse, specular and relief apart.
+        Where the true maps are unknown, the deviation of gloss from a usual one counts instead. Without either, General
+        comes to explain all photographs by one bright, rough, specular surface without colour.
         """
         octave = self.octaves.find_octave(batch)
         maps = self.generate(theta, batch["noise"], octave)
-        distances = self._distances(theta, maps, batch)
+        distances = self._measure_distances(theta, maps, batch)
         loss = torch.stack(list(distances.values())).sum(0) + POOLED_WEIGHT * distances["pooled"]
         if "truth" not in batch:
-            return loss + UNUSUAL_WEIGHT * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
-        level = sum(self.octaves.size(octave)[1] < size for size in STATISTICS_SIDES_PX[:-1])
+            return loss + UNUSUAL_WEIGHT * _gloss_deviation(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
+        level = sum(self.octaves.octave_size(octave)[1] < size for size in STATISTICS_SIDES_PX[:-1])
         truth = batch["truth"][:, level]
         specular, roughness = (truth[:, 0, 3] ** DISPLAY_GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
         pairs = zip(encode_gloss(maps.specular, maps.roughness), encode_gloss(specular, roughness), strict=True)
-        # where no gradient vanishes
-        unlike = torch.stack([(part.mean((1, 2, 3, 4)) - wanted).abs() for part, wanted in pairs]).sum(0)
+        # in logits, where no gradient vanishes
+        gloss_difference = torch.stack([(values.mean((1, 2, 3, 4)) - target).abs() for values, target in pairs]).sum(0)
         return (
-            loss + TRUTH_WEIGHT * (map_statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + GLOSS_WEIGHT * unlike
+            loss
+            + TRUTH_WEIGHT * (map_statistics(maps) - truth[:, None]).abs().mean((1, 2, 3))
+            + GLOSS_WEIGHT * gloss_difference
         )
 
-    def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
-        """Return the parts of the loss but for priors, [T] each, of maps made of a batch's noise."""
-        pictures = self.statistics.look(maps, batch)
+    def _measure_distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
+        """Return the parts of the loss without priors, by name, [T] each, of maps that were made of a batch's noise."""
+        pictures = self.statistics.render_answer(maps, batch)
         distances = self.statistics.distances(pictures, batch, cropped=True)
         if self.network.has_layout:
             chroma = chroma_deviations(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2])
             distances["colour"] = COLOUR_WEIGHT * (chroma - batch["chroma"][:, None]).abs().mean((1, 2))
-            even = remove_shading(pictures, batch["light"][:, None])
-            times = self.octaves.layout_ratio(self.octaves.find_octave(batch))
-            distances["astray"] = layout_deviation(theta, batch["noise"], even, times)
-            distances["softness"] = self.statistics.softness(pictures, batch)
+            evenly_lit = remove_shading(pictures, batch["light"][:, None])
+            layout_ratio = self.octaves.layout_ratio(self.octaves.find_octave(batch))
+            distances["astray"] = layout_deviation(theta, batch["noise"], evenly_lit, layout_ratio)
+            distances["softness"] = self.statistics.softness_loss(pictures, batch)
         return distances
 
+    @override
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Maps:
-        return self.maps(theta, noise, octave)[0]
+        return self.generate_maps(theta, noise, octave)[0]
 
 
-def _unusual(maps: Maps, expected: Tensor) -> Tensor:
-    """Mean squares of how far specular and, weighted, roughness are from their expected values [T, 2], [T]."""
-    expected = expected.detach() + 0 * expected  # a parameter that no step moves
+def _gloss_deviation(maps: Maps, expected: Tensor) -> Tensor:
+    """Return the mean squared deviation of specular and, weighted, of roughness from expected logits [T, 2]: [T]."""
+    expected = expected.detach() + 0 * expected  # so that it has a gradient, 0, and no step moves it
     specular, roughness = (
-        (part - mean[:, None, None, None, None]).square().mean((1, 2, 3, 4))
-        for part, mean in zip(encode_gloss(maps.specular, maps.roughness), expected.unbind(1), strict=True)
+        (values - expected_values[:, None, None, None, None]).square().mean((1, 2, 3, 4))
+        for values, expected_values in zip(encode_gloss(maps.specular, maps.roughness), expected.unbind(1), strict=True)
     )
     return specular + ROUGHNESS_WEIGHT * roughness

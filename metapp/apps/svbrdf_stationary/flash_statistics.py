@@ -1,10 +1,11 @@
-"""What is known of a flash photograph: statistics window by window, its light, and what its highlight says of gloss."""
+"""The statistics of flash photographs: features window by window, the light, and the gloss that the highlight shows."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
+from typing_extensions import override
 
 from metapp.appearance.features import amplitude_spectrum, gram, moments, statistics_distance
 from metapp.appearance.flash import (
@@ -19,7 +20,7 @@ from metapp.appearance.flash import (
 from metapp.appearance.highlight import estimate_gloss, remove_shading
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.svbrdf_stationary.windows import (
-    WINDOWS_PER_SIDE,
+    WINDOW_COUNT,
     crop_window,
     fade_weights,
     grams_in_windows,
@@ -28,170 +29,187 @@ from metapp.apps.svbrdf_stationary.windows import (
 )
 from metapp.learning.task import Batch, Tasks
 
-POOLED_PX = 8
-SPECTRUM_WEIGHT = 0.3  # the spectra's weight in the loss
-RING_BOUNDS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
-# A highlight says gloss where the lobe is so much of what is reflected below the flash, 0 to 1, and is no wider.
+POOLED_PX = 8  # side of pooled pictures
+SPECTRUM_WEIGHT = 0.3  # weight of spectra in the loss, beside 1 for Gram matrices
+RING_BOUNDS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, in half sides of the photo
+# A highlight shows the gloss where it is much of the light reflected below the flash: confidence rises from 0 to 1
+# between these shares. It shows no greater roughness.
 LOBE_SHARES, MAX_LOBE_ROUGHNESS = (0.6, 0.8), 0.5
-FLASH_FALLOFF = 1.0
+FLASH_FALLOFF = 1.0  # of the flash, as :func:`render_maps` takes it
 
 
 class FlashStatistics(Statistics):
     """Statistics of pictures under the flash of a photograph.
 
-    The light depends on the place, so statistics are compared window by window: those of a window of the picture with
-    those of the same window of the photo.
+    The light depends on the place, so statistics are compared window by window: each window of a picture with the
+    photo's window at that place.
     """
 
-    names = ("gram", "spectrum")
+    statistic_names = ("gram", "spectrum")
 
+    @override
     @torch.no_grad()
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """Return what is known of photos [B, 3, h, w] of the size of an octave.
+        """Describe photos [B, 3, h, w] of the size of an octave.
 
-        Gram matrices in all windows `gram0`... [B, N, C, C], spectra `spectrum0`..., `pooled` [B, 3, 8, 8], `light`
-        [B, 3] position of the flash, `chroma` [B, 2], how much colours vary, `shine` [B, 3], estimates of the highlight
-        of specular and roughness and how clearly, `summary`.
+        Returns:
+            Of each feature map `gram0`, `gram1` and so on [B, N, C, C], Gram matrices in all N windows, and `spectrum0`
+            and so on, amplitude spectra; `pooled` [B, 3, POOLED_PX, POOLED_PX]; `light` [B, 3], the position of the
+            flash; `chroma` [B, 2], see :func:`chroma_deviations`; `shine` [B, 3], the confidence in the highlight,
+            0 to 1, and the logits of specular and roughness that it shows; `summary` [B, S].
         """
         maps, light = self.compute_features(exemplars, octave), self.find_light(exemplars)
         described = {"light": light, "pooled": adaptive_avg_pool2d(exemplars, POOLED_PX)}
-        described |= {"chroma": chroma_deviations(exemplars), "shine": _shine(exemplars, light)}
-        for i, each in enumerate(maps):
-            described[f"gram{i}"] = grams_in_windows(each, range(WINDOWS_PER_SIDE * WINDOWS_PER_SIDE))
-            described[f"spectrum{i}"] = amplitude_spectrum(each)
+        described |= {"chroma": chroma_deviations(exemplars), "shine": _read_gloss(exemplars, light)}
+        for index, features in enumerate(maps):
+            described[f"gram{index}"] = grams_in_windows(features, range(WINDOW_COUNT))
+            described[f"spectrum{index}"] = amplitude_spectrum(features)
         return described | {"summary": self.summarise(maps, octave)}
 
+    @override
     def summarise(self, maps: list[Tensor], octave: int) -> Tensor:
-        """Return means and root mean squares of features where the light is strong, at medium strength, and weak."""
-        filled = self.octaves.fill(maps, octave)
-        rings = [[mask_ring(each, low, high) for each in filled] for low, high in RING_BOUNDS]
+        """Return means and root mean squares of features in three rings: of strong, medium and weak light."""
+        all_maps = self.octaves.repeat_finest(maps, octave)
+        rings = [[mask_ring(features, low, high) for features in all_maps] for low, high in RING_BOUNDS]
         return torch.cat([moments(ring) for ring in rings], 1)
 
     @property
+    @override
     def summary_size(self) -> int:
         return len(RING_BOUNDS) * super().summary_size
 
     def find_light(self, photos: Tensor) -> Tensor:
-        """Find the position of the flash of photos [B, 3, h, w], [B, 3]."""
-        place = estimate_flash_position(photos)
+        """Estimate the positions [B, 3] of the flashes of photos [B, 3, h, w], in half sides of the patch."""
+        offset = estimate_flash_position(photos)
         height = camera_position(dtype=photos.dtype, device=photos.device)[2].expand(len(photos), 1)
-        return torch.cat([place.to(photos), height], 1)
+        return torch.cat([offset.to(photos), height], 1)
 
     @staticmethod
     def photograph(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
-        """Render display values [..., 3, H, W] of maps under a flash; light and view [..., 3]."""
+        """Render maps under a flash, as a photograph.
+
+        Args:
+            maps: maps [..., C, H, W].
+            light, view: positions of the flash and the camera, [..., 3], in half sides of the patch.
+
+        Returns:
+            Display values [..., 3, H, W].
+        """
         place = texel_positions(*maps.diffuse.shape[-2:], dtype=light.dtype, device=light.device)
         return radiance_to_display(render_maps(maps, place, light, view, falloff=FLASH_FALLOFF))
 
-    def look(self, answer: Maps | Tensor, described: Batch) -> Tensor:
+    @override
+    def render_answer(self, answer: Maps | Tensor, described: Batch) -> Tensor:
         light = described["light"][:, None]
         return self.photograph(answer, light, light) if isinstance(answer, Maps) else answer
 
-    def evenly_lit(self, pictures: Tensor, described: Batch) -> Tensor:
+    @override
+    def even_light(self, pictures: Tensor, described: Batch) -> Tensor:
         return remove_shading(pictures, described["light"])
 
     def targets(self, tasks: Tasks, windows: Tensor) -> Batch:
-        """Return what fits of tasks are compared with in windows [T, N], [T, ...]."""
+        """Return what pictures are compared with in windows of the numbers [T, N], by name, [T, ...] each."""
         rows = tasks.rows
-        named = [key for key in tasks.data if key in ("light", "pooled", "chroma", "detail", "truth")]
-        targets = {key: tasks.data[key][rows] for key in named}
-        for i in range(self.octaves.count_maps(self.octaves.find_octave(tasks.data))):
-            targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
-            targets[f"gram{i}"] = tasks.data[f"gram{i}"][rows[:, None], windows]
+        keys = [key for key in tasks.data if key in ("light", "pooled", "chroma", "detail", "truth")]
+        targets = {key: tasks.data[key][rows] for key in keys}
+        for index in range(self.octaves.count_maps(self.octaves.find_octave(tasks.data))):
+            targets[f"spectrum{index}"] = tasks.data[f"spectrum{index}"][rows]
+            targets[f"gram{index}"] = tasks.data[f"gram{index}"][rows[:, None], windows]
         return targets
 
     def distances(self, pictures: Tensor, batch: Batch, *, cropped: bool = False) -> dict[str, Tensor]:
-        """Return how far pictures [T, S, 3, H, W] are from a batch, [T] each: Gram matrices, spectra, pooled pictures.
+        """Measure distances of pictures from photos.
 
         Args:
-            pictures: sRGB in [0, 1].
-            batch: as `targets` returns it, with `windows`.
-            cropped: whether the finest octave is compared in the first window alone, and by no spectra.
+            pictures: S pictures of each task, [T, S, 3, H, W], sRGB in [0, 1].
+            batch: what :meth:`targets` returns, and `windows` [T, N].
+            cropped: whether the finest octave is compared in the first window alone, and without spectra.
+
+        Returns:
+            The distances of Gram matrices `gram`, spectra `spectrum`, and pooled pictures `pooled`, [T] each.
         """
-        leading, flat, octave = pictures.shape[:2], pictures.flatten(0, 1), self.octaves.find_octave(batch)
-        pooled = adaptive_avg_pool2d(flat, POOLED_PX).unflatten(0, leading)
+        leading, images, octave = pictures.shape[:2], pictures.flatten(0, 1), self.octaves.find_octave(batch)
+        pooled = adaptive_avg_pool2d(images, POOLED_PX).unflatten(0, leading)
         windows = batch["windows"].tolist()
-        first = [own[0] for own in windows for _ in range(leading[1])]
+        first = [task_windows[0] for task_windows in windows for _ in range(leading[1])]
         cropped = cropped and octave == 0 and self.octaves.count > 1
-        crop = (lambda images: torch.stack(list(map(crop_window, images, first)))) if cropped else None
-        found = self.compute_features(flat, octave, crop)
-        whole = self.octaves.count_maps(1) if cropped else len(found)
+        crop = (lambda part_images: torch.stack(list(map(crop_window, part_images, first)))) if cropped else None
+        feature_maps = self.compute_features(images, octave, crop)
+        whole_count = self.octaves.count_maps(1) if cropped else len(feature_maps)
         grams, spectra = [], []
-        for i, maps in enumerate(found):
-            wanted = batch[f"gram{i}"][:, None]
-            if i < whole:
-                spectra.append(
-                    statistics_distance(
-                        [amplitude_spectrum(maps).unflatten(0, leading)], [batch[f"spectrum{i}"][:, None]]
-                    )
-                )
-                made = grams_of_tasks(maps.unflatten(0, leading), windows)
+        for index, features in enumerate(feature_maps):
+            target_grams = batch[f"gram{index}"][:, None]
+            if index < whole_count:
+                spectrum = amplitude_spectrum(features).unflatten(0, leading)
+                spectra.append(statistics_distance([spectrum], [batch[f"spectrum{index}"][:, None]]))
+                picture_grams = grams_of_tasks(features.unflatten(0, leading), windows)
             else:
-                made, wanted = gram(maps * fade_weights(maps)).unflatten(0, leading)[:, :, None], wanted[:, :, :1]
-            grams.append(statistics_distance([made], [wanted]).mean((1, 2)))
+                picture_grams = gram(features * fade_weights(features)).unflatten(0, leading)[:, :, None]
+                target_grams = target_grams[:, :, :1]
+            grams.append(statistics_distance([picture_grams], [target_grams]).mean((1, 2)))
         return {
             "gram": torch.stack(grams).mean(0),
             "spectrum": SPECTRUM_WEIGHT * torch.stack(spectra).mean((0, 2)),
             "pooled": (pooled - batch["pooled"][:, None]).abs().mean((1, 2, 3, 4)),
         }
 
+    @override
     @torch.no_grad()
     def errors(self, answer: Maps | Tensor, tasks: Tasks) -> dict[str, Tensor]:
-        """Measure maps [T, B, ...] of the exemplar's size, or of photographs [T, B, 3, H, W] of them, sRGB in [0, 1].
+        """Measure maps [T, B, ...] of the exemplar's size, or photographs of them [T, B, 3, H, W], sRGB in [0, 1].
 
-        `relit` is the error under other lights and from elsewhere, if the data set has references of that.
-        Photographs are under the exemplar's light and have none.
+        Returns:
+            `error`, by Gram matrices; `spectrum`; `brightness`, by pooled pictures; and of maps whose tasks have
+            references under other lights and from elsewhere, `relit`, by Gram matrices under these; [T] each.
         """
-        every = torch.arange(WINDOWS_PER_SIDE * WINDOWS_PER_SIDE, device=tasks.rows.device).expand(len(tasks), -1)
-        batch = {"windows": every} | self.targets(tasks, every)
-        distances = self.distances(self.look(answer, batch), batch)
+        windows = torch.arange(WINDOW_COUNT, device=tasks.rows.device).expand(len(tasks), -1)
+        batch = {"windows": windows} | self.targets(tasks, windows)
+        distances = self.distances(self.render_answer(answer, batch), batch)
         errors = {
             "error": distances["gram"],
             "spectrum": distances["spectrum"] / SPECTRUM_WEIGHT,
             "brightness": distances["pooled"],
         }
         if "relit" in tasks.data and isinstance(answer, Maps):
-            errors["relit"] = self._relit(answer, tasks.data["relit"][tasks.rows])
+            errors["relit"] = self._relit_error(answer, tasks.data["relit"][tasks.rows])
         return errors
 
-    def _relit(self, maps: Maps, references: Tensor) -> Tensor:
+    def _relit_error(self, maps: Maps, references: Tensor) -> Tensor:
+        """Return the mean distance [T] of Gram matrices of maps under other lights from references [T, 3, 3, S, S]."""
         errors = []
-        for i, (light, view) in enumerate(relighting_positions(device=references.device).values()):
+        for index, (light, view) in enumerate(relighting_positions(device=references.device).values()):
             pictures = self.photograph(maps, light, view)
-            target = self.octaves.take_exemplar(references[:, i].float() / 255)
+            target = self.octaves.take_exemplar(references[:, index].float() / 255)
             grams = [
-                [
-                    grams_in_windows(part, range(WINDOWS_PER_SIDE * WINDOWS_PER_SIDE))
-                    for part in self.compute_features(images, 0)
-                ]
+                [grams_in_windows(features, range(WINDOW_COUNT)) for features in self.compute_features(images, 0)]
                 for images in (pictures.flatten(0, 1), target)
             ]
-            made = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
-            errors.append(statistics_distance(made, [part[:, None] for part in grams[1]]).mean((1, 2)))
+            picture_grams = [features.unflatten(0, pictures.shape[:2]) for features in grams[0]]
+            errors.append(statistics_distance(picture_grams, [features[:, None] for features in grams[1]]).mean((1, 2)))
         return torch.stack(errors).mean(0)
 
 
 def encode_gloss(specular: Tensor, roughness: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the network's output for specular and roughness of any shape, before any range was imposed."""
-    ends = ((specular, 1e-9), ((roughness - 0.1) / 0.9, 1e-6))  # torch's logit has one eps for both ends
-    # no float32 is 1 - 1e-9
-    raw = [part.clamp_min(eps).log() - torch.log1p(-part.clamp_max(1 - 1e-6)) for part, eps in ends]
-    return raw[0] + 3, raw[1]
+    """Return the logits that the network makes specular and roughness of, for values of any shape."""
+    shares = ((specular, 1e-9), ((roughness - 0.1) / 0.9, 1e-6))  # torch.logit has one eps for both ends
+    # float32 has no 1 - 1e-9
+    logits = [share.clamp_min(eps).log() - torch.log1p(-share.clamp_max(1 - 1e-6)) for share, eps in shares]
+    return logits[0] + 3, logits[1]
 
 
 def chroma_deviations(photos: Tensor) -> Tensor:
-    """Return standard deviations [B, 2] of red less green and of yellow less blue, of photos [B, 3, H, W]."""
+    """Return standard deviations [B, 2] of red minus green and of yellow minus blue in photos [B, 3, H, W]."""
     red, green, blue = photos.unbind(1)
     opponents = torch.stack([red - green, (red + green) / 2 - blue], 1)
     return (opponents.var((2, 3)) + 1e-6).sqrt()
 
 
-def _shine(photos: Tensor, light: Tensor) -> Tensor:
-    """The highlight's confidence in the gloss, 0 to 1, and specular and roughness as networks make them, [B, 3]."""
+def _read_gloss(photos: Tensor, light: Tensor) -> Tensor:
+    """Read gloss off highlights of photos [B, 3, h, w]: `shine` [B, 3], see :meth:`FlashStatistics.describe`."""
     highlight = estimate_gloss(avg_pool2d(photos, 2), light)
     low, high = LOBE_SHARES
-    sure = ((highlight.central_lobe_share - low) / (high - low)).clamp(0, 1) * (
+    confidence = ((highlight.central_lobe_share - low) / (high - low)).clamp(0, 1) * (
         highlight.roughness < MAX_LOBE_ROUGHNESS
     )
-    made = encode_gloss(highlight.specular.clamp(0.01, 0.5), highlight.roughness.clamp(0.12, 0.98))
-    return torch.stack([sure, *made], 1)
+    logits = encode_gloss(highlight.specular.clamp(0.01, 0.5), highlight.roughness.clamp(0.12, 0.98))
+    return torch.stack([confidence, *logits], 1)

@@ -1,4 +1,4 @@
-"""Options of stationary svBRDFs."""
+"""The options of stationary svBRDFs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of stationary svBRDFs: maps that tile, photographs of them, and warnings."""
+"""The presenter of stationary svBRDFs: maps that tile, photographs of them, and warnings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
 from metapp.learning.task import Params, Task, Tasks
 
-# By fits of 39 photographs that were graded by eye: on every other one, all 7 intact materials are above 0.89.
+# Strength of a picture's lines over the photo's. Chosen by fits of 39 photographs that were graded by eye; on every
+# other one of them, all 7 intact materials are above 0.89.
 MIN_LINE_STRENGTH = 0.85
 
 
@@ -28,21 +29,21 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     """Maps that tile, beside their flash photograph and under other lights.
 
     Attributes:
-        relief: the factor of the slopes of normals and of heights that are written and shown; errors are without it.
+        relief: the factor of slopes of normals and of heights in files and pictures; errors are without it.
     """
 
     relief: float = 1.0
     picture_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
-    least_lines = MIN_LINE_STRENGTH
-    shows_seams = False  # a highlight of another shape than the photo's leaves rings
+    min_line_strength = MIN_LINE_STRENGTH
+    shows_seams = False  # rings remain where a highlight has another shape than the photo's
 
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """Return the photo and the fit under the photo's light, then maps and relightings as they are displayed."""
+        """Return the photo and the fit under its light, then the maps, and pictures of them under other lights."""
         octaves, statistics = self.app.octaves, self.app.statistics
         photo = octaves.take_exemplar(task.data["image"][None].float() / 255)
         light = statistics.find_light(photo)
-        maps, height = self._material(theta)
+        maps, height = self._generate_material(theta)
         fit = statistics.photograph(maps, light[0], light[0])
         displayed = {"reference": photo[0].permute(1, 2, 0), "fit": fit.permute(1, 2, 0)}
         pictures = map_pictures(scale_relief(maps, self.relief), self.relief * height, falloff=FLASH_FALLOFF)
@@ -53,11 +54,11 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     @override
     @torch.no_grad()
     def comparison(self, theta: Params, task: Task) -> PictureComparison:
-        """Return the maps under the photo's light, and under others if the task has references of that."""
+        """Return the maps under the photo's light and, where the task has references, under other lights."""
         octaves, statistics = self.app.octaves, self.app.statistics
         photos = [task.data["image"][None], *([task.data["relit"]] if "relit" in task.data else [])]
         references = torch.cat([octaves.take_exemplar(images.float() / 255) for images in photos])
-        light, maps = statistics.find_light(references[:1])[0], self._material(theta)[0]
+        light, maps = statistics.find_light(references[:1])[0], self._generate_material(theta)[0]
         pairs = [(light, light), *relighting_positions(device=light.device).values()][: len(references)]
         return PictureComparison(torch.stack([statistics.photograph(maps, *pair) for pair in pairs]), references)
 
@@ -68,7 +69,7 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
 
     @override
     def answer_pictures(self, answer: Maps | Tensor, task: Task) -> dict[str, Picture]:
-        """Return the pictures of the first of the maps [1, B, ...], which tile, or the first photograph."""
+        """Return pictures of the first of maps [1, B, ...], which tile, or the first of photographs [1, B, 3, H, W]."""
         if not isinstance(answer, Maps):
             return {"photo": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
         maps = Maps(*(part[0, 0] for part in answer))
@@ -82,12 +83,12 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     @override
     @torch.no_grad()
     def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
-        """Return `mean_tilt_degrees` of normals as fitted, without `relief`."""
-        return {"mean_tilt_degrees": mean_tilt_degrees(self._material(theta)[0].normal)}
+        """Return the mean tilt of fitted normals, `mean_tilt_degrees`, without the factor `relief`."""
+        return {"mean_tilt_degrees": mean_tilt_degrees(self._generate_material(theta)[0].normal)}
 
     @override
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Return clauses on structure that was lost, and on clipped highlights; only if networks read layouts."""
+        """Add clauses on clipped highlights; there are clauses only where networks read layouts."""
         warnings = super().quality_warnings(theta, tasks)
         if not self.app.network.has_layout:
             return warnings
@@ -95,11 +96,19 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         return [clauses + clipped_highlight_warnings(image.float() / 255, F0_BOUND_CLAUSE) for clauses, image in pairs]
 
     def _shown_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
-        """Return maps and height as files show them."""
-        maps, height = self.cache_last(theta, task, lambda: self._material(theta, self.picture_size))
+        """Return maps [C, H, W] and height [1, H, W] in texels at the size of files, scaled by `relief`."""
+        maps, height = self.cache_last(theta, task, lambda: self._generate_material(theta, self.picture_size))
         return scale_relief(maps, self.relief), self.relief * height
 
-    def _material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
-        """Return the maps of one material and their height, without leading axes, of a size or the exemplar's."""
-        maps, heights = self.make_shown(theta, self.app.maps, size)
+    def _generate_material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
+        """Generate the maps of one material and their height.
+
+        Args:
+            theta: the fit, without a task axis.
+            size: height and width in texels; None for the exemplar's.
+
+        Returns:
+            Maps [C, H, W], and the height [1, H, W] in texels.
+        """
+        maps, heights = self.generate_shown(theta, self.app.generate_maps, size)
         return Maps(*(part[0, 0] for part in maps)), heights[0, 0]

@@ -1,4 +1,4 @@
-"""Recipes of stationary svBRDFs."""
+"""The recipes of stationary svBRDFs."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.learning.recipe import Adam, Recipe, paper_recipe
 from metapp.networks.generators import UNet
 
-PRIOR_WEIGHT = (
-    0.5  # in fits of 256 texels, of how far these are from General's, which else take the place of diffuse colour
-)
+# Weight, in fits at 256 texels, of the distance of gloss from General's; without it, gloss takes the place of colour.
+PRIOR_WEIGHT = 0.5
 
 
-def _with_prior(recipe: Recipe, prior: float) -> Recipe:
+def _set_prior(recipe: Recipe, weight: float) -> Recipe:
     """Return a recipe whose fits have a prior of this weight."""
     app = recipe.app
     assert isinstance(app, SvbrdfStationary)
-    return replace(recipe, app=replace(app, prior=prior))
+    return replace(recipe, app=replace(app, prior=weight))
 
 
 QUICK = generator_recipe(
@@ -31,13 +30,13 @@ QUICK = generator_recipe(
     searched=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3),
     general=general_training(2500, 6),
 )
-FULL = _with_prior(
+FULL = _set_prior(
     pyramid_recipe(QUICK, steps=14, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3), PRIOR_WEIGHT
 )
-# Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, meta-batch 3
+# Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, 3 tasks an outer step
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3")
 PUBLISHED_APP = SvbrdfStationary(UNet(32, outputs=6), Octaves(256, 256, TAPS))
 PAPER = paper_recipe(QUICK, PUBLISHED_APP, tasks=3, validate_every=50)
-# at a side, in texels, whose outer steps take seconds on CPUs
+# 64 texels a side, at which an outer step takes seconds on CPUs
 PAPER_64 = replace(PAPER, app=replace(PUBLISHED_APP, octaves=Octaves(64, 64, TAPS)))
 RECIPES = {"paper": PAPER, "paper-64": PAPER_64, "quick": QUICK, "full": FULL}

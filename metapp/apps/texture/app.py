@@ -1,4 +1,4 @@
-"""Textures: a network from noise to a texture with the visual statistics of an exemplar (paper section 4.1.1)."""
+"""The application of textures: Gram matrices of features of generated pictures are fitted to an exemplar's."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
+from typing_extensions import override
 
 from metapp.appearance.features import gram, statistics_distance
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
@@ -16,34 +17,44 @@ from metapp.learning.random_tensors import draw_uniform
 from metapp.learning.task import Batch, Params, Tasks, TensorSpec
 from metapp.networks.layout import layout_deviation
 
-MIN_CROP_SHARE = 0.5
+MIN_CROP_SHARE = 0.5  # shortest side of random crops over the side of the exemplar
 
 
 class GramStatistics(Statistics):
-    """Gram matrices of the whole picture."""
+    """Gram matrices of features, means over the whole picture."""
 
-    reduced = True
+    reduced_precision = True
 
+    @override
     @torch.no_grad()
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """Return Gram matrices `gram0`... [B, C, C] and `summary`, means and root mean squares of features."""
+        """Compute the Gram matrix [B, C, C] of each feature map, `gram0`, `gram1` and so on, and `summary` [B, S]."""
         maps = self.compute_features(exemplars, octave)
-        return {f"gram{i}": gram(each) for i, each in enumerate(maps)} | {"summary": self.summarise(maps, octave)}
+        return {f"gram{i}": gram(features) for i, features in enumerate(maps)} | {
+            "summary": self.summarise(maps, octave)
+        }
 
     def targets(self, tasks: Tasks) -> Batch:
-        """Return what fits of tasks are compared with, [T, ...]."""
+        """Return what pictures are compared with in fits: Gram matrices and detail of the exemplars, [T, ...] each."""
         return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith(("gram", "detail"))}
 
-    def distance(self, pictures: Tensor, batch: Batch, crop: Crop | None = None) -> Tensor:
-        """Return the relative L1 distance of Gram matrices of pictures [T, B, 3, H, W] from those of a batch, [T]."""
+    def gram_distance(self, pictures: Tensor, batch: Batch, crop: Crop | None = None) -> Tensor:
+        """Return the relative L1 distance of pictures' Gram matrices from the exemplars', [T].
+
+        Args:
+            pictures: pictures [T, B, 3, H, W] of an octave's size, sRGB in [0, 1].
+            batch: what :meth:`targets` returns.
+            crop: takes the part of pictures that the finest octave is computed of; None for all.
+        """
         maps = self.compute_features(pictures.flatten(0, 1), self.octaves.find_octave(batch), crop)
-        grams = [gram(each).unflatten(0, pictures.shape[:2]) for each in maps]
+        grams = [gram(features).unflatten(0, pictures.shape[:2]) for features in maps]
         return statistics_distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
 
+    @override
     @torch.no_grad()
     def errors(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
-        """Measure pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1]."""
-        return {"error": self.distance(answer, self.targets(tasks))}
+        """Measure pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1], by Gram matrices: `error` [T]."""
+        return {"error": self.gram_distance(answer, self.targets(tasks))}
 
 
 class Texture(ExemplarApp):
@@ -54,32 +65,40 @@ class Texture(ExemplarApp):
     tensors: ClassVar = {"image": TensorSpec((3, "S", "S"), "uint8")}
 
     @property
+    @override
     def statistics(self) -> GramStatistics:
         return GramStatistics(self.octaves)
 
+    @override
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
-        """Textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
+        """Generate textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
         return torch.sigmoid(generate_raw(self, theta, noise, octave))
 
+    @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`noise` for `count` textures of each task, and the exemplars' Gram matrices."""
+        """Draw `noise` [T, count, C, H, W] of textures, and add what these are compared with."""
         noise = draw_noise(self, rng, len(tasks), count, octave=self.octaves.find_octave(tasks.data))
         return {"noise": noise} | self.statistics.targets(tasks)
 
+    @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Relative L1 distance of Gram matrices, [T]; how far pictures are from their layouts; how soft they are."""
+        """Return the relative L1 distance of Gram matrices, [T], plus deviations from the layout and of fine detail."""
         statistics, octave, noise = self.statistics, self.octaves.find_octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
-        apart = statistics.distance(images, batch, self._take_strip)
-        apart = apart + layout_deviation(theta, noise, images, self.octaves.layout_ratio(octave))
-        return apart + statistics.softness(images, batch)
+        loss = statistics.gram_distance(images, batch, self._take_strip)
+        loss = loss + layout_deviation(theta, noise, images, self.octaves.layout_ratio(octave))
+        return loss + statistics.softness_loss(images, batch)
 
     def _take_strip(self, images: Tensor) -> Tensor:
-        """Take as many rows as the coarsest octave has; noise and layouts are moved at each step."""
-        return images[..., : self.octaves.size(self.octaves.count - 1)[0], :]
+        """Take as many rows as the coarsest octave has from images [B, 3, H, W].
 
+        They are other ones of the texture at each step, since noise is drawn anew and layouts are moved.
+        """
+        return images[..., : self.octaves.octave_size(self.octaves.count - 1)[0], :]
+
+    @override
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
-        """A square part of the image, at a random place and scale."""
+        """Crop a square [3, s, s] at a random place and scale from an image [3, S, S]."""
         size = image.shape[-1]
         scale, left, top = draw_uniform(rng, 3).tolist()
         side = round(size * (MIN_CROP_SHARE + (1 - MIN_CROP_SHARE) * scale))

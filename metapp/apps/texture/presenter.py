@@ -1,4 +1,4 @@
-"""Pictures of textures: files that tile, comparisons with the exemplar, and warnings."""
+"""The presenter of textures: files that tile, comparisons with the exemplar, and warnings."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from metapp.apps.texture.app import Texture
 from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Params, Task
 
-# By fits of 66 photographs that were graded by eye: on every other one, 9 of 12 broken textures are below, and 1 of 11
-# intact ones.
+# Strength of a texture's lines over the exemplar's. Chosen by fits of 66 photographs that were graded by eye; on every
+# other one of them, 9 of 12 broken textures are below it, and 1 of 11 intact ones.
 MIN_LINE_STRENGTH = 0.935
 
 
@@ -25,7 +25,7 @@ class TexturePresenter(ExemplarPresenter[Texture]):
     """A texture that tiles, beside its exemplar."""
 
     picture_measure = "a texture of the exemplar's size beside the exemplar"
-    least_lines = MIN_LINE_STRENGTH
+    min_line_strength = MIN_LINE_STRENGTH
 
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:
@@ -38,7 +38,7 @@ class TexturePresenter(ExemplarPresenter[Texture]):
     @override
     def comparison(self, theta: Params, task: Task) -> PictureComparison:
         exemplar = self.app.octaves.take_exemplar(task.data["image"][None].float() / 255)
-        return PictureComparison(self.make_shown(theta, self.app.generate)[0], exemplar)
+        return PictureComparison(self.generate_shown(theta, self.app.generate)[0], exemplar)
 
     @override
     def pictures(self, theta: Params, task: Task) -> dict[str, Picture]:
@@ -46,7 +46,7 @@ class TexturePresenter(ExemplarPresenter[Texture]):
 
     @override
     def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
-        """Return the first of the textures [1, B, 3, H, W], sRGB in [0, 1]."""
+        """Return the first one of the textures [1, B, 3, H, W], sRGB in [0, 1]."""
         return {"texture": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
 
     @override
@@ -54,16 +54,19 @@ class TexturePresenter(ExemplarPresenter[Texture]):
         return Surface(srgb_to_linear(self._texture(theta, task)), True)
 
     def _texture(self, theta: Params, task: Task) -> Tensor:
-        """Return the texture of the size of files, [3, H, W], sRGB in [0, 1]; it tiles."""
+        """Return the texture at the size of files, [3, H, W], sRGB in [0, 1]; it tiles."""
 
         def make() -> Tensor:
-            return self.make_shown(theta, self.app.generate, self.picture_size)
+            return self.generate_shown(theta, self.app.generate, self.picture_size)
 
         return self.cache_last(theta, task, make)[0, 0]
 
     @override
     def pictures_for_lines(self, theta: Params, pictures: Tensor) -> Tensor:
-        """Return textures of twice the exemplar's size: as for files, layouts are quilted anew, which breaks more."""
+        """Generate textures of twice the exemplar's size, [T, 3, 2 H, 2 W].
+
+        Layouts are quilted anew for these, as for files, which breaks lines more often than the exemplar's size.
+        """
         rng, (height, width) = Generator(pictures.device).manual_seed(SHOWN_SEED), pictures.shape[-2:]
         noise = draw_normal(rng, 1, 1, self.app.network.noise, 2 * height, 2 * width)
         return self.app.generate(theta, noise.expand(len(pictures), -1, -1, -1, -1))[:, 0]

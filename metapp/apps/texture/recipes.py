@@ -1,4 +1,4 @@
-"""Recipes of textures."""
+"""The recipes of textures."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ QUICK = generator_recipe(
     general=general_training(4000, 8),
 )
 FULL = pyramid_recipe(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4)
-# Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, meta-batch 5
+# Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, 5 tasks an outer step
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
 PUBLISHED_APP = Texture(UNet(32), Octaves(192, 256, TAPS))
 PAPER = paper_recipe(QUICK, PUBLISHED_APP, validate_every=50)
-# at a side, in texels, whose outer steps take seconds on CPUs
+# 64 texels a side, at which an outer step takes seconds on CPUs
 PAPER_64 = replace(PAPER, app=replace(PUBLISHED_APP, octaves=Octaves(64, 64, TAPS)))
 RECIPES = {"paper": PAPER, "paper-64": PAPER_64, "quick": QUICK, "full": FULL}

@@ -144,7 +144,10 @@ def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: 
             raise ValueError(f"{path}: {counts}, expected some; compare runs of the same data.")
     runs = [
         ComparedRun(
-            label, Run.from_settings(run_settings).presenter, stored_run.folder, [records_by_name[name] for name in names]
+            label,
+            Run.from_settings(run_settings).presenter,
+            stored_run.folder,
+            [records_by_name[name] for name in names],
         )
         for label, run_settings, stored_run, records_by_name in zip(
             _make_labels(settings), settings, stored_runs, by_name, strict=True

@@ -46,7 +46,11 @@ class MitsubaNetwork:
         layers = [(weights.float().numpy(), bias.float().numpy()) for weights, bias in folded.layers]
         self.weights = [mi.TensorXf(weights) for weights, _ in layers]
         self.biases = [mi.Float(bias) for _, bias in layers]
-        self.featured, self.turn, self.darkest = folded.inputs != "nbrdf", folded.axes_azimuth_rad, folded.log_floor
+        self.featured, self.axes_azimuth_rad, self.darkest = (
+            folded.inputs != "nbrdf",
+            folded.axes_azimuth_rad,
+            folded.log_floor,
+        )
         self._constants = [(weights.tolist(), bias.tolist()) for weights, bias in layers]
         self._zero = dr.opaque(mi.UInt32, 0)
 
@@ -61,8 +65,10 @@ class MitsubaNetwork:
             light: direction of the light, above the surface, in the local frame of the surface.
             viewer: direction of the viewer, likewise.
         """
-        if self.turn is not None:
-            inputs = anisotropic_features(*(turn_about_normal(direction, -self.turn) for direction in (light, viewer)))
+        if self.axes_azimuth_rad is not None:
+            inputs = anisotropic_features(
+                *(turn_about_normal(direction, -self.axes_azimuth_rad) for direction in (light, viewer))
+            )
         else:
             half, difference = half_difference(light, viewer)
             inputs = isotropic_features(half, difference) if self.featured else [*half, *difference]
@@ -282,7 +288,9 @@ class NetworkReflection(Reflection):
         network = find_network(theta)
         folded = network.fold(theta)
         self.network = MitsubaNetwork(folded)
-        self.mixture = MitsubaLobeMixture(fit_lobes(functools.partial(network.evaluate, theta), folded.turn))
+        self.mixture = MitsubaLobeMixture(
+            fit_lobes(functools.partial(network.evaluate, theta), folded.axes_azimuth_rad)
+        )
         self.tint = props.get_texture("tint", 1.0)
         self.components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
 

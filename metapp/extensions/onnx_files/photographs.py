@@ -49,8 +49,8 @@ class MaterialModule(torch.nn.Module):
         inputs = pixel_inputs(linear)
         encoder = {name: self.encoder[key] for key, name in self.names.items()}
         theta = self.app.encode(encoder, {"photo": linear, "inputs": inputs})
-        code = self.app.network.gain * theta["z"]  # a code in each pixel
-        maps = self.app.maps_from(self.app.network.decoded(theta, code, inputs))
+        code = self.app.network.gain * theta["z"]  # one in each pixel
+        maps = self.app.maps_from(self.app.network.evaluate(theta, code, inputs))
         return tuple(getattr(maps, name) for name in MODEL_OUTPUTS)
 
     def reads_any_size(self) -> bool:

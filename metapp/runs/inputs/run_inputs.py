@@ -108,7 +108,9 @@ def find_inputs(run: Run) -> tuple[list[Input], str]:
     if not options.paths:
         tasks, label = read_test_tasks(app, options.data, options.quiet)
         return inputs_of_tasks(tasks), label
-    merge_options = [option for option in registry().merges.of(app.name) if option in options.app_options.non_default_values()]
+    merge_options = [
+        option for option in registry().merges.of(app.name) if option in options.app_options.non_default_values()
+    ]
     for path in options.paths:
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder; give existing input files.")

@@ -86,7 +86,7 @@ def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.Monk
         "deviation": torch.full((count, 4, side // 4, side // 4), -2.0),
         "flash": torch.zeros(count, FLASH_NUMBERS),
     }
-    monkeypatch.setattr(FromFeatures, "_made_of", lambda app, theta, inputs: maps)
+    monkeypatch.setattr(FromFeatures, "_evaluate_maps", lambda app, theta, inputs: maps)
     return app.outer_loss(theta, batch, {})
 
 
@@ -186,7 +186,7 @@ def test_training_sees_what_the_network_makes_and_fits_what_is_made_of_it(
     photo = tasks.data["photo"]
     raw = app.network(theta, pixel_inputs(photo))
     for maps, wanted in (
-        (app._made_of(theta, pixel_inputs(photo)), decode_maps(raw)),
+        (app._evaluate_maps(theta, pixel_inputs(photo)), decode_maps(raw)),
         (app.maps_of(theta, photo), app.maps_from(raw)),
     ):
         for found, other in zip(maps, wanted, strict=True):

@@ -55,7 +55,7 @@ def settings(values: dict[str, float] = SETTINGS) -> Params:
 
 def test_changes_are_those_of_dense_least_squares() -> None:
     theta, batch, _ = problem()
-    found = newton.gauss_newton_change(theta, batch, settings(), longest_of_texel=sum(CHANNELS) * (1e6,))
+    found = newton.gauss_newton_change(theta, batch, settings(), max_texel_change=sum(CHANNELS) * (1e6,))
 
     def logs(flat: Tensor) -> Tensor:
         maps, flash = (

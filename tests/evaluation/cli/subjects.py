@@ -37,7 +37,9 @@ def call(*arguments: str | Path) -> int:
 
 def subject_of(data: Path, runs: Path) -> EvaluationRun:
     """A data set with all that has been run of it."""
-    planned = Run.from_options(fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
+    planned = Run.from_options(
+        fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True)
+    )
     return EvaluationRun(planned, is_measuring=True)
 
 

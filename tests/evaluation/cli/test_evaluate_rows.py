@@ -36,7 +36,9 @@ from tests.evaluation.test_notes import row
 
 def test_the_ablation_has_four_corners(subject: EvaluationRun) -> None:
     """Two of them are rows of the results; rules with a network of their own have none."""
-    planned = EvaluationRun(Run.from_options(fit_options("brdf", "general", recipe="quick", quiet=True)), is_measuring=False)
+    planned = EvaluationRun(
+        Run.from_options(fit_options("brdf", "general", recipe="quick", quiet=True)), is_measuring=False
+    )
     assert "meta:ridge" in planned.runs
     assert learned_rule_rows(planned) == [
         name for name in planned.runs if name.startswith("meta") and name != "meta:ridge"

@@ -35,15 +35,15 @@ from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 from metapp.networks.field import LocalField
 
-PART_WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # of the differences of maps, in the order of PARTS; pictures ignore normals
-# The predicted slope that is halved, and the gain of all slopes: chosen by validation materials
+PART_WEIGHTS = (1.0, 1.0, 4.0, 10.0)  # weights of the differences of maps, in the order of PARTS
+# The predicted slope that is halved before the gain, and the gain of all slopes; chosen by validation materials
 HALVED_SLOPE, SLOPE_GAIN = 0.1, 1.5
-LIKELIHOOD_WEIGHT = 0.03  # of the likelihood of predicted errors, which moves nothing but these
-INITIAL_SLOPE_GAIN = 0.05  # of untrained fields, whose maps are nearly flat
+LIKELIHOOD_WEIGHT = 0.03  # weight in the outer loss of the likelihood of predicted errors, which moves these alone
+INITIAL_SLOPE_GAIN = 0.05  # factor of slopes of untrained fields, whose maps are nearly flat
 PATCH_KEYS = ("overview", "highlight", "guess", "code", "flash")  # what `describe_patch` returns
-DECODER_PREFIX = "decoder."
+DECODER_PREFIX = "decoder."  # of names of General's parameters that tasks share
 FULL_PREFIX = "full."  # of names of the parameters of the field of the recipe "full"
-FULL_SHARE = 0.5  # of that field in diffuse colour, roughness and specular colour; slopes are of the other field
+FULL_SHARE = 0.5  # weight of that field in diffuse colour, roughness and specular colour; it has none in slopes
 
 
 class MeanField(LocalField):
@@ -53,34 +53,31 @@ class MeanField(LocalField):
     codes of both fields, that of the first field first.
     """
 
+    @override
     def init(self, rng: Generator, count: int) -> Params:
         """Draw random parameters of both fields, [count, ...] each."""
         full = FULL_APP.network._replace(rows=self.rows, columns=self.columns)
-        own, other = super().init(rng, count), full.init(rng, count)
-        z = torch.cat([own["z"], other.pop("z")], 1)
-        return own | {f"{FULL_PREFIX}{key}": value for key, value in other.items()} | {"z": z}
+        theta, full_theta = super().init(rng, count), full.init(rng, count)
+        z = torch.cat([theta["z"], full_theta.pop("z")], 1)
+        return theta | {f"{FULL_PREFIX}{key}": value for key, value in full_theta.items()} | {"z": z}
 
-    def decoded(self, theta: Params, code: Tensor, places: Tensor) -> Tensor:
-        """Evaluate the mean of both fields at texels, [T, outputs, h, w].
+    @override
+    def evaluate(self, theta: Params, code: Tensor, places: Tensor) -> Tensor:
+        """Evaluate the mean of both fields; `code` has the codes of both at the texels, the first field's first."""
+        return self.mix_outputs(*self.evaluate_both(theta, code, places))
 
-        Args:
-            theta: the parameters of both.
-            code: both codes at the texels, [T, 2 codes, h, w].
-            places: the inputs of the texels, [T, inputs, h, w].
-        """
-        return self.mean(*self.both(theta, code, places))
+    def evaluate_both(self, theta: Params, code: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
+        """Evaluate the first field and the field of "full" at texels, [T, outputs, h, w] each; see :meth:`evaluate`."""
+        full_theta = {
+            key.removeprefix(FULL_PREFIX): value for key, value in theta.items() if key.startswith(FULL_PREFIX)
+        }
+        first_output = super().evaluate(theta, code[:, : self.code], places)
+        return first_output, FULL_APP.network.evaluate(full_theta, code[:, self.code :], places)
 
-    def both(self, theta: Params, code: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-        """Evaluate each of both fields at texels, [T, outputs, h, w] each; see :meth:`decoded`."""
-        full = {key.removeprefix(FULL_PREFIX): value for key, value in theta.items() if key.startswith(FULL_PREFIX)}
-        own = super().decoded(theta, code[:, : self.code], places)
-        return own, FULL_APP.network.decoded(full, code[:, self.code :], places)
-
-    def mean(self, own: Tensor, full: Tensor) -> Tensor:
-        """Return the mean of the outputs of both fields [T, outputs, h, w]; slopes are those of the first."""
-        return torch.cat(
-            [own[:, : CHANNELS[0]], torch.lerp(own[:, CHANNELS[0] :], full[:, CHANNELS[0] :], FULL_SHARE)], 1
-        )
+    def mix_outputs(self, first_output: Tensor, full_output: Tensor) -> Tensor:
+        """Return the mean of both outputs [T, outputs, h, w], weighted by FULL_SHARE; slopes are of the first alone."""
+        slopes, rest = first_output.split((CHANNELS[0], sum(CHANNELS[1:])), 1)
+        return torch.cat([slopes, torch.lerp(rest, full_output[:, CHANNELS[0] :], FULL_SHARE)], 1)
 
 
 @dataclass(frozen=True)
@@ -100,58 +97,66 @@ class FromFeatures(FromPhoto):
 
     @override
     def conditions(self, device: torch.device | None = None) -> dict[str, str]:
-        """Return the features of VGG, and that they are in bfloat16 where CPUs are made for it."""
         return feature_conditions(device)
 
+    @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Add the weights of the losses of maps, `known` [4]: those that the task states, else ones."""
         known = task.data.get("known", torch.ones(len(PARTS)))
         return super().prepare(task) | {"known": known.float()}
 
+    @override
     def init(self, rng: Generator, count: int) -> Params:
         """Draw parameters of maps that are nearly flat, as steps of fits leave normals as they are."""
-        return _flatten(super().init(rng, count)) | unknown_deviation(count, rng.device)
+        return _scale_slopes(super().init(rng, count)) | unknown_deviation(count, rng.device)
 
+    @override
     def init_encoder(self, rng: Generator) -> Params:
         """Draw the decoder and the first field, whose maps are nearly flat: training begins without relief."""
-        own = LocalField(*self.network)
-        return join_encoder(init_decoder(rng, own.code), _flatten(own.init(rng, 1)), ("z",))
+        first_field = LocalField(*self.network)
+        return join_encoder(init_decoder(rng, first_field.code), _scale_slopes(first_field.init(rng, 1)), ("z",))
 
+    @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Draw windows of half the field's side of augmented materials, photographed anew."""
         fine, known = (tasks.data[key][tasks.rows].float() for key in ("fine", "known"))
         return tasks.make_variants(draw_variants(fine, known, self.network.height // 2, rng))
 
+    @override
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return the photographs; of windows also the inputs of the field and what is known of the whole patch."""
         window = {key: tasks.data[key][tasks.rows] for key in ("inputs", *PATCH_KEYS) if key in tasks.data}
         return super().condition(tasks, rng) | window
 
+    @override
     def read(self, reader: Params, photos: Tensor, place: Tensor | None = None, patch: Params | None = None) -> Params:
         """Return what `read_photos` reads, with codes and flash in the units of the fields' parameters."""
-        own = read_photos(reader, photos, place, patch)
-        return own | {key: own[key] / self.network.gain for key in ("z", "flash")}
+        parameters = read_photos(reader, photos, place, patch)
+        return parameters | {key: parameters[key] / self.network.gain for key in ("z", "flash")}
 
+    @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """Return parameters of both fields; windows, which training alone sees, have a code in each of their pixels."""
-        full = full_encoder(condition["photo"].device).items()
-        beside = {
+        full_parameters = full_encoder(condition["photo"].device).items()
+        full_decoder = {
             key.replace(DECODER_PREFIX, DECODER_PREFIX + FULL_PREFIX): value
-            for key, value in full
+            for key, value in full_parameters
             if key.startswith(DECODER_PREFIX)
         }
         if "inputs" not in condition:
-            theta = super().encode(encoder | beside, condition)
+            theta = super().encode(encoder | full_decoder, condition)
             return _apply_polish(theta, self.maps_of(theta, condition["photo"]))
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in PATCH_KEYS if key in condition}
-        own = self.read(select_reader(encoder), condition["photo"], place, patch or None)
-        theta = add_decoder(own, encoder | beside)
-        return _apply_polish(theta, self._made_of(theta, condition["inputs"]))
+        parameters = self.read(select_reader(encoder), condition["photo"], place, patch or None)
+        theta = add_decoder(parameters, encoder | full_decoder)
+        return _apply_polish(theta, self._evaluate_maps(theta, condition["inputs"]))
 
+    @override
     def postprocess(self, theta: Params) -> Params:
         """Return fits without predicted errors, which training alone reads."""
         return {key: value for key, value in theta.items() if key != "deviation"}
 
+    @override
     def maps_from(self, raw: Tensor) -> Maps:
         """Return the maps of outputs of fields, with slopes s changed to SLOPE_GAIN s |s|^2 / (|s|^2 + HALVED_SLOPE^2).
 
@@ -162,58 +167,60 @@ class FromFeatures(FromPhoto):
         square = slopes.square().sum(1, keepdim=True)
         return super().maps_from(torch.cat([SLOPE_GAIN * square / (square + HALVED_SLOPE**2) * slopes, rest], 1))
 
+    @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Return the difference from the photograph, [T], which moves the code of "full" and the flash alone.
 
         So normals stay those of General: a photograph under one light says less of them than General has read.
         """
-        fixed = {key: value.detach() for key, value in theta.items()}
-        own, full = self.network.both(fixed, self.network.gain * theta["z"], pixel_inputs(batch["photo"]))
-        return self.photo_difference(theta, self.maps_from(self.network.mean(own.detach(), full)), batch, learned)
+        fixed_theta = {key: value.detach() for key, value in theta.items()}
+        code = self.network.gain * theta["z"]
+        first_output, full_output = self.network.evaluate_both(fixed_theta, code, pixel_inputs(batch["photo"]))
+        maps = self.maps_from(self.network.mix_outputs(first_output.detach(), full_output))
+        return self.photo_difference(theta, maps, batch, learned)
 
+    @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Return the difference of the maps and of their radiance under random lights, [T]; made-up maps do not count.
 
-        Nothing asks for normals as steep as the truth's, and pictures are of the true ones: normals learn from their
-        squared error alone, over the deviation that General predicts, whose minimum is the conditional mean, flat where
-        the photograph does not tell.
+        Normals learn from their squared error alone, over the deviation that General predicts. Its minimum is the
+        conditional mean, which is flat where the photograph does not tell.
         """
         inputs = batch["inputs"] if "inputs" in batch else pixel_inputs(batch["photo"])
         known, target = batch["known"], unpack_maps(batch["maps"])
         batch = batch | {"place": inputs[:, -2:]}
-        maps = self._made_of(theta, inputs)
-        apart = map_differences(maps, target)
+        maps = self._evaluate_maps(theta, inputs)
+        differences = map_differences(maps, target)
         scale = laplace_scales(theta)[:, -1:].detach()
-        squared = apart[-1].square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
-        off = torch.stack([part.abs().mean((1, 2, 3)) for part in (*apart[:-1], squared)], 1)
-        wanted = (off * known * off.new_tensor(PART_WEIGHTS)).sum(1)
-        hidden = known[:, 0] * blots(apart[0], batch["photo"])
-        shown = known[:, 1:3, None, None, None] > 0  # of what is made up, pictures say nothing
-        specular = torch.where(shown[:, 0], maps.specular, target.specular)
-        roughness = torch.where(shown[:, 1], maps.roughness, target.roughness)
-        # and nothing of normals: the median of a highlight lies at a slope, though the mean slope be 0
-        seen = Maps(maps.diffuse, specular, roughness, target.normal)
-        logs, references = (self.log_radiance(each, batch["pairs"], batch["place"]) for each in (seen, target))
-        pictures = (logs - references).abs().mean((1, 2, 3, 4))
-        loss = known[:, 3] * (pictures + PHOTO_WEIGHT * self.photo_difference(theta, seen, batch, {}))
-        likelihood = negative_log_likelihood(apart, theta) * known.amin(1)
-        return loss + MAPS_WEIGHT * wanted + BLOTS_WEIGHT * hidden + LIKELIHOOD_WEIGHT * likelihood
+        squared = differences[-1].square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
+        errors = torch.stack([difference.abs().mean((1, 2, 3)) for difference in (*differences[:-1], squared)], 1)
+        map_loss = (errors * known * errors.new_tensor(PART_WEIGHTS)).sum(1)
+        blot_loss = known[:, 0] * blots(differences[0], batch["photo"])
+        is_known = known[:, 1:3, None, None, None] > 0  # pictures do not count where maps are made up
+        specular = torch.where(is_known[:, 0], maps.specular, target.specular)
+        roughness = torch.where(is_known[:, 1], maps.roughness, target.roughness)
+        # pictures are of the true normals: the median of a highlight lies at a slope even where the mean slope is 0
+        shown_maps = Maps(maps.diffuse, specular, roughness, target.normal)
+        pictures = self.radiance_difference(shown_maps, target, batch["pairs"], batch["place"])
+        loss = known[:, 3] * (pictures + PHOTO_WEIGHT * self.photo_difference(theta, shown_maps, batch, {}))
+        likelihood = negative_log_likelihood(differences, theta) * known.amin(1)
+        return loss + MAPS_WEIGHT * map_loss + BLOTS_WEIGHT * blot_loss + LIKELIHOOD_WEIGHT * likelihood
 
-    def _made_of(self, theta: Params, inputs: Tensor) -> Maps:
-        """Return the maps [T, C, h, w] of a code in each texel, for inputs of the fields [T, PIXEL_INPUTS, h, w]."""
-        return decode_maps(self.network.decoded(theta, self.network.gain * theta["z"], inputs))
+    def _evaluate_maps(self, theta: Params, inputs: Tensor) -> Maps:
+        """Return the maps [T, C, h, w] of fields with a code in each texel, for inputs [T, PIXEL_INPUTS, h, w]."""
+        return decode_maps(self.network.evaluate(theta, self.network.gain * theta["z"], inputs))
 
 
-def _flatten(theta: Params) -> Params:
+def _scale_slopes(theta: Params) -> Params:
     """Scale the slopes of the maps of fields with parameters [T, ...] by INITIAL_SLOPE_GAIN."""
     factor = theta["out.shift"].new_tensor([INITIAL_SLOPE_GAIN] * CHANNELS[0] + [1.0] * sum(CHANNELS[1:]))
-    last = {name: value for name, value in theta.items() if name.startswith("out.")}
-    return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last.items()}
+    last_layer = {name: value for name, value in theta.items() if name.startswith("out.")}
+    return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last_layer.items()}
 
 
 def _apply_polish(theta: Params, maps: Maps) -> Params:
-    """Shift the roughness of fields with maps [T, C, h, w] to that which a sharp highlight shows."""
+    """Shift the roughness of fields with maps [T, C, h, w] to the roughness that a sharp highlight shows."""
     shift = roughness_shift(theta["shown"], maps) / (1 - FULL_SHARE)
     roughness = torch.arange(sum(CHANNELS), device=shift.device) == ROUGHNESS_CHANNEL
-    rest = {key: value for key, value in theta.items() if key != "shown"}
-    return rest | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}
+    kept = {key: value for key, value in theta.items() if key != "shown"}
+    return kept | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}

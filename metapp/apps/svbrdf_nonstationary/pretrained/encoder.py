@@ -20,7 +20,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, in
 from metapp.appearance.features import load_features, uses_bfloat16, vgg_weights_path
 from metapp.appearance.flash import texel_positions
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
-from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS, LEAKY_SLOPE, apply_pointwise, block, upsample
+from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS, LEAKY_SLOPE, apply_block, apply_pointwise, upsample
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import add_polish, describe_highlight, predict_roughness
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
@@ -29,18 +29,19 @@ from metapp.networks.layers import add_layer
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, shipped_checkpoint_path
 
-TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}  # and their channels; each half as fine
-WIDTHS = (32, 64, 96, 128)  # channels of the levels, the finest first
-SIDE_STEP_PX = 1 << (len(TAPS) - 1)  # sides of photographs are a multiple of it
+# Layers of VGG-16, each half as fine as the one before, and their numbers of channels
+TAPS = {"relu1_2": 64, "relu2_2": 128, "relu3_3": 256, "relu4_3": 512}
+WIDTHS = (32, 64, 96, 128)  # channels of the decoder's levels, the finest first
+SIDE_STEP_PX = 1 << (len(TAPS) - 1)  # sides of photographs are multiples of it
 VGG_MEAN, GAMMA = 0.35, 2.2  # linear mean, and gamma, of the photographs that VGG sees
-PIXEL_INPUTS = 12  # channels of what is known of each pixel beside the features
-MIN_TINT = 0.2  # of a channel's mean over that of all channels: darker channels are not brightened as much
+PIXEL_INPUTS = 12  # numbers of a pixel that the decoder reads beside features
+MIN_TINT = 0.2  # a channel's mean over the mean of all channels; darker channels are brightened less
 MIN_BRIGHTNESS = 1e-3  # linear mean, 1 is white, of photographs that are nearly black
-PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `differences`
-INITIAL_DEVIATION, MIN_DEVIATION = 0.1, 0.01  # predicted errors of maps before training, and at least
+PARTS = ("diffuse", "specular", "roughness", "normal")  # maps with a predicted error, in the order of `map_differences`
+INITIAL_DEVIATION, MIN_DEVIATION = 0.1, 0.01  # predicted errors of maps: before training, and the least
 UNKNOWN_LOG = 10.0  # log of a predicted error where nothing is known of it
-DEVIATION_LEVEL = 2  # the level of the decoder that predicts errors: a quarter of the photograph's side
-OVERVIEW_PX = 32  # a side of the overview: highlights have one size in it whatever a photograph's resolution
+DEVIATION_LEVEL = 2  # the level of the decoder that predicts errors, at a quarter of the photograph's side
+OVERVIEW_PX = 32  # side of the overview, in which highlights have one size whatever a photograph's resolution
 OVERVIEW_POOLING = 4  # the side of its first level over that of its second
 OVERVIEW_WIDTHS = (32, 48)  # channels of its levels
 GUESS_CHANNELS = 3  # roughness, and the logs of specular and diffuse reflectance, by General of the recipe "full"
@@ -51,24 +52,24 @@ FULL_APP = cast("FromPhoto", RECIPES["photo"][FULL_RECIPE_NAME].app)
 def init_decoder(rng: Generator, code: int) -> Params:
     """Draw random parameters of a decoder whose output is `code` numbers in a pixel."""
     decoder: Params = {}
-    layer = functools.partial(add_layer, decoder, rng)
+    add_random_layer = functools.partial(add_layer, decoder, rng)
     for level, (width, channels) in enumerate(zip(WIDTHS, TAPS.values(), strict=True)):
-        coarser = WIDTHS[level + 1 : level + 2]
-        layer(f"level{level}.features", width, channels)
-        for below in coarser:
-            layer(f"level{level}.coarser", width, below)
-        layer(f"level{level}.first", width, width * (1 + len(coarser)) + PIXEL_INPUTS, 3, 3)
-        layer(f"level{level}.second", width, width, 3, 3, gain=0.7)
-        layer(f"level{level}.mean", width, width, gain=0.5)
-        layer(f"level{level}.overview", width, sum(OVERVIEW_WIDTHS), gain=0.0)
-        layer(f"level{level}.guess", width, GUESS_CHANNELS, gain=0.0)
+        coarser_widths = WIDTHS[level + 1 : level + 2]
+        add_random_layer(f"level{level}.features", width, channels)
+        for below in coarser_widths:
+            add_random_layer(f"level{level}.coarser", width, below)
+        add_random_layer(f"level{level}.first", width, width * (1 + len(coarser_widths)) + PIXEL_INPUTS, 3, 3)
+        add_random_layer(f"level{level}.second", width, width, 3, 3, gain=0.7)
+        add_random_layer(f"level{level}.mean", width, width, gain=0.5)
+        add_random_layer(f"level{level}.overview", width, sum(OVERVIEW_WIDTHS), gain=0.0)
+        add_random_layer(f"level{level}.guess", width, GUESS_CHANNELS, gain=0.0)
     for level, (width, below) in enumerate(zip(OVERVIEW_WIDTHS, (PIXEL_INPUTS, *OVERVIEW_WIDTHS), strict=False)):
-        layer(f"overview{level}.first", width, below, 3, 3)
-        layer(f"overview{level}.second", width, width, 3, 3, gain=0.7)
-        layer(f"overview{level}.mean", width, width, gain=0.5)
+        add_random_layer(f"overview{level}.first", width, below, 3, 3)
+        add_random_layer(f"overview{level}.second", width, width, 3, 3, gain=0.7)
+        add_random_layer(f"overview{level}.mean", width, width, gain=0.5)
     add_polish(decoder, rng)
-    layer("code", code, WIDTHS[0], gain=0.3)
-    layer("deviation", len(PARTS), WIDTHS[DEVIATION_LEVEL], gain=0.0)
+    add_random_layer("code", code, WIDTHS[0], gain=0.3)
+    add_random_layer("deviation", len(PARTS), WIDTHS[DEVIATION_LEVEL], gain=0.0)
     decoder["deviation.shift"] += math.log(INITIAL_DEVIATION)
     return decoder
 
@@ -96,26 +97,26 @@ def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, pa
         place = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)[None]
     patch = describe_patch(photos) if patch is None else patch
     mean = patch["overview"].mean((2, 3), keepdim=True)
-    balanced, known = _balance(photos, place, mean)
-    whole = texel_positions(OVERVIEW_PX, OVERVIEW_PX, dtype=photos.dtype, device=photos.device)[None]
-    _, small = _balance(patch["overview"], whole, mean)
+    balanced, inputs = _balance(photos, place, mean)
+    overview_place = texel_positions(OVERVIEW_PX, OVERVIEW_PX, dtype=photos.dtype, device=photos.device)[None]
+    _, overview_inputs = _balance(patch["overview"], overview_place, mean)
     with torch.autocast(photos.device.type, torch.bfloat16, enabled=uses_bfloat16(photos.device)):
-        fine = block(decoder, "overview0", small)
-        coarse = block(decoder, "overview1", avg_pool2d(fine, OVERVIEW_POOLING))
-        surroundings = torch.cat([fine, interpolate(coarse, scale_factor=OVERVIEW_POOLING, mode="bilinear")], 1)
+        overview_fine = apply_block(decoder, "overview0", overview_inputs)
+        overview_coarse = apply_block(decoder, "overview1", avg_pool2d(overview_fine, OVERVIEW_POOLING))
+        enlarged = interpolate(overview_coarse, scale_factor=OVERVIEW_POOLING, mode="bilinear")
+        surroundings = torch.cat([overview_fine, enlarged], 1)
         x, result = None, {}
-        for level, features in reversed(list(enumerate(_vgg_features(balanced)))):
-            here = apply_pointwise(decoder, f"level{level}.features", features)
-            around = apply_pointwise(decoder, f"level{level}.overview", surroundings)
-            at = avg_pool2d(place, 1 << level)
-            guessed = apply_pointwise(
-                decoder, f"level{level}.guess", _sample_at(patch["guess"], at)
-            )  # finer than levels: first
-            here = leaky_relu(here + _sample_at(around, at).to(here) + guessed, LEAKY_SLOPE)
-            parts = [here, avg_pool2d(known, 1 << level).to(here)]
+        for level, features in reversed(list(enumerate(_compute_vgg_features(balanced)))):
+            level_features = apply_pointwise(decoder, f"level{level}.features", features)
+            overview_features = apply_pointwise(decoder, f"level{level}.overview", surroundings)
+            level_place = avg_pool2d(place, 1 << level)
+            guess_features = apply_pointwise(decoder, f"level{level}.guess", _sample_at(patch["guess"], level_place))
+            overview_features = _sample_at(overview_features, level_place).to(level_features)
+            level_features = leaky_relu(level_features + overview_features + guess_features, LEAKY_SLOPE)
+            parts = [level_features, avg_pool2d(inputs, 1 << level).to(level_features)]
             parts += [] if x is None else [upsample(apply_pointwise(decoder, f"level{level}.coarser", x))]
-            # channels first: half the time where gradients are wanted, while VGG likes them last
-            x = block(decoder, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
+            # channels first take half the time where there are gradients, though VGG is quicker with channels last
+            x = apply_block(decoder, f"level{level}", torch.cat([part.contiguous() for part in parts], 1))
             if level == DEVIATION_LEVEL:
                 result["deviation"] = apply_pointwise(decoder, "deviation", x).float()
         assert x is not None
@@ -136,11 +137,13 @@ def describe_patch(photos: Tensor) -> Params:
     small = interpolate(photos, (network.height, network.width), mode="bilinear")
     theta = FULL_APP.encode(full_encoder(photos.device), {"photo": small})
     maps = FULL_APP.maps_of(theta, small)
-    shades = [(reflectance.mean(1, keepdim=True) + LOG_FLOOR).log() for reflectance in (maps.specular, maps.diffuse)]
+    log_reflectances = [
+        (reflectance.mean(1, keepdim=True) + LOG_FLOOR).log() for reflectance in (maps.specular, maps.diffuse)
+    ]
     overview = interpolate(avg_pool2d(photos, SIDE_STEP_PX), (OVERVIEW_PX, OVERVIEW_PX), mode="bilinear")
-    own = {"code": network.gain * theta["z"], "flash": network.gain * theta["flash"]}
-    guess = torch.cat([maps.roughness, *shades], 1)
-    return own | {"overview": overview, "highlight": describe_highlight(photos), "guess": guess}
+    field_parameters = {"code": network.gain * theta["z"], "flash": network.gain * theta["flash"]}
+    guess = torch.cat([maps.roughness, *log_reflectances], 1)
+    return field_parameters | {"overview": overview, "highlight": describe_highlight(photos), "guess": guess}
 
 
 @functools.cache
@@ -156,45 +159,51 @@ def describe_missing_weights() -> str:
     return "the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them"
 
 
-def _sample_at(around: Tensor, place: Tensor) -> Tensor:
-    """Interpolate pictures of the whole patch at positions [T, 2, h, w] of pixels."""
-    grid = torch.stack([place[:, 0], -place[:, 1]], 3).expand(len(around), -1, -1, -1)
-    return grid_sample(around.float(), grid, padding_mode="border", align_corners=False)
+def _sample_at(pictures: Tensor, place: Tensor) -> Tensor:
+    """Interpolate pictures [T, C, H, W] of the whole patch at positions [T, 2, h, w] of pixels: [T, C, h, w]."""
+    grid = torch.stack([place[:, 0], -place[:, 1]], 3).expand(len(pictures), -1, -1, -1)
+    return grid_sample(pictures.float(), grid, padding_mode="border", align_corners=False)
 
 
 def _balance(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
-    """Divide photographs by a mean colour [T, 3, 1, 1], and return what is known of each pixel beside that.
+    """Divide photographs by a mean colour, so that colour and exposure by themselves say nothing of relief.
 
-    Colour and exposure then say nothing of relief by themselves. The inputs of pixels, [T, PIXEL_INPUTS, H, W], are the
-    logs of the balanced colours, contrasts of brightness, the position, clipping and, equal in all pixels, brightness
-    and tint of the mean.
+    Args:
+        photos: linear photographs [T, 3, H, W].
+        place: positions of the pixels, [T or 1, 2, H, W].
+        mean: the mean colour, [T, 3, 1, 1].
+
+    Returns:
+        Balanced photographs [T, 3, H, W], and the inputs of pixels, [T, PIXEL_INPUTS, H, W]: logs of balanced colours,
+        contrasts of brightness, the position, clipping and, equal in all pixels, brightness and tint of the mean.
     """
     grey = mean.mean(1, keepdim=True).clamp_min(MIN_BRIGHTNESS)
     white = torch.maximum(mean, MIN_TINT * grey)
     balanced = photos / white
     logs = (balanced + 0.05).log()
-    wide = pad(logs.mean(1, keepdim=True), (1, 1, 1, 1), mode="replicate")
-    across, up = wide[..., 1:-1, 2:] - wide[..., 1:-1, :-2], wide[..., :-2, 1:-1] - wide[..., 2:, 1:-1]
-    clips = (photos > CLIPPED_VALUE).any(1, keepdim=True).to(photos)
-    overall = torch.cat([grey.log() / 3, (white / grey).log()], 1).expand(-1, -1, *photos.shape[-2:])
-    known = [logs, across, up, place.expand(len(photos), -1, -1, -1), clips, overall]
-    return balanced, torch.cat(known, 1)
+    padded = pad(logs.mean(1, keepdim=True), (1, 1, 1, 1), mode="replicate")
+    horizontal = padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2]
+    vertical = padded[..., :-2, 1:-1] - padded[..., 2:, 1:-1]
+    is_clipped = (photos > CLIPPED_VALUE).any(1, keepdim=True).to(photos)
+    mean_inputs = torch.cat([grey.log() / 3, (white / grey).log()], 1).expand(-1, -1, *photos.shape[-2:])
+    inputs = [logs, horizontal, vertical, place.expand(len(photos), -1, -1, -1), is_clipped, mean_inputs]
+    return balanced, torch.cat(inputs, 1)
 
 
-def _vgg_features(balanced: Tensor) -> list[Tensor]:
+def _compute_vgg_features(balanced: Tensor) -> list[Tensor]:
     """Compute the features of balanced photographs [T, 3, H, W], the finest first; in bfloat16 where CPUs have it.
 
     Raises:
-        ValueError: no weights of VGG-16.
+        ValueError: there are no weights of VGG-16.
     """
     if describe_missing_weights():
         raise ValueError(
-            f"{vgg_weights_path()}: no such file, expected the weights of VGG-16, which the recipe pretrained reads; get "
-            "them by metapp data vgg, or fit by --recipe full."
+            f"{vgg_weights_path()}: no such file, expected the weights of VGG-16, which the recipe pretrained reads; "
+            "get them by metapp data vgg, or fit by --recipe full."
         )
     with torch.no_grad():
         images = (VGG_MEAN * balanced).clamp(0, 1) ** (1 / GAMMA)
-        # without a graph that says no more than: in reduced precision
+        # requires_grad asks for reduced precision; there is no graph under no_grad
         features: list[Tensor] = load_features(tuple(TAPS), images)(images.requires_grad_(), reduced=True)
     return features
 
@@ -209,16 +218,18 @@ def laplace_scales(theta: Params) -> Tensor:
     return MIN_DEVIATION + theta["deviation"].exp()
 
 
-def negative_log_likelihood(apart: Sequence[Tensor], theta: Params) -> Tensor:
+def negative_log_likelihood(differences: Sequence[Tensor], theta: Params) -> Tensor:
     """Return the negative log-likelihood of errors of maps but for a constant, [T] (Kendall & Gal 2017).
 
     Only `deviation` has a gradient of it.
 
     Args:
-        apart: what `map_differences` returns.
-        theta: with `deviation`, logs of the scales.
+        differences: what :func:`map_differences` returns.
+        theta: parameters with `deviation`, logs of the scales.
     """
     scale = laplace_scales(theta)
     size = (scale.shape[-2], scale.shape[-1])
-    off = [adaptive_avg_pool2d(part.detach(), size).abs().mean(1, keepdim=True) for part in apart]
-    return (torch.cat(off, 1) / scale + scale.log()).mean((1, 2, 3))
+    mean_errors = [
+        adaptive_avg_pool2d(difference.detach(), size).abs().mean(1, keepdim=True) for difference in differences
+    ]
+    return (torch.cat(mean_errors, 1) / scale + scale.log()).mean((1, 2, 3))

@@ -16,27 +16,28 @@ from metapp.apps.svbrdf_nonstationary.maps import encode_roughness
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_dense
 
-SIDE_PX = 256  # a side of the photograph in which the highlight is searched for
+SIDE_PX = 256  # side of the photograph in which the highlight is searched for
 SPOT_PX, AROUND_PX = 5, 33  # sides of the two squares whose mean brightness finds the highlight
-AROUND_WEIGHT = 0.3  # of the larger square, beside 1
+AROUND_WEIGHT = 0.3  # weight of the larger square beside 1 for the smaller one
 LOG_FLOOR = 0.02  # radiance, 1 is white, that is added before logs
-HIGHLIGHT_NUMBERS = 2 * PROFILE_RINGS + 2
-HIDDEN_UNITS = 32
+HIGHLIGHT_NUMBERS = 2 * PROFILE_RINGS + 2  # numbers that describe a highlight
+HIDDEN_UNITS = 32  # units of the hidden layer of the network that predicts roughness
 # Roughness, and mean sine of the tilt of normals (1 degree), below which the highlight decides the roughness
 POLISHED_ROUGHNESS, FLAT_SINE = 0.2, 0.017
-LOG_SOFTNESS = 0.1  # the range of their logs in which the decision changes
+LOG_SOFTNESS = 0.1  # range of the logs of both in which the decision changes
 
 
 def describe_highlight(photos: Tensor) -> Tensor:
     """Describe how highlights of linear photographs [T, 3, H, W] fall off: [T, HIGHLIGHT_NUMBERS]."""
-    least = interpolate(photos.clamp(0, 1), (SIDE_PX, SIDE_PX), mode="bilinear").amin(1, keepdim=True)
-    spot, around = (avg_pool2d(least, side, 1, side // 2) for side in (SPOT_PX, AROUND_PX))
+    least_channel = interpolate(photos.clamp(0, 1), (SIDE_PX, SIDE_PX), mode="bilinear").amin(1, keepdim=True)
+    spot, around = (avg_pool2d(least_channel, side, 1, side // 2) for side in (SPOT_PX, AROUND_PX))
     brightest = (spot + AROUND_WEIGHT * around).flatten(1).argmax(1)
-    place = texel_positions(SIDE_PX, SIDE_PX, dtype=least.dtype, device=least.device).flatten(1)[:, brightest].T
-    logs = (least + LOG_FLOOR).log()
-    means = ring_profile(torch.cat([least, logs], 1), place)[0]
+    texels = texel_positions(SIDE_PX, SIDE_PX, dtype=least_channel.dtype, device=least_channel.device)
+    highlight_place = texels.flatten(1)[:, brightest].T
+    logs = (least_channel + LOG_FLOOR).log()
+    means = ring_profile(torch.cat([least_channel, logs], 1), highlight_place)[0]
     rings = torch.cat([(means[:, 0] + LOG_FLOOR).log(), means[:, 1]], 1)
-    return torch.cat([rings, logs.mean((1, 2, 3))[:, None], place.norm(dim=1, keepdim=True)], 1)
+    return torch.cat([rings, logs.mean((1, 2, 3))[:, None], highlight_place.norm(dim=1, keepdim=True)], 1)
 
 
 def add_polish(reader: Params, rng: Generator) -> None:
@@ -60,7 +61,7 @@ def roughness_shift(shown: Tensor, maps: Maps) -> Tensor:
         shown: the roughness that `predict_roughness` returns, [T].
         maps: the maps [T, C, h, w].
     """
-    now = maps.roughness.mean((1, 2, 3))
-    polished, flat = POLISHED_ROUGHNESS / shown, FLAT_SINE / tilt_sine(maps.normal).mean((1, 2, 3))
-    share = torch.sigmoid(polished.log() / LOG_SOFTNESS) * torch.sigmoid(flat.log() / LOG_SOFTNESS)
-    return share * (encode_roughness(shown) - encode_roughness(now))
+    mean_roughness = maps.roughness.mean((1, 2, 3))
+    polished, flatness = POLISHED_ROUGHNESS / shown, FLAT_SINE / tilt_sine(maps.normal).mean((1, 2, 3))
+    share = torch.sigmoid(polished.log() / LOG_SOFTNESS) * torch.sigmoid(flatness.log() / LOG_SOFTNESS)
+    return share * (encode_roughness(shown) - encode_roughness(mean_roughness))

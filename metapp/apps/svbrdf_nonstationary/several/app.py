@@ -42,12 +42,13 @@ from metapp.learning.task import Batch, Params, Task, Tasks
 LIGHT_FLOOR = 0.03  # radiance, 1 is white, that is added before logs
 # Initial learned parameters of the loss: where |d| is rounded off, the weights of the prior and of moved flashes
 ROUNDING, PRIOR_WEIGHT, FLASH_WEIGHT = 0.02, 0.04, 0.02
-LIKELIHOOD_WEIGHT = 0.05  # of the likelihood of predicted deviations, in the outer loss
+LIKELIHOOD_WEIGHT = 0.05  # weight in the outer loss of the likelihood of predicted deviations
 INITIAL_ROUGHNESSES = (0.15, 0.25, 0.35, 0.5, 0.7)  # candidates for the roughness that Overfit begins with
-SEARCH_PX = 64  # a side of the photographs that these candidates are compared on
-TILTED_SHARE = 0.6  # of augmented materials, photographed by hand from all sides; the others from above
-EXPOSED_SHARE, EXPOSURE_STOPS = 0.3, 0.35  # of augmented materials, each photograph of which is exposed by itself
-MAX_TILT_RAD = math.radians(36)
+SEARCH_PX = 64  # side of the photographs by which these candidates are compared
+TILTED_SHARE = 0.6  # share of augmented materials that are photographed from all sides; the others from above
+# Share of augmented materials whose photographs differ in exposure, and the standard deviation of its natural log
+EXPOSED_SHARE, EXPOSURE_LOG_DEVIATION = 0.3, 0.35
+MAX_TILT_RAD = math.radians(36)  # largest angle of a camera with the patch's normal
 
 
 class Texels(NamedTuple):
@@ -80,6 +81,7 @@ class SeveralPhotos(SvbrdfNonstationary):
     protocol: str = field(default="photo", kw_only=True)
     sees_others = True
 
+    @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """Add all photographs, moved onto the surface, as `photos` [N, 3, H, W], and their `places` [N, 2, 3].
 
@@ -87,7 +89,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             ValueError: the numbers of places and photographs differ.
         """
         photos = torch.stack([task.data["photo"], *task.data.get("others", ())])
-        places = task.data.get("places", camera_position().expand(1, 2, 3)).float()
+        places = _task_places(task)
         if len(places) != len(photos):
             raise ValueError(
                 f"{task.name}: {len(photos)} photos and {len(task.data.get('places', ()))} places, expected as many; "
@@ -96,8 +98,9 @@ class SeveralPhotos(SvbrdfNonstationary):
         small = adaptive_avg_pool2d(decode_photo(photos), (self.network.height, self.network.width))
         return super().prepare(task) | {"photos": align_to_surface(small, places), "places": places}
 
+    @override
     def task_parameters(self, tasks: Tasks) -> Params:
-        """Return initial maps and flashes by photometric stereo in closed form.
+        """Return initial maps and flashes, by photometric stereo in closed form.
 
         One roughness holds for the whole surface: of INITIAL_ROUGHNESSES the one with the lowest loss.
         """
@@ -107,24 +110,26 @@ class SeveralPhotos(SvbrdfNonstationary):
         slopes, diffuse, rough, specular = reader.read_photos(**batch).maps.split(CHANNELS, 1)
         thetas, losses = [], []
         for roughness in INITIAL_ROUGHNESSES:
-            level = torch.full_like(rough, math.log((roughness - 0.05) / (1 - roughness)))
-            maps = torch.cat([slopes, diffuse, level, specular], 1)
+            roughness_numbers = torch.full_like(rough, math.log((roughness - 0.05) / (1 - roughness)))
+            maps = torch.cat([slopes, diffuse, roughness_numbers, specular], 1)
             thetas.append({"maps": maps, "flash": estimate_flashes(decode_maps(maps), batch)})
             losses.append(self.loss(thetas[-1], batch, {}))
         best = torch.stack(losses).argmin(0), torch.arange(len(tasks), device=tasks.rows.device)
-        theta = {key: torch.stack([each[key] for each in thetas])[best] for key in thetas[0]}
+        theta = {key: torch.stack([candidate[key] for candidate in thetas])[best] for key in thetas[0]}
         return theta | {"maps": interpolate(theta["maps"], (network.height, network.width), mode="bilinear")}
 
+    @override
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """Return the maps at the resolution of a photograph, whose finer detail goes to the diffuse colour."""
         size = photo.shape[-2:]
         if size == theta["maps"].shape[-2:]:
             return decode_maps(theta["maps"])
-        maps, logs = decode_maps(interpolate(theta["maps"], size, mode="bicubic")), _logs(photo)
-        coarse = adaptive_avg_pool2d(logs, (self.network.height, self.network.width))
-        detail = logs - interpolate(coarse, size, mode="bicubic")
+        maps, logs = decode_maps(interpolate(theta["maps"], size, mode="bicubic")), _log_radiance(photo)
+        coarse_logs = adaptive_avg_pool2d(logs, (self.network.height, self.network.width))
+        detail = logs - interpolate(coarse_logs, size, mode="bicubic")
         return maps._replace(diffuse=(maps.diffuse * detail.exp()).clamp(0, 1))
 
+    @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Return the negative log posterior of each task, [T], summed over texels.
 
@@ -133,16 +138,16 @@ class SeveralPhotos(SvbrdfNonstationary):
         """
         learned = self.settings(learned, theta["maps"])
         photos = batch["photos"]
-        short = _logs(photos) - _logs(
+        residual = _log_radiance(photos) - _log_radiance(
             render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
         )
-        short = torch.where(photos > CLIPPED_VALUE, relu(short), short)
-        loss = _round_off(short, learned["smoothing"].exp()).mean((1, 2, 3, 4))
+        residual = torch.where(photos > CLIPPED_VALUE, relu(residual), residual)
+        loss = _round_off(residual, learned["smoothing"].exp()).mean((1, 2, 3, 4))
         loss = loss + learned["flash"].exp() * theta["flash"][:, :3].square().mean((1, 2))
         if "prior" in theta:
             mean, deviation = theta["prior"].detach().chunk(2, 1)
-            off = _round_off((theta["maps"] - mean) * (-deviation).exp(), photos.new_ones(())).mean((2, 3))
-            loss = loss + (off * learned["prior"].exp()).sum(1) / photos.shape[1]
+            deviations = _round_off((theta["maps"] - mean) * (-deviation).exp(), photos.new_ones(())).mean((2, 3))
+            loss = loss + (deviations * learned["prior"].exp()).sum(1) / photos.shape[1]
         return loss * (photos.shape[-2] * photos.shape[-1])
 
     def settings(self, learned: Params, like: Tensor) -> Params:
@@ -156,11 +161,12 @@ class SeveralPhotos(SvbrdfNonstationary):
             key: value.expand(len(like), *value.shape[1:]).to(like) for key, value in self.loss_parameters(1).items()
         }
 
+    @override
     def loss_parameters(self, steps: int) -> Params:
-        """Return logs of initial values.
+        """Return logs of initial values, [steps, ...] each.
 
-        They are of the rounding of |d|, of the weight of the prior for each of the nine numbers of a texel, and of the
-        weight of moved flashes.
+        `smoothing` is the rounding of |d|, `prior` the weight of the prior for each number of a texel, and `flash` the
+        weight of displacements of flashes.
         """
         values = {
             "smoothing": torch.tensor(ROUNDING),
@@ -169,46 +175,55 @@ class SeveralPhotos(SvbrdfNonstationary):
         }
         return {key: value.log().expand(steps, *value.shape).clone() for key, value in values.items()}
 
+    @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Return how far maps, above all normals, their log radiance under random lights and the prior are off, [T].
+        """Return the difference of maps, above all normals, and of their log radiance under random lights, [T].
 
         The prior's deviations count by the likelihood of General's errors, and nothing else moves them.
         """
         maps, target = decode_maps(theta["maps"]), unpack_maps(batch["maps"])
-        logs, references = (self.log_radiance(each, batch["pairs"]) for each in (maps, target))
-        diffuse, specular, roughness, normal = (each.abs().mean((1, 2, 3)) for each in map_differences(maps, target))
-        slopes = (_slopes_of(maps.normal) - _slopes_of(target.normal)).abs().mean((1, 2, 3))
-        tilted = target.normal[:, :2].abs().sum(1).mean((1, 2)) / 3
-        loss = 0.5 * (logs - references).abs().mean((1, 2, 3, 4)) + 2 * normal + 0.15 * normal / (tilted + 0.03)
-        loss = loss + 0.5 * slopes + 0.7 * diffuse + 0.5 * specular + roughness
+        differences = map_differences(maps, target)
+        diffuse, specular, roughness, normal = (difference.abs().mean((1, 2, 3)) for difference in differences)
+        slope_error = (_find_slopes(maps.normal) - _find_slopes(target.normal)).abs().mean((1, 2, 3))
+        mean_tilt = target.normal[:, :2].abs().sum(1).mean((1, 2)) / 3
+        loss = 0.5 * self.radiance_difference(maps, target, batch["pairs"])
+        loss = loss + 2 * normal + 0.15 * normal / (mean_tilt + 0.03)
+        loss = loss + 0.5 * slope_error + 0.7 * diffuse + 0.5 * specular + roughness
         mean, deviation = theta["prior"].chunk(2, 1)
-        off = (mean - _encode_maps(target)).detach().abs() * (-deviation).exp() + deviation
-        return loss + LIKELIHOOD_WEIGHT * off.mean((1, 2, 3))
+        scaled_errors = (mean - _encode_maps(target)).detach().abs() * (-deviation).exp() + deviation
+        return loss + LIKELIHOOD_WEIGHT * scaled_errors.mean((1, 2, 3))
 
+    @override
     def init_encoder(self, rng: Generator) -> Params:
-        """Return random parameters of the network that corrects photometric stereo."""
+        """Draw random parameters of the network that corrects photometric stereo."""
         return reader.init(rng)
 
+    @override
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return all photographs and their places."""
         return {key: tasks.data[key][tasks.rows] for key in ("photos", "places")}
 
+    @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """Return General's maps, also as the prior, and flashes whose brightness agrees with them."""
         maps, deviation = reader.predict_maps(encoder, reader.read_photos(**condition))
-        wide = [part.expand(-1, count, -1, -1) for part, count in zip(deviation.split(1, 1), CHANNELS, strict=True)]
+        deviations = [
+            part.expand(-1, count, -1, -1) for part, count in zip(deviation.split(1, 1), CHANNELS, strict=True)
+        ]
         return {
             "maps": maps,
             "flash": estimate_flashes(decode_maps(maps), condition),
-            "prior": torch.cat([maps, *wide], 1),
+            "prior": torch.cat([maps, *deviations], 1),
         }
 
+    @override
     def postprocess(self, theta: Params) -> Params:
         """Return maps and flashes; the prior is not kept."""
         return {key: value for key, value in theta.items() if key != "prior"}
 
+    @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Turn, mirror, mix and recolour the materials, and take several photographs of each."""
+        """Vary the materials, and take several photographs of each."""
         size = (self.network.height, self.network.width)
         fine = vary_materials(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
         photos, places = draw_photo_sets(fine, tasks.data["places"].shape[1], rng)
@@ -219,7 +234,7 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
-        places = task.data.get("places", camera_position().expand(1, 2, 3))[None].float()
+        places = _task_places(task)[None]
         flash = decode_flashes(theta["flash"][None], places)
         return [Flash(*(part[0, number] for part in flash)) for number in range(places.shape[1])]
 
@@ -234,20 +249,20 @@ def decode_flashes(flash: Tensor, places: Tensor) -> Flash:
         flash: the numbers, [T, FLASH_NUMBERS, N].
         places: measured positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
     """
-    aside, higher, brighter = flash.mT.split((2, 1, 1), -1)
-    higher = torch.exp(FLASH_LOG_HEIGHT * higher)
+    shift, height_factor, gain = flash.mT.split((2, 1, 1), -1)
+    height_factor = torch.exp(FLASH_LOG_HEIGHT * height_factor)
     eye, place = torch.cat(
-        [places[..., :2] + FLASH_SHIFT * aside[:, :, None], places[..., 2:] * higher[:, :, None]], -1
+        [places[..., :2] + FLASH_SHIFT * shift[:, :, None], places[..., 2:] * height_factor[:, :, None]], -1
     ).unbind(2)
-    return Flash(place, torch.exp(FLASH_LOG_GAIN * brighter) * (place[..., 2:] / camera_distance()) ** 2, eye)
+    return Flash(place, torch.exp(FLASH_LOG_GAIN * gain) * (place[..., 2:] / camera_distance()) ** 2, eye)
 
 
 def render_photos(maps: Maps, flashes: Flash) -> Tensor:
     """Return the radiance [T, N, 3, H, W] of maps [T, C, H, W] under each of N flashes."""
-    like = maps.diffuse
-    place = texel_positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
-    each = Maps(*(part[:, None] for part in maps))
-    return render_maps(each, place, flashes.place, flashes.eye, intensity=flashes.gain)
+    diffuse = maps.diffuse
+    place = texel_positions(*diffuse.shape[-2:], dtype=diffuse.dtype, device=diffuse.device)
+    photographed_maps = Maps(*(part[:, None] for part in maps))
+    return render_maps(photographed_maps, place, flashes.place, flashes.eye, intensity=flashes.gain)
 
 
 @torch.no_grad()
@@ -259,10 +274,10 @@ def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
         batch: `photos` and `places`; the median over texels counts, where nothing clips.
     """
     places, photos = batch["places"], batch["photos"]
-    none = places.new_zeros(len(places), FLASH_NUMBERS, places.shape[1])
-    off = _logs(photos) - _logs(render_photos(maps, decode_flashes(none, places)))
-    off = torch.where(photos > CLIPPED_VALUE, 0, off).mean(2).flatten(2).median(2).values
-    return torch.cat([none[:, :-1], off[:, None] / FLASH_LOG_GAIN], 1)
+    zeros = places.new_zeros(len(places), FLASH_NUMBERS, places.shape[1])
+    log_gains = _log_radiance(photos) - _log_radiance(render_photos(maps, decode_flashes(zeros, places)))
+    log_gains = torch.where(photos > CLIPPED_VALUE, 0, log_gains).mean(2).flatten(2).median(2).values
+    return torch.cat([zeros[:, :-1], log_gains[:, None] / FLASH_LOG_GAIN], 1)
 
 
 def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
@@ -274,50 +289,62 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
     Args:
         maps: packed maps [T, 10, S, S].
         count: photographs of each material.
-        rng: of all draws.
+        rng: draws all random numbers.
 
     Returns:
         Linear photographs of 8 bits, [T, count, 3, S, S], and measured places [T, count, 2, 3].
     """
     uniform, normal = draws_per_material(len(maps), rng)
-    held, off = held_places(len(maps), count, rng)
-    turn = 2 * math.pi * (torch.arange(count, device=rng.device)[None, :, None] / max(count - 1, 1) + uniform(1, 1))
-    turn, tilt = turn + 0.4 * normal(count, 1), 0.1 + (MAX_TILT_RAD - 0.1) * uniform(count, 1)
+    places_above, offsets = held_places(len(maps), count, rng)
+    azimuth = 2 * math.pi * (torch.arange(count, device=rng.device)[None, :, None] / max(count - 1, 1) + uniform(1, 1))
+    azimuth, tilt = azimuth + 0.4 * normal(count, 1), 0.1 + (MAX_TILT_RAD - 0.1) * uniform(count, 1)
     tilt = torch.cat([0.15 * tilt[:, :1], tilt[:, 1:]], 1)  # the first from about straight above
-    far = camera_distance() * (0.75 + 0.5 * uniform(count, 1)) * (1 + uniform(1, 1))
-    tilted = far * torch.cat([tilt.sin() * turn.cos(), tilt.sin() * turn.sin(), tilt.cos()], -1)
-    true = torch.where(uniform(1, 1) < TILTED_SHARE, tilted, held)
-    measured = true + 1.5 * uniform(1, 1) * off
-    level = torch.where(uniform(1) < EXPOSED_SHARE, EXPOSURE_STOPS * normal(count) - 0.15, 0.06 * normal(count))
-    flash = torch.cat([level.new_zeros(len(maps), FLASH_NUMBERS - 1, count), level[:, None] / FLASH_LOG_GAIN], 1)
-    both = true[:, :, None].expand(-1, -1, 2, -1)
-    display = linear_to_srgb(render_photos(unpack_maps(maps), decode_flashes(flash, both)).clamp(0, 1))
+    distance = camera_distance() * (0.75 + 0.5 * uniform(count, 1)) * (1 + uniform(1, 1))
+    tilted_places = distance * torch.cat([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), tilt.cos()], -1)
+    true_places = torch.where(uniform(1, 1) < TILTED_SHARE, tilted_places, places_above)
+    measured_places = true_places + 1.5 * uniform(1, 1) * offsets
+    log_exposure = torch.where(
+        uniform(1) < EXPOSED_SHARE, EXPOSURE_LOG_DEVIATION * normal(count) - 0.15, 0.06 * normal(count)
+    )
+    flash = torch.cat(
+        [log_exposure.new_zeros(len(maps), FLASH_NUMBERS - 1, count), log_exposure[:, None] / FLASH_LOG_GAIN], 1
+    )
+    positions = true_places[:, :, None].expand(-1, -1, 2, -1)
+    display = linear_to_srgb(render_photos(unpack_maps(maps), decode_flashes(flash, positions)).clamp(0, 1))
     display = display + 0.01 * uniform(1, 1, 1, 1) * torch.randn(display.shape, generator=rng, device=rng.device)
     photos = srgb_to_linear((display.clamp(0, 1) * 255).round() / 255)
-    return photos, measured[:, :, None].expand(-1, -1, 2, -1)
+    return photos, measured_places[:, :, None].expand(-1, -1, 2, -1)
+
+
+def _task_places(task: Task) -> Tensor:
+    """Return positions of camera and flash, [N, 2, 3]; a photograph without a place is one from straight above."""
+    return task.data.get("places", camera_position().expand(1, 2, 3)).float()
 
 
 def _pool_photos(photos: Tensor, size: tuple[int, int]) -> Tensor:
-    small: Tensor = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
-    return small
+    """Average photographs [T, N, 3, H, W] over areas to another size."""
+    pooled: Tensor = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
+    return pooled
 
 
-def _logs(radiance: Tensor) -> Tensor:
+def _log_radiance(radiance: Tensor) -> Tensor:
+    """Return the logs of radiance plus LIGHT_FLOOR."""
     return (radiance + LIGHT_FLOOR).log()
 
 
-def _round_off(difference: Tensor, s: Tensor) -> Tensor:
-    """Return sqrt(d^2 + s^2) - s for a difference d [T, ...] and s [T] or a number: |d|, rounded off below s."""
-    s = append_axes(s, difference)
-    return (difference * difference + s * s).sqrt() - s
+def _round_off(difference: Tensor, rounding: Tensor) -> Tensor:
+    """Return sqrt(d^2 + s^2) - s for a difference d [T, ...] and its rounding s [T] or []: |d|, rounded off below s."""
+    rounding = append_axes(rounding, difference)
+    return (difference * difference + rounding * rounding).sqrt() - rounding
 
 
-def _slopes_of(normal: Tensor) -> Tensor:
+def _find_slopes(normal: Tensor) -> Tensor:
+    """Return x and y over z of normals [T, 3, H, W], where z is small over a greater one: [T, 2, H, W]."""
     return normal[:, :2] / normal[:, 2:].clamp_min(0.2)
 
 
 def _encode_maps(maps: Maps) -> Tensor:
-    """Return the unbounded numbers [T, 9, H, W] of maps, the inverse of `decode_maps` but at the ends of ranges."""
+    """Return the unbounded numbers [T, 9, H, W] of maps: the inverse of `decode_maps` except at the ends of ranges."""
     logit = torch.logit
     diffuse, specular = (maps.diffuse.clamp(1e-4, 1) ** (1 / 2.2), maps.specular.clamp(1e-4, 1).sqrt())
     slopes = maps.normal[:, :2] / maps.normal[:, 2:].clamp_min(0.1)

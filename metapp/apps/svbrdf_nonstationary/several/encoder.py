@@ -1,4 +1,4 @@
-"""General of several flash photographs: maps of each texel, and how far off these may be.
+"""General's encoder of several flash photographs: maps of each texel, and the scales of their errors.
 
 Photometric stereo in closed form comes first: brightness and slopes of Lambertian texels, and the exposures of the
 photographs. It is corrected by a small network of each photograph, of which the mean and the maximum over photographs
@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, leaky_relu
 
 from metapp.appearance.flash import directions_to_point, texel_positions
-from metapp.apps.svbrdf_nonstationary.encoder import LEAKY_SLOPE, add_block, apply_pointwise, block, upsample
+from metapp.apps.svbrdf_nonstationary.encoder import LEAKY_SLOPE, add_block, apply_block, apply_pointwise, upsample
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution
@@ -36,17 +36,17 @@ EXPOSURE_STRIDE = 4  # exposures are solved on every fourth row and column
 
 
 class Reading(NamedTuple):
-    """The inputs of the network.
+    """The solution by photometric stereo, and the inputs of the network that corrects it.
 
     Attributes:
-        photos: what it reads of each photograph, [T, N, PHOTO_INPUTS, H, W].
-        texels: what it reads of each texel, [T, TEXEL_INPUTS, H, W].
+        photos: the inputs of each pixel of a photograph, [T, N, PHOTO_INPUTS, H, W].
+        texels: the inputs of each texel, [T, TEXEL_INPUTS, H, W].
         maps: unbounded numbers of the maps by photometric stereo, [T, 9, H, W].
-        gains: logs of exposures, about a mean of 0, [T, N].
-        grey: brightness over that of a flat white patch, [T, N, 1, H, W].
-        tangents: of the directions to the flash, x and y over z, [T, N, 2, H, W].
+        gains: logs of exposures, whose mean is 0, [T, N].
+        grey: brightness over the brightness of a flat white patch, [T, N, 1, H, W].
+        tangents: x and y over z of the directions to the flash, [T, N, 2, H, W].
         level: brightness of texels that face the flash, [T, 1, H, W].
-        weights: how much each photograph counts in each texel, [T, N, 1, H, W].
+        weights: the weight of each photograph in each texel, [T, N, 1, H, W].
     """
 
     photos: Tensor
@@ -62,46 +62,46 @@ class Reading(NamedTuple):
 def init(rng: Generator) -> Params:
     """Draw random parameters of the network."""
     params: Params = {}
-    layer = functools.partial(add_layer, params, rng)
-    known = 2 * STEM_CHANNELS + TEXEL_INPUTS
-    layer("stem.first", STEM_CHANNELS, PHOTO_INPUTS, 3, 3)
-    layer("stem.second", STEM_CHANNELS, STEM_CHANNELS)
-    for level, (inputs, outputs) in enumerate(zip((known, *WIDTHS), WIDTHS)):  # noqa: B905
+    add_random_layer = functools.partial(add_layer, params, rng)
+    texel_channels = 2 * STEM_CHANNELS + TEXEL_INPUTS
+    add_random_layer("stem.first", STEM_CHANNELS, PHOTO_INPUTS, 3, 3)
+    add_random_layer("stem.second", STEM_CHANNELS, STEM_CHANNELS)
+    for level, (inputs, outputs) in enumerate(zip((texel_channels, *WIDTHS), WIDTHS)):  # noqa: B905
         add_block(params, rng, f"down{level}", inputs, outputs)
     for level in reversed(range(len(WIDTHS) - 1)):
         add_block(params, rng, f"up{level}", WIDTHS[level + 1] + WIDTHS[level], WIDTHS[level])
-    layer("maps", sum(CHANNELS) + 2, WIDTHS[0] + known, gain=0.1)
-    layer("deviation", len(CHANNELS), WIDTHS[0] + known, gain=0.1)
+    add_random_layer("maps", sum(CHANNELS) + 2, WIDTHS[0] + texel_channels, gain=0.1)
+    add_random_layer("deviation", len(CHANNELS), WIDTHS[0] + texel_channels, gain=0.1)
     return params
 
 
 def predict_maps(params: Params, reading: Reading) -> tuple[Tensor, Tensor]:
-    """Predict maps and how far they are off.
+    """Predict maps and the scales of their errors.
 
     Args:
         params: the parameters that `init` draws.
-        reading: what `read_photos` makes of photographs.
+        reading: what :func:`read_photos` returns.
 
     Returns:
-        Unbounded numbers of maps, [T, 9, H, W], and the logs of the scales by which slopes, diffuse colour, roughness
-        and specular colour are off, [T, 4, H, W].
+        Unbounded numbers of maps, [T, 9, H, W], and the logs of the scales of errors of slopes, diffuse colour,
+        roughness and specular colour, [T, 4, H, W].
     """
-    number = reading.photos.shape[:2]
+    leading = reading.photos.shape[:2]
     x = reading.photos.flatten(0, 1).contiguous(memory_format=torch.channels_last)
     x = leaky_relu(apply_convolution(params, "stem.first", x), LEAKY_SLOPE)
-    x = leaky_relu(apply_pointwise(params, "stem.second", x), LEAKY_SLOPE).unflatten(0, number)
-    known = torch.cat([x.mean(1), x.amax(1), reading.texels], 1).contiguous(memory_format=torch.channels_last)
-    x, skips = known, []
+    x = leaky_relu(apply_pointwise(params, "stem.second", x), LEAKY_SLOPE).unflatten(0, leading)
+    texel_inputs = torch.cat([x.mean(1), x.amax(1), reading.texels], 1).contiguous(memory_format=torch.channels_last)
+    x, skips = texel_inputs, []
     for level in range(len(WIDTHS)):
-        x = block(params, f"down{level}", avg_pool2d(x, 2) if level else x)
+        x = apply_block(params, f"down{level}", avg_pool2d(x, 2) if level else x)
         skips.append(x)
     for level in reversed(range(len(WIDTHS) - 1)):
-        x = block(params, f"up{level}", torch.cat([upsample(x), skips[level]], 1))
-    x = torch.cat([x, known], 1)
+        x = apply_block(params, f"up{level}", torch.cat([upsample(x), skips[level]], 1))
+    x = torch.cat([x, texel_inputs], 1)
     change, gates = apply_pointwise(params, "maps", x).split((sum(CHANNELS), 2), 1)
-    slopes, rest = reading.maps.split((CHANNELS[0], sum(CHANNELS[1:])), 1)
+    slopes, others = reading.maps.split((CHANNELS[0], sum(CHANNELS[1:])), 1)
     slopes = 2 * torch.sigmoid(gates[:, :1]) * slopes + 0.5 * change[:, : CHANNELS[0]]
-    maps = torch.cat([slopes, rest + 2 * change[:, CHANNELS[0] :]], 1)
+    maps = torch.cat([slopes, others + 2 * change[:, CHANNELS[0] :]], 1)
     return maps, apply_pointwise(params, "deviation", x).clamp(-8, 4)
 
 
@@ -109,20 +109,21 @@ def photometric_stereo(brightness: Tensor, tangents: Tensor, valid: Tensor, nois
     """Solve for the brightness and slopes of Lambertian texels by reweighted least squares (Woodham 1980).
 
     Args:
-        brightness: over that of a flat white patch, [T, N, 1, H, W].
-        tangents: of the directions to the flash, x and y over z, [T, N, 2, H, W].
+        brightness: brightness over the brightness of a flat white patch, [T, N, 1, H, W].
+        tangents: x and y over z of the directions to the flash, [T, N, 2, H, W].
         valid: 1, and nearly 0 where a photograph clips, [T, N, 1, H, W].
-        noise: standard deviation of brightness over brightness, [T, N, 1, H, W].
+        noise: standard deviation of the noise over brightness, [T, N, 1, H, W].
 
     Returns:
         The brightness of texels that face the flash, [T, 1, H, W], slopes [T, 2, H, W], weights of the photographs
         [T, N, 1, H, W], and the share of each slope that the prior decides, [T, 2, H, W].
     """
-    middle = 1 / (1 / brightness.clamp_min(1e-4)).mean(1, keepdim=True)  # highlights hardly move it
-    y, x, z = brightness / middle, tangents[:, :, :1], tangents[:, :, 1:]
-    known = valid / (1 + (noise / 0.05).square())
-    weight = known * (1 / y.clamp_min(1)).square() + 1e-3
-    for again in reversed(range(TEXEL_SOLVES)):
+    # the harmonic mean, which highlights hardly move
+    typical = 1 / (1 / brightness.clamp_min(1e-4)).mean(1, keepdim=True)
+    y, x, z = brightness / typical, tangents[:, :, :1], tangents[:, :, 1:]
+    trust = valid / (1 + (noise / 0.05).square())
+    weight = trust * (1 / y.clamp_min(1)).square() + 1e-3
+    for remaining in reversed(range(TEXEL_SOLVES)):
         w = weight / (y + 0.05).square()
         # normal equations of the rows (1, x, z), from which the level is eliminated
         wx, s, sx, sz = w * x, w.sum(1), (w * x).sum(1), (w * z).sum(1)
@@ -133,53 +134,56 @@ def photometric_stereo(brightness: Tensor, tangents: Tensor, valid: Tensor, nois
         determinant = (axx * azz - axz * axz).clamp_min(1e-8)
         along_x, along_y = (azz * bx - axz * bz) / determinant, (axx * bz - axz * bx) / determinant
         level = ((t - sx * along_x - sz * along_y) / s).clamp_min(0.02)
-        if again:
+        if remaining:
             lambertian = level[:, None] + along_x[:, None] * x + along_y[:, None] * z
-            off = (y - lambertian) / (lambertian.abs() + 0.05)
-            off = torch.where(off > 0, 1.5 * off, off) / LAMBERTIAN_SPREAD  # highlights are brighter
-            weight = known / (1 + off.square()) + 1e-3
+            deviation = (y - lambertian) / (lambertian.abs() + 0.05)
+            # highlights are brighter than Lambertian texels: they count less than shadows
+            deviation = torch.where(deviation > 0, 1.5 * deviation, deviation) / LAMBERTIAN_SPREAD
+            weight = trust / (1 + deviation.square()) + 1e-3
     slopes = torch.cat([along_x, along_y], 1) / level
     length = slopes.square().sum(1, keepdim=True).add(1e-8).sqrt()
     slopes = slopes * (MAX_SLOPE * torch.tanh(length / MAX_SLOPE) / length)
-    return level * middle[:, 0], slopes, weight, torch.cat([azz, axx], 1) / determinant * RIDGE
+    return level * typical[:, 0], slopes, weight, torch.cat([azz, axx], 1) / determinant * RIDGE
 
 
-def _first_exposures(logs: Tensor, lobes: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+def _solve_exposures(logs: Tensor, lobes: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Solve for exposures and highlights of photographs before slopes are known, by reweighted least squares.
 
     The log of a pixel is the sum of a term of its texel, one of its photograph, and a curve of the half angle.
 
     Args:
-        logs: of the brightness of photographs, [T, N, P].
-        lobes: curves of the half angle, [T, N, K, P].
-        weight: how much pixels count, [T, N, P].
+        logs: logs of the brightness of P pixels of each photograph, [T, N, P].
+        lobes: K curves of the half angle, [T, N, K, P].
+        weight: weights of the pixels, [T, N, P].
 
     Returns:
         Logs of gains, [T, N], and strengths of the K curves, [T, K].
     """
     count = logs.shape[1]
     logs, lobes, weight = logs.double(), lobes.double(), weight.double() + 1e-3
-    photo = torch.eye(count).to(logs)[None, :, :, None].expand(len(logs), -1, -1, logs.shape[-1])
-    rows = torch.cat([photo, lobes], 2)
+    photo_rows = torch.eye(count).to(logs)[None, :, :, None].expand(len(logs), -1, -1, logs.shape[-1])
+    rows = torch.cat([photo_rows, lobes], 2)
     ridge = torch.cat([logs.new_full((count,), 1e-3), logs.new_full((lobes.shape[2],), 3e-3)]).diag() * logs.shape[-1]
-    now = weight
+    current_weight = weight
     for _ in range(LOBE_SOLVES):
-        total = now.sum(1, keepdim=True)
-        y = logs - (now * logs).sum(1, keepdim=True) / total
-        x = rows - (now[:, :, None] * rows).sum(1, keepdim=True) / total[:, :, None]
-        wx = now[:, :, None] * x
+        total = current_weight.sum(1, keepdim=True)
+        y = logs - (current_weight * logs).sum(1, keepdim=True) / total
+        x = rows - (current_weight[:, :, None] * rows).sum(1, keepdim=True) / total[:, :, None]
+        wx = current_weight[:, :, None] * x
         matrix = torch.einsum("bnip,bnjp->bij", wx, x) + ridge
         solution = torch.linalg.solve(matrix, torch.einsum("bnip,bnp->bi", wx, y))
-        off = y - torch.einsum("bnip,bi->bnp", x, solution)
-        now = weight / (1 + (off / 0.25).square())
+        residual = y - torch.einsum("bnip,bi->bnp", x, solution)
+        current_weight = weight / (1 + (residual / 0.25).square())
     return _centre(solution[:, :count]).to(weight.float()), solution[:, count:].float()
 
 
 def _centre(gains: Tensor) -> Tensor:
+    """Shift logs of gains [T, N] to a mean of 0."""
     return gains - gains.mean(1, keepdim=True)
 
 
-def _expand(gains: Tensor) -> Tensor:
+def _add_picture_axes(gains: Tensor) -> Tensor:
+    """Add axes of channels, rows and columns to gains [T, N]: [T, N, 1, 1, 1]."""
     return gains[..., None, None, None]
 
 
@@ -192,42 +196,46 @@ def read_photos(photos: Tensor, places: Tensor) -> Reading:
         places: positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
     """
     texels = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)
-    (wo, _), (wi, squared) = (directions_to_point(each, texels) for each in places.unbind(2))
-    white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared  # of a flat white patch
+    (wo, _), (wi, squared) = (directions_to_point(place, texels) for place in places.unbind(2))
+    white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared  # brightness of a flat white patch
     half = wi + wo
     half = half / half.norm(dim=2, keepdim=True)
-    lobe = torch.exp((1 - 1 / half[:, :, 2:].square()) / (2 * half.new_tensor(LOBE_TANGENTS)[:, None, None].square()))
+    lobes = torch.exp((1 - 1 / half[:, :, 2:].square()) / (2 * half.new_tensor(LOBE_TANGENTS)[:, None, None].square()))
     tangents = wi[:, :, :2] / wi[:, :, 2:]
     colour = photos.clamp_min(NOISE_VALUE / 4) / white
-    grey, bright = colour.mean(2, keepdim=True), photos.mean(2, keepdim=True)
-    logs, noise = grey.log(), NOISE_VALUE / 2 / bright.clamp_min(NOISE_VALUE / 4)
-    clips = (photos.amax(2, keepdim=True) > CLIPPED_VALUE).to(photos)
-    valid = 1 - 0.98 * clips
-    # exposures such that the slopes' means, which depend on them, are 0
-    few = [part[..., ::EXPOSURE_STRIDE, ::EXPOSURE_STRIDE] for part in (logs, lobe, tangents, valid, noise)]
-    trusted = few[3] / (1 + (few[4] / 0.05).square())
-    gains, strengths = _first_exposures(few[0][:, :, 0].flatten(2), few[1].flatten(3), trusted[:, :, 0].flatten(2))
-    gloss = (strengths[:, None, :, None, None] * lobe).sum(2, keepdim=True)
+    grey, brightness = colour.mean(2, keepdim=True), photos.mean(2, keepdim=True)
+    logs, noise = grey.log(), NOISE_VALUE / 2 / brightness.clamp_min(NOISE_VALUE / 4)
+    is_clipped = (photos.amax(2, keepdim=True) > CLIPPED_VALUE).to(photos)
+    valid = 1 - 0.98 * is_clipped
+    # exposures are solved such that the means of slopes, which depend on them, are 0
+    coarse_logs, coarse_lobes, coarse_tangents, coarse_valid, coarse_noise = (
+        part[..., ::EXPOSURE_STRIDE, ::EXPOSURE_STRIDE] for part in (logs, lobes, tangents, valid, noise)
+    )
+    trust = coarse_valid / (1 + (coarse_noise / 0.05).square())
+    gains, strengths = _solve_exposures(
+        coarse_logs[:, :, 0].flatten(2), coarse_lobes.flatten(3), trust[:, :, 0].flatten(2)
+    )
+    gloss = (strengths[:, None, :, None, None] * lobes).sum(2, keepdim=True)
     for _ in range(EXPOSURE_SOLVES):
-        y = torch.exp(few[0] - gloss[..., ::EXPOSURE_STRIDE, ::EXPOSURE_STRIDE] - _expand(gains))
-        level, slopes, *_ = photometric_stereo(y, *few[2:])
+        y = torch.exp(coarse_logs - gloss[..., ::EXPOSURE_STRIDE, ::EXPOSURE_STRIDE] - _add_picture_axes(gains))
+        level, slopes, *_ = photometric_stereo(y, coarse_tangents, coarse_valid, coarse_noise)
         slopes = slopes - slopes.mean((2, 3), keepdim=True)
-        lambertian = (1 + (slopes[:, None] * few[2]).sum(2, keepdim=True)).clamp_min(0.1)
+        lambertian = (1 + (slopes[:, None] * coarse_tangents).sum(2, keepdim=True)).clamp_min(0.1)
         gains = gains + _centre((y / (level[:, None] * lambertian)).log().flatten(2).median(2).values)
-    scale = torch.exp(-_expand(gains) - gloss)
+    scale = torch.exp(-_add_picture_axes(gains) - gloss)
     colour, grey = colour * scale, grey * scale
     level, slopes, weights, unknown = photometric_stereo(grey, tangents, valid, noise)
     lambertian = (1 + (slopes[:, None] * tangents).sum(2, keepdim=True)).clamp_min(0.05)
     weight = weights / weights.sum(1, keepdim=True)
-    body = (weight * colour / lambertian).sum(1)
-    apart = (colour / (body[:, None] * lambertian)).log().clamp(-3, 3)
-    grey_apart = apart.mean(2, keepdim=True)
+    body_colour = (weight * colour / lambertian).sum(1)
+    log_ratio = (colour / (body_colour[:, None] * lambertian)).log().clamp(-3, 3)
+    grey_log_ratio = log_ratio.mean(2, keepdim=True)
     length = (1 + slopes.square().sum(1, keepdim=True)).sqrt()
     normal = (torch.cat([slopes, torch.ones_like(length)], 1) / length)[:, None]
     cos_half = (half * normal).sum(2, keepdim=True).clamp(-1, 1)
-    of_photos = [
-        apart,
-        logs - _expand(gains) + 1,
+    photo_inputs = [
+        log_ratio,
+        logs - _add_picture_axes(gains) + 1,
         2 * tangents,
         2 * wo[:, :, :2] / wo[:, :, 2:],
         2 * half[:, :, :2] / half[:, :, 2:],
@@ -235,23 +243,23 @@ def read_photos(photos: Tensor, places: Tensor) -> Reading:
         (wi * normal).sum(2, keepdim=True),
         white.log(),
         gloss,
-        clips,
-        (bright + NOISE_VALUE).log() / 2 + 1,
-        _expand(gains).expand_as(white),
+        is_clipped,
+        (brightness + NOISE_VALUE).log() / 2 + 1,
+        _add_picture_axes(gains).expand_as(white),
         10 * weight / (1 + 9 * weight),
     ]
-    albedo = (body * length).clamp(2e-4, 0.98)
-    of_texels = [
+    albedo = (body_colour * length).clamp(2e-4, 0.98)
+    texel_inputs = [
         2 * slopes,
         albedo.log() / 2 + 1,
-        2 * (weight * grey_apart.square()).sum(1).sqrt(),
-        grey_apart.amax(1),
-        grey_apart.amin(1),
+        2 * (weight * grey_log_ratio.square()).sum(1).sqrt(),
+        grey_log_ratio.amax(1),
+        grey_log_ratio.amin(1),
         unknown.sqrt(),
         torch.full_like(length, math.log(photos.shape[1]) - 1.5),
         (photos.mean((1, 2), keepdim=True)[:, 0] + NOISE_VALUE).log() / 2 + 1,
     ]
-    shade = torch.logit((albedo ** (1 / 2.2)).clamp(0.02, 0.98))
-    maps = torch.cat([slopes, shade, torch.zeros_like(length), torch.zeros_like(albedo)], 1)
+    shade_logits = torch.logit((albedo ** (1 / 2.2)).clamp(0.02, 0.98))
+    maps = torch.cat([slopes, shade_logits, torch.zeros_like(length), torch.zeros_like(albedo)], 1)
     stereo = (grey, tangents, level, weights)
-    return Reading(torch.cat(of_photos, 2), torch.cat(of_texels, 1), maps, gains, *stereo)
+    return Reading(torch.cat(photo_inputs, 2), torch.cat(texel_inputs, 1), maps, gains, *stereo)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.networks.picture_options import fov
+from metapp.networks.picture_options import fov_option
 from metapp.options import Option
 
 
@@ -36,7 +36,7 @@ class RectifyOptions:
     size: Annotated[
         int, Option("Greatest side of the pictures; never finer than the first photo.", "PX", low=64, high=4096)
     ] = 1024
-    fov: Annotated[float, fov("EXIF's, else as markers or points fit best")] = 0.0
+    fov: Annotated[float, fov_option("EXIF's, else as markers or points fit best")] = 0.0
     flash: Annotated[
         tuple[float, ...],
         Option(

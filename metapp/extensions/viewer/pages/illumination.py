@@ -62,7 +62,9 @@ def make_illumination_view(
     }
     pictures = {}
     if app.protocol == "photo":
-        data = {key: value[None] for key, value in {"photo": task.data["photos"][0], **app.mirror_light(task)}.items()}
+        data = {
+            key: value[None] for key, value in {"photo": task.data["photos"][0], **app.prepare_mirror(task)}.items()
+        }
         pictures = {
             "photo": data["photo"][0].permute(1, 2, 0) / 255,
             "ball": _render_ball(app, batched_theta, data).permute(1, 2, 0),

@@ -183,7 +183,9 @@ def _render_all(flow: Flow, theta: Params, task: Task, effort: Effort) -> dict[s
         table_seconds, path_guide = time.process_time() - begin, path_space.Guide(table.sample, table.density)
         side, seconds = effort.side_px, effort.seconds
         progress_by_name = {
-            REGULAR: render_in_steps(lambda spp, seed: renderer.render_regular(spp, seed).picture, reference, 0.0, seconds),
+            REGULAR: render_in_steps(
+                lambda spp, seed: renderer.render_regular(spp, seed).picture, reference, 0.0, seconds
+            ),
             GUIDED_LABEL: render_in_steps(
                 lambda spp, seed: path_space.render_paths(renderer.tracer, spp, side, seed, path_guide),
                 reference,
