@@ -91,7 +91,7 @@ def write_contact_sheet(
         path: the file to write.
         count: number of all tasks, if there are more than `tasks` and `earlier` have.
         names: the names of the tasks' folders, by which :func:`read_rows` names their rows; () if nobody reads them.
-        earlier: rows of another sheet, which follow as far as there is room.
+        earlier: rows of an earlier sheet, of which as many follow as fit in.
 
     Returns:
         The file that was written.
