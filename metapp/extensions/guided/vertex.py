@@ -105,16 +105,14 @@ class Vertex:
         bsdf_draw = (self.draws[0] - self.share) / dr.maximum(1 - self.share, 1e-6)
         bsdf_draw = dr.clip(bsdf_draw, 0, dr.one_minus_epsilon(mi.Float))
         is_guided = self.active & (self.share > 0)
-        bin_index, guided_direction = cache.sample(location.row, self.draws[1], is_guided & by_cache)
+        bin_index, direction = cache.sample(location.row, self.draws[1], is_guided & by_cache)
         bsdf_sample, weight, wo, value, density, emitter_values = self._evaluate(
-            si.to_local(location.frame.to_world(guided_direction)), by_cache, bsdf_draw
+            si.to_local(location.frame.to_world(direction)), by_cache, bsdf_draw
         )
-        guided_direction = dr.select(by_cache, guided_direction, location.frame.to_local(si.to_world(wo)))
-        bin_index = dr.select(by_cache, bin_index, cache.bin_of_direction(guided_direction))
-        mixture_density, emitter_direction = (
-            self._mixture_density(guided_direction, bin_index, density, is_guided),
-            location.frame.to_local(self.emitter.d),
-        )
+        direction = dr.select(by_cache, direction, location.frame.to_local(si.to_world(wo)))
+        bin_index = dr.select(by_cache, bin_index, cache.bin_of_direction(direction))
+        mixture_density = self._mixture_density(direction, bin_index, density, is_guided)
+        emitter_direction = location.frame.to_local(self.emitter.d)
         emitter_density = self._mixture_density(
             emitter_direction,
             cache.bin_of_direction(emitter_direction),
@@ -131,7 +129,7 @@ class Vertex:
             is_delta,
             ~by_cache & mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Null),
             emitter_radiance,
-            (mixture_density * dr.pi / dr.maximum(guided_direction.z, 1e-6), bin_index),
+            (mixture_density * dr.pi / dr.maximum(direction.z, 1e-6), bin_index),
         )
 
     def record_values(self, sample: DirectionSample) -> tuple[mt.UInt32, mt.Float, mt.Mask]:

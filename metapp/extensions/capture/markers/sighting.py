@@ -27,7 +27,7 @@ from metapp.extensions.capture.markers.sheet import (
 
 MIN_SEEN_MARKERS = 4
 
-MAX_MARKER_ERROR_SIDES = 1 / 256  # how far markers may be off on average: a texel of a fit
+MAX_MARKER_ERROR_SIDES = 1 / 256  # sides of the opening that markers may be off on average: a texel of a fit
 _FOCAL_RANGE_MM = (10.0, 150.0)  # in which a focal length is searched
 _FOCAL_TEST_RATIO = 1.1  # a focal length so much longer or shorter must fit visibly worse
 _REMEDY = "photograph the whole sheet, sharp and well lit"
