@@ -84,8 +84,8 @@ def install(folder: Path, text: str, name: str = "stranger", point: str = "") ->
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Registry]]:
     """Installs modules as packages for as long as a test takes; returns the registry that has them."""
     monkeypatch.syspath_prepend(tmp_path)
-    fresh = functools.cache(module._built.__wrapped__)
-    monkeypatch.setattr(module, "_built", fresh)
+    fresh = functools.cache(module._build_registry.__wrapped__)
+    monkeypatch.setattr(module, "_build_registry", fresh)
 
     def add(text: str | None = None, name: str = "stranger") -> Registry:
         if text is not None:

@@ -150,8 +150,8 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     fit: Callable, materials: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each has its folder again when it is fitted again."""
-    task = Input.task
-    monkeypatch.setattr(Input, "task", lambda self: task(self)._replace(name="one"))
+    task = Input.read_task
+    monkeypatch.setattr(Input, "read_task", lambda self: task(self)._replace(name="one"))
     names = ["one", *(name_with_digest("one", str((materials / name).resolve())) for name in NAMES[1:])]
     first = errors(fit("--batch", "8").document)
     assert list(first) == names

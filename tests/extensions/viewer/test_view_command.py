@@ -114,8 +114,8 @@ def test_one_task_reads_its_own_input_alone(
     metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, read = fitted("meta"), list[str]()
-    task = Input.task
-    monkeypatch.setattr(Input, "task", lambda self: read.append(Path(self.place).name) or task(self))
+    task = Input.read_task
+    monkeypatch.setattr(Input, "read_task", lambda self: read.append(Path(self.place).name) or task(self))
     metapp("view", run, "--no-open", "--out", "p.html", "--task", "m1")
     metapp("view", run, "--no-open", "--out", "q.html", "--most", "1")
     assert read == ["m1", "m0"]
