@@ -156,7 +156,7 @@ def test_noise_below_zero_is_taken_as_0_with_a_warning(file: Path, tmp_path: Pat
     noisy[..., 0, 0] = -1e-7 * noisy.max()
     write_tensor_file(tmp_path / "noisy.bsdf", fields | {"luminance": noisy})
     angles = torch.tensor([[0.1, 0.4, 1.0], [0.6, 0.2, 2.0]])
-    with pytest.warns(UserWarning, match=r"noisy\.bsdf: luminance of down to -.*noise below 0"):
+    with pytest.warns(UserWarning, match=r"noisy\.bsdf: luminance as low as -.*taken for noise"):
         found = rgl.read_rgl(tmp_path / "noisy.bsdf")(angles)
     torch.testing.assert_close(found, rgl.read_rgl(file)(angles))
 

@@ -429,7 +429,7 @@ def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path) -> None:
         assert places.resolve_file("x.xml") == file
     file.write_bytes(b"x" * 11)
     refused("more than 10 characters", read_scene_text, file, 10)
-    refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
+    refused("of 11 bytes, expected 10 at most", places.resolve_file, "x.xml")
     file.write_bytes(b"\xff")
     refused("not text in UTF-8", read_scene_text, file)
     refused("No such file", read_scene_text, tmp_path / "none")

@@ -289,7 +289,7 @@ def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: py
     monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")  # trying it takes seconds
     vgg.store_weights(weights(SMALL), {"source": "somewhere", "sha256": ""}, blocks=SMALL)
     assert metapp("doctor", "--json").document["VGG"] == "from somewhere"
-    file = vgg.weights_path()
+    file = vgg.vgg_weights_path()
     file.write_bytes(file.read_bytes()[:-4])
     found = metapp("doctor", "--json").document["VGG"]
     assert found.startswith("damaged: ")
