@@ -228,7 +228,7 @@ def test_what_is_cut_is_said_and_the_bar_moves(shot: Path, capsys: Any) -> None:
     class Shown(Terminal):
         def bar(self, title: str, total: int | None, done: int, long: bool) -> AbstractContextManager[Bar]:
             bar = Bar()
-            bar.name = lambda note, share=0.0: shown.append((share, note))  # type: ignore[method-assign]
+            bar.set_label = lambda note, share=0.0: shown.append((share, note))  # type: ignore[method-assign]
             return nullcontext(bar)
 
     with use_reporter(Shown()):
