@@ -222,16 +222,16 @@ class MakeTable(Protocol):
     """A function that makes a table of `metapp evaluate`.
 
     >>> from metapp.evaluation.table import Table
-    >>> def counts(subject):
-    ...     return Table(subject.title, "Tasks", (), [{"tasks": len(subject.tasks)}])
+    >>> def counts(evaluation):
+    ...     return Table(evaluation.title, "Tasks", (), [{"tasks": len(evaluation.tasks)}])
     """
 
-    def __call__(self, subject: Any, /) -> Any:
+    def __call__(self, evaluation: Any, /) -> Any:
         """Return the :class:`metapp.evaluation.table.Table` of an application, without rows if none apply.
 
         Args:
-            subject: a :class:`metapp.evaluation.subject.EvaluationRun`: the application under a protocol, its tasks and
-                runs; it makes the fits that the table asks for.
+            evaluation: a :class:`metapp.evaluation.evaluation_run.EvaluationRun`: the application under a protocol,
+                its tasks and runs; it makes the fits that the table asks for.
         """
         ...
 

@@ -1,6 +1,6 @@
 """The work of `metapp evaluate`: tables and pictures made of records, and printed.
 
-Fits without a record are run by :class:`metapp.evaluation.subject.EvaluationRun`; here is what a terminal shows.
+Fits without a record are run by :class:`metapp.evaluation.evaluation_run.EvaluationRun`; here is what a terminal shows.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rich.text import Text
 from metapp.apps import full_name
 from metapp.cli.console import escape_control_characters, print_json, standard_output
 from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
-from metapp.evaluation.subject import EvaluationRun
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Table, flatten_row, format_csv, format_tables
 from metapp.names import app_names, protocols_of, recipe_entries
 from metapp.registry import registry

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from metapp.apps import full_name
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels, save_figure
-from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Table, format_tables
 from metapp.evaluation.tables.convergence import CURVE_PARADIGMS, trace_records
 from metapp.registry import registry

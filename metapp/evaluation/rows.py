@@ -21,7 +21,7 @@ from metapp.evaluation.error_statistics import (
     is_significant,
     summarise_errors,
 )
-from metapp.evaluation.subject import EvaluationRun
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Row
 from metapp.learning.app import App
 from metapp.runs.fitting import LOSS_ROSE_CLAUSE

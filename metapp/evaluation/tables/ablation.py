@@ -10,8 +10,8 @@ from dataclasses import asdict, replace
 from typing_extensions import override
 
 from metapp.evaluation.error_statistics import is_significant
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import comparison_notes, make_row
-from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Column, Table, columns
 from metapp.evaluation.tables.results import COMPARED_ROWS, result_rows
 from metapp.learning.learn import MetaParameters

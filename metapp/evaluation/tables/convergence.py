@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from metapp.apps import protocol_entry
+from metapp.evaluation.evaluation_run import EvaluationRun, select_evenly
 from metapp.evaluation.rows import make_row, paper_figures
-from metapp.evaluation.subject import EvaluationRun, select_evenly
 from metapp.evaluation.table import Column, Row, Table, columns
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import learn, task_loss

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 from metapp.appearance.picture_measures import describe_picture_measures, measure_pictures
 from metapp.appearance.pictures import REFERENCE_ERROR_NAME, TimedFit
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import errors_by_task, make_row, paper_figures, subset_note
-from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Column, Row, Table, columns
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS

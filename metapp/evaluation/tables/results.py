@@ -7,6 +7,7 @@ from collections.abc import Collection
 
 from metapp.apps import is_first_protocol
 from metapp.evaluation.error_statistics import is_significant
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import (
     comparison_notes,
     describe_winner,
@@ -17,7 +18,6 @@ from metapp.evaluation.rows import (
     scale_free_figures,
     subset_note,
 )
-from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Row, Table, columns
 from metapp.learning.app import App
 from metapp.paradigms import PARADIGMS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from torch import Generator
 
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import make_row, paper_figures
-from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params

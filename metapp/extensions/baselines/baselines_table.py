@@ -8,6 +8,7 @@ from pathlib import Path
 
 from metapp.apps import full_name
 from metapp.evaluation.error_statistics import is_significant
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import (
     comparison_notes,
     comparison_text,
@@ -16,7 +17,6 @@ from metapp.evaluation.rows import (
     paper_entries,
     subset_note,
 )
-from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.table import Column, Row, Table, bytes_column, columns
 from metapp.evaluation.tables.storage import checkpoint_bytes, parameter_bytes
 from metapp.extensions.baselines import baselines_of

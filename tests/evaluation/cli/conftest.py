@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.evaluation.subject import EvaluationRun
+from metapp.evaluation.evaluation_run import EvaluationRun
 from tests.evaluation.cli.subjects import call, few_steps, subject_of
 
 

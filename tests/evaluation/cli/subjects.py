@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from metapp.apps.brdf.recipes import RECIPES
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.style import FIGURE_STYLE
-from metapp.evaluation.subject import EvaluationRun
 from metapp.runs.fit_options import fit_options
 from metapp.runs.run import Run
 from tests.small_spheres import shrink_spheres

@@ -11,8 +11,8 @@ from torch import Generator
 
 from metapp.appearance.pictures import TimedFit
 from metapp.apps.brdf.presenter import BrdfPresenter
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import paper_figures
-from metapp.evaluation.subject import EvaluationRun
 from metapp.evaluation.tables.ablation import (
     InitialisationAlone,
     RuleAlone,

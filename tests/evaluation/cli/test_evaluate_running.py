@@ -11,7 +11,7 @@ import torch
 from metapp.apps.brdf.app import Brdf
 from metapp.cli.evaluation_options import EvaluateOptions
 from metapp.cli.evaluation_output import evaluation_runs_of
-from metapp.evaluation.subject import EvaluationRun
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
 from metapp.runs.environment import find_device
@@ -138,7 +138,7 @@ def test_fits_have_the_threads_of_their_application(measure: Callable, empty: Ev
 def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path))
     monkeypatch.setattr("metapp.cli.evaluation_output.app_names", lambda: ["texture", "transport"])
-    monkeypatch.setattr("metapp.evaluation.subject.read_test_tasks", lambda *_: ([], "none"))  # drawn in minutes
+    monkeypatch.setattr("metapp.evaluation.evaluation_run.read_test_tasks", lambda *_: ([], "none"))  # drawn in minutes
     with use_reporter(heard := Heard()):
         assert [one.app.name for one in evaluation_runs_of(EvaluateOptions(out=tmp_path), [])] == ["transport"]
     (line,) = heard.lines

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from metapp.cli.evaluation_output import MAX_NOTE_LINES, make_rich_table
-from metapp.evaluation.subject import EvaluationRun
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.registry import registry
 from tests.evaluation.cli.subjects import rows
 

@@ -12,8 +12,8 @@ from torch import Generator, Tensor
 
 from metapp.apps import app_of, class_of, presenter_of, recipes_of
 from metapp.cli.evaluation_output import make_rich_table
+from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.figures import draw_figure as draw_figure
-from metapp.evaluation.subject import EvaluationRun
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import CostLimits, TrainingTasks
 from metapp.extensions.baselines.baselines_table import baseline_records, baselines_table
