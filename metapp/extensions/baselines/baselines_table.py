@@ -43,90 +43,91 @@ BASELINE_COLUMNS = columns(
 )
 
 
-def baselines_table(subject: EvaluationRun) -> Table:
+def baselines_table(evaluation: EvaluationRun) -> Table:
     """Return the table of the paradigms, then of the baselines that can be fitted: errors, times and bytes."""
     # Rules of Meta whose runs have an application, and so a network, of their own are compared, too.
     own_network_names = [
-        name for name, run in subject.runs.items() if run.app != subject.app and name not in SHOWN_PARADIGMS
+        name for name, run in evaluation.runs.items() if run.app != evaluation.app and name not in SHOWN_PARADIGMS
     ]
-    available_baselines = _available_baselines(subject)
-    records = {baseline.name: baseline_records(subject, baseline) for baseline in available_baselines}
+    available_baselines = _available_baselines(evaluation)
+    records = {baseline.name: baseline_records(evaluation, baseline) for baseline in available_baselines}
     rows = [
-        *(_make_paradigm_row(subject, name) for name in (*SHOWN_PARADIGMS, *own_network_names)),
-        *(_make_baseline_row(subject, name, fit_records) for name, fit_records in records.items()),
+        *(_make_paradigm_row(evaluation, name) for name in (*SHOWN_PARADIGMS, *own_network_names)),
+        *(_make_baseline_row(evaluation, name, fit_records) for name, fit_records in records.items()),
     ]
     notes = [
-        *_describe_missing_rows(subject, rows, available_baselines),
+        *_describe_missing_rows(evaluation, rows, available_baselines),
         *_describe_baselines(available_baselines),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
         *comparison_notes(rows, "meta"),
-        *measures_note(subject, rows),
-        *subset_note(subject),
+        *measures_note(evaluation, rows),
+        *subset_note(evaluation),
     ]
     pictured = {
         name: fit_records
         for name, fit_records in records.items()
         if fit_records and Path(fit_records[0]["folder"], PARAMS).is_file()
     }
-    meta = subject.records("meta")
+    meta = evaluation.records("meta")
     title = (
-        f"mean error{subject.app.error_measure.factor} and what is kept, of paradigms and of methods without a network"
+        f"mean error{evaluation.app.error_measure.factor} and what is kept, "
+        "of paradigms and of methods without a network"
     )
     fits = {"meta": meta} | pictured if meta and pictured else {}
-    findings = (subject.presenter.caption(), *_describe_comparisons([row for row in rows if row["baseline"]]))
-    return Table(subject.title, title, BASELINE_COLUMNS, rows, notes, fits, findings)
+    findings = (evaluation.presenter.caption(), *_describe_comparisons([row for row in rows if row["baseline"]]))
+    return Table(evaluation.title, title, BASELINE_COLUMNS, rows, notes, fits, findings)
 
 
-def _available_baselines(subject: EvaluationRun) -> list[Baseline]:
+def _available_baselines(evaluation: EvaluationRun) -> list[Baseline]:
     """Return the baselines that lack neither training tasks nor, in any task, the tensor that holds their answers."""
 
     def is_available(baseline: Baseline) -> bool:
         if baseline.stored_tensor:
-            return bool(subject.tasks) and all(baseline.stored_tensor in task.data for task in subject.tasks)
-        if not (baseline.learns and subject.tasks):
+            return bool(evaluation.tasks) and all(baseline.stored_tensor in task.data for task in evaluation.tasks)
+        if not (baseline.learns and evaluation.tasks):
             return True
-        return find_training_folder(subject.run, baseline, make=subject.is_measuring) is not None
+        return find_training_folder(evaluation.run, baseline, make=evaluation.is_measuring) is not None
 
-    return [baseline for baseline in baselines_of(subject.app) if is_available(baseline)]
+    return [baseline for baseline in baselines_of(evaluation.app) if is_available(baseline)]
 
 
-def baseline_records(subject: EvaluationRun, baseline: Baseline) -> list[Record]:
+def baseline_records(evaluation: EvaluationRun, baseline: Baseline) -> list[Record]:
     """Return the records of a baseline's fits; fits that are missing are made now, where they may be."""
     run_folder = None
-    if subject.tasks and (not baseline.learns or find_training_folder(subject.run, baseline)):
-        settings = baseline_settings(subject.run, baseline, subject.label)
-        run_folder = subject.record_folder(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
+    if evaluation.tasks and (not baseline.learns or find_training_folder(evaluation.run, baseline)):
+        settings = baseline_settings(evaluation.run, baseline, evaluation.label)
+        run_folder = evaluation.record_folder(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
 
     def fit_tasks(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         """Yield the record and the picture of each task, until one cannot be fitted."""
         try:
-            for record, picture, _ in fit_baselines(subject.run, baseline, tasks):
+            for record, picture, _ in fit_baselines(evaluation.run, baseline, tasks):
                 yield record, picture
         except ValueError as error:
-            say(f"{full_name(subject.app)} {baseline.name}: {error}")
+            say(f"{full_name(evaluation.app)} {baseline.name}: {error}")
 
-    return subject.measure_records(baseline.name, run_folder, fit_tasks, subject.tasks)
+    return evaluation.measure_records(baseline.name, run_folder, fit_tasks, evaluation.tasks)
 
 
-def _make_paradigm_row(subject: EvaluationRun, name: str) -> Row:
+def _make_paradigm_row(evaluation: EvaluationRun, name: str) -> Row:
     """Return the row of a paradigm, or of a rule of Meta, with the numbers and bytes that its fits keep."""
-    run = subject.runs[name]
+    run = evaluation.runs[name]
     theta = parameters_per_task(run.app)
-    entries = {"shared": checkpoint_bytes(run.checkpoint), "baseline": False, "few": subject.is_of_subset(name)}
+    entries = {"shared": checkpoint_bytes(run.checkpoint), "baseline": False, "few": evaluation.is_of_subset(name)}
     entries |= {"numbers": sum(value.numel() for value in theta.values()), "kept_bytes": parameter_bytes(theta)}
     entries |= paper_entries(run.app, name)
-    records = subject.existing_records(name) if run.paradigm.takes_long else subject.records(name)
-    return make_row(subject, name, records, entries, ("meta",))
+    records = evaluation.existing_records(name) if run.paradigm.takes_long else evaluation.records(name)
+    return make_row(evaluation, name, records, entries, ("meta",))
 
 
-def _make_baseline_row(subject: EvaluationRun, name: str, records: list[Record]) -> Row:
+def _make_baseline_row(evaluation: EvaluationRun, name: str, records: list[Record]) -> Row:
     """Return the row of a baseline, with the mean numbers and bytes that its fits keep."""
     kept_means = {
         key: statistics.fmean(record[key] for record in records) if records else None
         for key in ("numbers", "kept_bytes")
     }
     entries = kept_means | {"shared": records[-1]["shared"] if records else None, "baseline": True}
-    return make_row(subject, name, records, entries, ("meta",))
+    return make_row(evaluation, name, records, entries, ("meta",))
 
 
 def _describe_comparisons(all_rows: list[Row]) -> list[str]:
@@ -141,19 +142,19 @@ def _describe_comparisons(all_rows: list[Row]) -> list[str]:
     ]
 
 
-def _describe_missing_rows(subject: EvaluationRun, all_rows: list[Row], able: list[Baseline]) -> list[str]:
+def _describe_missing_rows(evaluation: EvaluationRun, all_rows: list[Row], able: list[Baseline]) -> list[str]:
     """Return lines on rows without records and baselines left out, with the commands that add them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
     lines = [f"no records yet of {', '.join(absent)}: --which results measures them"] if absent else []
     names = {baseline.name for baseline in able}
-    left_out = [baseline for baseline in baselines_of(subject.app) if baseline.name not in names]
+    left_out = [baseline for baseline in baselines_of(evaluation.app) if baseline.name not in names]
     lines += [
         f"{baseline.name}: left out, as not all tasks hold {baseline.title}"
         for baseline in left_out
         if baseline.stored_tensor
     ]
     if untrained_names := [baseline.name for baseline in left_out if not baseline.stored_tensor]:
-        remedy = f"metapp data synth {subject.app.name} makes the embedded ones"
+        remedy = f"metapp data synth {evaluation.app.name} makes the embedded ones"
         lines.append(f"{', '.join(untrained_names)}: no training tasks; {remedy}")
     return lines
 
