@@ -2,7 +2,7 @@
 
 Every material is reciprocal, non-negative and reflects no more than it receives. Families take turns, so any count
 holds a mix of them; within a family, hue, roughness and lightness follow a low-discrepancy sequence, so a small set
-still covers the range. Random numbers are PCG64's raw uniforms, the same on every machine.
+still covers the range. Random numbers are PCG64's raw uniforms, equal on every machine.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from data_tools.synthetic.brdf_models import (
 from metapp.appearance.geometry import Cosines, angle_cosines
 from metapp.learning.task import Task
 
-VERSION = 3  # 2: pictures under an environment map; 3: phi_d over the full circle
+VERSION = 3  # of the set's tasks; 2 added pictures under an environment map, 3 phi_d over the full circle
 
 
 def _draw_conductor(draw: Draws) -> tuple[str, IsotropicModel]:
@@ -93,10 +93,10 @@ def _draw_mixture(draw: Draws) -> tuple[str, IsotropicModel]:
     families = [_draw_conductor, _draw_plastic, _draw_glossy, _draw_paint, _draw_diffuse]
     first = int(draw.between(0, 5))
     second = (first + int(draw.between(1, 5))) % 5
-    one, model = families[first](draw)
+    first_name, first_model = families[first](draw)
     draw.hue, draw.lightness = (draw.hue + draw.between(0.2, 0.8)) % 1, 1 - draw.lightness
-    other, body = families[second](draw)
-    return f"{one}-on-{other}", isotropic_mixture(model, body, draw.between(0.25, 0.75))
+    second_name, second_model = families[second](draw)
+    return f"{first_name}-on-{second_name}", isotropic_mixture(first_model, second_model, draw.between(0.25, 0.75))
 
 
 _FAMILIES: dict[str, Callable[[Draws], tuple[str, IsotropicModel]]] = {
@@ -109,7 +109,8 @@ _FAMILIES: dict[str, Callable[[Draws], tuple[str, IsotropicModel]]] = {
     "diffuse": _draw_diffuse,
     "mixture": _draw_mixture,
 }
-# Twenty turns, in about the shares of the MERL set: metals and glossy coats first, fabrics and chalk fewer.
+# Twenty turns, with about the shares that families have in the MERL set: more metals and glossy coats than fabrics and
+# chalk.
 _TURNS = """
     conductor plastic glossy paint conductor fabric coated plastic diffuse glossy
     conductor paint mixture plastic conductor glossy coated fabric diffuse mixture
@@ -117,23 +118,27 @@ _TURNS = """
 
 
 def _evaluator(model: IsotropicModel) -> Callable[[Tensor], Tensor]:
+    """Return the function that evaluates a model at angles [..., 3] in rad, 0 below the horizon."""
+
     def evaluate(angles: Tensor) -> Tensor:
-        at = angle_cosines(angles)
-        above = (at.incident > 0) & (at.outgoing > 0)
+        cosines = angle_cosines(angles)
+        above_horizon = (cosines.incident > 0) & (cosines.outgoing > 0)
         # Below the horizon a model may be anything; a harmless place keeps values and gradients finite.
-        safe = Cosines(at.incident.clamp_min(1e-6), at.outgoing.clamp_min(1e-6), at.half, at.difference)
-        return torch.where(above[..., None], model(safe), 0.0)
+        safe_cosines = Cosines(
+            cosines.incident.clamp_min(1e-6), cosines.outgoing.clamp_min(1e-6), cosines.half, cosines.difference
+        )
+        return torch.where(above_horizon[..., None], model(safe_cosines), 0.0)
 
     return evaluate
 
 
 def synthetic_materials(split: Split, count: int | None = None, seed: int = 0) -> list[SyntheticBrdf]:
-    """The materials of one split.
+    """Draw the isotropic materials of one split.
 
     Args:
-        split: "train" or "test"; the same families, other draws.
+        split: "train" or "test"; both have all families, with other draws.
         count: how many; by default 80 for training, 20 for the test. A larger set begins with the smaller one.
-        seed: of all draws, >= 0.
+        seed: seed of all draws, >= 0.
 
     Returns:
         Materials with unique names such as "conductor-gold-rough-07" ("-t07" in the test split).
@@ -146,45 +151,52 @@ def synthetic_materials(split: Split, count: int | None = None, seed: int = 0) -
     count = COUNTS[split] if count is None else count
     if count < 0 or seed < 0:
         raise ValueError(f"synthetic BRDFs: count {count} and seed {seed}, expected both to be 0 or more")
-    turns, drawn = _TURNS.split(), dict.fromkeys(_FAMILIES, 0)
+    turns, drawn_counts = _TURNS.split(), dict.fromkeys(_FAMILIES, 0)
     materials = []
     for index in range(count):
         family = turns[index % len(turns)]
-        draw = Draws(split, seed, list(_FAMILIES).index(family), drawn[family])
-        drawn[family] += 1
-        kind, model = _FAMILIES[family](draw)
+        draw = Draws(split, seed, list(_FAMILIES).index(family), drawn_counts[family])
+        drawn_counts[family] += 1
+        description, model = _FAMILIES[family](draw)
         number = f"{'t' if split == 'test' else ''}{index:02d}"
-        materials.append(SyntheticBrdf(f"{family}-{kind}-{number}", _evaluator(model)))
+        materials.append(SyntheticBrdf(f"{family}-{description}-{number}", _evaluator(model)))
     return materials
 
 
 def synthetic_tasks(split: Split, count: int, seed: int = 0, *, anisotropic: bool = False) -> Iterator[Task]:
-    """The same materials as tasks, one by one; all have the samples of seed 0, so that they share their angles.
+    """Draw the materials of one split, and yield each as a task.
+
+    All tasks have the samples of seed 0, so that they share their angles.
 
     Args:
-        split, count, seed: as of `synthetic_materials`.
-        anisotropic: take those of `data_tools.synthetic.brdf_anisotropic`.
+        split: "train" or "test"; both have all families, with other draws.
+        count: how many. A larger set begins with the smaller one.
+        seed: seed of the materials, >= 0.
+        anisotropic: draw from `data_tools.synthetic.brdf_anisotropic` instead of the isotropic families.
 
     Raises:
-        ValueError: as `synthetic_materials`.
+        ValueError: for another split, or a negative count or seed.
     """
     for material in (anisotropic_materials if anisotropic else synthetic_materials)(split, count, seed):
         yield make_brdf_task(material.name, material.evaluate, azimuths=anisotropic)
 
 
 def write_merl_files(folder: str | Path, split: Split, count: int, seed: int = 0) -> Iterator[str]:
-    """Tabulate the same materials as MERL files of 35 MB, `<folder>/<name>.binary`, one by one.
+    """Tabulate isotropic materials as MERL files of 35 MB, `<folder>/<name>.binary`, one by one.
+
+    The materials are those that :func:`synthetic_materials` draws with `split`, `count` and `seed`.
 
     Returns:
-        The names, each once its file is there.
+        The materials' names, each once its file is written.
 
     Raises:
-        ValueError: as `synthetic_materials`.
+        ValueError: for another split, or a negative count or seed.
     """
     for material in synthetic_materials(split, count, seed):
         write_merl(Path(folder) / f"{material.name}.binary", tabulate_merl(material.evaluate))
         yield material.name
 
 
-# other forms that the set can be written in: `write(folder, split, count, seed)`, names of files, and a file's bytes
+# Other forms that the set can be written in: the function `write(folder, split, count, seed)`, which yields the names of
+# the files, and the bytes of one file.
 FILES = {"merl": (write_merl_files, 34_992_012)}

@@ -1,7 +1,8 @@
 """Synthetic anisotropic BRDFs: metals, plastics, brushed metals, cloths, each laid down at a random azimuth.
 
-As those of `data_tools.synthetic.brdf` they are reciprocal, non-negative and reflect no more than they receive. The
-test split has two families that the training split lacks: Ashikhmin and Shirley's metals, and inclined fibres.
+Like the isotropic materials of `data_tools.synthetic.brdf` they are reciprocal, non-negative and reflect no more than
+they receive. The test split has two families that the training split lacks: Ashikhmin and Shirley's metals, and
+inclined fibres.
 """
 
 from __future__ import annotations
@@ -28,22 +29,29 @@ from data_tools.synthetic.interfaces import fresnel_conductor
 from metapp.appearance.geometry import rotate_about_normal, rusinkiewicz_to_directions
 from metapp.appearance.reflection import fresnel_schlick
 
-FIRST_ANISOTROPIC_FAMILY_KEY = 100  # of families among the keys of draws, which those of the isotropic set do not reach
+FIRST_ANISOTROPIC_FAMILY_KEY = (
+    100  # the first number of a family among the keys of draws; isotropic families stay below it
+)
 
 
 def _diffuse(albedo: Rgb) -> AnisotropicModel:
+    """Return Lambert's model with a linear RGB albedo."""
     return lambda wi, wo: wi.new_tensor(albedo).div(math.pi).expand(*wi.shape[:-1], 3)
 
 
 def _roughness(draw: Draws, narrowest: float, widest: float, ratio: tuple[float, float]) -> Roughness:
-    """Along and across: the narrower one over its logarithm, and so many times of it, at most 0.8."""
+    """Draw roughnesses along and across a surface's grooves.
+
+    The narrower one is spread evenly over its logarithm, from `narrowest` to `widest`; the wider one is larger by a
+    factor from `ratio`, and at most 0.8.
+    """
     low, high = ratio
-    narrow = draw.alpha(narrowest, widest)
-    return Roughness(min(0.8, narrow * low * (high / low) ** draw.between(0, 1)), narrow)
+    narrower = draw.alpha(narrowest, widest)
+    return Roughness(min(0.8, narrower * low * (high / low) ** draw.between(0, 1)), narrower)
 
 
 def _fresnel(draw: Draws) -> tuple[str, Callable[[Tensor], Tensor]]:
-    """Of a metal, or of a coloured one."""
+    """Draw the name and the Fresnel reflectance of a metal from `CONDUCTORS`, or of a metal of any colour."""
     if draw.chance(0.5):
         metal = list(CONDUCTORS)[int(draw.hue * len(CONDUCTORS))]
         eta, k = CONDUCTORS[metal]
@@ -65,8 +73,8 @@ def _draw_plastic(draw: Draws) -> tuple[str, AnisotropicModel]:
     body = _diffuse(colour)
 
     def model(wi: Tensor, wo: Tensor) -> Tensor:
-        through = (1 - fresnel_schlick(wi[..., 2:], f0)) * (1 - fresnel_schlick(wo[..., 2:], f0))
-        return coat(wi, wo) + 0.9 * through * body(wi, wo)
+        transmittance = (1 - fresnel_schlick(wi[..., 2:], f0)) * (1 - fresnel_schlick(wo[..., 2:], f0))
+        return coat(wi, wo) + 0.9 * transmittance * body(wi, wo)
 
     return colour_name(colour), model
 
@@ -112,13 +120,13 @@ def _draw_fibres(draw: Draws) -> tuple[str, AnisotropicModel]:
 
 
 def rotate_model(model: AnisotropicModel, angle_rad: float) -> AnisotropicModel:
-    """A model turned about the normal."""
+    """Return a model turned about the surface normal."""
 
-    def result(wi: Tensor, wo: Tensor) -> Tensor:
-        back = wi.new_tensor(-angle_rad).expand(wi.shape[:-1])
-        return model(rotate_about_normal(wi, back), rotate_about_normal(wo, back))
+    def rotated_model(wi: Tensor, wo: Tensor) -> Tensor:
+        back_rad = wi.new_tensor(-angle_rad).expand(wi.shape[:-1])
+        return model(rotate_about_normal(wi, back_rad), rotate_about_normal(wo, back_rad))
 
-    return result
+    return rotated_model
 
 
 _FAMILIES: dict[str, Callable[[Draws], tuple[str, AnisotropicModel]]] = {
@@ -130,31 +138,32 @@ _FAMILIES: dict[str, Callable[[Draws], tuple[str, AnisotropicModel]]] = {
     "ashikhmin": _draw_ashikhmin,
     "fibres": _draw_fibres,
 }
-TEST_ONLY_FAMILIES = ("ashikhmin", "fibres")  # of the test split alone
+TEST_ONLY_FAMILIES = ("ashikhmin", "fibres")  # families that only the test split has
 
 
 def _evaluator(model: AnisotropicModel, turn: float) -> Callable[[Tensor], Tensor]:
-    laid = rotate_model(model, turn)
+    """Return the function that evaluates a model, turned by `turn` rad, at angles in rad; 0 below the horizon."""
+    rotated_model = rotate_model(model, turn)
 
     def evaluate(angles: Tensor) -> Tensor:
-        """Of angles [..., 4] in rad."""
+        """Return the BRDF [..., 3] in 1/sr at angles [..., 4] in rad."""
         wi, wo = rusinkiewicz_to_directions(angles.double())
-        above = (wi[..., 2] > 0) & (wo[..., 2] > 0)
-        # below the horizon a model may be anything; a harmless place keeps values finite
-        up = wi.new_tensor([0.0, 0.0, 1.0])
-        wi, wo = (torch.where(above[..., None], direction, up) for direction in (wi, wo))
-        return torch.where(above[..., None], laid(wi, wo), 0.0).to(angles)
+        above_horizon = (wi[..., 2] > 0) & (wo[..., 2] > 0)
+        # Below the horizon a model may be anything; the normal as a direction keeps values finite.
+        normal = wi.new_tensor([0.0, 0.0, 1.0])
+        wi, wo = (torch.where(above_horizon[..., None], direction, normal) for direction in (wi, wo))
+        return torch.where(above_horizon[..., None], rotated_model(wi, wo), 0.0).to(angles)
 
     return evaluate
 
 
 def anisotropic_materials(split: Split, count: int | None = None, seed: int = 0) -> list[SyntheticBrdf]:
-    """The materials of one split, families in turn; the test split has more families.
+    """Draw the anisotropic materials of one split, whose families take turns; the test split has more families.
 
     Args:
         split: "train" or "test".
         count: how many; by default 80 for training, 20 for the test. A larger set begins with the smaller one.
-        seed: of all draws, >= 0.
+        seed: seed of all draws, >= 0.
 
     Returns:
         Materials with unique names, which evaluate angles [..., 4] in rad.

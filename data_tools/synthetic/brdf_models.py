@@ -1,6 +1,7 @@
 """Reflection models that the synthetic BRDFs are put together from: isotropic, reciprocal, energy conserving.
 
-A model takes the cosines of a pair of directions above the horizon; models nest, as a coat over a metal.
+A model takes the cosines of a pair of directions above the horizon. Models nest: a coat takes the model below it, such
+as a metal.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ IsotropicModel = Callable[
     [Cosines], Tensor
 ]  # cosines [...] -> BRDF [..., 3], wherever both directions are above the horizon
 
-# Complex indices (eta, k) for linear RGB: what Mitsuba 3.9.1, variant scalar_rgb, makes of the spectra it ships. Those
+# Complex indices (eta, k) for linear RGB: what Mitsuba 3.9.1, variant scalar_rgb, makes of the spectra it ships. The indices
 # of iron and titanium, which it does not ship, are at 650, 550 and 450 nm: Johnson and Christy 1974.
 CONDUCTORS: dict[str, tuple[Rgb, Rgb]] = {
     "gold": ((0.143036, 0.375307, 1.442045), (3.982997, 2.385556, 1.603359)),
@@ -50,32 +51,34 @@ CONDUCTORS: dict[str, tuple[Rgb, Rgb]] = {
     "iridium": ((3.086300, 2.082190, 1.617914), (5.592153, 4.067088, 3.267312)),
 }
 
-_TABLE_SIZE = 64
+_TABLE_SIZE = 64  # cosines in a table of transmittance or albedo
 
 
 def _interpolate(table: Tensor, cos: Tensor) -> Tensor:
-    place = cos.clamp(0, 1) * (len(table) - 1)
-    below = place.detach().long().clamp_max(len(table) - 2)
+    """Interpolate a table over cosines 0 to 1 linearly at `cos`."""
+    position = cos.clamp(0, 1) * (len(table) - 1)
+    below = position.detach().long().clamp_max(len(table) - 2)
     table = table.to(cos)
     lower = table[below]
-    return lower + (place - below) * (table[below + 1] - lower)
+    return lower + (position - below) * (table[below + 1] - lower)
 
 
 def _grid() -> Tensor:
-    # Not 0 itself, where a direction sees no facet from the front.
+    # The first cosine is not 0 itself, where a direction sees no facet from the front.
+    """Return the cosines [_TABLE_SIZE] at which tables hold values."""
     return torch.linspace(0, 1, _TABLE_SIZE, dtype=torch.float64).clamp_min(1e-6)
 
 
 def directional_albedo(model: IsotropicModel, cos: Tensor, points: int = 48) -> Tensor:
-    """Share of the light from one direction that a BRDF without sharp lobes reflects, by quadrature.
+    """Return the share of the light from one direction that a BRDF without sharp lobes reflects, by quadrature.
 
     Args:
         model: the BRDF.
-        cos: cosines of the direction, [N], float64.
+        cos: cosines [N] of the direction with the normal, float64.
         points: nodes per axis over the outgoing hemisphere.
 
     Returns:
-        [N, 3].
+        The directional albedo [N, 3].
     """
     nodes, weights = gauss_legendre(points)
     azimuth = (torch.arange(points, dtype=torch.float64) + 0.5) * (math.pi / points)
@@ -84,49 +87,54 @@ def directional_albedo(model: IsotropicModel, cos: Tensor, points: int = 48) -> 
     difference = ((1 + incident * outgoing + sines * phi.cos()) / 2).clamp_min(1e-12).sqrt()
     half = (incident + outgoing) / (2 * difference)
     values = model(Cosines(incident, outgoing, half, difference))
-    result: Tensor = (values * (outgoing * weights[:, None])[..., None]).sum((1, 2)) * (2 * math.pi / points)
-    return result
+    albedo: Tensor = (values * (outgoing * weights[:, None])[..., None]).sum((1, 2)) * (2 * math.pi / points)
+    return albedo
 
 
 def diffuse(albedo: Rgb) -> IsotropicModel:
-    """Lambert's law."""
+    """Return Lambert's model with a linear RGB albedo."""
 
-    def model(at: Cosines) -> Tensor:
-        return at.half.new_tensor(albedo).div(math.pi).expand(*at.half.shape, 3)
+    def model(cosines: Cosines) -> Tensor:
+        return cosines.half.new_tensor(albedo).div(math.pi).expand(*cosines.half.shape, 3)
 
     return model
 
 
 def oren_nayar(albedo: Rgb, sigma: float) -> IsotropicModel:
-    """Rough diffuse facets: Oren and Nayar (1994) in Fujii's form, which keeps energy; `sigma` in [0, 1]."""
+    """Return rough diffuse facets: Oren and Nayar (1994) in Fujii's form, which keeps energy.
+
+    The roughness `sigma` is in [0, 1].
+    """
     norm = 1 / (math.pi + (math.pi / 2 - 2 / 3) * sigma)
 
-    def model(at: Cosines) -> Tensor:
-        s = 2 * at.difference**2 - 1 - at.incident * at.outgoing
+    def model(cosines: Cosines) -> Tensor:
+        s = 2 * cosines.difference**2 - 1 - cosines.incident * cosines.outgoing
         # The quotient has a pole where both directions graze; the floor moves it under the horizon.
-        t = torch.where(s > 0, torch.maximum(at.incident, at.outgoing).clamp_min(0.02), 1.0)
-        return (norm * (1 + sigma * s / t)).clamp_min(0)[..., None] * at.half.new_tensor(albedo)
+        t = torch.where(s > 0, torch.maximum(cosines.incident, cosines.outgoing).clamp_min(0.02), 1.0)
+        return (norm * (1 + sigma * s / t)).clamp_min(0)[..., None] * cosines.half.new_tensor(albedo)
 
     return model
 
 
 def conductor(eta: Rgb, k: Rgb, alpha: float, kind: MicrofacetKind) -> IsotropicModel:
-    """Bare rough metal; the same model as Mitsuba's `roughconductor`."""
+    """Return bare rough metal, as Mitsuba's `roughconductor` models it."""
 
     def fresnel(cos: Tensor) -> Tensor:
         return fresnel_conductor(cos, cos.new_tensor(eta), cos.new_tensor(k))
 
-    return lambda at: microfacet_lobe(at, alpha, fresnel, kind)
+    return lambda cosines: microfacet_lobe(cosines, alpha, fresnel, kind)
 
 
 def dielectric_coating(base: IsotropicModel, alpha: float, kind: MicrofacetKind, eta: float = 1.5) -> IsotropicModel:
-    """A rough dielectric interface over another model, which gets the light that the interface lets through, twice.
+    """Return a rough dielectric interface over another model.
+
+    The other model gets the light that the interface lets through, on the way in and on the way out.
 
     Args:
         base: the model under the coat, in terms of the directions outside it.
         alpha: roughness of the coat.
-        kind: its facets.
-        eta: its index of refraction.
+        kind: kind of the coat's microfacets.
+        eta: index of refraction of the coat.
 
     Returns:
         The coated model. It keeps energy: base <= 1 gives reflected + transmitted <= 1.
@@ -135,80 +143,94 @@ def dielectric_coating(base: IsotropicModel, alpha: float, kind: MicrofacetKind,
     def interface(cos: Tensor) -> Tensor:
         return fresnel_dielectric(cos, eta)
 
-    through = rough_transmittance(_grid(), alpha, eta, kind)
+    transmittance = rough_transmittance(_grid(), alpha, eta, kind)
 
-    def model(at: Cosines) -> Tensor:
-        both_ways = _interpolate(through, at.incident) * _interpolate(through, at.outgoing)
-        return microfacet_lobe(at, alpha, interface, kind) + both_ways[..., None] * base(at)
+    def model(cosines: Cosines) -> Tensor:
+        transmittance_both_ways = _interpolate(transmittance, cosines.incident) * _interpolate(
+            transmittance, cosines.outgoing
+        )
+        return microfacet_lobe(cosines, alpha, interface, kind) + transmittance_both_ways[..., None] * base(cosines)
 
     return model
 
 
 def internal_reflectance(alpha: float, kind: MicrofacetKind, eta: float) -> float:
-    """Share of diffuse light from within that a rough dielectric interface of index `eta` > 1 keeps inside."""
+    """Return the share of diffuse light that a rough dielectric interface of index `eta` > 1 keeps inside."""
     nodes, weights = gauss_legendre(_TABLE_SIZE)
-    kept = rough_reflectance(nodes, alpha, lambda cos: fresnel_dielectric(cos, 1 / eta), kind)[:, 0]
-    return float((2 * weights * nodes * kept).sum())
+    reflectance = rough_reflectance(nodes, alpha, lambda cos: fresnel_dielectric(cos, 1 / eta), kind)[:, 0]
+    return float((2 * weights * nodes * reflectance).sum())
 
 
 def plastic(albedo: Rgb, alpha: float, kind: MicrofacetKind, eta: float = 1.49) -> IsotropicModel:
-    """A rough coat on a diffuse body, light bouncing between the two; Mitsuba's `roughplastic` with `nonlinear`.
+    """Return a rough coat on a diffuse body, as Mitsuba's `roughplastic` with `nonlinear` models it.
 
-    The bounces deepen the colour: the body's albedo a becomes a / (1 - a R), R the coat's reflectance from within.
+    Light bounces between coat and body, which deepens the colour: the body's albedo a becomes a / (1 - a R), R the
+    coat's reflectance from within.
     """
-    kept = internal_reflectance(alpha, kind, eta)
-    red, green, blue = (a / ((1 - a * kept) * eta * eta) for a in albedo)
+    internal = internal_reflectance(alpha, kind, eta)
+    red, green, blue = (a / ((1 - a * internal) * eta * eta) for a in albedo)
     return dielectric_coating(diffuse((red, green, blue)), alpha, kind, eta)
 
 
 def absorbing_layer(base: IsotropicModel, tint: Rgb, eta: float = 1.5) -> IsotropicModel:
-    """A clear coloured layer over a model: `tint` is the transmittance of a straight way in and out, in (0, 1]."""
+    """Return a clear coloured layer over a model.
 
-    def model(at: Cosines) -> Tensor:
-        ways = [(1 - (1 - cos * cos) / eta**2).rsqrt() for cos in (at.incident, at.outgoing)]
-        return at.half.new_tensor(tint) ** ((ways[0] + ways[1]) / 2)[..., None] * base(at)
+    The `tint` is the transmittance of a straight way in and out, in (0, 1].
+    """
+
+    def model(cosines: Cosines) -> Tensor:
+        path_lengths = [(1 - (1 - cos * cos) / eta**2).rsqrt() for cos in (cosines.incident, cosines.outgoing)]
+        return cosines.half.new_tensor(tint) ** ((path_lengths[0] + path_lengths[1]) / 2)[..., None] * base(cosines)
 
     return model
 
 
 def flakes(colour: Rgb, alpha: float) -> IsotropicModel:
-    """Metal flakes scattered about the surface's plane: a wide lobe of the given colour."""
+    """Return metal flakes scattered about the surface's plane: a wide lobe of a colour."""
 
     def fresnel(cos: Tensor) -> Tensor:
         return fresnel_schlick(cos, cos.new_tensor(colour))
 
-    return lambda at: microfacet_lobe(at, alpha, fresnel, "ggx")
+    return lambda cosines: microfacet_lobe(cosines, alpha, fresnel, "ggx")
 
 
 def sheen(base: IsotropicModel, colour: Rgb, roughness: float) -> IsotropicModel:
-    """Fibres standing on a base: Estevez and Kulla's "Charlie" (2017) with Neubelt and Pettineo's visibility.
+    """Return fibres standing on a base: Estevez and Kulla's "Charlie" (2017) with Neubelt and Pettineo's visibility.
 
     Args:
         base: the model under the fibres; it gets the light that they let through, both ways.
-        colour: of the fibres, dimmed so that they reflect at most 0.7 of the light.
-        roughness: in (0, 1]; lower draws the sheen to the rim.
+        colour: colour of the fibres, dimmed so that they reflect at most 0.7 of the light.
+        roughness: in (0, 1]; a lower one draws the sheen to the rim.
 
     Returns:
         The model. Unlike the published one it is energy conserving by its albedo's complement, hence reciprocal.
     """
     power = 1 / roughness
 
-    def fibres(at: Cosines) -> Tensor:
-        sine = (1 - at.half * at.half).clamp_min(1e-12) ** (power / 2)
-        around = 4 * (at.incident + at.outgoing - at.incident * at.outgoing).clamp_min(1e-3)
-        return ((2 + power) / (2 * math.pi) * sine / around)[..., None] * at.half.new_tensor([1.0, 1.0, 1.0])
+    def fibres(cosines: Cosines) -> Tensor:
+        sine = (1 - cosines.half * cosines.half).clamp_min(1e-12) ** (power / 2)
+        visibility_denominator = 4 * (
+            cosines.incident + cosines.outgoing - cosines.incident * cosines.outgoing
+        ).clamp_min(1e-3)
+        return ((2 + power) / (2 * math.pi) * sine / visibility_denominator)[..., None] * cosines.half.new_tensor(
+            [1.0, 1.0, 1.0]
+        )
 
     albedo = directional_albedo(fibres, _grid())[:, 0]
     dim = min(1.0, 0.7 / float(albedo.max() * max(colour)))
-    through = 1 - albedo * (dim * max(colour))
+    transmittance = 1 - albedo * (dim * max(colour))
 
-    def model(at: Cosines) -> Tensor:
-        both_ways = _interpolate(through, at.incident) * _interpolate(through, at.outgoing)
-        return fibres(at) * at.half.new_tensor(colour) * dim + both_ways[..., None] * base(at)
+    def model(cosines: Cosines) -> Tensor:
+        transmittance_both_ways = _interpolate(transmittance, cosines.incident) * _interpolate(
+            transmittance, cosines.outgoing
+        )
+        return fibres(cosines) * cosines.half.new_tensor(colour) * dim + transmittance_both_ways[..., None] * base(
+            cosines
+        )
 
     return model
 
 
 def isotropic_mixture(first: IsotropicModel, second: IsotropicModel, share: float) -> IsotropicModel:
-    """Two materials side by side, finer than the eye: `share` of the first, the rest of the second."""
-    return lambda at: share * first(at) + (1 - share) * second(at)
+    """Return two materials side by side, finer than the eye: `share` of the first, the rest of the second."""
+    return lambda cosines: share * first(cosines) + (1 - share) * second(cosines)
