@@ -197,6 +197,6 @@ def write_merl_files(folder: str | Path, split: Split, count: int, seed: int = 0
         yield material.name
 
 
-# Other forms that the set can be written in: the function `write(folder, split, count, seed)`, which yields the names of
-# the files, and the bytes of one file.
+# Other forms that the set can be written in: the function `write(folder, split, count, seed)`, which yields the
+# names of the files, and the bytes of one file.
 FILES = {"merl": (write_merl_files, 34_992_012)}

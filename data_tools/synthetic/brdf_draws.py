@@ -35,7 +35,8 @@ class Draws:
     def __init__(self, split: Split, seed: int, family: int, member: int) -> None:
         key = [seed, list(COUNTS).index(split), family]
         shift = np.random.Generator(np.random.PCG64(np.random.SeedSequence(key))).random(3)
-        # Kronecker sequences: the golden ratio for the hue, for the other two its generalisation to the plane (Roberts 2018).
+        # Kronecker sequences: the golden ratio for the hue, for the other two its generalisation to the plane (Roberts
+        # 2018).
         spread = (shift + member * np.array([0.6180339887498949, 0.7548776662466927, 0.5698402909980532])) % 1
         self.hue, self.roughness, self.lightness = (float(value) for value in spread)
         self._rest = np.random.Generator(np.random.PCG64(np.random.SeedSequence([*key, member])))

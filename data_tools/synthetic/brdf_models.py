@@ -30,8 +30,8 @@ IsotropicModel = Callable[
     [Cosines], Tensor
 ]  # cosines [...] -> BRDF [..., 3], wherever both directions are above the horizon
 
-# Complex indices (eta, k) for linear RGB: what Mitsuba 3.9.1, variant scalar_rgb, makes of the spectra it ships. The indices
-# of iron and titanium, which it does not ship, are at 650, 550 and 450 nm: Johnson and Christy 1974.
+# Complex indices (eta, k) for linear RGB: what Mitsuba 3.9.1, variant scalar_rgb, makes of the spectra it ships. The
+# indices of iron and titanium, which it does not ship, are at 650, 550 and 450 nm: Johnson and Christy 1974.
 CONDUCTORS: dict[str, tuple[Rgb, Rgb]] = {
     "gold": ((0.143036, 0.375307, 1.442045), (3.982997, 2.385556, 1.603359)),
     "silver": ((0.155276, 0.116728, 0.138388), (4.828354, 3.122222, 2.146901)),

@@ -13,17 +13,17 @@ from data_tools.synthetic.environments.sky import Sky
 from data_tools.synthetic.random_values import Field, between, log_between, uniforms
 from metapp.appearance.latlong import solid_angles, texel_directions
 
-_GRID = (16, 32)
+_GRID = (16, 32)  # directions over which the sky's light is summed: rows, columns
 _PANES = 400.0  # columns of windows around the horizon
-_COLOURS = {  # darkest and lightest albedo
+_COLOURS = {  # darkest and lightest albedo, linear RGB
     "hills": np.array([[0.1, 0.13, 0.07], [0.18, 0.16, 0.12]], np.float32),
     "woods": np.array([[0.03, 0.05, 0.015], [0.09, 0.12, 0.035]], np.float32),
 }
-_HAZE = {"hills": 0.35, "woods": 0.08, "town": 0.08}  # at most
+_HAZE = {"hills": 0.35, "woods": 0.08, "town": 0.08}  # the largest share of the sky's colour in that of the distance
 
 
 def sky_irradiance(sky: Sky) -> Field:
-    """Irradiance [3] in klx of the sky, without its sun, on level ground."""
+    """Return the irradiance [3] in klx of the sky, without its sun, on level ground."""
     height, width = _GRID
     rays = texel_directions(height, width)[:, : height // 2].flatten(1).numpy()
     angles = solid_angles(height, width)[: height // 2].expand(-1, width).flatten().numpy()
@@ -32,72 +32,76 @@ def sky_irradiance(sky: Sky) -> Field:
 
 
 def open_ground(sky: Sky, albedo: Field) -> Backdrop:
-    """Level ground of this albedo [3] up to the horizon, lit by sky and sun."""
+    """Return level ground of an albedo [3] up to the horizon, lit by sky and sun."""
     sunlight = sky.sunlight * max(float(sky.sun[1]), 0.0)
-    below = (albedo * (sky_irradiance(sky) + sunlight) * np.float32(1 / math.pi))[:, None]
+    ground_radiance = (albedo * (sky_irradiance(sky) + sunlight) * np.float32(1 / math.pi))[:, None]
 
     def radiance(rays: Field) -> Field:
-        return np.where(rays[1] < 0, below, sky.radiance(rays))
+        return np.where(rays[1] < 0, ground_radiance, sky.radiance(rays))
 
     return Backdrop(sky, radiance, lambda rays: (rays[1] >= 0).astype(np.float32))
 
 
 def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float, lit: Field = BLACK) -> Backdrop:
-    """Open ground whose horizon is not level.
+    """Draw open ground whose horizon is not level.
 
     Args:
-        rng: of its shape and colours.
-        sky: behind it.
+        rng: random numbers for its shape and its colours.
+        sky: the sky behind it.
         ground: albedo [3] of the ground before it.
         kind: "hills", "woods", or "town".
         height: sine of the elevation that it reaches, about.
         lit: radiance [3] of windows in a town.
     """
-    plain, around, place = open_ground(sky, ground), sky_irradiance(sky)[:, None], float(rng.random())
+    level_ground, ambient, noise_place = open_ground(sky, ground), sky_irradiance(sky)[:, None], float(rng.random())
     haze = np.float32(between(rng, 0.0, _HAZE[kind]))
-    far = sky.radiance(vector(-sky.sun[0], 0, -sky.sun[2])[:, None])
+    horizon_radiance = sky.radiance(vector(-sky.sun[0], 0, -sky.sun[2])[:, None])
     colours = _COLOURS.get(kind, (0.1 + 0.4 * uniforms(rng, 2, 1)) * (0.8 + 0.4 * uniforms(rng, 2, 3)))
     houses, storey = round(log_between(rng, 14, 70)), np.float32(log_between(rng, 0.02, 0.05))
 
-    def turn(rays: Field) -> Field:
+    def turn_share(rays: Field) -> Field:
+        """Return the azimuth [N] of rays [3, N] as a share of a full turn."""
         result: Field = np.arctan2(rays[2], rays[0]) * np.float32(0.5 / math.pi) + np.float32(0.5)
         return result
 
-    def hidden(rays: Field) -> Mask:
-        angle = turn(rays)
+    def is_hidden(rays: Field) -> Mask:
+        """Return which rays [3, N] the skyline hides from the sky, [N]."""
+        angle = turn_share(rays)
         if kind == "town":
-            result: Mask = height * (0.25 + 0.75 * hash_numbers(np.floor(angle * houses), place)) > rays[1]
+            result: Mask = height * (0.25 + 0.75 * hash_numbers(np.floor(angle * houses), noise_place)) > rays[1]
             return result
-        coarse = look_up_noise("soft", angle, place)
+        coarse = look_up_noise("soft", angle, noise_place)
         if kind == "hills":
             result = height * (0.6 + 0.35 * coarse) > rays[1]
             return result
-        above = height * (0.75 + 0.25 * coarse + 0.12 * look_up_noise("leaves", angle, place)) - rays[1]
-        leaves = look_up_noise("leaves", 3 * angle, rays[1] + np.float32(place))
+        above = height * (0.75 + 0.25 * coarse + 0.12 * look_up_noise("leaves", angle, noise_place)) - rays[1]
+        leaves = look_up_noise("leaves", 3 * angle, rays[1] + np.float32(noise_place))
         result = (above > 0) & (leaves > 1.2 - above * np.float32(7 / height))
         return result
 
-    def town(angle: Field, up: Field) -> tuple[Field, Mask]:
-        """How light houses are, and which windows are lit, both [N]."""
+    def town_look(angle: Field, up: Field) -> tuple[Field, Mask]:
+        """Return how light houses are, and which windows are lit, both [N]."""
         row, column = np.floor(up / storey), np.floor(angle * _PANES)
         pane = (np.abs(up / storey - row - 0.5) < 0.3) & (np.abs(angle * _PANES - column - 0.5) < 0.3)
-        lightness = hash_numbers(np.floor(angle * houses), place + 0.3) * np.where(pane, np.float32(0.1), np.float32(1))
-        return lightness, pane & (hash_numbers(row * 1009 + column, place) > 0.6)
+        lightness = hash_numbers(np.floor(angle * houses), noise_place + 0.3) * np.where(
+            pane, np.float32(0.1), np.float32(1)
+        )
+        return lightness, pane & (hash_numbers(row * 1009 + column, noise_place) > 0.6)
 
     def radiance(rays: Field) -> Field:
-        result = plain.radiance(rays)
-        seen = np.flatnonzero((rays[1] >= 0) & hidden(rays))
-        angle, up = turn(rays[:, seen]), rays[1, seen]
+        result = level_ground.radiance(rays)
+        seen = np.flatnonzero((rays[1] >= 0) & is_hidden(rays))
+        angle, up = turn_share(rays[:, seen]), rays[1, seen]
         if kind == "town":
-            lightness, windows = town(angle, up)
+            lightness, windows = town_look(angle, up)
         else:
             texture = look_up_noise("leaves" if kind == "woods" else "rough", 3 * angle, 3 * up)
             lightness, windows = np.clip(0.5 + 0.35 * texture, 0, 1), np.zeros(up.shape, np.bool_)
-        facing = np.maximum(-(sky.sun[[0, 2]] @ rays[:, seen][[0, 2]]), 0) + np.float32(0.05)
-        light = sky.sunlight[:, None] * facing + np.float32(0.5) * around
+        sun_facing = np.maximum(-(sky.sun[[0, 2]] @ rays[:, seen][[0, 2]]), 0) + np.float32(0.05)
+        light = sky.sunlight[:, None] * sun_facing + np.float32(0.5) * ambient
         albedo = colours[0][:, None] + (colours[1] - colours[0])[:, None] * lightness
-        near = albedo * light * np.float32(1 / math.pi) + lit[:, None] * windows
-        result[:, seen] = near + (far - near) * haze
+        surface_radiance = albedo * light * np.float32(1 / math.pi) + lit[:, None] * windows
+        result[:, seen] = surface_radiance + (horizon_radiance - surface_radiance) * haze
         return result
 
-    return Backdrop(sky, radiance, lambda rays: plain.clearness(rays) * ~hidden(rays))
+    return Backdrop(sky, radiance, lambda rays: level_ground.clearness(rays) * ~is_hidden(rays))

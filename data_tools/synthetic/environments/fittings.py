@@ -1,4 +1,7 @@
-"""Rooms and their fittings: windows, lamps, beams, doors, furniture."""
+"""Rooms and their fittings: windows, lamps, beams, doors, furniture.
+
+Functions named `add_...` draw things and add them to a scene; boxes that the eye would be in are left out.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +23,21 @@ from data_tools.synthetic.environments.scene_geometry import (
 from data_tools.synthetic.random_values import Field, between, chance, integer_between, log_between, pick, uniforms
 from data_tools.synthetic.stationary.periodic_maps import Range
 
-WALL_SIDES = (0, 1, 4, 5)  # numbers of a room's sides
+WALL_SIDES = (0, 1, 4, 5)  # numbers of the sides of a room that are walls
 
 
 def draw_near_white(rng: Rng, strength: float) -> Field:
-    """A colour [3] near white: 1 but for so much."""
+    """Draw a colour [3] near white, whose channels differ from 1 by at most `strength`."""
     return 1 + (uniforms(rng, 3) - np.float32(0.5)) * np.float32(2 * strength)
 
 
 def draw_room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, rough: bool = False) -> EnvironmentScene:
-    """An empty room around the eye.
+    """Draw an empty room around the eye.
 
     Args:
-        rng: of all choices.
+        rng: random numbers for all choices.
         sizes: ranges of width, depth and height in m.
-        backdrop: outside.
+        backdrop: the view outside.
         rough: a hall for work rather than a room to live in.
     """
     size = vector(log_between(rng, *sizes[0]), between(rng, *sizes[2]), log_between(rng, *sizes[1]))
@@ -45,11 +48,11 @@ def draw_room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, r
         warm * draw_near_white(rng, 0.05) * np.float32(between(rng, 0.15, 0.55) if rough else between(rng, 0.3, 0.78))
     )
     if rough or chance(rng, 0.2):
-        wall = _two_toned(rng, wall, ("cloud", "stripes", "tiles", "patches"), (1, 8))
+        wall = _add_second_colour(rng, wall, ("cloud", "stripes", "tiles", "patches"), (1, 8))
     ceiling = Finish(warm * np.float32(between(rng, 0.1, 0.5) if rough else between(rng, 0.5, 0.85)))
     if chance(rng, 0.3):
-        ceiling = _two_toned(rng, ceiling, ("tiles", "stripes"), (0.6, 3))
-    sides = [wall, wall, _floor(rng, rough), ceiling, wall, wall]
+        ceiling = _add_second_colour(rng, ceiling, ("tiles", "stripes"), (0.6, 3))
+    sides = [wall, wall, _draw_floor(rng, rough), ceiling, wall, wall]
     if chance(rng, 0.35):
         sides[pick(rng, WALL_SIDES)] = Finish(
             draw_near_white(rng, pick(rng, (0.2, 0.4, 0.8))) * np.float32(between(rng, 0.15, 0.5))
@@ -57,35 +60,37 @@ def draw_room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, r
     return EnvironmentScene(-eye, size - eye, sides, backdrop)
 
 
-def _two_toned(rng: Rng, finish: Finish, patterns: tuple[str, ...], size: Range) -> Finish:
+def _add_second_colour(rng: Rng, finish: Finish, patterns: tuple[str, ...], size: Range) -> Finish:
+    """Give a finish a second, darker colour, in one of some patterns with a period from `size` in m."""
     other = finish.colour * np.float32(0.6)
     return finish._replace(other=other, pattern=pick(rng, patterns), size=between(rng, *size))
 
 
-def _floor(rng: Rng, rough: bool) -> Finish:
+def _draw_floor(rng: Rng, rough: bool) -> Finish:
+    """Draw the finish of a floor: concrete for a hall, else wood, tiles or carpet."""
     gloss = pick(rng, (0.0, 0.0, 0.01, 0.02, 0.04))
     if rough:
         colour: Field = vector(0.3, 0.29, 0.27) * draw_near_white(rng, 0.06) * np.float32(log_between(rng, 0.4, 1.6))
         if chance(rng, 0.3):
             colour = vector(*pick(rng, ((0.06, 0.2, 0.08), (0.3, 0.1, 0.06), (0.1, 0.14, 0.25))))
-        return _two_toned(rng, Finish(colour, gloss=gloss), ("rough", "cloud", "tiles"), (2, 9))
+        return _add_second_colour(rng, Finish(colour, gloss=gloss), ("rough", "cloud", "tiles"), (2, 9))
     if chance(rng, 0.5):
         wood = vector(0.38, 0.23, 0.12) * draw_near_white(rng, 0.15) * np.float32(log_between(rng, 0.3, 1.4))
-        return _two_toned(rng, Finish(wood, gloss=gloss), ("planks",), (1.5, 4))
+        return _add_second_colour(rng, Finish(wood, gloss=gloss), ("planks",), (1.5, 4))
     if chance(rng, 0.5):
         tile = draw_near_white(rng, 0.1) * np.float32(log_between(rng, 0.1, 0.75))
-        return _two_toned(rng, Finish(tile, gloss=gloss), ("tiles", "chequers"), (0.4, 1.2))
+        return _add_second_colour(rng, Finish(tile, gloss=gloss), ("tiles", "chequers"), (0.4, 1.2))
     carpet = draw_near_white(rng, 0.3) * np.float32(log_between(rng, 0.06, 0.4))
-    return _two_toned(rng, Finish(carpet), ("rough",), (1, 4))
+    return _add_second_colour(rng, Finish(carpet), ("rough",), (1, 4))
 
 
 def add_windows(rng: Rng, scene: EnvironmentScene, side: int, count: int, sill: Range, share: Range) -> None:
-    """Windows in a row.
+    """Add windows in a row to a side of a room.
 
     Args:
-        rng: of their sizes and of their glass.
-        scene: they are added to it.
-        side: of the room.
+        rng: random numbers for their sizes and their glass.
+        scene: the room; windows are added to it.
+        side: number of the side.
         count: how many.
         sill: range of the height of their lower edge above the floor, m.
         share: range of the share of the wall's width that they take.
@@ -104,14 +109,14 @@ def add_windows(rng: Rng, scene: EnvironmentScene, side: int, count: int, sill: 
 
 
 def add_skylights(rng: Rng, scene: EnvironmentScene) -> None:
-    """Strips of glass in the ceiling."""
+    """Add long windows in the ceiling."""
     count, glass = integer_between(rng, 1, 4), vector(1, 1, 1) * np.float32(between(rng, 0.2, 0.8))
     width, length = (float(scene.high[axis] - scene.low[axis]) for axis in (0, 2))
-    half, z = between(rng, 0.05, 0.25) * width / count, float(scene.low[2]) + 0.1 * length
+    half_width, z = between(rng, 0.05, 0.25) * width / count, float(scene.low[2]) + 0.1 * length
     for number in range(count):
         x = float(scene.low[0]) + (number + 0.5) / count * width
         scene.windows.append(
-            Window(3, (x - half, z), (x + half, z + 0.8 * length), glass, (1, integer_between(rng, 1, 6)))
+            Window(3, (x - half_width, z), (x + half_width, z + 0.8 * length), glass, (1, integer_between(rng, 1, 6)))
         )
 
 
@@ -124,11 +129,11 @@ def add_ceiling_lamps(
     kelvin: float,
     shape: str = "panel",
 ) -> None:
-    """Lamps under the ceiling that shine downwards.
+    """Add lamps under the ceiling that shine downwards.
 
     Args:
-        rng: of their flux, how deep they hang and which of them are off.
-        scene: they are added to it.
+        rng: random numbers for their flux, how deep they hang and which of them are off.
+        scene: the room; lamps are added to it.
         grid: how many across and along the room.
         halves: half of their width and depth in m.
         flux: range of their luminous flux, klm.
@@ -137,26 +142,29 @@ def add_ceiling_lamps(
     """
     area = 4 * math.prod(halves) * (1 if shape == "panel" else math.pi / 4)
     radiance = black_body_rgb(kelvin) * np.float32(log_between(rng, *flux) / (math.pi * area))
-    hung = between(rng, 0, 0.25) * float(scene.high[1]) if chance(rng, 0.3) else 0.0
-    out = between(rng, 0, 0.4) if chance(rng, 0.3) else 0.0
+    drop = between(rng, 0, 0.25) * float(scene.high[1]) if chance(rng, 0.3) else 0.0
+    off_share = between(rng, 0, 0.4) if chance(rng, 0.3) else 0.0
     for column in range(grid[0]):
         for row in range(grid[1]):
             share = vector((column + 0.5) / grid[0], 1, (row + 0.5) / grid[1])
-            centre = scene.low + (scene.high - scene.low) * share - vector(0, 0.03 + hung, 0)
-            if not chance(rng, out):
+            centre = scene.low + (scene.high - scene.low) * share - vector(0, 0.03 + drop, 0)
+            if not chance(rng, off_share):
                 scene.lamps.append(Lamp(centre, vector(halves[0], 0, 0), vector(0, 0, halves[1]), radiance, shape))
 
 
 def add_downlights(
     rng: Rng, scene: EnvironmentScene, columns: int, rows: int, radius: Range, flux: Range, kelvin: float
 ) -> None:
-    """Round ceiling lamps with a radius in m and a flux in klm from the ranges."""
+    """Add round ceiling lamps with a radius in m and a flux in klm from the ranges."""
     half = log_between(rng, *radius)
     add_ceiling_lamps(rng, scene, (columns, rows), (half, half), flux, kelvin, "disc")
 
 
 def add_bulb(rng: Rng, scene: EnvironmentScene, flux: Range, radius: Range, kelvin: float) -> None:
-    """A lamp that shines to all sides, anywhere in the room: on the floor, a table, a wall, or hanging."""
+    """Add a lamp that shines to all sides, anywhere in the room: on the floor, a table, a wall, or hanging.
+
+    Its flux is in klm and its radius in m.
+    """
     half = log_between(rng, *radius)
     centre = scene.low + (scene.high - scene.low) * (np.float32(0.06) + np.float32(0.88) * uniforms(rng, 3))
     centre = centre * np.float32(max(1.0, (1 + half) / float(np.linalg.norm(centre))))
@@ -166,7 +174,7 @@ def add_bulb(rng: Rng, scene: EnvironmentScene, flux: Range, radius: Range, kelv
 
 
 def add_softbox(rng: Rng, scene: EnvironmentScene, kelvin: float) -> None:
-    """A large lamp that points to the middle, from anywhere but below; one in four is coloured."""
+    """Add a large lamp that points to the middle, from anywhere but below; one in four is coloured."""
     centre = direction(between(rng, -0.15, 1.35), between(rng, 0, math.tau)) * np.float32(between(rng, 1.2, 4))
     centre = np.clip(centre, scene.low + 0.2, scene.high - 0.2)
     centre = centre * np.float32(max(1.0, 0.9 / float(np.linalg.norm(centre))))
@@ -184,7 +192,7 @@ def add_softbox(rng: Rng, scene: EnvironmentScene, kelvin: float) -> None:
 
 
 def add_beams(rng: Rng, scene: EnvironmentScene) -> None:
-    """Girders under the ceiling, and posts."""
+    """Add girders under the ceiling, and posts."""
     finish = Finish(draw_near_white(rng, 0.2) * np.float32(log_between(rng, 0.05, 0.4)))
     top, depth, middle = float(scene.high[1]), between(rng, 0.3, 0.9), float(scene.low[0] + scene.high[0]) / 2
     first, last = float(scene.low[2]) + 1, float(scene.high[2]) - 1
@@ -198,10 +206,10 @@ def add_beams(rng: Rng, scene: EnvironmentScene) -> None:
 
 
 def add_doors(rng: Rng, scene: EnvironmentScene, count: int) -> None:
-    """Doors, pictures, boards and cupboards at the walls."""
+    """Add doors, pictures, boards and cupboards at the walls."""
     for _ in range(count):
         finish, side = (
-            _painted(rng, draw_near_white(rng, 0.4) * np.float32(log_between(rng, 0.05, 0.7))),
+            _draw_painted_finish(rng, draw_near_white(rng, 0.4) * np.float32(log_between(rng, 0.05, 0.7))),
             pick(rng, WALL_SIDES),
         )
         size, bottom = (between(rng, 0.4, 2), between(rng, 0.3, 1.2), 0.05), between(rng, -0.5, 0.4)
@@ -213,7 +221,16 @@ def add_doors(rng: Rng, scene: EnvironmentScene, count: int) -> None:
 def add_box_at_wall(
     scene: EnvironmentScene, side: int, share: float, bottom: float, size: tuple[float, float, float], finish: Finish
 ) -> None:
-    """A box at a wall: its middle at this share of the wall's width; its width, height and depth in m."""
+    """Add a box at a wall.
+
+    Args:
+        scene: the room; the box is added to it.
+        side: number of the wall.
+        share: position of the box's middle, as a share of the wall's width.
+        bottom: height of its lower side, m from the eye.
+        size: width, height and depth in m.
+        finish: the look of its surface.
+    """
     axis, across = side // 2, PLANE_AXES[side // 2][0]
     low, high = scene.low.copy(), scene.high.copy()
     middle = float(scene.low[across] + share * (scene.high[across] - scene.low[across]))
@@ -227,12 +244,12 @@ def add_box_at_wall(
 
 
 def add_furniture(rng: Rng, scene: EnvironmentScene, count: int, height: Range, colourful: bool = False) -> None:
-    """Boxes on the floor with heights from the range, most of them at the walls."""
+    """Add boxes on the floor with heights from the range in m, most of them at the walls."""
     for _ in range(count):
         colour: Field = vector(0.4, 0.3, 0.2) ** np.float32(between(rng, 0.2, 2)) * draw_near_white(rng, 0.2)
         if colourful and chance(rng, 0.5):
             colour = uniforms(rng, 3) ** 2 * np.float32(0.7)
-        finish = _painted(rng, colour * np.float32(between(rng, 0.4, 1)))
+        finish = _draw_painted_finish(rng, colour * np.float32(between(rng, 0.4, 1)))
         size = (log_between(rng, 0.5, 3), log_between(rng, *height), between(rng, 0.4, 1.4))
         if chance(rng, 0.6):
             add_box_at_wall(scene, pick(rng, WALL_SIDES), between(rng, 0.1, 0.9), float(scene.low[1]), size, finish)
@@ -244,8 +261,8 @@ def add_furniture(rng: Rng, scene: EnvironmentScene, count: int, height: Range, 
         add_indoor_box(scene, Box(low, high, finish))
 
 
-def _painted(rng: Rng, colour: Field) -> Finish:
-    """Often of two colours, as drawers, books, machines and pictures are."""
+def _draw_painted_finish(rng: Rng, colour: Field) -> Finish:
+    """Draw a finish about a colour, often of two colours, as drawers, books, machines and pictures have."""
     other = colour * draw_near_white(rng, 0.5) * np.float32(log_between(rng, 0.1, 3))
     kind = pick(rng, ("plain", "plain", "patches", "patches", "stripes"))
     finish = Finish(np.clip(colour, 0.02, 0.85), np.clip(other, 0.02, 0.85), kind, log_between(rng, 0.8, 4))
@@ -253,6 +270,6 @@ def _painted(rng: Rng, colour: Field) -> Finish:
 
 
 def add_indoor_box(scene: EnvironmentScene, box: Box) -> None:
-    """Put a box there unless the eye would be in it or close by."""
+    """Add a box unless the eye would be in it or less than 0.5 m from it."""
     if (np.maximum(box.low, -box.high)[[0, 2]] > 0.5).any():
         scene.boxes.append(box)

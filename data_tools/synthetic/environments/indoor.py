@@ -1,4 +1,4 @@
-"""Environments under a roof: `<family>(rng)` draws one."""
+"""Environments under a roof: each function `<family>(rng)` draws a scene of its family."""
 
 from __future__ import annotations
 
@@ -28,13 +28,19 @@ from data_tools.synthetic.random_values import between, chance, integer_between,
 
 
 def apartment(rng: Rng) -> EnvironmentScene:
-    """A room by day: light comes through its windows."""
-    scene = draw_room(rng, ((3, 8), (3, 8), (2.3, 3.2)), _outside(rng, _daytime(rng)))
+    """Draw a room by day: light comes through its windows."""
+    scene = draw_room(rng, ((3, 8), (3, 8), (2.3, 3.2)), _draw_window_view(rng, _draw_day_sky(rng)))
     for _ in range(integer_between(rng, 1, 2)):
         add_windows(rng, scene, pick(rng, WALL_SIDES), integer_between(rng, 1, 3), (0.0, 1.0), (0.25, 0.85))
     if chance(rng, 0.4):
         add_downlights(
-            rng, scene, integer_between(rng, 1, 3), integer_between(rng, 1, 3), (0.05, 0.25), (0.3, 2.0), _kelvin(rng)
+            rng,
+            scene,
+            integer_between(rng, 1, 3),
+            integer_between(rng, 1, 3),
+            (0.05, 0.25),
+            (0.3, 2.0),
+            _draw_kelvin(rng),
         )
     add_doors(rng, scene, integer_between(rng, 1, 6))
     add_furniture(rng, scene, integer_between(rng, 3, 10), (0.4, 1.4))
@@ -42,9 +48,9 @@ def apartment(rng: Rng) -> EnvironmentScene:
 
 
 def evening(rng: Rng) -> EnvironmentScene:
-    """A room by the light of its lamps, dark or dim outside."""
+    """Draw a room by the light of its lamps, dark or dim outside."""
     sky = night_sky(rng) if chance(rng, 0.6) else day_sky(rng, (-0.06, 0.0))
-    scene = draw_room(rng, ((3, 8), (3, 8), (2.3, 3.2)), _outside(rng, sky))
+    scene = draw_room(rng, ((3, 8), (3, 8), (2.3, 3.2)), _draw_window_view(rng, sky))
     add_windows(rng, scene, pick(rng, WALL_SIDES), integer_between(rng, 1, 3), (0.0, 1.0), (0.25, 0.8))
     kelvin = log_between(rng, 2200, 3600)
     if chance(rng, 0.6):
@@ -59,13 +65,13 @@ def evening(rng: Rng) -> EnvironmentScene:
 
 
 def office(rng: Rng) -> EnvironmentScene:
-    """A room or corridor with luminous panels or tubes, often a band of windows."""
+    """Draw a room or corridor with luminous panels or tubes, often a band of windows."""
     long = chance(rng, 0.3)
     scene = draw_room(rng, ((2, 4), (12, 30), (2.4, 3.4)) if long else ((5, 15), (5, 15), (2.4, 3.4)),
-                 _outside(rng, _daytime(rng)))  # fmt: skip
+                 _draw_window_view(rng, _draw_day_sky(rng)))  # fmt: skip
     halves = pick(rng, ((0.3, 0.3), (0.15, 0.6), (0.6, 0.15), (0.3, 0.6), (0.03, 0.7)))
     grid = (integer_between(rng, 1, 2) if long else integer_between(rng, 2, 5), integer_between(rng, 2, 6))
-    add_ceiling_lamps(rng, scene, grid, halves, (2.0, 6.0), _kelvin(rng))
+    add_ceiling_lamps(rng, scene, grid, halves, (2.0, 6.0), _draw_kelvin(rng))
     if chance(rng, 0.7):
         add_windows(rng, scene, pick(rng, WALL_SIDES), integer_between(rng, 1, 4), (0.3, 1.0), (0.5, 0.97))
     add_doors(rng, scene, integer_between(rng, 1, 6))
@@ -74,15 +80,15 @@ def office(rng: Rng) -> EnvironmentScene:
 
 
 def warehouse(rng: Rng) -> EnvironmentScene:
-    """A hall with lamps high above, shelves, skylights or an open gate; or an underground garage."""
+    """Draw a hall with lamps high above, shelves, skylights or an open gate; or an underground garage."""
     low = chance(rng, 0.25)
     height = (2.5, 3.2) if low else (5.0, 11.0)
-    scene = draw_room(rng, ((12, 40), (15, 60), height), _outside(rng, _daytime(rng)), rough=True)
+    scene = draw_room(rng, ((12, 40), (15, 60), height), _draw_window_view(rng, _draw_day_sky(rng)), rough=True)
     halves, shape = pick(rng, ((0.25, 0.25), (0.08, 0.7), (0.7, 0.08), (0.3, 0.8))), pick(rng, ("panel", "disc"))
     if low or chance(rng, 0.85):
         flux = (2.0, 6.0) if low else (8.0, 30.0)
         add_ceiling_lamps(
-            rng, scene, (integer_between(rng, 2, 4), integer_between(rng, 3, 6)), halves, flux, _kelvin(rng), shape
+            rng, scene, (integer_between(rng, 2, 4), integer_between(rng, 3, 6)), halves, flux, _draw_kelvin(rng), shape
         )
     if not low and (chance(rng, 0.4) or not scene.lamps):
         add_skylights(rng, scene)
@@ -94,15 +100,15 @@ def warehouse(rng: Rng) -> EnvironmentScene:
 
 
 def workshop(rng: Rng) -> EnvironmentScene:
-    """A garage or hall with a large open door, high windows, machines, and lamps here and there."""
-    scene = draw_room(rng, ((6, 18), (6, 25), (3, 7)), _outside(rng, _daytime(rng)), rough=True)
+    """Draw a garage or hall with a large open door, high windows, machines, and lamps here and there."""
+    scene = draw_room(rng, ((6, 18), (6, 25), (3, 7)), _draw_window_view(rng, _draw_day_sky(rng)), rough=True)
     if chance(rng, 0.7):
         add_windows(rng, scene, pick(rng, WALL_SIDES), 1, (0.0, 0.1), (0.3, 0.7))
     add_windows(rng, scene, pick(rng, WALL_SIDES), integer_between(rng, 2, 5), (1.5, 2.5), (0.4, 0.9))
     if chance(rng, 0.7):
         halves = pick(rng, ((0.05, 0.7), (0.7, 0.05), (0.2, 0.2)))
         add_ceiling_lamps(
-            rng, scene, (integer_between(rng, 1, 3), integer_between(rng, 2, 4)), halves, (4, 15), _kelvin(rng)
+            rng, scene, (integer_between(rng, 1, 3), integer_between(rng, 2, 4)), halves, (4, 15), _draw_kelvin(rng)
         )
     if chance(rng, 0.4):
         add_beams(rng, scene)
@@ -111,13 +117,13 @@ def workshop(rng: Rng) -> EnvironmentScene:
 
 
 def lobby(rng: Rng) -> EnvironmentScene:
-    """A large room with a glass front, downlights, and bright furniture."""
-    scene = draw_room(rng, ((8, 25), (8, 30), (3, 8)), _outside(rng, _daytime(rng)))
+    """Draw a large room with a glass front, downlights, and bright furniture."""
+    scene = draw_room(rng, ((8, 25), (8, 30), (3, 8)), _draw_window_view(rng, _draw_day_sky(rng)))
     for _ in range(integer_between(rng, 1, 2)):
         add_windows(rng, scene, pick(rng, WALL_SIDES), integer_between(rng, 3, 8), (0.0, 0.4), (0.8, 0.98))
     if chance(rng, 0.3):
         add_skylights(rng, scene)
-    kelvin = _kelvin(rng)
+    kelvin = _draw_kelvin(rng)
     if chance(rng, 0.8):
         add_downlights(rng, scene, integer_between(rng, 2, 5), integer_between(rng, 2, 6), (0.06, 0.3), (1, 5), kelvin)
     if chance(rng, 0.4):
@@ -129,7 +135,7 @@ def lobby(rng: Rng) -> EnvironmentScene:
 
 
 def studio(rng: Rng) -> EnvironmentScene:
-    """A dark or white studio with soft boxes, strips, bare lamps, and a backdrop."""
+    """Draw a dark or white studio with soft boxes, strips, bare lamps, and a backdrop."""
     scene = draw_room(rng, ((5, 14), (5, 14), (3, 6)), open_ground(black_sky(), BLACK))
     level = log_between(rng, 0.01, 0.12) if chance(rng, 0.7) else between(rng, 0.4, 0.8)
     wall = Finish(draw_near_white(rng, 0.1) * np.float32(level))
@@ -150,16 +156,18 @@ def studio(rng: Rng) -> EnvironmentScene:
     return scene
 
 
-def _kelvin(rng: Rng) -> float:
+def _draw_kelvin(rng: Rng) -> float:
+    """Draw a colour temperature of lamps, K."""
     return log_between(rng, 2600, 6000)
 
 
-def _daytime(rng: Rng) -> Sky:
+def _draw_day_sky(rng: Rng) -> Sky:
+    """Draw a sky by day: overcast in 35 % of draws, else clear or with broken clouds."""
     return overcast_sky(rng) if chance(rng, 0.35) else day_sky(rng, (0.1, 1.1))
 
 
-def _outside(rng: Rng, sky: Sky) -> Backdrop:
-    """The view through windows."""
+def _draw_window_view(rng: Rng, sky: Sky) -> Backdrop:
+    """Draw the view through windows."""
     ground = vector(*pick(rng, ((0.07, 0.1, 0.04), (0.15, 0.15, 0.15), (0.3, 0.28, 0.25))))
     ground = ground * draw_near_white(rng, 0.1) * np.float32(between(rng, 0.6, 1.4))
     kind = pick(rng, ("town", "town", "woods", "none"))

@@ -1,7 +1,7 @@
-"""Light of scenes, and the radiance that reaches the eye: from a scene to a map.
+"""The light in a scene and the radiance that reaches the eye: from a scene to an environment map.
 
-Light goes straight from the sun, the sky, windows and lamps to visible surfaces, with shadows; from there once more to
-all of these, without; light that is scattered more often is the same everywhere.
+Light goes straight from the sun, the sky, windows and lamps to visible surfaces, with shadows. From there it goes once
+more to all of these, without shadows. Light that is scattered more often is equal everywhere.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ from metapp.appearance.latlong import resample_maps, solid_angles
 
 _Number = TypeVar("_Number", bound=np.generic)
 
-_SUN_RADIUS = math.radians(0.2665)
+_SUN_RADIUS = math.radians(0.2665)  # rad
 _CASTERS = 12  # boxes that cast shadows, at most
 _FLAT = 0.2  # m; lower boxes lie on the ground
-_CELLS = (8, 16)  # of directions; each scatters light from one point
-_PARTS = 8
+_CELLS = (8, 16)  # rows and columns of cells of directions; each scatters light from one point
+_PARTS = 8  # parts of the places that are computed at a time
 _SHADE = np.float32(0.85)  # share of light that a tree's crown takes away
 
 
 def render_environment(
     scene: EnvironmentScene, turn_rad: float, supersampling: int = 2, rows: int = MAP_HEIGHT_PX
 ) -> Field:
-    """The map of a scene.
+    """Render the environment map of a scene.
 
     Args:
-        scene: around the eye.
-        turn_rad: of the eye about the vertical.
-        supersampling: rays per texel of 64 rows, along each side.
-        rows: of the map, up to 64 times that.
+        scene: the scene around the eye.
+        turn_rad: angle by which the eye is turned about the vertical.
+        supersampling: rays per texel of a map of 64 rows, along each side.
+        rows: rows of the map, at most 64 times `supersampling`.
 
     Returns:
         Radiance [3, rows, 2 * rows], kcd/m^2.
@@ -64,38 +64,40 @@ def render_environment(
     hits = cast_rays(scene, rays)
     albedo, gloss, glow = surface_properties(scene, hits, rays)
     sun = direct_sun_irradiance(scene, hits.place, hits.normal)
-    scattered = _scattered(scene, hits, albedo, glow, sun, supersampling)
+    scattered = _scattered_irradiance(scene, hits, albedo, glow, sun, supersampling)
     radiance = albedo * (sun + scattered) * np.float32(1 / math.pi) + glow
-    beyond = np.flatnonzero(hits.surface == NO_SURFACE)
-    seen = scene.backdrop.radiance(rays[:, beyond])
-    radiance[:, beyond] = seen if hits.glass is None else seen * hits.glass[:, beyond]
-    radiance += sun_disc(scene.backdrop.sky, rays, angles) * _sun_seen(scene)[:, None]
+    sky_rays = np.flatnonzero(hits.surface == NO_SURFACE)
+    sky_radiance = scene.backdrop.radiance(rays[:, sky_rays])
+    radiance[:, sky_rays] = sky_radiance if hits.glass is None else sky_radiance * hits.glass[:, sky_rays]
+    radiance += sun_disc(scene.backdrop.sky, rays, angles) * _visible_sun_share(scene)[:, None]
     if gloss.any():
-        radiance += _mirrored(radiance, rays, hits.normal, gloss, turn_rad)
+        radiance += _mirrored_radiance(radiance, rays, hits.normal, gloss, turn_rad)
     fine = torch.from_numpy(radiance).unflatten(1, (MAP_HEIGHT_PX * supersampling, MAP_WIDTH_PX * supersampling))
     result: Field = np.maximum(resample_maps(fine, rows, 2 * rows).numpy(), 0)
     return result
 
 
 def sun_disc(sky: Sky, rays: Field, angles: Field) -> Field:
-    """The sun's disc as radiance [3, N] of a grid's rays: its irradiance, spread over the texels around it.
+    """Return the radiance [3, N] of the sun's disc along a grid's rays.
+
+    The sun's irradiance is spread over the texels around it.
 
     Args:
-        sky: the sun's.
-        rays: [3, N], all directions.
+        sky: the sky that the sun is in.
+        rays: [3, N], all directions of the grid.
         angles: their solid angles [N] in sr.
     """
     if not sky.sunlight.any():
         return np.zeros_like(rays)
     spacing = math.sqrt(float(angles.max()))
-    radius = max(_SUN_RADIUS, 0.75 * spacing)  # no smaller than the grid can hold
+    radius = max(_SUN_RADIUS, 0.75 * spacing)  # rad; no smaller than the grid can hold
     weight = np.clip((radius - angles_between(sky.sun, rays)) / np.float32(spacing) + np.float32(0.5), 0, 1)
     result: Field = sky.sunlight[:, None] * (weight / np.float32(weight @ angles))
     return result
 
 
-def _sun_seen(scene: EnvironmentScene) -> Field:
-    """Share [3] of the sun's disc that the eye sees: mean of a ray to its middle and four to its rim."""
+def _visible_sun_share(scene: EnvironmentScene) -> Field:
+    """Return the share [3] of the sun's disc that the eye sees: mean of a ray to its middle and four to its rim."""
     offsets = np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1], [0, 0.5, 0.5, 0, 0]], np.float32)
     rays = scene.backdrop.sky.sun[:, None] + np.float32(_SUN_RADIUS) * offsets
     rays /= np.linalg.norm(rays, axis=0)
@@ -105,41 +107,43 @@ def _sun_seen(scene: EnvironmentScene) -> Field:
     return result
 
 
-def visibility(scene: EnvironmentScene, place: Field, way: Field, reach: Field | float, soft: float) -> Field:
-    """How much of a distant point is seen from places, past boxes and crowns.
+def visibility(scene: EnvironmentScene, place: Field, way: Field, reach: Field | float, softness: float) -> Field:
+    """Return how much of a distant point is seen from places, past boxes and crowns.
 
     Args:
-        scene: its largest boxes cast shadows.
+        scene: the scene, of which the largest boxes cast shadows.
         place: [3, N].
         way: unit directions to the point, [3, N] or [3, 1].
         reach: distance of the point in m.
-        soft: a box is opaque to rays whose way through it is longer than so many times the distance to it.
+        softness: of shadows: a box is opaque to rays whose way through it is longer than `softness` times the distance
+            to it.
 
     Returns:
-        [N] in [0, 1].
+        The visibility [N] in [0, 1].
     """
-    over = invert_components(way)
-    free = np.ones(place.shape[1], np.float32)
+    inverse_way = invert_components(way)
+    free_share = np.ones(place.shape[1], np.float32)
     for box in shadow_casters(scene):
-        near, far = intersect_box(box.low[:, None] - place, box.high[:, None] - place, over)
+        near, far = intersect_box(box.low[:, None] - place, box.high[:, None] - place, inverse_way)
         near = np.maximum(near, 0)
-        free *= 1 - np.clip((np.minimum(far, reach) - near) / (soft * near + np.float32(0.02)), 0, 1)
+        free_share *= 1 - np.clip((np.minimum(far, reach) - near) / (softness * near + np.float32(0.02)), 0, 1)
     holes: Field | float = 0.0
-    if scene.crowns and soft < 0.1:  # the sun shines through, in spots
+    if scene.crowns and softness < 0.1:  # the sun shines through, in spots
         holes = look_up_noise("leaves", place[0] * np.float32(0.12), place[2] * np.float32(0.12))
     for crown in scene.crowns:
         offset = crown.centre[:, None] - place
         middle = (way * offset).sum(0)
         inwards = 1 - ((offset**2).sum(0) - middle**2) / np.float32(crown.radius**2)
-        before = (inwards > 0) & (middle > 0) & (middle < reach)
-        free *= 1 - _SHADE * np.clip(2 * inwards + holes, 0, 1) * before
-    return free
+        is_before = (inwards > 0) & (middle > 0) & (middle < reach)
+        free_share *= 1 - _SHADE * np.clip(2 * inwards + holes, 0, 1) * is_before
+    return free_share
 
 
 def shadow_casters(scene: EnvironmentScene) -> list[Box]:
-    """The boxes that cast shadows: those that look largest from the eye."""
+    """Return the boxes that cast shadows: the ones that look largest from the eye."""
 
     def apparent(box: Box) -> float:
+        """Return the negative apparent size of a box, by which boxes are sorted."""
         size, near = box.high - box.low, np.maximum(np.maximum(box.low, -box.high), 0)
         return -float(size[0] * size[1] + size[1] * size[2] + size[2] * size[0]) / (1 + float(near @ near))
 
@@ -147,26 +151,26 @@ def shadow_casters(scene: EnvironmentScene) -> list[Box]:
 
 
 def direct_sun_irradiance(scene: EnvironmentScene, place: Field, normal: Field) -> Field:
-    """Irradiance [3, N] by the sun at places, past all that is in its way; in a room only through windows."""
+    """Return the irradiance [3, N] by the sun at places, past all that is in its way; in rooms through windows."""
     sky = scene.backdrop.sky
     facing = np.maximum(sky.sun @ normal, 0)
     result = np.zeros_like(place)
     if not sky.sunlight.any():
         return result
-    share = _through_windows(scene, place, sky.sun) if scene.is_room else np.ones_like(place)
-    lit = np.flatnonzero(facing * share.any(0))
-    free = visibility(scene, place[:, lit], sky.sun[:, None], np.inf, 0.01)
-    result[:, lit] = sky.sunlight[:, None] * (facing[lit] * free) * share[:, lit]
+    share = _window_transmittance(scene, place, sky.sun) if scene.is_room else np.ones_like(place)
+    lit_places = np.flatnonzero(facing * share.any(0))
+    free_share = visibility(scene, place[:, lit_places], sky.sun[:, None], np.inf, 0.01)
+    result[:, lit_places] = sky.sunlight[:, None] * (facing[lit_places] * free_share) * share[:, lit_places]
     return result
 
 
-def _through_windows(scene: EnvironmentScene, place: Field, way: Field) -> Field:
-    """Which share [3, N] of light from this direction reaches places in a room."""
+def _window_transmittance(scene: EnvironmentScene, place: Field, way: Field) -> Field:
+    """Return the share [3, N] of light from a direction that reaches places in a room through its windows."""
     share = np.zeros_like(place)
-    over = invert_components(way)[:, None]
-    ends = (np.where(over > 0, scene.high[:, None], scene.low[:, None]) - place) * over
-    axis = ends.argmin(0)
-    leaving = place + way[:, None] * ends.min(0)
+    inverse_way = invert_components(way)[:, None]
+    end_distances = (np.where(inverse_way > 0, scene.high[:, None], scene.low[:, None]) - place) * inverse_way
+    axis = end_distances.argmin(0)
+    leaving = place + way[:, None] * end_distances.min(0)
     for window in scene.windows:
         across = window.side // 2
         if (way[across] > 0) == window.side % 2:
@@ -176,16 +180,18 @@ def _through_windows(scene: EnvironmentScene, place: Field, way: Field) -> Field
 
 
 def emitter_irradiance(scene: EnvironmentScene, lights: list[Emitters], place: Field, normal: Field) -> Field:
-    """Irradiance [3, N] straight from sources at places [3, N] on surfaces with these normals [3, N]."""
+    """Return the irradiance [3, N] straight from emitters at places [3, N] on surfaces with normals [3, N]."""
     total = np.zeros_like(place)
     for light in lights:
         below, above = (np.zeros((len(light.areas), place.shape[1]), np.float32) for _ in range(2))
-        for number, (where, axis, area) in enumerate(zip(light.places, light.normals, light.areas, strict=True)):
+        for number, (emitter_place, axis, area) in enumerate(
+            zip(light.places, light.normals, light.areas, strict=True)
+        ):
             if light.far:
-                way = where[:, None] / np.linalg.norm(where)
-                below[number] = np.maximum(where @ normal, 0) * visibility(scene, place, way, np.inf, 0.4)
+                way = emitter_place[:, None] / np.linalg.norm(emitter_place)
+                below[number] = np.maximum(emitter_place @ normal, 0) * visibility(scene, place, way, np.inf, 0.4)
                 continue
-            way = where[:, None] - place
+            way = emitter_place[:, None] - place
             squared = (way**2).sum(0)
             distance = np.sqrt(squared) + np.float32(1e-4)
             way /= distance
@@ -199,33 +205,39 @@ def emitter_irradiance(scene: EnvironmentScene, lights: list[Emitters], place: F
     return total
 
 
-def _scattered(
+def _scattered_irradiance(
     scene: EnvironmentScene, hits: Hits, albedo: Field, glow: Field, sun: Field, supersampling: int
 ) -> Field:
-    """Irradiance [3, N] by everything but the sun, at the hits of a grid: reckoned on the maps' coarser grid."""
+    """Return the irradiance [3, N] by everything but the sun, at the hits of a grid.
+
+    It is computed on the coarser grid of the maps, and spread to the rays.
+    """
     fine = (MAP_HEIGHT_PX, supersampling, MAP_WIDTH_PX, supersampling)
 
     def coarse(values: Field) -> Field:
+        """Return values of the rays at the first ray of each of the maps' texels."""
         return values.reshape(-1, *fine)[:, :, 0, :, 0].reshape(-1, MAP_HEIGHT_PX * MAP_WIDTH_PX)
 
     surface = hits.surface.reshape(fine)[:, 0, :, 0]
-    place, normal, solid = coarse(hits.place), coarse(hits.normal), surface.ravel() != NO_SURFACE
-    straight = emitter_irradiance(scene, list_emitters(scene), place + normal * np.float32(0.03), normal)
-    first_lamp = len(ROOM_SIDES) + len(scene.boxes) + len(scene.crowns)  # lamps are among the sources already
-    leaving = coarse(albedo) * (straight + coarse(sun)) * np.float32(1 / math.pi)
+    place, normal, is_surface = coarse(hits.place), coarse(hits.normal), surface.ravel() != NO_SURFACE
+    direct = emitter_irradiance(scene, list_emitters(scene), place + normal * np.float32(0.03), normal)
+    first_lamp = len(ROOM_SIDES) + len(scene.boxes) + len(scene.crowns)  # lamps are among the emitters already
+    leaving = coarse(albedo) * (direct + coarse(sun)) * np.float32(1 / math.pi)
     leaving += coarse(glow) * (surface.ravel() < first_lamp)
-    bounced = _bounced(scene, leaving * solid, place, normal, solid)
+    once_scattered = _bounced_irradiance(scene, leaving * is_surface, place, normal, is_surface)
     weights = solid_angles(MAP_HEIGHT_PX, MAP_WIDTH_PX).expand(
         MAP_HEIGHT_PX, MAP_WIDTH_PX
     ).flatten().numpy() / np.float32(4 * math.pi)
-    again = scene.closed * (coarse(albedo) @ weights)
-    mean = (bounced * solid) @ weights / max(float(solid @ weights), 1e-3)
-    total = straight + bounced + (mean * again / (1 - again))[:, None]
-    return _spread(total.reshape(3, MAP_HEIGHT_PX, MAP_WIDTH_PX), surface, hits.surface, supersampling)
+    reflected_share = scene.closed * (coarse(albedo) @ weights)
+    mean = (once_scattered * is_surface) @ weights / max(float(is_surface @ weights), 1e-3)
+    total = direct + once_scattered + (mean * reflected_share / (1 - reflected_share))[:, None]
+    return _spread_to_rays(total.reshape(3, MAP_HEIGHT_PX, MAP_WIDTH_PX), surface, hits.surface, supersampling)
 
 
-def _bounced(scene: EnvironmentScene, leaving: Field, place: Field, normal: Field, solid: Field) -> Field:
-    """Irradiance [3, N] at places from the radiance that leaves all that is seen, without shadows.
+def _bounced_irradiance(
+    scene: EnvironmentScene, leaving: Field, place: Field, normal: Field, is_surface: Field
+) -> Field:
+    """Return the irradiance [3, N] at places by the radiance that leaves all that is seen, without shadows.
 
     The visible surfaces are cut into cells of directions; each sends its mean radiance from one of its points.
     """
@@ -237,42 +249,50 @@ def _bounced(scene: EnvironmentScene, leaving: Field, place: Field, normal: Fiel
     distance2 = (origin**2).sum(0)
     facing = np.maximum(-(origin * axis).sum(0) / np.sqrt(distance2), np.float32(0.15))
     angles = solid_angles(rows, columns).expand(rows, columns).flatten().numpy()
-    area = np.minimum(angles / facing, 1) * distance2 * solid[middle]
+    area = np.minimum(angles / facing, 1) * distance2 * is_surface[middle]
 
-    def received(place: Field, normal: Field) -> Field:
+    def cell_irradiance(place: Field, normal: Field) -> Field:
+        """Return the irradiance [3, M] that all cells send to places [3, M] with normals [3, M]."""
         squared = np.maximum((place**2).sum(0)[:, None] + distance2 - 2 * (place.T @ origin), 0)
         arriving = normal.T @ origin - (normal * place).sum(0)[:, None]
         departing = place.T @ axis - (origin * axis).sum(0)
         weight = np.maximum(arriving, 0) * np.maximum(departing, 0) * area
         weight /= squared * (squared + area * np.float32(1 / math.pi)) + np.float32(1e-6)
-        if scene.is_room:  # all that a place sees is room
+        if scene.is_room:  # a place in a room sees nothing but the room
             weight *= np.float32(math.pi) / np.maximum(weight.sum(1, keepdims=True), np.float32(0.5))
         result: Field = mean @ weight.T
         return result
 
-    # In parts that fit into the processor's cache.
+    # The places are cut into parts that fit into the processor's cache.
     parts = zip(np.split(place, _PARTS, axis=1), np.split(normal, _PARTS, axis=1), strict=True)
-    return np.concatenate([received(*part) for part in parts], axis=1)
+    return np.concatenate([cell_irradiance(*part) for part in parts], axis=1)
 
 
-def _spread(coarse: Field, surface: Ids, fine_surface: Ids, supersampling: int) -> Field:
-    """Values [3, H, W] at every fine ray [3, N]: its own texel's, or a neighbour's that is of the same surface."""
+def _spread_to_rays(coarse: Field, surface: Ids, fine_surface: Ids, supersampling: int) -> Field:
+    """Return the values [3, N] of texels [3, H, W] at fine rays.
 
-    def enlarged(values: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
+    A ray gets the value of its own texel, or of a neighbour that shows the surface that the ray hits.
+    """
+
+    def enlarge(values: npt.NDArray[_Number]) -> npt.NDArray[_Number]:
+        """Repeat each texel as often as there are rays in it."""
         return values.repeat(supersampling, -2).repeat(supersampling, -1)
 
     fine = fine_surface.reshape(MAP_HEIGHT_PX * supersampling, MAP_WIDTH_PX * supersampling)
-    result = enlarged(coarse)
-    missing = enlarged(surface) != fine
+    result = enlarge(coarse)
+    missing = enlarge(surface) != fine
     for shift in ((0, -1), (-1, 0), (0, 1), (1, 0)):
-        matching = missing & (enlarged(np.roll(surface, shift, (0, 1))) == fine)
-        result[:, matching] = enlarged(np.roll(coarse, shift, (1, 2)))[:, matching]
+        matching = missing & (enlarge(np.roll(surface, shift, (0, 1))) == fine)
+        result[:, matching] = enlarge(np.roll(coarse, shift, (1, 2)))[:, matching]
         missing &= ~matching
     return result.reshape(3, -1)
 
 
-def _mirrored(radiance: Field, rays: Field, normal: Field, gloss: Field, turn_rad: float) -> Field:
-    """Radiance [3, N] that glossy surfaces mirror by Schlick's Fresnel factor: the map itself, a little blurred."""
+def _mirrored_radiance(radiance: Field, rays: Field, normal: Field, gloss: Field, turn_rad: float) -> Field:
+    """Return the radiance [3, N] that glossy surfaces mirror, by Schlick's Fresnel factor.
+
+    They mirror the map itself, a little blurred.
+    """
     height = math.isqrt(rays.shape[1] // 2)
     members = np.flatnonzero(gloss)
     cosine = (rays[:, members] * normal[:, members]).sum(0)

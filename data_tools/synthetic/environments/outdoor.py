@@ -1,4 +1,4 @@
-"""Environments under the open sky: `<family>(rng)` draws one."""
+"""Environments under the open sky: each function `<family>(rng)` draws a scene of its family."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from data_tools.synthetic.random_values import between, chance, integer_between,
 
 
 def meadow(rng: Rng) -> EnvironmentScene:
-    """Open country with hills, woods or nothing at the horizon and a few trees."""
+    """Draw open country with hills, woods or nothing at the horizon and a few trees."""
     scene = draw_open_scene(rng, day_sky(rng), NATURAL_GROUNDS, ("hills", "woods", "woods", "none"), (0.08, 0.45))
     add_paths(rng, scene, integer_between(rng, 0, 2))
     add_garden_walls(rng, scene, integer_between(rng, 0, 2))
@@ -38,7 +38,7 @@ def meadow(rng: Rng) -> EnvironmentScene:
 
 
 def shore(rng: Rng) -> EnvironmentScene:
-    """Calm water under a sky that it mirrors, often with a beach on one side."""
+    """Draw calm water under a sky that it mirrors, often with a beach on one side."""
     scene = draw_open_scene(
         rng, day_sky(rng, clear_share=0.2), NATURAL_GROUNDS, ("hills", "none", "none", "town"), (0.02, 0.12)
     )
@@ -54,7 +54,7 @@ def shore(rng: Rng) -> EnvironmentScene:
 
 
 def dull(rng: Rng) -> EnvironmentScene:
-    """Under closed clouds or in fog."""
+    """Draw open country or a place in a town, under closed clouds or in fog."""
     scene = draw_open_scene(
         rng, overcast_sky(rng), NATURAL_GROUNDS + PAVED_GROUNDS, ("hills", "woods", "town", "none"), (0.05, 0.4)
     )
@@ -67,7 +67,7 @@ def dull(rng: Rng) -> EnvironmentScene:
 
 
 def dusk(rng: Rng) -> EnvironmentScene:
-    """The sun at the horizon, just above or just below it."""
+    """Draw a scene with the sun at the horizon, just above or just below it."""
     sky = day_sky(rng, (-0.06, 0.16), clear_share=0.5)
     scene = draw_open_scene(rng, sky, NATURAL_GROUNDS + PAVED_GROUNDS, ("hills", "woods", "town", "none"), (0.06, 0.4))
     add_paths(rng, scene, integer_between(rng, 0, 2))
@@ -77,7 +77,7 @@ def dusk(rng: Rng) -> EnvironmentScene:
 
 
 def forest(rng: Rng) -> EnvironmentScene:
-    """Trees all around, the sky in between."""
+    """Draw trees all around, the sky in between."""
     sky = day_sky(rng, (0.3, 1.25), 0.7) if chance(rng, 0.8) else overcast_sky(rng)
     scene = draw_open_scene(rng, sky, ("dirt", "dirt", "dirt", "grass", "meadow", "snow"), ("woods",), (0.4, 1.0))
     add_trees(rng, scene, integer_between(rng, 9, 17), (4, 11), (2.5, 5.5))
@@ -87,22 +87,22 @@ def forest(rng: Rng) -> EnvironmentScene:
 
 
 def street(rng: Rng) -> EnvironmentScene:
-    """Houses in a row on both sides."""
-    scene = draw_open_scene(rng, _town_sky(rng), PAVED_GROUNDS, ("town", "woods"), (0.05, 0.2))
+    """Draw houses in a row on both sides."""
+    scene = draw_open_scene(rng, _draw_town_sky(rng), PAVED_GROUNDS, ("town", "woods"), (0.05, 0.2))
     add_street_houses(rng, scene, BLACK)
     return scene
 
 
 def square(rng: Rng) -> EnvironmentScene:
-    """Houses at some distance all around."""
-    scene = draw_open_scene(rng, _town_sky(rng), (*PAVED_GROUNDS, "grass"), ("town", "woods"), (0.05, 0.25))
+    """Draw houses at some distance all around."""
+    scene = draw_open_scene(rng, _draw_town_sky(rng), (*PAVED_GROUNDS, "grass"), ("town", "woods"), (0.05, 0.25))
     add_surrounding_houses(rng, scene, log_between(rng, 12, 50), BLACK)
     return scene
 
 
 def courtyard(rng: Rng) -> EnvironmentScene:
-    """Walls close by, and often a roof over the eye."""
-    scene = draw_open_scene(rng, _town_sky(rng), (*PAVED_GROUNDS, "dirt", "grass"), ("woods", "town"), (0.1, 0.3))
+    """Draw walls close by, and often a roof over the eye."""
+    scene = draw_open_scene(rng, _draw_town_sky(rng), (*PAVED_GROUNDS, "dirt", "grass"), ("woods", "town"), (0.1, 0.3))
     add_courtyard_walls(rng, scene)
     if chance(rng, 0.6):
         add_porch(rng, scene)
@@ -112,21 +112,22 @@ def courtyard(rng: Rng) -> EnvironmentScene:
 
 
 def night(rng: Rng) -> EnvironmentScene:
-    """A street or square by the light of its lamps and windows."""
+    """Draw a street or square by the light of its lamps and windows."""
     lit = black_body_rgb(log_between(rng, 2500, 5000)) * np.float32(log_between(rng, 0.002, 0.03))
     scene = draw_open_scene(rng, night_sky(rng), PAVED_GROUNDS, ("town",), (0.05, 0.3), lit)
     if chance(rng, 0.6):
         add_street_houses(rng, scene, lit)
     else:
         add_surrounding_houses(rng, scene, log_between(rng, 8, 30), lit)
-    away, radius, flux = between(rng, 2.5, 7), log_between(rng, 0.12, 0.35), log_between(rng, 3, 20)
+    distance, radius, flux = between(rng, 2.5, 7), log_between(rng, 0.12, 0.35), log_between(rng, 3, 20)
     radiance = black_body_rgb(log_between(rng, 2000, 5500)) * np.float32(flux / (2 * math.pi * radius) ** 2)
-    for place in range(-3, 4):
+    for number in range(-3, 4):
         for sign in (-1, 1) if chance(rng, 0.7) else (1,):
-            centre = vector(sign * away, between(rng, 2, 4.5), place * between(rng, 9, 14) + between(rng, -2, 2))
+            centre = vector(sign * distance, between(rng, 2, 4.5), number * between(rng, 9, 14) + between(rng, -2, 2))
             scene.lamps.append(Lamp(centre, vector(radius, 0, 0), vector(0, radius, 0), radiance, "ball"))
     return scene
 
 
-def _town_sky(rng: Rng) -> Sky:
+def _draw_town_sky(rng: Rng) -> Sky:
+    """Draw a sky by day: overcast in one of five draws, else clear or with broken clouds."""
     return overcast_sky(rng) if chance(rng, 0.2) else day_sky(rng, clear_share=0.5)

@@ -1,4 +1,4 @@
-"""Vectors, colours of light, and noises that skies and surfaces look into."""
+"""Vectors, colours of light, and noises that skies and surfaces look up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from data_tools.synthetic.random_values import Field
 
 BLACK = np.zeros(3, np.float32)
 
-_SIZE = 256
+_SIZE = 256  # px a side of the noises
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _XYZ_TO_RGB = np.array(
     [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]],
@@ -22,31 +22,34 @@ _XYZ_TO_RGB = np.array(
 
 
 def vector(*values: float) -> Field:
-    """Numbers as float32."""
+    """Return numbers as a float32 array."""
     return np.array(values, np.float32)
 
 
 def direction(elevation_rad: float, azimuth_rad: float) -> Field:
-    """The unit vector [3] at this height above the horizon; azimuth 0 is +x, a quarter turn +z."""
-    across = math.cos(elevation_rad)
-    return vector(across * math.cos(azimuth_rad), math.sin(elevation_rad), across * math.sin(azimuth_rad))
+    """Return the unit vector [3] of an elevation above the horizon and an azimuth: 0 is +x, a quarter turn +z."""
+    horizontal = math.cos(elevation_rad)
+    return vector(horizontal * math.cos(azimuth_rad), math.sin(elevation_rad), horizontal * math.sin(azimuth_rad))
 
 
-def luminance(xyy_to_rgb: Field) -> Field:
-    """Luminance [...] of linear RGB [3, ...]."""
-    return np.tensordot(_LUMINANCE, xyy_to_rgb, 1)
+def luminance(linear_rgb: Field) -> Field:
+    """Return the luminance [...] of linear RGB [3, ...]."""
+    return np.tensordot(_LUMINANCE, linear_rgb, 1)
 
 
 def xyy_to_rgb(luminances: Field, x: Field, y: Field) -> Field:
-    """Linear RGB [3, N] > 0 of luminances and CIE 1931 chromaticities [N]."""
-    over_y = luminances / y
-    found = _XYZ_TO_RGB @ np.stack([x * over_y, luminances, (1 - x - y) * over_y])
-    result: Field = np.maximum(found, np.float32(1e-3) * luminances)
+    """Convert luminances and CIE 1931 chromaticities, each [N], to linear RGB [3, N] > 0."""
+    scale = luminances / y
+    linear_rgb = _XYZ_TO_RGB @ np.stack([x * scale, luminances, (1 - x - y) * scale])
+    result: Field = np.maximum(linear_rgb, np.float32(1e-3) * luminances)
     return result
 
 
 def black_body_rgb(kelvin: float) -> Field:
-    """Linear RGB [3] of luminance 1 of a black body, 1700 to 20000 K: the Planckian locus' fit by Kim et al. (2002)."""
+    """Return the linear RGB [3] of a black body of 1700 to 20000 K, of luminance 1.
+
+    The chromaticity is Kim et al.'s (2002) fit of the Planckian locus.
+    """
     inverse = 1e3 / kelvin
     if kelvin < 4000:
         x = ((-0.2661239 * inverse - 0.2343589) * inverse + 0.8776956) * inverse + 0.179910
@@ -63,7 +66,7 @@ def black_body_rgb(kelvin: float) -> Field:
 
 @functools.lru_cache(maxsize=1)
 def shared_noises() -> dict[str, Field]:
-    """Periodic noises [256, 256] that all maps look into, at places of their own; mean 0, variance 1."""
+    """Return periodic noises [256, 256] that all maps look up, each at other places; mean 0, variance 1."""
     rng = random_stream(8)
     fields = {
         "soft": fbm(rng, _SIZE, 3, 2.6),
@@ -78,15 +81,15 @@ def shared_noises() -> dict[str, Field]:
 
 
 def look_up_noise(noise: str, across: Field, along: Field | float) -> Field:
-    """Values of a noise at places [N] in tiles: those of the nearest texel."""
+    """Return the values [N] of a noise at places [N] in tiles, from the nearest texel."""
     columns = np.floor(across * np.float32(_SIZE)).astype(np.int64) & (_SIZE - 1)
     rows = np.floor(along * np.float32(_SIZE)).astype(np.int64) & (_SIZE - 1)
-    found: Field = shared_noises()[noise].ravel()[rows * _SIZE + columns]
-    return found
+    values: Field = shared_noises()[noise].ravel()[rows * _SIZE + columns]
+    return values
 
 
 def hash_numbers(numbers: Field, key: float) -> Field:
-    """A number in [0, 1) for each whole number [N], without order."""
+    """Return a number in [0, 1) for each whole number [N], without order."""
     mixed = (numbers.astype(np.int64) + int(key * 65536)) * 0x9E3779B1 & 0xFFFFFFFF
     mixed = (mixed ^ (mixed >> 15)) * 0x85EBCA6B & 0xFFFFFFFF
     return ((mixed ^ (mixed >> 13)) & 0xFFFF).astype(np.float32) / np.float32(65536)

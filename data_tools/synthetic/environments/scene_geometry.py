@@ -21,11 +21,11 @@ from data_tools.synthetic.environments.sky import Sky
 from data_tools.synthetic.random_values import Field, Ids
 from metapp.appearance.latlong import solid_angles, texel_directions
 
-ROOM_SIDES = ("-x", "+x", "floor", "ceiling", "-z", "+z")  # of a room, in the order of their numbers
-NO_SURFACE = -1  # the number of what no surface hides
-PLANE_AXES = ((2, 1), (0, 2), (0, 1))  # axes along a surface whose normal is this axis: across and along
+ROOM_SIDES = ("-x", "+x", "floor", "ceiling", "-z", "+z")  # names of a room's sides, in the order of their numbers
+NO_SURFACE = -1  # stands for the number of a surface where a ray hits none
+PLANE_AXES = ((2, 1), (0, 2), (0, 1))  # by the axis of a surface's normal: the axes across and along the surface
 
-_FAR = 1e4  # m
+_FAR = 1e4  # m, beyond all surfaces
 _NARROWEST = 0.02  # rad; smaller lamps are seen this large, and so much darker
 
 Mask = npt.NDArray[np.bool_]
@@ -36,9 +36,9 @@ class Finish(NamedTuple):
 
     Attributes:
         colour: albedo [3].
-        other: albedo [3] that the pattern leads to.
-        pattern: name of one of `noises()`, or "tiles", "chequers", "stripes" or "patches".
-        size: m, of one period of the pattern.
+        other: albedo [3] that the pattern leads to; None for one colour.
+        pattern: name of one of `shared_noises()`, or "tiles", "chequers", "stripes" or "patches".
+        size: one period of the pattern, m.
         gloss: share of light from straight ahead that is mirrored.
         panes: height and width in m of the fields in which each facade window sits; None for no windows.
         glazed: share of a field's height and width that its window takes.
@@ -64,7 +64,7 @@ class Box(NamedTuple):
 
 
 class Crown(NamedTuple):
-    """The leaves of a tree or bush, a loose ball."""
+    """The leaves of a tree or bush, a loose ball with an albedo [3]."""
 
     centre: Field
     radius: float
@@ -72,9 +72,12 @@ class Crown(NamedTuple):
 
 
 class Lamp(NamedTuple):
-    """A flat source: its middle, the halves of its sides, its radiance [3] to the side of right x up.
+    """A flat emitter.
 
     Attributes:
+        centre: its middle [3].
+        right, up: vectors [3] from the middle to its sides.
+        radiance: radiance [3] to the side to which right x up points.
         shape: "panel", "disc", or "ball", which turns to the eye and shines to all sides.
     """
 
@@ -86,12 +89,12 @@ class Lamp(NamedTuple):
 
     @property
     def halves(self) -> tuple[float, float]:
-        """Half of its width and of its height in m."""
+        """Half of the lamp's width and of its height in m."""
         return float(np.linalg.norm(self.right)), float(np.linalg.norm(self.up))
 
     @property
     def seen_halves(self) -> tuple[float, float]:
-        """The same as it is seen: not so small that rays could miss it."""
+        """The lamp's halves in m as the eye sees them: enlarged where rays could otherwise miss it."""
         distance = float(np.linalg.norm(self.centre))
         slant = [float(axis @ self.centre) / distance for axis in (self.right, self.up)]
         first, second = (
@@ -102,12 +105,19 @@ class Lamp(NamedTuple):
 
     @property
     def seen_radiance(self) -> Field:
-        """Radiance [3] as it is seen: as much less as the lamp is seen larger."""
+        """The lamp's radiance [3] as the eye sees it: less by the factor by which the lamp is seen larger."""
         return self.radiance * np.float32(math.prod(self.halves) / math.prod(self.seen_halves))
 
 
 class Window(NamedTuple):
-    """An opening in a side of the room: from and to [2] in m across and along it, the colour of its glass [3]."""
+    """An opening in a side of the room.
+
+    Attributes:
+        side: number of the side.
+        low, high: its corners across and along the side, m.
+        glass: colour [3] of its glass, the share of light that passes.
+        bars: panes across and along.
+    """
 
     side: int
     low: tuple[float, float]
@@ -120,9 +130,9 @@ class Backdrop(NamedTuple):
     """The sky and, in front of it, the far distance.
 
     Attributes:
-        sky: with its sun.
-        radiance: of directions [3, N]: [3, N], also of those below the horizon; without the sun's disc.
-        clearness: share [N] of the sky that shows in directions [3, N].
+        sky: the sky with its sun.
+        radiance: function from directions [3, N], also below the horizon, to radiance [3, N] without the sun's disc.
+        clearness: function from directions [3, N] to the share [N] of the sky that shows there.
     """
 
     sky: Sky
@@ -132,13 +142,14 @@ class Backdrop(NamedTuple):
 
 @dataclass
 class EnvironmentScene:
-    """All that is around the eye.
+    """A scene: all that is around the eye.
 
     Attributes:
         low, high: corners [3] of the room; infinite if it is open.
         sides: finishes of -x, +x, floor, ceiling, -z, +z.
-        backdrop: beyond the open sides and the windows.
+        backdrop: the view beyond the open sides and the windows.
         closed: how much of the scattered light the surroundings keep, 0 (open country) to 1 (a room).
+        boxes, crowns, lamps, windows: what is in the scene.
     """
 
     low: Field
@@ -153,12 +164,20 @@ class EnvironmentScene:
 
     @property
     def is_room(self) -> bool:
-        """Whether it has walls on all sides."""
+        """Whether the scene has walls on all sides."""
         return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
 
 
 class Hits(NamedTuple):
-    """Intersections of N rays from the eye: numbers of surfaces (sides, boxes, crowns, lamps; BEYOND for none)."""
+    """The first intersections of N rays from the eye.
+
+    Attributes:
+        surface: numbers [N] of the surfaces (sides, boxes, crowns, lamps); NO_SURFACE for none.
+        distance: [N] in m.
+        place: [3, N] in m.
+        normal: [3, N].
+        glass: [3, N], the share of light that passes the windows on the ray's way out; None without windows.
+    """
 
     surface: Ids
     distance: Field
@@ -169,7 +188,7 @@ class Hits(NamedTuple):
 
 @functools.lru_cache(maxsize=2)
 def view_rays(supersampling: int) -> tuple[Field, Field]:
-    """Rays [3, N] of a grid so many times finer than the maps, row by row, and their solid angles [N]."""
+    """Return rays [3, N] of a grid `supersampling` times finer than maps, row by row, and their solid angles [N]."""
     height, width = MAP_HEIGHT_PX * supersampling, MAP_WIDTH_PX * supersampling
     rays = texel_directions(height, width).flatten(1).numpy()
     angles = solid_angles(height, width).expand(height, width).flatten().numpy()
@@ -177,111 +196,111 @@ def view_rays(supersampling: int) -> tuple[Field, Field]:
 
 
 def rotate_about_vertical(rays: Field, angle_rad: float) -> Field:
-    """Directions [3, N] turned about the vertical."""
+    """Return directions [3, N] turned about the vertical."""
     cos, sin = np.float32(math.cos(angle_rad)), np.float32(math.sin(angle_rad))
     return np.stack([rays[0] * cos - rays[2] * sin, rays[1], rays[0] * sin + rays[2] * cos])
 
 
 def invert_components(rays: Field) -> Field:
-    """1 over each component, which is kept off zero."""
+    """Return 1 over each component, which is kept off zero."""
     result: Field = 1 / np.copysign(np.maximum(np.abs(rays), np.float32(1e-6)), rays)
     return result
 
 
-def intersect_box(low: Field, high: Field, over: Field) -> tuple[Field, Field]:
-    """Distances at which rays enter and leave a box, or would.
+def intersect_box(low: Field, high: Field, inverse: Field) -> tuple[Field, Field]:
+    """Return the distances at which rays, prolonged in both directions, enter and leave a box.
 
     Args:
         low: corner of the box from the ray's start [3], or [3, N].
         high: the opposite corner.
-        over: 1 over the components of the rays' directions, [3, N], or [3, 1].
+        inverse: 1 over the components of the rays' directions, [3, N], or [3, 1].
 
     Returns:
-        Both [N]; a ray misses the box if the first is larger, or the second negative.
+        Both distances [N]; a ray misses the box if the first is larger, or the second negative.
     """
     near: Field = np.array(-np.inf, np.float32)
     far = -near
     for axis in range(3):  # axis by axis, since small arrays stay in the processor's cache
-        first, second = low[axis] * over[axis], high[axis] * over[axis]
+        first, second = low[axis] * inverse[axis], high[axis] * inverse[axis]
         near, far = np.maximum(near, np.minimum(first, second)), np.minimum(far, np.maximum(first, second))
     return near, far
 
 
 def cast_rays(scene: EnvironmentScene, rays: Field) -> Hits:
-    """The first intersections of rays [3, N] from the eye."""
-    over = invert_components(rays)
-    ends = np.where(over > 0, scene.high[:, None], scene.low[:, None]) * over
-    axis = ends.argmin(0)
+    """Return the first intersections of rays [3, N] from the eye."""
+    inverse = invert_components(rays)
+    end_distances = np.where(inverse > 0, scene.high[:, None], scene.low[:, None]) * inverse
+    axis = end_distances.argmin(0)
     columns = np.arange(rays.shape[1])
-    distance = np.minimum(ends[axis, columns], np.float32(_FAR))
-    surface = np.where(distance < _FAR, 2 * axis + (over[axis, columns] > 0), NO_SURFACE)
+    distance = np.minimum(end_distances[axis, columns], np.float32(_FAR))
+    surface = np.where(distance < _FAR, 2 * axis + (inverse[axis, columns] > 0), NO_SURFACE)
     place = rays * distance
     glass = _open_windows(scene, surface, place)
     normal = np.zeros_like(rays)
     normal[axis, columns] = -np.sign(rays[axis, columns])
     number = len(ROOM_SIDES)
     for box in scene.boxes:
-        near, far = intersect_box(box.low, box.high, over)
+        near, far = intersect_box(box.low, box.high, inverse)
         seen = np.flatnonzero((near < far) & (near > 0) & (near < distance))
         distance[seen], surface[seen] = near[seen], number
-        side = np.minimum(box.low[:, None] * over[:, seen], box.high[:, None] * over[:, seen]).argmax(0)
+        side = np.minimum(box.low[:, None] * inverse[:, seen], box.high[:, None] * inverse[:, seen]).argmax(0)
         normal[:, seen] = 0
         normal[side, seen] = -np.sign(rays[side, seen])
         number += 1
     for crown in scene.crowns:
-        seen, near = _crown(crown, rays, distance)
+        seen, near = _hit_crown(crown, rays, distance)
         distance[seen], surface[seen] = near, number
         normal[:, seen] = (rays[:, seen] * near - crown.centre[:, None]) / np.float32(crown.radius)
         number += 1
     for lamp in scene.lamps:
-        seen, near = _lamp(lamp, rays, distance)
+        seen, near = _hit_lamp(lamp, rays, distance)
         distance[seen], surface[seen] = near, number
         number += 1
     return Hits(surface, distance, rays * distance, normal, glass)
 
 
 def _open_windows(scene: EnvironmentScene, surface: Ids, place: Field) -> Field | None:
-    """Rays that leave through a window go BEYOND: changes `surface`, returns the glass that they pass."""
+    """Set the surface of rays that leave through a window to NO_SURFACE, and return the glass that they pass."""
     if not scene.windows:
         return None
     glass = np.ones_like(place)
     for window in scene.windows:
         on_side = np.flatnonzero(surface == window.side)
         across, along = (place[axis, on_side] for axis in PLANE_AXES[window.side // 2])
-        through = on_side[lies_in_glass(window, across, along)]
-        surface[through] = NO_SURFACE
-        glass[:, through] = window.glass[:, None]
+        leaving = on_side[lies_in_glass(window, across, along)]
+        surface[leaving] = NO_SURFACE
+        glass[:, leaving] = window.glass[:, None]
     return glass
 
 
 def lies_in_glass(window: Window, across: Field, along: Field) -> Mask:
-    """Whether places on the window's side [N] are in its glass."""
-    open_here = np.ones(across.shape, np.bool_)
+    """Return whether places on the window's side [N] are in its glass."""
+    is_glass = np.ones(across.shape, np.bool_)
     for values, low, high, panes in zip((across, along), window.low, window.high, window.bars, strict=True):
         share = (values - low) / np.float32(high - low)
-        open_here &= (share > 0) & (share < 1)
+        is_glass &= (share > 0) & (share < 1)
         if panes > 1:
-            open_here &= np.abs((share * panes) % 1 - np.float32(0.5)) < 0.5 - 0.04 * panes / (high - low)
-    return open_here
+            is_glass &= np.abs((share * panes) % 1 - np.float32(0.5)) < 0.5 - 0.04 * panes / (high - low)
+    return is_glass
 
 
-def _crown(crown: Crown, rays: Field, before: Field) -> tuple[Ids, Field]:
-    """Which rays meet leaves, and how far away: a ball with more and more holes to its rim."""
+def _hit_crown(crown: Crown, rays: Field, nearest_hit: Field) -> tuple[Ids, Field]:
+    """Return which rays meet leaves, and how far away: a crown is a ball with more and more holes to its rim."""
     middle = crown.centre @ rays
-    apart = (float(crown.centre @ crown.centre) - middle**2) / np.float32(crown.radius**2)
-    seen = np.flatnonzero((apart < 1) & (middle > 0) & (middle < before + crown.radius))
-    depth = np.sqrt(1 - apart[seen])
+    squared_offset = (float(crown.centre @ crown.centre) - middle**2) / np.float32(crown.radius**2)
+    seen = np.flatnonzero((squared_offset < 1) & (middle > 0) & (middle < nearest_hit + crown.radius))
+    depth = np.sqrt(1 - squared_offset[seen])
     turn = np.arctan2(rays[2, seen], rays[0, seen]) * np.float32(0.5 / math.pi) * 3
     leaves = look_up_noise("leaves", turn + crown.radius, rays[1, seen])
     clumps = look_up_noise("rough", turn + crown.radius, rays[1, seen])
-    dense = 0.6 * leaves + 1.1 * clumps > 1.9 - 4.5 * depth
+    is_leaf = 0.6 * leaves + 1.1 * clumps > 1.9 - 4.5 * depth
     near = middle[seen] - crown.radius * depth
-    dense &= (near > 0.3) & (near < before[seen])
-    return seen[dense], near[dense]
+    is_leaf &= (near > 0.3) & (near < nearest_hit[seen])
+    return seen[is_leaf], near[is_leaf]
 
 
-def _lamp(lamp: Lamp, rays: Field, before: Field) -> tuple[Ids, Field]:
-    """Which rays meet a lamp's front, and how far away."""
+def _hit_lamp(lamp: Lamp, rays: Field, nearest_hit: Field) -> tuple[Ids, Field]:
+    """Return which rays meet a lamp's front, and how far away."""
     normal, right, up = -lamp.centre, lamp.right, lamp.up
     if lamp.shape == "ball":
         right = np.cross(lamp.centre, vector(0.1, 1, 0.2))
@@ -291,10 +310,10 @@ def _lamp(lamp: Lamp, rays: Field, before: Field) -> tuple[Ids, Field]:
     if normal @ lamp.centre >= 0:  # seen from behind
         return np.zeros(0, np.int64), np.zeros(0, np.float32)
     distance = float(normal @ lamp.centre) * invert_components(normal @ rays)
-    apart = []
+    offsets = []
     for axis, half in zip((right, up), lamp.seen_halves, strict=True):
         axis = axis / np.float32(np.linalg.norm(axis) * half)
-        apart.append(np.abs(axis @ rays * distance - float(axis @ lamp.centre)))
-    within = np.maximum(*apart) if lamp.shape == "panel" else np.hypot(*apart)
-    seen = np.flatnonzero((within < 1) & (distance > 0) & (distance < before + np.float32(0.05)))
+        offsets.append(np.abs(axis @ rays * distance - float(axis @ lamp.centre)))
+    rim_share = np.maximum(*offsets) if lamp.shape == "panel" else np.hypot(*offsets)
+    seen = np.flatnonzero((rim_share < 1) & (distance > 0) & (distance < nearest_hit + np.float32(0.05)))
     return seen, distance[seen]

@@ -1,4 +1,7 @@
-"""Outdoor scenes: ground, houses, walls, roofs, vehicles, trees."""
+"""Outdoor scenes: ground, houses, walls, roofs, vehicles, trees.
+
+Functions named `add_...` draw things and add them to a scene; boxes that the eye would be in are left out.
+"""
 
 from __future__ import annotations
 
@@ -40,48 +43,49 @@ PAVED_GROUNDS = ("asphalt", "asphalt", "concrete", "concrete", "gravel")
 def draw_open_scene(
     rng: Rng, sky: Sky, grounds: tuple[str, ...], far: tuple[str, ...], height: Range, lit: Field = BLACK
 ) -> EnvironmentScene:
-    """Level ground to the horizon, and the distance behind it.
+    """Draw level ground to the horizon, and the distance behind it.
 
     Args:
-        rng: of all choices.
-        sky: above.
-        grounds: kinds to choose from.
-        far: things at the horizon: "hills", "woods", "town", "none".
-        height: range of the sine of the elevation that it reaches.
+        rng: random numbers for all choices.
+        sky: the sky above.
+        grounds: kinds of ground to choose from.
+        far: things at the horizon to choose from: "hills", "woods", "town", "none".
+        height: range of the sine of the elevation that the things at the horizon reach.
         lit: radiance [3] of windows at the horizon.
     """
     kind, level = pick(rng, grounds), 0.7 * float(rng.random()) ** 1.5
-    first, second = (_between_colours(_GROUNDS[kind], share) for share in (level, level + 0.3))
+    first, second = (_mix_colours(_GROUNDS[kind], share) for share in (level, level + 0.3))
     pattern = "leaves" if kind in ("grass", "meadow", "dirt") else pick(rng, ("rough", "soft", "cloud"))
     ground = Finish(first, second, pattern, log_between(rng, 4, 30))
-    beyond, mean = pick(rng, far), (first + second) / 2
+    skyline_kind, mean = pick(rng, far), (first + second) / 2
     backdrop = open_ground(sky, mean)
-    if beyond != "none":
-        backdrop = skyline(rng, sky, mean, beyond, log_between(rng, *height), lit)
+    if skyline_kind != "none":
+        backdrop = skyline(rng, sky, mean, skyline_kind, log_between(rng, *height), lit)
     low = vector(-np.inf, -between(rng, 1.2, 2.2), -np.inf)
     return EnvironmentScene(low, np.full(3, np.inf, np.float32), [ground] * 6, backdrop, closed=0.3)
 
 
-def _between_colours(colours: _Colours, share: float) -> Field:
-    dark, light = (vector(*each) for each in colours)
+def _mix_colours(colours: _Colours, share: float) -> Field:
+    """Mix the darkest and the lightest colour of a material; share 0 is the darkest."""
+    dark, light = (vector(*colour) for colour in colours)
     return dark + (light - dark) * np.float32(share)
 
 
 def draw_wall_finish(rng: Rng) -> Finish:
-    """Brick, plaster, concrete or wood."""
-    colour = _between_colours(pick(rng, _WALLS), float(rng.random()))
+    """Draw the finish of a wall: brick, plaster, concrete or wood."""
+    colour = _mix_colours(pick(rng, _WALLS), float(rng.random()))
     pattern = pick(rng, ("rough", "cloud"))
     return Finish(colour, colour * np.float32(between(rng, 0.5, 0.9)), pattern, between(rng, 3, 12))
 
 
 def draw_facade_finish(rng: Rng, lit: Field = BLACK) -> Finish:
-    """A wall with rows of windows; `lit` is the radiance [3] of those behind which there is light."""
+    """Draw the finish of a wall with rows of windows; `lit` is the radiance [3] of lit ones."""
     glazed = (between(rng, 0.4, 0.9), between(rng, 0.3, 0.95))
     return draw_wall_finish(rng)._replace(panes=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)), glazed=glazed, lit=lit)
 
 
 def add_street_houses(rng: Rng, scene: EnvironmentScene, lit: Field) -> None:
-    """Houses on both sides of a street along the z axis."""
+    """Add houses on both sides of a street along the z axis."""
     bottom, height = float(scene.low[1]), log_between(rng, 5, 24)
     for sign in (-1, 1):
         near, start, gaps = between(rng, 3.5, 13), between(rng, -75, -60), chance(rng, 0.5)
@@ -94,16 +98,16 @@ def add_street_houses(rng: Rng, scene: EnvironmentScene, lit: Field) -> None:
             start = end + (between(rng, 4, 12) if gaps and chance(rng, 0.4) else 0)
         if chance(rng, 0.4):
             for place in range(-2, 3):
-                _tree(rng, scene, sign * (near - 2), place * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
+                _add_tree(rng, scene, sign * (near - 2), place * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
     add_vehicles(rng, scene, integer_between(rng, 0, 6), (2.5, 20), along=True)
     scene.closed = 0.7
 
 
 def add_surrounding_houses(rng: Rng, scene: EnvironmentScene, away: float, lit: Field) -> None:
-    """Houses all around, so many metres away."""
+    """Add houses all around, about `away` metres from the eye."""
     bottom, count, height = float(scene.low[1]), integer_between(rng, 4, 10), away * between(rng, 0.3, 1.0)
-    for place in range(count):
-        angle = (place + between(rng, -0.3, 0.3)) * math.tau / count
+    for number in range(count):
+        angle = (number + between(rng, -0.3, 0.3)) * math.tau / count
         centre = direction(0, angle) * np.float32(away * between(rng, 1, 1.6))
         half = vector(*(away * between(rng, 0.12, 0.35) for _ in range(3)))
         low, high = centre - half, centre + half
@@ -116,7 +120,7 @@ def add_surrounding_houses(rng: Rng, scene: EnvironmentScene, away: float, lit: 
 
 
 def add_courtyard_walls(rng: Rng, scene: EnvironmentScene) -> None:
-    """Houses or walls close by, on up to four sides."""
+    """Add houses or walls close by, on up to four sides."""
     plain, height, bottom = draw_wall_finish(rng), between(rng, 2.5, 9), float(scene.low[1])
     for axis, sign in ((0, -1), (0, 1), (2, -1), (2, 1)):
         if chance(rng, 0.15):
@@ -131,23 +135,23 @@ def add_courtyard_walls(rng: Rng, scene: EnvironmentScene) -> None:
 
 
 def add_porch(rng: Rng, scene: EnvironmentScene) -> None:
-    """A roof or a bridge over the eye, on posts, sometimes with a wall."""
-    under, bottom, finish = between(rng, 0.8, 2.5), float(scene.low[1]), draw_wall_finish(rng)
-    wide = 20.0 if chance(rng, 0.3) else 7.0
-    x, z = (sorted(log_between(rng, 1.2, wide) * sign for sign in (-1, 1)) for _ in range(2))
-    scene.boxes.append(Box(vector(x[0], under, z[0]), vector(x[1], under + 0.3, z[1]), finish))
+    """Add a roof or a bridge over the eye, on posts, sometimes with a wall."""
+    underside, bottom, finish = between(rng, 0.8, 2.5), float(scene.low[1]), draw_wall_finish(rng)
+    reach = 20.0 if chance(rng, 0.3) else 7.0
+    x, z = (sorted(log_between(rng, 1.2, reach) * sign for sign in (-1, 1)) for _ in range(2))
+    scene.boxes.append(Box(vector(x[0], underside, z[0]), vector(x[1], underside + 0.3, z[1]), finish))
     for place in np.linspace(z[0] + 0.2, z[1] - 0.2, integer_between(rng, 2, 5)).tolist():
         for edge in x if chance(rng, 0.5) else x[:1]:
-            low, high = vector(edge - 0.15, bottom, place - 0.15), vector(edge + 0.15, under, place + 0.15)
+            low, high = vector(edge - 0.15, bottom, place - 0.15), vector(edge + 0.15, underside, place + 0.15)
             add_outdoor_box(scene, Box(low, high, finish))
     if chance(rng, 0.5):
         add_outdoor_box(
-            scene, Box(vector(x[0] - 0.4, bottom, z[0]), vector(x[0] - 0.1, under, z[1]), draw_wall_finish(rng))
+            scene, Box(vector(x[0] - 0.4, bottom, z[0]), vector(x[0] - 0.1, underside, z[1]), draw_wall_finish(rng))
         )
 
 
 def add_vehicles(rng: Rng, scene: EnvironmentScene, count: int, away: Range, along: bool = False) -> None:
-    """Boxes as large as cars and bins, at a distance from the range, or along the sides of a street."""
+    """Add boxes as large as cars and bins, at a distance in m from the range, or along the sides of a street."""
     for _ in range(count):
         bright = uniforms(rng, 3) if chance(rng, 0.3) else 1 + uniforms(rng, 3) * np.float32(0.15)
         colour = np.clip(bright * np.float32(log_between(rng, 0.03, 0.5)), 0.02, 0.8)
@@ -162,7 +166,7 @@ def add_vehicles(rng: Rng, scene: EnvironmentScene, count: int, away: Range, alo
 
 
 def add_garden_walls(rng: Rng, scene: EnvironmentScene, count: int) -> None:
-    """Garden walls, fences, hedges and sheds, straight, at some distance."""
+    """Add garden walls, fences, hedges and sheds, straight, at some distance."""
     bottom = float(scene.low[1])
     for _ in range(count):
         start, length, away = (
@@ -182,11 +186,11 @@ def add_garden_walls(rng: Rng, scene: EnvironmentScene, count: int) -> None:
 
 
 def add_paths(rng: Rng, scene: EnvironmentScene, count: int) -> None:
-    """Straight roads, paths or strips of another ground, flat."""
+    """Add straight roads, paths or strips of another ground, flat."""
     bottom = float(scene.low[1])
     for _ in range(count):
         colours = _GROUNDS[pick(rng, (*PAVED_GROUNDS, "dirt", "meadow"))]
-        finish = Finish(_between_colours(colours, between(rng, 0, 0.6)), vector(*colours[0]), size=between(rng, 3, 10))
+        finish = Finish(_mix_colours(colours, between(rng, 0, 0.6)), vector(*colours[0]), size=between(rng, 3, 10))
         start, width = between(rng, -15, 12), log_between(rng, 1, 9)
         low, high = vector(start, bottom - 1, -500), vector(start + width, bottom + 0.02, 500)
         if chance(rng, 0.3):
@@ -195,36 +199,37 @@ def add_paths(rng: Rng, scene: EnvironmentScene, count: int) -> None:
 
 
 def add_trees(rng: Rng, scene: EnvironmentScene, count: int, away: Range, radius: Range = (1.2, 3.5)) -> None:
-    """Trees at distances from the range, with crowns of radii from the range."""
+    """Add trees at distances in m from the range, with crowns of radii in m from the range."""
     for _ in range(count):
         x, _, z = (direction(0, between(rng, 0, math.tau)) * np.float32(log_between(rng, *away))).tolist()
-        _tree(rng, scene, x, z, between(rng, *radius))
+        _add_tree(rng, scene, x, z, between(rng, *radius))
 
 
-def _tree(rng: Rng, scene: EnvironmentScene, x: float, z: float, radius: float) -> None:
+def _add_tree(rng: Rng, scene: EnvironmentScene, x: float, z: float, radius: float) -> None:
+    """Add a tree, a crown on a trunk, at x and z in m."""
     radius = min(radius, 0.6 * math.hypot(x, z))
     top = float(scene.low[1]) + radius * between(rng, 1.2, 2.6)
-    scene.crowns.append(Crown(vector(x, top, z), radius, _leaves(rng)))
+    scene.crowns.append(Crown(vector(x, top, z), radius, _draw_leaf_colour(rng)))
     trunk = vector(0.06, 0, 0.06) * np.float32(1 + radius)
     bark = Finish(vector(0.09, 0.07, 0.05) * np.float32(between(rng, 0.5, 2)))
     add_outdoor_box(scene, Box(vector(x, scene.low[1], z) - trunk, vector(x, top, z) + trunk, bark))
 
 
 def add_bushes(rng: Rng, scene: EnvironmentScene, count: int, away: Range) -> None:
-    """Bushes at distances from the range."""
+    """Add bushes at distances in m from the range."""
     for _ in range(count):
         far = log_between(rng, *away)
         centre, radius = direction(0, between(rng, 0, math.tau)) * np.float32(far), min(between(rng, 0.5, 1.8), far / 2)
         centre[1] = scene.low[1] + 0.5 * radius
-        scene.crowns.append(Crown(centre, radius, _leaves(rng)))
+        scene.crowns.append(Crown(centre, radius, _draw_leaf_colour(rng)))
 
 
-def _leaves(rng: Rng) -> Field:
-    """Albedo [3] of foliage."""
+def _draw_leaf_colour(rng: Rng) -> Field:
+    """Draw the albedo [3] of foliage."""
     return vector(between(rng, 0.45, 1.0), 1, between(rng, 0.15, 0.5)) * np.float32(between(rng, 0.05, 0.14))
 
 
 def add_outdoor_box(scene: EnvironmentScene, box: Box) -> None:
-    """Put a box there unless the eye would be in it or close by."""
+    """Add a box unless the eye would be in it or less than 0.4 m from it."""
     if (np.maximum(box.low, -box.high)[[0, 2]] > 0.4).any():
         scene.boxes.append(box)

@@ -23,15 +23,16 @@ from data_tools.synthetic.environments.patterns import (
 from data_tools.synthetic.patterns.fields import smoothstep
 from data_tools.synthetic.random_values import Field, between, chance, log_between, pick
 
-# Perez' coefficients A to E: of luminance, of very clear air (turbidity 2) and from 5 on (the CIE's clear sky, type
-# 12); of the chromaticities x and y, slope over turbidity and offset (Preetham, Shirley & Smits 1999).
+# Perez' coefficients A to E for luminance, in very clear air (turbidity 2) and from turbidity 5 on (the CIE's clear
+# sky, type 12), and for the chromaticities x and y, as slope over turbidity and offset (Preetham, Shirley & Smits
+# 1999).
 _PEREZ_CLEAR, _PEREZ_HAZY = (-1.1056, -0.2833, 5.2797, -2.3359, 0.2363), (-1.0, -0.32, 10.0, -3.0, 0.45)
 _PEREZ_COLOUR = {
     "x": ((-0.0193, -0.0665, -0.0004, -0.0641, -0.0033), (-0.2592, 0.0008, 0.2125, -0.8989, 0.0452)),
     "y": ((-0.0167, -0.0950, -0.0079, -0.0441, -0.0109), (-0.2608, 0.0092, 0.2102, -1.6537, 0.0529)),
 }
-# Chromaticity of the zenith, from the same: rows are powers 2, 1, 0 of turbidity, columns powers 3 to 0 of the sun's
-# zenith angle.
+# Chromaticity of the zenith, by these authors, too: rows are powers 2, 1, 0 of turbidity, columns powers 3 to 0 of the
+# sun's zenith angle.
 _ZENITH = {
     "x": (
         (0.00166, -0.00375, 0.00209, 0),
@@ -44,8 +45,8 @@ _ZENITH = {
         (0.15346, -0.26756, 0.06670, 0.26688),
     ),
 }
-# Of the published luminance of the zenith and extinction by aerosols: later models have more sunlight for their
-# skylight.
+# Shares that are taken of the published luminance of the zenith and extinction by aerosols: later models have more
+# sunlight for their skylight.
 _SKY_SHARE, _AEROSOL_SHARE = 0.5, 0.5
 _SOLAR = 133.0 * np.array([1.02, 1.0, 0.96])  # irradiance outside the atmosphere, klx
 _WAVELENGTHS_UM = np.array([0.605, 0.55, 0.465])  # about where the primaries' light comes from
@@ -59,7 +60,8 @@ class Sky:
     Attributes:
         sun: direction of the sun's centre [3].
         sunlight: irradiance [3] in klx of the sun's disc on a surface that faces it, behind its clouds.
-        radiance: of directions [3, N], kcd/m^2 [3, N], without the sun's disc; below the horizon that of the horizon.
+        radiance: function from directions [3, N] to kcd/m^2 [3, N], without the sun's disc; below the horizon it
+            continues the horizon.
     """
 
     sun: Field
@@ -68,30 +70,33 @@ class Sky:
 
 
 def angles_between(sun: Field, rays: Field) -> Field:
-    """Angles [N] in rad between a direction [3] and others [3, N]."""
+    """Return the angles [N] in rad between a direction [3] and others [3, N]."""
     return np.arccos(np.clip(sun @ rays, -1, 1))
 
 
 def sun_irradiance(elevation_rad: float, turbidity: float) -> Field:
-    """Irradiance [3] in klx of the sun on a surface that faces it, after Rayleigh's and aerosols' extinction."""
+    """Return the irradiance [3] in klx of the sun on a surface that faces it.
+
+    Rayleigh scattering, aerosols and ozone have dimmed it.
+    """
     degrees = max(math.degrees(elevation_rad), 0.0)
-    mass = 1 / (math.sin(math.radians(degrees)) + 0.15 * (degrees + 3.885) ** -1.253)  # Kasten 1966
+    air_mass = 1 / (math.sin(math.radians(degrees)) + 0.15 * (degrees + 3.885) ** -1.253)  # Kasten 1966
     molecules = 0.008735 * _WAVELENGTHS_UM**-4.08
     aerosols = _AEROSOL_SHARE * (0.04608 * turbidity - 0.04586) * _WAVELENGTHS_UM**-1.3
-    above = min(1.0, max(0.0, elevation_rad / 0.0093 + 0.5))  # share of the disc
-    result: Field = (_SOLAR * above * np.exp(-mass * (molecules + aerosols + _OZONE))).astype(np.float32)
+    visible_share = min(1.0, max(0.0, elevation_rad / 0.0093 + 0.5))  # share of the disc above the horizon
+    result: Field = (_SOLAR * visible_share * np.exp(-air_mass * (molecules + aerosols + _OZONE))).astype(np.float32)
     return result
 
 
 def clear_sky(sun: Field, turbidity: float) -> Callable[[Field], Field]:
-    """Radiance of the cloudless daylight sky.
+    """Return the radiance of the cloudless daylight sky as a function of direction.
 
     Args:
-        sun: its direction [3]; one below the horizon counts as on it.
+        sun: direction of the sun [3]; one below the horizon counts as on it.
         turbidity: 1.9 (very clear) to 10 (hazy).
 
     Returns:
-        The radiance [3, N] in directions [3, N].
+        A function from directions [3, N] to radiance [3, N], kcd/m^2.
     """
     theta = min(math.acos(float(np.clip(sun[1], -1, 1))), math.radians(89))
     haze = min(max((turbidity - 2) / 3, 0.0), 1.0)
@@ -99,8 +104,8 @@ def clear_sky(sun: Field, turbidity: float) -> Callable[[Field], Field]:
     for name, (slope, offset) in _PEREZ_COLOUR.items():
         perez[name] = tuple(s * turbidity + o for s, o in zip(slope, offset, strict=True))
     chi = (4 / 9 - turbidity / 120) * (math.pi - 2 * theta)
-    bright = (4.0453 * turbidity - 4.9710) * math.tan(chi) - 0.2155 * turbidity + 2.4192
-    zenith = {"Y": _SKY_SHARE * max(bright, 0.1)}
+    zenith_luminance = (4.0453 * turbidity - 4.9710) * math.tan(chi) - 0.2155 * turbidity + 2.4192
+    zenith = {"Y": _SKY_SHARE * max(zenith_luminance, 0.1)}
     powers = np.array([theta**3, theta**2, theta, 1])
     for name, table in _ZENITH.items():
         zenith[name] = float(np.array([turbidity**2, turbidity, 1]) @ np.array(table) @ powers)
@@ -121,15 +126,17 @@ def clear_sky(sun: Field, turbidity: float) -> Callable[[Field], Field]:
 
 
 def day_sky(rng: Rng, elevation_rad: tuple[float, float] = (0.12, 1.25), clear_share: float = 0.45) -> Sky:
-    """A sky by day: clear, hazy or with broken clouds, the sun anywhere at a height from the range."""
+    """Draw a sky by day: clear, hazy or with broken clouds, the sun anywhere at an elevation from the range."""
     height = math.asin(between(rng, math.sin(elevation_rad[0]), math.sin(elevation_rad[1])))
     sun, turbidity = direction(height, between(rng, 0, math.tau)), log_between(rng, 1.9, 6.5)
-    sunlight, behind = sun_irradiance(height, turbidity), clear_sky(sun, turbidity)
-    glare, width = log_between(rng, 0.004, 0.08), log_between(rng, 0.03, 0.12)  # of the lens and of haze
+    sunlight, clear_radiance = sun_irradiance(height, turbidity), clear_sky(sun, turbidity)
+    glare, width = log_between(rng, 0.004, 0.08), log_between(rng, 0.03, 0.12)  # of the lens and haze; width in rad
     halo = sunlight * np.float32(glare / (math.tau * width**2))
 
     def radiance(rays: Field) -> Field:
-        result: Field = behind(rays) + halo[:, None] * np.exp(angles_between(sun, rays) * np.float32(-1 / width))
+        result: Field = clear_radiance(rays) + halo[:, None] * np.exp(
+            angles_between(sun, rays) * np.float32(-1 / width)
+        )
         return result
 
     sky = Sky(sun, sunlight, radiance)
@@ -137,11 +144,11 @@ def day_sky(rng: Rng, elevation_rad: tuple[float, float] = (0.12, 1.25), clear_s
 
 
 def add_clouds(rng: Rng, sky: Sky, cover: float) -> Sky:
-    """A sky with broken clouds before it, lit by its sun, which they may hide.
+    """Draw broken clouds before a sky, lit by its sun, which they may hide.
 
     Args:
-        rng: of the clouds.
-        sky: behind them.
+        rng: random numbers for the clouds.
+        sky: the sky behind them.
         cover: share of the sky that clouds hide, about.
     """
     low, soft = 1.3 - 3.2 * cover, between(rng, 0.7, 2)
@@ -150,36 +157,41 @@ def add_clouds(rng: Rng, sky: Sky, cover: float) -> Sky:
     cos, sin = math.cos(turn), math.sin(turn)
 
     def density(across: Field, along: Field) -> Field:
+        """Return how dense clouds are, 0 to 1, at coordinates [N] of the cloud layer."""
         u, v = (across * cos + along * sin) / size, (along * cos - across * sin) * (stretch / size)
         fine = look_up_noise("rough", 2.3 * u + second, 2.3 * v + first)
         return smoothstep(look_up_noise("cloud", u + first, v + second) + np.float32(0.35) * fine, low, low + soft)
 
-    def above(rays: Field) -> tuple[Field, Field]:
+    def layer_coordinates(rays: Field) -> tuple[Field, Field]:
+        """Return where rays [3, N] meet the cloud layer, across and along it, each [N]."""
         height = np.maximum(rays[1], 0) + np.float32(0.09)  # the earth is round
         return rays[0] / height, rays[2] / height
 
-    in_front = float(density(*above(sky.sun[:, None]))[0])
+    in_front = float(density(*layer_coordinates(sky.sun[:, None]))[0])
     ambient = sky.radiance(direction(0.9, turn)[:, None])
     shift = sky.sun[[0, 2]] * np.float32(0.02 * size / max(float(np.hypot(sky.sun[0], sky.sun[2])), 1e-3))
 
     def radiance(rays: Field) -> Field:
-        across, along = above(rays)
-        here, sunwards = density(across, along), density(across + shift[0], along + shift[1])
-        lit = np.exp(-0.8 * depth * np.maximum(sunwards - 0.3 * here, 0))
-        thin, gamma = np.exp(-0.5 * depth * here), angles_between(sky.sun, rays)
-        phase = 0.12 + 0.08 * gamma + 0.5 * thin * np.exp(-4 * gamma)
-        cloud = sky.sunlight[:, None] * (phase * (0.25 + 0.75 * lit) * (0.4 + 0.6 * thin))
-        cloud += ambient * (0.55 + 0.45 * thin)
-        near = np.exp(np.float32(-0.12) / np.maximum(rays[1], np.float32(0.01)))  # haze hides distant clouds
+        across, along = layer_coordinates(rays)
+        local_density, sunward_density = density(across, along), density(across + shift[0], along + shift[1])
+        lit = np.exp(-0.8 * depth * np.maximum(sunward_density - 0.3 * local_density, 0))
+        transmittance, gamma = np.exp(-0.5 * depth * local_density), angles_between(sky.sun, rays)
+        phase = 0.12 + 0.08 * gamma + 0.5 * transmittance * np.exp(-4 * gamma)
+        cloud = sky.sunlight[:, None] * (phase * (0.25 + 0.75 * lit) * (0.4 + 0.6 * transmittance))
+        cloud += ambient * (0.55 + 0.45 * transmittance)
+        nearness = np.exp(np.float32(-0.12) / np.maximum(rays[1], np.float32(0.01)))  # haze hides distant clouds
         clear = sky.radiance(rays)
-        result: Field = clear + (cloud - clear) * ((1 - np.exp(-depth * here)) * near)
+        result: Field = clear + (cloud - clear) * ((1 - np.exp(-depth * local_density)) * nearness)
         return result
 
     return Sky(sky.sun, sky.sunlight * np.float32(math.exp(-1.5 * depth * in_front)), radiance)
 
 
 def overcast_sky(rng: Rng) -> Sky:
-    """Closed clouds or fog: no disc, brighter to the zenith (the CIE's overcast sky) or even, and to the sun."""
+    """Draw closed clouds or fog, without the sun's disc.
+
+    They are brighter to the zenith (the CIE's overcast sky) or even, and brighter to the sun.
+    """
     sun = direction(between(rng, 0.15, 1.1), between(rng, 0, math.tau))
     zenith = log_between(rng, 1.0, 12.0) * float(sun[1]) ** 0.8
     colour = black_body_rgb(log_between(rng, 5800, 8500))[:, None] * np.float32(zenith)
@@ -203,7 +215,7 @@ def overcast_sky(rng: Rng) -> Sky:
 
 
 def night_sky(rng: Rng) -> Sky:
-    """The sky over a town at night, brighter at the horizon."""
+    """Draw the sky over a town at night, brighter at the horizon."""
     town = black_body_rgb(log_between(rng, 2000, 5000))[:, None] * np.float32(log_between(rng, 1e-4, 4e-3))
     zenith = black_body_rgb(log_between(rng, 7000, 16000))[:, None] * np.float32(log_between(rng, 5e-5, 2e-3))
 
@@ -215,5 +227,5 @@ def night_sky(rng: Rng) -> Sky:
 
 
 def black_sky() -> Sky:
-    """Nothing."""
+    """Return a sky that sends no light, for rooms without windows."""
     return Sky(vector(0, -1, 0), BLACK, np.zeros_like)

@@ -17,12 +17,17 @@ from data_tools.synthetic.environments.scene_geometry import (
 )
 from data_tools.synthetic.random_values import Field, Ids
 
-_TEXEL_RAD = 0.03  # about how far rays are apart
+_TEXEL_RAD = 0.03  # rad, about the angle between neighbouring texels
 _PANE_ALBEDO, _PANE_GLOSS = np.float32(0.03), np.float32(0.12)  # of a facade's windows
 
 
 def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tuple[Field, Field, Field]:
-    """Albedo [3, N], the share [N] that is mirrored straight ahead, and radiance of its own [3, N]; 0 beyond."""
+    """Return what hits of surfaces reflect and send.
+
+    Returns:
+        Albedo [3, N], the share [N] that is mirrored straight ahead, and radiance of lamps and lit windows [3, N]; all
+            0 where no surface is hit.
+    """
     albedo, gloss, glow = np.zeros_like(rays), np.zeros(rays.shape[1], np.float32), np.zeros_like(rays)
     finishes = [*scene.sides, *(box.finish for box in scene.boxes)]
     order = np.argsort(hits.surface, kind="stable")
@@ -33,7 +38,7 @@ def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tupl
             continue
         if crown < 0:
             finish = finishes[number]
-            albedo[:, members], panes, lit = _finished(finish, hits, rays, members)
+            albedo[:, members], panes, lit = _finish_properties(finish, hits, rays, members)
             gloss[members] = np.where(panes, _PANE_GLOSS, np.float32(finish.gloss))
             glow[:, members] = finish.lit[:, None] * lit
         elif lamp < 0:
@@ -45,31 +50,34 @@ def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tupl
     return np.clip(albedo, 0, 0.9), gloss, glow
 
 
-def _finished(finish: Finish, hits: Hits, rays: Field, members: Ids) -> tuple[Field, Mask, Mask]:
-    """Albedo [3, M] of one surface's hits, which are windows, and which are lit, both [M]."""
+def _finish_properties(finish: Finish, hits: Hits, rays: Field, members: Ids) -> tuple[Field, Mask, Mask]:
+    """Return the albedo [3, M] at hits of one surface, which of them are windows, and which are lit, both [M]."""
     place, normal = hits.place[:, members], hits.normal[:, members]
     axis, columns = np.abs(normal).argmax(0), np.arange(len(members))
-    across, along = (place[np.array(PLANE_AXES)[axis, which], columns] for which in (0, 1))
+    across, along = (place[np.array(PLANE_AXES)[axis, direction], columns] for direction in (0, 1))
     albedo = np.repeat(finish.colour[:, None], len(members), 1)
     if finish.other is not None:
         facing = np.maximum(np.abs((rays[:, members] * normal).sum(0)), np.float32(0.1))
         footprint = hits.distance[members] / facing * np.float32(_TEXEL_RAD / 0.12 / finish.size)
-        weight = 0.5 + (_pattern(finish, across, along) - 0.5) / (1 + footprint**2)  # no finer than texels
+        weight = 0.5 + (_pattern_weight(finish, across, along) - 0.5) / (1 + footprint**2)  # finer patterns fade
         albedo += (finish.other - finish.colour)[:, None] * weight
     if finish.panes is None:
-        none = np.zeros(len(members), np.bool_)
-        return albedo, none, none
+        no_windows = np.zeros(len(members), np.bool_)
+        return albedo, no_windows, no_windows
     row, column = along / np.float32(finish.panes[0]), across / np.float32(finish.panes[1])
-    apart = np.maximum(
-        *(np.abs(at % 1 - 0.5) / (share / 2) for at, share in zip((row, column), finish.glazed, strict=True))
+    pane_offset = np.maximum(
+        *(
+            np.abs(position % 1 - 0.5) / (share / 2)
+            for position, share in zip((row, column), finish.glazed, strict=True)
+        )
     )
-    panes = (apart < 1) & (axis != 1)
+    panes = (pane_offset < 1) & (axis != 1)
     lit = panes & (hash_numbers(np.floor(row) * 1009 + np.floor(column), 0.5) < 0.3)
     return np.where(panes, _PANE_ALBEDO, albedo), panes, lit
 
 
-def _pattern(finish: Finish, across: Field, along: Field) -> Field:
-    """How far a finish goes from its colour to the other, [N] in [0, 1]."""
+def _pattern_weight(finish: Finish, across: Field, along: Field) -> Field:
+    """Return the weight [N] in [0, 1] of a finish's other colour at places [N] across and along its surface."""
     across, along = across / np.float32(finish.size), along / np.float32(finish.size)
     if finish.pattern == "tiles":
         result: Field = (np.maximum(np.abs(across % 1 - 0.5), np.abs(along % 1 - 0.5)) > 0.46).astype(np.float32)
