@@ -1,4 +1,7 @@
-"""Patches that bear a design: ornaments, letters, labels, carpets, leather with seams."""
+"""Families of patches that bear a design: ornaments, labels, leather with seams, carpets.
+
+Each function `<family>(rng, size)` draws a patch of size x size texels.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,14 @@ from data_tools.synthetic.stationary.periodic_maps import draw_dye_colours, draw
 
 
 def frieze_distance(rng: Rng, along: Field, across: Field, period: float) -> Field:
-    """A band of ornament: distance, positive inside, of coordinates along it and across it (-1 .. 1 is the band)."""
+    """Return the distance to the outline of a band of ornament, positive inside.
+
+    Args:
+        rng: random numbers for the kind of ornament.
+        along: coordinates along the band.
+        across: coordinates across the band, which reaches from -1 to 1.
+        period: length along the band after which the ornament repeats.
+    """
     kind = pick(rng, ("beads", "waves", "meander", "leaves", "lines"))
     u = along / period
     u = u - np.floor(u) - np.float32(0.5)
@@ -86,7 +96,7 @@ def frieze_distance(rng: Rng, along: Field, across: Field, period: float) -> Fie
 
 
 def ornament(rng: Rng, size: int) -> PatchSurface:
-    """Carved, cast or chased relief of stone, wood or metal: motifs, friezes, inscriptions; gilt or with patina."""
+    """Draw a carved, cast or chased relief of stone, wood or metal: motifs, friezes, inscriptions; often gilt."""
     kind = pick(rng, ("metal", "metal", "stone", "wood", "painted"))
     if kind == "metal":
         base = bare_metal(rng, size, roughness=(0.15, 0.45))
@@ -98,16 +108,18 @@ def ornament(rng: Rng, size: int) -> PatchSurface:
     place = random_coordinates(rng, size, 0.5, 0.5)
     inside = np.full((size, size), -9, np.float32)
     for _ in range(integer_between(rng, 1, 3)):
-        there = place.moved(
+        motif_place = place.moved(
             between(rng, -0.6, 0.6), between(rng, -0.6, 0.6), between(rng, -0.4, 0.4), between(rng, 0.35, 0.9)
         )
-        inside = np.maximum(inside, motif_distance(rng, there) * there.unit)
+        inside = np.maximum(inside, motif_distance(rng, motif_place) * motif_place.unit)
     if chance(rng, 0.5):
-        half, at = between(rng, 0.1, 0.2), between(rng, 0.5, 0.9)
+        half_width, position = between(rng, 0.1, 0.2), between(rng, 0.5, 0.9)
         rail = np.abs(place.y) if chance(rng, 0.5) else place.y
-        band = frieze_distance(rng, place.x, (rail - at) / half, between(rng, 0.2, 0.5)) * (half * place.unit)
-        keep = (np.abs(rail - at) - half * 1.2) * place.unit
-        inside = np.maximum(np.minimum(inside, keep), np.where(keep < 0, band, -9))
+        band = frieze_distance(rng, place.x, (rail - position) / half_width, between(rng, 0.2, 0.5)) * (
+            half_width * place.unit
+        )
+        band_inside = (np.abs(rail - position) - half_width * 1.2) * place.unit
+        inside = np.maximum(np.minimum(inside, band_inside), np.where(band_inside < 0, band, -9))
     elif chance(rng, 0.5):
         inside = np.maximum(
             inside,
@@ -136,7 +148,7 @@ def ornament(rng: Rng, size: int) -> PatchSurface:
 
 
 def label(rng: Rng, size: int) -> PatchSurface:
-    """Stickers, prints and stencils on plastic, metal, board or wood: lines of text, bars, signs, torn corners."""
+    """Draw stickers, prints and stencils on plastic, metal, board or wood: lines of text, bars, signs, torn corners."""
     kind = pick(rng, ("plastic", "metal", "metal", "board", "wood"))
     if kind == "metal":
         surface = bare_metal(rng, size, GRAY_METALS)
@@ -147,7 +159,7 @@ def label(rng: Rng, size: int) -> PatchSurface:
         surface = paint_coat(rng, size) if kind == "plastic" else procedural_piece(rng, size, WOOD_FAMILIES)
     for _ in range(integer_between(rng, 1, 2)):
         place = random_coordinates(rng, size, 0.5, 0.4)
-        if chance(rng, 0.3):  # stencilled right on it
+        if chance(rng, 0.3):  # stencilled onto the surface itself
             ink = paint_coat(rng, size, roughness=(0.3, 0.7))
             half = between(rng, 0.3, 0.8)
             lines = (
@@ -155,12 +167,13 @@ def label(rng: Rng, size: int) -> PatchSurface:
             )
             surface = blend_surfaces(surface, ink._replace(height=surface.height), 0.9 * rim_coverage(lines))
         else:
-            surface = _sticker(rng, surface, place)
+            surface = _add_sticker(rng, surface, place)
     surface = add_random_wear(rng, surface)
     return add_scratches(rng, surface, integer_between(rng, 5, 40), 0.3) if chance(rng, 0.4) else surface
 
 
-def _sticker(rng: Rng, surface: PatchSurface, place: PatchCoordinates) -> PatchSurface:
+def _add_sticker(rng: Rng, surface: PatchSurface, place: PatchCoordinates) -> PatchSurface:
+    """Add a sticker with two designs to a surface."""
     size = surface.height.shape[-1]
     half_width, half_height = between(rng, 0.4, 0.95), between(rng, 0.3, 0.75)
     inside = box_distance(place, half_width, half_height, pick(rng, (0.0, 0.05, 0.15))) * place.unit
@@ -172,10 +185,10 @@ def _sticker(rng: Rng, surface: PatchSurface, place: PatchCoordinates) -> PatchS
         tones = draw_palette(rng, "f4f2ec e8e0cc ffffff d9a017 c03028", 1, 0.02)[[0, 0]] * np.array(
             [[1], [0.05]], np.float32
         )
-    tin = chance(rng, 0.25)
+    is_metal = chance(rng, 0.25)
     sheet = (
         bare_metal(rng, size, GRAY_METALS + WARM_METALS, (0.15, 0.35))
-        if tin
+        if is_metal
         else paint_coat(rng, size, tones[0], (0.1, 0.8))
     )
     sheet = sheet._replace(height=0.3 * sheet.height + between(rng, 0.0, 0.7) * blur_mirrored(surface.height, 1.5))
@@ -186,54 +199,60 @@ def _sticker(rng: Rng, surface: PatchSurface, place: PatchCoordinates) -> PatchS
     )
     split = between(rng, -0.5, 0.5) * half_height
     upper, lower = place.moved(0, (split - half_height) / 2), place.moved(0, (split + half_height) / 2)
-    for there, half in ((upper, (half_height + split) * 0.4), (lower, (half_height - split) * 0.4)):
+    for design_place, half in ((upper, (half_height + split) * 0.4), (lower, (half_height - split) * 0.4)):
         width, kind = half_width * 0.85, pick(rng, ("text", "text", "bars", "sign", "block"))
         if kind == "text":
-            drawn = text_distance(
+            design = text_distance(
                 rng,
-                there,
+                design_place,
                 width,
                 half,
                 min(integer_between(rng, 1, 4), max(1, int(half / 0.09))),
                 between(rng, 0.14, 0.26),
             )
         elif kind == "bars":
-            bars = uniforms(rng, 4096)[np.floor(there.x * 40).astype(np.int64) % 4096] - 0.5
-            drawn = np.minimum(bars * 0.1, box_distance(there, width, half))
+            bars = uniforms(rng, 4096)[np.floor(design_place.x * 40).astype(np.int64) % 4096] - 0.5
+            design = np.minimum(bars * 0.1, box_distance(design_place, width, half))
         elif kind == "sign":
-            drawn = motif_distance(rng, there.moved(between(rng, -0.4, 0.4) * width, 0, 0, max(half, 0.1))) * max(
-                half, 0.1
-            )
+            design = motif_distance(
+                rng, design_place.moved(between(rng, -0.4, 0.4) * width, 0, 0, max(half, 0.1))
+            ) * max(half, 0.1)
         else:
             number = integer_between(rng, 0, 24)
-            hollow = letter_distance(there.moved(0, 0, 0, max(half * 0.8, 0.1)), number, 0.22) * max(half * 0.8, 0.1)
-            drawn = np.minimum(box_distance(there, width, half), -hollow)
-        sheet = blend_surfaces(sheet, ink, rim_coverage(drawn * place.unit))
+            hollow = letter_distance(design_place.moved(0, 0, 0, max(half * 0.8, 0.1)), number, 0.22) * max(
+                half * 0.8, 0.1
+            )
+            design = np.minimum(box_distance(design_place, width, half), -hollow)
+        sheet = blend_surfaces(sheet, ink, rim_coverage(design * place.unit))
     if chance(rng, 0.4):
         sheet = blend_surfaces(sheet, ink, rim_coverage(outline_distance(inside - 3, 0.8)))
-    torn = cloud_noise(rng, size, 2.5, 1.4) - between(rng, 0.8, 2.2)
+    tear_field = cloud_noise(rng, size, 2.5, 1.4) - between(rng, 0.8, 2.2)
     if chance(rng, 0.5):
-        inside = np.minimum(inside, -torn * 8)
+        inside = np.minimum(inside, -tear_field * 8)
     curl = between(rng, 0, 1.5) * np.exp(-np.clip(inside, 0, 40) / 3) * smoothstep(cloud_noise(rng, size, 2, 2), 0, 1)
-    plate = between(rng, 1.0, 2.5) if tin else between(rng, 0.25, 0.9)
-    return lay_surface(surface, add_relief(sheet, curl), inside, plate, between(rng, 0.7, 1.5))
+    thickness = between(rng, 1.0, 2.5) if is_metal else between(rng, 0.25, 0.9)
+    return lay_surface(surface, add_relief(sheet, curl), inside, thickness, between(rng, 0.7, 1.5))
 
 
 def stitched(rng: Rng, size: int) -> PatchSurface:
-    """Panels of leather or heavy cloth sewn together, quilted, with studs: seams sink in, threads stand out."""
+    """Draw panels of leather or heavy cloth sewn together, quilted, with studs: seams sink in, threads stand out."""
     hides = [procedural_piece(rng, size, ("leather",) if chance(rng, 0.8) else CLOTH_FAMILIES) for _ in range(2)]
     if chance(rng, 0.5):
-        hides = [each._replace(roughness=each.roughness - between(rng, 0.05, 0.3)) for each in hides]
+        hides = [hide._replace(roughness=hide.roughness - between(rng, 0.05, 0.3)) for hide in hides]
     place = random_coordinates(rng, size, 0.6, 0.3)
     bend = between(rng, 0, 0.3) * np.sin(place.y * between(rng, 0.5, 2) + between(rng, 0, 6))
     line = (place.x + bend) * place.unit
     quilted = chance(rng, 0.4)
     if quilted:
-        wide = between(rng, 0.4, 0.9)
-        cells = panel_grid(place.moved(0, 0, pick(rng, (0.0, math.pi / 4))), wide, wide * pick(rng, (1.0, 1.0, 3.0)))
+        field_width = between(rng, 0.4, 0.9)
+        cells = panel_grid(
+            place.moved(0, 0, pick(rng, (0.0, math.pi / 4))), field_width, field_width * pick(rng, (1.0, 1.0, 3.0))
+        )
         seam: Field = cells.inside * place.unit
         surface = blend_surfaces(hides[0], hides[1], float(chance(rng, 0.3)) * ((cells.column + cells.row) % 2 == 0))
-        along: Field = np.where(wide / 2 - np.abs(cells.u) < seam / place.unit + 1e-3, cells.v, cells.u) * place.unit
+        along: Field = (
+            np.where(field_width / 2 - np.abs(cells.u) < seam / place.unit + 1e-3, cells.v, cells.u) * place.unit
+        )
         pillow = between(rng, 2, 6) * (1 - np.exp(-seam / between(rng, 3, 10)))
         rows = [seam]
     else:
@@ -241,8 +260,8 @@ def stitched(rng: Rng, size: int) -> PatchSurface:
         seam = np.abs(line)
         along = place.y * place.unit
         pillow = between(rng, 0.8, 3.5) * (1 - np.exp(-seam / between(rng, 2, 7)))
-        away = between(rng, 3, 7)
-        rows = [np.abs(seam - away)] if chance(rng, 0.7) else [np.abs(line - away)]
+        row_distance = between(rng, 3, 7)
+        rows = [np.abs(seam - row_distance)] if chance(rng, 0.7) else [np.abs(line - row_distance)]
     crease = np.exp(-((seam / 1.0) ** 2))
     surface = tint_surface(add_relief(surface, pillow - crease), 1 - 0.5 * crease)
     thread = paint_coat(rng, size, roughness=(0.35, 0.8))
@@ -271,7 +290,7 @@ def stitched(rng: Rng, size: int) -> PatchSurface:
 
 
 def carpet(rng: Rng, size: int) -> PatchSurface:
-    """Carpets, brocades and embroideries: a ground, a border, motifs in pile or in thread, the floor at the edge."""
+    """Draw carpets, brocades and embroideries: ground, border, motifs in pile or thread, and the floor at the edge."""
     place = random_coordinates(rng, size, 0.9, 0.4, between(rng, 0.8, 1.3))
     tones = (
         draw_dye_colours(rng, 4)
@@ -280,7 +299,7 @@ def carpet(rng: Rng, size: int) -> PatchSurface:
     )
     half_width, half_height = between(rng, 0.8, 1.5), between(rng, 0.7, 1.3)
     inside = box_distance(place, half_width, half_height)
-    wide = between(rng, 0.2, 0.35)
+    border_width = between(rng, 0.2, 0.35)
     zones = np.zeros((size, size), np.int64)
     repeat = panel_grid(place, between(rng, 0.35, 0.8), between(rng, 0.35, 0.8), pick(rng, (0.0, 0.5)))
     zones[motif_distance(rng, PatchCoordinates(repeat.u * 4, repeat.v * 4, place.unit / 4)) > 0] = 1
@@ -290,14 +309,20 @@ def carpet(rng: Rng, size: int) -> PatchSurface:
     if chance(rng, 0.6):
         zones[medal > 0] = 2
         zones[outline_distance(medal, 0.06) > 0] = 3
-    border = inside < wide
+    border = inside < border_width
     zones[border] = 2
     side = np.abs(place.x) / half_width > np.abs(place.y) / half_height
-    run = np.where(side, place.y, place.x)
-    zones[border & (frieze_distance(rng, run, (inside - wide / 2) / (wide / 2), between(rng, 0.2, 0.4)) > 0)] = (
-        integer_between(rng, 0, 1)
-    )
-    zones[np.abs(inside - wide) < 0.03] = 3
+    rim_coordinate = np.where(side, place.y, place.x)
+    zones[
+        border
+        & (
+            frieze_distance(
+                rng, rim_coordinate, (inside - border_width / 2) / (border_width / 2), between(rng, 0.2, 0.4)
+            )
+            > 0
+        )
+    ] = integer_between(rng, 0, 1)
+    zones[np.abs(inside - border_width) < 0.03] = 3
     knots = between(rng, 40, 64)
     cells = panel_grid(place, 2 / knots, 2 / knots * between(rng, 1, 2), 0.5)
     fluff = cloud_noise(rng, size, 25, 0.6)
@@ -310,21 +335,21 @@ def carpet(rng: Rng, size: int) -> PatchSurface:
         gold = bare_metal(rng, size, ("gold", "silver", "copper"), (0.3, 0.5))
         silk = rug._replace(roughness=np.full((size, size), between(rng, 0.3, 0.45), np.float32))
         ribs = 0.4 * np.sin((place.x + place.y) * between(rng, 40, 90))
-        over = add_relief((gold if chance(rng, 0.5) else silk)._replace(height=0.5 * pile), ribs + 0.6)
+        threads = add_relief((gold if chance(rng, 0.5) else silk)._replace(height=0.5 * pile), ribs + 0.6)
         rug = blend_surfaces(
-            rug, over, rim_coverage(blur_mirrored((zones == integer_between(rng, 1, 3)) - np.float32(0.5), 0.5) * 3)
+            rug, threads, rim_coverage(blur_mirrored((zones == integer_between(rng, 1, 3)) - np.float32(0.5), 0.5) * 3)
         )
     else:
         lift = blur_mirrored((zones > 0).astype(np.float32), 0.8)
         rug = add_relief(rug, between(rng, -0.8, 1.5) * lift)
     floor = procedural_piece(rng, size, STONE_FAMILIES + WOOD_FAMILIES * 3)
     floor = varnish_surface(floor, between(rng, 0.12, 0.4), 0.7)
-    fringe = np.where(np.abs(np.sin(run * between(rng, 25, 45))) > 0.4, inside + 0.12, inside)
+    fringe = np.where(np.abs(np.sin(rim_coordinate * between(rng, 25, 45))) > 0.4, inside + 0.12, inside)
     shade = 1 - 0.5 * smoothstep(inside * place.unit, -8, 0)
     surface = lay_surface(
         tint_surface(floor, shade), rug, np.where(side, inside, fringe) * place.unit, between(rng, 1.2, 3), 2
     )
-    if chance(rng, 0.5):  # trodden
+    if chance(rng, 0.5):  # worn where people walk
         trodden = smoothstep(cloud_noise(rng, size, 1.5, 1.8), 0.3, 1.2) * (inside > 0)
         surface = surface._replace(
             diffuse=surface.diffuse * (1 - 0.3 * trodden),

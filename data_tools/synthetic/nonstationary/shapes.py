@@ -1,6 +1,6 @@
 """Positions on a patch: turned and shifted places, outlines as distances, grids of panels, motifs, letters.
 
-Distances are in the units of their place, positive inside; times `Place.unit` they are in texels.
+Distances are in the units of their place, positive inside; times `PatchCoordinates.unit` they are in texels.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class PatchCoordinates(NamedTuple):
     unit: float
 
     def moved(self, x: float, y: float, angle_rad: float = 0.0, zoom: float = 1.0) -> PatchCoordinates:
-        """The place whose origin lies at (x, y) here, turned by an angle, its unit `zoom` of the units here."""
+        """Return coordinates whose origin is at (x, y) here, turned by an angle, with units `zoom` times as long."""
         cos, sin = math.cos(angle_rad) / zoom, math.sin(angle_rad) / zoom
         dx, dy = self.x - np.float32(x), self.y - np.float32(y)
         return PatchCoordinates(dx * cos + dy * sin, dy * cos - dx * sin, self.unit * zoom)
 
 
 def patch_coordinates(size: int) -> PatchCoordinates:
-    """The patch itself: from -1 to 1, y downwards."""
+    """Return coordinates from -1 to 1 over the whole patch, y downwards."""
     x, y = texel_centres(size)
     return PatchCoordinates(2 * x - 1, 2 * y - 1, size / 2)
 
@@ -46,29 +46,35 @@ def patch_coordinates(size: int) -> PatchCoordinates:
 def random_coordinates(
     rng: Rng, size: int, reach: float = 0.6, upright: float = 0.3, zoom: float = 1.0
 ) -> PatchCoordinates:
-    """A place about the patch's middle or up to `reach` half sides from it, at any angle but in `upright` of draws."""
+    """Draw coordinates whose origin is up to `reach` half sides from the patch's middle, at any angle.
+
+    In the share `upright` of draws, their axes are parallel to the patch's sides.
+    """
     angle = pick(rng, (0.0, math.pi / 2, -math.pi / 2, math.pi)) if chance(rng, upright) else between(rng, 0, math.tau)
     return patch_coordinates(size).moved(between(rng, -reach, reach), between(rng, -reach, reach), angle, zoom)
 
 
 def disc_distance(place: PatchCoordinates, radius: float) -> Field:
-    """A disc about the origin."""
+    """Return the distance to the rim of a disc about the origin, positive inside."""
     return radius - np.hypot(place.x, place.y)
 
 
 def box_distance(place: PatchCoordinates, half_width: float, half_height: float, corner: float = 0.0) -> Field:
-    """A rectangle about the origin, its corners rounded."""
+    """Return the distance to the rim of a rectangle about the origin, positive inside.
+
+    The corners are rounded with the radius `corner`.
+    """
     dx, dy = np.abs(place.x) - (half_width - corner), np.abs(place.y) - (half_height - corner)
     return corner - np.hypot(np.maximum(dx, 0), np.maximum(dy, 0)) - np.minimum(np.maximum(dx, dy), 0)
 
 
 def outline_distance(inside: Field, half_width: float) -> Field:
-    """A band on both sides of an outline."""
+    """Return the distance to the rim of a band along both sides of an outline, positive inside."""
     return half_width - np.abs(inside)
 
 
 def segment_distance(place: PatchCoordinates, start: tuple[float, float], end: tuple[float, float]) -> Field:
-    """Distance to a straight line between two points, >= 0 everywhere."""
+    """Return the distance to a straight line between two points, >= 0 everywhere."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     px, py = place.x - np.float32(start[0]), place.y - np.float32(start[1])
     along = np.clip((px * dx + py * dy) / (dx * dx + dy * dy), 0, 1)
@@ -76,7 +82,10 @@ def segment_distance(place: PatchCoordinates, start: tuple[float, float], end: t
 
 
 def star_distance(place: PatchCoordinates, points: int, radius: float, depth: float, round_off: float = 0.0) -> Field:
-    """A star (depth up to 0.7), a polygon (depth 0) or a flower (round_off 1) of so many points; about its distance."""
+    """Return about the distance to the rim of a star, a polygon or a flower about the origin, positive inside.
+
+    A depth of 0 makes a polygon, up to 0.7 a star of so many points; `round_off` 1 makes a flower.
+    """
     angle, reach = np.arctan2(place.y, place.x), np.hypot(place.x, place.y)
     turn = np.abs(((angle * points / math.tau) % 1) - 0.5) * 2  # 0 at a point, 1 between two
     half = math.pi / points
@@ -90,7 +99,7 @@ def star_distance(place: PatchCoordinates, points: int, radius: float, depth: fl
 
 
 def motif_distance(rng: Rng, place: PatchCoordinates) -> Field:
-    """One of many ornaments within about a unit of the origin: distance, positive inside."""
+    """Draw an ornament within about a unit of the origin, and return the distance to its rim, positive inside."""
     kind = pick(rng, ("rosette", "rosette", "star", "rings", "letter", "letter", "lozenges", "spiral", "cross"))
     if kind == "letter":
         return (
@@ -130,7 +139,10 @@ def motif_distance(rng: Rng, place: PatchCoordinates) -> Field:
 
 
 def letter_distance(place: PatchCoordinates, number: int, half_width: float = 0.15) -> Field:
-    """A capital letter within about a unit of the origin, its lines so wide."""
+    """Return the distance to the rim of a capital letter within about a unit of the origin, positive inside.
+
+    The letter's strokes are twice `half_width` wide.
+    """
     nearest = np.full(place.x.shape, 9, np.float32)
     for line in _GLYPHS[number % len(_GLYPHS)].split(","):
         points = [((int(key) - 1) % 3 * 0.6 - 0.6, 0.9 - (int(key) - 1) // 3 * 0.9) for key in line]
@@ -142,46 +154,51 @@ def letter_distance(place: PatchCoordinates, number: int, half_width: float = 0.
 def text_distance(
     rng: Rng, place: PatchCoordinates, half_width: float, half_height: float, rows: float, weight: float = 0.15
 ) -> Field:
-    """Ragged lines of letters in a box about the origin.
+    """Draw ragged lines of letters in a box about the origin, and return the distance to their rims, positive inside.
 
     Args:
-        rng: of letters, spaces and the lengths of lines.
-        place: its position.
-        half_width: of the box.
-        half_height: of the box.
-        rows: how many lines.
+        rng: random numbers for letters, spaces and the lengths of lines.
+        place: coordinates of the box.
+        half_width: half the width of the box.
+        half_height: half the height of the box.
+        rows: number of lines.
         weight: half the width of strokes, over half the height of letters.
     """
     pitch = 2 * half_height / rows
     row = np.floor((place.y + half_height) / pitch)
     column = np.floor((place.x + half_width) / (pitch * 0.6))
-    kinds = integer_between(rng, 6, 12)
+    letter_count = integer_between(rng, 6, 12)
     start = integer_between(rng, 0, len(_GLYPHS) - 1)
     count = max(1, int(2 * half_width / (pitch * 0.6)))
     lines = max(1, int(rows))
     lengths = (count * (1 - between(rng, 0, 0.6) * uniforms(rng, lines))).astype(np.int64)
-    drawn = np.where(uniforms(rng, lines, count) < 0.85, (uniforms(rng, lines, count) * kinds).astype(np.int64), -1)
+    letter_numbers = np.where(
+        uniforms(rng, lines, count) < 0.85, (uniforms(rng, lines, count) * letter_count).astype(np.int64), -1
+    )
     within = (row >= 0) & (row < lines) & (column >= 0) & (column < count)
-    r, c = np.clip(row, 0, lines - 1).astype(np.int64), np.clip(column, 0, count - 1).astype(np.int64)
-    which = np.where(within & (c < lengths[r]), drawn[r, c], -1)
+    row_index, column_index = (
+        np.clip(row, 0, lines - 1).astype(np.int64),
+        np.clip(column, 0, count - 1).astype(np.int64),
+    )
+    letter = np.where(within & (column_index < lengths[row_index]), letter_numbers[row_index, column_index], -1)
     scale = pitch * 0.36
     px = (place.x + half_width - (column + 0.5) * (pitch * 0.6)) / scale
     py = (place.y + half_height - (row + 0.5) * pitch) / scale
     inside = np.full(place.x.shape, -1, np.float32)
-    for number in range(kinds):
-        here = which == number
-        inside[here] = letter_distance(PatchCoordinates(px[here], py[here], 1), start + number, weight)
+    for number in range(letter_count):
+        shown = letter == number
+        inside[shown] = letter_distance(PatchCoordinates(px[shown], py[shown], 1), start + number, weight)
     return inside * np.float32(scale)
 
 
 class PanelGrid(NamedTuple):
-    """Panels in rows.
+    """A grid of panels in rows.
 
     Attributes:
-        column, row: numbers [S, S].
-        u, v: from a panel's middle [S, S], in the units of its place.
+        column, row: numbers [S, S] of the panel.
+        u, v: coordinates [S, S] from a panel's middle, in the units of its place.
         inside: distance [S, S] to the panel's rim.
-        cell: identity [S, S], 0 .. total - 1.
+        cell: identity [S, S] of the panel, 0 .. total - 1.
         total: number of panels.
     """
 
@@ -197,21 +214,23 @@ class PanelGrid(NamedTuple):
 def panel_grid(
     place: PatchCoordinates, width: float, height: float, shift: float = 0.0, corner: float = 0.0
 ) -> PanelGrid:
-    """Panels of this width and height all over, each row shifted against the one before by a share of the width."""
+    """Return panels of a width and a height all over; a share of the width shifts each row against the row before."""
     row = np.floor(place.y / height).astype(np.int64)
     along = place.x / width + np.float32(shift) * row
     column = np.floor(along).astype(np.int64)
     u = ((along - column - 0.5) * width).astype(np.float32)
     v = ((place.y / height - row - 0.5) * height).astype(np.float32)
     inside = box_distance(PatchCoordinates(u, v, place.unit), width / 2, height / 2, corner)
-    i, j = column - column.min(), row - row.min()
-    wide = int(i.max()) + 1
-    return PanelGrid(column, row, u, v, inside, j * wide + i, wide * (int(j.max()) + 1))
+    column_index, row_index = column - column.min(), row - row.min()
+    column_count = int(column_index.max()) + 1
+    return PanelGrid(
+        column, row, u, v, inside, row_index * column_count + column_index, column_count * (int(row_index.max()) + 1)
+    )
 
 
 def random_panel_grid(
     rng: Rng, place: PatchCoordinates, width: tuple[float, float], aspect: tuple[float, float]
 ) -> PanelGrid:
-    """A grid in one of the common bonds, its origin anywhere."""
-    wide = log_between(rng, *width)
-    return panel_grid(place, wide, wide / log_between(rng, *aspect), pick(rng, (0.0, 0.0, 0.5, 0.33)))
+    """Draw a grid in one of the common bonds, its origin that of `place`."""
+    panel_width = log_between(rng, *width)
+    return panel_grid(place, panel_width, panel_width / log_between(rng, *aspect), pick(rng, (0.0, 0.0, 0.5, 0.33)))

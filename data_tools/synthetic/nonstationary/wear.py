@@ -1,4 +1,7 @@
-"""Patches that time has been at: rust, flaking paint, puddles, stains, tracks, scratches, plaster that falls off."""
+"""Families of patches that time has changed: rust, flaking paint, puddles, stains, tracks, scratches, falling plaster.
+
+Each function `<family>(rng, size)` draws a patch of size x size texels.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,7 @@ _EARTHS = "8a6f4d 6b4a32 4e3b2a b5a18a 94826a 5c5349"
 
 
 def corroded(rng: Rng, size: int) -> PatchSurface:
-    """Bare or painted metal that rusts, more on one side than on the other, dented and streaked."""
+    """Draw bare or painted metal that rusts, more on one side than on the other, dented and streaked."""
     bare = bare_metal(rng, size, GRAY_METALS if chance(rng, 0.6) else WARM_METALS, (0.15, 0.45))
     surface = add_relief(paint_coat(rng, size), 0.5 * bare.height) if chance(rng, 0.35) else bare
     surface = add_dents(rng, surface, integer_between(rng, 0, 6))
@@ -73,7 +76,7 @@ def corroded(rng: Rng, size: int) -> PatchSurface:
 
 
 def flaking(rng: Rng, size: int) -> PatchSurface:
-    """Coats of paint that crack, curl and fall off metal, wood or plaster, one coat below the other."""
+    """Draw coats of paint that crack, curl and fall off metal, wood or plaster, one coat below the other."""
     kind = pick(rng, ("metal", "metal", "wood", "plaster"))
     if kind == "metal":
         under = bare_metal(rng, size, GRAY_METALS, (0.2, 0.5))
@@ -81,7 +84,7 @@ def flaking(rng: Rng, size: int) -> PatchSurface:
     else:
         under = procedural_piece(rng, size, WOOD_FAMILIES if kind == "wood" else ("grain", "bricks"), (0.5, 0.9))
     frequency = log_between(rng, 1.0, 2.5)
-    where = (
+    bareness = (
         cloud_noise(rng, size, frequency, between(rng, 1.5, 2.3))
         + between(rng, 0, 0.6) * random_coordinates(rng, size).x
     )
@@ -90,20 +93,22 @@ def flaking(rng: Rng, size: int) -> PatchSurface:
     level = between(rng, -0.7, 0.7)
     for coat in range(integer_between(rng, 1, 2)):
         # Flakes break along the cracks: what falls is a cell rather than a blotch.
-        edge = where + between(rng, 0.1, 0.9) * (ridges(cells.edge, 0.08) - 0.4) + 0.2 * cloud_noise(rng, size, 7, 1.6)
+        edge = (
+            bareness + between(rng, 0.1, 0.9) * (ridges(cells.edge, 0.08) - 0.4) + 0.2 * cloud_noise(rng, size, 7, 1.6)
+        )
         inside = -distance_to_zero(blur_mirrored(edge - level + 0.45 * coat, 0.6))
         skin = paint_coat(rng, size, roughness=(0.12, 0.55))
         skin = add_relief(skin, between(rng, 0.2, 0.9) * blur_mirrored(under.height, 1.5))
-        near = smoothstep(where, level - 1.8, level)
-        crack = smoothstep(cells.edge, between(rng, 0.02, 0.07), 0.0) * near
-        curl = between(rng, 0, 1.6) * np.exp(-np.clip(inside, 0, 30) / between(rng, 1.5, 4)) * near
+        edge_nearness = smoothstep(bareness, level - 1.8, level)
+        crack = smoothstep(cells.edge, between(rng, 0.02, 0.07), 0.0) * edge_nearness
+        curl = between(rng, 0, 1.6) * np.exp(-np.clip(inside, 0, 30) / between(rng, 1.5, 4)) * edge_nearness
         skin = tint_surface(add_relief(skin, curl - 0.8 * crack), 1 - 0.6 * crack)
         under = lay_surface(under, skin, inside, between(rng, 0.5, 1.6), between(rng, 0.6, 1.5))
     return add_random_wear(rng, under) if chance(rng, 0.6) else add_dirt(rng, under, between(rng, 0, 0.5))
 
 
 def puddles(rng: Rng, size: int) -> PatchSurface:
-    """Uneven ground after rain: water in the low parts, wet rims, dry rises."""
+    """Draw uneven ground after rain: water in the low parts, wet rims, dry rises."""
     ground = procedural_piece(rng, size, GROUND_FAMILIES)
     swell = cloud_noise(rng, size, log_between(rng, 1.0, 2.5), between(rng, 2.4, 3.4))
     ground = ground._replace(height=np.clip(ground.height, -2.5, 2.5) * between(rng, 0.4, 1.0))
@@ -121,7 +126,7 @@ def puddles(rng: Rng, size: int) -> PatchSurface:
 
 
 def stains(rng: Rng, size: int) -> PatchSurface:
-    """Cloth, wood, stone, paper or lacquer that much was spilled on."""
+    """Draw cloth, wood, stone, paper or lacquer that much was spilled on."""
     kind = pick(rng, ("cloth", "wood", "stone", "paper", "paint", "metal"))
     if kind == "paper":
         surface = plain_material(rng, size, "e8e0cc d9c9a8 c9b58a f2ede0", (0.7, 0.9), 0.15)
@@ -146,19 +151,19 @@ def stains(rng: Rng, size: int) -> PatchSurface:
 
 
 def tracks(rng: Rng, size: int) -> PatchSurface:
-    """Paths worn into floors, tyres over earth or asphalt, skid marks: bands across the patch."""
+    """Draw bands across the patch: paths worn into floors, tyres over earth or asphalt, skid marks."""
     place = random_coordinates(rng, size, 0.6)
-    bend = place.x + between(rng, 0, 0.3) * np.sin(place.y * between(rng, 0.8, 2.5) + between(rng, 0, 6))
-    half = between(rng, 0.2, 0.45)
-    inside = (half - np.abs(bend) + 0.04 * cloud_noise(rng, size, 5, 2.2)) * place.unit
+    across = place.x + between(rng, 0, 0.3) * np.sin(place.y * between(rng, 0.8, 2.5) + between(rng, 0, 6))
+    half_width = between(rng, 0.2, 0.45)
+    inside = (half_width - np.abs(across) + 0.04 * cloud_noise(rng, size, 5, 2.2)) * place.unit
     if chance(rng, 0.45):  # a tyre's profile, pressed in
         ground = plain_material(rng, size, _EARTHS + " d8dde0 e8ecee", (0.75, 0.95), between(rng, 0.3, 0.8))
         ground = blend_surfaces(
             ground, procedural_piece(rng, size, ("gravel", "cracks", "grain")), 0.5 * chance(rng, 0.5)
         )
         lugs = panel_grid(
-            place._replace(x=bend, y=place.y + between(rng, -0.8, 0.8) * np.abs(bend)),
-            half / 2,
+            place._replace(x=across, y=place.y + between(rng, -0.8, 0.8) * np.abs(across)),
+            half_width / 2,
             between(rng, 0.12, 0.3),
         )
         pressed = (
@@ -183,11 +188,11 @@ def tracks(rng: Rng, size: int) -> PatchSurface:
     )
     if chance(rng, 0.3):
         worn = add_scratches(rng, worn, integer_between(rng, 20, 60), 0.4)
-    trough = smoothstep(half - np.abs(bend), -0.15, 0.2)
+    trough = smoothstep(half_width - np.abs(across), -0.15, 0.2)
     flat = mix(worn.height, 0.35 * blur_mirrored(worn.height, 1.0) - between(rng, 0.3, 2.0), trough)
     surface = blend_surfaces(ground, worn, share)._replace(height=flat)
     if chance(rng, 0.3):  # rubber of tyres
-        skid = rim_coverage(outline_distance(bend, half * 0.6) * place.unit) * smoothstep(
+        skid = rim_coverage(outline_distance(across, half_width * 0.6) * place.unit) * smoothstep(
             cloud_noise(rng, size, 8, 0.9), -1.5, 0.8
         )
         surface = tint_surface(surface, 1 - 0.8 * skid)
@@ -196,7 +201,7 @@ def tracks(rng: Rng, size: int) -> PatchSurface:
 
 
 def scratches(rng: Rng, size: int) -> PatchSurface:
-    """Polished metal, lacquer, plastic or stone in use: scratches, dents, fingerprints, smears."""
+    """Draw polished metal, lacquer, plastic or stone in use: scratches, dents, fingerprints, smears."""
     kind = pick(rng, ("metal", "metal", "paint", "stone", "wood"))
     if kind == "metal":
         surface = bare_metal(rng, size, roughness=(0.1, 0.3))
@@ -226,38 +231,40 @@ def scratches(rng: Rng, size: int) -> PatchSurface:
 
 
 def overgrown(rng: Rng, size: int) -> PatchSurface:
-    """One thing over another: plaster off bricks, moss, sand, snow or leaves on stone, tiles of wood under concrete."""
+    """Draw one material over another: plaster off bricks, or moss, sand, snow or any other material on stone."""
     kind = pick(rng, ("plaster", "plaster", "moss", "sand", "snow", "any"))
-    under = procedural_piece(
+    lower = procedural_piece(
         rng, size, {"plaster": ("bricks",), "any": GROUND_FAMILIES + STONE_FAMILIES}.get(kind, GROUND_FAMILIES)
     )
-    where = (
+    growth = (
         cloud_noise(rng, size, log_between(rng, 1.2, 3), between(rng, 1.2, 2.2))
         + between(rng, 0, 0.8) * random_coordinates(rng, size).x
     )
     if kind in ("moss", "sand", "snow"):  # they settle in joints first
-        low = -scale_to_unit_deviation(under.height - blur_mirrored(under.height, 6))
-        where = where + between(rng, 0.5, 1.4) * low
-    inside = distance_to_zero(blur_mirrored(where + between(rng, -0.5, 0.6), 0.8))
-    bed = blur_mirrored(under.height, 3)
+        cavity = -scale_to_unit_deviation(lower.height - blur_mirrored(lower.height, 6))
+        growth = growth + between(rng, 0.5, 1.4) * cavity
+    inside = distance_to_zero(blur_mirrored(growth + between(rng, -0.5, 0.6), 0.8))
+    bed = blur_mirrored(lower.height, 3)
     if kind == "plaster":
-        over = plain_material(rng, size, "e8dcc8 d9c7a8 c98f6b b7c3c9 9c8f80", (0.7, 0.95), 0.2)
-        over = paint_coat(rng, size, roughness=(0.15, 0.5)) if chance(rng, 0.4) else over
-        surface = lay_surface(under, add_relief(over, 0.3 * bed), inside, between(rng, 1.5, 4), between(rng, 1.0, 3))
+        upper = plain_material(rng, size, "e8dcc8 d9c7a8 c98f6b b7c3c9 9c8f80", (0.7, 0.95), 0.2)
+        upper = paint_coat(rng, size, roughness=(0.15, 0.5)) if chance(rng, 0.4) else upper
+        surface = lay_surface(lower, add_relief(upper, 0.3 * bed), inside, between(rng, 1.5, 4), between(rng, 1.0, 3))
     elif kind == "any":
-        over = hard_material(rng, size) if chance(rng, 0.5) else procedural_piece(rng, size, GROUND_FAMILIES)
-        surface = lay_surface(under, add_relief(over, bed), inside, between(rng, -3, 3), between(rng, 1.5, 8))
+        upper = hard_material(rng, size) if chance(rng, 0.5) else procedural_piece(rng, size, GROUND_FAMILIES)
+        surface = lay_surface(lower, add_relief(upper, bed), inside, between(rng, -3, 3), between(rng, 1.5, 8))
     else:
-        over = procedural_piece(rng, size, ("foliage",), (0.7, 1.0)) if kind == "moss" else plain_material(
+        upper = procedural_piece(rng, size, ("foliage",), (0.7, 1.0)) if kind == "moss" else plain_material(
             rng, size, "eef2f5 e3e9ee" if kind == "snow" else "c9a878 b08d5c d9c49a", (0.6, 0.95), 0.3
         )  # fmt: skip
         dunes = between(rng, 0, 1.2) * cloud_noise(rng, size, between(rng, 3, 8), 2.0)
-        surface = lay_surface(under, add_relief(over, bed + dunes), inside, between(rng, 0.8, 2.5), between(rng, 3, 10))
+        surface = lay_surface(
+            lower, add_relief(upper, bed + dunes), inside, between(rng, 0.8, 2.5), between(rng, 3, 10)
+        )
     return add_water(rng, surface, between(rng, 0.1, 0.35)) if chance(rng, 0.35) else add_random_wear(rng, surface)
 
 
 def crumpled(rng: Rng, size: int) -> PatchSurface:
-    """Foil, paper or film that was crumpled and laid flat again: facets between sharp creases."""
+    """Draw foil, paper or film that was crumpled and laid flat again: facets between sharp creases."""
     kind = pick(rng, ("foil", "foil", "paper", "film"))
     patch, relief = patch_coordinates(size), np.zeros((size, size), np.float32)
     bend = [between(rng, 0.01, 0.05) * cloud_noise(rng, size, 2, 3.0) for _ in range(2)]
@@ -265,8 +272,8 @@ def crumpled(rng: Rng, size: int) -> PatchSurface:
     folds, longest = integer_between(rng, 12, 50), between(rng, 0.3, 1.2)
     for _ in range(folds):  # a fold has two slopes and no step; where they cross there are facets
         fold = patch.moved(between(rng, -1, 1), between(rng, -1, 1), between(rng, 0, math.tau))
-        half = between(rng, 0.2, longest)
-        steep = between(rng, -1, 1) * smoothstep(np.abs(fold.y), half + 0.3, half)
+        half_length = between(rng, 0.2, longest)
+        steep = between(rng, -1, 1) * smoothstep(np.abs(fold.y), half_length + 0.3, half_length)
         relief += np.abs(fold.x) * steep * fold.unit
     relief = blur_mirrored(relief, 0.5) * np.float32(log_between(rng, 0.15, 0.8) / math.sqrt(folds))
     if kind == "foil":

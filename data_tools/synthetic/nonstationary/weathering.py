@@ -32,46 +32,49 @@ _PATINAS = "2f6f63 4f9a8a 87bfa8 1e4a48 b5c9a8"
 
 
 def scale_to_unit_deviation(field: Field) -> Field:
-    """A field of standard deviation 1, about."""
+    """Divide a field by its standard deviation."""
     return field / max(float(field.std()), 1e-6)
 
 
 def add_dirt(rng: Rng, surface: PatchSurface, amount: float, hexes: str = _DIRTS) -> PatchSurface:
-    """Dirt, dust or patina in the cavities of a surface and in patches; amount 0 is next to none, 1 much."""
+    """Add dirt, dust or patina in the cavities of a surface and in patches; amount 0 is next to none, 1 much."""
     size = surface.height.shape[-1]
-    low = -scale_to_unit_deviation(local_relief(surface.height, between(rng, 1.5, 5)))
-    where = low + between(rng, 0.4, 0.9) * cloud_noise(rng, size, log_between(rng, 1.5, 5), 2.0)
-    share = smoothstep(where, 1.3 - 1.4 * amount, 2.6 - 1.1 * amount) * np.float32(between(rng, 0.6, 1.0))
+    cavity = -scale_to_unit_deviation(local_relief(surface.height, between(rng, 1.5, 5)))
+    dirtiness = cavity + between(rng, 0.4, 0.9) * cloud_noise(rng, size, log_between(rng, 1.5, 5), 2.0)
+    share = smoothstep(dirtiness, 1.3 - 1.4 * amount, 2.6 - 1.1 * amount) * np.float32(between(rng, 0.6, 1.0))
     dirt = plain_material(rng, size, hexes, (0.75, 0.95))
     return blend_surfaces(surface, dirt._replace(height=blur_mirrored(surface.height, 0.8)), share)
 
 
 def wear_edges(rng: Rng, surface: PatchSurface, bare: PatchSurface, amount: float) -> PatchSurface:
-    """High parts are rubbed down to the layer below, whose height is left as it is; amount 0 .. 1."""
+    """Rub the high parts of a surface down to the layer `bare`, 0.25 texels below; amount 0 (hardly) .. 1 (much)."""
     size = surface.height.shape[-1]
     edge = scale_to_unit_deviation(local_relief(surface.height, between(rng, 1.5, 3)))
-    where = edge + between(rng, 0.4, 0.9) * cloud_noise(rng, size, log_between(rng, 2, 8), 1.7)
+    exposure = edge + between(rng, 0.4, 0.9) * cloud_noise(rng, size, log_between(rng, 2, 8), 1.7)
     level = 2.2 - 1.5 * amount
-    worn = smoothstep(where, level, level + log_between(rng, 0.3, 1.0))
+    worn = smoothstep(exposure, level, level + log_between(rng, 0.3, 1.0))
     return blend_surfaces(surface, bare._replace(height=surface.height + 0.3 * bare.height - 0.25), worn)
 
 
 def add_scratches(rng: Rng, surface: PatchSurface, count: int, depth: float = 0.4) -> PatchSurface:
-    """Scratches with lifted rims, most along one direction or in all, rougher and paler than the surface."""
+    """Add scratches with lifted rims, most along one direction or in all, rougher and paler than the surface.
+
+    The depth is in texels.
+    """
     size = surface.height.shape[-1]
     direction, spread = between(rng, 0, math.pi), math.pi if chance(rng, 0.4) else between(rng, 0.1, 0.7)
     longest = log_between(rng, 0.2, 0.9)
     width = between(rng, 1.2, 2.2) / size
     marks = scatter_strokes(rng, size, count, (0.05, longest), (width * 0.6, width), (direction, spread), 0.5, 0.5)
-    deep = marks.of_each(uniforms(rng, marks.total)) * smoothstep(cloud_noise(rng, size, 1.5, 1.5), -1.0, 0.5)
-    line = deep * (1 - marks.across**2)
-    after = surface._replace(roughness=blend_towards(surface.roughness, between(rng, 0.35, 0.8), deep))
-    pale = tint_surface(after, 1 + np.float32(between(rng, -0.4, 0.8)) * deep)
-    return add_relief(pale, -np.float32(depth) * (line - 0.5 * blur_mirrored(line, 0.8)))
+    mark = marks.of_each(uniforms(rng, marks.total)) * smoothstep(cloud_noise(rng, size, 1.5, 1.5), -1.0, 0.5)
+    line = mark * (1 - marks.across**2)
+    roughened = surface._replace(roughness=blend_towards(surface.roughness, between(rng, 0.35, 0.8), mark))
+    tinted = tint_surface(roughened, 1 + np.float32(between(rng, -0.4, 0.8)) * mark)
+    return add_relief(tinted, -np.float32(depth) * (line - 0.5 * blur_mirrored(line, 0.8)))
 
 
 def add_smudges(rng: Rng, surface: PatchSurface, amount: float) -> PatchSurface:
-    """Grease, wiped traces and haze: roughness alone changes, by up to about the amount."""
+    """Add grease, wiped traces and haze: the roughness alone changes, by up to about the amount."""
     size = surface.height.shape[-1]
     stretch = log_between(rng, 1, 6)
     haze = cloud_noise(rng, size, log_between(rng, 1.2, 4) * math.sqrt(stretch), 2.2, stretch, between(rng, 0, math.pi))
@@ -81,7 +84,7 @@ def add_smudges(rng: Rng, surface: PatchSurface, amount: float) -> PatchSurface:
 
 
 def add_stains(rng: Rng, surface: PatchSurface, count: int) -> PatchSurface:
-    """Spills that dried: blotches, rings of cups, drops; each dyes, and some are still wet or left a gloss."""
+    """Add spills that dried: blotches, rings of cups, drops; each dyes, and some are still wet or left a gloss."""
     size = surface.height.shape[-1]
     x, y, unit = patch_coordinates(size)
     for _ in range(count):
@@ -105,7 +108,7 @@ def add_stains(rng: Rng, surface: PatchSurface, count: int) -> PatchSurface:
 
 
 def add_water(rng: Rng, surface: PatchSurface, share: float) -> PatchSurface:
-    """Water stands in the lowest parts, over this share of the patch, and has soaked the ground around."""
+    """Add water in the lowest parts, over a share of the patch, with soaked ground around it."""
     size = surface.height.shape[-1]
     bed = blur_mirrored(surface.height, 1.0)
     level = float(np.quantile(bed, share))
@@ -122,7 +125,7 @@ def add_water(rng: Rng, surface: PatchSurface, share: float) -> PatchSurface:
 
 
 def rust_layer(rng: Rng, size: int) -> PatchSurface:
-    """Rust, or in one of five draws the green of copper: rough, lumpy, of several tones."""
+    """Draw rust, or in one of five draws the green of copper: rough, lumpy, of several tones."""
     coarse, fine = (
         cloud_noise(rng, size, log_between(rng, 2, 6), 1.6),
         cloud_noise(rng, size, log_between(rng, 8, 16), 1.2),
@@ -135,7 +138,10 @@ def rust_layer(rng: Rng, size: int) -> PatchSurface:
 
 
 def add_rust(rng: Rng, surface: PatchSurface, amount: float, bias: Field | float = 0.0) -> PatchSurface:
-    """Rust breaks through: it lifts or eats the surface, and dyes a halo around; amount -1 .. 1."""
+    """Add rust that breaks through: it lifts or eats the surface, and dyes a halo around; amount -1 .. 1.
+
+    The bias [S, S] is added to the amount, so that one side may rust more than the other.
+    """
     size = surface.height.shape[-1]
     stretch, frequency = (log_between(rng, 1.5, 4) if chance(rng, 0.3) else 1.0), log_between(rng, 1.5, 6)
     spread = (
@@ -145,25 +151,25 @@ def add_rust(rng: Rng, surface: PatchSurface, amount: float, bias: Field | float
     crust = rust_layer(rng, size)
     eaten = rim_coverage(inside)
     halo = smoothstep(spread, -between(rng, 0.3, 0.9), 0.0) * (1 - eaten) * between(rng, 0.2, 0.7)
-    dyed = blend_surfaces(surface, crust._replace(height=surface.height), halo)
+    haloed = blend_surfaces(surface, crust._replace(height=surface.height), halo)
     swell = np.float32(between(rng, -1.5, 1.2)) * smoothstep(inside, -0.5, log_between(rng, 1.5, 6))
-    return add_relief(blend_surfaces(dyed, crust._replace(height=0.4 * surface.height + crust.height), eaten), swell)
+    return add_relief(blend_surfaces(haloed, crust._replace(height=0.4 * surface.height + crust.height), eaten), swell)
 
 
 def add_dents(rng: Rng, surface: PatchSurface, count: int) -> PatchSurface:
-    """Broad dents of some texels' depth."""
+    """Add broad dents, of a depth in texels."""
     size = surface.height.shape[-1]
     y, x = np.mgrid[:size, :size].astype(np.float32)
     relief = np.zeros((size, size), np.float32)
     for _ in range(count):
         width = log_between(rng, 3, 20)
-        away = ((x - between(rng, 0, size)) ** 2 + (y - between(rng, 0, size)) ** 2) / np.float32(width**2)
-        relief -= np.float32(between(rng, 0.05, 0.25) * width) * np.exp(-away)
+        squared_distance = ((x - between(rng, 0, size)) ** 2 + (y - between(rng, 0, size)) ** 2) / np.float32(width**2)
+        relief -= np.float32(between(rng, 0.05, 0.25) * width) * np.exp(-squared_distance)
     return add_relief(surface, relief)
 
 
 def add_random_wear(rng: Rng, surface: PatchSurface) -> PatchSurface:
-    """Smudges, and in most draws one other of all these, as on most things in use."""
+    """Add smudges, and in three of four draws also dirt, scratches or a stain, as on most things in use."""
     surface = add_smudges(rng, surface, between(rng, 0.1, 0.5))
     kind = pick(rng, ("none", "dirty", "scratched", "stained"))
     if kind == "dirty":
