@@ -1,4 +1,4 @@
-"""Draws of the sets, by random numbers of `data_tools.random_streams.random_stream`."""
+"""Random numbers, choices and arrays for the embedded sets, from streams of `data_tools.random_streams`."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ _Item = TypeVar("_Item")
 
 
 def between(rng: Rng, low: float, high: float) -> float:
-    """A number evenly drawn from [low, high)."""
+    """Draw a number evenly from [low, high)."""
     return low + (high - low) * float(rng.random())
 
 
 def log_between(rng: Rng, low: float, high: float) -> float:
-    """A number from [low, high), evenly drawn over its logarithm."""
+    """Draw a number from [low, high), evenly over its logarithm."""
     return float(low * (high / low) ** float(rng.random()))
 
 
 def integer_between(rng: Rng, low: int, high: int) -> int:
-    """A whole number from low to high, both included."""
+    """Draw a whole number from low to high, both included."""
     return low + int(float(rng.random()) * (high - low + 1))
 
 
 def chance(rng: Rng, probability: float) -> bool:
-    """True in this share of draws."""
+    """Return True in a share of draws."""
     return float(rng.random()) < probability
 
 
 def pick(rng: Rng, items: Sequence[_Item]) -> _Item:
-    """One of the items."""
+    """Draw one of some items, all equally likely."""
     return items[integer_between(rng, 0, len(items) - 1)]
 
 
 def uniforms(rng: Rng, *shape: int) -> Field:
-    """Numbers in [0, 1) of this shape."""
+    """Draw an array of numbers in [0, 1)."""
     return rng.random(shape, dtype=np.float32)

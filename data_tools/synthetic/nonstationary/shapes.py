@@ -231,6 +231,6 @@ def panel_grid(
 def random_panel_grid(
     rng: Rng, place: PatchCoordinates, width: tuple[float, float], aspect: tuple[float, float]
 ) -> PanelGrid:
-    """Draw a grid in one of the common bonds, its origin that of `place`."""
+    """Draw a grid in one of the common bonds, whose origin is the origin of `place`."""
     panel_width = log_between(rng, *width)
     return panel_grid(place, panel_width, panel_width / log_between(rng, *aspect), pick(rng, (0.0, 0.0, 0.5, 0.33)))

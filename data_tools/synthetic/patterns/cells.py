@@ -14,17 +14,17 @@ from data_tools.synthetic.random_values import Field, Ids, uniforms
 
 
 class CellLattice:
-    """Rows of cells that repeat after one tile, whatever their angle.
+    """A lattice of cells in rows that repeat after one tile, whatever their angle.
 
     The vectors that turn tile coordinates into columns and rows are whole numbers: one tile further is a whole number
     of cells further. Of all such vectors near the wanted ones, the most nearly orthogonal are taken.
 
     Args:
-        size: S.
+        size: S, texels along a side of the tile.
         columns: cells per tile along the angle, about.
         rows: cells per tile across the angle, about.
-        angle_rad: of the rows, from x towards y.
-        shift: of each row against the one before, in cells; a multiple of 1 / multiple.
+        angle_rad: direction of the rows, from x towards y.
+        shift: shift of each row against the row before, in cells; a multiple of 1 / multiple.
         multiple: rows come in multiples of it, and so do columns if `period` says so.
         period: columns come in multiples of it.
         warp: displacement of columns and rows, two fields [S, S] in cells.
@@ -33,10 +33,10 @@ class CellLattice:
         u: position [S, S] within the cell along the row, in [0, 1).
         v: position [S, S] across the row, in [0, 1).
         column, row: numbers [S, S] of the cell.
-        cell: identity [S, S] of the cell, 0 .. count - 1, the same for a cell and its repetitions.
-        count: how many cells there are.
-        width, height: of a cell, in tiles.
-        direction_rad: the true angle of the rows.
+        cell: identity [S, S] of the cell, 0 .. count - 1, equal for a cell and its repetitions.
+        count: number of cells.
+        width, height: size of a cell, in tiles.
+        direction_rad: true angle of the rows.
     """
 
     def __init__(
@@ -66,7 +66,8 @@ class CellLattice:
         self._origin = (int(self.column.min()) - 2, int(self.row.min()) - 2)
         shape = (int(self.column.max()) - self._origin[0] + 3, int(self.row.max()) - self._origin[1] + 3)
         i, j = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
-        # Two cells are one where they differ by a whole number of tiles: equal images under the adjugate, modulo it.
+        # Two cells are one where they differ by a whole number of tiles: their images under the adjugate are equal
+        # modulo the determinant.
         a, b = round(a + shift * c), round(b + shift * d)
         first, second = (d * i - b * j) % determinant, (a * j - c * i) % determinant
         keys, identities = np.unique(first * determinant + second, return_inverse=True)
@@ -75,7 +76,7 @@ class CellLattice:
         self.cell = self.neighbour(0, 0)
 
     def neighbour(self, columns: int | Ids, rows: int | Ids) -> Ids:
-        """Identity [S, S] of the cell that is so many columns and rows further (at most 2)."""
+        """Return the identity [S, S] of the cell that is some columns and rows further (at most 2)."""
         result: Ids = self._identities[self.column + columns - self._origin[0], self.row + rows - self._origin[1]]
         return result
 
@@ -83,16 +84,20 @@ class CellLattice:
 def _whole_vectors(
     columns: float, rows: float, angle_rad: float, period: int, multiple: int
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Two vectors of whole numbers, multiples of period and of multiple, near the wanted ones and nearly orthogonal."""
+    """Find two vectors of whole numbers near the wanted ones that are nearly orthogonal.
+
+    The first is a multiple of `period`, the second of `multiple`.
+    """
     cos, sin = math.cos(angle_rad), math.sin(angle_rad)
 
-    def near(wanted: float, unit: int) -> list[int]:
+    def nearby_multiples(wanted: float, unit: int) -> list[int]:
+        """Return the three multiples of a unit around a wanted number."""
         middle = round(wanted / unit)
-        return [unit * (middle + each) for each in (-1, 0, 1)]
+        return [unit * (middle + offset) for offset in (-1, 0, 1)]
 
-    best, found = math.inf, ((1, 0), (0, 1))
-    for a, b in itertools.product(near(columns * cos, period), near(columns * sin, period)):
-        for c, d in itertools.product(near(-rows * sin, multiple), near(rows * cos, multiple)):
+    lowest_cost, vectors = math.inf, ((1, 0), (0, 1))
+    for a, b in itertools.product(nearby_multiples(columns * cos, period), nearby_multiples(columns * sin, period)):
+        for c, d in itertools.product(nearby_multiples(-rows * sin, multiple), nearby_multiples(rows * cos, multiple)):
             first, second = math.hypot(a, b), math.hypot(c, d)
             if first == 0 or second == 0 or a * d - b * c <= 0:
                 continue
@@ -100,13 +105,13 @@ def _whole_vectors(
             turn = 1 - (a * cos + b * sin) / first
             scale = abs(math.log(first / columns)) + abs(math.log(second / rows))
             cost = 8 * skew + 2 * turn + 0.5 * scale
-            if cost < best:
-                best, found = cost, ((a, b), (c, d))
-    return found
+            if cost < lowest_cost:
+                lowest_cost, vectors = cost, ((a, b), (c, d))
+    return vectors
 
 
 class WorleyNoise(NamedTuple):
-    """Distances to the feature points of cells, in widths of a mean cell.
+    """The distances to the feature points of cells, in widths of a mean cell.
 
     Attributes:
         nearest: distance [S, S] to the nearest point (F1).
@@ -114,7 +119,7 @@ class WorleyNoise(NamedTuple):
         edge: distance [S, S] to the border between their two cells.
         cell: identity [S, S] of the nearest point's cell, 0 .. total - 1.
         total: number of cells.
-        across_x, across_y: from the nearest point to here, each [S, S], along the lattice's rows and across them.
+        across_x, across_y: position [S, S] from the nearest point, along the lattice's rows and across them.
     """
 
     nearest: Field
@@ -127,11 +132,11 @@ class WorleyNoise(NamedTuple):
 
 
 def worley_noise(rng: Rng, lattice: CellLattice, jitter: float = 0.85) -> WorleyNoise:
-    """Worley noise with one feature point in each cell of a lattice.
+    """Draw Worley noise with one feature point in each cell of a lattice.
 
     Args:
-        rng: of the points.
-        lattice: its cells; a warped lattice gives curved borders.
+        rng: random numbers for the points.
+        lattice: the cells; a warped lattice gives curved borders.
         jitter: 0 for points in the middle of their cells, up to 1 for any place in them.
     """
     offsets = np.float32(jitter) * (uniforms(rng, 2, lattice.count) - np.float32(0.5)) + np.float32(0.5)
@@ -148,27 +153,27 @@ def worley_noise(rng: Rng, lattice: CellLattice, jitter: float = 0.85) -> Worley
         distance = px * px + py * py
         nearer = distance < first
         nearly = ~nearer & (distance < second)
-        for place, value in enumerate((px, py)):
-            far[place] = np.where(nearer, near[place], np.where(nearly, value, far[place]))
-            near[place] = np.where(nearer, value, near[place])
+        for axis, value in enumerate((px, py)):
+            far[axis] = np.where(nearer, near[axis], np.where(nearly, value, far[axis]))
+            near[axis] = np.where(nearer, value, near[axis])
         second = np.where(nearer, first, np.where(nearly, distance, second))
         first = np.where(nearer, distance, first)
         cell = np.where(nearer, identity, cell)
-    apart = np.hypot(far[0] - near[0], far[1] - near[1])
-    edge = (second - first) / np.maximum(2 * apart, np.float32(1e-6))
+    point_distance = np.hypot(far[0] - near[0], far[1] - near[1])
+    edge = (second - first) / np.maximum(2 * point_distance, np.float32(1e-6))
     return WorleyNoise(np.sqrt(first), np.sqrt(second), edge, cell, lattice.count, -near[0], -near[1])
 
 
 def isotropic_cells(
     rng: Rng, size: int, cells: float, jitter: float = 0.85, warp: tuple[Field, Field] | None = None, aspect: float = 1
 ) -> WorleyNoise:
-    """Worley noise of about `cells` cells per tile side, on a lattice at a random angle.
+    """Draw Worley noise of about `cells` cells per tile side, on a lattice at a random angle.
 
     Args:
-        rng: of angle and points.
-        size: S.
-        cells: per tile side.
-        jitter: as for `worley_noise`.
+        rng: random numbers for the angle and the points.
+        size: S, texels along a side of the tile.
+        cells: number of cells per tile side.
+        jitter: 0 for points in the middle of their cells, up to 1 for any place in them.
         warp: displacement [S, S] along and across, in cells.
         aspect: length of a cell over its width.
     """

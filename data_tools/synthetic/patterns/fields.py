@@ -1,4 +1,4 @@
-"""Periodic patterns on the unit tile: noise, blurs and colour ramps that the procedural materials are made of.
+"""Periodic fields on the unit tile: noise, blurs and colour ramps that the procedural materials are made of.
 
 Fields are float32 [S, S] of texel centres, rows downwards. Everything repeats after one tile, so a field has no border.
 """
@@ -15,7 +15,7 @@ from data_tools.synthetic.random_values import Field, uniforms
 
 @functools.lru_cache(maxsize=4)
 def texel_centres(size: int) -> tuple[Field, Field]:
-    """The coordinates x and y of texel centres, each [S, S], in tiles, within (0, 1)."""
+    """Return the coordinates x and y of texel centres, each [S, S], in tiles, within (0, 1)."""
     centres = (np.arange(size, dtype=np.float32) + np.float32(0.5)) / np.float32(size)
     x, y = np.meshgrid(centres, centres)
     x.flags.writeable = y.flags.writeable = False
@@ -24,7 +24,7 @@ def texel_centres(size: int) -> tuple[Field, Field]:
 
 @functools.lru_cache(maxsize=4)
 def _frequencies(size: int) -> tuple[Field, Field]:
-    """The frequencies of a real transform [S, S/2 + 1], in cycles per tile, along x and y."""
+    """Return the frequencies of a real transform [S, S/2 + 1], in cycles per tile, along x and y."""
     along_x = np.fft.rfftfreq(size, 1 / size).astype(np.float32)
     along_y = np.fft.fftfreq(size, 1 / size).astype(np.float32)
     fx, fy = np.meshgrid(along_x, along_y)
@@ -32,7 +32,7 @@ def _frequencies(size: int) -> tuple[Field, Field]:
 
 
 def _shaped_noise(rng: Rng, size: int, amplitude: Field) -> Field:
-    """White noise with this spectrum; mean 0, variance 1."""
+    """Draw noise with a given amplitude spectrum; mean 0, variance 1."""
     spectrum = np.fft.rfft2(uniforms(rng, size, size) - np.float32(0.5)) * amplitude
     spectrum[0, 0] = 0
     field: Field = np.fft.irfft2(spectrum, s=(size, size)).astype(np.float32)
@@ -40,7 +40,7 @@ def _shaped_noise(rng: Rng, size: int, amplitude: Field) -> Field:
 
 
 def _radius(size: int, stretch: float, angle_rad: float) -> Field:
-    """Frequency in cycles per tile, for structure `stretch` times as long along the angle as across it."""
+    """Return the frequency in cycles per tile, for structure `stretch` times as long along the angle as across it."""
     fx, fy = _frequencies(size)
     if stretch == 1:
         return np.hypot(fx, fy)
@@ -51,12 +51,12 @@ def _radius(size: int, stretch: float, angle_rad: float) -> Field:
 def band_noise(
     rng: Rng, size: int, frequency: float, octaves: float = 0.5, stretch: float = 1.0, angle_rad: float = 0.0
 ) -> Field:
-    """Gaussian noise of one scale.
+    """Draw Gaussian noise of one scale.
 
     Args:
-        rng: of the draws.
-        size: S.
-        frequency: in cycles per tile, of the middle of the band; across the angle, if stretched.
+        rng: random numbers for the noise.
+        size: S, texels along a side of the tile.
+        frequency: middle of the band in cycles per tile; across the angle, if stretched.
         octaves: width of the band (a standard deviation).
         stretch: how many times longer structure is along the angle than across it.
         angle_rad: direction of the long side, from x towards y.
@@ -71,13 +71,13 @@ def band_noise(
 def fbm(
     rng: Rng, size: int, frequency: float, slope: float = 2.0, stretch: float = 1.0, angle_rad: float = 0.0
 ) -> Field:
-    """Noise of all scales below that of `frequency`: its amplitude falls with f^-slope beyond it (1: rough, 3: soft).
+    """Draw noise of all scales finer than a coarsest one: fractional Brownian motion.
 
     Args:
-        rng: of the draws.
-        size: S.
-        frequency: in cycles per tile, of the coarsest structure.
-        slope: fall of the amplitude.
+        rng: random numbers for the noise.
+        size: S, texels along a side of the tile.
+        frequency: frequency of the coarsest structure in cycles per tile.
+        slope: the amplitude falls with f^-slope beyond `frequency` (1: rough, 3: soft).
         stretch: how many times longer structure is along the angle than across it.
         angle_rad: direction of the long side, from x towards y.
 
@@ -91,36 +91,36 @@ def fbm(
 
 
 def smooth_displacement(rng: Rng, size: int, frequency: float, amount: float) -> tuple[Field, Field]:
-    """A smooth displacement along and across, two fields [S, S] of standard deviation `amount`."""
+    """Draw a smooth displacement along and across, two fields [S, S] of standard deviation `amount`."""
     along, across = fbm(rng, size, frequency, 3.2), fbm(rng, size, frequency, 3.2)
     return along * np.float32(amount), across * np.float32(amount)
 
 
 def ridges(field: Field, width: float) -> Field:
-    """Lines where a noise of variance 1 crosses zero: 1 on the line, falling to 0 at about `width` from it."""
+    """Return lines where a noise of variance 1 crosses zero: 1 on the line, falling to 0 at about `width` from it."""
     result: Field = np.exp(-((field / np.float32(width)) ** 2))
     return result
 
 
 def normal_to_uniform(field: Field) -> Field:
-    """A noise of variance 1 mapped to (0, 1), roughly evenly (the logistic nearest to the normal distribution)."""
+    """Map a noise of variance 1 to (0, 1), roughly evenly, by the logistic nearest to the normal distribution."""
     result: Field = 1 / (1 + np.exp(np.float32(-1.702) * np.clip(field, -8, 8)))
     return result
 
 
 def smoothstep(field: Field, low: float | Field, high: float | Field) -> Field:
-    """0 below low, 1 above high, smooth between; falling if high < low."""
+    """Return 0 below low, 1 above high, and a smooth transition between; it falls if high < low."""
     t = np.clip((field - low) / (high - low), 0, 1).astype(np.float32)
     return t * t * (3 - 2 * t)
 
 
 def mix(first: Field, second: Field, weight: Field | float) -> Field:
-    """From the first (weight 0) to the second (weight 1)."""
+    """Interpolate from the first field (weight 0) to the second (weight 1)."""
     return first + (second - first) * np.asarray(weight, dtype=np.float32)
 
 
 def blur_periodic(field: Field, sigma: float) -> Field:
-    """A Gaussian blur, sigma in tiles."""
+    """Blur a periodic field by a Gaussian, sigma in tiles."""
     size = field.shape[-1]
     fx, fy = _frequencies(size)
     kernel = np.exp(np.float32(-2 * np.pi**2 * sigma**2) * (fx**2 + fy**2))
@@ -128,14 +128,17 @@ def blur_periodic(field: Field, sigma: float) -> Field:
 
 
 def height_slopes(height: Field) -> tuple[Field, Field]:
-    """Slope of a height [S, S] along x and y, by periodic central differences; height in texels gives true slopes."""
+    """Return the slopes of a height [S, S] along x and y, by periodic central differences.
+
+    A height in texels gives true slopes.
+    """
     along_x = (np.roll(height, -1, 1) - np.roll(height, 1, 1)) / 2
     along_y = (np.roll(height, -1, 0) - np.roll(height, 1, 0)) / 2
     return along_x, along_y
 
 
 def colour_ramp(values: Field, colours: Field) -> Field:
-    """Colours [K, 3], K >= 1, spread over [0, 1] and interpolated at values [S, S]: [3, S, S]."""
+    """Interpolate colours [K, 3], K >= 1, spread over [0, 1], at values [S, S]: [3, S, S]."""
     places = np.clip(values, 0, 1) * (len(colours) - 1)
     lower = np.minimum(places.astype(np.int64), max(len(colours) - 2, 0))
     upper = np.minimum(lower + 1, len(colours) - 1)

@@ -11,7 +11,7 @@ from data_tools.synthetic.random_values import Field, Ids, uniforms
 
 
 class Strokes(NamedTuple):
-    """The strokes as seen from above.
+    """The strokes on a tile as seen from above.
 
     Attributes:
         stroke: number [S, S] of the uppermost stroke, -1 if there is none.
@@ -29,11 +29,11 @@ class Strokes(NamedTuple):
 
     @property
     def covered(self) -> Field:
-        """1 where there is a stroke [S, S]."""
+        """The coverage [S, S]: 1 where there is a stroke, else 0."""
         return (self.stroke >= 0).astype(np.float32)
 
     def of_each(self, values: Field) -> Field:
-        """Values [total] of the strokes where they are seen [S, S]; 0 where there is none."""
+        """Return at each texel [S, S] the value of the uppermost stroke, from values [total]; 0 where there is none."""
         return np.where(self.stroke >= 0, values[self.stroke], 0).astype(np.float32)
 
 
@@ -50,9 +50,9 @@ def scatter_strokes(
     """Scatter strokes evenly over the tile.
 
     Args:
-        rng: of the draws.
-        size: S.
-        count: how many.
+        rng: random numbers for the strokes.
+        size: S, texels along a side of the tile.
+        count: number of strokes.
         length: shortest and longest, in tiles.
         width: narrowest and widest, in tiles.
         angle_rad: mean direction and half the spread around it.
@@ -61,9 +61,9 @@ def scatter_strokes(
     """
     draws = uniforms(rng, 6, count)
     # A jittered grid rather than free places: no part of the tile is left bare by chance.
-    side = int(np.ceil(np.sqrt(count)))
-    order = np.argsort(uniforms(rng, side * side))[:count]
-    start_x, start_y = (order % side + draws[0]) / side, (order // side + draws[1]) / side
+    grid_side = int(np.ceil(np.sqrt(count)))
+    order = np.argsort(uniforms(rng, grid_side * grid_side))[:count]
+    start_x, start_y = (order % grid_side + draws[0]) / grid_side, (order // grid_side + draws[1]) / grid_side
     lengths = length[0] + (length[1] - length[0]) * draws[2]
     widths = width[0] + (width[1] - width[0]) * draws[3]
     angles = angle_rad[0] + angle_rad[1] * (2 * draws[4] - 1)
@@ -76,15 +76,15 @@ def scatter_strokes(
     pace = lengths[:, None] / steps
     x = start_x[:, None] + np.cumsum(np.cos(heading) * pace, 1)
     y = start_y[:, None] + np.cumsum(np.sin(heading) * pace, 1)
-    half = widths[:, None] / 2 * _outline(along, pointed)
-    x = x[..., None] - (np.sin(heading) * half)[..., None] * across
-    y = y[..., None] + (np.cos(heading) * half)[..., None] * across
+    half_widths = widths[:, None] / 2 * _outline(along, pointed)
+    x = x[..., None] - (np.sin(heading) * half_widths)[..., None] * across
+    y = y[..., None] + (np.cos(heading) * half_widths)[..., None] * across
     texels = (np.floor(y * size).astype(np.int64) % size) * size + np.floor(x * size).astype(np.int64) % size
-    return _uppermost(texels, along, across, size)
+    return _find_uppermost(texels, along, across, size)
 
 
 def _outline(along: Field, pointed: float) -> Field:
-    """Half width of a stroke over its greatest half width."""
+    """Return the half width of a stroke over its greatest half width."""
     if pointed == 0:
         return np.ones_like(along)
     blade = np.sqrt(np.clip(1 - along, 0, 1)) * np.minimum(1, along * 8 + np.float32(0.4))
@@ -93,12 +93,12 @@ def _outline(along: Field, pointed: float) -> Field:
     return result
 
 
-def _uppermost(texels: Ids, along: Field, across: Field, size: int) -> Strokes:
-    """Of all points [count, steps, lanes] on the strokes, the one seen at each texel: later strokes lie higher."""
+def _find_uppermost(texels: Ids, along: Field, across: Field, size: int) -> Strokes:
+    """Find which of all points [count, steps, lanes] on the strokes is seen at each texel: later strokes lie higher."""
     count, steps, lanes = texels.shape
-    point = np.full(size * size, -1, np.int64)
-    np.maximum.at(point, texels.reshape(-1), np.arange(texels.size))
-    top: Ids = point.reshape(size, size)
-    stroke = np.where(top >= 0, top // (steps * lanes), -1)
-    depth = np.where(top >= 0, (stroke + 1) / count, 0).astype(np.float32)
-    return Strokes(stroke, along[top // lanes % steps], across[top % lanes], depth, count)
+    last_point = np.full(size * size, -1, np.int64)
+    np.maximum.at(last_point, texels.reshape(-1), np.arange(texels.size))
+    top_point: Ids = last_point.reshape(size, size)
+    stroke = np.where(top_point >= 0, top_point // (steps * lanes), -1)
+    depth = np.where(top_point >= 0, (stroke + 1) / count, 0).astype(np.float32)
+    return Strokes(stroke, along[top_point // lanes % steps], across[top_point % lanes], depth, count)

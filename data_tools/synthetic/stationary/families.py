@@ -1,6 +1,7 @@
-"""The families of procedural materials: `FAMILIES[name](rng, size)` draws one, stationary and periodic.
+"""The families of procedural materials, and the draws of an embedded set's splits.
 
-Each family varies colours, contrast, scale, orientation and irregularity, and most hold several kinds.
+`FAMILIES[name](rng, size)` draws a stationary and periodic material. Each family varies colours, contrast, scale,
+orientation and irregularity, and most hold several kinds.
 """
 
 from __future__ import annotations
@@ -45,19 +46,19 @@ FAMILIES: dict[str, Family] = {
 def split_draws(
     noun: str, families: Iterable[str], counts: Mapping[Split, int], split: Split, count: int, seed: int, *more: int
 ) -> Iterator[tuple[str, str, Rng]]:
-    """The draws of one split of an embedded set, whose families take turns.
+    """Yield the draws of one split of an embedded set, whose families take turns.
 
     Args:
-        noun: of the draws, for errors.
-        families: their names.
-        counts: of the default set, by split; splits have random streams of their own.
-        split: one of these.
+        noun: what is drawn, for messages of errors.
+        families: names of the families.
+        counts: number of tasks in the default set, by split; splits have random streams of their own.
+        split: one of the keys of `counts`.
         count: how many. A larger set begins with the smaller one.
-        seed: of all draws, >= 0.
-        more: of the streams' keys, to set them apart from those of other sets.
+        seed: seed of all draws, >= 0.
+        more: further keys of the random streams, which set them apart from the streams of other sets.
 
     Returns:
-        Of each draw the family, the task's name such as "bricks-013" ("bricks-t013" in the test split), and its random
+        For each draw the family, the task's name such as "bricks-013" ("bricks-t013" in the test split), and its random
         numbers.
 
     Raises:

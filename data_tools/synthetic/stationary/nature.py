@@ -1,4 +1,7 @@
-"""Procedural growth and decay: rust, grass, foliage, camouflage, and dots of all kinds."""
+"""Procedural growth and decay: rust, grass, foliage, camouflage, and dots of all kinds.
+
+Each function `<family>(rng, size)` draws periodic maps of size x size texels.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ _STRAW = "c9b26a a08a4a d9c88f 7d6b3a 6b7a3a 4f6b2a 8a7a5a e3d7a8"
 
 
 def rust(rng: Rng, size: int) -> PeriodicMaps:
-    """Rust and patina that eat a coat."""
+    """Draw rust or patina that eats a coat."""
     frequency = log_between(rng, 4, 10)
     stretch = log_between(rng, 1, 4) if chance(rng, 0.4) else 1.0  # where water runs down
     spread = fbm(rng, size, frequency, between(rng, 1.3, 2.6), stretch, between(rng, 0, math.pi))
@@ -44,7 +47,7 @@ def rust(rng: Rng, size: int) -> PeriodicMaps:
     scale = fbm(rng, size, frequency * 2, between(rng, 0.7, 1.5))
     rusts = draw_palette(rng, "3b1d10 6e2f14 a34a1a c8702a 8a4b2a d98f4a 4a2a1e", 4, 0.1)
     if chance(rng, 0.2):
-        rusts = draw_palette(rng, "2f6f63 4f9a8a 87bfa8 1e4a48 b5c9a8", 4, 0.1)  # copper's
+        rusts = draw_palette(rng, "2f6f63 4f9a8a 87bfa8 1e4a48 b5c9a8", 4, 0.1)  # patina of copper
     crust = colour_ramp(normal_to_uniform(0.8 * scale + 0.5 * spread), rusts)
     coat = (
         draw_dye_colours(rng, 1)[0] if chance(rng, 0.6) else draw_palette(rng, "5f6266 8f9499 3a3b3d b8b2a8", 1, 0.1)[0]
@@ -59,7 +62,7 @@ def rust(rng: Rng, size: int) -> PeriodicMaps:
 
 
 def grass(rng: Rng, size: int) -> PeriodicMaps:
-    """Overlapping blades, needles, hay, hair."""
+    """Draw overlapping blades, needles, hay or hair."""
     kind = pick(rng, ("blades", "hay", "needles", "fur"))
     angle = between(rng, 0, 2 * math.pi)
     count, length, width, spread, curl = {
@@ -70,50 +73,50 @@ def grass(rng: Rng, size: int) -> PeriodicMaps:
     }[kind]
     zoom = log_between(rng, 0.8, 1.6)
     length, width = (length[0] * zoom, length[1] * zoom), (width[0] * zoom, width[1] * zoom)
-    seen = scatter_strokes(
+    blades = scatter_strokes(
         rng, size, int(count / zoom**1.5), length, width, (angle, spread), curl, 0 if kind == "hay" else 1
     )
     colours = draw_palette(rng, _STRAW if kind == "hay" or chance(rng, 0.3) else _LEAVES, 4, 0.2)
     if kind == "fur":
         colours = draw_palette(rng, "4a3425 8a6a4a c9a97f 2a2220 b5b0a8 e6dccb 7a3f22", 3, 0.25)
-    tone = seen.of_each(uniforms(rng, seen.total))
-    rounded = np.sqrt(np.clip(1 - seen.across**2, 0, 1))
-    diffuse = colour_ramp(0.15 + 0.7 * tone + 0.15 * seen.along, colours)
-    diffuse = diffuse * (0.25 + 0.75 * seen.depth ** np.float32(between(rng, 0.5, 1.5))) * (0.6 + 0.4 * rounded)
+    tone = blades.of_each(uniforms(rng, blades.total))
+    rounded = np.sqrt(np.clip(1 - blades.across**2, 0, 1))
+    diffuse = colour_ramp(0.15 + 0.7 * tone + 0.15 * blades.along, colours)
+    diffuse = diffuse * (0.25 + 0.75 * blades.depth ** np.float32(between(rng, 0.5, 1.5))) * (0.6 + 0.4 * rounded)
     ground = uniform_colour(colours[0] * np.float32(0.2), size)
-    diffuse = mix(ground, diffuse, seen.covered)
-    return assemble_maps(rng, diffuse, seen.depth * 2 + 0.6 * rounded, (0.3, 0.8), (0.03, 0.06), (0.4, 0.8))
+    diffuse = mix(ground, diffuse, blades.covered)
+    return assemble_maps(rng, diffuse, blades.depth * 2 + 0.6 * rounded, (0.3, 0.8), (0.03, 0.06), (0.4, 0.8))
 
 
 def foliage(rng: Rng, size: int) -> PeriodicMaps:
-    """Leaves on leaves, petals, moss, tufts."""
+    """Draw leaves on leaves, petals, moss or tufts."""
     colours = draw_palette(rng, _LEAVES, 4, 0.2)
     if chance(rng, 0.25):
         colours = draw_dye_colours(rng, 4)
     if chance(rng, 0.35):
-        return _clumps(rng, size, colours)
+        return _draw_clumps(rng, size, colours)
     zoom = log_between(rng, 0.05, 0.16)
     slim = between(rng, 0.3, 0.9)
     count = int(between(rng, 3.0, 6.0) / (zoom * zoom * slim))
     spread = math.pi if chance(rng, 0.7) else between(rng, 0.4, 1)
     angle = between(rng, 0, 2 * math.pi)
     span = (0.6 * zoom, 1.2 * zoom)
-    seen = scatter_strokes(rng, size, count, span, (span[0] * slim, span[1] * slim), (angle, spread), 0.8, 2)
-    draws = uniforms(rng, 2, seen.total)
-    tone, shade = seen.of_each(draws[0]), seen.of_each(draws[1])
-    middle = ridges(seen.across, between(rng, 0.05, 0.15))
-    veins = np.sin((seen.along * 2 + np.abs(seen.across)) * np.float32(between(rng, 10, 30))) * between(rng, 0, 0.6)
-    diffuse = colour_ramp(tone * 0.8 + 0.2 * np.abs(seen.across), colours)
+    leaves = scatter_strokes(rng, size, count, span, (span[0] * slim, span[1] * slim), (angle, spread), 0.8, 2)
+    draws = uniforms(rng, 2, leaves.total)
+    tone, shade = leaves.of_each(draws[0]), leaves.of_each(draws[1])
+    middle = ridges(leaves.across, between(rng, 0.05, 0.15))
+    veins = np.sin((leaves.along * 2 + np.abs(leaves.across)) * np.float32(between(rng, 10, 30))) * between(rng, 0, 0.6)
+    diffuse = colour_ramp(tone * 0.8 + 0.2 * np.abs(leaves.across), colours)
     diffuse = vary_albedo(diffuse, veins + middle + shade - 0.5, between(rng, 0.1, 0.4))
-    diffuse = diffuse * (0.2 + 0.8 * seen.depth ** np.float32(between(rng, 0.5, 1.5)))
-    diffuse = mix(uniform_colour(colours[0] * np.float32(0.12), size), diffuse, seen.covered)
-    cup = between(rng, -0.5, 0.5) * seen.across**2
-    height = 1.5 * seen.depth + cup - 0.15 * middle + 0.08 * veins
+    diffuse = diffuse * (0.2 + 0.8 * leaves.depth ** np.float32(between(rng, 0.5, 1.5)))
+    diffuse = mix(uniform_colour(colours[0] * np.float32(0.12), size), diffuse, leaves.covered)
+    cup = between(rng, -0.5, 0.5) * leaves.across**2
+    height = 1.5 * leaves.depth + cup - 0.15 * middle + 0.08 * veins
     return assemble_maps(rng, diffuse, height, (0.2, 0.7), (0.03, 0.06), (0.3, 0.8))
 
 
-def _clumps(rng: Rng, size: int, colours: Field) -> PeriodicMaps:
-    """Domes on domes, as moss, broccoli or a lawn of tufts from above."""
+def _draw_clumps(rng: Rng, size: int, colours: Field) -> PeriodicMaps:
+    """Draw domes on domes, such as moss, broccoli or a lawn of tufts from above."""
     coarse = log_between(rng, 6, 16)
     height = np.zeros((size, size), np.float32)
     tone = np.zeros((size, size), np.float32)
@@ -129,7 +132,7 @@ def _clumps(rng: Rng, size: int, colours: Field) -> PeriodicMaps:
 
 
 def camouflage(rng: Rng, size: int) -> PeriodicMaps:
-    """Blotches in layers, zebra stripes, leopard spots, lichen."""
+    """Draw blotches in layers, zebra stripes, leopard spots or lichen."""
     stretch, angle = log_between(rng, 1, 3), between(rng, 0, math.pi)
     frequency = log_between(rng, 5, 15) * math.sqrt(stretch)
     kind = pick(rng, ("layers", "layers", "stripes", "spots", "lichen"))
@@ -162,10 +165,10 @@ def camouflage(rng: Rng, size: int) -> PeriodicMaps:
 
 
 def dots(rng: Rng, size: int) -> PeriodicMaps:
-    """Printed dots, perforated plates, studs, bubbles."""
+    """Draw printed dots, perforated plates, studs or bubbles."""
     kind = pick(rng, ("printed", "printed", "perforated", "studs", "bubbles", "bubbles"))
     if kind == "bubbles":
-        return _bubbles(rng, size)
+        return _draw_bubbles(rng, size)
     count, hexagonal = log_between(rng, 7, 26), chance(rng, 0.6)
     rows = count * 2 / math.sqrt(3) if hexagonal else count
     jitter = 0.0 if kind == "perforated" or chance(rng, 0.5) else between(rng, 0.2, 0.8)
@@ -178,10 +181,10 @@ def dots(rng: Rng, size: int) -> PeriodicMaps:
     fine = fbm(rng, size, 20, 0.7)
     ground = vary_albedo(uniform_colour(colours[0], size), fine, between(rng, 0.02, 0.15))
     if kind == "printed":
-        which = 1 + (draws[1] * (len(colours) - 1)).astype(np.int64)
+        colour_number = 1 + (draws[1] * (len(colours) - 1)).astype(np.int64)
         threads = band_noise(rng, size, log_between(rng, 40, 90), 0.4, between(rng, 1, 6), between(rng, 0, math.pi))
         diffuse = vary_albedo(
-            mix(ground, np.moveaxis(colours[which], -1, 0), inside), threads, between(rng, 0.02, 0.15)
+            mix(ground, np.moveaxis(colours[colour_number], -1, 0), inside), threads, between(rng, 0.02, 0.15)
         )
         return assemble_maps(rng, diffuse, threads + between(rng, 0, 2) * inside, (0.03, 0.25), roughness=(0.4, 1))
     if kind == "perforated":
@@ -196,8 +199,8 @@ def dots(rng: Rng, size: int) -> PeriodicMaps:
     return assemble_maps(rng, diffuse, round_top * 3 + 0.02 * fine, (0.2, 0.7), (0.04, 0.06), (0.2, 0.7))
 
 
-def _bubbles(rng: Rng, size: int) -> PeriodicMaps:
-    """Foam or blisters: domes of several sizes, large ones over small ones."""
+def _draw_bubbles(rng: Rng, size: int) -> PeriodicMaps:
+    """Draw foam or blisters: domes of several sizes, large ones over small ones."""
     coarse = log_between(rng, 6, 14)
     height, tone = np.zeros((size, size), np.float32), np.zeros((size, size), np.float32)
     rim = np.zeros((size, size), np.float32)

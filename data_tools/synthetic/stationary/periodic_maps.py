@@ -1,4 +1,4 @@
-"""The parts of a procedural material, and the draws of its colours and its relief."""
+"""The maps of a periodic procedural material, and the draws of its colours and its relief."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def assemble_maps(
     """Put a material together.
 
     Args:
-        rng: of values that are given as a range.
+        rng: random numbers for values that are given as a range.
         diffuse: linear RGB albedo [3, S, S], clamped to [0.01, 0.95].
         height: [S, S] of any scale.
         slope: range of the root mean square slope that the height is scaled to.
@@ -66,12 +66,12 @@ def assemble_maps(
 
 
 def draw_palette(rng: Rng, hexes: str, count: int, strange: float = 0.25) -> Field:
-    """Colours that go together: some of the given ones, moved together in hue, saturation and lightness.
+    """Draw colours that go together: some of the given ones, moved together in hue, saturation and lightness.
 
     Args:
-        rng: of the draws.
+        rng: random numbers for the colours.
         hexes: sRGB colours to start from, as in "8a6f4d c2b280".
-        count: how many; they repeat, varied, if more are asked for than given.
+        count: number of colours; they repeat, varied, if more are asked for than given.
         strange: in this share of draws the hue may be any.
 
     Returns:
@@ -94,7 +94,7 @@ def draw_palette(rng: Rng, hexes: str, count: int, strange: float = 0.25) -> Fie
 
 
 def draw_dye_colours(rng: Rng, count: int, saturation: Range = (0.2, 0.95)) -> Field:
-    """Colours of any hue, as dyes and paints have: linear RGB [count, 3], neighbours unlike in lightness or hue."""
+    """Draw colours of any hue, as dyes and paints have, that differ in lightness: linear RGB [count, 3]."""
     hue, spread = float(rng.random()), between(rng, 0.0, 0.5)
     values = np.linspace(between(rng, 0.1, 0.5), between(rng, 0.65, 1.0), count)
     values = values[np.argsort(rng.random(count))]
@@ -107,11 +107,11 @@ def draw_dye_colours(rng: Rng, count: int, saturation: Range = (0.2, 0.95)) -> F
 
 
 def uniform_colour(colour: Field, size: int) -> Field:
-    """One colour [3] everywhere: [3, S, S]."""
+    """Return an albedo [3, S, S] that has one colour [3] everywhere."""
     return np.broadcast_to(colour[:, None, None], (3, size, size)).astype(np.float32)
 
 
 def vary_albedo(diffuse: Field, field: Field, amount: float) -> Field:
-    """An albedo made lighter and darker by a field of variance 1; amount 0.1 is barely, 0.5 strongly visible."""
+    """Make an albedo lighter and darker by a field of variance 1; amount 0.1 is barely, 0.5 strongly visible."""
     result: Field = diffuse * np.exp(np.float32(amount) * np.clip(field, -3, 3))
     return result

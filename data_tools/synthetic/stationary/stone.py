@@ -1,4 +1,7 @@
-"""Procedural stone and earth: grain, terrazzo, gravel, cracks, marble, granite."""
+"""Procedural stone and earth: grain, terrazzo, gravel, cracks, marble, granite.
+
+Each function `<family>(rng, size)` draws periodic maps of size x size texels.
+"""
 
 from __future__ import annotations
 
@@ -34,11 +37,12 @@ _STONES = "8c8c8c b0a99f 6e6a66 d6d0c4 4b4a4d a38f78 7c8478 c9b8a8 5a5f66 e6e2da
 
 
 def grain(rng: Rng, size: int) -> PeriodicMaps:
-    """Sandpaper, concrete, stucco."""
-    return pick(rng, (_sandpaper, _sandpaper, _concrete, _concrete, _stucco))(rng, size)
+    """Draw sandpaper, concrete or stucco."""
+    return pick(rng, (_draw_sandpaper, _draw_sandpaper, _draw_concrete, _draw_concrete, _draw_stucco))(rng, size)
 
 
-def _sandpaper(rng: Rng, size: int) -> PeriodicMaps:
+def _draw_sandpaper(rng: Rng, size: int) -> PeriodicMaps:
+    """Draw sandpaper: lumps of several shades, some of which glint."""
     cells = isotropic_cells(rng, size, log_between(rng, 20, 60))
     shade = uniforms(rng, cells.total)[cells.cell]
     lump = smoothstep(cells.nearest, between(rng, 0.4, 0.8), 0.0)
@@ -50,7 +54,8 @@ def _sandpaper(rng: Rng, size: int) -> PeriodicMaps:
     return assemble_maps(rng, diffuse, lump * (0.4 + shade), (0.15, 0.8), (0.03, 0.06), 0.9 - 0.5 * glints)
 
 
-def _concrete(rng: Rng, size: int) -> PeriodicMaps:
+def _draw_concrete(rng: Rng, size: int) -> PeriodicMaps:
+    """Draw concrete with stains and pores, often with the print of boards."""
     stains = fbm(rng, size, log_between(rng, 3, 8), between(rng, 1.2, 2.2))
     fine = fbm(rng, size, 30, 0.7)
     pores = band_noise(rng, size, log_between(rng, 12, 45), 0.4)
@@ -64,7 +69,8 @@ def _concrete(rng: Rng, size: int) -> PeriodicMaps:
     return assemble_maps(rng, diffuse, 0.3 * stains + 0.3 * fine - 4 * holes, (0.08, 0.4))
 
 
-def _stucco(rng: Rng, size: int) -> PeriodicMaps:
+def _draw_stucco(rng: Rng, size: int) -> PeriodicMaps:
+    """Draw stucco: lumps or ridges of one scale."""
     frequency = log_between(rng, 8, 26)
     body = band_noise(rng, size, frequency, 0.5, log_between(rng, 1, 2.5), between(rng, 0, math.pi))
     kind = between(rng, 0, 3)
@@ -76,7 +82,7 @@ def _stucco(rng: Rng, size: int) -> PeriodicMaps:
 
 
 def terrazzo(rng: Rng, size: int) -> PeriodicMaps:
-    """Chips of stone, of several sizes, in a binder."""
+    """Draw chips of stone, of several sizes, in a binder."""
     count = pick(rng, (2, 3, 4, 5))
     chips = draw_palette(rng, _STONES + " b03a2e 2e6b5e d9a441 283747 f2efe9", count, 0.3)
     if chance(rng, 0.3):
@@ -89,9 +95,11 @@ def terrazzo(rng: Rng, size: int) -> PeriodicMaps:
         bend = smooth_displacement(rng, size, coarse * 2, between(rng, 0.0, 0.08))
         cells = isotropic_cells(rng, size, coarse * 1.9**octave, warp=bend)
         draws = uniforms(rng, 3, cells.total)
-        wide = draws[0] < between(rng, 0.4, 0.95)
+        is_chip = draws[0] < between(rng, 0.4, 0.95)
         inside = (
-            smoothstep(cells.edge, between(rng, 0.03, 0.16), between(rng, 0.17, 0.2)) * wide[cells.cell] * (1 - covered)
+            smoothstep(cells.edge, between(rng, 0.03, 0.16), between(rng, 0.17, 0.2))
+            * is_chip[cells.cell]
+            * (1 - covered)
         )
         tint = chips[(draws[1] * count).astype(np.int64)] * (0.75 + 0.5 * draws[2])[:, None]
         colour = np.moveaxis(tint[cells.cell], -1, 0) * np.exp(0.08 * fbm(rng, size, 20, 1.0))
@@ -103,11 +111,11 @@ def terrazzo(rng: Rng, size: int) -> PeriodicMaps:
 
 
 def gravel(rng: Rng, size: int) -> PeriodicMaps:
-    """Pebbles or broken stones, small ones between large ones."""
+    """Draw pebbles or broken stones, small ones between large ones."""
     coarse, aspect = log_between(rng, 6, 22), between(rng, 1, 1.9)
-    sharp = chance(rng, 0.35)  # broken stones are flat and angular, pebbles round
+    sharp = chance(rng, 0.35)  # broken stones are flat and angular, pebbles are round
     colours = draw_palette(rng, _STONES + " " + _EARTHS, pick(rng, (2, 3, 5)), 0.2)
-    diffuse, height = _stones(rng, size, coarse * 2.3, aspect, sharp, colours)
+    diffuse, height = _draw_stone_bed(rng, size, coarse * 2.3, aspect, sharp, colours)
     cells = isotropic_cells(
         rng, size, coarse, between(rng, 0.6, 0.9), smooth_displacement(rng, size, coarse, 0.05), aspect
     )
@@ -117,37 +125,41 @@ def gravel(rng: Rng, size: int) -> PeriodicMaps:
     rim = uneven + np.float32(narrow) + np.float32(spread) * draws[0][cells.cell]
     present = (draws[1] < between(rng, 0.7, 1.0))[cells.cell]
     inside = smoothstep(cells.edge, rim, rim + 0.05) * present
-    dome = _dome(cells.edge - rim, sharp) * (0.6 + 0.4 * draws[2][cells.cell])
+    dome = _stone_profile(cells.edge - rim, sharp) * (0.6 + 0.4 * draws[2][cells.cell])
     if sharp:
         tilt = (draws[2] - 0.5)[cells.cell] * cells.across_x + (draws[3] - 0.5)[cells.cell] * cells.across_y
         dome = dome + tilt * 0.8
-    stone = _stone_colours(rng, size, draws[3][cells.cell], colours, coarse)
+    stone = _draw_stone_albedo(rng, size, draws[3][cells.cell], colours, coarse)
     diffuse, height = mix(diffuse * np.float32(0.6), stone, inside), mix(height * 0.4, 0.5 + dome, inside)
     return assemble_maps(rng, diffuse, height, (0.35, 1.1), (0.03, 0.06), (0.35, 0.9))
 
 
-def _dome(edge: Field, sharp: bool) -> Field:
-    """The profile of a stone, 0 .. 1, from the distance to its rim."""
+def _stone_profile(edge: Field, sharp: bool) -> Field:
+    """Return the profile of a stone, 0 .. 1, from the distance to its rim."""
     inside = np.clip(edge / 0.35, 0, 1)
     result: Field = np.minimum(inside * 3, 1) if sharp else np.sqrt(inside * (2 - inside))
     return result
 
 
-def _stone_colours(rng: Rng, size: int, tone: Field, colours: Field, coarse: float) -> Field:
+def _draw_stone_albedo(rng: Rng, size: int, tone: Field, colours: Field, coarse: float) -> Field:
+    """Draw the albedo [3, S, S] of stones from their tones [S, S] along a ramp of colours."""
     body = colour_ramp(tone, colours)
     return vary_albedo(body, fbm(rng, size, coarse * 2, 0.8), between(rng, 0.05, 0.25))
 
 
-def _stones(rng: Rng, size: int, cells: float, aspect: float, sharp: bool, colours: Field) -> tuple[Field, Field]:
+def _draw_stone_bed(
+    rng: Rng, size: int, cells: float, aspect: float, sharp: bool, colours: Field
+) -> tuple[Field, Field]:
+    """Draw a bed of small stones: its albedo [3, S, S] and its height [S, S]."""
     small = isotropic_cells(rng, size, cells, 0.85, None, aspect)
     tone = uniforms(rng, small.total)[small.cell]
-    diffuse = _stone_colours(rng, size, tone, colours, cells)
+    diffuse = _draw_stone_albedo(rng, size, tone, colours, cells)
     inside = smoothstep(small.edge, 0.0, 0.1)
-    return diffuse * (0.35 + 0.65 * inside), _dome(small.edge, sharp)
+    return diffuse * (0.35 + 0.65 * inside), _stone_profile(small.edge, sharp)
 
 
 def cracks(rng: Rng, size: int) -> PeriodicMaps:
-    """Dry mud, or paint that flakes off."""
+    """Draw dry mud, or paint that flakes off."""
     coarse = log_between(rng, 5, 16)
     rough = fbm(rng, size, coarse, between(rng, 1.9, 2.6)), fbm(rng, size, coarse, 2.3)
     bend = np.float32(between(rng, 0.03, 0.1))
@@ -168,8 +180,8 @@ def cracks(rng: Rng, size: int) -> PeriodicMaps:
         curl = between(rng, 0, 0.8) * smoothstep(plates.edge, 0.25, 0.05)
         return assemble_maps(rng, diffuse, 0.15 * grit + curl - 1.5 * gap, (0.2, 0.8), roughness=(0.7, 1))
     paint, ground = draw_dye_colours(rng, 1)[0], draw_palette(rng, _EARTHS + " d9d4c8 3b3b3b", 2)
-    gone = (uniforms(rng, fine.total) < between(rng, 0, 0.35))[fine.cell]
-    bare = np.maximum(gap, smoothstep(blur_periodic(gone.astype(np.float32), 0.003), 0.4, 0.6))
+    is_flaked = (uniforms(rng, fine.total) < between(rng, 0, 0.35))[fine.cell]
+    bare = np.maximum(gap, smoothstep(blur_periodic(is_flaked.astype(np.float32), 0.003), 0.4, 0.6))
     coat = vary_albedo(uniform_colour(paint, size), 0.5 * grit + (tone - 0.5) * 2, between(rng, 0.03, 0.15))
     diffuse = mix(coat, colour_ramp(normal_to_uniform(fbm(rng, size, 10, 1.2)), ground), bare)
     roughness = mix(np.full_like(bare, between(rng, 0.2, 0.6)), np.float32(0.9) + 0 * bare, bare)
@@ -177,7 +189,7 @@ def cracks(rng: Rng, size: int) -> PeriodicMaps:
 
 
 def marble(rng: Rng, size: int) -> PeriodicMaps:
-    """Veined stone, polished."""
+    """Draw veined stone, polished."""
     stretch, angle = log_between(rng, 1, 4), between(rng, 0, math.pi)
     frequency, slope = log_between(rng, 3.2, 6.5) * math.sqrt(stretch), between(rng, 2.0, 3.0)
     cloud = fbm(rng, size, frequency, slope, stretch, angle)
@@ -197,15 +209,15 @@ def marble(rng: Rng, size: int) -> PeriodicMaps:
 
 
 def granite(rng: Rng, size: int) -> PeriodicMaps:
-    """Crystals of three to five minerals."""
+    """Draw crystals of three to five minerals."""
     fine = log_between(rng, 14, 50)
     tones = "e8e0d8 b9a9a0 c98f7a 8a8580 45413f 1e1d1f 9aa3a8 a8553e 5d6b5a"
     minerals = draw_palette(rng, tones, pick(rng, (3, 4, 5)), 0.15)
     warp = smooth_displacement(rng, size, fine, between(rng, 0.0, 0.2))
     cells = isotropic_cells(rng, size, fine, 0.95, warp, between(rng, 1, 1.6))
     clumps = band_noise(rng, size, fine / between(rng, 1.5, 5), 0.5)
-    apart = uniforms(rng, cells.total)[cells.cell] - 0.5
-    tone = normal_to_uniform(np.float32(between(rng, 0.2, 0.9)) * clumps + 2.2 * apart)
+    cell_tone = uniforms(rng, cells.total)[cells.cell] - 0.5
+    tone = normal_to_uniform(np.float32(between(rng, 0.2, 0.9)) * clumps + 2.2 * cell_tone)
     places = np.minimum((tone * len(minerals)).astype(np.int64), len(minerals) - 1)
     diffuse = np.moveaxis(minerals[places], -1, 0) * np.exp(0.12 * fbm(rng, size, fine, 0.6))
     mica = smoothstep(band_noise(rng, size, fine * 0.8, 0.4), 1.3, 1.6) * between(rng, 0, 1)

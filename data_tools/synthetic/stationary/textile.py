@@ -1,4 +1,7 @@
-"""Procedural cloth and hide: weaves, knits, stripes, leather."""
+"""Procedural cloth and hide: weaves, knits, stripes, leather.
+
+Each function `<family>(rng, size)` draws periodic maps of size x size texels.
+"""
 
 from __future__ import annotations
 
@@ -30,18 +33,20 @@ from data_tools.synthetic.stationary.periodic_maps import (
 
 _CLOTHS = "24365c 3b5998 8c2f39 c8b89a e9e4d8 2b2b2b 5e6b4a 7b4b2a a67c52 9a9a9a d4a017 61304b 1f4e4a"
 
-# Over (1) or under (0) by column + shift * row, modulo the length: plain, hopsack, twills, satin.
+# Whether the warp lies over (1) or under (0) the weft, by column + shift * row modulo the length: plain, hopsack,
+# twills, satin.
 _DRAFTS: tuple[tuple[str, int], ...] = (
     ("10", 1), ("10", 1), ("110", 1), ("1100", 1), ("1110", 1), ("11100", 1), ("10000", 2), ("11011000", 3),
 )  # fmt: skip
 
 
-def _dyes(rng: Rng, count: int) -> Field:
+def _draw_cloth_colours(rng: Rng, count: int) -> Field:
+    """Draw colours of cloths, linear RGB [count, 3]."""
     return draw_dye_colours(rng, count) if chance(rng, 0.4) else draw_palette(rng, _CLOTHS, count, 0.3)
 
 
-def _sequence(rng: Rng, period: int, colours: int) -> Ids:
-    """Which of the colours each yarn of a repeat has: bands of one or more yarns."""
+def _draw_yarn_sequence(rng: Rng, period: int, colours: int) -> Ids:
+    """Draw which of the colours each yarn of a repeat has: bands of one or more yarns."""
     places: list[int] = []
     while len(places) < period:
         places += [integer_between(rng, 0, colours - 1)] * integer_between(rng, 1, max(1, period // 2))
@@ -49,7 +54,7 @@ def _sequence(rng: Rng, period: int, colours: int) -> Ids:
 
 
 def weave(rng: Rng, size: int) -> PeriodicMaps:
-    """Plain weaves, baskets, twills, denim, satin, herringbone, checks."""
+    """Draw a weave: plain, basket, twill, denim, satin, herringbone or checks."""
     draft, shift = pick(rng, _DRAFTS)
     yarns = log_between(rng, 12, 48)
     repeat = len(draft) * (pick(rng, (1, 1, 2, 4)) if yarns > 24 else 1)
@@ -58,32 +63,32 @@ def weave(rng: Rng, size: int) -> PeriodicMaps:
     lattice = CellLattice(size, yarns, yarns * log_between(rng, 0.7, 1.4), angle, 0, repeat, repeat, bend)
     column, row = lattice.column, lattice.row
     if len(draft) > 2 and chance(rng, 0.3) and repeat % (2 * len(draft)) == 0:  # herringbone
-        turned = row % (2 * len(draft)) >= len(draft)
-        phase = column + shift * np.where(turned, -row, row)
+        is_turned = row % (2 * len(draft)) >= len(draft)
+        phase = column + shift * np.where(is_turned, -row, row)
     else:
         phase = column + shift * row
-    over = np.array([each == "1" for each in draft])[phase % len(draft)]
+    is_warp = np.array([key == "1" for key in draft])[phase % len(draft)]
     warp_round, weft_round = 1 - (2 * lattice.u - 1) ** 2, 1 - (2 * lattice.v - 1) ** 2
     bow_warp, bow_weft = np.sin(np.pi * lattice.v), np.sin(np.pi * lattice.u)
     lift = np.float32(between(rng, 0.3, 1.0))
-    height = np.where(over, np.sqrt(warp_round) + lift * bow_warp, np.sqrt(weft_round) + lift * bow_weft)
+    height = np.where(is_warp, np.sqrt(warp_round) + lift * bow_warp, np.sqrt(weft_round) + lift * bow_weft)
     height = height + np.float32(between(rng, 0.02, 0.25)) * fbm(rng, size, yarns * 2, 0.8)
-    dyes = _dyes(rng, 4)
+    dyes = _draw_cloth_colours(rng, 4)
     if chance(rng, 0.45):  # one colour for the warp, one for the weft, as denim
-        colour = np.where(over, dyes[0][:, None, None], dyes[1 if chance(rng, 0.7) else 0][:, None, None])
+        colour = np.where(is_warp, dyes[0][:, None, None], dyes[1 if chance(rng, 0.7) else 0][:, None, None])
     else:
-        of_warp, of_weft = _sequence(rng, repeat, 3), _sequence(rng, repeat, 3)
-        index = np.where(over, of_warp[column % repeat], of_weft[row % repeat])
+        warp_sequence, weft_sequence = _draw_yarn_sequence(rng, repeat, 3), _draw_yarn_sequence(rng, repeat, 3)
+        index = np.where(is_warp, warp_sequence[column % repeat], weft_sequence[row % repeat])
         colour = np.moveaxis(dyes[index], -1, 0)
-    uneven = np.where(over, uniforms(rng, repeat)[column % repeat], uniforms(rng, repeat)[row % repeat])
+    uneven = np.where(is_warp, uniforms(rng, repeat)[column % repeat], uniforms(rng, repeat)[row % repeat])
     colour = vary_albedo(colour, 2 * uneven - 1 + 0.5 * fbm(rng, size, yarns, 0.8), between(rng, 0.05, 0.3))
-    gaps = smoothstep(np.where(over, warp_round, weft_round), 0.0, between(rng, 0.1, 0.6))
+    gaps = smoothstep(np.where(is_warp, warp_round, weft_round), 0.0, between(rng, 0.1, 0.6))
     colour = colour * (np.float32(between(rng, 0.25, 0.7)) * (1 - gaps) + gaps)
     return assemble_maps(rng, colour, height, (0.15, 0.6), (0.03, 0.06), (0.6, 1))
 
 
 def knit(rng: Rng, size: int) -> PeriodicMaps:
-    """Stockinette, ribs, with stripes or a motif in it."""
+    """Draw a knit: stockinette or ribs, with stripes or a motif in it."""
     columns = log_between(rng, 8, 24)
     motif = pick(rng, (1, 1, 2, 4, 6))
     angle = between(rng, 0, math.pi) if motif < 4 else pick(rng, (0.0, math.pi / 2, math.pi / 4))
@@ -101,8 +106,8 @@ def knit(rng: Rng, size: int) -> PeriodicMaps:
         height, stitch = np.where(higher, bump, height), np.where(higher, lattice.row + rows, stitch)
         strand = np.where(higher, across, strand)
     twist = np.sin((strand * 2.5 + side) * np.float32(between(rng, 6, 16)))
-    dyes = _dyes(rng, 4)
-    tone = _sequence(rng, motif * motif, 3).reshape(motif, motif)[stitch % motif, lattice.column % motif]
+    dyes = _draw_cloth_colours(rng, 4)
+    tone = _draw_yarn_sequence(rng, motif * motif, 3).reshape(motif, motif)[stitch % motif, lattice.column % motif]
     colour = np.moveaxis(dyes[tone], -1, 0)
     wool = fbm(rng, size, columns * 2, 0.7)
     colour = vary_albedo(colour, 0.6 * wool + 0.5 * twist, between(rng, 0.05, 0.25)) * (
@@ -113,7 +118,7 @@ def knit(rng: Rng, size: int) -> PeriodicMaps:
 
 
 def stripes(rng: Rng, size: int) -> PeriodicMaps:
-    """Stripes, corduroy, checks, zigzags, waves."""
+    """Draw stripes, corduroy, checks, zigzags or waves."""
     period = pick(rng, (1, 2, 2, 3, 4))
     bands = log_between(rng, 8, 30)
     angle = between(rng, 0, math.pi)
@@ -131,11 +136,11 @@ def stripes(rng: Rng, size: int) -> PeriodicMaps:
     soft = between(rng, 0.02, 0.15)
     share = shares[lattice.row % period]
     band = smoothstep(lattice.v, 0, soft) * smoothstep(lattice.v, share + soft, share)
-    dyes = _dyes(rng, period + 1)
+    dyes = _draw_cloth_colours(rng, period + 1)
     colour = mix(uniform_colour(dyes[0], size), np.moveaxis(dyes[1 + lattice.row % period], -1, 0), band)
     if kind == "checks":
-        other = smoothstep(lattice.u, 0, soft) * smoothstep(lattice.u, share + soft, share)
-        colour = mix(colour, np.moveaxis(dyes[(1 + lattice.column) % (period + 1)], -1, 0), other * 0.5)
+        column_band = smoothstep(lattice.u, 0, soft) * smoothstep(lattice.u, share + soft, share)
+        colour = mix(colour, np.moveaxis(dyes[(1 + lattice.column) % (period + 1)], -1, 0), column_band * 0.5)
     threads = band_noise(rng, size, log_between(rng, 40, 90), 0.4, between(rng, 1, 12), angle)
     colour = vary_albedo(colour, threads, between(rng, 0.02, 0.2))
     if kind == "corduroy":
@@ -146,7 +151,7 @@ def stripes(rng: Rng, size: int) -> PeriodicMaps:
 
 
 def leather(rng: Rng, size: int) -> PeriodicMaps:
-    """Grained, creased or scaly hide."""
+    """Draw grained, creased or scaly hide."""
     colours = draw_palette(rng, "5a3218 7b4a26 2a1c14 8c5a3c a67b5b 1c1c1e 6b2020 d2b48c 3b4a5a 4a5240 e0d6c8", 2, 0.25)
     cells = log_between(rng, 9, 36)
     warp = smooth_displacement(rng, size, cells / 2, between(rng, 0.05, 0.25))
