@@ -1,6 +1,6 @@
 """Small example inputs, one or two files an application, drawn like the test tasks of the embedded sets.
 
-They are in no embedded set, each is drawn in less than a second, and the same on every machine.
+They are in no embedded set; each is drawn in less than a second, and equal on every machine.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from metapp.appearance.latlong import texel_index
 from metapp.storage.files import write_atomically, write_bytes
 from metapp.storage.image_writers import write_exr, write_png
 
-_SEED = 1  # the embedded sets have 0
+_SEED = 1  # of all draws; the embedded sets have seed 0
 _PAIRS = 2000  # rows of the table of a BRDF
-_ROWS = 128  # of the environment map
+_ROWS = 128  # rows of the environment map
 _LAMP = 0.5  # half of the sides of the box's lamp, a quarter of the ceiling
-_SIDE, _BALL = 256, 110  # px of the ball's photograph and of its radius
+_SIDE, _BALL = 256, 110  # px, side of the ball's photo and radius of the ball in it
 
 
 class Example(NamedTuple):
     """The example inputs of an application.
 
     Attributes:
-        files: their names; fits take the first without options.
-        write: writes them at these paths.
+        files: names of the files; fits take the first one without options.
+        write: function that writes the files at the paths that are its arguments.
     """
 
     files: tuple[str, ...]
@@ -65,73 +65,75 @@ def write_example(app: str, folder: Path) -> list[Path]:
 
 
 def _write_brdf(file: Path) -> None:
-    """A paint, measured at random pairs of directions."""
+    """Write a paint, measured at random pairs of directions, as a table."""
     paint = brdf.synthetic_materials("test", 4, _SEED)[3]
     rng = Generator().manual_seed(_SEED)
-    wi, wo = (_hemisphere(torch.rand(2, _PAIRS, generator=rng)) for _ in range(2))
-    places = [
+    wi, wo = (_map_to_hemisphere(torch.rand(2, _PAIRS, generator=rng)) for _ in range(2))
+    angles_deg = [
         angle.rad2deg()
         for x, y, z in (wi.T.double(), wo.T.double())
         for angle in (torch.hypot(x, y).atan2(z), y.atan2(x))
     ]
-    rows = torch.cat([torch.stack(places, 1), paint.evaluate(directions_to_full_rusinkiewicz(wi, wo))], 1)
-    head = "# a row a pair of directions: theta_i, phi_i light, theta_o, phi_o detector; r, g, b its BRDF in 1/sr\n"
-    head += "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
+    rows = torch.cat([torch.stack(angles_deg, 1), paint.evaluate(directions_to_full_rusinkiewicz(wi, wo))], 1)
+    header = "# a row a pair of directions: theta_i, phi_i light, theta_o, phi_o detector; r, g, b its BRDF in 1/sr\n"
+    header += "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
     formats = ["%.2f"] * 4 + ["%.6g"] * 3
-    write_atomically(file, lambda path: np.savetxt(path, rows, formats, ",", header=head, comments=""))
+    write_atomically(file, lambda path: np.savetxt(path, rows, formats, ",", header=header, comments=""))
 
 
-def _hemisphere(uniform: Tensor) -> Tensor:
-    """Unit vectors [N, 3], uniform to 89 degrees from the normal, of numbers [2, N] in [0, 1)."""
+def _map_to_hemisphere(uniform: Tensor) -> Tensor:
+    """Map numbers [2, N] in [0, 1) to unit vectors [N, 3], uniform to 89 degrees from the normal."""
     z, phi = 0.02 + 0.98 * uniform[0], 2 * torch.pi * uniform[1]
     across = (1 - z**2).sqrt()
     return torch.stack([across * phi.cos(), across * phi.sin(), z], 1)
 
 
 def _write_texture(file: Path) -> None:
-    _write_picture(_drawn(texture, "bricks", "image", 27), file)
+    """Write a picture of bricks."""
+    _write_picture(_draw_picture(texture, "bricks", "image", 27), file)
 
 
 def _write_svbrdf_stationary(file: Path) -> None:
-    """Leather with a coarse grain, whose relief shows under any light."""
-    _write_picture(_drawn(svbrdf_stationary, "leather", "image", 40), file)
+    """Write a flash photo of leather with a coarse grain, whose relief shows under any light."""
+    _write_picture(_draw_picture(svbrdf_stationary, "leather", "image", 40), file)
 
 
 def _write_svbrdf_nonstationary(file: Path) -> None:
-    _write_picture(_drawn(svbrdf_nonstationary, "mosaic", "photo", _SEED), file)
+    """Write a flash photo of a mosaic."""
+    _write_picture(_draw_picture(svbrdf_nonstationary, "mosaic", "photo", _SEED), file)
 
 
-def _drawn(module: ModuleType, family: str, key: str, seed: int) -> Tensor:
-    """The picture, uint8 [3, 256, 256], of the first test task of a family in the set of a seed."""
+def _draw_picture(module: ModuleType, family: str, key: str, seed: int) -> Tensor:
+    """Draw the first test task of a family in a seed's set, and return a picture of it, uint8 [3, 256, 256]."""
     tasks = module.synthetic_tasks("test", 20, seed, size=256)
     picture: Tensor = next(task.data[key] for task in tasks if task.name.startswith(family))
     return picture
 
 
 def _write_illumination(map_file: Path, ball_file: Path) -> None:
-    """A courtyard, and a mirror ball in it as a phone shows it: the brightest px are clipped."""
+    """Write a courtyard's map, and a photo of a mirror ball in it as a phone shows it: the brightest px are clipped."""
     light = illumination.draw_environment_map(illumination.FAMILIES["courtyard"], random_stream(_SEED, 1), rows=_ROWS)
     write_exr(light.permute(1, 2, 0), map_file)
-    places = (np.arange(2 * _SIDE) + 0.5) / 2 - _SIDE / 2
-    disc = np.stack(np.meshgrid(places / _BALL, -places / _BALL))
-    behind = np.stack([*(disc * 0.3), np.full(disc.shape[1:], -1.0)])
-    reach = np.hypot(*disc)
-    psi = 2 * np.arcsin(reach.clip(max=1))  # between view and reflection
-    mirrored = np.stack([*(np.sin(psi) * (disc / reach)), np.cos(psi)])
-    towards = np.where(reach < 1, mirrored, behind / np.linalg.norm(behind, axis=0))
-    seen = _looked_up(light, towards).unflatten(2, (_SIDE, 2)).unflatten(1, (_SIDE, 2)).mean((2, 4))
-    exposed = seen * (0.4 / seen.mean())
+    coordinates = (np.arange(2 * _SIDE) + 0.5) / 2 - _SIDE / 2
+    disc = np.stack(np.meshgrid(coordinates / _BALL, -coordinates / _BALL))
+    background = np.stack([*(disc * 0.3), np.full(disc.shape[1:], -1.0)])
+    radius = np.hypot(*disc)
+    psi = 2 * np.arcsin(radius.clip(max=1))  # rad, between view and reflection
+    mirrored = np.stack([*(np.sin(psi) * (disc / radius)), np.cos(psi)])
+    directions = np.where(radius < 1, mirrored, background / np.linalg.norm(background, axis=0))
+    ball_radiance = _look_up_radiance(light, directions).unflatten(2, (_SIDE, 2)).unflatten(1, (_SIDE, 2)).mean((2, 4))
+    exposed = ball_radiance * (0.4 / ball_radiance.mean())
     _write_picture(255 * linear_to_srgb(exposed.clamp(0, 1)), ball_file)
 
 
-def _looked_up(light: Tensor, towards: NDArray[np.floating]) -> Tensor:
-    """Radiance [3, H, W] of a map in directions [3, H, W]."""
+def _look_up_radiance(light: Tensor, towards: NDArray[np.floating]) -> Tensor:
+    """Look up the radiance [3, H, W] of a map in directions [3, H, W]."""
     texels = texel_index(torch.from_numpy(towards), *light.shape[1:])
     return light.flatten(1)[:, texels]
 
 
 def _write_transport(file: Path) -> None:
-    """A Cornell box with a red and a blue wall, two matte balls and a wide lamp, which paths often hit."""
+    """Write a Cornell box with a red and a blue wall, two matte balls and a wide lamp, which paths often hit."""
     scene: cornell.SceneEntry = {"type": "scene", "sensor": cornell.sensor_entry()}
     scene |= cornell.wall_entries([0.7, 0.12, 0.08], [0.1, 0.25, 0.7])
     lamp = cornell.rectangle_entry((0, 0.99, 0), (_LAMP, 0, 0), (0, 0, _LAMP), cornell.diffuse_bsdf([0.0] * 3))
@@ -146,7 +148,7 @@ def _write_transport(file: Path) -> None:
 
 
 def _write_picture(values: Tensor, file: Path) -> None:
-    """Write sRGB [3, H, W], 0 .. 255."""
+    """Write a picture of sRGB values [3, H, W], 0 .. 255."""
     write_png(values.permute(1, 2, 0) / 255, {"encoding": "sRGB"}, file)
 
 

@@ -35,7 +35,7 @@ from data_tools.synthetic.stationary.families import Split, split_draws
 from metapp.appearance.latlong import solid_angles
 from metapp.learning.task import Task
 
-_STRONGEST_CAST = 1.2  # of red over blue, in the mean of a map, as a power of 2
+_STRONGEST_CAST = 1.2  # the largest ratio of red to blue in the mean of a map, or its inverse, as a power of 2
 
 ROWS = environment_maps.MAP_HEIGHT_PX  # rows of a map
 UNITS = {**environment_maps.UNITS, "scale": "mean luminance of the map before, kcd/m^2, about"}
@@ -61,17 +61,17 @@ FAMILIES: dict[str, Callable[[Rng], EnvironmentScene]] = {
 
 
 def synthetic_tasks(split: Split, count: int, seed: int = 0, rows: int = ROWS) -> Iterator[Task]:
-    """The environments of one split, one by one.
+    """Draw the environments of one split, and yield each as a task.
 
     Args:
-        split: "train" or "test"; the same families, other draws.
+        split: "train" or "test"; both have all families, with other draws.
         count: how many. A larger set begins with the smaller one.
-        seed: of all draws, >= 0.
-        rows: of the maps, at least 32; the environments are the same at all sizes.
+        seed: seed of all draws, >= 0.
+        rows: rows of the maps, at least 32; a seed's environments do not depend on it.
 
     Returns:
-        Tasks with unique names such as "meadow-016" ("meadow-t000" in the test split), as `latlong.map_task` makes
-        them of a file.
+        Tasks with unique names such as "meadow-016" ("meadow-t000" in the test split), as
+        `data_tools.readers.environment_maps.make_map_task` makes them from a file.
 
     Raises:
         ValueError: for another split, or a negative count or seed.
@@ -84,7 +84,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, rows: int = ROWS) -
 def draw_environment_map(
     family: Callable[[Rng], EnvironmentScene], rng: Rng, supersampling: int = 2, rows: int = ROWS
 ) -> Tensor:
-    """A map of a family's next scene, turned to anywhere and seen by a camera of some white balance.
+    """Draw a scene of a family, and render its map, turned at random and seen by a camera of some white balance.
 
     Returns:
         Radiance, float32 [3, rows, 2 * rows], kcd/m^2.
@@ -95,12 +95,15 @@ def draw_environment_map(
 
 
 def draw_white_balance(light: Field, rng: Rng) -> Field:
-    """Gains [3] of a camera: towards a gray mean of the map [3, H, W], more or less, and a little off."""
+    """Draw the gains [3] of a camera's white balance for a map [3, H, W].
+
+    They make the mean of the map grey, more or less, and a little off.
+    """
     weights = solid_angles(*light.shape[1:]).numpy() / light.shape[2]
     mean = np.maximum((light * weights).sum((1, 2)), 1e-9)
-    kept = between(rng, 0.05, 0.7) if chance(rng, 0.9) else 1.0
-    kept = min(kept, _STRONGEST_CAST / max(abs(math.log2(mean[0] / mean[2])), 1e-3))
+    cast_exponent = between(rng, 0.05, 0.7) if chance(rng, 0.9) else 1.0
+    cast_exponent = min(cast_exponent, _STRONGEST_CAST / max(abs(math.log2(mean[0] / mean[2])), 1e-3))
     warmth, green = between(rng, -0.2, 0.3), between(rng, -0.06, 0.06)
-    gains = (mean / mean[1]) ** (kept - 1) * vector(2**warmth, 2**green, 2**-warmth)
+    gains = (mean / mean[1]) ** (cast_exponent - 1) * vector(2**warmth, 2**green, 2**-warmth)
     result: Field = np.clip(gains, 0.2, 5).astype(np.float32)
     return result

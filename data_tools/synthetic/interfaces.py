@@ -1,6 +1,6 @@
 """Smooth and rough interfaces: reflectance by Fresnel's equations, and transmittance.
 
-Everything takes any leading axes, dtype and device; cosines are with the surface normal unless said otherwise.
+All functions take any leading axes, dtype and device; cosines are with the surface normal unless said otherwise.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from metapp.appearance.reflection import Fresnel, MicrofacetKind, masking_over_c
 
 
 def fresnel_dielectric(cos: Tensor, eta: Tensor | float) -> Tensor:
-    """Unpolarised reflectance in [0, 1] of a smooth dielectric interface (Fresnel), 1 under total internal reflection.
+    """Return the unpolarised reflectance in [0, 1] of a smooth dielectric interface, 1 under total internal reflection.
 
     Args:
         cos: cosine on the side the light comes from, in [0, 1].
@@ -29,7 +29,9 @@ def fresnel_dielectric(cos: Tensor, eta: Tensor | float) -> Tensor:
 
 
 def fresnel_conductor(cos: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
-    """Unpolarised reflectance in [0, 1] of a smooth conductor of complex index eta + i k (Moeller, "Optics").
+    """Return the unpolarised reflectance in [0, 1] of a smooth conductor of complex index eta + i k.
+
+    The equations are in Moeller's "Optics".
 
     Args:
         cos: cosine with the normal, in [0, 1], on the side of air.
@@ -51,7 +53,7 @@ def fresnel_conductor(cos: Tensor, eta: Tensor | float, k: Tensor | float) -> Te
 
 
 def smith_masking(cos: Tensor, alpha: Tensor | float, kind: MicrofacetKind) -> Tensor:
-    """Smith's masking G1 in [0, 1], the visible share of the facets; exact for GGX, Walter's fit for Beckmann.
+    """Return Smith's masking G1 in [0, 1], the visible share of the facets; exact for GGX, Walter's fit for Beckmann.
 
     Args:
         cos: cosine of the direction with the macroscopic normal; masked entirely at and below 0.
@@ -62,12 +64,15 @@ def smith_masking(cos: Tensor, alpha: Tensor | float, kind: MicrofacetKind) -> T
 
 
 def _visible_facets(cos: Tensor, alpha: float, kind: MicrofacetKind) -> tuple[Tensor, Tensor, Tensor]:
-    """Facets seen from a direction: cos_h and cos_d, their cosines with normal and direction, and quadrature weights.
+    """Return the facets that are seen from directions with cosines [...], for quadrature over facet normals.
 
-    Each [..., 64, 48], cos [...]; the weights sum to 1 but for the quadrature's error, 0 for facets seen from behind.
+    Returns:
+        The facets' cosines with the normal (cos_h) and with the direction (cos_d), and quadrature weights, each [...,
+            64, 48]. The weights sum to 1 but for the quadrature's error; they are 0 for facets seen from behind.
     """
     nodes, weights = (part.to(cos)[:, None] for part in gauss_legendre(64))
-    # Normals distributed as D cos_h: a quantile gives the slope; the azimuth's mirror image counts double.
+    # Normals are distributed as D cos_h, and a quantile of it gives the slope. Each azimuth stands for its mirror
+    # image, too.
     slope_squared = nodes / (1 - nodes) if kind == "ggx" else -(1 - nodes).log()
     cos_h = (1 + alpha * alpha * slope_squared).rsqrt()
     sin_h = (1 - cos_h * cos_h).sqrt()
@@ -78,14 +83,14 @@ def _visible_facets(cos: Tensor, alpha: float, kind: MicrofacetKind) -> tuple[Te
 
 
 def rough_reflectance(cos: Tensor, alpha: float, fresnel: Fresnel, kind: MicrofacetKind = "ggx") -> Tensor:
-    """Share of the light from one direction that a microfacet lobe reflects, by quadrature over facet normals.
+    """Return the share of the light from one direction that a microfacet lobe reflects, by quadrature.
 
     With `fresnel_dielectric` of eta > 1 this is the reflectance of a rough coat; of eta < 1, the share it keeps inside.
 
     Args:
-        cos: cosines of the direction, [...], in (0, 1].
+        cos: cosines [...] of the direction, in (0, 1].
         alpha: roughness > 0.
-        fresnel: reflectance [..., C] of cosines [..., 1].
+        fresnel: function from cosines [..., 1] to reflectance [..., C].
         kind: "ggx" or "beckmann".
 
     Returns:
@@ -98,10 +103,12 @@ def rough_reflectance(cos: Tensor, alpha: float, fresnel: Fresnel, kind: Microfa
 
 
 def rough_transmittance(cos: Tensor, alpha: float, eta: float, kind: MicrofacetKind = "ggx") -> Tensor:
-    """Share of the light from one direction that passes a rough dielectric interface in one event (Walter 2007).
+    """Return the share of the light from one direction that passes a rough dielectric interface in one event.
+
+    The model is Walter et al.'s (2007).
 
     Args:
-        cos: cosines of the direction, [...], in (0, 1].
+        cos: cosines [...] of the direction, in (0, 1].
         alpha: roughness > 0.
         eta: index of refraction of the far side over the near side, > 0.
         kind: "ggx" or "beckmann".
@@ -110,6 +117,6 @@ def rough_transmittance(cos: Tensor, alpha: float, eta: float, kind: MicrofacetK
         Transmittance [...] in [0, 1]; with `rough_reflectance` less than 1 in sum, by the masking of facets.
     """
     cos_h, cos_d, weights = _visible_facets(cos, alpha, kind)
-    refracted = (1 - (1 - cos_d * cos_d) / (eta * eta)).clamp_min(0).sqrt()
-    onward = refracted * cos_h + (cos[..., None, None] - cos_d * cos_h) / eta  # cosine with the inward normal
-    return (weights * (1 - fresnel_dielectric(cos_d, eta)) * smith_masking(onward, alpha, kind)).sum((-2, -1))
+    refracted_cos = (1 - (1 - cos_d * cos_d) / (eta * eta)).clamp_min(0).sqrt()
+    inward_cos = refracted_cos * cos_h + (cos[..., None, None] - cos_d * cos_h) / eta  # with the inward normal
+    return (weights * (1 - fresnel_dielectric(cos_d, eta)) * smith_masking(inward_cos, alpha, kind)).sum((-2, -1))

@@ -1,9 +1,9 @@
 """The default set of non-stationary svBRDFs: procedural patches of several materials, weathered.
 
 Families take turns, so any count of 19 or more holds them all; every draw is another patch. Training and test draws
-come from other random streams. Maps cover kinds that most libraries of materials hold little of: bare metals in colour,
-roughness from 0.1 to 0.95 within one patch, strong relief beside none. Photographs are as people take them: in most the
-flash is not quite beside the lens.
+come from other random streams. The maps cover kinds that most libraries of materials hold little of: bare metals in
+colour, roughness from 0.1 to 0.95 within one patch, strong relief beside none. Photos are as people take them: in most
+the flash is not quite beside the lens.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from metapp.appearance.flash import (
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.learning.task import Task
 
-VERSION = 2
-MAX_PHOTOS = 9
+VERSION = 2  # of the set's tasks
+MAX_PHOTOS = 9  # photos of a material
 UNITS = {
     **svbrdf_task.UNITS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera above the centre, flash near it",
@@ -78,34 +78,35 @@ FAMILIES: dict[str, Callable[[Rng, int], PatchSurface]] = {
     "crumpled": crumpled,
 }
 
-SIZE = 128
+SIZE = 128  # px a side of the maps and photos
 PHOTOS = 1
 EVEN_FAMILIES = {
     f"even_{name}": functools.partial(procedural_piece, names=(name,)) for name in FLAT_FAMILIES
-}  # in sets of larger maps, too
-_STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
+}  # families that sets of larger maps have in addition
+_STREAM = 2  # a key of the random streams: other materials than in the sets of textures and of stationary svBRDFs
 
 
 def units_of(photos: int = 1, **_: object) -> dict[str, str]:
-    """Units of the tensors of a set, of one photo of each material or of several."""
+    """Return the units of a set's tensors, for one photo of each material or for several."""
     return UNITS | (SEVERAL_PHOTO_UNITS if photos > 1 else {})
 
 
 def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, photos: int = PHOTOS) -> Iterator[Task]:
-    """The patches of one split, one by one.
+    """Draw the patches of one split, and yield each as a task.
 
     Args:
-        split: "train" or "test"; the same families, other draws.
+        split: "train" or "test"; both have all families, with other draws.
         count: how many. A larger set begins with the smaller one.
-        seed: of all draws, >= 0.
-        size: px a side; another size draws other patches of the same families, and a larger one than SIZE of materials
-            that are the same all over, too: `EVEN_FAMILIES`.
-        photos: of each material, 1 to MOST_PHOTOS; the first is the same whatever their number.
+        seed: seed of all draws, >= 0.
+        size: px a side; another size draws other patches of the families, and a size above SIZE also draws materials
+            that are equal all over, `EVEN_FAMILIES`.
+        photos: number of photos of each material, 1 to MAX_PHOTOS; the first does not depend on it.
 
     Returns:
-        Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as `svbrdf_task` makes them:
-        `maps` float16 [10, size, size] and `photo` uint8 [3, size, size]; of several photos `others` uint8
-        [photos - 1, 3, size, size] and `places` [photos, 2, 3], too, off as measured ones are
+        Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as
+        `data_tools.readers.svbrdf_task` makes them: `maps` float16 [10, size, size] and `photo` uint8 [3, size, size].
+        Several photos add `others` uint8 [photos - 1, 3, size, size] and `places` [photos, 2, 3], with errors like
+            measured ones
         (`metapp.apps.svbrdf_nonstationary.places`).
 
     Raises:
@@ -116,28 +117,28 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, p
         maps = pack_surface(families[family](rng, size))
         place, intensity = draw_flash(rng)
         task = svbrdf_task.make_svbrdf_task(name, maps, photo=svbrdf_task.render_flash_photo(maps, place, intensity))
-        yield task if photos == 1 else task._replace(data=task.data | _further(maps, place, photos, rng))
+        yield task if photos == 1 else task._replace(data=task.data | _draw_further_photos(maps, place, photos, rng))
 
 
-def _further(maps: Tensor, first: Tensor, photos: int, rng: Rng) -> dict[str, Tensor]:
-    """`others` and `places` of so many photos, of the first of which the flash is known."""
-    (cameras,), (off,) = held_places(1, photos, Generator().manual_seed(int(rng.integers(2**62))))
-    lights = torch.cat([first[None], cameras[1:]])
-    brighter = np.exp(rng.normal(size=photos) * FLASH_BRIGHTNESS_LOG_DEVIATION)
+def _draw_further_photos(maps: Tensor, first: Tensor, photos: int, rng: Rng) -> dict[str, Tensor]:
+    """Draw the tensors `others` and `places` of several photos, given the flash's position in the first photo."""
+    (cameras,), (measurement_errors,) = held_places(1, photos, Generator().manual_seed(int(rng.integers(2**62))))
+    flashes = torch.cat([first[None], cameras[1:]])
+    brightness = np.exp(rng.normal(size=photos) * FLASH_BRIGHTNESS_LOG_DEVIATION)
     others = [
-        svbrdf_task.render_flash_photo(maps, eye, float(gain * (eye[2] / camera_distance()) ** 2), eye)
-        for eye, gain in zip(cameras[1:], brighter[1:], strict=True)
+        svbrdf_task.render_flash_photo(maps, camera, float(gain * (camera[2] / camera_distance()) ** 2), camera)
+        for camera, gain in zip(cameras[1:], brightness[1:], strict=True)
     ]
-    return {"others": torch.stack(others), "places": torch.stack([cameras, lights], 1) + off[:, None]}
+    return {"others": torch.stack(others), "places": torch.stack([cameras, flashes], 1) + measurement_errors[:, None]}
 
 
 def draw_flash(rng: Rng) -> tuple[Tensor, float]:
-    """The position of the flash, [3] as `metapp.appearance.flash.render_maps` has it, and its intensity."""
-    apart = rng.normal(size=4) * (rng.random() >= BESIDE_LENS_SHARE)
-    aside, higher, brighter = (
-        apart[:2] * FLASH_OFFSET_HALF_SIDES,
-        np.exp(apart[2] * FLASH_HEIGHT_LOG_DEVIATION),
-        np.exp(apart[3] * FLASH_BRIGHTNESS_LOG_DEVIATION),
+    """Draw the position [3] of the flash, as `metapp.appearance.flash.render_maps` takes it, and its intensity."""
+    deviations = rng.normal(size=4) * (rng.random() >= BESIDE_LENS_SHARE)
+    offset, height_factor, brightness = (
+        deviations[:2] * FLASH_OFFSET_HALF_SIDES,
+        np.exp(deviations[2] * FLASH_HEIGHT_LOG_DEVIATION),
+        np.exp(deviations[3] * FLASH_BRIGHTNESS_LOG_DEVIATION),
     )
-    place = torch.tensor([*aside, float(camera_position()[2]) * higher], dtype=torch.float32)
-    return place, float(brighter * higher**2)  # exposed by what is right below it
+    place = torch.tensor([*offset, float(camera_position()[2]) * height_factor], dtype=torch.float32)
+    return place, float(brightness * height_factor**2)  # the exposure is set by the surface right below the flash

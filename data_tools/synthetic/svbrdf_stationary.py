@@ -1,8 +1,8 @@
-"""The default set of stationary svBRDFs: procedural materials, each in one photograph under the flash of a phone.
+"""The default set of stationary svBRDFs: procedural materials, each in one photo under the flash of a phone.
 
 Families take turns, so any count of 16 or more holds them all; every draw is another material. Training and test draws
-come from other random streams. A training task holds a photograph and, for the outer loss alone, statistics of the maps
-behind it; a test task also the same material under other lights, for judging.
+come from other random streams. A training task holds a photo and, for the outer loss alone, statistics of the maps
+behind it; a test task also the material under other lights, for judging.
 """
 
 from __future__ import annotations
@@ -40,26 +40,26 @@ UNITS = {
     "metapp.appearance.flash.map_statistics; training tasks only",
 }
 
-# Flat enough to be maps on a plane: without loose grass, leaves, and what is mostly print.
+# Families that are flat enough to be maps on a plane: without loose grass, leaves, and materials that are mostly print.
 FLAT_FAMILIES = tuple(name for name in FAMILIES if name not in ("grass", "foliage", "stripes", "camouflage"))
 
 SIZE = 256  # px a side
-_STREAM = 1  # other materials than those of the textures
+_STREAM = 1  # a key of the random streams: other materials than in the set of textures
 
 
 def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -> Iterator[Task]:
-    """The photographs of one split, one by one.
+    """Draw the materials of one split, and yield each one's photo as a task.
 
     Args:
-        split: "train" or "test"; the same families, other draws.
+        split: "train" or "test"; both have all families, with other draws.
         count: how many. A larger set begins with the smaller one.
-        seed: of all draws, >= 0.
-        size: px a side of the pictures; another size draws other pictures of the same families.
+        seed: seed of all draws, >= 0.
+        size: px a side of the pictures; another size draws other pictures of the families.
 
     Returns:
         Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
-        [3, 256, 256], sRGB; in the training split also `truth`, float32 [3, 2, 6], in the test split `relit`, uint8
-        [3, 3, 256, 256], the same material and exposure under `metapp.appearance.flash.relighting_positions`.
+        [3, size, size], sRGB; in the training split also `truth`, float32 [3, 2, 6], in the test split `relit`, uint8
+        [3, 3, size, size], the material at the photo's exposure under `metapp.appearance.flash.relighting_positions`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.
@@ -71,25 +71,26 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
 
 @torch.no_grad()
 def take_flash_photos(maps: PeriodicMaps, rng: Rng) -> tuple[Tensor, Tensor, Tensor]:
-    """A photograph of a material by a phone held straight above it, its flash beside the lens, and relightings.
+    """Take a photo of a material with a phone straight above it, its flash beside the lens, and relight the material.
 
     Args:
-        maps: of the material, [.., S, S].
-        rng: of the flash's exact place and cone, the exposure and the sensor's noise.
+        maps: maps of the material, [.., S, S].
+        rng: random numbers for the flash's exact place and cone, the exposure and the sensor's noise.
 
     Returns:
-        uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor white. And
-        uint8 [3, 3, S, S], the same exposure without noise under `metapp.appearance.flash.relighting_positions`. And
-        float32 [3, 2, 6], see `UNITS`.
+        The photo, uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor
+            white.
+        The relit pictures, uint8 [3, 3, S, S], at the photo's exposure without noise, under
+        `metapp.appearance.flash.relighting_positions`. The statistics, float32 [3, 2, 6], see `UNITS`.
     """
     diffuse, specular, roughness, height = (torch.from_numpy(each) for each in maps)
     size = height.shape[-1]
     surface = Maps(diffuse, specular, roughness.clamp_min(0.15), normal_from_height(height, 0.7))
     flash = camera_position() + torch.tensor([between(rng, -0.06, 0.06), between(rng, -0.06, 0.06), 0.0])
-    place, falloff = texel_positions(size, size), between(rng, 0.7, 1.3)
-    radiance = render_maps(surface, place, flash, camera_position(), falloff=falloff)
+    positions, falloff = texel_positions(size, size), between(rng, 0.7, 1.3)
+    radiance = render_maps(surface, positions, flash, camera_position(), falloff=falloff)
     luminance = radiance.mean(0)
-    # A phone meters the whole picture and holds the highlight back: of the two, what is darker.
+    # A phone meters the whole picture and holds the highlight back: the darker exposure of the two is taken.
     metered = log_between(rng, 0.13, 0.3) / float(luminance.mean())
     held_back = 1 / float(luminance.quantile(between(rng, 0.985, 0.998)))
     exposure = min(metered, max(held_back, 0.08 / float(luminance.mean())))
@@ -97,16 +98,21 @@ def take_flash_photos(maps: PeriodicMaps, rng: Rng) -> tuple[Tensor, Tensor, Ten
     # Photons (variance in proportion to the light) and read-out; the sum of four uniforms is nearly normal.
     normal = torch.from_numpy((uniforms(rng, 4, 3, size, size).sum(0) - 2) * np.float32(3**0.5))
     noise = log_between(rng, 0.003, 0.015)
-    noisy = exposed + normal * (noise**2 * exposed + (0.15 * noise) ** 2).sqrt()
-    moved = [render_maps(surface, place, *lit, falloff=falloff) * exposure for lit in relighting_positions().values()]
-    photo, relit = ((radiance_to_display(each) * 255).round().to(torch.uint8) for each in (noisy, torch.stack(moved)))
+    noisy_radiance = exposed + normal * (noise**2 * exposed + (0.15 * noise) ** 2).sqrt()
+    relit_radiance = [
+        render_maps(surface, positions, *light, falloff=falloff) * exposure for light in relighting_positions().values()
+    ]
+    photo, relit = (
+        (radiance_to_display(each) * 255).round().to(torch.uint8)
+        for each in (noisy_radiance, torch.stack(relit_radiance))
+    )
     return photo, relit, _statistics(surface, exposure)
 
 
 def _statistics(surface: Maps, exposure: float) -> Tensor:
-    """Statistics [3, 2, 6] at 256, 128 and 64 px of the maps that make the same picture at exposure 1."""
-    lit = surface._replace(
+    """Return statistics [3, 2, 6] at 256, 128 and 64 px of the maps that make the photo's picture at exposure 1."""
+    exposed_maps = surface._replace(
         diffuse=(surface.diffuse * exposure).clamp(0, 1), specular=(surface.specular * exposure).clamp(0, 1)
     )
-    smaller = (Maps(*(adaptive_avg_pool2d(each, size) for each in lit)) for size in STATISTICS_SIDES_PX)
-    return torch.stack([map_statistics(each) for each in smaller])
+    coarser_maps = (Maps(*(adaptive_avg_pool2d(field, size) for field in exposed_maps)) for size in STATISTICS_SIDES_PX)
+    return torch.stack([map_statistics(field) for field in coarser_maps])

@@ -26,14 +26,14 @@ def synthetic_tasks(
     samples: int = SAMPLES,
     held: int = HELD,
 ) -> Iterator[Task]:
-    """The Cornell boxes of one split, one by one.
+    """Draw the Cornell boxes of one split, and yield each as a task.
 
     Args:
         split: "train" or "test".
         count: how many. A larger set begins with the smaller one.
-        seed: of all draws, >= 0.
-        samples: of each scene, for fits to see.
-        held: of each scene, for tests alone.
+        seed: seed of all draws, >= 0.
+        samples: number of samples of each scene that a fit sees.
+        held: number of samples of each scene for tests alone.
 
     Returns:
         Tasks as `make_transport_task` makes them, named "box-000" and so on ("box-t000" in the test split).
@@ -43,19 +43,19 @@ def synthetic_tasks(
     """
     for _, name, rng in split_draws("scenes", ["box"], COUNTS, split, count, seed):
         scene = draw_scene(rng)
-        drawn = int(rng.integers(2**63))
-        yield make_transport_task(name, scene, drawn, samples=samples, held=held)
+        path_seed = int(rng.integers(2**63))
+        yield make_transport_task(name, scene, path_seed, samples=samples, held=held)
 
 
 def cornell_tasks(count: int, seed: int = 0, *, samples: int = SAMPLES, held: int = HELD) -> Iterator[Task]:
-    """Other Cornell boxes than any of the default sets, one by one: those of `metapp data cornell`.
+    """Draw the Cornell boxes of `metapp data cornell`, which are in no default set, and yield each as a task.
 
     Returns:
-        Tasks as `make_transport_task` makes them, named "cornell-7-000" and so on, with the seed in the middle. A larger set
-        begins with the smaller one.
+        Tasks as `make_transport_task` makes them, named "cornell-7-000" and so on, with the seed in the middle. A
+            larger set begins with the smaller one.
     """
     for index in range(count):
-        rng = random_stream(seed, len(COUNTS), 0, index)  # beside those that `split_draws` draws from
+        rng = random_stream(seed, len(COUNTS), 0, index)  # a stream that `split_draws` never draws from
         scene = draw_scene(rng)
-        drawn, name = int(rng.integers(2**63)), f"cornell-{seed}-{index:03d}"
-        yield make_transport_task(name, scene, drawn, samples=samples, held=held)
+        path_seed, name = int(rng.integers(2**63)), f"cornell-{seed}-{index:03d}"
+        yield make_transport_task(name, scene, path_seed, samples=samples, held=held)

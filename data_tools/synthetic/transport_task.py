@@ -11,7 +11,7 @@ from metapp.rendering.paths.resampling import draw_path_samples
 from metapp.rendering.scenes.rules import SceneDict
 from metapp.rendering.scenes.stored_text import encode_scene
 
-SAMPLES, HELD = 32_768, 8_192
+SAMPLES, HELD = 32_768, 8_192  # samples of a scene that a fit sees, and for tests alone
 UNITS = {
     "samples": "primary sample space, in [0, 1) [N, 4]: film (x right, y down), then two numbers for the direction at "
     "the first surface that scatters; in proportion to the luminance carried",
@@ -20,7 +20,7 @@ UNITS = {
     "scene": "Mitsuba 3 scene as JSON text, UTF-8, blanks at its end",
     "next_event": "1 where paths had next-event estimation and samples were resampled and moved; else missing",
 }
-BESIDE = ("scene", ".json")  # is a file beside each shard, too
+BESIDE = ("scene", ".json")  # a tensor that is written as a file beside each shard, too, and the end of the file's name
 
 
 def make_transport_task(
@@ -32,14 +32,14 @@ def make_transport_task(
     held: int = HELD,
     batch_paths: int | None = None,
 ) -> Task:
-    """Trace light paths of a scene, as a task.
+    """Trace light paths of a scene, and return their samples and the rendered image as a task.
 
     Args:
-        name: of the task.
-        scene: as `metapp.rendering.scenes.loading.load_scene` takes it.
-        seed: of all draws.
-        samples: N, for fits to see.
-        held: M, for tests alone.
+        name: name of the task.
+        scene: scene dictionary, as `metapp.rendering.scenes.loading.load_scene` takes it.
+        seed: seed of all draws.
+        samples: N, number of samples that a fit sees.
+        held: M, number of samples for tests alone.
         batch_paths: paths that are traced at a time; None for as many as :class:`Tracer` traces.
 
     Returns:
@@ -47,7 +47,7 @@ def make_transport_task(
         next-event estimation also `next_event`, uint8 [1].
 
     Raises:
-        ValueError: as `load_scene` and `draw_path_samples`.
+        ValueError: `load_scene` or `draw_path_samples` refuses the scene.
     """
     rng, tracer = Generator().manual_seed(seed), Tracer(scene, batch_paths=batch_paths)
     points, image = draw_path_samples(tracer, samples + held, rng)
