@@ -155,7 +155,7 @@ def anisotropic_directional_albedo(model: AnisotropicModel, wi: Tensor, points: 
     sine = (1 - z * z).sqrt()
     wo = torch.stack([sine * azimuth.cos(), sine * azimuth.sin(), z], -1).reshape(-1, 3)
     share = (nodes * weights)[:, None].expand(z.shape).reshape(-1) * (math.pi / points)
-    return torch.stack([(model(each.expand_as(wo), wo) * share[:, None]).sum(0) for each in wi.double()])
+    return torch.stack([(model(direction.expand_as(wo), wo) * share[:, None]).sum(0) for direction in wi.double()])
 
 
 def _greatest_albedo(model: AnisotropicModel) -> float:

@@ -57,10 +57,10 @@ _TABLE_SIZE = 64  # cosines in a table of transmittance or albedo
 def _interpolate(table: Tensor, cos: Tensor) -> Tensor:
     """Interpolate a table over cosines 0 to 1 linearly at `cos`."""
     position = cos.clamp(0, 1) * (len(table) - 1)
-    below = position.detach().long().clamp_max(len(table) - 2)
+    lower_index = position.detach().long().clamp_max(len(table) - 2)
     table = table.to(cos)
-    lower = table[below]
-    return lower + (position - below) * (table[below + 1] - lower)
+    lower = table[lower_index]
+    return lower + (position - lower_index) * (table[lower_index + 1] - lower)
 
 
 def _grid() -> Tensor:

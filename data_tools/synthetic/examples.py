@@ -126,9 +126,9 @@ def _write_illumination(map_file: Path, ball_file: Path) -> None:
     _write_picture(255 * linear_to_srgb(exposed.clamp(0, 1)), ball_file)
 
 
-def _look_up_radiance(light: Tensor, towards: NDArray[np.floating]) -> Tensor:
+def _look_up_radiance(light: Tensor, directions: NDArray[np.floating]) -> Tensor:
     """Look up the radiance [3, H, W] of a map in directions [3, H, W]."""
-    texels = texel_index(torch.from_numpy(towards), *light.shape[1:])
+    texels = texel_index(torch.from_numpy(directions), *light.shape[1:])
     return light.flatten(1)[:, texels]
 
 

@@ -115,9 +115,15 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, p
     families = FAMILIES if size <= SIZE else FAMILIES | EVEN_FAMILIES
     for family, name, rng in split_draws("svBRDFs", families, COUNTS, split, count, seed, _STREAM):
         maps = pack_surface(families[family](rng, size))
-        place, intensity = draw_flash(rng)
-        task = svbrdf_task.make_svbrdf_task(name, maps, photo=svbrdf_task.render_flash_photo(maps, place, intensity))
-        yield task if photos == 1 else task._replace(data=task.data | _draw_further_photos(maps, place, photos, rng))
+        flash_position, intensity = draw_flash(rng)
+        task = svbrdf_task.make_svbrdf_task(
+            name, maps, photo=svbrdf_task.render_flash_photo(maps, flash_position, intensity)
+        )
+        yield (
+            task
+            if photos == 1
+            else task._replace(data=task.data | _draw_further_photos(maps, flash_position, photos, rng))
+        )
 
 
 def _draw_further_photos(maps: Tensor, first: Tensor, photos: int, rng: Rng) -> dict[str, Tensor]:
@@ -140,5 +146,5 @@ def draw_flash(rng: Rng) -> tuple[Tensor, float]:
         np.exp(deviations[2] * FLASH_HEIGHT_LOG_DEVIATION),
         np.exp(deviations[3] * FLASH_BRIGHTNESS_LOG_DEVIATION),
     )
-    place = torch.tensor([*offset, float(camera_position()[2]) * height_factor], dtype=torch.float32)
-    return place, float(brightness * height_factor**2)  # the exposure is set by the surface right below the flash
+    position = torch.tensor([*offset, float(camera_position()[2]) * height_factor], dtype=torch.float32)
+    return position, float(brightness * height_factor**2)  # the exposure is set by the surface right below the flash

@@ -83,7 +83,7 @@ def take_flash_photos(maps: PeriodicMaps, rng: Rng) -> tuple[Tensor, Tensor, Ten
         The relit pictures, uint8 [3, 3, S, S], at the photo's exposure without noise, under
         `metapp.appearance.flash.relighting_positions`. The statistics, float32 [3, 2, 6], see `UNITS`.
     """
-    diffuse, specular, roughness, height = (torch.from_numpy(each) for each in maps)
+    diffuse, specular, roughness, height = (torch.from_numpy(pictures) for pictures in maps)
     size = height.shape[-1]
     surface = Maps(diffuse, specular, roughness.clamp_min(0.15), normal_from_height(height, 0.7))
     flash = camera_position() + torch.tensor([between(rng, -0.06, 0.06), between(rng, -0.06, 0.06), 0.0])
@@ -103,8 +103,8 @@ def take_flash_photos(maps: PeriodicMaps, rng: Rng) -> tuple[Tensor, Tensor, Ten
         render_maps(surface, positions, *light, falloff=falloff) * exposure for light in relighting_positions().values()
     ]
     photo, relit = (
-        (radiance_to_display(each) * 255).round().to(torch.uint8)
-        for each in (noisy_radiance, torch.stack(relit_radiance))
+        (radiance_to_display(pictures) * 255).round().to(torch.uint8)
+        for pictures in (noisy_radiance, torch.stack(relit_radiance))
     )
     return photo, relit, _statistics(surface, exposure)
 

@@ -53,55 +53,52 @@ def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float, lit: Fi
         height: sine of the elevation that it reaches, about.
         lit: radiance [3] of windows in a town.
     """
-    level_ground, ambient, noise_place = open_ground(sky, ground), sky_irradiance(sky)[:, None], float(rng.random())
+    level_ground, ambient, shift = open_ground(sky, ground), sky_irradiance(sky)[:, None], float(rng.random())
     haze = np.float32(between(rng, 0.0, _HAZE[kind]))
     horizon_radiance = sky.radiance(vector(-sky.sun[0], 0, -sky.sun[2])[:, None])
     colours = _COLOURS.get(kind, (0.1 + 0.4 * uniforms(rng, 2, 1)) * (0.8 + 0.4 * uniforms(rng, 2, 3)))
     houses, storey = round(log_between(rng, 14, 70)), np.float32(log_between(rng, 0.02, 0.05))
 
-    def turn_share(rays: Field) -> Field:
-        """Return the azimuth [N] of rays [3, N] as a share of a full turn."""
+    def azimuth_share(rays: Field) -> Field:
         result: Field = np.arctan2(rays[2], rays[0]) * np.float32(0.5 / math.pi) + np.float32(0.5)
         return result
 
     def is_hidden(rays: Field) -> Mask:
         """Return which rays [3, N] the skyline hides from the sky, [N]."""
-        angle = turn_share(rays)
+        angle = azimuth_share(rays)
         if kind == "town":
-            result: Mask = height * (0.25 + 0.75 * hash_numbers(np.floor(angle * houses), noise_place)) > rays[1]
+            result: Mask = height * (0.25 + 0.75 * hash_numbers(np.floor(angle * houses), shift)) > rays[1]
             return result
-        coarse = look_up_noise("soft", angle, noise_place)
+        coarse = look_up_noise("soft", angle, shift)
         if kind == "hills":
             result = height * (0.6 + 0.35 * coarse) > rays[1]
             return result
-        above = height * (0.75 + 0.25 * coarse + 0.12 * look_up_noise("leaves", angle, noise_place)) - rays[1]
-        leaves = look_up_noise("leaves", 3 * angle, rays[1] + np.float32(noise_place))
-        result = (above > 0) & (leaves > 1.2 - above * np.float32(7 / height))
+        height_above = height * (0.75 + 0.25 * coarse + 0.12 * look_up_noise("leaves", angle, shift)) - rays[1]
+        leaves = look_up_noise("leaves", 3 * angle, rays[1] + np.float32(shift))
+        result = (height_above > 0) & (leaves > 1.2 - height_above * np.float32(7 / height))
         return result
 
     def town_look(angle: Field, up: Field) -> tuple[Field, Mask]:
         """Return how light houses are, and which windows are lit, both [N]."""
         row, column = np.floor(up / storey), np.floor(angle * _PANES)
         pane = (np.abs(up / storey - row - 0.5) < 0.3) & (np.abs(angle * _PANES - column - 0.5) < 0.3)
-        lightness = hash_numbers(np.floor(angle * houses), noise_place + 0.3) * np.where(
-            pane, np.float32(0.1), np.float32(1)
-        )
-        return lightness, pane & (hash_numbers(row * 1009 + column, noise_place) > 0.6)
+        lightness = hash_numbers(np.floor(angle * houses), shift + 0.3) * np.where(pane, np.float32(0.1), np.float32(1))
+        return lightness, pane & (hash_numbers(row * 1009 + column, shift) > 0.6)
 
     def radiance(rays: Field) -> Field:
         result = level_ground.radiance(rays)
-        seen = np.flatnonzero((rays[1] >= 0) & is_hidden(rays))
-        angle, up = turn_share(rays[:, seen]), rays[1, seen]
+        skyline_rays = np.flatnonzero((rays[1] >= 0) & is_hidden(rays))
+        angle, up = azimuth_share(rays[:, skyline_rays]), rays[1, skyline_rays]
         if kind == "town":
             lightness, windows = town_look(angle, up)
         else:
             texture = look_up_noise("leaves" if kind == "woods" else "rough", 3 * angle, 3 * up)
             lightness, windows = np.clip(0.5 + 0.35 * texture, 0, 1), np.zeros(up.shape, np.bool_)
-        sun_facing = np.maximum(-(sky.sun[[0, 2]] @ rays[:, seen][[0, 2]]), 0) + np.float32(0.05)
+        sun_facing = np.maximum(-(sky.sun[[0, 2]] @ rays[:, skyline_rays][[0, 2]]), 0) + np.float32(0.05)
         light = sky.sunlight[:, None] * sun_facing + np.float32(0.5) * ambient
         albedo = colours[0][:, None] + (colours[1] - colours[0])[:, None] * lightness
         surface_radiance = albedo * light * np.float32(1 / math.pi) + lit[:, None] * windows
-        result[:, seen] = surface_radiance + (horizon_radiance - surface_radiance) * haze
+        result[:, skyline_rays] = surface_radiance + (horizon_radiance - surface_radiance) * haze
         return result
 
     return Backdrop(sky, radiance, lambda rays: level_ground.clearness(rays) * ~is_hidden(rays))

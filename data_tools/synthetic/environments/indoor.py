@@ -66,16 +66,16 @@ def evening(rng: Rng) -> EnvironmentScene:
 
 def office(rng: Rng) -> EnvironmentScene:
     """Draw a room or corridor with luminous panels or tubes, often a band of windows."""
-    long = chance(rng, 0.3)
-    scene = draw_room(rng, ((2, 4), (12, 30), (2.4, 3.4)) if long else ((5, 15), (5, 15), (2.4, 3.4)),
+    is_corridor = chance(rng, 0.3)
+    scene = draw_room(rng, ((2, 4), (12, 30), (2.4, 3.4)) if is_corridor else ((5, 15), (5, 15), (2.4, 3.4)),
                  _draw_window_view(rng, _draw_day_sky(rng)))  # fmt: skip
     halves = pick(rng, ((0.3, 0.3), (0.15, 0.6), (0.6, 0.15), (0.3, 0.6), (0.03, 0.7)))
-    grid = (integer_between(rng, 1, 2) if long else integer_between(rng, 2, 5), integer_between(rng, 2, 6))
+    grid = (integer_between(rng, 1, 2) if is_corridor else integer_between(rng, 2, 5), integer_between(rng, 2, 6))
     add_ceiling_lamps(rng, scene, grid, halves, (2.0, 6.0), _draw_kelvin(rng))
     if chance(rng, 0.7):
         add_windows(rng, scene, pick(rng, WALL_SIDES), integer_between(rng, 1, 4), (0.3, 1.0), (0.5, 0.97))
     add_doors(rng, scene, integer_between(rng, 1, 6))
-    add_furniture(rng, scene, integer_between(rng, 0, 3) if long else integer_between(rng, 4, 12), (0.6, 1.4))
+    add_furniture(rng, scene, integer_between(rng, 0, 3) if is_corridor else integer_between(rng, 4, 12), (0.6, 1.4))
     return scene
 
 

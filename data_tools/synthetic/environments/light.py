@@ -107,13 +107,15 @@ def _visible_sun_share(scene: EnvironmentScene) -> Field:
     return result
 
 
-def visibility(scene: EnvironmentScene, place: Field, way: Field, reach: Field | float, softness: float) -> Field:
-    """Return how much of a distant point is seen from places, past boxes and crowns.
+def visibility(
+    scene: EnvironmentScene, positions: Field, directions: Field, reach: Field | float, softness: float
+) -> Field:
+    """Return how much of a distant point is seen from positions, past boxes and crowns.
 
     Args:
         scene: the scene, of which the largest boxes cast shadows.
-        place: [3, N].
-        way: unit directions to the point, [3, N] or [3, 1].
+        positions: [3, N] in m.
+        directions: unit directions to the point, [3, N] or [3, 1].
         reach: distance of the point in m.
         softness: of shadows: a box is opaque to rays whose way through it is longer than `softness` times the distance
             to it.
@@ -121,18 +123,18 @@ def visibility(scene: EnvironmentScene, place: Field, way: Field, reach: Field |
     Returns:
         The visibility [N] in [0, 1].
     """
-    inverse_way = invert_components(way)
-    free_share = np.ones(place.shape[1], np.float32)
+    inverse = invert_components(directions)
+    free_share = np.ones(positions.shape[1], np.float32)
     for box in shadow_casters(scene):
-        near, far = intersect_box(box.low[:, None] - place, box.high[:, None] - place, inverse_way)
-        near = np.maximum(near, 0)
-        free_share *= 1 - np.clip((np.minimum(far, reach) - near) / (softness * near + np.float32(0.02)), 0, 1)
+        entry, leave = intersect_box(box.low[:, None] - positions, box.high[:, None] - positions, inverse)
+        entry = np.maximum(entry, 0)
+        free_share *= 1 - np.clip((np.minimum(leave, reach) - entry) / (softness * entry + np.float32(0.02)), 0, 1)
     holes: Field | float = 0.0
     if scene.crowns and softness < 0.1:  # the sun shines through, in spots
-        holes = look_up_noise("leaves", place[0] * np.float32(0.12), place[2] * np.float32(0.12))
+        holes = look_up_noise("leaves", positions[0] * np.float32(0.12), positions[2] * np.float32(0.12))
     for crown in scene.crowns:
-        offset = crown.centre[:, None] - place
-        middle = (way * offset).sum(0)
+        offset = crown.centre[:, None] - positions
+        middle = (directions * offset).sum(0)
         inwards = 1 - ((offset**2).sum(0) - middle**2) / np.float32(crown.radius**2)
         is_before = (inwards > 0) & (middle > 0) & (middle < reach)
         free_share *= 1 - _SHADE * np.clip(2 * inwards + holes, 0, 1) * is_before
@@ -142,66 +144,68 @@ def visibility(scene: EnvironmentScene, place: Field, way: Field, reach: Field |
 def shadow_casters(scene: EnvironmentScene) -> list[Box]:
     """Return the boxes that cast shadows: the ones that look largest from the eye."""
 
-    def apparent(box: Box) -> float:
+    def negative_size(box: Box) -> float:
         """Return the negative apparent size of a box, by which boxes are sorted."""
-        size, near = box.high - box.low, np.maximum(np.maximum(box.low, -box.high), 0)
-        return -float(size[0] * size[1] + size[1] * size[2] + size[2] * size[0]) / (1 + float(near @ near))
+        size, offset = box.high - box.low, np.maximum(np.maximum(box.low, -box.high), 0)
+        return -float(size[0] * size[1] + size[1] * size[2] + size[2] * size[0]) / (1 + float(offset @ offset))
 
-    return sorted((box for box in scene.boxes if box.high[1] - box.low[1] > _FLAT), key=apparent)[:_CASTERS]
+    return sorted((box for box in scene.boxes if box.high[1] - box.low[1] > _FLAT), key=negative_size)[:_CASTERS]
 
 
-def direct_sun_irradiance(scene: EnvironmentScene, place: Field, normal: Field) -> Field:
-    """Return the irradiance [3, N] by the sun at places, past all that is in its way; in rooms through windows."""
+def direct_sun_irradiance(scene: EnvironmentScene, positions: Field, normal: Field) -> Field:
+    """Return the irradiance [3, N] by the sun at positions, past all that is in its way; in rooms through windows."""
     sky = scene.backdrop.sky
     facing = np.maximum(sky.sun @ normal, 0)
-    result = np.zeros_like(place)
+    result = np.zeros_like(positions)
     if not sky.sunlight.any():
         return result
-    share = _window_transmittance(scene, place, sky.sun) if scene.is_room else np.ones_like(place)
-    lit_places = np.flatnonzero(facing * share.any(0))
-    free_share = visibility(scene, place[:, lit_places], sky.sun[:, None], np.inf, 0.01)
-    result[:, lit_places] = sky.sunlight[:, None] * (facing[lit_places] * free_share) * share[:, lit_places]
+    share = _window_transmittance(scene, positions, sky.sun) if scene.is_room else np.ones_like(positions)
+    lit_points = np.flatnonzero(facing * share.any(0))
+    free_share = visibility(scene, positions[:, lit_points], sky.sun[:, None], np.inf, 0.01)
+    result[:, lit_points] = sky.sunlight[:, None] * (facing[lit_points] * free_share) * share[:, lit_points]
     return result
 
 
-def _window_transmittance(scene: EnvironmentScene, place: Field, way: Field) -> Field:
-    """Return the share [3, N] of light from a direction that reaches places in a room through its windows."""
-    share = np.zeros_like(place)
-    inverse_way = invert_components(way)[:, None]
-    end_distances = (np.where(inverse_way > 0, scene.high[:, None], scene.low[:, None]) - place) * inverse_way
+def _window_transmittance(scene: EnvironmentScene, positions: Field, direction: Field) -> Field:
+    """Return the share [3, N] of light from a direction that reaches positions in a room through its windows."""
+    share = np.zeros_like(positions)
+    inverse = invert_components(direction)[:, None]
+    end_distances = (np.where(inverse > 0, scene.high[:, None], scene.low[:, None]) - positions) * inverse
     axis = end_distances.argmin(0)
-    leaving = place + way[:, None] * end_distances.min(0)
+    leaving = positions + direction[:, None] * end_distances.min(0)
     for window in scene.windows:
         across = window.side // 2
-        if (way[across] > 0) == window.side % 2:
+        if (direction[across] > 0) == window.side % 2:
             first, second = PLANE_AXES[across]
             share += window.glass[:, None] * (lies_in_glass(window, leaving[first], leaving[second]) & (axis == across))
     return share
 
 
-def emitter_irradiance(scene: EnvironmentScene, lights: list[Emitters], place: Field, normal: Field) -> Field:
-    """Return the irradiance [3, N] straight from emitters at places [3, N] on surfaces with normals [3, N]."""
-    total = np.zeros_like(place)
+def emitter_irradiance(scene: EnvironmentScene, lights: list[Emitters], positions: Field, normal: Field) -> Field:
+    """Return the irradiance [3, N] straight from emitters at positions [3, N] on surfaces with normals [3, N]."""
+    total = np.zeros_like(positions)
     for light in lights:
-        below, above = (np.zeros((len(light.areas), place.shape[1]), np.float32) for _ in range(2))
+        share_below, share_above = (np.zeros((len(light.areas), positions.shape[1]), np.float32) for _ in range(2))
         for number, (emitter_place, axis, area) in enumerate(
             zip(light.places, light.normals, light.areas, strict=True)
         ):
             if light.far:
-                way = emitter_place[:, None] / np.linalg.norm(emitter_place)
-                below[number] = np.maximum(emitter_place @ normal, 0) * visibility(scene, place, way, np.inf, 0.4)
+                directions = emitter_place[:, None] / np.linalg.norm(emitter_place)
+                share_below[number] = np.maximum(emitter_place @ normal, 0) * visibility(
+                    scene, positions, directions, np.inf, 0.4
+                )
                 continue
-            way = emitter_place[:, None] - place
-            squared = (way**2).sum(0)
+            directions = emitter_place[:, None] - positions
+            squared = (directions**2).sum(0)
             distance = np.sqrt(squared) + np.float32(1e-4)
-            way /= distance
-            leaving = np.maximum(-(axis @ way), 0) if axis.any() else np.float32(1)
+            directions /= distance
+            leaving = np.maximum(-(axis @ directions), 0) if axis.any() else np.float32(1)
             # The term beside the square of the distance makes it exact right before a disc, and finite.
-            share = np.maximum((way * normal).sum(0), 0) * leaving / (squared + area / np.float32(math.pi))
-            share *= visibility(scene, place, way, distance - np.float32(0.05), 0.25)
-            downwards = np.clip(way[1] * 8 + np.float32(0.3), 0, 1)
-            below[number], above[number] = share * downwards, share * (1 - downwards)
-        total += light.power.T @ below + light.power_up.T @ above
+            share = np.maximum((directions * normal).sum(0), 0) * leaving / (squared + area / np.float32(math.pi))
+            share *= visibility(scene, positions, directions, distance - np.float32(0.05), 0.25)
+            downwards = np.clip(directions[1] * 8 + np.float32(0.3), 0, 1)
+            share_below[number], share_above[number] = share * downwards, share * (1 - downwards)
+        total += light.power.T @ share_below + light.power_up.T @ share_above
     return total
 
 
@@ -219,12 +223,12 @@ def _scattered_irradiance(
         return values.reshape(-1, *fine)[:, :, 0, :, 0].reshape(-1, MAP_HEIGHT_PX * MAP_WIDTH_PX)
 
     surface = hits.surface.reshape(fine)[:, 0, :, 0]
-    place, normal, is_surface = coarse(hits.place), coarse(hits.normal), surface.ravel() != NO_SURFACE
-    direct = emitter_irradiance(scene, list_emitters(scene), place + normal * np.float32(0.03), normal)
+    positions, normal, is_surface = coarse(hits.place), coarse(hits.normal), surface.ravel() != NO_SURFACE
+    direct = emitter_irradiance(scene, list_emitters(scene), positions + normal * np.float32(0.03), normal)
     first_lamp = len(ROOM_SIDES) + len(scene.boxes) + len(scene.crowns)  # lamps are among the emitters already
     leaving = coarse(albedo) * (direct + coarse(sun)) * np.float32(1 / math.pi)
     leaving += coarse(glow) * (surface.ravel() < first_lamp)
-    once_scattered = _bounced_irradiance(scene, leaving * is_surface, place, normal, is_surface)
+    once_scattered = _bounced_irradiance(scene, leaving * is_surface, positions, normal, is_surface)
     weights = solid_angles(MAP_HEIGHT_PX, MAP_WIDTH_PX).expand(
         MAP_HEIGHT_PX, MAP_WIDTH_PX
     ).flatten().numpy() / np.float32(4 * math.pi)
@@ -235,9 +239,9 @@ def _scattered_irradiance(
 
 
 def _bounced_irradiance(
-    scene: EnvironmentScene, leaving: Field, place: Field, normal: Field, is_surface: Field
+    scene: EnvironmentScene, leaving: Field, positions: Field, normal: Field, is_surface: Field
 ) -> Field:
-    """Return the irradiance [3, N] at places by the radiance that leaves all that is seen, without shadows.
+    """Return the irradiance [3, N] at positions by the radiance that leaves all that is seen, without shadows.
 
     The visible surfaces are cut into cells of directions; each sends its mean radiance from one of its points.
     """
@@ -245,17 +249,17 @@ def _bounced_irradiance(
     grid = (rows, MAP_HEIGHT_PX // rows, columns, MAP_WIDTH_PX // columns)
     middle = np.arange(MAP_HEIGHT_PX * MAP_WIDTH_PX).reshape(grid)[:, grid[1] // 2, :, grid[3] // 2].ravel()
     mean = leaving.reshape(3, *grid).mean((2, 4)).reshape(3, -1)
-    origin, axis = place[:, middle], normal[:, middle]
+    origin, axis = positions[:, middle], normal[:, middle]
     distance2 = (origin**2).sum(0)
     facing = np.maximum(-(origin * axis).sum(0) / np.sqrt(distance2), np.float32(0.15))
     angles = solid_angles(rows, columns).expand(rows, columns).flatten().numpy()
     area = np.minimum(angles / facing, 1) * distance2 * is_surface[middle]
 
-    def cell_irradiance(place: Field, normal: Field) -> Field:
-        """Return the irradiance [3, M] that all cells send to places [3, M] with normals [3, M]."""
-        squared = np.maximum((place**2).sum(0)[:, None] + distance2 - 2 * (place.T @ origin), 0)
-        arriving = normal.T @ origin - (normal * place).sum(0)[:, None]
-        departing = place.T @ axis - (origin * axis).sum(0)
+    def cell_irradiance(positions: Field, normal: Field) -> Field:
+        """Return the irradiance [3, M] that all cells send to positions [3, M] with normals [3, M]."""
+        squared = np.maximum((positions**2).sum(0)[:, None] + distance2 - 2 * (positions.T @ origin), 0)
+        arriving = normal.T @ origin - (normal * positions).sum(0)[:, None]
+        departing = positions.T @ axis - (origin * axis).sum(0)
         weight = np.maximum(arriving, 0) * np.maximum(departing, 0) * area
         weight /= squared * (squared + area * np.float32(1 / math.pi)) + np.float32(1e-6)
         if scene.is_room:  # a place in a room sees nothing but the room
@@ -264,7 +268,7 @@ def _bounced_irradiance(
         return result
 
     # The places are cut into parts that fit into the processor's cache.
-    parts = zip(np.split(place, _PARTS, axis=1), np.split(normal, _PARTS, axis=1), strict=True)
+    parts = zip(np.split(positions, _PARTS, axis=1), np.split(normal, _PARTS, axis=1), strict=True)
     return np.concatenate([cell_irradiance(*part) for part in parts], axis=1)
 
 
@@ -296,9 +300,9 @@ def _mirrored_radiance(radiance: Field, rays: Field, normal: Field, gloss: Field
     height = math.isqrt(rays.shape[1] // 2)
     members = np.flatnonzero(gloss)
     cosine = (rays[:, members] * normal[:, members]).sum(0)
-    way = rotate_about_vertical(rays[:, members] - 2 * cosine * normal[:, members], -turn_rad)
-    row = np.arccos(np.clip(way[1], -1, 1)) * np.float32(height / math.pi)
-    column = np.arctan2(way[0], -way[2]) * np.float32(height / math.pi) + 2 * height
+    mirrored = rotate_about_vertical(rays[:, members] - 2 * cosine * normal[:, members], -turn_rad)
+    row = np.arccos(np.clip(mirrored[1], -1, 1)) * np.float32(height / math.pi)
+    column = np.arctan2(mirrored[0], -mirrored[2]) * np.float32(height / math.pi) + 2 * height
     texel = np.minimum(row.astype(np.int64), height - 1) * 2 * height + column.astype(np.int64) % (2 * height)
     image = radiance.reshape(3, height, 2 * height)
     image = image + np.roll(image, 1, 2) + np.roll(image, -1, 2)

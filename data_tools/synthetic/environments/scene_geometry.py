@@ -218,12 +218,12 @@ def intersect_box(low: Field, high: Field, inverse: Field) -> tuple[Field, Field
     Returns:
         Both distances [N]; a ray misses the box if the first is larger, or the second negative.
     """
-    near: Field = np.array(-np.inf, np.float32)
-    far = -near
+    entry: Field = np.array(-np.inf, np.float32)
+    leave = -entry
     for axis in range(3):  # axis by axis, since small arrays stay in the processor's cache
         first, second = low[axis] * inverse[axis], high[axis] * inverse[axis]
-        near, far = np.maximum(near, np.minimum(first, second)), np.minimum(far, np.maximum(first, second))
-    return near, far
+        entry, leave = np.maximum(entry, np.minimum(first, second)), np.minimum(leave, np.maximum(first, second))
+    return entry, leave
 
 
 def cast_rays(scene: EnvironmentScene, rays: Field) -> Hits:
@@ -234,39 +234,39 @@ def cast_rays(scene: EnvironmentScene, rays: Field) -> Hits:
     columns = np.arange(rays.shape[1])
     distance = np.minimum(end_distances[axis, columns], np.float32(_FAR))
     surface = np.where(distance < _FAR, 2 * axis + (inverse[axis, columns] > 0), NO_SURFACE)
-    place = rays * distance
-    glass = _open_windows(scene, surface, place)
+    positions = rays * distance
+    glass = _open_windows(scene, surface, positions)
     normal = np.zeros_like(rays)
     normal[axis, columns] = -np.sign(rays[axis, columns])
     number = len(ROOM_SIDES)
     for box in scene.boxes:
-        near, far = intersect_box(box.low, box.high, inverse)
-        seen = np.flatnonzero((near < far) & (near > 0) & (near < distance))
-        distance[seen], surface[seen] = near[seen], number
-        side = np.minimum(box.low[:, None] * inverse[:, seen], box.high[:, None] * inverse[:, seen]).argmax(0)
-        normal[:, seen] = 0
-        normal[side, seen] = -np.sign(rays[side, seen])
+        entry, leave = intersect_box(box.low, box.high, inverse)
+        hit_rays = np.flatnonzero((entry < leave) & (entry > 0) & (entry < distance))
+        distance[hit_rays], surface[hit_rays] = entry[hit_rays], number
+        side = np.minimum(box.low[:, None] * inverse[:, hit_rays], box.high[:, None] * inverse[:, hit_rays]).argmax(0)
+        normal[:, hit_rays] = 0
+        normal[side, hit_rays] = -np.sign(rays[side, hit_rays])
         number += 1
     for crown in scene.crowns:
-        seen, near = _hit_crown(crown, rays, distance)
-        distance[seen], surface[seen] = near, number
-        normal[:, seen] = (rays[:, seen] * near - crown.centre[:, None]) / np.float32(crown.radius)
+        hit_rays, entry = _hit_crown(crown, rays, distance)
+        distance[hit_rays], surface[hit_rays] = entry, number
+        normal[:, hit_rays] = (rays[:, hit_rays] * entry - crown.centre[:, None]) / np.float32(crown.radius)
         number += 1
     for lamp in scene.lamps:
-        seen, near = _hit_lamp(lamp, rays, distance)
-        distance[seen], surface[seen] = near, number
+        hit_rays, entry = _hit_lamp(lamp, rays, distance)
+        distance[hit_rays], surface[hit_rays] = entry, number
         number += 1
     return Hits(surface, distance, rays * distance, normal, glass)
 
 
-def _open_windows(scene: EnvironmentScene, surface: Ids, place: Field) -> Field | None:
+def _open_windows(scene: EnvironmentScene, surface: Ids, positions: Field) -> Field | None:
     """Set the surface of rays that leave through a window to NO_SURFACE, and return the glass that they pass."""
     if not scene.windows:
         return None
-    glass = np.ones_like(place)
+    glass = np.ones_like(positions)
     for window in scene.windows:
         on_side = np.flatnonzero(surface == window.side)
-        across, along = (place[axis, on_side] for axis in PLANE_AXES[window.side // 2])
+        across, along = (positions[axis, on_side] for axis in PLANE_AXES[window.side // 2])
         leaving = on_side[lies_in_glass(window, across, along)]
         surface[leaving] = NO_SURFACE
         glass[:, leaving] = window.glass[:, None]
@@ -288,15 +288,15 @@ def _hit_crown(crown: Crown, rays: Field, nearest_hit: Field) -> tuple[Ids, Fiel
     """Return which rays meet leaves, and how far away: a crown is a ball with more and more holes to its rim."""
     middle = crown.centre @ rays
     squared_offset = (float(crown.centre @ crown.centre) - middle**2) / np.float32(crown.radius**2)
-    seen = np.flatnonzero((squared_offset < 1) & (middle > 0) & (middle < nearest_hit + crown.radius))
-    depth = np.sqrt(1 - squared_offset[seen])
-    turn = np.arctan2(rays[2, seen], rays[0, seen]) * np.float32(0.5 / math.pi) * 3
-    leaves = look_up_noise("leaves", turn + crown.radius, rays[1, seen])
-    clumps = look_up_noise("rough", turn + crown.radius, rays[1, seen])
+    hit_rays = np.flatnonzero((squared_offset < 1) & (middle > 0) & (middle < nearest_hit + crown.radius))
+    depth = np.sqrt(1 - squared_offset[hit_rays])
+    turn = np.arctan2(rays[2, hit_rays], rays[0, hit_rays]) * np.float32(0.5 / math.pi) * 3
+    leaves = look_up_noise("leaves", turn + crown.radius, rays[1, hit_rays])
+    clumps = look_up_noise("rough", turn + crown.radius, rays[1, hit_rays])
     is_leaf = 0.6 * leaves + 1.1 * clumps > 1.9 - 4.5 * depth
-    near = middle[seen] - crown.radius * depth
-    is_leaf &= (near > 0.3) & (near < nearest_hit[seen])
-    return seen[is_leaf], near[is_leaf]
+    entry = middle[hit_rays] - crown.radius * depth
+    is_leaf &= (entry > 0.3) & (entry < nearest_hit[hit_rays])
+    return hit_rays[is_leaf], entry[is_leaf]
 
 
 def _hit_lamp(lamp: Lamp, rays: Field, nearest_hit: Field) -> tuple[Ids, Field]:
@@ -315,5 +315,5 @@ def _hit_lamp(lamp: Lamp, rays: Field, nearest_hit: Field) -> tuple[Ids, Field]:
         axis = axis / np.float32(np.linalg.norm(axis) * half)
         offsets.append(np.abs(axis @ rays * distance - float(axis @ lamp.centre)))
     rim_share = np.maximum(*offsets) if lamp.shape == "panel" else np.hypot(*offsets)
-    seen = np.flatnonzero((rim_share < 1) & (distance > 0) & (distance < nearest_hit + np.float32(0.05)))
-    return seen, distance[seen]
+    hit_rays = np.flatnonzero((rim_share < 1) & (distance > 0) & (distance < nearest_hit + np.float32(0.05)))
+    return hit_rays, distance[hit_rays]

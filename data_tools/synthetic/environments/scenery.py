@@ -41,7 +41,7 @@ PAVED_GROUNDS = ("asphalt", "asphalt", "concrete", "concrete", "gravel")
 
 
 def draw_open_scene(
-    rng: Rng, sky: Sky, grounds: tuple[str, ...], far: tuple[str, ...], height: Range, lit: Field = BLACK
+    rng: Rng, sky: Sky, grounds: tuple[str, ...], skylines: tuple[str, ...], height: Range, lit: Field = BLACK
 ) -> EnvironmentScene:
     """Draw level ground to the horizon, and the distance behind it.
 
@@ -49,7 +49,7 @@ def draw_open_scene(
         rng: random numbers for all choices.
         sky: the sky above.
         grounds: kinds of ground to choose from.
-        far: things at the horizon to choose from: "hills", "woods", "town", "none".
+        skylines: things at the horizon to choose from: "hills", "woods", "town", "none".
         height: range of the sine of the elevation that the things at the horizon reach.
         lit: radiance [3] of windows at the horizon.
     """
@@ -57,7 +57,7 @@ def draw_open_scene(
     first, second = (_mix_colours(_GROUNDS[kind], share) for share in (level, level + 0.3))
     pattern = "leaves" if kind in ("grass", "meadow", "dirt") else pick(rng, ("rough", "soft", "cloud"))
     ground = Finish(first, second, pattern, log_between(rng, 4, 30))
-    skyline_kind, mean = pick(rng, far), (first + second) / 2
+    skyline_kind, mean = pick(rng, skylines), (first + second) / 2
     backdrop = open_ground(sky, mean)
     if skyline_kind != "none":
         backdrop = skyline(rng, sky, mean, skyline_kind, log_between(rng, *height), lit)
@@ -88,35 +88,35 @@ def add_street_houses(rng: Rng, scene: EnvironmentScene, lit: Field) -> None:
     """Add houses on both sides of a street along the z axis."""
     bottom, height = float(scene.low[1]), log_between(rng, 5, 24)
     for sign in (-1, 1):
-        near, start, gaps = between(rng, 3.5, 13), between(rng, -75, -60), chance(rng, 0.5)
+        front, start, gaps = between(rng, 3.5, 13), between(rng, -75, -60), chance(rng, 0.5)
         if chance(rng, 0.1):
             continue
-        x = sorted((sign * near, sign * (near + 14)))
+        x = sorted((sign * front, sign * (front + 14)))
         while start < 60:
             end, top = start + between(rng, 9, 30), bottom + height * between(rng, 0.6, 1.4)
             scene.boxes.append(Box(vector(x[0], bottom, start), vector(x[1], top, end), draw_facade_finish(rng, lit)))
             start = end + (between(rng, 4, 12) if gaps and chance(rng, 0.4) else 0)
         if chance(rng, 0.4):
-            for place in range(-2, 3):
-                _add_tree(rng, scene, sign * (near - 2), place * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
+            for number in range(-2, 3):
+                _add_tree(rng, scene, sign * (front - 2), number * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
     add_vehicles(rng, scene, integer_between(rng, 0, 6), (2.5, 20), along=True)
     scene.closed = 0.7
 
 
-def add_surrounding_houses(rng: Rng, scene: EnvironmentScene, away: float, lit: Field) -> None:
-    """Add houses all around, about `away` metres from the eye."""
-    bottom, count, height = float(scene.low[1]), integer_between(rng, 4, 10), away * between(rng, 0.3, 1.0)
+def add_surrounding_houses(rng: Rng, scene: EnvironmentScene, distance: float, lit: Field) -> None:
+    """Add houses all around, about `distance` metres from the eye."""
+    bottom, count, height = float(scene.low[1]), integer_between(rng, 4, 10), distance * between(rng, 0.3, 1.0)
     for number in range(count):
         angle = (number + between(rng, -0.3, 0.3)) * math.tau / count
-        centre = direction(0, angle) * np.float32(away * between(rng, 1, 1.6))
-        half = vector(*(away * between(rng, 0.12, 0.35) for _ in range(3)))
+        centre = direction(0, angle) * np.float32(distance * between(rng, 1, 1.6))
+        half = vector(*(distance * between(rng, 0.12, 0.35) for _ in range(3)))
         low, high = centre - half, centre + half
         low[1], high[1] = bottom, bottom + height * between(rng, 0.4, 1.4)
         add_outdoor_box(scene, Box(low, high, draw_facade_finish(rng, lit)))
-    add_trees(rng, scene, integer_between(rng, 0, 6), (6, away))
+    add_trees(rng, scene, integer_between(rng, 0, 6), (6, distance))
     add_garden_walls(rng, scene, integer_between(rng, 0, 2))
-    add_bushes(rng, scene, integer_between(rng, 0, 3), (4, away))
-    add_vehicles(rng, scene, integer_between(rng, 0, 6), (4, away))
+    add_bushes(rng, scene, integer_between(rng, 0, 3), (4, distance))
+    add_vehicles(rng, scene, integer_between(rng, 0, 6), (4, distance))
 
 
 def add_courtyard_walls(rng: Rng, scene: EnvironmentScene) -> None:
@@ -125,11 +125,11 @@ def add_courtyard_walls(rng: Rng, scene: EnvironmentScene) -> None:
     for axis, sign in ((0, -1), (0, 1), (2, -1), (2, 1)):
         if chance(rng, 0.15):
             continue
-        away, length = between(rng, 3, 11), between(rng, 6, 16)
+        distance, length = between(rng, 3, 11), between(rng, 6, 16)
         finish = plain._replace(panes=(3.0, between(rng, 2, 4))) if chance(rng, 0.6) else plain
         low = vector(-length, bottom, -length)
         high = vector(length, bottom + height * between(rng, 0.6, 1.2), length)
-        low[axis], high[axis] = sorted((sign * away, sign * (away + 5)))
+        low[axis], high[axis] = sorted((sign * distance, sign * (distance + 5)))
         scene.boxes.append(Box(low, high, finish))
     scene.closed = 0.8
 
@@ -140,9 +140,9 @@ def add_porch(rng: Rng, scene: EnvironmentScene) -> None:
     reach = 20.0 if chance(rng, 0.3) else 7.0
     x, z = (sorted(log_between(rng, 1.2, reach) * sign for sign in (-1, 1)) for _ in range(2))
     scene.boxes.append(Box(vector(x[0], underside, z[0]), vector(x[1], underside + 0.3, z[1]), finish))
-    for place in np.linspace(z[0] + 0.2, z[1] - 0.2, integer_between(rng, 2, 5)).tolist():
+    for post_z in np.linspace(z[0] + 0.2, z[1] - 0.2, integer_between(rng, 2, 5)).tolist():
         for edge in x if chance(rng, 0.5) else x[:1]:
-            low, high = vector(edge - 0.15, bottom, place - 0.15), vector(edge + 0.15, underside, place + 0.15)
+            low, high = vector(edge - 0.15, bottom, post_z - 0.15), vector(edge + 0.15, underside, post_z + 0.15)
             add_outdoor_box(scene, Box(low, high, finish))
     if chance(rng, 0.5):
         add_outdoor_box(
@@ -150,15 +150,15 @@ def add_porch(rng: Rng, scene: EnvironmentScene) -> None:
         )
 
 
-def add_vehicles(rng: Rng, scene: EnvironmentScene, count: int, away: Range, along: bool = False) -> None:
+def add_vehicles(rng: Rng, scene: EnvironmentScene, count: int, distance: Range, along: bool = False) -> None:
     """Add boxes as large as cars and bins, at a distance in m from the range, or along the sides of a street."""
     for _ in range(count):
         bright = uniforms(rng, 3) if chance(rng, 0.3) else 1 + uniforms(rng, 3) * np.float32(0.15)
         colour = np.clip(bright * np.float32(log_between(rng, 0.03, 0.5)), 0.02, 0.8)
         half = vector(0.9, between(rng, 0.5, 1), between(rng, 0.6, 2.2))
-        centre = direction(0, between(rng, 0, math.tau)) * np.float32(between(rng, *away))
+        centre = direction(0, between(rng, 0, math.tau)) * np.float32(between(rng, *distance))
         if along:
-            centre = vector(pick(rng, (-1, 1)) * away[0], 0, between(rng, -away[1], away[1]))
+            centre = vector(pick(rng, (-1, 1)) * distance[0], 0, between(rng, -distance[1], distance[1]))
         elif chance(rng, 0.5):
             half = half[[2, 1, 0]]
         centre[1] = scene.low[1] + half[1]
@@ -169,12 +169,15 @@ def add_garden_walls(rng: Rng, scene: EnvironmentScene, count: int) -> None:
     """Add garden walls, fences, hedges and sheds, straight, at some distance."""
     bottom = float(scene.low[1])
     for _ in range(count):
-        start, length, away = (
+        start, length, distance = (
             between(rng, -25, 10),
             log_between(rng, 2, 40),
             log_between(rng, 3, 20) * pick(rng, (-1, 1)),
         )
-        low, high = vector(start, bottom, min(away, away * 1.1)), vector(start + length, 0, max(away, away * 1.1))
+        low, high = (
+            vector(start, bottom, min(distance, distance * 1.1)),
+            vector(start + length, 0, max(distance, distance * 1.1)),
+        )
         high[1] = bottom + log_between(rng, 0.6, 3.5)
         if chance(rng, 0.5):
             low, high = low[[2, 1, 0]], high[[2, 1, 0]]
@@ -198,10 +201,10 @@ def add_paths(rng: Rng, scene: EnvironmentScene, count: int) -> None:
         scene.boxes.append(Box(low, high, finish))
 
 
-def add_trees(rng: Rng, scene: EnvironmentScene, count: int, away: Range, radius: Range = (1.2, 3.5)) -> None:
+def add_trees(rng: Rng, scene: EnvironmentScene, count: int, distance: Range, radius: Range = (1.2, 3.5)) -> None:
     """Add trees at distances in m from the range, with crowns of radii in m from the range."""
     for _ in range(count):
-        x, _, z = (direction(0, between(rng, 0, math.tau)) * np.float32(log_between(rng, *away))).tolist()
+        x, _, z = (direction(0, between(rng, 0, math.tau)) * np.float32(log_between(rng, *distance))).tolist()
         _add_tree(rng, scene, x, z, between(rng, *radius))
 
 
@@ -215,11 +218,14 @@ def _add_tree(rng: Rng, scene: EnvironmentScene, x: float, z: float, radius: flo
     add_outdoor_box(scene, Box(vector(x, scene.low[1], z) - trunk, vector(x, top, z) + trunk, bark))
 
 
-def add_bushes(rng: Rng, scene: EnvironmentScene, count: int, away: Range) -> None:
+def add_bushes(rng: Rng, scene: EnvironmentScene, count: int, distance: Range) -> None:
     """Add bushes at distances in m from the range."""
     for _ in range(count):
-        far = log_between(rng, *away)
-        centre, radius = direction(0, between(rng, 0, math.tau)) * np.float32(far), min(between(rng, 0.5, 1.8), far / 2)
+        bush_distance = log_between(rng, *distance)
+        centre, radius = (
+            direction(0, between(rng, 0, math.tau)) * np.float32(bush_distance),
+            min(between(rng, 0.5, 1.8), bush_distance / 2),
+        )
         centre[1] = scene.low[1] + 0.5 * radius
         scene.crowns.append(Crown(centre, radius, _draw_leaf_colour(rng)))
 

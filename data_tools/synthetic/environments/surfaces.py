@@ -52,9 +52,9 @@ def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tupl
 
 def _finish_properties(finish: Finish, hits: Hits, rays: Field, members: Ids) -> tuple[Field, Mask, Mask]:
     """Return the albedo [3, M] at hits of one surface, which of them are windows, and which are lit, both [M]."""
-    place, normal = hits.place[:, members], hits.normal[:, members]
+    positions, normal = hits.place[:, members], hits.normal[:, members]
     axis, columns = np.abs(normal).argmax(0), np.arange(len(members))
-    across, along = (place[np.array(PLANE_AXES)[axis, direction], columns] for direction in (0, 1))
+    across, along = (positions[np.array(PLANE_AXES)[axis, direction], columns] for direction in (0, 1))
     albedo = np.repeat(finish.colour[:, None], len(members), 1)
     if finish.other is not None:
         facing = np.maximum(np.abs((rays[:, members] * normal).sum(0)), np.float32(0.1))

@@ -299,7 +299,7 @@ def carpet(rng: Rng, size: int) -> PatchSurface:
     )
     half_width, half_height = between(rng, 0.8, 1.5), between(rng, 0.7, 1.3)
     inside = box_distance(place, half_width, half_height)
-    border_width = between(rng, 0.2, 0.35)
+    hem = between(rng, 0.2, 0.35)  # width of the border
     zones = np.zeros((size, size), np.int64)
     repeat = panel_grid(place, between(rng, 0.35, 0.8), between(rng, 0.35, 0.8), pick(rng, (0.0, 0.5)))
     zones[motif_distance(rng, PatchCoordinates(repeat.u * 4, repeat.v * 4, place.unit / 4)) > 0] = 1
@@ -309,20 +309,14 @@ def carpet(rng: Rng, size: int) -> PatchSurface:
     if chance(rng, 0.6):
         zones[medal > 0] = 2
         zones[outline_distance(medal, 0.06) > 0] = 3
-    border = inside < border_width
+    border = inside < hem
     zones[border] = 2
     side = np.abs(place.x) / half_width > np.abs(place.y) / half_height
-    rim_coordinate = np.where(side, place.y, place.x)
-    zones[
-        border
-        & (
-            frieze_distance(
-                rng, rim_coordinate, (inside - border_width / 2) / (border_width / 2), between(rng, 0.2, 0.4)
-            )
-            > 0
-        )
-    ] = integer_between(rng, 0, 1)
-    zones[np.abs(inside - border_width) < 0.03] = 3
+    along = np.where(side, place.y, place.x)
+    zones[border & (frieze_distance(rng, along, (inside - hem / 2) / (hem / 2), between(rng, 0.2, 0.4)) > 0)] = (
+        integer_between(rng, 0, 1)
+    )
+    zones[np.abs(inside - hem) < 0.03] = 3
     knots = between(rng, 40, 64)
     cells = panel_grid(place, 2 / knots, 2 / knots * between(rng, 1, 2), 0.5)
     fluff = cloud_noise(rng, size, 25, 0.6)
@@ -344,7 +338,7 @@ def carpet(rng: Rng, size: int) -> PatchSurface:
         rug = add_relief(rug, between(rng, -0.8, 1.5) * lift)
     floor = procedural_piece(rng, size, STONE_FAMILIES + WOOD_FAMILIES * 3)
     floor = varnish_surface(floor, between(rng, 0.12, 0.4), 0.7)
-    fringe = np.where(np.abs(np.sin(rim_coordinate * between(rng, 25, 45))) > 0.4, inside + 0.12, inside)
+    fringe = np.where(np.abs(np.sin(along * between(rng, 25, 45))) > 0.4, inside + 0.12, inside)
     shade = 1 - 0.5 * smoothstep(inside * place.unit, -8, 0)
     surface = lay_surface(
         tint_surface(floor, shade), rug, np.where(side, inside, fringe) * place.unit, between(rng, 1.2, 3), 2

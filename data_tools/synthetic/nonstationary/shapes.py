@@ -1,6 +1,7 @@
-"""Positions on a patch: turned and shifted places, outlines as distances, grids of panels, motifs, letters.
+"""Positions on a patch: turned and shifted coordinates, outlines as distances, grids of panels, motifs, letters.
 
-Distances are in the units of their place, positive inside; times `PatchCoordinates.unit` they are in texels.
+A `place` is :class:`PatchCoordinates`. Distances are in its units, positive inside; times `PatchCoordinates.unit` they
+are in texels.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _GLYPHS = tuple(_LETTERS.split())
 
 
 class PatchCoordinates(NamedTuple):
-    """Coordinates x and y [S, S], whose unit is so many texels long."""
+    """The coordinates x and y [S, S] of a patch's texels in a frame of its own, whose unit is `unit` texels long."""
 
     x: Field
     y: Field

@@ -79,10 +79,10 @@ def flaking(rng: Rng, size: int) -> PatchSurface:
     """Draw coats of paint that crack, curl and fall off metal, wood or plaster, one coat below the other."""
     kind = pick(rng, ("metal", "metal", "wood", "plaster"))
     if kind == "metal":
-        under = bare_metal(rng, size, GRAY_METALS, (0.2, 0.5))
-        under = add_rust(rng, under, between(rng, -1.2, 1.0)) if chance(rng, 0.7) else under
+        layers = bare_metal(rng, size, GRAY_METALS, (0.2, 0.5))
+        layers = add_rust(rng, layers, between(rng, -1.2, 1.0)) if chance(rng, 0.7) else layers
     else:
-        under = procedural_piece(rng, size, WOOD_FAMILIES if kind == "wood" else ("grain", "bricks"), (0.5, 0.9))
+        layers = procedural_piece(rng, size, WOOD_FAMILIES if kind == "wood" else ("grain", "bricks"), (0.5, 0.9))
     frequency = log_between(rng, 1.0, 2.5)
     bareness = (
         cloud_noise(rng, size, frequency, between(rng, 1.5, 2.3))
@@ -98,13 +98,13 @@ def flaking(rng: Rng, size: int) -> PatchSurface:
         )
         inside = -distance_to_zero(blur_mirrored(edge - level + 0.45 * coat, 0.6))
         skin = paint_coat(rng, size, roughness=(0.12, 0.55))
-        skin = add_relief(skin, between(rng, 0.2, 0.9) * blur_mirrored(under.height, 1.5))
+        skin = add_relief(skin, between(rng, 0.2, 0.9) * blur_mirrored(layers.height, 1.5))
         edge_nearness = smoothstep(bareness, level - 1.8, level)
         crack = smoothstep(cells.edge, between(rng, 0.02, 0.07), 0.0) * edge_nearness
         curl = between(rng, 0, 1.6) * np.exp(-np.clip(inside, 0, 30) / between(rng, 1.5, 4)) * edge_nearness
         skin = tint_surface(add_relief(skin, curl - 0.8 * crack), 1 - 0.6 * crack)
-        under = lay_surface(under, skin, inside, between(rng, 0.5, 1.6), between(rng, 0.6, 1.5))
-    return add_random_wear(rng, under) if chance(rng, 0.6) else add_dirt(rng, under, between(rng, 0, 0.5))
+        layers = lay_surface(layers, skin, inside, between(rng, 0.5, 1.6), between(rng, 0.6, 1.5))
+    return add_random_wear(rng, layers) if chance(rng, 0.6) else add_dirt(rng, layers, between(rng, 0, 0.5))
 
 
 def puddles(rng: Rng, size: int) -> PatchSurface:
@@ -215,10 +215,10 @@ def scratches(rng: Rng, size: int) -> PatchSurface:
         )
     surface = add_dents(rng, surface, integer_between(rng, 0, 5))
     if kind == "paint" and chance(rng, 0.5):  # down to the metal
-        below = bare_metal(rng, size, GRAY_METALS, (0.2, 0.4))
+        metal = bare_metal(rng, size, GRAY_METALS, (0.2, 0.4))
         gash = distance_to_zero(np.abs(cloud_noise(rng, size, 2, 2.6)) - between(rng, 0.04, 0.12))
         gash = np.where(cloud_noise(rng, size, 2, 2.0) > 0.2, -gash, -9)
-        surface = lay_surface(surface, below, gash, -between(rng, 0.4, 1.2))
+        surface = lay_surface(surface, metal, gash, -between(rng, 0.4, 1.2))
     surface = add_smudges(rng, surface, between(rng, 0.15, 0.5))
     for _ in range(integer_between(rng, 0, 4)):
         place = random_coordinates(rng, size, 0.9, 0, between(rng, 0.15, 0.3))

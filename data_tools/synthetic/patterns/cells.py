@@ -90,9 +90,9 @@ def _whole_vectors(
     """
     cos, sin = math.cos(angle_rad), math.sin(angle_rad)
 
-    def nearby_multiples(wanted: float, unit: int) -> list[int]:
+    def nearby_multiples(target: float, unit: int) -> list[int]:
         """Return the three multiples of a unit around a wanted number."""
-        middle = round(wanted / unit)
+        middle = round(target / unit)
         return [unit * (middle + offset) for offset in (-1, 0, 1)]
 
     lowest_cost, vectors = math.inf, ((1, 0), (0, 1))
@@ -145,7 +145,7 @@ def worley_noise(rng: Rng, lattice: CellLattice, jitter: float = 0.85) -> Worley
     shape = lattice.u.shape
     first, second = np.full(shape, 1e9, np.float32), np.full(shape, 1e9, np.float32)
     cell = np.zeros(shape, np.int64)
-    near, far = np.zeros((2, *shape), np.float32), np.zeros((2, *shape), np.float32)
+    nearest_offset, second_offset = np.zeros((2, *shape), np.float32), np.zeros((2, *shape), np.float32)
     for dj, di in itertools.product((0, -1, 1), repeat=2):
         identity = lattice.neighbour(di, dj)
         px = (offsets[0][identity] + np.float32(di - lattice.shift * dj) - lattice.u) * scale_x
@@ -154,14 +154,16 @@ def worley_noise(rng: Rng, lattice: CellLattice, jitter: float = 0.85) -> Worley
         nearer = distance < first
         nearly = ~nearer & (distance < second)
         for axis, value in enumerate((px, py)):
-            far[axis] = np.where(nearer, near[axis], np.where(nearly, value, far[axis]))
-            near[axis] = np.where(nearer, value, near[axis])
+            second_offset[axis] = np.where(nearer, nearest_offset[axis], np.where(nearly, value, second_offset[axis]))
+            nearest_offset[axis] = np.where(nearer, value, nearest_offset[axis])
         second = np.where(nearer, first, np.where(nearly, distance, second))
         first = np.where(nearer, distance, first)
         cell = np.where(nearer, identity, cell)
-    point_distance = np.hypot(far[0] - near[0], far[1] - near[1])
+    point_distance = np.hypot(second_offset[0] - nearest_offset[0], second_offset[1] - nearest_offset[1])
     edge = (second - first) / np.maximum(2 * point_distance, np.float32(1e-6))
-    return WorleyNoise(np.sqrt(first), np.sqrt(second), edge, cell, lattice.count, -near[0], -near[1])
+    return WorleyNoise(
+        np.sqrt(first), np.sqrt(second), edge, cell, lattice.count, -nearest_offset[0], -nearest_offset[1]
+    )
 
 
 def isotropic_cells(

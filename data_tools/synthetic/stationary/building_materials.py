@@ -244,10 +244,13 @@ def shingles(rng: Rng, size: int) -> PeriodicMaps:
             px = 2 * (lattice.u - np.float32(columns + 0.5 - 0.5 * rows))
             py = lattice.v - np.float32(rows)  # 0 at the root, grows towards the tip
             reach = 1.75 * (1 - np.clip(np.abs(px), 0, 1) ** np.float32(bluntness)) ** np.float32(1 / bluntness) - 0.75
-            seen = (np.abs(px) < 1) & (py > -1) & (py < 1 + 0.6 * reach) & (reach > -0.74)
-            cell = np.where(seen, lattice.neighbour(columns, rows), cell)
-            tip_distance, centre = np.where(seen, 1 + 0.6 * reach - py, tip_distance), np.where(seen, px, centre)
-            top_position = np.where(seen, py, top_position)
+            is_visible = (np.abs(px) < 1) & (py > -1) & (py < 1 + 0.6 * reach) & (reach > -0.74)
+            cell = np.where(is_visible, lattice.neighbour(columns, rows), cell)
+            tip_distance, centre = (
+                np.where(is_visible, 1 + 0.6 * reach - py, tip_distance),
+                np.where(is_visible, px, centre),
+            )
+            top_position = np.where(is_visible, py, top_position)
     draws = uniforms(rng, 3, lattice.count)[:, cell]
     rim = smoothstep(tip_distance, 0.0, between(rng, 0.04, 0.2))
     colours = draw_palette(rng, "6b6f75 4a4e54 8c4a35 a5623f 5b6b58 93836b 2f3b46 c9b79c 3f6f6a", 3, 0.35)

@@ -70,6 +70,6 @@ def split_draws(
         raise ValueError(f"synthetic {noun}: count {count} and seed {seed}, expected both to be 0 or more")
     names = list(families)
     for index in range(count):
-        turn, place = divmod(index, len(names))
-        name = f"{names[place]}-{'t' if split == 'test' else ''}{index:03d}"
-        yield names[place], name, random_stream(seed, list(counts).index(split), place, turn, *more)
+        turn, family_index = divmod(index, len(names))
+        name = f"{names[family_index]}-{'t' if split == 'test' else ''}{index:03d}"
+        yield names[family_index], name, random_stream(seed, list(counts).index(split), family_index, turn, *more)

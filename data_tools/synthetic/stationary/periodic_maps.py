@@ -84,7 +84,7 @@ def draw_palette(rng: Rng, hexes: str, count: int, strange: float = 0.25) -> Fie
     colours = []
     for index in range(count):
         anchor = anchors[order[index % len(anchors)]]
-        red, green, blue = (int(anchor[place : place + 2], 16) / 255 for place in (0, 2, 4))
+        red, green, blue = (int(anchor[digit : digit + 2], 16) / 255 for digit in (0, 2, 4))
         hue, saturation, value = colorsys.rgb_to_hsv(red, green, blue)
         hue = (hue + turn + between(rng, -0.015, 0.015)) % 1
         saturation = min(1.0, saturation * richness * between(rng, 0.85, 1.15))
