@@ -126,9 +126,13 @@ def visibility(
     inverse = invert_components(directions)
     free_share = np.ones(positions.shape[1], np.float32)
     for box in shadow_casters(scene):
-        entry, leave = intersect_box(box.low[:, None] - positions, box.high[:, None] - positions, inverse)
-        entry = np.maximum(entry, 0)
-        free_share *= 1 - np.clip((np.minimum(leave, reach) - entry) / (softness * entry + np.float32(0.02)), 0, 1)
+        entry_distance, exit_distance = intersect_box(
+            box.low[:, None] - positions, box.high[:, None] - positions, inverse
+        )
+        entry_distance = np.maximum(entry_distance, 0)
+        free_share *= 1 - np.clip(
+            (np.minimum(exit_distance, reach) - entry_distance) / (softness * entry_distance + np.float32(0.02)), 0, 1
+        )
     holes: Field | float = 0.0
     if scene.crowns and softness < 0.1:  # the sun shines through, in spots
         holes = look_up_noise("leaves", positions[0] * np.float32(0.12), positions[2] * np.float32(0.12))

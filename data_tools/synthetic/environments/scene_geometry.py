@@ -218,12 +218,15 @@ def intersect_box(low: Field, high: Field, inverse: Field) -> tuple[Field, Field
     Returns:
         Both distances [N]; a ray misses the box if the first is larger, or the second negative.
     """
-    entry: Field = np.array(-np.inf, np.float32)
-    leave = -entry
+    entry_distance: Field = np.array(-np.inf, np.float32)
+    exit_distance = -entry_distance
     for axis in range(3):  # axis by axis, since small arrays stay in the processor's cache
         first, second = low[axis] * inverse[axis], high[axis] * inverse[axis]
-        entry, leave = np.maximum(entry, np.minimum(first, second)), np.minimum(leave, np.maximum(first, second))
-    return entry, leave
+        entry_distance, exit_distance = (
+            np.maximum(entry_distance, np.minimum(first, second)),
+            np.minimum(exit_distance, np.maximum(first, second)),
+        )
+    return entry_distance, exit_distance
 
 
 def cast_rays(scene: EnvironmentScene, rays: Field) -> Hits:
@@ -240,21 +243,21 @@ def cast_rays(scene: EnvironmentScene, rays: Field) -> Hits:
     normal[axis, columns] = -np.sign(rays[axis, columns])
     number = len(ROOM_SIDES)
     for box in scene.boxes:
-        entry, leave = intersect_box(box.low, box.high, inverse)
-        hit_rays = np.flatnonzero((entry < leave) & (entry > 0) & (entry < distance))
-        distance[hit_rays], surface[hit_rays] = entry[hit_rays], number
+        hit_distance, exit_distance = intersect_box(box.low, box.high, inverse)
+        hit_rays = np.flatnonzero((hit_distance < exit_distance) & (hit_distance > 0) & (hit_distance < distance))
+        distance[hit_rays], surface[hit_rays] = hit_distance[hit_rays], number
         side = np.minimum(box.low[:, None] * inverse[:, hit_rays], box.high[:, None] * inverse[:, hit_rays]).argmax(0)
         normal[:, hit_rays] = 0
         normal[side, hit_rays] = -np.sign(rays[side, hit_rays])
         number += 1
     for crown in scene.crowns:
-        hit_rays, entry = _hit_crown(crown, rays, distance)
-        distance[hit_rays], surface[hit_rays] = entry, number
-        normal[:, hit_rays] = (rays[:, hit_rays] * entry - crown.centre[:, None]) / np.float32(crown.radius)
+        hit_rays, hit_distance = _hit_crown(crown, rays, distance)
+        distance[hit_rays], surface[hit_rays] = hit_distance, number
+        normal[:, hit_rays] = (rays[:, hit_rays] * hit_distance - crown.centre[:, None]) / np.float32(crown.radius)
         number += 1
     for lamp in scene.lamps:
-        hit_rays, entry = _hit_lamp(lamp, rays, distance)
-        distance[hit_rays], surface[hit_rays] = entry, number
+        hit_rays, hit_distance = _hit_lamp(lamp, rays, distance)
+        distance[hit_rays], surface[hit_rays] = hit_distance, number
         number += 1
     return Hits(surface, distance, rays * distance, normal, glass)
 
@@ -294,9 +297,9 @@ def _hit_crown(crown: Crown, rays: Field, nearest_hit: Field) -> tuple[Ids, Fiel
     leaves = look_up_noise("leaves", turn + crown.radius, rays[1, hit_rays])
     clumps = look_up_noise("rough", turn + crown.radius, rays[1, hit_rays])
     is_leaf = 0.6 * leaves + 1.1 * clumps > 1.9 - 4.5 * depth
-    entry = middle[hit_rays] - crown.radius * depth
-    is_leaf &= (entry > 0.3) & (entry < nearest_hit[hit_rays])
-    return hit_rays[is_leaf], entry[is_leaf]
+    hit_distance = middle[hit_rays] - crown.radius * depth
+    is_leaf &= (hit_distance > 0.3) & (hit_distance < nearest_hit[hit_rays])
+    return hit_rays[is_leaf], hit_distance[is_leaf]
 
 
 def _hit_lamp(lamp: Lamp, rays: Field, nearest_hit: Field) -> tuple[Ids, Field]:
