@@ -39,22 +39,26 @@ VERSION = 3  # of the set's tasks; 2 added pictures under an environment map, 3 
 
 
 def _draw_conductor(draw: Draws) -> tuple[str, IsotropicModel]:
+    """Draw a bare metal from CONDUCTORS, from polished to rough."""
     metal = list(CONDUCTORS)[int(draw.hue * len(CONDUCTORS))]
     alpha = draw.alpha(0.03, 0.5)
     return f"{metal}-{roughness_name(alpha)}", conductor(*CONDUCTORS[metal], alpha, draw.kind())
 
 
 def _draw_plastic(draw: Draws) -> tuple[str, IsotropicModel]:
+    """Draw a plastic with a satin to rough coat."""
     colour, alpha = draw.colour(), draw.alpha(0.12, 0.6)
     return f"{colour_name(colour)}-{roughness_name(alpha)}", plastic(colour, alpha, draw.kind(), draw.between(1.4, 1.7))
 
 
 def _draw_glossy(draw: Draws) -> tuple[str, IsotropicModel]:
+    """Draw a plastic with a polished coat."""
     colour, alpha = draw.colour(0.01), draw.alpha(0.03, 0.12)
     return f"{colour_name(colour)}-{roughness_name(alpha)}", plastic(colour, alpha, draw.kind(), draw.between(1.4, 1.7))
 
 
 def _draw_coated_metal(draw: Draws) -> tuple[str, IsotropicModel]:
+    """Draw a metal under a coloured layer and a polished coat."""
     metal = ("aluminium", "chromium", "silver", "titanium", "iron", "iridium")[int(draw.between(0, 6))]
     tint, alpha = draw.colour(0.5, 0.98, (0.1, 0.75)), draw.alpha(0.08, 0.45)
     body = absorbing_layer(conductor(*CONDUCTORS[metal], alpha, draw.kind()), tint)
@@ -64,6 +68,7 @@ def _draw_coated_metal(draw: Draws) -> tuple[str, IsotropicModel]:
 
 
 def _draw_paint(draw: Draws) -> tuple[str, IsotropicModel]:
+    """Draw a paint: metal flakes in a coloured ground under a polished coat."""
     colour, alpha = draw.colour(0.15, 0.85, (0.2, 0.9)), draw.alpha(0.2, 0.55)
     ground = diffuse(draw.colour(0.02, 0.35, (0.3, 1)))
     body = isotropic_mixture(flakes(colour, alpha), ground, draw.between(0.35, 0.85))
@@ -73,6 +78,7 @@ def _draw_paint(draw: Draws) -> tuple[str, IsotropicModel]:
 
 
 def _draw_fabric(draw: Draws) -> tuple[str, IsotropicModel]:
+    """Draw a satin or a velvet."""
     colour, pile = draw.colour(0.02, 0.7), draw.between(0, 0.6)
     red, green, blue = (pile + (1 - pile) * channel for channel in colour)
     body = oren_nayar(colour, draw.between(0.3, 0.9))
@@ -83,6 +89,7 @@ def _draw_fabric(draw: Draws) -> tuple[str, IsotropicModel]:
 
 
 def _draw_diffuse(draw: Draws) -> tuple[str, IsotropicModel]:
+    """Draw a matt material: Lambert's, or Oren and Nayar's."""
     colour = draw.colour(0.02, 0.95)
     if draw.chance(0.4):
         return f"{colour_name(colour)}-lambert", diffuse(colour)
@@ -90,6 +97,7 @@ def _draw_diffuse(draw: Draws) -> tuple[str, IsotropicModel]:
 
 
 def _draw_mixture(draw: Draws) -> tuple[str, IsotropicModel]:
+    """Draw materials of two families side by side, finer than the eye."""
     families = [_draw_conductor, _draw_plastic, _draw_glossy, _draw_paint, _draw_diffuse]
     first = int(draw.between(0, 5))
     second = (first + int(draw.between(1, 5))) % 5

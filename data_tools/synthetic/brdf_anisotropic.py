@@ -61,11 +61,13 @@ def _fresnel(draw: Draws) -> tuple[str, Callable[[Tensor], Tensor]]:
 
 
 def _draw_metal(draw: Draws) -> tuple[str, AnisotropicModel]:
+    """Draw a metal whose facets are rougher in one direction than in the other."""
     name, fresnel = _fresnel(draw)
     return name, facets(_roughness(draw, 0.03, 0.25, (1.4, 10)), fresnel, draw.kind())
 
 
 def _draw_plastic(draw: Draws) -> tuple[str, AnisotropicModel]:
+    """Draw a diffuse body under an anisotropic coat."""
     colour = draw.colour()
     f0 = draw.between(0.03, 0.12)
     roughness, kind = _roughness(draw, 0.04, 0.25, (1.4, 8)), draw.kind()
@@ -80,6 +82,7 @@ def _draw_plastic(draw: Draws) -> tuple[str, AnisotropicModel]:
 
 
 def _draw_ward(draw: Draws) -> tuple[str, AnisotropicModel]:
+    """Draw Ward's lobe beside a diffuse material."""
     colour = draw.colour(0.05, 0.9)
     share = draw.between(0.2, 0.95)
     lobe = ward(_roughness(draw, 0.04, 0.25, (1.4, 8)), draw.colour(0.3, 0.95, (0.05, 0.5)))
@@ -87,6 +90,7 @@ def _draw_ward(draw: Draws) -> tuple[str, AnisotropicModel]:
 
 
 def _draw_brushed(draw: Draws) -> tuple[str, AnisotropicModel]:
+    """Draw a brushed metal, whose grooves spread about one azimuth."""
     name, fresnel = _fresnel(draw)
     roughness = _roughness(draw, 0.03, 0.12, (4, 14))
     spread = draw.between(0.03, 0.35)
@@ -94,6 +98,7 @@ def _draw_brushed(draw: Draws) -> tuple[str, AnisotropicModel]:
 
 
 def _draw_cloth(draw: Draws) -> tuple[str, AnisotropicModel]:
+    """Draw a cloth of two crossing threads and a diffuse part."""
     lobes = []
     colour = draw.colour(0.1, 0.9)
     for turn in (0.0, math.pi / 2):
@@ -106,6 +111,7 @@ def _draw_cloth(draw: Draws) -> tuple[str, AnisotropicModel]:
 
 
 def _draw_ashikhmin(draw: Draws) -> tuple[str, AnisotropicModel]:
+    """Draw Ashikhmin and Shirley's lobe beside a diffuse material."""
     colour, (across, along) = draw.colour(0.3, 0.9), _roughness(draw, 0.05, 0.2, (1.5, 8))
     share = draw.between(0.4, 1.0)
     lobe = ashikhmin((2 / along**2, 2 / across**2), colour)
@@ -113,6 +119,7 @@ def _draw_ashikhmin(draw: Draws) -> tuple[str, AnisotropicModel]:
 
 
 def _draw_fibres(draw: Draws) -> tuple[str, AnisotropicModel]:
+    """Draw inclined fibres beside a diffuse material."""
     colour = draw.colour(0.1, 0.8)
     lobe = fibres(draw.between(0.08, 0.35), draw.between(0, 0.2), draw.colour(0.4, 0.9, (0.05, 0.5)))
     share = draw.between(0.3, 0.8)
