@@ -58,7 +58,7 @@ def _draw_glossy(draw: Draws) -> tuple[str, IsotropicModel]:
 
 
 def _draw_coated_metal(draw: Draws) -> tuple[str, IsotropicModel]:
-    """Draw a metal under a coloured layer and a polished coat."""
+    """Draw a metal under a coloured layer and a smooth coat."""
     metal = ("aluminium", "chromium", "silver", "titanium", "iron", "iridium")[int(draw.between(0, 6))]
     tint, alpha = draw.colour(0.5, 0.98, (0.1, 0.75)), draw.alpha(0.08, 0.45)
     body = absorbing_layer(conductor(*CONDUCTORS[metal], alpha, draw.kind()), tint)
