@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("metapp", "data_tools", "tools", "benchmarks")
 LEANING_BEGINNING = re.compile(r"(The same|That of|Those of|Of|As|None)\b")
-LEANING_WORDS = re.compile(r"\b[Aa]s of `|\bthat of `|\bthose of `|\b[Aa]s there\b")
+LEANING_WORDS = re.compile(r"\b[Aa]s of `|\bthat of `|\bthose of `|[;,] as there\b")
 FEWEST_WORDS = 3
 
 

@@ -133,7 +133,7 @@ def _make_baseline_row(evaluation: EvaluationRun, name: str, records: list[Recor
 def _describe_comparisons(all_rows: list[Row]) -> list[str]:
     """Return lines on which baselines have a lower error than Meta, which a higher one, and which no clear one."""
     pairs = {row["paradigm"]: pair for row in all_rows if (pair := row["vs_meta"])}
-    higher = [name for name, pair in pairs.items() if is_significant(pair) and pair.value > pair.level]
+    higher = [name for name, pair in pairs.items() if is_significant(pair) and pair.value > pair.equal_value]
     undecided = [name for name, pair in pairs.items() if not is_significant(pair)]
     return [
         *(f"{name}: {comparison_text(pairs[name], 'meta')}" for name in pairs if name not in (*higher, *undecided)),

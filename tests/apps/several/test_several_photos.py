@@ -237,7 +237,7 @@ def test_highlights_are_doubted_that_clip_in_all_photographs(app: SeveralPhotos,
 def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) -> None:
     alone = Task("wall", {"photo": several(0).data["photo"]})
     for other in (several(1, 2), alone):
-        with pytest.raises(ValueError, match=r"photos \(.*expected \(3, 3, 16, 16\) as of material-0; convert both"):
+        with pytest.raises(ValueError, match=r"photos \(.*expected \(3, 3, 16, 16\) like material-0; convert both"):
             stack_tasks(app, [several(0), other])
     data = several(0).data
     for broken in (data | {"places": data["places"][:2]}, {key: data[key] for key in ("photo", "others")}):

@@ -58,8 +58,8 @@ def test_every_name_names_its_own_rule() -> None:
         ("betas+curvature", "rule 'betas+curvature': no part for rates, expected one of sgd, rates, shared, solve"),
         ("adam+sgd", "rule 'adam+sgd': sgd and rates for rates, expected one of sgd, rates, shared, solve"),
         ("adam+solve", "rates and solve for rates"),
-        ("sgd+eps", "rule 'sgd+eps': eps says nothing by itself, expected betas beside it"),
-        ("sgd+pace", "rule 'sgd+pace': pace says nothing by itself, expected rates or shared beside it"),
+        ("sgd+eps", "rule 'sgd+eps': eps has no effect alone, expected betas beside it"),
+        ("sgd+pace", "rule 'sgd+pace': pace has no effect alone, expected rates or shared beside it"),
     ],
 )
 def test_what_is_no_rule_is_refused_in_one_line(name: str, line: str) -> None:
