@@ -1,4 +1,7 @@
-"""The commands of `metapp data` that convert files of formats: their help and options."""
+"""The commands of `metapp data` that convert files: the help and the options of each format.
+
+Readers of the formats are looked up by name, so nothing here reads a file or imports torch.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
+
+from typing_extensions import override
 
 from metapp.networks.picture_options import LayerOption, parse_field_of_view
 from metapp.options import Converter, Option, split_option
@@ -114,7 +119,7 @@ class FlashConverter(Converter):
     split: Annotated[
         str,
         split_option(
-            "as names or folders say (train, test), if they say both; else of the sorted materials every fifth is for "
+            "as names or folders say (train, test), if they say both; else every fifth of the sorted materials is for "
             "tests."
         ),
     ] = "auto"
@@ -131,8 +136,9 @@ class FlashConverter(Converter):
     ] = 0.0
     layer: LayerOption = ""
 
+    @override
     def arguments(self) -> dict[str, object]:
-        """As of `Converter`; the field of view in radians."""
+        """Return the options as keyword arguments of the format's `read_task`, the field of view in rad."""
         return {"size": self.size, "fov_rad": math.radians(self.fov), "layer": self.layer}
 
 
@@ -182,7 +188,8 @@ class MaterialsConverter(MapsConverter):
     size: SizeOption = 512
 
 
-def _folder(path: Path) -> Path:
+def _parse_folder(path: Path) -> Path:
+    """Return a path that is a folder, or raise ValueError."""
     if not path.is_dir():
         raise ValueError("no such folder, expected one of predicted maps")
     return path
@@ -212,7 +219,7 @@ class StripsConverter(Converter):
     white: Annotated[
         float,
         Option(
-            "How bright white would be right below the flash, where 1 clips; that of the published ones by default.",
+            "Radiance of white right below the flash, where 1 clips; by default as measured on published strips.",
             "W",
             low=0.01,
             high=100,
@@ -224,7 +231,7 @@ class StripsConverter(Converter):
             "Maps by another method, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for the table of baselines; "
             "where they show the middle alone, so do the tasks.",
             "FOLDER",
-            parse=_folder,
+            parse=_parse_folder,
         ),
     ] = None
     layer: LayerOption = ""

@@ -1,7 +1,7 @@
-"""Arrays, tensors and pictures of PIL in memory, as readers have the pictures of files.
+"""Arrays, tensors and PIL pictures in memory, read as the pictures that readers of files return.
 
-Pictures are of PIL, or arrays or tensors [H, W, 3] or gray [H, W], rows from the top. Integers of 8 or 16 bits are
-sRGB, floating-point values display values in [0, 1].
+Pictures are PIL pictures, or arrays or tensors [H, W, 3] or gray [H, W], rows from the top. Integers of 8 or 16 bits
+are sRGB, floating-point values are display values in [0, 1].
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from data_tools.readers.image_files import Pixels, check_size, pixels_of_pil
 from data_tools.readers.numbers import array_of
 
 _EXPECTED = "a path, a picture (of PIL, or an array or tensor [H, W, 3])"
-_SLACK = 1e-3  # by which rounding may leave [0, 1]
+_SLACK = 1e-3  # distance by which rounding may leave a range
 
 
 def pixels_of(name: str, source: object, others: str = "") -> Pixels:
-    """A picture as readers have that of a file.
+    """Read a picture in memory as a reader of files reads a file.
 
     Args:
-        name: begins errors.
-        source: of PIL, or an array or tensor.
-        others: what else a reader takes, for the error.
+        name: the name of the picture in errors.
+        source: a PIL picture, an array or a tensor.
+        others: further inputs that the caller takes, in words, for errors.
 
     Raises:
-        ValueError: no picture; another shape or type, size or range.
+        ValueError: the source is no picture, or has another shape, type, size or range.
     """
     if not is_picture(source):
         raise ValueError(f"{name}: {type(source).__name__}, expected {_EXPECTED}{others}.")
@@ -43,24 +43,28 @@ def pixels_of(name: str, source: object, others: str = "") -> Pixels:
 
 
 def check_pixels(name: str, pixels: Pixels) -> Pixels:
-    """A picture whose size `check_size` takes."""
+    """Return a picture, or raise ValueError if :func:`check_size` refuses its size."""
     height, width = pixels.values.shape[:2]
     check_size(width, height, name)
     return pixels
 
 
 def is_pil(source: object) -> TypeGuard[Image]:
-    """True if something is a picture of PIL of 8 bits; others are arrays of their numbers."""
+    """Tell whether an object is a PIL picture of 8 bits; other PIL pictures are read as arrays of numbers."""
     return isinstance(source, Image) and source.mode not in ("I", "I;16", "F")
 
 
 def is_picture(source: object) -> bool:
-    """True if something is an array, a tensor or a picture of PIL, whatever its shape."""
+    """Tell whether an object is an array, a tensor or a PIL picture, whatever its shape."""
     return isinstance(source, np.ndarray | Tensor | Image) or hasattr(source, "__array_interface__")
 
 
 def picture_values(name: str, source: object) -> Array:
-    """The values of a picture, [H, W, 3]: uint8, uint16, or float; ValueError for another shape or type."""
+    """Return the values of a picture, [H, W, 3], as uint8, uint16 or floating point; gray is repeated.
+
+    Raises:
+        ValueError: the picture has another shape or type.
+    """
     values = array_of(name, source)
     shape = tuple(values.shape)
     if values.ndim == 2:
@@ -80,7 +84,7 @@ def picture_values(name: str, source: object) -> Array:
 
 
 def check_range(name: str, values: Array, what: str, remedy: str, low: float = 0.0) -> None:
-    """Refuse values that are not finite or outside [low, 1]."""
+    """Raise ValueError for values that are not finite or leave [low, 1]; `what` says in errors what they are."""
     if not np.isfinite(values).all():
         count = np.count_nonzero(~np.isfinite(values))
         raise ValueError(f"{name}: {count:,} values are NaN or infinite, expected finite {what}; replace them.")

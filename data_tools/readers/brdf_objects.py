@@ -1,4 +1,4 @@
-"""BRDFs in memory: functions of two directions, arrays of samples, BSDFs of Mitsuba."""
+"""BRDFs in memory as tasks: functions of two directions, arrays of samples, and BSDFs of Mitsuba."""
 
 from __future__ import annotations
 
@@ -18,23 +18,25 @@ from metapp.learning.task import Task
 from metapp.rendering.types import Bsdf
 from metapp.rendering.variant import load_mitsuba
 
-FUNCTION_SAMPLES = 65_536
-SAMPLE_ARRAY_NAMES = ("wi", "wo", "reflectance")  # arrays of samples
+FUNCTION_SAMPLES = 65_536  # samples of a BRDF that can be evaluated anywhere
+SAMPLE_ARRAY_NAMES = ("wi", "wo", "reflectance")  # the three arrays of measured samples
 
-BrdfFunction = Callable[[np.ndarray, np.ndarray], object]
+BrdfFunction = Callable[[np.ndarray, np.ndarray], object]  # wi, wo [N, 3] -> reflectance [N, 3] or [N] in 1/sr
 
 
 def task_of_object(source: object, name: str, **_: object) -> Task:
-    """Make the task of a BRDF in memory, with phi_h if it is anisotropic.
+    """Make the task of a BRDF in memory, with phi_h if the BRDF is anisotropic.
 
     Args:
-        source: f(wi, wo) -> reflectance in 1/sr without the cosine, linear RGB [N, 3] or gray [N], of float32 unit
-            vectors [N, 3] to light and viewer (z the normal); or (wi, wo, reflectance), arrays [N, 3] of measured
-            samples, as `task_of_pairs`; or a BSDF of Mitsuba in an RGB variant that is not scalar.
-        name: of the task.
+        source: one of three. A function f(wi, wo) that returns the reflectance in 1/sr without the cosine, linear RGB
+            [N, 3] or gray [N], for float32 unit vectors [N, 3] to light and viewer (z is the normal). Or arrays
+            (wi, wo, reflectance), each [N, 3], of measured samples; see :func:`task_of_pairs`. Or a BSDF of Mitsuba in
+            an RGB variant that is not scalar.
+        name: the name of the task.
 
     Raises:
-        ValueError: none of these; values of another shape, negative, or not finite; too few samples.
+        ValueError: the source is none of these; its values are of another shape, negative, or not finite; there are too
+            few samples.
     """
     if isinstance(source, tuple | list):
         if len(source) != len(SAMPLE_ARRAY_NAMES):
@@ -50,23 +52,33 @@ def task_of_object(source: object, name: str, **_: object) -> Task:
             raise ValueError(f"{name}: {len(wi)}, {len(wo)} and {len(values)} rows, expected as many of each.")
         return task_of_pairs(name, MeasuredPairs(wi, wo, values).above())
     if type(source).__module__.partition(".")[0] == "mitsuba":
-        return _evaluated(name, partial(evaluate_mitsuba_bsdf, load_mitsuba(), source))
+        return _make_function_task(name, partial(evaluate_mitsuba_bsdf, load_mitsuba(), source))
     if callable(source):
-        return _evaluated(name, partial(_called, name, source))
+        return _make_function_task(name, partial(_call_function, name, source))
     raise ValueError(
         f"{name}: {type(source).__name__}, expected a path, a function f(wi, wo), arrays (wi, wo, reflectance) or a "
         "BSDF of Mitsuba."
     )
 
 
-def _evaluated(name: str, evaluate: brdf_task.AnglesToReflectance) -> Task:
+def _make_function_task(name: str, evaluate: brdf_task.AnglesToReflectance) -> Task:
+    """Make the task of a BRDF that can be evaluated at any angles."""
     return brdf_task.make_measured_task(
         name, evaluate, FUNCTION_SAMPLES, name, azimuths=brdf_task.depends_on_phi_h(evaluate)
     )
 
 
 def evaluate_mitsuba_bsdf(mitsuba: ModuleType, bsdf: Bsdf, angles: Tensor) -> Tensor:
-    """A BSDF of Mitsuba, without the cosine: linear RGB [..., 3] in 1/sr, >= 0, of angles [..., 3 or 4] in rad."""
+    """Evaluate a BSDF of Mitsuba without the cosine.
+
+    Args:
+        mitsuba: the module, with its variant set.
+        bsdf: the BSDF.
+        angles: Rusinkiewicz angles in rad, [..., 3], or [..., 4] with phi_h.
+
+    Returns:
+        Linear RGB [..., 3] in 1/sr, >= 0.
+    """
     import drjit
 
     light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, angles.shape[-1]).double())
@@ -77,8 +89,12 @@ def evaluate_mitsuba_bsdf(mitsuba: ModuleType, bsdf: Bsdf, angles: Tensor) -> Te
     return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(*angles.shape[:-1], 3).to(angles)
 
 
-def _called(name: str, function: BrdfFunction, angles: Tensor) -> Tensor:
-    """Linear RGB [..., 3] in 1/sr of angles [..., 3 or 4] in rad."""
+def _call_function(name: str, function: BrdfFunction, angles: Tensor) -> Tensor:
+    """Evaluate a user's function at Rusinkiewicz angles [..., 3 or 4] in rad; return linear RGB [..., 3] in 1/sr.
+
+    Raises:
+        ValueError: the function returns another shape or negative values.
+    """
     wi, wo = (direction.reshape(-1, 3).float().numpy() for direction in rusinkiewicz_to_directions(angles.double()))
     values = doubles_of(f"{name}'s values", function(wi, wo)).to(angles)
     if values.shape == (len(wi),):

@@ -1,8 +1,8 @@
-"""Photographs of flat materials under a flash beside the lens, as tasks, and which material each one shows.
+"""Photographs of flat materials under a flash beside the lens as tasks, and which material each photograph shows.
 
-The flash lights the centre of the picture most: the central square counts, and of a camera whose field of view is wider
-than that of fits, as EXIF or the user says, only the part within theirs. What a photograph shows follows from where it
-lies, in this order, with "train" or "test" as <split>:
+The flash lights the centre of the picture most, so the central square is read; if the camera's field of view, by EXIF
+or by the user, is wider than the one that fits assume, only the part within the latter. The material that a photograph
+shows follows from where it lies, in this order, with "train" or "test" as <split>:
 
     <split>_<material>_<image>.jpg      such as train_0231_IMG_0785.jpg
     <split>/<material>/<image>.jpg      as Henzler et al. 2021 store theirs
@@ -28,14 +28,26 @@ from metapp.storage.shards import AUTO_SPLIT, SPLITS, ManifestEntry
 
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top; the flash is at the centre"}
 
-_RENDERED_PX = 2048  # a side of the photograph of maps, at most
-_NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
+_MAX_RENDERED_PX = 2048  # side of the photograph that is rendered of maps in memory, at most
+_PHOTO_NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
 
 find, recognises = square_photos.find, square_photos.recognises
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, layer: str = "") -> Task:
-    """A flash photograph as a task of its stem's name; as of `read_pixels`, `flash_view` and `to_square_photo`."""
+    """Read a flash photograph as a task named by the file's stem.
+
+    Args:
+        path: the file.
+        size: the side of the result, in px.
+        fov_rad: the camera's field of view along the shorter side, in rad; 0: as EXIF says (see :func:`flash_view`).
+        least: the least side of the result, in px, to which smaller pictures are enlarged; 0: pictures are enlarged to
+            `size`.
+        layer: the layer of an EXR file; see :func:`read_pixels`.
+
+    Raises:
+        ValueError: the file cannot be read; see :func:`read_pixels` and :func:`to_square_photo`.
+    """
     whole = read_pixels(path, layer)
     return task_of_square("image", flash_view(whole, fov_rad, str(path)), whole, path, size, least)
 
@@ -43,9 +55,18 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0
 def task_of_object(
     source: object, name: str, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, **_: object
 ) -> Task:
-    """The task of a flash photograph in memory, or of one that is rendered of maps, as of `task_of_arrays`."""
+    """Make the task of a flash photograph in memory, or of one that is rendered from maps.
+
+    Args:
+        source: a picture that :func:`pixels_of` reads, or maps by name (see :func:`material_maps.task_of_arrays`).
+        name: the name of the task.
+        size: the side of the result, in px.
+        fov_rad: the camera's field of view along the shorter side, in rad; 0: as EXIF says.
+        least: the least side of the result, in px, to which smaller pictures are enlarged; 0: pictures are enlarged to
+            `size`.
+    """
     if isinstance(source, Mapping):
-        photo = material_maps.task_of_arrays(source, name, _RENDERED_PX, least=1).data["photo"]
+        photo = material_maps.task_of_arrays(source, name, _MAX_RENDERED_PX, least=1).data["photo"]
         pixels = Pixels(photo.permute(1, 2, 0).numpy(), SRGB_SPACE, False)
     else:
         pixels = pixels_of(name, source, material_maps.OR_MAPS_TEXT)
@@ -53,36 +74,47 @@ def task_of_object(
 
 
 def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, ManifestEntry]:
-    """Photographs by what they show: in the splits that they state, if all state one and both occur.
+    """Return the manifest's entry of each photograph, by the material it shows.
+
+    Photographs are in the splits that their names state, if all state one and both occur.
 
     Raises:
-        ValueError: a material with training and test photographs.
+        ValueError: a material has training and test photographs.
     """
-    outer = sorted(folders, key=lambda folder: len(folder.resolve().parts))
-    of = {}
+    folders_outermost_first = sorted(folders, key=lambda folder: len(folder.resolve().parts))
+    entry_by_photo = {}
     for photo in sources:
-        below = (folder for folder in outer if Path(os.path.abspath(photo)).is_relative_to(os.path.abspath(folder)))
-        of[photo] = entry_of_photo(photo, next(below, None))
-    if split != AUTO_SPLIT or {entry.split for entry in of.values()} != set(SPLITS):
-        return {photo: entry._replace(split="") for photo, entry in of.items()}
-    first: dict[str, Path] = {}
-    for photo, entry in of.items():
-        other = first.setdefault(entry.group, photo)
-        if of[other].split != entry.split:
+        containing_folders = (
+            folder
+            for folder in folders_outermost_first
+            if Path(os.path.abspath(photo)).is_relative_to(os.path.abspath(folder))
+        )
+        entry_by_photo[photo] = entry_of_photo(photo, next(containing_folders, None))
+    if split != AUTO_SPLIT or {entry.split for entry in entry_by_photo.values()} != set(SPLITS):
+        return {photo: entry._replace(split="") for photo, entry in entry_by_photo.items()}
+    first_photos: dict[str, Path] = {}
+    for photo, entry in entry_by_photo.items():
+        first_photo = first_photos.setdefault(entry.group, photo)
+        if entry_by_photo[first_photo].split != entry.split:
             raise ValueError(
-                f"{other} and {photo}: training and test photograph of the material '{entry.group}', expected all "
-                "of a material on one side; rename one, or set --split."
+                f"{first_photo} and {photo}: training and test photograph of the material '{entry.group}', expected "
+                "all of a material on one side; rename one, or set --split."
             )
-    return of
+    return entry_by_photo
 
 
 def entry_of_photo(photo: Path, folder: Path | None = None) -> ManifestEntry:
-    """Name, material and split of a photograph by its name and its place in a folder; None: it was named itself."""
-    match = _NAME.fullmatch(photo.stem)
+    """Return name, material and split of a photograph by its name and its place in a folder.
+
+    Args:
+        photo: the file.
+        folder: the folder that the user named; None if the user named the file.
+    """
+    match = _PHOTO_NAME.fullmatch(photo.stem)
     if match:
         split, material, image = match.groups()
         return ManifestEntry(f"{material}_{image}", split=split.lower(), group=material)
-    absolute = Path(os.path.abspath(photo))  # links are not followed: their own place counts
+    absolute = Path(os.path.abspath(photo))  # links are not followed: a link's own folder tells the material
     start = Path(os.path.abspath(folder)).parent if folder else Path(absolute.anchor)
     outer, inner = ("", "", *absolute.relative_to(start).parts[:-1])[-2:]
     if outer.lower() in SPLITS:

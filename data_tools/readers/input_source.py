@@ -1,4 +1,7 @@
-"""A source: one input that a fit can be made of, as the reader of its format finds it."""
+"""A source: one input that a fit can be made of, as the reader of its format finds it.
+
+Readers return sources without the fields that only their caller knows, such as the format.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,11 @@ from pathlib import Path
 
 from data_tools.readers.listing import FoundFiles
 
-Facts = Mapping[str, bool | int]
+Facts = Mapping[str, bool | int]  # what a reader knows of an input, by the names below
 
 ANISOTROPIC_FACT, SAMPLE_COUNT_FACT, PHOTO_COUNT_FACT = "anisotropic", "samples", "photos"
-DEFAULT_PHOTO_PX = 256  # px, of the picture that a reader makes of a photograph unless another size is asked for
-DAMAGED_FACT = "damaged"  # a source of which reading says what is wrong; it has no part in choosing a recipe
+DEFAULT_PHOTO_PX = 256  # side of the picture that a reader makes of a photograph unless told otherwise
+DAMAGED_FACT = "damaged"  # a source that cannot be read; it has no part in choosing a recipe
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,11 @@ Sources = tuple[list[Source], list[str]]  # what a path holds, and the line of e
 
 
 def sources_of_files(found: FoundFiles, protocol: str = "") -> Sources:
-    """Return files as sources of which nothing but a protocol is known, named by the stems of the files."""
+    """Return files as sources named by their stems; nothing but a protocol is known of them.
+
+    Args:
+        found: the files and the line of each skipped file.
+        protocol: the value of --observe that suits the files; "" for the application's default one.
+    """
     files, skipped = found
     return [Source(file.stem, file, protocol=protocol) for file in files], skipped

@@ -1,4 +1,7 @@
-"""Files in folders: which of them a reader takes."""
+"""Files in folders: which of them a reader takes, and which it skips with a line for the user.
+
+Readers say what a file of their format is; hidden files and files that metapp wrote are left out here.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +22,19 @@ def find_files(
     nothing: str,
     likely: Collection[str] = (),
 ) -> FoundFiles:
-    """Find files of a format: a named one, or those in a folder at any depth (hidden ones left out), sorted.
+    """Find the files of a format: a named one, or those in a folder at any depth, sorted, without hidden ones.
 
     Args:
         path: a file or folder.
-        check: raises ValueError for a named path that cannot be a file of the format.
-        fault: of a file in a folder, the line why it is skipped; "" for a file of the format, None to say nothing.
-        nothing: said of a folder without such a file.
-        likely: suffixes of the format; if a folder has only bad files of these, the error names the fault of the first.
-            One that stands for another file, such as a Git LFS pointer, is skipped as that.
+        check: a function that raises ValueError for a named path that cannot be a file of the format.
+        fault: a function from a file in a folder to the line why it is skipped; "" for a file of the format, None for
+            another file that is skipped without a line.
+        nothing: the error of a folder without such a file.
+        likely: suffixes of the format; if a folder has only bad files of these, the error is the fault of the first.
+            One that stands for another file, such as a Git LFS pointer, is skipped with a line that says so.
 
     Raises:
-        ValueError: as `check`; a folder without such a file.
+        ValueError: `check` raises it; a folder has no such file.
     """
     if not path.is_dir():
         check(path)
@@ -40,13 +44,22 @@ def find_files(
         if line and file.suffix.lower() in likely:
             faults[file] = placeholder_line(file) or line
     if "" not in faults.values():
-        bad = [line for file, line in faults.items() if line and file.suffix.lower() in likely]
-        raise ValueError(bad[0] if bad else f"{path}: {nothing}")
+        bad_lines = [line for file, line in faults.items() if line and file.suffix.lower() in likely]
+        raise ValueError(bad_lines[0] if bad_lines else f"{path}: {nothing}")
     return [file for file, line in faults.items() if line == ""], [line for line in faults.values() if line]
 
 
 def find_by_suffix(path: Path, suffix: str, what: str) -> FoundFiles:
-    """As `find_files`, by suffix (with its dot) alone; `what` is their noun in errors."""
+    """Find the files of a format that is told by its suffix alone; see :func:`find_files`.
+
+    Args:
+        path: a file or folder.
+        suffix: the suffix, with its dot, in small letters.
+        what: a noun for such a file in errors.
+
+    Raises:
+        ValueError: a named file has another suffix or does not exist; a folder has no such file.
+    """
 
     def check(file: Path) -> None:
         if not file.is_file() or file.suffix.lower() != suffix:
@@ -58,38 +71,41 @@ def find_by_suffix(path: Path, suffix: str, what: str) -> FoundFiles:
 
 
 def has_suffix(path: str | Path, suffix: str) -> bool:
-    """True for a file of a suffix, with its dot, and for a folder with one below it."""
+    """Tell whether a path is a file of a suffix, with its dot, or a folder with one at any depth."""
     return any(file.suffix.lower() == suffix for file in files_of(path, suffix))
 
 
 def files_of(path: str | Path, endings: str | tuple[str, ...] = "") -> list[Path]:
-    """A file itself; the `files_below` a folder; [] if there is nothing."""
+    """Return a file itself, or the files below a folder (see :func:`files_below`); [] if nothing is there."""
     path = Path(path)
     return files_below(path, endings) if path.is_dir() else [path] if path.is_file() else []
 
 
 def files_below(folder: Path, endings: str | tuple[str, ...] = "") -> list[Path]:
-    """The files of a user in a folder and in those below it, sorted, hidden ones and linked folders left out.
+    """Return the user's files in a folder at any depth, sorted; hidden ones and linked folders are left out.
 
-    What metapp wrote is left out, too: data sets, fits, the pictures of runs, and those of what was found in photos
-    or looked for in vain.
-    Names end in one of `endings`, in capitals or not.
+    Files that metapp wrote are left out, too: data sets, fits, the pictures of runs, and pictures that show what metapp
+    found in photos or failed to find.
+
+    Args:
+        folder: the folder.
+        endings: the endings that files' names may have, in small letters; capitals count as these.
     """
-    return [Path(file) for file in _all_below(str(folder)) if file.lower().endswith(endings)]
+    return [Path(file) for file in _list_all_below(str(folder)) if file.lower().endswith(endings)]
 
 
 @cached_lookup
-def _all_below(folder: str) -> list[str]:
-    """Return the paths of all files that `files_below` chooses from, sorted."""
-    found, folders = [], [folder]
-    while folders:  # of any depth, which recursion has not
-        place = folders.pop()
-        takes_files, takes_folders = holds_files_of_users(place)
-        for entry in list_folder(place):
+def _list_all_below(folder: str) -> list[str]:
+    """Return the paths of all files that :func:`files_below` chooses from, sorted."""
+    files, folders = [], [folder]
+    while folders:  # not recursive, since folders may be nested deeper than Python's stack
+        current_folder = folders.pop()
+        takes_files, takes_folders = holds_files_of_users(current_folder)
+        for entry in list_folder(current_folder):
             if entry.name.startswith(".") or (entry.name.endswith(FAILED_PICTURE_SUFFIX) and entry.is_file()):
                 continue
             if entry.is_dir(follow_symlinks=False):
                 folders += [entry.path] * takes_folders
             elif takes_files and entry.is_file():
-                found.append(entry.path)
-    return sorted(found, key=lambda file: file.split(os.sep))
+                files.append(entry.path)
+    return sorted(files, key=lambda file: file.split(os.sep))

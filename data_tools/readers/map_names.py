@@ -1,4 +1,7 @@
-"""Names of files of materials' maps: the words that tell a map's role, and marks of variants, tiles and resolutions."""
+"""Names of files of materials' maps: the words that tell a map's role, and marks of variants, tiles and resolutions.
+
+Names alone are looked at, never a file.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,10 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-NORMAL_ROLES = ("normal (OpenGL)", "normal", "normal (DirectX)")  # green points up, is not said, points down
+NORMAL_ROLES = ("normal (OpenGL)", "normal", "normal (DirectX)")  # green points up, is not stated, points down
 PLAIN_COLOUR_ROLE = "plain"  # the role of a colour that only its place beside other maps tells
 COLOUR_ROLES = ("base colour", "diffuse", PLAIN_COLOUR_ROLE)
-# the roles of red, green, blue and alpha of files that pack them; "" for a channel that is not read
+# The roles of red, green, blue and alpha in files that pack several maps; "" for a channel that is not read.
 PACKED_CHANNEL_ROLES = {
     "occlusion, roughness, metallic": ("", "roughness", "metallic"),
     "roughness, metallic": ("roughness", "metallic"),
@@ -18,7 +21,7 @@ PACKED_CHANNEL_ROLES = {
 }
 
 # The words of each role, in small letters; all of two letters or more may end in "map".
-_WORDS = {
+_ROLE_WORDS = {
     "diffuse": "diffuse diff d",
     "base colour": "albedo alb basecolor basecolour color colour col bc c albedotransparency",
     "normal": "normal normals norm nrm nor nml nrm16 n",
@@ -36,14 +39,14 @@ _WORDS = {
     "metallic, roughness": "mra",
     "metallic, gloss": "metallicsmoothness metallicgloss maskmap",
 }
-# What follows a word of normals.
-_GREEN = {"normal (OpenGL)": ("gl", "ogl", "opengl"), "normal (DirectX)": ("dx", "directx")}
-_MOST_WORDS = 4  # that a role is made of, such as NormalMapOpenGL's
+# The endings that say, behind a word for normals, where green points.
+_NORMAL_ENDINGS = {"normal (OpenGL)": ("gl", "ogl", "opengl"), "normal (DirectX)": ("dx", "directx")}
+_MAX_ROLE_WORDS = 4  # words that one role may consist of, such as NormalMapOpenGL's
 
 _WORD = re.compile(r"\d+[kK](?![a-z])|[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
 _RESOLUTION = re.compile(r"\d{1,2}k|128|256|512|1024|2048|4096|8192|x\d{3,4}|jpe?g|png|tiff?|exr", re.IGNORECASE)
-_MARK = re.compile(r"VAR\d+|1\d{3}", re.IGNORECASE)  # of variants, and of tiles (UDIM)
-_WORKFLOWS = ("METALNESS", "SPECULAR")  # behind roles in capitals, COL_2K_METALNESS: marks, too
+_MARK = re.compile(r"VAR\d+|1\d{3}", re.IGNORECASE)  # marks of variants, and of tiles (UDIM)
+_WORKFLOWS = ("METALNESS", "SPECULAR")  # marks that follow roles in capitals, as in COL_2K_METALNESS
 
 
 class MapName(NamedTuple):
@@ -60,25 +63,30 @@ class MapName(NamedTuple):
     role: str | None
 
 
-def _role_of_words() -> dict[str, str]:
-    """Return the role of each word that files' names end in."""
-    plain = {word: role for role, words in _WORDS.items() for word in words.split()}
-    mapped = {f"{word}map": role for word, role in plain.items() if len(word) > 1} | plain
-    normals = [word for word, role in mapped.items() if role == "normal" and len(word) > 1]
-    return mapped | {f"{word}{end}": role for word in normals for role, ends in _GREEN.items() for end in ends}
+def _list_word_roles() -> dict[str, str]:
+    """Return the role of each word that files' names may end in."""
+    word_roles = {word: role for role, words in _ROLE_WORDS.items() for word in words.split()}
+    all_roles = {f"{word}map": role for word, role in word_roles.items() if len(word) > 1} | word_roles
+    normal_words = [word for word, role in all_roles.items() if role == "normal" and len(word) > 1]
+    return all_roles | {
+        f"{word}{ending}": role
+        for word in normal_words
+        for role, endings in _NORMAL_ENDINGS.items()
+        for ending in endings
+    }
 
 
-_ROLES = _role_of_words()
+_ROLES = _list_word_roles()
 
 
 def parse_map_name(stem: str) -> MapName:
     """Split the stem of a file into the material's name, a mark, and the role that its last words tell.
 
-    >>> map_name("RockNormalGL_4k")
+    >>> parse_map_name("RockNormalGL_4k")
     MapName(material='Rock', mark='', role='normal (OpenGL)')
-    >>> map_name("ROCK_COL_VAR1")
+    >>> parse_map_name("ROCK_COL_VAR1")
     MapName(material='ROCK', mark='VAR1', role='base colour')
-    >>> map_name("rock")
+    >>> parse_map_name("rock")
     MapName(material='rock', mark='', role=None)
     """
     words = [*_WORD.finditer(stem)]
@@ -90,7 +98,7 @@ def parse_map_name(stem: str) -> MapName:
         name, mark, role = parse_map_name(before := stem[: words[-1].start()].rstrip("_-. "))
         if role is not None and name and before.removeprefix(name).isupper():
             return MapName(name, "_".join(filter(None, (mark, words[-1].group()))), role)
-    for count in range(min(_MOST_WORDS, len(words)), 0, -1):
+    for count in range(min(_MAX_ROLE_WORDS, len(words)), 0, -1):
         tail = "".join(word.group() for word in words[-count:]).lower()
         if tail in _ROLES:
             start = words[-count].start()
@@ -100,5 +108,5 @@ def parse_map_name(stem: str) -> MapName:
 
 
 def is_unused_map(file: Path) -> bool:
-    """Tell whether a file is a map that is of no use alone, by its name, such as heights and packed channels."""
+    """Tell by its name whether a file is a map that is of no use alone, such as heights and packed channels."""
     return parse_map_name(file.stem).role in ("", *PACKED_CHANNEL_ROLES)

@@ -2,13 +2,13 @@
 
 A file is called after its material and its role, such as `rock_diff_4k.jpg`, `RockNormalGL.png` or just `normal.png` in
 a folder of the material's name; case and a size at the end do not count. Colours of integer files are sRGB, all other
-maps are data; floating-point normals may be -1..1, and z may be left out (`normal_maps`). Files of packed channels,
-`rock_arm.png`, have several roles. Variants, `ROCK_COL_VAR1.jpg`, and tiles, `rock_normal.1001.png`, are materials that
-share the files without a mark.
+maps are data; floating-point normals may be -1..1, and z may be left out (see :mod:`normal_maps`). Files of packed
+channels, `rock_arm.png`, have several roles. Variants, `ROCK_COL_VAR1.jpg`, and tiles, `rock_normal.1001.png`, are
+materials that share the files without a mark.
 
-Roughness is 1 - gloss if there is none. With a metallic map m diffuse = base (1 - m) and specular = 0.04 (1 - m) +
-base m, a specular map being left aside, but for a diffuse map beside the base colour, as in metapp's asset folders.
-Without both, specular is 0.04.
+Roughness is 1 - gloss if there is no roughness map. With a metallic map m, diffuse = base (1 - m) and specular =
+0.04 (1 - m) + base m, and a specular map is ignored; but where a diffuse map lies beside the base colour, as in
+metapp's asset folders, diffuse and specular maps are taken. With neither metallic nor specular map, specular is 0.04.
 
 Old games keep a colour without any role in its name, `rock.png`, beside `rock_norm.png` and `rock_gloss.png`. Their
 gloss is the strength g of a highlight, in display values: the roughness is that of a GGX lobe of specular 0.04 whose
@@ -51,20 +51,23 @@ from metapp.storage.files import read_bytes
 from metapp.storage.folders import cached_lookup, list_folder
 from metapp.storage.shards import ManifestEntry
 
-_IS_CLEAR = 0.2  # correlation of the two mixed slopes, 1 for an exact height field and -1 for an upturned one
-_SAME_SHAPE = 0.02  # log of a ratio of width to height
-_UNIT = 0.1  # by which the length of normals, which may be averages, differs from 1 in the mean at most
-OR_MAPS_TEXT = " or maps (a dictionary of such)"  # what errors say of objects in memory
-_EXPECTED = "expected names such as rock_diffuse.png, rock_normal.png, rock_roughness.png"
+# Correlation of mixed slopes from which on it is clear where green points: 1 for an exact height field, -1 for one
+# whose y is turned over.
+_MIN_CLEAR_CORRELATION = 0.2
+_MAX_LOG_RATIO_DIFFERENCE = 0.02  # difference of two maps' log(width / height)
+_MAX_LENGTH_ERROR = 0.1  # mean of |length - 1| of normals, which may be averages
+OR_MAPS_TEXT = " or maps (a dictionary of such)"  # continues errors about an object in memory
+_EXPECTED_NAMES = "expected names such as rock_diffuse.png, rock_normal.png, rock_roughness.png"
 
 
 class MaterialFiles(NamedTuple):
-    """The maps of a material.
+    """The files of a material's maps.
 
     Attributes:
-        folder: of all.
-        name: in files, "" for none; of one of several variants or tiles with its mark.
-        files: by role; a file of packed channels has several.
+        folder: the folder that holds all of them.
+        name: the material's name in the files' names, "" for none; with a mark if it is one of several variants or
+            tiles.
+        files: the files by role; a file of packed channels has several roles.
         unknown: other images whose names begin alike.
     """
 
@@ -80,12 +83,12 @@ class MaterialFiles(NamedTuple):
 
     @property
     def source(self) -> Path:
-        """The file that stands for all: the colour, which variants do not share."""
+        """The file that stands for the material: its colour, which variants do not share."""
         return min(next((self.files[role] for role in COLOUR_ROLES if role in self.files), self.maps))
 
     @property
     def maps(self) -> list[Path]:
-        """All its files."""
+        """The files of all maps, each once."""
         return list(dict.fromkeys(file for files in self.files.values() for file in files))
 
     def __str__(self) -> str:
@@ -93,66 +96,68 @@ class MaterialFiles(NamedTuple):
 
 
 def recognises(path: Path) -> bool:
-    """True for one of the maps of a material, and for a folder with a material at any depth."""
+    """Tell whether a path is one of the maps of a material, or a folder with a material at any depth."""
     if not path.is_dir():
         return path.is_file() and material_of(path) is not None
     return any(list_materials(folder)[0] for folder in {file.parent for file in files_below(path, IMAGE_SUFFIXES)})
 
 
 def find(path: Path) -> Sources:
-    """Find one file of each material in a folder at any depth, or of the one of a named map; and files that are no map.
+    """Find the materials in a folder at any depth, or the one of a named map; images that are no maps are skipped.
 
     Raises:
-        ValueError: a path that does not exist, a folder without a map.
+        ValueError: the path does not exist, or is a folder without a map.
     """
     files, skipped = square_photos.find_images(path)
     if not path.is_dir():
-        return [_source_of(_material(path))], []
+        return [_make_source(_require_material(path))], []
     in_folders = [list_materials(folder) for folder in sorted({file.parent for file in files})]
-    materials = [_source_of(material) for some, _ in in_folders for material in some]
+    materials = [_make_source(material) for folder_materials, _ in in_folders for material in folder_materials]
     if not materials:
         names = ", ".join(file.name for file in files[:3])
-        raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED}; rename them.")
+        raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED_NAMES}; rename them.")
     others = [file for _, files in in_folders for file in files]
-    return materials, skipped + [f"{file}: no map under a usual name, {_EXPECTED}; rename it." for file in others]
+    return materials, skipped + [f"{file}: no map under a usual name, {_EXPECTED_NAMES}; rename it." for file in others]
 
 
-def _source_of(material: MaterialFiles) -> Source:
+def _make_source(material: MaterialFiles) -> Source:
+    """Return a material as a source, at the file that stands for it."""
     return Source(material.title, material.source, content=material)
 
 
 def material_of(file: Path) -> MaterialFiles | None:
-    """The material that a map belongs to."""
+    """Return the material that a map belongs to; None for a file that is no map."""
     materials = list_materials(file.parent)[0]
     return next((material for material in materials if file.name in [map_.name for map_ in material.maps]), None)
 
 
-def _material(file: Path) -> MaterialFiles:
+def _require_material(file: Path) -> MaterialFiles:
+    """Return the material that a map belongs to, or raise ValueError for a file that is no map."""
     if material := material_of(file):
         return material
-    raise ValueError(f"{file}: no map under a usual name, {_EXPECTED}; rename it, or name a folder.")
+    raise ValueError(f"{file}: no map under a usual name, {_EXPECTED_NAMES}; rename it, or name a folder.")
 
 
 @cached_lookup
 def list_materials(folder: Path) -> tuple[list[MaterialFiles], list[Path]]:
-    """The materials right in a folder, by name, and image files whose role is unknown."""
+    """Return the materials right in a folder, sorted by name, and the image files there whose role is unknown."""
     files = (Path(entry.path) for entry in list_folder(str(folder)) if entry.is_file())
     images = sorted(file for file in files if file.suffix.lower() in IMAGE_SUFFIXES)
     parts = {file: parse_map_name(file.stem) for file in images if not file.name.startswith(".")}
     names = {name.lower() for name, _, role in parts.values() if role}
     groups: dict[str, dict[Path, tuple[str, str, str]]] = {}
-    plain = []
+    files_without_role = []
     for file, (name, mark, role) in parts.items():
         if role is None or file.stem.lower() in names:  # rusty_metal beside rusty_metal_normal is no metal
-            plain.append(file)
+            files_without_role.append(file)
         elif role:
             groups.setdefault(name.lower(), {})[file] = name, mark, role
     for key, group in list(groups.items()):
-        (name, _, _), *more = group.values()
-        if not more and any(begin in groups for begin in _beginnings(name) - {key}):
-            plain += groups.pop(key)  # no material: its role is of more words than are known
+        (name, _, _), *further_files = group.values()
+        if not further_files and any(beginning in groups for beginning in _name_beginnings(name) - {key}):
+            files_without_role += groups.pop(key)  # not a material of its own: its role has more words than are known
     others = []
-    for file in plain:
+    for file in files_without_role:
         maps = groups.get(file.stem.lower())
         if maps and not any(role in COLOUR_ROLES[:2] for _, _, role in maps.values()):
             maps[file] = file.stem, "", PLAIN_COLOUR_ROLE
@@ -161,41 +166,55 @@ def list_materials(folder: Path) -> tuple[list[MaterialFiles], list[Path]]:
     stems = {file.stem.lower(): file for file in others}
     unknown: dict[str, set[Path]] = {key: set() for key in groups}
     for file in others:
-        for key in _beginnings(file.stem) & groups.keys():
+        for key in _name_beginnings(file.stem) & groups.keys():
             unknown[key].add(file)
     for key, group in groups.items():
-        unknown[key] |= {stems[begin] for begin in _beginnings(next(iter(group.values()))[0]) & stems.keys()}
-    made = [
+        unknown[key] |= {
+            stems[beginning] for beginning in _name_beginnings(next(iter(group.values()))[0]) & stems.keys()
+        }
+    materials = [
         MaterialFiles(folder, *variant, tuple(sorted(unknown[key])))
         for key in sorted(groups)
-        for variant in _variants(folder, groups[key])
+        for variant in _list_variants(folder, groups[key])
     ]
-    return made, sorted(others)
+    return materials, sorted(others)
 
 
-def _beginnings(stem: str) -> set[str]:
-    """The names that a name begins with, before another word, in small letters."""
+def _name_beginnings(stem: str) -> set[str]:
+    """Return the names that a name may begin with, up to the start of one of its words, in small letters."""
     return {stem[:end].rstrip("_-. ").lower() for end in range(len(stem) + 1) if not stem[end : end + 1].islower()}
 
 
-def _variants(
+def _list_variants(
     folder: Path, group: Mapping[Path, tuple[str, str, str]]
 ) -> Iterator[tuple[str, dict[str, tuple[Path, ...]]]]:
-    """Name and files by role of each variant or tile of a material; they share files without a mark."""
+    """Yield the name and the files by role of each variant or tile of a material; they share the files without a mark.
+
+    Args:
+        folder: the folder of the material.
+        group: name, mark and role of each of its files.
+    """
     by_role: dict[str, dict[str, tuple[Path, ...]]] = {}
     for file, (_, mark, role) in group.items():
-        marked = by_role.setdefault(role, {})
-        marked[mark] = (*marked.get(mark, ()), file)
-    marks = sorted({mark for marked in by_role.values() if len(marked) > 1 or "" not in marked for mark in marked})
+        files_by_mark = by_role.setdefault(role, {})
+        files_by_mark[mark] = (*files_by_mark.get(mark, ()), file)
+    marks = sorted(
+        {
+            mark
+            for files_by_mark in by_role.values()
+            if len(files_by_mark) > 1 or "" not in files_by_mark
+            for mark in files_by_mark
+        }
+    )
     name = next(iter(group.values()))[0]
     for mark in marks or [""]:
-        files = {role: marked.get(mark, marked.get("")) for role, marked in by_role.items()}
-        shown = f"{name or folder.resolve().name}_{mark}" if mark and len(marks) > 1 else name
-        yield shown, _unpacked({role: some for role, some in files.items() if some})
+        files = {role: files_by_mark.get(mark, files_by_mark.get("")) for role, files_by_mark in by_role.items()}
+        variant_name = f"{name or folder.resolve().name}_{mark}" if mark and len(marks) > 1 else name
+        yield variant_name, _unpack_channels({role: role_files for role, role_files in files.items() if role_files})
 
 
-def _unpacked(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
-    """The files by role, those of packed channels for each of their roles that has no file of its own."""
+def _unpack_channels(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
+    """Return files by role, with each file of packed channels under those of its roles that have no file yet."""
     for packed, channels in PACKED_CHANNEL_ROLES.items():
         for file in files.pop(packed, ()):
             for role in filter(None, channels):
@@ -211,53 +230,63 @@ def read_task(
     layer: str = "",
     content: MaterialFiles | None = None,
 ) -> Task:
-    """Turn the material that a map belongs to into a task, photographed by the renderer.
+    """Read the material that a map belongs to as a task, with its photograph rendered.
 
     Args:
-        source: one of its maps.
-        size: side in px; of each map the central square counts.
+        source: one of the material's maps.
+        size: the side of the result, in px; the central square of each map is read.
         normals: whether green points up ("opengl") or down ("directx"); "auto": as names say, else as a height field
             could have it, up if that is not clear.
-        least: as of `photo_of`, if all maps are smaller.
-        layer: as of `read_pixels`, of each map.
-        content: the material, as `find` found it.
+        least: the least side of the result, in px, to which smaller maps are enlarged; 0: maps are enlarged to `size`.
+        layer: the layer of EXR files; see :func:`read_pixels`.
+        content: the material, as :func:`find` found it.
 
     Raises:
-        ValueError: as `read_pixels`; a map that is missing or there twice, maps of different shapes, NaN, black,
-            normals that are none.
+        ValueError: a file cannot be read (see :func:`read_pixels`); a map is missing or there twice; maps have
+            different shapes, hold NaN or are black; normals are none.
     """
-    return read_material(content or _material(source), size, normals, least, layer)
+    return read_material(content or _require_material(source), size, normals, least, layer)
 
 
 def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, least: int = 0) -> Task:
-    """As `read_task`, of maps in memory.
+    """Make the task of a material from maps in memory, as :func:`read_task` does from files.
 
     Args:
-        maps: pictures as of `pixels_of` by their usual names, such as "diffuse", "normal", "roughness", "specular".
-            Integers are as files hold them: colours sRGB, normals 0..255 for -1..1. Floating-point values are linear:
-            colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface.
-        name: of the material.
-        size, least: as of `read_task`.
+        maps: pictures that :func:`pixels_of` reads, by their usual names, such as "diffuse", "normal", "roughness",
+            "specular". Integers are as files hold them: colours sRGB, normals 0..255 for -1..1. Floating-point values
+            are linear: colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface.
+        name: the name of the material.
+        size: the side of the result, in px.
+        least: the least side of the result, in px, to which smaller maps are enlarged; 0: maps are enlarged to `size`.
     """
-    words = {key: parse_map_name(str(key)).role for key in maps}
-    unknown = [key for key, role in words.items() if role is None]
-    if unknown or len(set(filter(None, words.values()))) < 2:
-        found = f"a map {unknown[0]!r}" if unknown else f"maps {', '.join(map(str, maps)) or 'none'}"
+    role_by_key = {key: parse_map_name(str(key)).role for key in maps}
+    unknown_keys = [key for key, role in role_by_key.items() if role is None]
+    if unknown_keys or len(set(filter(None, role_by_key.values()))) < 2:
+        found = f"a map {unknown_keys[0]!r}" if unknown_keys else f"maps {', '.join(map(str, maps)) or 'none'}"
         raise ValueError(f"{name}: {found}, expected diffuse, normal, roughness, and, if there is one, specular.")
     files: dict[Path, Pixels] = {}
     roles: dict[str, tuple[Path, ...]] = {}
-    for key, word in words.items():
-        if word:
-            role, pixels = _map_of(f"{name}: {key}", maps[key], word)
+    for key, named_role in role_by_key.items():
+        if named_role:
+            role, pixels = _prepare_map(f"{name}: {key}", maps[key], named_role)
             files[file := Path(f"{name}_{key}")] = pixels
             roles[role] = (*roles.get(role, ()), file)
     side = max(min(pixels.values.shape[:2]) for pixels in files.values())
-    material = MaterialFiles(Path(), name, _unpacked(roles))
-    return _task(material, lambda file, _: files[file], reading_side_px(side, size, least), "auto")
+    material = MaterialFiles(Path(), name, _unpack_channels(roles))
+    return _make_task(material, lambda file, _: files[file], reading_side_px(side, size, least), "auto")
 
 
-def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
-    """The role of a map in memory and its values, those of floating point linear, normals 0..1 for -1..1."""
+def _prepare_map(subject: str, source: object, role: str) -> tuple[str, Pixels]:
+    """Read a map in memory; floating-point values are linear, and their normals become 0..1 for -1..1.
+
+    Args:
+        subject: the name of the map in errors.
+        source: the map, a picture.
+        role: its role by its name.
+
+    Returns:
+        The map's role, where floating-point normals point up (OpenGL) unless the name says otherwise, and its values.
+    """
     if is_pil(source) or (values := picture_values(subject, source)).dtype.kind != "f":
         return role, pixels_of(subject, source)
     if not role.startswith("normal"):
@@ -265,7 +294,7 @@ def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
     else:
         check_range(subject, values, "unit vectors", "divide them by their length", -1.0)
         lengths = np.linalg.norm(values, axis=-1)
-        if np.abs(lengths - 1).mean() > _UNIT:
+        if np.abs(lengths - 1).mean() > _MAX_LENGTH_ERROR:
             raise ValueError(
                 f"{subject}: vectors of length {lengths.min():.3g} to {lengths.max():.3g}, expected unit vectors "
                 "[H, W, 3], x right, y up; of values in [0, 1] take 2 v - 1."
@@ -277,36 +306,52 @@ def _map_of(subject: str, source: object, role: str) -> tuple[str, Pixels]:
 def read_material(
     material: MaterialFiles, size: int = SIZE, normals: str = "auto", least: int = 0, layer: str = ""
 ) -> Task:
-    """As `read_task`, of a material that was found."""
-    side = max(min(shape_of(file)) for file in _choose(material).values())
+    """Read a material that was found as a task, with its photograph rendered.
+
+    Args:
+        material: the files of the material.
+        size: the side of the result, in px.
+        normals: where green points in normal maps; see :func:`read_task`.
+        least: the least side of the result, in px, to which smaller maps are enlarged; 0: maps are enlarged to `size`.
+        layer: the layer of EXR files; see :func:`read_pixels`.
+    """
+    side = max(min(shape_of(file)) for file in _choose_files(material).values())
     size = reading_side_px(side, size, least)
 
     def pixels_of_map(file: Path, role: str) -> Pixels:
         return read_pixels(file, layer, lacks_blue=role in NORMAL_ROLES)
 
-    return _task(material, pixels_of_map, size, normals)
+    return _make_task(material, pixels_of_map, size, normals)
 
 
-def _task(material: MaterialFiles, pixels_of_map: Callable[[Path, str], Pixels], size: int, normals: str) -> Task:
-    chosen = _choose(material)
+def _make_task(material: MaterialFiles, pixels_of_map: Callable[[Path, str], Pixels], size: int, normals: str) -> Task:
+    """Make the task of a material of the maps that count.
+
+    Args:
+        material: the files of the material.
+        pixels_of_map: a function that reads a file in a role.
+        size: the side of the result, in px.
+        normals: where green points in normal maps; see :func:`read_task`.
+    """
+    chosen = _choose_files(material)
     shapes: dict[str, tuple[int, int]] = {}
-    maps = {role: _read(file, pixels_of_map(file, role), size, role, shapes) for role, file in chosen.items()}
+    maps = {role: _read_map(file, pixels_of_map(file, role), size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
     colour = next(maps[role] for role in COLOUR_ROLES if role in maps)
     if "metallic" in maps:
-        diffuse, specular = metallic_to_specular(colour, _gray(maps["metallic"]))
+        diffuse, specular = metallic_to_specular(colour, _to_gray(maps["metallic"]))
     else:
         diffuse, specular = colour, maps.get("specular", torch.full_like(colour, DIELECTRIC_F0))
     if "roughness" in maps:
-        roughness = _gray(maps["roughness"])
-    elif PLAIN_COLOUR_ROLE in maps:  # that of a GGX lobe whose peak is as bright
-        roughness = (DIELECTRIC_F0 / 4 / _gray(maps["gloss"]).clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
+        roughness = _to_gray(maps["roughness"])
+    elif PLAIN_COLOUR_ROLE in maps:  # the roughness of a GGX lobe whose peak is as bright as the game's
+        roughness = (DIELECTRIC_F0 / 4 / _to_gray(maps["gloss"]).clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
     else:
-        roughness = 1 - _gray(maps["gloss"])
+        roughness = 1 - _to_gray(maps["gloss"])
     role = next(role for role in NORMAL_ROLES if role in maps)
     normal = decode_unit_normals(maps[role], chosen[role])
     if normals == "auto" and role == "normal":
-        is_down = mixed_slope_correlation(normal) < -_IS_CLEAR
+        is_down = mixed_slope_correlation(normal) < -_MIN_CLEAR_CORRELATION
     else:
         is_down = normals == "directx" or (normals == "auto" and role == "normal (DirectX)")
     if is_down:
@@ -319,40 +364,50 @@ def _task(material: MaterialFiles, pixels_of_map: Callable[[Path, str], Pixels],
 
 
 def mixed_slope_correlation(normal: Tensor) -> float:
-    """Correlation 2 <u v> / <u^2 + v^2> of the mixed second derivatives of a height with normals [3, H, W].
+    """Return the correlation 2 <u v> / <u^2 + v^2> of the mixed second derivatives u and v of normals' height.
 
-    A height field has u = v and 1, one whose y is turned over -1, a plane 0.
+    Of a height field u = v, so the correlation is 1; it is -1 for normals whose y is turned over, and 0 for a plane.
+
+    Args:
+        normal: unit normals, [3, H, W].
     """
     slopes = -normal[:2] / normal[2:].clamp_min(0.1)
-    along_x = (slopes[1, :, 2:] - slopes[1, :, :-2])[1:-1]
-    along_y = (slopes[0, :-2] - slopes[0, 2:])[:, 1:-1]
-    total = float((along_x.square() + along_y.square()).sum())
-    return 2 * float((along_x * along_y).sum()) / total if total > 0 else 0.0
+    u = (slopes[1, :, 2:] - slopes[1, :, :-2])[1:-1]
+    v = (slopes[0, :-2] - slopes[0, 2:])[:, 1:-1]
+    total = float((u.square() + v.square()).sum())
+    return 2 * float((u * v).sum()) / total if total > 0 else 0.0
 
 
 def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, ManifestEntry]:
-    """Materials by their maps; those with the very same file of normals are a group, as variants."""
-    found: dict[Path, ManifestEntry] = {}
+    """Return the manifest's entry of each material; materials with equal files of normals, as variants, are a group."""
+    entry_by_source: dict[Path, ManifestEntry] = {}
     groups: dict[str, str] = {}
     for source in sources:
-        material = _material(source)
+        material = _require_material(source)
         files = next((material.files[role] for role in NORMAL_ROLES if role in material.files), (material.source,))
         digest = hashlib.sha256(read_bytes(files[0])).hexdigest()
         group = groups.setdefault(digest, material.title)
-        found[source] = ManifestEntry(task_name(material.title), group=group)
-    return found
+        entry_by_source[source] = ManifestEntry(task_name(material.title), group=group)
+    return entry_by_source
 
 
-def _choose(material: MaterialFiles) -> dict[str, Path]:
-    """One file for each role that counts."""
+def _choose_files(material: MaterialFiles) -> dict[str, Path]:
+    """Choose one file for each role that counts.
+
+    Raises:
+        ValueError: a role has no file or several.
+    """
     roles = dict(material.files)
-    if {*COLOUR_ROLES[:2], "specular"} <= roles.keys():  # the specular workflow, not the metallic one beside it
+    if {
+        *COLOUR_ROLES[:2],
+        "specular",
+    } <= roles.keys():  # the specular workflow is taken, and the metallic one beside it left
         roles = {role: files for role, files in roles.items() if role not in ("base colour", "metallic")}
     if diffuse := roles.pop("diffuse", ()):
         roles["base colour"] = (*roles.get("base colour", ()), *diffuse)
-    found = ", ".join(sorted(file.name for file in material.maps))
-    unknown = ", ".join(file.name for file in material.unknown[:3])
-    remedy = f"; of {unknown} the role is unknown: rename it" if unknown else "; add it"
+    names_found = ", ".join(sorted(file.name for file in material.maps))
+    unknown_names = ", ".join(file.name for file in material.unknown[:3])
+    remedy = f"; of {unknown_names} the role is unknown: rename it" if unknown_names else "; add it"
     needed = {
         "base colour": ("base colour", PLAIN_COLOUR_ROLE),
         "normal": NORMAL_ROLES,
@@ -363,7 +418,7 @@ def _choose(material: MaterialFiles) -> dict[str, Path]:
     for noun, candidates in needed.items():
         role = next((role for role in candidates if role in roles), None)
         if role is None and noun:
-            raise ValueError(f"{material}: no {noun} map ({found}), {_EXPECTED}{remedy}.")
+            raise ValueError(f"{material}: no {noun} map ({names_found}), {_EXPECTED_NAMES}{remedy}.")
         if role is None:
             continue
         if len(roles[role]) > 1:
@@ -373,12 +428,23 @@ def _choose(material: MaterialFiles) -> dict[str, Path]:
     return chosen
 
 
-def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:
-    """The central square of a map, [3, size, size] in [0, 1]; its whole size in px goes to `shapes`."""
+def _read_map(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:
+    """Read the central square of a map.
+
+    Args:
+        file: the file, whose name tells packed channels.
+        pixels: its values.
+        size: the side of the result, in px.
+        role: the role of the map.
+        shapes: height and width of whole maps in px, by role; the map's are added.
+
+    Returns:
+        The map, [3, size, size] in [0, 1].
+    """
     height, width = pixels.values.shape[:2]
     shapes[role] = height, width
     is_colour = role in (*COLOUR_ROLES, "specular")
-    values = pixels.values[..., :3]  # alpha holds opacity or something else again
+    values = pixels.values[..., :3]  # alpha holds opacity or something else
     channels = PACKED_CHANNEL_ROLES.get(
         parse_map_name(file.stem if file.suffix.lower() in IMAGE_SUFFIXES else file.name).role or "", ()
     )
@@ -388,8 +454,8 @@ def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tu
             raise ValueError(f"{file}: {count} channels, expected {role} in alpha; export it with that.")
         values = pixels.values[..., [channel] * 3]
     if role in NORMAL_ROLES:
-        values, slopes = pixels.values, pixels.values[..., :2]
-        if values.dtype.kind == "f" and (slopes.min() < -0.1 or slopes.mean() < 0.25):  # -1..1
+        values, xy = pixels.values, pixels.values[..., :2]
+        if values.dtype.kind == "f" and (xy.min() < -0.1 or xy.mean() < 0.25):  # stored as -1..1
             values = values / 2 + 0.5
         values = complete_normals(values, file)
     square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR_SPACE))
@@ -400,13 +466,22 @@ def _read(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tu
 
 
 def _check_shapes(material: MaterialFiles, files: Mapping[str, Path], shapes: Mapping[str, tuple[int, int]]) -> None:
-    """Sizes may differ, but not the ratio of width to height."""
+    """Raise ValueError if maps have different ratios of width to height; their sizes may differ.
+
+    Args:
+        material: the material, in errors.
+        files: its files by role.
+        shapes: height and width of the maps in px, by role.
+    """
     ratios = {role: math.log(width / height) for role, (height, width) in shapes.items()}
     low, high = min(ratios, key=ratios.__getitem__), max(ratios, key=ratios.__getitem__)
-    if ratios[high] - ratios[low] > _SAME_SHAPE:
-        differ = " and ".join(f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (high, low))
-        raise ValueError(f"{material}: {differ}, expected maps of one shape; crop or scale them alike.")
+    if ratios[high] - ratios[low] > _MAX_LOG_RATIO_DIFFERENCE:
+        names_and_sizes = " and ".join(
+            f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (high, low)
+        )
+        raise ValueError(f"{material}: {names_and_sizes}, expected maps of one shape; crop or scale them alike.")
 
 
-def _gray(values: Tensor) -> Tensor:
+def _to_gray(values: Tensor) -> Tensor:
+    """Return the mean of the channels of a map, [1, H, W]."""
     return values.mean(0, keepdim=True)

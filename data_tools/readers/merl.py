@@ -38,55 +38,73 @@ Doubles = NDArray[np.float64]
 
 UNITS = brdf_task.UNITS
 MERL_SUFFIX = ".binary"
-TABLE_SHAPE = (90, 90, 180)
-CHANNEL_SCALES = np.array([1.0, 1.15, 1.66]) / 1500.0
+TABLE_SHAPE = (90, 90, 180)  # bins of theta_h, theta_d and phi_d
+CHANNEL_SCALES = np.array([1.0, 1.15, 1.66]) / 1500.0  # 1/sr for 1 in a file, of red, green and blue
 FILE_BYTES = 12 + 8 * 3 * math.prod(TABLE_SHAPE)
 
 _HEADER = np.array(TABLE_SHAPE, dtype="<i4")
-_MIN_VALID = 0.01  # three quarters of the bins are above the horizon
-_ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
+_MIN_VALID_SHARE = 0.01  # of all entries; three quarters of the bins are above the horizon
+_EXPECTED_SIZE = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
 
 
 def find(path: Path) -> Sources:
-    """Find MERL files by size and header, as `find_files`; values are not looked at."""
-    nothing = f"no MERL file, expected *.binary files of {_ABOUT}; name their folder."
-    return sources_of_files(find_files(path, _check_file, _problem, nothing, (MERL_SUFFIX,)))
+    """Find MERL files by size and header, without a look at their values; see :func:`find_files`."""
+    nothing = f"no MERL file, expected *.binary files of {_EXPECTED_SIZE}; name their folder."
+    return sources_of_files(find_files(path, _check_file, _find_fault, nothing, (MERL_SUFFIX,)))
 
 
 def recognises(path: str | Path) -> bool:
-    """True for a file named .binary or of a MERL file's size, and for a folder with one below it."""
+    """Tell whether a path is a file named .binary or of a MERL file's size, or a folder with one at any depth."""
     return any(file.suffix.lower() == MERL_SUFFIX or file.stat().st_size == FILE_BYTES for file in files_of(path))
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
-    """Write a fitted network of the BRDF application as a MERL file; `path` without .binary gets it."""
+    """Write a fitted network of the BRDF application as a MERL file; .binary is added to a path without it."""
     app.require_isotropic(path.name, "a MERL table")
     write_merl(add_suffix(path, MERL_SUFFIX), tabulate_merl(lambda angles: app.reflectance(theta, angles)))
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
-    """A MERL file as a BRDF task, named by its stem; errors as of `read_merl`, warnings of implausible values."""
+    """Read a MERL file as a BRDF task named by the file's stem; warn if its values are implausible.
+
+    Args:
+        path: the file.
+        samples: the number of samples.
+
+    Raises:
+        ValueError: the file cannot be read (see :func:`read_merl`), or has fewer bins than samples.
+    """
     return task_of_table(path.stem, read_merl(path), samples, path)
 
 
 def task_of_table(name: str, table: Doubles, samples: int, source: str | Path) -> Task:
-    """A table [90, 90, 180, 3], as `read_merl` returns it, as a BRDF task, whose samples are measured values.
+    """Make the BRDF task of a table, whose samples are measured values.
 
-    Each draw moves to the centre of its bin, on its side of phi_d and phi_d + pi: nothing is interpolated but the
-    pictures. Invalid bins are left out, and so are bins that an earlier draw has, on either side, since a held-out
+    Each drawn angle moves to the centre of its bin, on its side of phi_d and phi_d + pi: only the pictures are
+    interpolated. Invalid bins are left out, and so are bins that an earlier draw has, on either side, since a held-out
     sample must not have been seen; further draws replace them.
 
+    Args:
+        name: the name of the task.
+        table: the table [90, 90, 180, 3] that :func:`read_merl` returns.
+        samples: the number of samples.
+        source: the file that errors name.
+
     Raises:
-        ValueError: as `brdf_task`; more samples than the table has bins for.
+        ValueError: see :func:`make_brdf_task`; there are fewer bins than samples.
     """
-    measured = _table_samples(source, table, samples) if samples > 1 else None
-    # interpolation gathers at random: channels side by side and half the bytes are faster
+    measured = _draw_table_samples(source, table, samples) if samples > 1 else None
+    # interpolation reads at random places: channels side by side, and half the bytes, make it faster
     evaluate = partial(evaluate_merl, torch.from_numpy(table.astype(np.float32, order="C")))
     return brdf_task.make_measured_task(name, evaluate, samples, source, measured=measured)
 
 
-def _table_samples(source: str | Path, table: Doubles, samples: int) -> tuple[Tensor, Tensor]:
-    """Angles [N, 3] rad and reflectance [N, 3] of distinct valid bins."""
+def _draw_table_samples(source: str | Path, table: Doubles, samples: int) -> tuple[Tensor, Tensor]:
+    """Draw distinct valid bins of a table.
+
+    Returns:
+        Angles [N, 3] in rad and reflectance [N, 3] in 1/sr.
+    """
     allowed = torch.from_numpy(merl_valid_mask(table)).reshape(-1) & _bins_above_horizon()
     available = int(allowed.sum())
     if samples > available:
@@ -107,16 +125,17 @@ def _table_samples(source: str | Path, table: Doubles, samples: int) -> tuple[Te
 
 @cache
 def _bins_above_horizon() -> Tensor:
+    """Return a mask of the bins whose centre has light and view above the horizon, [90 * 90 * 180]."""
     return is_above_horizon(merl_centres()).reshape(-1)
 
 
 def read_merl(path: str | Path) -> Doubles:
-    """The table of a MERL file [90, 90, 180, 3]: linear RGB reflectance in 1/sr, invalid entries negative.
+    """Read the table of a MERL file: linear RGB reflectance [90, 90, 180, 3] in 1/sr, invalid entries negative.
 
     It is a view of planes, as the file has them: interleaving the channels can take longer than reading them.
 
     Raises:
-        ValueError: not a MERL file, an incomplete one, values that are not finite, almost no valid entries.
+        ValueError: the file is not a MERL file, or incomplete; values are not finite; almost no entries are valid.
     """
     path = Path(path)
     _check_file(path)
@@ -127,10 +146,12 @@ def read_merl(path: str | Path) -> Doubles:
 
 
 def write_merl(path: str | Path, table: Doubles) -> None:
-    """Write a table, as `read_merl` returns it, as a MERL file, whole or not at all; up to the last bit the same again.
+    """Write a table that :func:`read_merl` returned as a MERL file, whole or not at all.
+
+    Reading the file again gives the table's values up to their last bit.
 
     Raises:
-        ValueError: another shape, values that are not finite, almost no valid entries.
+        ValueError: the table has another shape; values are not finite; almost no entries are valid.
     """
     if table.shape != (*TABLE_SHAPE, 3):
         raise ValueError(f"{path}: table {table.shape}, expected {(*TABLE_SHAPE, 3)} to write.")
@@ -146,13 +167,13 @@ def write_merl(path: str | Path, table: Doubles) -> None:
 
 
 def _check_file(path: Path) -> None:
-    """Refuse a file that is not MERL's by its size and header."""
-    if problem := _problem(path):
-        raise ValueError(problem)
+    """Raise ValueError for a file that is not MERL's by its size and header."""
+    if fault := _find_fault(path):
+        raise ValueError(fault)
 
 
-def _problem(path: Path) -> str:
-    """The fault of a file's size or header; "" for none."""
+def _find_fault(path: Path) -> str:
+    """Return the fault of a file's size or header; "" for none."""
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         return f"{path}: {found}, expected a MERL file; check the path."
@@ -166,56 +187,65 @@ def _problem(path: Path) -> str:
         remedy = "not a MERL file" if not matches else "the file has something appended, download it again"
         if matches and size < FILE_BYTES:
             remedy = "the download is probably incomplete"
-        return f"{path}: {size:,} bytes, expected {_ABOUT}; {remedy}."
+        return f"{path}: {size:,} bytes, expected {_EXPECTED_SIZE}; {remedy}."
     found = "x".join(map(str, header.tolist()))
     return "" if matches else f"{path}: header {found}, expected 90x90x180; not a MERL file."
 
 
 def _check_values(planes: Doubles, subject: str) -> None:
-    """Refuse planes that no measurement gives."""
-    # The sum is not finite if any value is not; it costs less than looking at each.
+    """Raise ValueError for planes [3, 90, 90, 180] that no measurement gives."""
+    # the sum is not finite if any value is not, and costs less than a test of each value
     with np.errstate(invalid="ignore", over="ignore"):
         total = planes.sum()
     if not np.isfinite(total) and not np.isfinite(planes).all():
         count = int((~np.isfinite(planes)).sum())
         raise ValueError(f"{subject}: {count:,} values are NaN or infinite, expected none; download or make it again.")
     valid = float(merl_valid_mask(np.moveaxis(planes, 0, -1)).mean())
-    if valid < _MIN_VALID:
+    if valid < _MIN_VALID_SHARE:
         raise ValueError(
-            f"{subject}: {valid:.2%} of the entries are valid (not negative), expected {_MIN_VALID:.0%} or more; "
+            f"{subject}: {valid:.2%} of the entries are valid (not negative), expected {_MIN_VALID_SHARE:.0%} or more; "
             "not a measured BRDF."
         )
 
 
 def merl_valid_mask(table: Doubles) -> NDArray[np.bool_]:
-    """Mask [90, 90, 180] of a table's valid entries: those with a channel that is not negative."""
+    """Return a mask [90, 90, 180] of a table's valid entries: those with a channel that is not negative."""
     return (table[..., 0] >= 0) | (table[..., 1] >= 0) | (table[..., 2] >= 0)
 
 
 def merl_centres() -> Tensor:
-    """Centres of all bins: angles (theta_h, theta_d, phi_d), float32 [90, 90, 180, 3] rad."""
-    return torch.stack(torch.meshgrid(*(axis.float() for axis in _axes()), indexing="ij"), dim=-1)
+    """Return the centres of all bins: angles (theta_h, theta_d, phi_d), float32 [90, 90, 180, 3] rad."""
+    return torch.stack(torch.meshgrid(*(axis.float() for axis in _axis_centres()), indexing="ij"), dim=-1)
 
 
 def merl_index(angles: Tensor) -> Tensor:
-    """Flat index phi_d + 180 * (theta_d + 90 * theta_h), int64 [...], of the bin of angles [..., 3] rad.
+    """Return the flat index phi_d + 180 * (theta_d + 90 * theta_h), int64 [...], of the bin of angles [..., 3] rad.
 
     The thetas are clamped to 0..pi/2, and phi_d + pi is phi_d (reciprocity).
     """
     bins = [position.floor().long().clamp(0, size - 1)
-            for position, size in zip(_positions(angles), TABLE_SHAPE, strict=True)]  # fmt: skip
+            for position, size in zip(_bin_positions(angles), TABLE_SHAPE, strict=True)]  # fmt: skip
     return (bins[0] * TABLE_SHAPE[1] + bins[1]) * TABLE_SHAPE[2] + bins[2]
 
 
 def evaluate_merl(table: Doubles | Tensor, angles: Tensor) -> Tensor:
-    """Reflectance [..., 3] of a table [90, 90, 180, 3], interpolated linearly in angles [..., 3] rad, of their type.
+    """Interpolate a table linearly at any angles.
 
-    Invalid entries are left out and the rest weighs more; if all eight are invalid the result is 0. phi_d is
-    periodic; beyond the outermost centres of theta_h and theta_d the outermost value holds. A float32 table is fastest.
+    Invalid entries are left out and the rest weighs more; if all eight are invalid the result is 0. phi_d is periodic;
+    beyond the outermost centres of theta_h and theta_d the outermost value holds.
+
+    Args:
+        table: the table [90, 90, 180, 3] in 1/sr; float32 is fastest.
+        angles: theta_h, theta_d, phi_d in rad, [..., 3].
+
+    Returns:
+        Reflectance [..., 3] in 1/sr, >= 0, of the angles' type.
     """
     flat = torch.as_tensor(table, device=angles.device).reshape(-1, 3)
     lower, upper, weight = [], [], []
-    for position, size, axis, angle in zip(_positions(angles), TABLE_SHAPE, _axes(), angles.unbind(-1), strict=True):
+    for position, size, axis, angle in zip(
+        _bin_positions(angles), TABLE_SHAPE, _axis_centres(), angles.unbind(-1), strict=True
+    ):
         if size == TABLE_SHAPE[2]:
             first = (position - 0.5).floor()
             weight.append(position - 0.5 - first)
@@ -244,29 +274,30 @@ def evaluate_merl(table: Doubles | Tensor, angles: Tensor) -> Tensor:
 
 
 def tabulate_merl(evaluate: Callable[[Tensor], Tensor]) -> Doubles:
-    """The table [90, 90, 180, 3] of a BRDF at the centres of all bins; those below the horizon are invalid.
+    """Return the table [90, 90, 180, 3] of a BRDF at the centres of all bins; bins below the horizon are invalid.
 
-    `evaluate` takes angles float32 [N, 3] rad, all above the horizon, and returns reflectance [N, 3] in 1/sr.
+    Args:
+        evaluate: a function from float32 angles [N, 3] in rad, all above the horizon, to reflectance [N, 3] in 1/sr.
     """
     table = np.empty((*TABLE_SHAPE, 3))
     table[:] = -CHANNEL_SCALES
-    # A few theta_h at a time: a network's hidden layers over all bins at once would take hundreds of megabytes.
+    # some theta_h at a time: a network's hidden layers for all bins at once would take hundreds of megabytes
     for rows, angles in zip(np.array_split(table, 9), merl_centres().tensor_split(9), strict=True):
-        above = is_above_horizon(angles)
+        is_above = is_above_horizon(angles)
         with torch.no_grad():
-            value = evaluate(angles[above])
-        rows[above.numpy()] = value.clamp_min(0).double().cpu().numpy()
+            value = evaluate(angles[is_above])
+        rows[is_above.numpy()] = value.clamp_min(0).double().cpu().numpy()
     return table
 
 
-def _axes() -> tuple[Tensor, Tensor, Tensor]:
-    """Centres of the bins along theta_h, theta_d, phi_d: float64 rad."""
+def _axis_centres() -> tuple[Tensor, Tensor, Tensor]:
+    """Return the centres of the bins along theta_h, theta_d and phi_d, float64 rad."""
     theta_h, theta_d, phi_d = ((torch.arange(size, dtype=torch.float64) + 0.5) / size for size in TABLE_SHAPE)
     return theta_h**2 * (math.pi / 2), theta_d * (math.pi / 2), phi_d * math.pi
 
 
-def _positions(angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions along the three axes in bins: bin i covers [i, i + 1)."""
+def _bin_positions(angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the positions of angles along the three axes, in bins: bin i covers [i, i + 1)."""
     theta_h, theta_d, phi_d = angles.unbind(-1)
     return (
         (theta_h.clamp_min(0) * (2 / math.pi)).sqrt() * TABLE_SHAPE[0],

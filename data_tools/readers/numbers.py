@@ -1,4 +1,7 @@
-"""Numbers in memory, of numpy, torch or any other library, and vectors made of them."""
+"""Numbers in memory, of numpy, torch or any other library, and vectors made of them.
+
+All readers of objects in memory check them here, so that a user's array is refused by one line for one fault.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +12,25 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-MAX_ARRAY_VALUES = 3 * 2**28  # numbers of an array, as of an image file
+MAX_ARRAY_VALUES = 3 * 2**28  # as many as the largest image file may hold
 
 
 def array_of(name: str, source: object) -> NDArray[Any]:
-    """Numbers of any kind, an array, a tensor on any device, nested lists, as a numpy array; halves become float32.
+    """Return numbers of any kind as a numpy array; halves become float32.
+
+    Args:
+        name: the name of the numbers in errors.
+        source: an array, a tensor on any device, or nested lists.
 
     Raises:
-        ValueError: no numbers, masked ones, too many, or a tensor that is not dense.
+        ValueError: the source is no numbers, has masked or too many ones, or is a tensor that is not dense.
     """
     if isinstance(source, np.ma.MaskedArray) and (masked := np.count_nonzero(np.ma.getmaskarray(source))):
         raise ValueError(f"{name}: {masked:,} values are masked, expected all; fill them: a.filled(0).")
     try:
         dense = source.detach().cpu().resolve_neg() if isinstance(source, Tensor) else source
         values = np.asarray(dense.float() if isinstance(dense, Tensor) and dense.dtype == torch.bfloat16 else dense)
-    except Exception:  # whatever an object of another library raises
+    except Exception:  # an object of another library may raise anything
         values = np.asarray(None)
     if values.dtype.kind not in "uif":
         kind = f"an array of {values.dtype}" if values.ndim else type(source).__name__
@@ -42,11 +49,11 @@ def doubles_of(name: str, values: object) -> Tensor:
     """Return numbers of any kind as a float64 tensor, always a copy, since arrays may be read-only or run backwards.
 
     Args:
-        name: begins errors.
+        name: the name of the numbers in errors.
         values: an array, a tensor or nested lists.
 
     Raises:
-        ValueError: no numbers, masked ones or too many.
+        ValueError: the values are no numbers, masked or too many.
     """
     return torch.from_numpy(np.array(array_of(name, values), np.float64, order="C"))
 
@@ -55,12 +62,12 @@ def vectors_of(name: str, values: object, what: str) -> Tensor:
     """Return an array of vectors as a tensor [N, 3], float64.
 
     Args:
-        name: begins errors.
+        name: the name of the source in errors.
         values: an array, a tensor or nested lists.
-        what: names the vectors in errors.
+        what: the name of the vectors in errors.
 
     Raises:
-        ValueError: no numbers; another shape.
+        ValueError: the values are no numbers, or have another shape.
     """
     array = doubles_of(f"{name}: {what}", values)
     if array.ndim != 2 or array.shape[1] != 3:
@@ -72,12 +79,12 @@ def unit_vectors(name: str, values: object, what: str) -> Tensor:
     """Return directions as unit vectors [N, 3], float64.
 
     Args:
-        name: begins errors.
+        name: the name of the source in errors.
         values: an array, a tensor or nested lists.
-        what: names the directions in errors.
+        what: the name of the directions in errors.
 
     Raises:
-        ValueError: no numbers; another shape; a length other than 1.
+        ValueError: the values are no numbers, or have another shape, or a length other than 1.
     """
     array = vectors_of(name, values, what)
     lengths = array.norm(dim=1, keepdim=True)

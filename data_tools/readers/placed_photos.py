@@ -1,4 +1,4 @@
-"""Several flash photographs of one flat material in a folder, rectified, with the places of camera and flash.
+"""Several flash photographs of one flat material in a folder, rectified, with the positions of camera and flash.
 
 The layout is that of Guo et al. 2020, "MaterialGAN": images in the order of their names, beside them text files. Such a
 folder is one task.
@@ -21,21 +21,22 @@ from metapp.learning.task import Task
 from metapp.storage.files import read_text
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, list_folder, path_kind
 
-MAX_PATCH_SIDE_CM = 1e5  # a side of a patch
-MAX_DISTANCE_SIDES = 1000.0  # sides that camera and flash are away
+MAX_PATCH_SIDE_CM = 1e5  # the longest side of a patch; the shortest is 1 over that
+MAX_DISTANCE_SIDES = 1000.0  # distance of camera and flash at most, in sides of the patch
 
 
 def recognises(path: Path) -> bool:
-    """Test whether a path is a folder with places of cameras or flashes, or has one below it."""
+    """Tell whether a path is a folder with positions of cameras or flashes, or has one at any depth."""
     return path.is_dir() and bool(folders_with_places(path))
 
 
 def find(path: Path) -> Sources:
-    """Find the folder and those below it that say so; no lines, as nothing else is looked at."""
-    return [_source_of(folder) for folder in folders_with_places(path)], []
+    """Find the folders with positions of cameras or flashes at any depth; other files are skipped without a line."""
+    return [_make_source(folder) for folder in folders_with_places(path)], []
 
 
-def _source_of(folder: Path) -> Source:
+def _make_source(folder: Path) -> Source:
+    """Return a folder as a source, with its photographs."""
     photos = photos_in(folder)
     return Source(
         folder.resolve().name, folder, protocol="photo", facts={PHOTO_COUNT_FACT: len(photos)}, content=photos
@@ -51,18 +52,22 @@ def photos_in(folder: Path) -> list[Path]:
 def read_task(
     folder: Path, size: int = PX, stops: float = 0.0, layer: str = "", content: list[Path] | None = None
 ) -> Task:
-    """Turn a folder into a task of its name: `photo`, the first one, `others` and `places`.
+    """Read a folder as a task of its name.
 
     Args:
-        folder: of photographs and text files.
-        size: side in px; above 256 only of photographs as fine as that.
-        stops: by how many stops all of them are too bright.
-        layer: as of `read_photo`.
-        content: its photographs, as `find` found them.
+        folder: the folder of photographs and text files.
+        size: the side of the result, in px; above 256 only for photographs that have as many.
+        stops: the number of stops by which all photographs are too bright.
+        layer: the layer of EXR files; see :func:`read_pixels`.
+        content: the photographs, as :func:`find` found them; None to look for them.
+
+    Returns:
+        `photo`, the first photograph, sRGB uint8 [3, S, S], `others`, all further ones, [N - 1, 3, S, S], and `places`,
+        positions of camera and flash [N, 2, 3] (see :func:`read_places`).
 
     Raises:
-        ValueError: fewer than two photographs; one that is not square, or of another size; as `read_photo` and
-            `read_places`.
+        ValueError: there are fewer than two photographs; one is not square, or of another size; the folder cannot be
+            read (see :func:`read_photo` and :func:`read_places`).
     """
     paths = photos_in(folder) if content is None else content
     if len(paths) < 2:
@@ -83,52 +88,61 @@ def read_task(
 
 
 def read_places(folder: Path, photos: int) -> Tensor:
-    """Places of camera and flash [photos, 2, 3] that a folder gives, in the order of the photos' names.
+    """Return the positions of camera and flash, [photos, 2, 3], that a folder states, in the order of its photos.
 
-    In half sides of the patch: origin in its centre, x right, y up, z along its normal. CAMERA_TEXT and LIGHT_TEXT hold
-    a line "x,y,z" in cm for each photo, SIZE_TEXT the patch's side in cm.
+    They are in half sides of the patch: origin in its centre, x right, y up, z along its normal. CAMERA_TEXT and
+    LIGHT_TEXT hold a line "x,y,z" in cm for each photo, SIZE_TEXT the patch's side in cm.
 
     Raises:
-        ValueError: a file is missing, malformed or of another count; a place is not above the patch.
+        ValueError: a file is missing, malformed or has another number of lines; a position is not above the patch.
     """
-    side = _rows(folder / SIZE_TEXT, 1, 1)[0][0]
-    if not 1 / MAX_PATCH_SIDE_CM <= side <= MAX_PATCH_SIDE_CM:
+    side_cm = _read_rows(folder / SIZE_TEXT, 1, 1)[0][0]
+    if not 1 / MAX_PATCH_SIDE_CM <= side_cm <= MAX_PATCH_SIDE_CM:
         expected = f"the patch's side in cm, {1 / MAX_PATCH_SIDE_CM:g} to {MAX_PATCH_SIDE_CM:g}"
-        raise ValueError(f"{folder / SIZE_TEXT}: {side:g}, expected {expected}; measure it.")
-    places = [_above(folder / name, photos, MAX_DISTANCE_SIDES * side) for name in (CAMERA_TEXT, LIGHT_TEXT)]
-    return torch.stack(places, 1) / (side / 2)
+        raise ValueError(f"{folder / SIZE_TEXT}: {side_cm:g}, expected {expected}; measure it.")
+    places = [
+        _read_places_above(folder / name, photos, MAX_DISTANCE_SIDES * side_cm) for name in (CAMERA_TEXT, LIGHT_TEXT)
+    ]
+    return torch.stack(places, 1) / (side_cm / 2)
 
 
-def _above(path: Path, photos: int, farthest: float) -> Tensor:
-    """Places [photos, 3] in cm, all above the patch and no further from it than that."""
-    places = torch.tensor(_rows(path, photos, 3), dtype=torch.float64)
+def _read_places_above(path: Path, photos: int, farthest_cm: float) -> Tensor:
+    """Read the positions [photos, 3], in cm, of a text file.
+
+    Raises:
+        ValueError: a position is not above the patch, or further from its centre than `farthest_cm` along an axis.
+    """
+    places = torch.tensor(_read_rows(path, photos, 3), dtype=torch.float64)
     for number, place in enumerate(places.tolist(), 1):
-        if not max(map(abs, place)) <= farthest:
+        if not max(map(abs, place)) <= farthest_cm:
             raise ValueError(
-                f"{path}: place {number} is {max(map(abs, place)):g} cm away, expected {farthest:g} at most, "
+                f"{path}: place {number} is {max(map(abs, place)):g} cm away, expected {farthest_cm:g} at most, "
                 f"{MAX_DISTANCE_SIDES:g} sides of the patch; write cm."
             )
     places = places.float()
-    for number, height in enumerate(places[:, 2].tolist(), 1):
-        if height <= 0:
-            raise ValueError(
-                f"{path}: place {number} has z {height:g} cm, expected above 0; let z point at the camera."
-            )
+    for number, z_cm in enumerate(places[:, 2].tolist(), 1):
+        if z_cm <= 0:
+            raise ValueError(f"{path}: place {number} has z {z_cm:g} cm, expected above 0; let z point at the camera.")
     return places
 
 
-def _rows(path: Path, count: int, width: int) -> list[list[float]]:
-    """So many lines of so many finite numbers, parted by commas; blank lines do not count."""
+def _read_rows(path: Path, count: int, width: int) -> list[list[float]]:
+    """Read `count` lines of `width` finite numbers each, separated by commas; blank lines do not count.
+
+    Raises:
+        ValueError: the file cannot be read, or has other lines.
+    """
     try:
         lines = [line for line in read_text(path).splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: cannot be read as text, expected lines in cm: {count}; write it.") from error
     if len(lines) != count:
         raise ValueError(f"{path}: {len(lines)} lines, expected {count}; give one for each photo, or one side.")
-    return [_numbers(path, line, width) for line in lines]
+    return [_parse_numbers(path, line, width) for line in lines]
 
 
-def _numbers(path: Path, line: str, width: int) -> list[float]:
+def _parse_numbers(path: Path, line: str, width: int) -> list[float]:
+    """Return the `width` finite numbers of a line, or raise ValueError if it holds anything else."""
     try:
         numbers = [float(word) for word in line.split(",")]
     except ValueError:

@@ -1,6 +1,6 @@
 """Photographs: find image files, and read any of them as a square sRGB picture, such as a texture's.
 
-EXIF says how wide the field of view is.
+Readers of flash photographs take the part that the camera of fits sees; EXIF says how wide the field of view is.
 """
 
 from __future__ import annotations
@@ -38,32 +38,35 @@ from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, path_kind
 SIZE = DEFAULT_PHOTO_PX
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
 
-_MIN_DEVIATION = 1 / 255
-_ROWS = 256  # decoded at a time: linear floats of a whole photograph take over a hundred megabytes
+_MIN_DEVIATION = 1 / 255  # standard deviation of sRGB values below which a picture has one colour
+_ROWS_AT_ONCE = 256  # rows decoded at a time: linear floats of a whole photograph take over 100 MB
 
-# the side in cm of several photos of one flat material, beside the positions of camera and flash
+# The text file beside photographs of one flat material that states the material's side in cm.
 SIZE_TEXT = "image_size.txt"
-# texts that belong in folders of images; no fit reads the power of the light
+# Texts that are no fault in folders of images; no fit reads the power of the light.
 TEXTS_BESIDE_PHOTOS = ("metadata.json", DESCRIPTION_FILE, CAMERA_TEXT, LIGHT_TEXT, SIZE_TEXT, "light_power.txt")
 
 
 def find(path: Path) -> Sources:
-    """Find image files, as `find_images`, each of which is a source."""
+    """Find image files, each of which is a source; see :func:`find_images`."""
     return sources_of_files(find_images(path))
 
 
 def find_images(path: Path) -> FoundFiles:
-    """Find image files, as `find_files`; the error of a named file comes when it is read."""
+    """Find image files; see :func:`find_files`. A named file is not checked before it is read."""
     nothing = f"no image in this folder, {EXPECTED_IMAGE}; name the folder of the photographs."
     return find_files(path, check_exists, photo_fault, nothing, ALL_PICTURE_SUFFIXES)
 
 
 def photo_fault(file: Path) -> str | None:
-    """The line why a file of a folder is no image; "" for an image, by its suffix or if it opens, None for BESIDE."""
+    """Return the line why a file in a folder is no image.
+
+    Returns:
+        "" for an image, by its suffix or if it can be opened; None for one of TEXTS_BESIDE_PHOTOS, which needs no line.
+    """
     suffix = file.suffix.lower()
-    if suffix in IMAGE_SUFFIXES or (
-        suffix in ("", *ALL_PICTURE_SUFFIXES) and is_readable_image(file)
-    ):  # opening 50,000 others takes a minute
+    # only these are opened, since opening 50,000 files of any suffix takes a minute
+    if suffix in IMAGE_SUFFIXES or (suffix in ("", *ALL_PICTURE_SUFFIXES) and is_readable_image(file)):
         return ""
     if suffix in ALL_PICTURE_SUFFIXES:
         return export_advice(file)
@@ -71,72 +74,127 @@ def photo_fault(file: Path) -> str | None:
 
 
 def is_photo(path: str | Path) -> bool:
-    """True if a file is an image: by a known suffix, of a camera's raw or a HEIF file too, else by OpenImageIO."""
+    """Tell whether a file is an image: by its suffix, of a camera raw or a HEIF file, too, else by its content."""
     path = Path(path)
     return path.is_file() and (path.suffix.lower() in ALL_PICTURE_SUFFIXES or is_readable_image(path))
 
 
 def recognises(path: str | Path) -> bool:
-    """True if a path is an image file, or a folder with one below it, known by its suffix."""
+    """Tell whether a path is an image file, or a folder with one at any depth, by its suffix."""
     path = Path(path)
     return bool(files_below(path, ALL_PICTURE_SUFFIXES)) if path.is_dir() else is_photo(path)
 
 
 def folders_with_places(folder: Path) -> list[Path]:
-    """A folder and those below it that say where camera or flash were, sorted, hidden ones left out."""
+    """Return the folders, from this one down, that state positions of camera or flash, sorted, without hidden ones."""
     folders = {file.parent for file in files_below(folder, (CAMERA_TEXT, LIGHT_TEXT))}
     return sorted(folder for folder in folders if path_kind(folder) is PathKind.RECTIFIED)
 
 
 def read_task(path: Path, size: int = SIZE, least: int = 0, layer: str = "") -> Task:
-    """An image file as a texture task named by the file's stem; arguments and errors as of `read_photo`."""
+    """Read an image file as a texture task named by the file's stem.
+
+    Args:
+        path: the file.
+        size: the side of the result, in px.
+        least: the least side of the result, in px, to which smaller pictures are enlarged; 0: pictures are enlarged to
+            `size`.
+        layer: the layer of an EXR file; see :func:`read_pixels`.
+
+    Raises:
+        ValueError: the file cannot be read; see :func:`read_pixels` and :func:`to_square_photo`.
+    """
     whole = read_pixels(path, layer)
     return task_of_square("image", central_square(whole), whole, path, size, least)
 
 
 def task_of_square(key: str, square: Pixels, whole: Pixels, path: Path, size: int, least: int) -> Task:
-    """The task of a square of a file, named by the file's stem, with a note; arguments and errors as of `to_square_photo`."""
+    """Make the task of a square part of a file, named by the file's stem.
+
+    The task has a note that says how the picture was cut and scaled.
+
+    Args:
+        key: the name of the photograph in the task.
+        square: the part to take.
+        whole: the whole picture.
+        path: the file.
+        size: the side of the result, in px.
+        least: the least side of the result, in px, to which smaller pictures are enlarged; 0: pictures are enlarged to
+            `size`.
+
+    Raises:
+        ValueError: the square holds no usable picture; see :func:`to_square_photo`.
+    """
     photo = to_square_photo(square, str(path), size, least)
-    (height, width), part, side = whole.values.shape[:2], len(square.values), photo.shape[-1]
-    cut = f": the central {part:,} x {part:,} px" if (height, width) != (part, part) else ""
-    scaled = f", scaled to {side:,} x {side:,}" if part != side else ""
-    return Task(path.stem, {key: photo}, note=f"{width:,} x {height:,} px{cut}{scaled}" if cut or scaled else "")
+    (height, width), square_side, side = whole.values.shape[:2], len(square.values), photo.shape[-1]
+    crop_note = (
+        f": the central {square_side:,} x {square_side:,} px" if (height, width) != (square_side, square_side) else ""
+    )
+    scale_note = f", scaled to {side:,} x {side:,}" if square_side != side else ""
+    return Task(
+        path.stem,
+        {key: photo},
+        note=f"{width:,} x {height:,} px{crop_note}{scale_note}" if crop_note or scale_note else "",
+    )
 
 
 def task_of_object(source: object, name: str, size: int = SIZE, least: int = 0, **_: object) -> Task:
-    """The task of a picture in memory; arguments and errors as of `pixels_of` and `to_square_photo`."""
+    """Make the texture task of a picture in memory.
+
+    Args:
+        source: a picture that :func:`pixels_of` reads.
+        name: the name of the task.
+        size: the side of the result, in px.
+        least: the least side of the result, in px, to which smaller pictures are enlarged; 0: pictures are enlarged to
+            `size`.
+
+    Raises:
+        ValueError: see :func:`pixels_of` and :func:`to_square_photo`.
+    """
     return Task(name, {"image": to_square_photo(pixels_of(name, source), name, size, least)})
 
 
 def read_photo(path: str | Path, size: int = SIZE, least: int = 0, layer: str = "") -> Tensor:
-    """The central square of an image file; arguments and errors as of `to_square_photo` and `read_pixels`."""
+    """Read the central square of an image file, sRGB, uint8 [3, S, S].
+
+    Args:
+        path: the file.
+        size: the side S of the result, in px.
+        least: the least side of the result, in px, to which smaller pictures are enlarged; 0: pictures are enlarged to
+            `size`.
+        layer: the layer of an EXR file; see :func:`read_pixels`.
+
+    Raises:
+        ValueError: the file cannot be read; see :func:`read_pixels` and :func:`to_square_photo`.
+    """
     return to_square_photo(read_pixels(Path(path), layer), str(path), size, least)
 
 
 def to_square_photo(whole: Pixels, name: str, size: int = SIZE, least: int = 0) -> Tensor:
-    """The central square of a picture.
+    """Return the central square of a picture in sRGB.
 
     Means are taken over exact areas in linear light, of values clamped to [0, 1]; a smaller picture is interpolated.
-    Transparent px get the mean colour of the rest. A gray one gets three equal channels.
+    Transparent px get the mean colour of the rest. A gray picture gets three equal channels.
 
     Args:
         whole: the picture.
-        name: begins errors.
-        size: side of the result in px.
-        least: the side that smaller pictures than `size` are enlarged to, if at all; 0: `size`.
+        name: the name of the picture in errors.
+        size: the side of the result, in px.
+        least: the least side of the result, in px, to which smaller pictures are enlarged; 0: pictures are enlarged to
+            `size`.
 
     Returns:
         sRGB, uint8 [3, size, size], rows from the top.
 
     Raises:
-        ValueError: NaN; transparent all over; a picture of one colour.
+        ValueError: the picture holds NaN, is transparent all over, or has one colour.
     """
     pixels = central_square(whole)
     linear = resample_square(pixels, reading_side_px(len(pixels.values), size, least))
     if not np.isfinite(linear).all():
         raise ValueError(f"{name}: holds NaN, expected finite values; export the image again.")
     if linear.shape[-1] == 4:
-        linear = _over_mean(linear, name)
+        linear = _fill_transparent(linear, name)
     srgb = linear_to_srgb(torch.from_numpy(linear)).numpy()
     deviation = srgb.std(axis=(0, 1)).max()
     if deviation < _MIN_DEVIATION:
@@ -153,39 +211,52 @@ def to_square_photo(whole: Pixels, name: str, size: int = SIZE, least: int = 0) 
     return torch.from_numpy((srgb * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()
 
 
-def reading_side_px(own: int, size: int, least: int) -> int:
-    """px a side that a picture of its own side is read at: as fine as it is, from `least` to `size`; 0: `size`."""
-    return min(size, max(least, own)) if least else size
+def reading_side_px(native: int, size: int, least: int) -> int:
+    """Return the side, in px, at which a picture is read: its own side, but from `least` to `size`.
+
+    Args:
+        native: the side of the picture, in px.
+        size: the largest side, in px.
+        least: the least side, in px; 0: every picture is read at `size`.
+    """
+    return min(size, max(least, native)) if least else size
 
 
 def field_of_view_rad(focal_mm: float, height: int, width: int) -> float:
-    """The field of view in rad along the shorter side of an uncropped picture, of a focal length as of 35 mm film."""
+    """Return the field of view, in rad, along the shorter side of an uncropped picture.
+
+    Args:
+        focal_mm: the focal length in mm of an equal field of view on 35 mm film.
+        height: the height of the picture in px.
+        width: the width of the picture in px.
+    """
     shorter = FILM_DIAGONAL_MM * min(height, width) / math.hypot(height, width)
     return 2 * math.atan(shorter / 2 / focal_mm)
 
 
 def flash_view(whole: Pixels, fov_rad: float = 0.0, name: str = "photo") -> Pixels:
-    """The middle of a photograph under a flash: of a camera with a wider field, what that of fits sees, a square.
+    """Return the square middle of a photograph under a flash that the camera of fits would see.
 
-    A line says where EXIF states a focal length otherwise than as of 35 mm film.
+    Of a camera with a narrower field of view, or an unknown one, it is the whole central square. A warning is given
+    where EXIF states a focal length otherwise than on 35 mm film.
 
     Args:
         whole: the photograph.
-        fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, if it does.
-        name: begins the line.
+        fov_rad: the camera's field of view along the shorter side, in rad; 0: as EXIF says, if it does.
+        name: the name of the photograph in the warning.
     """
     if not fov_rad and whole.lens_note:
-        taken = (
+        assumption = (
             "" if whole.focal_mm else f", taken for {math.degrees(CAMERA_FOV_RAD):.0f} degrees along the shorter side"
         )
-        warnings.warn(f"{name}: {whole.lens_note}{taken}; --fov sets another field of view.", stacklevel=2)
+        warnings.warn(f"{name}: {whole.lens_note}{assumption}; --fov sets another field of view.", stacklevel=2)
     if not fov_rad and whole.focal_mm:
         fov_rad = field_of_view_rad(whole.focal_mm, *whole.values.shape[:2])
     return central_square(whole, min(1.0, math.tan(CAMERA_FOV_RAD / 2) / math.tan(fov_rad / 2)) if fov_rad else 1.0)
 
 
 def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:
-    """The middle of a picture, as large as its shorter side, or as such a share of it."""
+    """Return the square middle of a picture, whose side is this share of the picture's shorter side."""
     height, width = pixels.values.shape[:2]
     side = max(1, round(min(height, width) * share))
     top, left = (height - side) // 2, (width - side) // 2
@@ -193,25 +264,32 @@ def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:
 
 
 def resample_square(pixels: Pixels, size: int) -> Floats:
-    """A square as linear RGB [size, size, 3], or 4 with alpha last and colours multiplied by it, float64 in [0, 1].
+    """Resample a square picture in linear RGB.
 
     Means are taken over exact areas; a smaller picture is interpolated.
+
+    Args:
+        pixels: the square.
+        size: the side of the result, in px.
+
+    Returns:
+        Linear RGB [size, size, 3], or 4 with alpha last and colours multiplied by it, float64 in [0, 1].
     """
     side = pixels.values.shape[0]
     columns = min(side, size)
     rows = [
-        _area(pixels.linear(slice(row, row + _ROWS)).swapaxes(0, 1).copy(), columns).swapaxes(0, 1)
-        for row in range(0, side, _ROWS)
+        _average_areas(pixels.linear(slice(row, row + _ROWS_AT_ONCE)).swapaxes(0, 1).copy(), columns).swapaxes(0, 1)
+        for row in range(0, side, _ROWS_AT_ONCE)
     ]
-    result = _area(np.concatenate(rows), columns)
+    result = _average_areas(np.concatenate(rows), columns)
     if side < size:
         planes = torch.from_numpy(result).permute(2, 0, 1)[None]
         result = functional.interpolate(planes, (size, size), mode="bilinear")[0].permute(1, 2, 0).numpy()
     return result
 
 
-def _area(values: Floats, count: int) -> Floats:
-    """Means over `count` equal intervals of the first axis, float64; an entry on an edge counts with its share."""
+def _average_areas(values: Floats, count: int) -> Floats:
+    """Average `count` equal intervals of the first axis, in float64; an entry on an edge counts with its share."""
     length = values.shape[0]
     edges = np.linspace(0, length, count + 1)
     first = edges[:-1].astype(np.int64)
@@ -219,14 +297,18 @@ def _area(values: Floats, count: int) -> Floats:
     for step in range(int((np.ceil(edges[1:]) - first).max())):
         entry = np.minimum(first + step, length - 1)
         share = (np.minimum(edges[1:], first + step + 1) - np.maximum(edges[:-1], first + step)).clip(0)
-        for row in range(count):  # a row of a large picture stays in the cache
+        for row in range(count):  # row by row, so that a row of a large picture stays in the cache
             if share[row]:
                 total[row] += values[entry[row]] * (share[row] * (count / length))
     return total
 
 
-def _over_mean(linear: Floats, name: str) -> Floats:
-    """Put premultiplied colours over their own mean: [.., 4] to [.., 3]."""
+def _fill_transparent(linear: Floats, name: str) -> Floats:
+    """Put premultiplied colours [H, W, 4] over their own mean colour: [H, W, 3].
+
+    Raises:
+        ValueError: the picture is transparent all over.
+    """
     colours, alpha = linear[..., :3], linear[..., 3:]
     visible = alpha.sum()
     if visible <= 0:

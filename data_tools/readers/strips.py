@@ -32,7 +32,7 @@ from metapp.learning.task import Task
 from metapp.storage.shards import AUTO_SPLIT, ManifestEntry, split_auto
 
 STRIP_TILES = 5
-WHITE_RADIANCE = 1.35  # radiance of white right below the flash
+WHITE_RADIANCE = 1.35  # radiance of white right below the flash, measured on 32 strips
 UNITS = {
     **OF_TASKS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; the strip's own flash photograph, exposed so "
@@ -40,15 +40,16 @@ UNITS = {
     "predicted": "as maps: those that another method predicts of the photograph",
 }
 
-_GAMMA = 2.2  # of predicted colours
-_CLIPPED = 0.995
-_DARKEST = 1 / 255  # neither diffuse nor specular above it anywhere: nothing to see
-_FEW = 5  # components; fewer have no fifth to leave for tests
-_CANDIDATES, _WALKS = 256, 4096  # blends that a step chooses from; walks times blends
+_PREDICTED_GAMMA = 2.2  # encoding of predicted diffuse and specular maps
+_CLIPPED_VALUE = 0.995  # linear value from which on a strip's photograph counts as clipped
+_MIN_VISIBLE_REFLECTANCE = 1 / 255  # a material with less in all texels is black
+_ONE_TEST_IN = 5  # share of strips or components for tests; fewer than five components have no fifth
+_MAX_CANDIDATES = 256  # blends that a step of a walk chooses from
+_MAX_WALKS_TIMES_BLENDS = 4096
 
 
 def is_strip(path: Path) -> bool:
-    """True if an image is five times as wide as high, within a texel of a tile; phones' HEIF files are none."""
+    """Tell whether an image is five times as wide as high, within a texel of a tile; HEIF files never are strips."""
     return not is_heif(path) and _has_tiles(*shape_of(path))
 
 
@@ -61,42 +62,51 @@ def read_task(
     least: int = 0,
     layer: str = "",
 ) -> Task:
-    """A strip as a task with the maps and the photograph that it holds, and `predicted` maps if there is a folder.
+    """Read a strip as a task with its maps and its photograph, and with `predicted` maps if there is a folder of them.
 
-    If these have fewer px than the strip's tiles they show the middle of them, and so does then the task.
+    Predicted maps of fewer px than the strip's tiles show the middle of the tiles; the task then does so, too.
 
     Args:
         path: the file.
-        size: side of maps and photograph in px; means over areas, smaller tiles are interpolated.
-        gamma: all tiles but the normals are encoded so; 1 is linear.
-        white: the radiance that white would have right below the flash; the photograph becomes so much darker, but
-            where it is clipped.
-        predicted: a folder of predicted maps, of the strip's stem or its part before the first `;`.
-        least: as of `photo_of`.
-        layer: as of `read_pixels`.
+        size: the side of maps and photograph, in px; means are taken over areas, smaller tiles are interpolated.
+        gamma: the exponent by which all tiles but the normals are encoded; 1 is linear.
+        white: the radiance that white would have right below the flash; the photograph is divided by it, except where
+            it is clipped.
+        predicted: a folder of predicted maps, named by the strip's stem or its part before the first `;`.
+        least: the least side of the result, in px, to which smaller tiles are enlarged; 0: tiles are enlarged to
+            `size`.
+        layer: the layer of an EXR file; see :func:`read_pixels`.
 
     Raises:
-        ValueError: as `read_pixels` and `read_predicted`; not five squares, NaN, black, normals that are none.
+        ValueError: the file cannot be read (see :func:`read_pixels` and :func:`read_predicted`); it is not five
+            squares, holds NaN, is black, or its normals are none.
     """
     tiles = _read_tiles(path, gamma, white, layer)
-    of_others = read_predicted(predicted, (path.stem, path.stem.split(";")[0])) if predicted else []
-    share = min(1.0, len(of_others[0]) / len(tiles[0])) if of_others else 1.0
+    predicted_tiles = read_predicted(predicted, (path.stem, path.stem.split(";")[0])) if predicted else []
+    share = min(1.0, len(predicted_tiles[0]) / len(tiles[0])) if predicted_tiles else 1.0
     size = reading_side_px(round(share * len(tiles[0])), size, least)
-    photo, *true = (_resampled(tile, size, share) for tile in tiles)
-    if max(float(true[1].max()), float(true[3].max())) < _DARKEST:
+    photo, *true_tiles = (_resample_tile(tile, size, share) for tile in tiles)
+    if max(float(true_tiles[1].max()), float(true_tiles[3].max())) < _MIN_VISIBLE_REFLECTANCE:
         raise ValueError(f"{path}: diffuse and specular are black, expected a material that reflects; leave it out.")
-    task = make_svbrdf_task(path.stem, _packed(path, *true), photo=encode_srgb(photo))
+    task = make_svbrdf_task(path.stem, _pack_images(path, *true_tiles), photo=encode_srgb(photo))
     if not predicted:
         return task
-    maps = _packed(predicted / path.name, *(_resampled(tile, size) for tile in of_others))
+    maps = _pack_images(predicted / path.name, *(_resample_tile(tile, size) for tile in predicted_tiles))
     return task._replace(data=task.data | {"predicted": maps.half()})
 
 
 def read_predicted(folder: Path, names: tuple[str, ...]) -> list[Floats]:
-    """The maps N, D, R, S, [S, S, 3] in [0, 1], that a folder has under the first of some names; colours linear.
+    """Read predicted maps.
+
+    Args:
+        folder: the folder of the maps.
+        names: the names that the maps may have; the first one that is there counts.
+
+    Returns:
+        Normal, diffuse, roughness and specular map, [S, S, 3] each, in [0, 1], all linear.
 
     Raises:
-        ValueError: one is missing, not square or of another size, or damaged.
+        ValueError: a map is missing, not square or of another size, or damaged.
     """
     name = next((name for name in names if (folder / f"{name}_N.png").is_file()), names[-1])
     normal, diffuse, roughness, specular = tiles = [
@@ -106,51 +116,67 @@ def read_predicted(folder: Path, names: tuple[str, ...]) -> list[Floats]:
     if len(set(shapes)) > 1 or shapes[0][0] != shapes[0][1]:
         found = ", ".join(f"{width} x {height}" for height, width in shapes)
         raise ValueError(f"{folder / name}_N.png and so on: {found} px, expected squares of one size; export them.")
-    return [normal, diffuse**_GAMMA, roughness, specular**_GAMMA]
+    return [normal, diffuse**_PREDICTED_GAMMA, roughness, specular**_PREDICTED_GAMMA]
 
 
 def _read_predicted(file: Path) -> Floats:
+    """Read a predicted map, [H, W, 3] in [0, 1], or raise ValueError if it is missing or damaged."""
     if not file.is_file():
         raise ValueError(
             f"{file}: no such file, expected _N, _D, _R and _S of each material; add it, or leave its material out."
         )
-    return _finite(file, read_pixels(file)).clip(0, 1)
+    return _finite_values(file, read_pixels(file)).clip(0, 1)
 
 
-def _finite(file: Path, pixels: Pixels) -> Floats:
+def _finite_values(file: Path, pixels: Pixels) -> Floats:
+    """Return the colours of a picture, [H, W, 3], or raise ValueError if some are not finite."""
     values = integers_to_unit_range(pixels.values[..., :3])
-    wrong = int((~np.isfinite(values)).sum())
-    if wrong:
-        raise ValueError(f"{file}: {wrong:,} values are NaN or infinite, expected finite ones; export it again.")
+    bad_count = int((~np.isfinite(values)).sum())
+    if bad_count:
+        raise ValueError(f"{file}: {bad_count:,} values are NaN or infinite, expected finite ones; export it again.")
     return values
 
 
-def _packed(source: Path, normal: Tensor, diffuse: Tensor, roughness: Tensor, specular: Tensor) -> Tensor:
-    """Maps [10, S, S] of images, [3, S, S] each; errors name the source."""
+def _pack_images(source: Path, normal: Tensor, diffuse: Tensor, roughness: Tensor, specular: Tensor) -> Tensor:
+    """Pack maps, images [3, S, S] in [0, 1] each, as one tensor [10, S, S].
+
+    Raises:
+        ValueError: normals do not point out of the surface; errors name the source.
+    """
     return pack_maps(Maps(diffuse, specular, roughness.mean(0, keepdim=True), decode_unit_normals(normal, source)))
 
 
 def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, ManifestEntry]:
-    """Strips by the materials that they blend; with a split by it those of both sides are left out."""
+    """Return the manifest's entry of each strip, grouped by the materials that it blends.
+
+    With the split "auto", strips that blend materials of training with materials of tests are left out, with a warning.
+    """
     groups = group_strips(sources)
-    sides, by = split_strips(sources) if split == AUTO_SPLIT else (dict.fromkeys(sources, ""), "")
-    if by == "preset":
-        found = "base materials are blended with all others: training and test strips show other presets of them."
-        warnings.warn(found, stacklevel=2)
-    if left_out := len(sources) - len(sides):
-        found = f"{left_out} of {len(sources)} strips left out: they blend {by}s of training with {by}s of tests."
-        warnings.warn(found, stacklevel=2)
+    side_by_strip, unit_kind = split_strips(sources) if split == AUTO_SPLIT else (dict.fromkeys(sources, ""), "")
+    if unit_kind == "preset":
+        message = "base materials are blended with all others: training and test strips show other presets of them."
+        warnings.warn(message, stacklevel=2)
+    if left_out := len(sources) - len(side_by_strip):
+        mixed = f"they blend {unit_kind}s of training with {unit_kind}s of tests"
+        message = f"{left_out} of {len(sources)} strips left out: {mixed}."
+        warnings.warn(message, stacklevel=2)
     return {
-        strip: ManifestEntry(task_name(strip.stem), split=side, group=groups[strip]) for strip, side in sides.items()
+        strip: ManifestEntry(task_name(strip.stem), split=side, group=groups[strip])
+        for strip, side in side_by_strip.items()
     }
 
 
 def _has_tiles(height: int, width: int) -> bool:
+    """Tell whether a picture of these sides, in px, is five times as wide as high."""
     return abs(width - STRIP_TILES * height) <= STRIP_TILES
 
 
 def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floats]:
-    """The tiles, [S, S, 3] in [0, 1]; all but the normals linear; the photograph's white as `read_task` says."""
+    """Read the tiles of a strip, [S, S, 3] in [0, 1] each; all but the normals are linear. See :func:`read_task`.
+
+    Raises:
+        ValueError: the file is not five squares, or holds NaN.
+    """
     pixels = read_pixels(path, layer)
     height, width = pixels.values.shape[:2]
     if not _has_tiles(height, width):
@@ -162,7 +188,7 @@ def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floa
             f"{path}: {width}x{height} px, {found}, expected {STRIP_TILES} squares: photo, normal, diffuse, roughness, "
             "specular; choose strips only."
         )
-    values = _finite(path, pixels)
+    values = _finite_values(path, pixels)
     side = min(height, width // STRIP_TILES)
     tiles = []
     for index in range(STRIP_TILES):
@@ -170,103 +196,144 @@ def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floa
         tile = values[:side, left : left + side].clip(0, 1)
         tile = complete_normals(tile, path) if index == 1 else tile**gamma
         if index == 0:
-            tile = np.where(tile < _CLIPPED, (tile / white).clip(0, 1), 1)  # who knows how bright what is clipped was
+            tile = np.where(
+                tile < _CLIPPED_VALUE, (tile / white).clip(0, 1), 1
+            )  # who knows how bright what is clipped was
         tiles.append(tile)
     return tiles
 
 
-def _resampled(tile: Floats, size: int, share: float = 1.0) -> Tensor:
-    """The middle of a tile [S, S, 3], such a share of its side, [3, size, size]."""
-    shown = central_square(Pixels(tile, LINEAR_SPACE, False), share)
-    return torch.from_numpy(resample_square(shown, size)).permute(2, 0, 1).float()
+def _resample_tile(tile: Floats, size: int, share: float = 1.0) -> Tensor:
+    """Return the middle of a tile at another resolution, [3, size, size].
+
+    Args:
+        tile: the tile, [S, S, 3].
+        size: the side of the result, in px.
+        share: the share of the tile's side that the middle has.
+    """
+    middle = central_square(Pixels(tile, LINEAR_SPACE, False), share)
+    return torch.from_numpy(resample_square(middle, size)).permute(2, 0, 1).float()
 
 
 def blended_materials(strip: Path) -> tuple[frozenset[str], frozenset[str]]:
-    """The base materials of a strip and their presets, `marble;1`, by its name; else the strip itself for both.
+    """Return the base materials of a strip, and their presets such as `marble;1`, by its name; else its stem for both.
 
-    Every capital X parts, of a material's own name, too, so that no strip seems to share less than it does.
+    Every capital X separates two materials, even one within a material's own name, so that no strip seems to share
+    fewer materials than it does.
     """
     parts = strip.stem.split(";")
     if len(parts) < 3:
         return frozenset([strip.stem]), frozenset([strip.stem])
     materials = [material for material in parts[1].split("X") if material] or [strip.stem]
     presets = parts[2].split("X")
-    if len(presets) != len(materials):  # which belongs to which is not known
+    if len(presets) != len(materials):  # whose preset is which is not known
         return frozenset(materials), frozenset(materials)
-    return frozenset(materials), frozenset(f"{one};{preset}" for one, preset in zip(materials, presets, strict=True))
+    return frozenset(materials), frozenset(
+        f"{base_material};{preset}" for base_material, preset in zip(materials, presets, strict=True)
+    )
 
 
 def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
-    """The groups of strips: components that share base materials, if these are _FEW or more, else single blends."""
-    components = _components({strip: blended_materials(strip)[0] for strip in strips})
-    if len(set(components.values())) >= _FEW:
+    """Return the groups of strips, by which errors are averaged.
+
+    A group is a component of strips that share base materials, if there are five components or more; else all strips of
+    one blend.
+    """
+    components = _connect_strips({strip: blended_materials(strip)[0] for strip in strips})
+    if len(set(components.values())) >= _ONE_TEST_IN:
         return components
     return {strip: " + ".join(sorted(blended_materials(strip)[1])) for strip in components}
 
 
 def split_strips(strips: Sequence[Path]) -> tuple[dict[Path, str], str]:
-    """The sides, "train" or "test", of strips, so that no material of theirs is on both; and what the split is by.
+    """Split strips so that no material is on both sides.
 
-    That is "material", or "preset" if base materials cannot be parted. Of _FEW components of strips that share base
-    materials, or more, every fifth is for tests, the largest first in line. Fewer are cut: test strips, of test
-    materials alone, are a fifth or more and no more than training strips, and fewest are left out, of both. Where no
-    choice does that, presets are parted; where none of these, all train.
+    If there are five or more components of strips that share base materials, every fifth is for tests, counted from the
+    largest. Fewer components are cut: test strips consist of test materials alone, they are a fifth or more and no more
+    than training strips, and the fewest strips are left out of both sides. Where no cut does that, presets take the
+    place of base materials; where these cannot be cut either, all strips are for training.
+
+    Returns:
+        The sides, "train" or "test", of strips that are not left out, and what the split is by, "material" or "preset".
     """
-    materials, presets = ({strip: blended_materials(strip)[which] for strip in strips} for which in (0, 1))
-    components = _components(materials)
+    materials, presets = ({strip: blended_materials(strip)[index] for strip in strips} for index in (0, 1))
+    components = _connect_strips(materials)
     sizes = Counter(components.values())
-    if len(sizes) >= _FEW:
-        in_line = sorted(sizes, key=lambda component: (-sizes[component], component))
-        side = split_auto(in_line)
-        return {strip: side[components[strip]] for strip in strips}, "material"
-    for by, made_of in (("material", materials), ("preset", presets)):
-        if test := _test_side(Counter(made_of.values())):
-            kept = {strip: units <= test for strip, units in made_of.items() if units <= test or not units & test}
-            return {strip: "test" if is_test else "train" for strip, is_test in kept.items()}, by
+    if len(sizes) >= _ONE_TEST_IN:
+        components_by_size = sorted(sizes, key=lambda component: (-sizes[component], component))
+        side_by_component = split_auto(components_by_size)
+        return {strip: side_by_component[components[strip]] for strip in strips}, "material"
+    for unit_kind, units_by_strip in (("material", materials), ("preset", presets)):
+        if test_units := _choose_test_units(Counter(units_by_strip.values())):
+            kept_strips = {
+                strip: units <= test_units
+                for strip, units in units_by_strip.items()
+                if units <= test_units or not units & test_units
+            }
+            return {strip: "test" if is_test else "train" for strip, is_test in kept_strips.items()}, unit_kind
     return dict.fromkeys(strips, "train"), "material"
 
 
-def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:
-    """The first name, as sorted, of all that each strip is connected with by shared parts."""
-    above: dict[str, str] = {}
+def _connect_strips(units_by_strip: Mapping[Path, frozenset[str]]) -> dict[Path, str]:
+    """Return the component of each strip: the first name, as sorted, of all units that it is connected with.
+
+    Args:
+        units_by_strip: the base materials or presets that each strip blends; strips that share one are connected.
+    """
+    parents: dict[str, str] = {}
 
     def root(unit: str) -> str:
-        while above.setdefault(unit, unit) != unit:
-            above[unit] = unit = above[above[unit]]
+        while parents.setdefault(unit, unit) != unit:
+            parents[unit] = unit = parents[parents[unit]]
         return unit
 
-    for units in made_of.values():
+    for units in units_by_strip.values():
         roots = sorted(map(root, units))
-        above.update(dict.fromkeys(roots, roots[0]))  # a root is the first of its component
-    return {strip: root(min(units)) for strip, units in made_of.items()}
+        parents.update(dict.fromkeys(roots, roots[0]))  # a root is the first of its component
+    return {strip: root(min(units)) for strip, units in units_by_strip.items()}
 
 
-def _test_side(blends: Counter[frozenset[str]]) -> frozenset[str]:
-    """The parts of test strips alone, as `split_strips` says, of numbers of strips by their parts; empty for none.
+def _choose_test_units(blends: Counter[frozenset[str]]) -> frozenset[str]:
+    """Choose the base materials or presets for tests, as :func:`split_strips` says; an empty set if none fit.
 
-    The test side grows from one blend by the one after which most strips are left; the best state of several walks.
+    The set grows from one blend by the blend that leaves out the fewest strips, until tests have more strips than
+    training; the best state of several such walks is returned.
+
+    Args:
+        blends: the number of strips of each blend, a set of units.
     """
-    kinds = sorted(blends, key=sorted)
-    units = sorted(frozenset().union(*kinds))
-    member = torch.tensor([[float(unit in kind) for unit in units] for kind in kinds])
-    weight = torch.tensor([float(blends[kind]) for kind in kinds])
-    candidates = member[:: -(-len(kinds) // _CANDIDATES)]
-    best, chosen_best = (0.0, 0.0), torch.zeros(len(units))
-    for start in range(0, len(kinds), -(-len(kinds) // max(_WALKS // len(kinds), 1))):
-        chosen, test, train = member[start], 0.0, weight.sum().item()
+    unit_sets = sorted(blends, key=sorted)
+    units = sorted(frozenset().union(*unit_sets))
+    membership = torch.tensor([[float(unit in unit_set) for unit in units] for unit_set in unit_sets])
+    strip_counts = torch.tensor([float(blends[unit_set]) for unit_set in unit_sets])
+    candidates = membership[:: -(-len(unit_sets) // _MAX_CANDIDATES)]
+    best_score, best_choice = (0.0, 0.0), torch.zeros(len(units))
+    for start in range(0, len(unit_sets), -(-len(unit_sets) // max(_MAX_WALKS_TIMES_BLENDS // len(unit_sets), 1))):
+        chosen, test, train = membership[start], 0.0, strip_counts.sum().item()
         while test <= train:
-            test, train = (float(count) for count in _kept(member, weight, chosen[None]))
-            if test <= train and test * _FEW >= test + train and (test + train, -test) > best:
-                best, chosen_best = (test + train, -test), chosen
-            after = torch.maximum(chosen, candidates)
-            tests, trains = _kept(member, weight, after)
-            left = torch.where(tests > test, tests + trains, -1)
-            if left.max() < 0:
+            test, train = (float(count) for count in _count_kept_strips(membership, strip_counts, chosen[None]))
+            if test <= train and test * _ONE_TEST_IN >= test + train and (test + train, -test) > best_score:
+                best_score, best_choice = (test + train, -test), chosen
+            next_choices = torch.maximum(chosen, candidates)
+            tests, trains = _count_kept_strips(membership, strip_counts, next_choices)
+            kept_counts = torch.where(tests > test, tests + trains, -1)
+            if kept_counts.max() < 0:
                 break
-            chosen = after[left.argmax()]
-    return frozenset(unit for unit, is_chosen in zip(units, chosen_best, strict=True) if is_chosen)
+            chosen = next_choices[kept_counts.argmax()]
+    return frozenset(unit for unit, is_chosen in zip(units, best_choice, strict=True) if is_chosen)
 
 
-def _kept(member: Tensor, weight: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
-    """Numbers of strips made of chosen units alone, and of none of them, for K choices [K, U]; both [K]."""
-    return weight @ (member @ (1 - chosen).T == 0).float(), weight @ (member @ chosen.T == 0).float()
+def _count_kept_strips(membership: Tensor, strip_counts: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
+    """Count the strips that K choices of test units keep.
+
+    Args:
+        membership: 1 where a blend has a unit, else 0, [B, U].
+        strip_counts: the number of strips of each blend, [B].
+        chosen: 1 where a unit is for tests, else 0, [K, U].
+
+    Returns:
+        Numbers of strips made of chosen units alone, for tests, and of none of them, for training, [K] each.
+    """
+    return strip_counts @ (membership @ (1 - chosen).T == 0).float(), strip_counts @ (
+        membership @ chosen.T == 0
+    ).float()

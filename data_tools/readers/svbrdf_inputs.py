@@ -1,4 +1,7 @@
-"""Inputs of fits of non-stationary svBRDFs: strips, materials as maps, and plain flash photographs."""
+"""Inputs of fits of non-stationary svBRDFs: strips, materials as maps, and plain flash photographs.
+
+A folder may hold all three; what a file is follows from the files beside it and from its shape.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,22 @@ from metapp.learning.task import Task
 
 
 class FileRole(NamedTuple):
-    """What a file is: a map of a material, a strip, or else a photograph."""
+    """The role of a file: a map of a material, a strip, or else a photograph.
+
+    Attributes:
+        material: the material of which the file is a map; None if it is no map.
+        strip: whether the file is a strip.
+    """
 
     material: material_maps.MaterialFiles | None = None
     strip: bool = False
 
 
 def recognises(path: Path) -> bool:
-    """True if a path is an image file, or a folder with one below it that is not among those with places."""
+    """Tell whether a path is an image file, or a folder with one.
+
+    Images in folders that state positions of cameras do not count.
+    """
     if not path.is_dir():
         return square_photos.recognises(path)
     placed = folders_with_places(path)
@@ -33,40 +44,40 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path) -> Sources:
-    """Find all strips and photographs, and one file of each material that is kept as maps, as `find_files`.
+    """Find all strips and photographs, and one file of each material that is kept as maps; see :func:`find_files`.
 
-    Folders with the places of several photographs, as of `folders_with_places`, are left out.
+    Folders of several photographs with positions of camera and flash are left out; see :func:`folders_with_places`.
     """
     files, skipped = square_photos.find_images(path)
     placed = folders_with_places(path) if path.is_dir() else []
     files = [file for file in files if _is_elsewhere(file, placed)]
-    stands_for: dict[Path, Path | None] = {}
+    source_of_file: dict[Path, Path | None] = {}
     unknown: dict[Path, str] = {}
     materials: dict[Path, material_maps.MaterialFiles] = {}
     by_folder: dict[Path, list[Path]] = {}
     for file in files:
         by_folder.setdefault(file.parent, []).append(file)
-    for folder, beside in by_folder.items():
-        here = [*filter(_is_material, material_maps.list_materials(folder)[0])]
-        stands_for.update(dict.fromkeys(filter(is_unused_map, beside if here else ())))
-        for material in here:
+    for folder, folder_files in by_folder.items():
+        materials_here = [*filter(_is_material, material_maps.list_materials(folder)[0])]
+        source_of_file.update(dict.fromkeys(filter(is_unused_map, folder_files if materials_here else ())))
+        for material in materials_here:
             materials[material.source] = material
-            stands_for.update(dict.fromkeys(material.maps, material.source))
+            source_of_file.update(dict.fromkeys(material.maps, material.source))
             unknown |= dict.fromkeys(material.unknown, material.title)
     skipped += [
         f"{file}: of unknown role beside the maps of {title}, left out; rename it, or name it if it is a photo."
         for file, title in unknown.items()
     ]
-    stands_for |= dict.fromkeys(unknown)
-    found = dict.fromkeys(source for file in files if (source := stands_for.get(file, file)))
-    return [_source_of(file, materials.get(file)) for file in found], skipped
+    source_of_file |= dict.fromkeys(unknown)
+    found = dict.fromkeys(source for file in files if (source := source_of_file.get(file, file)))
+    return [_make_source(file, materials.get(file)) for file in found], skipped
 
 
-def _source_of(file: Path, material: material_maps.MaterialFiles | None) -> Source:
-    """Return a file as a source; of maps and strips a photograph is rendered or cut out, too."""
+def _make_source(file: Path, material: material_maps.MaterialFiles | None) -> Source:
+    """Return a file as a source; of maps a photograph is rendered, of a strip it is cut out."""
     try:
         role = FileRole(material) if material else role_of(file)
-    except (ValueError, OSError):  # reading it says what is wrong
+    except (ValueError, OSError):  # read_task says what is wrong
         return Source(file.stem, file, protocol="photo", facts={DAMAGED_FACT: True})
     name = role.material.title if role.material else file.stem
     return Source(
@@ -78,7 +89,7 @@ def role_of(path: Path) -> FileRole:
     """Find out what a file is, by the names of the files beside it and by its shape.
 
     Raises:
-        ValueError: no image.
+        ValueError: the file is no image.
     """
     material = material_maps.material_of(path)
     return FileRole(material) if material and _is_material(material) else FileRole(strip=strips.is_strip(path))
@@ -92,18 +103,18 @@ def read_task(
     layer: str = "",
     content: FileRole | None = None,
 ) -> Task:
-    """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
+    """Read a strip, the material that a map belongs to, or else a photograph as a task named by the file.
 
     Args:
         path: the file.
-        size: side in px; above 256 only of files as fine as that.
-        fov_rad: of a photograph's camera, as of `flash_view`.
-        stops: by which a photograph is too bright.
-        layer: as of `read_pixels`.
-        content: what the file is, as `find` found it.
+        size: the side of the result, in px; above 256 only for files that have as many.
+        fov_rad: the field of view, in rad, of a photograph's camera; 0: as EXIF says (see :func:`flash_view`).
+        stops: the number of stops by which a photograph is too bright.
+        layer: the layer of an EXR file; see :func:`read_pixels`.
+        content: what the file is, as :func:`find` found it; None to find out.
 
     Returns:
-        As `svbrdf_task`; of a photograph `photo` alone, uint8 [3, S, S].
+        The task that :func:`make_svbrdf_task` makes; for a photograph it has `photo` alone, sRGB uint8 [3, S, S].
     """
     check_exists(path)
     role, least = content or role_of(path), min(size, SIZE)
@@ -112,29 +123,39 @@ def read_task(
     if role.strip:
         return strips.read_task(path, size, least=least, layer=layer)
     whole = read_pixels(path, layer)
-    return _exposed(task_of_square("photo", flash_view(whole, fov_rad, str(path)), whole, path, size, least), stops)
+    return _correct_task_exposure(
+        task_of_square("photo", flash_view(whole, fov_rad, str(path)), whole, path, size, least), stops
+    )
 
 
 def task_of_object(
     source: object, name: str, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0, **_: object
 ) -> Task:
-    """The task of a material in memory, of its maps or of its flash photograph; else as `read_task`."""
+    """Make the task of a material in memory, of its maps or of its flash photograph.
+
+    Args:
+        source: maps by name (see :func:`material_maps.task_of_arrays`), or a picture that :func:`pixels_of` reads.
+        name: the name of the task.
+        size: the side of the result, in px; above 256 only for pictures that have as many.
+        fov_rad: the field of view, in rad, of a photograph's camera; 0: as EXIF says.
+        stops: the number of stops by which a photograph is too bright.
+    """
     if isinstance(source, Mapping):
         return material_maps.task_of_arrays(source, name, size, min(size, SIZE))
     view = flash_view(pixels_of(name, source, material_maps.OR_MAPS_TEXT), fov_rad, name)
-    return _exposed(Task(name, {"photo": to_square_photo(view, name, size, min(size, SIZE))}), stops)
+    return _correct_task_exposure(Task(name, {"photo": to_square_photo(view, name, size, min(size, SIZE))}), stops)
 
 
-def _exposed(task: Task, stops: float) -> Task:
-    """A photograph as if it had been exposed rightly."""
+def _correct_task_exposure(task: Task, stops: float) -> Task:
+    """Return the task of a photograph as if it had been exposed right, `stops` darker."""
     return task._replace(data={"photo": correct_exposure(task.data["photo"], stops)})
 
 
 def _is_elsewhere(file: Path, folders: Collection[Path]) -> bool:
-    """True for a file that is not below these folders, which may hold its pictures."""
+    """Tell whether a file is not below any of these folders."""
     return not any(parent in folders for parent in file.parents)
 
 
 def _is_material(material: material_maps.MaterialFiles) -> bool:
-    """A photograph that is only called like a map has no other one beside it."""
+    """Tell whether a material has several maps: a lone one is a photograph that is only called like a map."""
     return len(material.files) > 1

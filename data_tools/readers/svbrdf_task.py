@@ -1,4 +1,7 @@
-"""Non-stationary svBRDFs as tasks: maps of a flat material, texel by texel, and its photograph under a flash."""
+"""Non-stationary svBRDFs as tasks: maps of a flat material, texel by texel, and its photograph under a flash.
+
+Readers of all formats of such materials make their tasks here, and render or correct their photographs.
+"""
 
 from __future__ import annotations
 
@@ -21,42 +24,55 @@ UNITS = {
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera and flash above the centre, 45 degrees",
 }
 
-CLIPPED_RADIANCE = 0.95  # of white: brighter px say no more than "at least so bright"
-_MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
-_LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
+CLIPPED_RADIANCE = 0.95  # of white 1; of brighter px only a lower limit of their radiance is known
+_MIN_MEAN_Z = 0.3  # of a normal map; a picture of middle brightness has 0
+_MIN_NORMAL_Z = 0.02  # normals that point into the surface are raised to it, since nobody could see them
 
 
 def facts_of(tensors: Mapping[str, Tensor | None]) -> Facts:
-    """Return what tensors of a task tell; values are None where names alone are known, as of data sets."""
+    """Return the fact that the tensors of a task state: how many photographs it has.
+
+    Args:
+        tensors: tensors by name; None for a tensor of which the name alone is known, as of a data set that is not read.
+    """
     others = tensors.get("others")
     return {PHOTO_COUNT_FACT: 1 + len(others) if others is not None else 2 if "places" in tensors else 1}
 
 
 def make_svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) -> Task:
-    """A material of maps [10, S, S], as of `pack`: `maps` float16 and `photo` uint8 [3, S, S], rendered if None."""
+    """Make the task of a material.
+
+    Args:
+        name: the name of the task.
+        maps: packed maps [10, S, S]; see :func:`pack_maps`.
+        photo: its flash photograph, sRGB uint8 [3, S, S]; None to render it.
+
+    Returns:
+        A task with `maps`, float16 [10, S, S], and `photo`.
+    """
     return Task(name, {"maps": maps.half(), "photo": render_flash_photo(maps) if photo is None else photo})
 
 
 def render_flash_photo(
     maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0, eye: Tensor | None = None
 ) -> Tensor:
-    """A material [10, H, W] under a flash, uint8 sRGB [3, H, W].
+    """Render a material under a flash, sRGB uint8 [3, H, W].
 
     Args:
-        maps: the material.
-        flash: its place [3] as of `render_maps`; None for beside the lens, straight above.
-        intensity: of the flash; with 1 and beside the lens white has radiance 1 in the centre.
-        eye: the camera's place [3]; None for straight above.
+        maps: packed maps of the material, [10, H, W].
+        flash: the position [3] of the flash in half sides of the patch; None for beside the lens, straight above.
+        intensity: the intensity of the flash; with 1 and beside the lens white has radiance 1 in the centre.
+        eye: the position [3] of the camera in half sides of the patch; None for straight above.
     """
     above = camera_position(dtype=torch.float32)
-    place = texel_positions(*maps.shape[-2:], dtype=torch.float32)
-    light, view = (above if each is None else each for each in (flash, eye))
-    radiance = render_maps(unpack_maps(maps.float()), place, light, view, intensity=intensity)
+    texel_places = texel_positions(*maps.shape[-2:], dtype=torch.float32)
+    light, view = (above if position is None else position for position in (flash, eye))
+    radiance = render_maps(unpack_maps(maps.float()), texel_places, light, view, intensity=intensity)
     return encode_srgb(radiance)
 
 
 def correct_exposure(photo: Tensor, stops: float) -> Tensor:
-    """A photograph, uint8 sRGB [..., 3, H, W], that is too bright by so many stops; clipped px stay white."""
+    """Darken a photograph, sRGB uint8 [..., 3, H, W], that is `stops` stops too bright; clipped px stay white."""
     if not stops:
         return photo
     radiance = srgb_to_linear(photo.float() / 255)
@@ -65,12 +81,12 @@ def correct_exposure(photo: Tensor, stops: float) -> Tensor:
 
 
 def encode_srgb(radiance: Tensor) -> Tensor:
-    """Linear radiance of any shape, 1 is white, as uint8 sRGB."""
+    """Encode linear radiance of any shape, in which 1 is white, as uint8 sRGB."""
     return (linear_to_srgb(radiance.clamp(0, 1)) * 255).round().to(torch.uint8)
 
 
 def task_name(stem: str) -> str:
-    """A file's stem as a plain file name: other characters than letters, digits, dots and hyphens become `_`.
+    """Make a plain file name of a file's stem: characters other than letters, digits, dots and hyphens become `_`.
 
     >>> task_name("Old brick (2)")
     'Old_brick__2_'
@@ -79,16 +95,23 @@ def task_name(stem: str) -> str:
 
 
 def decode_unit_normals(stored: Tensor, source: Path) -> Tensor:
-    """Normals [3, H, W] of unit length, z > 0, of an image in [0, 1], whose 0.5 is 0.
+    """Decode normals that an image stores.
+
+    Args:
+        stored: the image, [3, H, W] in [0, 1], 0..1 for -1..1.
+        source: the file, in errors.
+
+    Returns:
+        Normals [3, H, W] of unit length, z > 0.
 
     Raises:
-        ValueError: they do not point out of the surface.
+        ValueError: the normals do not point out of the surface.
     """
     vectors = stored.float() * 2 - 1
-    height = float(vectors[2].mean())
-    if not height >= _MIN_HEIGHT:
+    mean_z = float(vectors[2].mean())
+    if not mean_z >= _MIN_MEAN_Z:
         raise ValueError(
-            f"{source}: normals with a mean z of {height:.2f}, expected {_MIN_HEIGHT} or more; it holds something "
+            f"{source}: normals with a mean z of {mean_z:.2f}, expected {_MIN_MEAN_Z} or more; it holds something "
             "else, or not as tangent-space normals (0..1 for -1..1)."
         )
-    return functional.normalize(torch.cat([vectors[:2], vectors[2:].clamp_min(_LOWEST)]), dim=0)
+    return functional.normalize(torch.cat([vectors[:2], vectors[2:].clamp_min(_MIN_NORMAL_Z)]), dim=0)

@@ -1,8 +1,9 @@
 """Real materials for training, whatever maps they lack, beside drawn ones: the format `materials`.
 
-A set of maps without roughness gets one of ROUGHNESS, and a specular reflectance of dielectrics; the task says that
-both are made up, and the loss of these maps counts nothing. A specular map without a roughness is that of an old game,
-whose colours have shading baked in: they count less. Smaller sets tile and are repeated. Data sets hold drawn ones.
+A set of maps without a roughness map gets MISSING_ROUGHNESS, and the specular reflectance of dielectrics; the task says
+that both are made up, and their losses count nothing. A set with a specular but no roughness map comes from an old
+game, whose colours have shading baked in: they count less. Smaller sets tile and are repeated. Data sets hold drawn
+materials.
 """
 
 from __future__ import annotations
@@ -30,21 +31,33 @@ UNITS = {
     "known": "float32 [4], what the loss of diffuse, specular, roughness and normals counts; 0: the map is made up",
     "kind": "uint8 [1], 1 of real materials, 0 of drawn ones",
 }
-MISSING_ROUGHNESS = 0.6  # where there is none
-SHADED_COLOUR_WEIGHT = 0.3  # what colours with shading in them count
+MISSING_ROUGHNESS = 0.6  # roughness of a material that lacks the map
+SHADED_COLOUR_WEIGHT = 0.3  # weight of the diffuse loss where colours have shading in them
 
 
 def find(path: Path) -> Sources:
-    """Find one file of each set of maps, or all files of a data set; errors as of maps and `read_data_set`."""
+    """Find one file of each set of maps, or all files of a data set.
+
+    Raises:
+        ValueError: the path holds neither; see :func:`material_maps.find` and :func:`read_data_set`.
+    """
     if path_kind(path) is PathKind.DATA_SET:
-        return sources_of_files(([path / file for file in _drawn(path)], []))
+        return sources_of_files(([path / file for file in _read_drawn(path)], []))
     return material_maps.find(path)
 
 
 def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dict[Path, ManifestEntry]:
-    """As of maps; of data sets as their manifests have them."""
-    drawn = {source: _drawn(source.parent)[source.name][0] for source in sources if source.suffix == SHARD_SUFFIX}
-    return material_maps.entries([source for source in sources if source not in drawn], folders, split) | drawn
+    """Return the manifest's entry of each material.
+
+    A drawn material has the entry of its data set, a real one that of :func:`material_maps.entries`.
+    """
+    drawn_entries = {
+        source: _read_drawn(source.parent)[source.name][0] for source in sources if source.suffix == SHARD_SUFFIX
+    }
+    return (
+        material_maps.entries([source for source in sources if source not in drawn_entries], folders, split)
+        | drawn_entries
+    )
 
 
 def read_task(
@@ -53,49 +66,62 @@ def read_task(
     """Read the material that a map belongs to, with the weights of its maps.
 
     Args:
-        source: one of its maps, or a drawn material's file in its data set.
-        size: side in px.
-        normals, layer, content: as of `data_tools.readers.material_maps.read_task`.
+        source: one of the material's maps, or a drawn material's file in its data set.
+        size: the side of the maps, in px.
+        normals: where green points in normal maps; see :func:`material_maps.read_task`.
+        layer: the layer of EXR files; see :func:`read_pixels`.
+        content: the material, as :func:`find` found it; None to look for it.
 
     Raises:
-        ValueError: as there, but for a missing roughness; a drawn material of another size, or a photo alone.
+        ValueError: the maps cannot be read (see :func:`material_maps.read_task`), but for a missing roughness; a drawn
+            material has another size, or is a photo alone.
     """
     if source.suffix == SHARD_SUFFIX:
-        return _drawn_task(source, size)
+        return _read_drawn_task(source, size)
     material = content or material_of(source)
-    assert material is not None, source  # it was found by its name
+    assert material is not None, source  # `find` found it by the names of its maps
     files = material.files
-    has = "roughness" in files or "gloss" in files
-    old = PLAIN_COLOUR_ROLE in files or ("specular" in files and not has)
-    if not has:
-        # any map stands for the one that is missing until its values are known
-        other = next((maps for role, maps in files.items() if role.startswith("normal")), ())
-        kept = {role: maps for role, maps in files.items() if role != "specular"}
-        material = material._replace(files=kept | ({"roughness": other} if other else {}))
+    has_roughness = "roughness" in files or "gloss" in files
+    is_of_game = PLAIN_COLOUR_ROLE in files or ("specular" in files and not has_roughness)
+    if not has_roughness:
+        # reading needs a file of roughness: the normals take its place, and its values are overwritten below
+        stand_in = next((maps for role, maps in files.items() if role.startswith("normal")), ())
+        other_files = {role: maps for role, maps in files.items() if role != "specular"}
+        material = material._replace(files=other_files | ({"roughness": stand_in} if stand_in else {}))
     task = read_material(material, size, normals, 1, layer)
-    times = -(-size // task.data["maps"].shape[-1])
-    maps = task.data["maps"].float().repeat(1, times, times)[:, :size, :size]
-    if not has:
+    repeats = -(-size // task.data["maps"].shape[-1])
+    maps = task.data["maps"].float().repeat(1, repeats, repeats)[:, :size, :size]
+    if not has_roughness:
         maps[6] = MISSING_ROUGHNESS
-    known = torch.tensor([SHADED_COLOUR_WEIGHT if old else 1.0, has, has, 1.0])
-    return _with(make_svbrdf_task(task.name, maps), known, 1)
+    weights = torch.tensor([SHADED_COLOUR_WEIGHT if is_of_game else 1.0, has_roughness, has_roughness, 1.0])
+    return _add_weights(make_svbrdf_task(task.name, maps), weights, 1)
 
 
-def _with(task: Task, known: torch.Tensor, kind: int) -> Task:
-    return task._replace(data=task.data | {"known": known, "kind": torch.tensor([kind], dtype=torch.uint8)})
+def _add_weights(task: Task, weights: torch.Tensor, kind: int) -> Task:
+    """Add to a task the weights of its map losses, [4], and its kind, 1 for real materials and 0 for drawn ones."""
+    return task._replace(data=task.data | {"known": weights, "kind": torch.tensor([kind], dtype=torch.uint8)})
 
 
-def _drawn_task(source: Path, size: int) -> Task:
-    _, task = _drawn(source.parent)[source.name]
+def _read_drawn_task(source: Path, size: int) -> Task:
+    """Return a drawn material of a data set, with weights 1.
+
+    Raises:
+        ValueError: the material has another size, or is a photo alone.
+    """
+    _, task = _read_drawn(source.parent)[source.name]
     side = task.data["maps"].shape[-1] if "maps" in task.data else 0
     if side != size:
         found = f"maps of {side} px" if side else "a photo without maps"
         raise ValueError(f"{source}: {found}, expected maps of {size} px; set --size, or draw others.")
-    return _with(task._replace(data={key: task.data[key] for key in OF_MAPS}), torch.ones(4), 0)
+    return _add_weights(task._replace(data={key: task.data[key] for key in OF_MAPS}), torch.ones(4), 0)
 
 
 @functools.lru_cache(maxsize=8)
-def _drawn(folder: Path) -> dict[str, tuple[ManifestEntry, Task]]:
-    """The tasks of a data set by their files, and its manifest's entry of each; ValueError as of `read_data_set`."""
+def _read_drawn(folder: Path) -> dict[str, tuple[ManifestEntry, Task]]:
+    """Read the manifest's entry and the task of each file of a data set.
+
+    Raises:
+        ValueError: the data set cannot be read; see :func:`read_data_set`.
+    """
     tasks = read_data_set(folder, app=APP, holds=class_of(APP).tensors)
     return {entry.file: (entry, task) for entry, task in zip(read_manifest(folder).tasks, tasks, strict=True)}
