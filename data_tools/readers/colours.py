@@ -54,13 +54,8 @@ ColourSpace = str | Primaries | IccProfile | Hlg  # a str is OpenColorIO's name 
 SRGB_SPACE, LINEAR_SPACE = "srgb_rec709_scene", "lin_rec709_scene"
 
 _OCIO_CONFIG = "ocio://default"  # not the user's own, which the variable OCIO names, since that may know other spaces
-_NAMES_WITHOUT_PRIMARIES = (
-    "",
-    "unknown",
-    "data",
-    "raw",
-    "rec709",
-)  # state no primaries, or the expected ones
+# Names of spaces by OpenImageIO that state no primaries, or the expected ones.
+_NAMES_WITHOUT_PRIMARIES = ("", "unknown", "data", "raw", "rec709")
 _REC709_XY = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _PQ_WHITE_100_CD = 2.03  # diffuse white, in 100 cd/m^2 (ITU-R BT.2408)
 _HLG_CODE = 18  # number of the transfer HLG in ITU-T H.273
@@ -150,8 +145,8 @@ def space_of_info(info: Mapping[Any, Any], subject: Path | str, is_adobe: bool) 
 def _space_of_profile(data: bytes, subject: Path | str) -> ColourSpace:
     """Return the space of an ICC profile.
 
-    Profiles that equal sRGB, or a space of primaries with its curve, become these, so that floating-point values need
-    no rounding to the profile's 8 bits.
+    A profile that converts as sRGB does, or as linear values of its primaries, is replaced by that space, whose
+    conversion is exact for values of more than the profile's 8 bits.
     """
     description, srgb = "damaged", cast(Any, ImageCms.createProfile("sRGB"))
     try:

@@ -22,7 +22,8 @@ from data_tools.readers import material_maps, square_photos
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.colours import SRGB_SPACE
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.square_photos import SIZE, flash_view, task_of_square, to_square_photo
+from data_tools.readers.input_source import DEFAULT_PHOTO_PX
+from data_tools.readers.square_photos import flash_view, task_of_square, to_square_photo
 from metapp.learning.task import Task
 from metapp.storage.shards import AUTO_SPLIT, SPLITS, ManifestEntry
 
@@ -34,7 +35,7 @@ _PHOTO_NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
 find, recognises = square_photos.find, square_photos.recognises
 
 
-def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, layer: str = "") -> Task:
+def read_task(path: Path, size: int = DEFAULT_PHOTO_PX, fov_rad: float = 0.0, least: int = 0, layer: str = "") -> Task:
     """Read a flash photograph as a task named by the file's stem.
 
     Args:
@@ -53,7 +54,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0
 
 
 def task_of_object(
-    source: object, name: str, size: int = SIZE, fov_rad: float = 0.0, least: int = 0, **_: object
+    source: object, name: str, size: int = DEFAULT_PHOTO_PX, fov_rad: float = 0.0, least: int = 0, **_: object
 ) -> Task:
     """Make the task of a flash photograph in memory, or of one that is rendered from maps.
 
@@ -66,8 +67,8 @@ def task_of_object(
             `size`.
     """
     if isinstance(source, Mapping):
-        photo = material_maps.task_of_arrays(source, name, _MAX_RENDERED_PX, least=1).data["photo"]
-        pixels = Pixels(photo.permute(1, 2, 0).numpy(), SRGB_SPACE, False)
+        rendered = material_maps.task_of_arrays(source, name, _MAX_RENDERED_PX, least=1).data["photo"]
+        pixels = Pixels(rendered.permute(1, 2, 0).numpy(), SRGB_SPACE, False)
     else:
         pixels = pixels_of(name, source, material_maps.OR_MAPS_TEXT)
     return Task(name, {"image": to_square_photo(flash_view(pixels, fov_rad, name), name, size, least)})

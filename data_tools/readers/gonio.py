@@ -24,19 +24,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.input_source import ANISOTROPIC_FACT, DAMAGED_FACT, SAMPLE_COUNT_FACT, Source, Sources
 from data_tools.readers.listing import find_by_suffix, has_suffix
 from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, depends_on_azimuth, task_of_pairs
+from data_tools.readers.numbers import Doubles
 from metapp.appearance.colorimetry import spectrum_to_rgb_matrix
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
 from metapp.storage.files import open_text, write_bytes
-
-Doubles = NDArray[np.float64]
 
 GONIO_SUFFIX = ".csv"
 ANGLE_COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o")
@@ -103,9 +101,9 @@ def read_pairs(path: Path) -> MeasuredPairs:
     angles = np.stack([_read_angle(path, columns, lines, name) for name in ANGLE_COLUMNS], 1)
     names, matrix = _find_colours(path, list(columns))
     values = np.stack([columns[name] for name in names], 1)
-    bad = ~((values >= -MAX_NOISE_PER_SR) & (values <= MAX_REFLECTANCE_PER_SR))
-    if bad.any():
-        row, column = np.argwhere(bad)[0]
+    is_bad = ~((values >= -MAX_NOISE_PER_SR) & (values <= MAX_REFLECTANCE_PER_SR))
+    if is_bad.any():
+        row, column = np.argwhere(is_bad)[0]
         raise ValueError(
             f"{path}: line {lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to "
             f"{MAX_REFLECTANCE_PER_SR:g} in 1/sr; fill in what a plan asks for, and leave out rows that were not "
@@ -266,13 +264,13 @@ def _read_angle(path: Path, columns: dict[str, Doubles], lines: list[int], name:
         problem = "both units" if stated_units else ("no unit" if name in columns else "no such column")
         raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad.")
     values, unit = columns[f"{name}_{stated_units[0]}"], RADIANS_PER_UNIT[stated_units[0]]
-    high = math.pi / 2 if name.startswith("theta") else 2 * math.tau
-    bad = ~(np.abs(values * unit) <= high + 1e-6)
-    if bad.any():
-        row = int(bad.argmax())
+    limit_rad = math.pi / 2 if name.startswith("theta") else 2 * math.tau
+    is_bad = ~(np.abs(values * unit) <= limit_rad + 1e-6)
+    if is_bad.any():
+        row = int(is_bad.argmax())
         raise ValueError(
-            f"{path}: line {lines[row]}: {name} {values[row]:.6g} {stated_units[0]}, expected {-high / unit:.6g} to "
-            f"{high / unit:.6g}; reflection alone can be fitted."
+            f"{path}: line {lines[row]}: {name} {values[row]:.6g} {stated_units[0]}, expected {-limit_rad / unit:.6g} "
+            f"to {limit_rad / unit:.6g}; reflection alone can be fitted."
         )
     result: Doubles = values * unit
     return result

@@ -52,32 +52,20 @@ _BEAUTY_LAYERS = ("COMBINED", "BEAUTY", "RGBA")  # names that renderers give the
 _DEPTH_CHANNELS = {"Z", "ZBACK", "DEPTH"}
 _MAX_MISSING_SHARE = 0.01  # of a lat-long map's solid angle
 _RADIANCE_HEADER_BYTES = 2**14  # bytes of a Radiance file that its header is looked for in
-_MIN_SIDE_PX, _MAX_PIXELS = 32, 2**28
+_MIN_SIDE_PX, _MAX_PIXELS = 32, 2**28  # of pictures that are read
 _MAX_PICTURES = 1000  # pictures of one file that are looked at
-# A decoded picture of fewer bytes is always read, a larger one only if its file has one byte for MAX_PACKING_RATIO
-# decoded ones, since zlib packs at most 1032 to 1.
+# A decoded picture of fewer bytes is always read, a larger one only if its file has a byte for each 2000 of them, as
+# zlib packs at most 1032 to 1.
 _MAX_UNCHECKED_BYTES, _MAX_PACKING_RATIO = 2**26, 2000
 _MAX_REASON_CHARACTERS = 120  # of a library's message in ours
 
 INSTALL_HEIF = 'pip install "metapp[heic]"'
-_HEIF_BRANDS = (
-    b"heic",
-    b"heix",
-    b"heim",
-    b"heis",
-    b"hevc",
-    b"hevx",
-    b"mif1",
-    b"msf1",
-)  # of files in HEIF (ISO/IEC 23008-12)
+# Brands in the first bytes of files in HEIF (ISO/IEC 23008-12).
+_HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _EXIF_BLOCK = 0x8769
 _RATIONAL_TAGS = (0xA20E, 0xA20F, 0x920A)  # FocalPlaneXResolution, FocalPlaneYResolution, FocalLength
-_WHOLE_TAGS = (
-    0xA405,
-    0xA210,
-    0xA002,
-    0xA003,
-)  # FocalLengthIn35mmFilm, FocalPlaneResolutionUnit, PixelXDimension, PixelYDimension
+# FocalLengthIn35mmFilm, FocalPlaneResolutionUnit, PixelXDimension, PixelYDimension
+_WHOLE_TAGS = (0xA405, 0xA210, 0xA002, 0xA003)
 
 
 class Pixels(NamedTuple):
@@ -337,23 +325,25 @@ def _read_radiance_header(path: Path) -> tuple[Floats, list[float]]:
     """
     with open_regular(path) as stream:
         header = stream.read(_RADIANCE_HEADER_BYTES).partition(b"\n\n")[0].decode("latin-1")
-    stated = re.findall(r"(?m)^(FORMAT|EXPOSURE|COLORCORR|PRIMARIES) *= *(.*)$", header if header[:2] == "#?" else "")
-    if ("FORMAT", "32-bit_rle_xyze") in stated:
+    header_fields = re.findall(
+        r"(?m)^(FORMAT|EXPOSURE|COLORCORR|PRIMARIES) *= *(.*)$", header if header[:2] == "#?" else ""
+    )
+    if ("FORMAT", "32-bit_rle_xyze") in header_fields:
         raise ValueError(f"{path}: colours in XYZ, expected RGB; convert it, such as by Radiance's ra_xyze -r.")
     try:
         factors = [
             np.resize(np.array(text.split(), np.float32), 3)
-            for name, text in stated
+            for name, text in header_fields
             if name in ("EXPOSURE", "COLORCORR")
         ]
         exposure = np.prod([np.ones(3, np.float32), *factors], 0)
         if not (np.isfinite(exposure).all() and exposure.min() > 0):
             raise ValueError
     except ValueError:
-        raise ValueError(f"{path}: {stated!a:.90}, expected positive numbers; export it again.") from None
+        raise ValueError(f"{path}: {header_fields!a:.90}, expected positive numbers; export it again.") from None
     xy: list[float] = []
     with contextlib.suppress(ValueError):  # malformed primaries are ignored, as zeros are
-        xy = [float(number) for number in dict(stated).get("PRIMARIES", "").split()]
+        xy = [float(number) for number in dict(header_fields).get("PRIMARIES", "").split()]
     return exposure, xy
 
 
@@ -438,11 +428,10 @@ def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE_P
 
 
 def _find_layer(source: oiio.ImageInput, layer: str, path: Path, *, lacks_blue: bool = False) -> tuple[int, list[int]]:
-    """Find the part of a file that holds a picture, and the channels of its red, green, blue and, if any, alpha.
+    """Find the part of a file that holds a picture, and its channels: red, green, blue (gray thrice) and any alpha.
 
-    Of a gray picture, one channel stands for red, green and blue. Of the layers in RGB, in all parts of an EXR, the one
-    of channels without a prefix is taken, else one of _BEAUTY_LAYERS, else the only one; without a layer in RGB, the
-    only gray one that is not depth.
+    Of RGB layers, in all parts of an EXR, the one of channels without a prefix is taken, else one of _BEAUTY_LAYERS,
+    else the only one; without an RGB layer, the only gray one that is not depth.
 
     Args:
         source: an open file; its current part changes.
@@ -450,17 +439,13 @@ def _find_layer(source: oiio.ImageInput, layer: str, path: Path, *, lacks_blue: 
         path: the file, in errors.
         lacks_blue: whether red and green alone are a layer, too; green then takes the place of blue in the channels.
 
-    Returns:
-        The number of the part, and the indices of three or four channels.
-
     Raises:
         ValueError: there is no such layer, none or several come first, or all are deep.
     """
     part_count = source.spec().get_int_attribute("oiio:subimages", 1) if source.format_name() == "openexr" else 0
     parts = range(part_count) if part_count else [max(0, source.current_subimage())]
-    candidates: list[
-        tuple[tuple[bool, bool, bool], str, int, list[int]]
-    ] = []  # order of preference, name, part, channels
+    # order of preference, name, part, channels
+    candidates: list[tuple[tuple[bool, bool, bool], str, int, list[int]]] = []
     is_deep, all_channels = False, list[str]()
     for part in parts:
         source.seek_subimage(part, 0)
@@ -475,21 +460,18 @@ def _find_layer(source: oiio.ImageInput, layer: str, path: Path, *, lacks_blue: 
             layers.setdefault(prefix, {})[channel.upper()] = index
         for prefix, channel_indices in layers.items():
             name = prefix or (spec.get_string_attribute("oiio:subimagename") if part_count > 1 else "")
-            others = sorted(channel_indices.keys() - {"A"})
-            is_gray = len(others) == 1 and others[0] not in _DEPTH_CHANNELS
+            colour_channels = sorted(channel_indices.keys() - {"A"})
+            is_gray = len(colour_channels) == 1 and colour_channels[0] not in _DEPTH_CHANNELS
             if lacks_blue and channel_indices.keys() >= set("RG") and "B" not in channel_indices:
                 channel_indices["B"] = channel_indices["G"]
             if is_gray or channel_indices.keys() >= set("RGB"):
                 order = (is_gray, prefix != "", name.rpartition(".")[2].upper() not in _BEAUTY_LAYERS)
-                channels = [
-                    channel_indices[candidate]
-                    for candidate in (*(others * 3 if is_gray else "RGB"), "A")
-                    if candidate in channel_indices
-                ]
+                letters = (*(colour_channels * 3 if is_gray else "RGB"), "A")
+                channels = [channel_indices[letter] for letter in letters if letter in channel_indices]
                 candidates.append((order, name, part, channels))
-    named = [name if name.isprintable() else ascii(name) for _, name, _, _ in candidates if name][:8]
+    layer_names = [name if name.isprintable() else ascii(name) for _, name, _, _ in candidates if name][:8]
     chosen = [candidate for candidate in candidates if candidate[0] == min(candidates)[0]]
-    if layer and named:
+    if layer and layer_names:
         layer_in_capitals = layer.upper()
         chosen = [candidate for candidate in candidates if candidate[1].upper() == layer_in_capitals] or [
             candidate for candidate in candidates if candidate[1].upper().endswith(f".{layer_in_capitals}")
@@ -498,11 +480,11 @@ def _find_layer(source: oiio.ImageInput, layer: str, path: Path, *, lacks_blue: 
         return chosen[0][2:]
     if is_deep:
         raise ValueError(f"{path}: a deep image, expected one colour a pixel; flatten it.")
-    if named:
+    if layer_names:
         subject = f"no single layer {layer!a} among" if layer else "layers"
         raise ValueError(
-            f"{path}: {subject} {', '.join(named)}, expected one of them; choose it by --layer NAME, or export it "
-            "alone."
+            f"{path}: {subject} {', '.join(layer_names)}, expected one of them; choose it by --layer NAME, or export "
+            "it alone."
         )
     shown = ", ".join(name if name.isprintable() else ascii(name) for name in all_channels[:8])
     raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")

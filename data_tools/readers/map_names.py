@@ -95,8 +95,8 @@ def parse_map_name(stem: str) -> MapName:
         marks += [word] * (not _RESOLUTION.fullmatch(word))
         words.pop()
     if words and words[-1].group() in _WORKFLOWS:
-        name, mark, role = parse_map_name(before := stem[: words[-1].start()].rstrip("_-. "))
-        if role is not None and name and before.removeprefix(name).isupper():
+        name, mark, role = parse_map_name(stem_before := stem[: words[-1].start()].rstrip("_-. "))
+        if role is not None and name and stem_before.removeprefix(name).isupper():
             return MapName(name, "_".join(filter(None, (mark, words[-1].group()))), role)
     for count in range(min(_MAX_ROLE_WORDS, len(words)), 0, -1):
         tail = "".join(word.group() for word in words[-count:]).lower()

@@ -31,7 +31,7 @@ from data_tools.readers import square_photos
 from data_tools.readers.arrays import check_pixels, check_range, is_pil, picture_values, pixels_of
 from data_tools.readers.colours import LINEAR_SPACE
 from data_tools.readers.image_files import IMAGE_SUFFIXES, Pixels, read_pixels, shape_of
-from data_tools.readers.input_source import Source, Sources
+from data_tools.readers.input_source import DEFAULT_PHOTO_PX, Source, Sources
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import (
     COLOUR_ROLES,
@@ -41,7 +41,7 @@ from data_tools.readers.map_names import (
     parse_map_name,
 )
 from data_tools.readers.normal_maps import complete_normals
-from data_tools.readers.square_photos import SIZE, central_square, reading_side_px, resample_square
+from data_tools.readers.square_photos import central_square, reading_side_px, resample_square
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import decode_unit_normals, make_svbrdf_task, task_name
 from metapp.appearance.flash import Maps, pack_maps
@@ -108,16 +108,18 @@ def find(path: Path) -> Sources:
     Raises:
         ValueError: the path does not exist, or is a folder without a map.
     """
-    files, skipped = square_photos.find_images(path)
+    images, skipped = square_photos.find_images(path)
     if not path.is_dir():
         return [_make_source(_require_material(path))], []
-    in_folders = [list_materials(folder) for folder in sorted({file.parent for file in files})]
+    in_folders = [list_materials(folder) for folder in sorted({file.parent for file in images})]
     materials = [_make_source(material) for folder_materials, _ in in_folders for material in folder_materials]
     if not materials:
-        names = ", ".join(file.name for file in files[:3])
+        names = ", ".join(file.name for file in images[:3])
         raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED_NAMES}; rename them.")
-    others = [file for _, files in in_folders for file in files]
-    return materials, skipped + [f"{file}: no map under a usual name, {_EXPECTED_NAMES}; rename it." for file in others]
+    unknown_files = [file for _, images in in_folders for file in images]
+    return materials, skipped + [
+        f"{file}: no map under a usual name, {_EXPECTED_NAMES}; rename it." for file in unknown_files
+    ]
 
 
 def _make_source(material: MaterialFiles) -> Source:
@@ -143,11 +145,11 @@ def list_materials(folder: Path) -> tuple[list[MaterialFiles], list[Path]]:
     """Return the materials right in a folder, sorted by name, and the image files there whose role is unknown."""
     files = (Path(entry.path) for entry in list_folder(str(folder)) if entry.is_file())
     images = sorted(file for file in files if file.suffix.lower() in IMAGE_SUFFIXES)
-    parts = {file: parse_map_name(file.stem) for file in images if not file.name.startswith(".")}
-    names = {name.lower() for name, _, role in parts.values() if role}
+    name_parts = {file: parse_map_name(file.stem) for file in images if not file.name.startswith(".")}
+    names = {name.lower() for name, _, role in name_parts.values() if role}
     groups: dict[str, dict[Path, tuple[str, str, str]]] = {}
     files_without_role = []
-    for file, (name, mark, role) in parts.items():
+    for file, (name, mark, role) in name_parts.items():
         if role is None or file.stem.lower() in names:  # rusty_metal beside rusty_metal_normal is no metal
             files_without_role.append(file)
         elif role:
@@ -156,28 +158,28 @@ def list_materials(folder: Path) -> tuple[list[MaterialFiles], list[Path]]:
         (name, _, _), *further_files = group.values()
         if not further_files and any(beginning in groups for beginning in _name_beginnings(name) - {key}):
             files_without_role += groups.pop(key)  # not a material of its own: its role has more words than are known
-    others = []
+    unknown_files = []
     for file in files_without_role:
         maps = groups.get(file.stem.lower())
         if maps and not any(role in COLOUR_ROLES[:2] for _, _, role in maps.values()):
             maps[file] = file.stem, "", PLAIN_COLOUR_ROLE
         else:
-            others.append(file)
-    stems = {file.stem.lower(): file for file in others}
-    unknown: dict[str, set[Path]] = {key: set() for key in groups}
-    for file in others:
+            unknown_files.append(file)
+    stems = {file.stem.lower(): file for file in unknown_files}
+    unknown_by_key: dict[str, set[Path]] = {key: set() for key in groups}
+    for file in unknown_files:
         for key in _name_beginnings(file.stem) & groups.keys():
-            unknown[key].add(file)
+            unknown_by_key[key].add(file)
     for key, group in groups.items():
-        unknown[key] |= {
+        unknown_by_key[key] |= {
             stems[beginning] for beginning in _name_beginnings(next(iter(group.values()))[0]) & stems.keys()
         }
     materials = [
-        MaterialFiles(folder, *variant, tuple(sorted(unknown[key])))
+        MaterialFiles(folder, *variant, tuple(sorted(unknown_by_key[key])))
         for key in sorted(groups)
         for variant in _list_variants(folder, groups[key])
     ]
-    return materials, sorted(others)
+    return materials, sorted(unknown_files)
 
 
 def _name_beginnings(stem: str) -> set[str]:
@@ -224,7 +226,7 @@ def _unpack_channels(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path
 
 def read_task(
     source: Path,
-    size: int = SIZE,
+    size: int = DEFAULT_PHOTO_PX,
     normals: str = "auto",
     least: int = 0,
     layer: str = "",
@@ -248,7 +250,7 @@ def read_task(
     return read_material(content or _require_material(source), size, normals, least, layer)
 
 
-def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = SIZE, least: int = 0) -> Task:
+def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = DEFAULT_PHOTO_PX, least: int = 0) -> Task:
     """Make the task of a material from maps in memory, as :func:`read_task` does from files.
 
     Args:
@@ -304,7 +306,7 @@ def _prepare_map(subject: str, source: object, role: str) -> tuple[str, Pixels]:
 
 
 def read_material(
-    material: MaterialFiles, size: int = SIZE, normals: str = "auto", least: int = 0, layer: str = ""
+    material: MaterialFiles, size: int = DEFAULT_PHOTO_PX, normals: str = "auto", least: int = 0, layer: str = ""
 ) -> Task:
     """Read a material that was found as a task, with its photograph rendered.
 
@@ -474,10 +476,10 @@ def _check_shapes(material: MaterialFiles, files: Mapping[str, Path], shapes: Ma
         shapes: height and width of the maps in px, by role.
     """
     ratios = {role: math.log(width / height) for role, (height, width) in shapes.items()}
-    low, high = min(ratios, key=ratios.__getitem__), max(ratios, key=ratios.__getitem__)
-    if ratios[high] - ratios[low] > _MAX_LOG_RATIO_DIFFERENCE:
+    narrowest, widest = min(ratios, key=ratios.__getitem__), max(ratios, key=ratios.__getitem__)
+    if ratios[widest] - ratios[narrowest] > _MAX_LOG_RATIO_DIFFERENCE:
         names_and_sizes = " and ".join(
-            f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (high, low)
+            f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (widest, narrowest)
         )
         raise ValueError(f"{material}: {names_and_sizes}, expected maps of one shape; crop or scale them alike.")
 

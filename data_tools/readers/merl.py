@@ -27,14 +27,13 @@ from torch import Tensor
 from data_tools.readers import brdf_task
 from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.listing import files_of, find_files
+from data_tools.readers.numbers import Doubles
 from metapp.appearance.geometry import is_above_horizon
 from metapp.learning.task import Params, Task
 from metapp.storage.files import add_suffix, open_regular, placeholder_line, write_atomically
 
 if TYPE_CHECKING:
     from metapp.apps.brdf.app import Brdf
-
-Doubles = NDArray[np.float64]
 
 UNITS = brdf_task.UNITS
 MERL_SUFFIX = ".binary"

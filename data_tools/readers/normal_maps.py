@@ -20,8 +20,8 @@ _EXTREME_RANGE = 0.02  # distance from 0 or 1 of a constant channel that is no x
 _MAX_LONG_SHARE = 0.01  # of px whose x and y are too long for a unit normal; 461 published maps have up to 0.001
 _MAX_SQUARED_LENGTH = 1.05  # x^2 + y^2, which rounding may leave above 1
 # Mean difference of blue from the z of unit normals, from which on blue is not z: absolute, and over the mean absolute
-# deviation of z. The latter is at most 0.6 in 461 published maps, and at least 0.8 where blue is constant (in JPEG, too)
-# or holds another map.
+# deviation of z. The latter is at most 0.6 in 461 published maps, and at least 0.8 where blue holds another map or is
+# constant, even in JPEG.
 _MIN_Z_ERROR, _MIN_Z_ERROR_DEVIATIONS = 0.01, 0.7
 _MIN_REPORTED_CHANGE = 0.05  # change of z from which on a warning tells of it
 

@@ -12,6 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+Doubles = NDArray[np.float64]
+
 MAX_ARRAY_VALUES = 3 * 2**28  # as many as the largest image file may hold
 
 

@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
-from data_tools.readers.input_source import PHOTO_COUNT_FACT, Source, Sources
-from data_tools.readers.square_photos import SIZE as PX
+from data_tools.readers.input_source import DEFAULT_PHOTO_PX, PHOTO_COUNT_FACT, Source, Sources
 from data_tools.readers.square_photos import SIZE_TEXT, folders_with_places, is_photo, read_photo
 from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.learning.task import Task
@@ -50,7 +49,7 @@ def photos_in(folder: Path) -> list[Path]:
 
 
 def read_task(
-    folder: Path, size: int = PX, stops: float = 0.0, layer: str = "", content: list[Path] | None = None
+    folder: Path, size: int = DEFAULT_PHOTO_PX, stops: float = 0.0, layer: str = "", content: list[Path] | None = None
 ) -> Task:
     """Read a folder as a task of its name.
 
@@ -83,7 +82,9 @@ def read_task(
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."
             )
-    photo, *others = (correct_exposure(read_photo(path, size, min(size, PX), layer), stops) for path in paths)
+    photo, *others = (
+        correct_exposure(read_photo(path, size, min(size, DEFAULT_PHOTO_PX), layer), stops) for path in paths
+    )
     return Task(folder.resolve().name, {"photo": photo, "others": torch.stack(others), "places": places})
 
 

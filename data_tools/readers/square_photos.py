@@ -35,7 +35,6 @@ from metapp.appearance.surface import DESCRIPTION_FILE
 from metapp.learning.task import Task
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, path_kind
 
-SIZE = DEFAULT_PHOTO_PX
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
 
 _MIN_DEVIATION = 1 / 255  # standard deviation of sRGB values below which a picture has one colour
@@ -91,7 +90,7 @@ def folders_with_places(folder: Path) -> list[Path]:
     return sorted(folder for folder in folders if path_kind(folder) is PathKind.RECTIFIED)
 
 
-def read_task(path: Path, size: int = SIZE, least: int = 0, layer: str = "") -> Task:
+def read_task(path: Path, size: int = DEFAULT_PHOTO_PX, least: int = 0, layer: str = "") -> Task:
     """Read an image file as a texture task named by the file's stem.
 
     Args:
@@ -138,7 +137,7 @@ def task_of_square(key: str, square: Pixels, whole: Pixels, path: Path, size: in
     )
 
 
-def task_of_object(source: object, name: str, size: int = SIZE, least: int = 0, **_: object) -> Task:
+def task_of_object(source: object, name: str, size: int = DEFAULT_PHOTO_PX, least: int = 0, **_: object) -> Task:
     """Make the texture task of a picture in memory.
 
     Args:
@@ -154,7 +153,7 @@ def task_of_object(source: object, name: str, size: int = SIZE, least: int = 0, 
     return Task(name, {"image": to_square_photo(pixels_of(name, source), name, size, least)})
 
 
-def read_photo(path: str | Path, size: int = SIZE, least: int = 0, layer: str = "") -> Tensor:
+def read_photo(path: str | Path, size: int = DEFAULT_PHOTO_PX, least: int = 0, layer: str = "") -> Tensor:
     """Read the central square of an image file, sRGB, uint8 [3, S, S].
 
     Args:
@@ -170,7 +169,7 @@ def read_photo(path: str | Path, size: int = SIZE, least: int = 0, layer: str = 
     return to_square_photo(read_pixels(Path(path), layer), str(path), size, least)
 
 
-def to_square_photo(whole: Pixels, name: str, size: int = SIZE, least: int = 0) -> Tensor:
+def to_square_photo(whole: Pixels, name: str, size: int = DEFAULT_PHOTO_PX, least: int = 0) -> Tensor:
     """Return the central square of a picture in sRGB.
 
     Means are taken over exact areas in linear light, of values clamped to [0, 1]; a smaller picture is interpolated.

@@ -22,8 +22,9 @@ from torch import Tensor
 
 from data_tools.readers.colours import LINEAR_SPACE, Floats, integers_to_unit_range
 from data_tools.readers.image_files import Pixels, is_heif, read_pixels, shape_of
+from data_tools.readers.input_source import DEFAULT_PHOTO_PX
 from data_tools.readers.normal_maps import complete_normals
-from data_tools.readers.square_photos import SIZE, central_square, reading_side_px, resample_square
+from data_tools.readers.square_photos import central_square, reading_side_px, resample_square
 from data_tools.readers.square_photos import find as find
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import decode_unit_normals, encode_srgb, make_svbrdf_task, task_name
@@ -55,7 +56,7 @@ def is_strip(path: Path) -> bool:
 
 def read_task(
     path: Path,
-    size: int = SIZE,
+    size: int = DEFAULT_PHOTO_PX,
     gamma: float = 1.0,
     white: float = WHITE_RADIANCE,
     predicted: Path | None = None,
@@ -196,9 +197,8 @@ def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floa
         tile = values[:side, left : left + side].clip(0, 1)
         tile = complete_normals(tile, path) if index == 1 else tile**gamma
         if index == 0:
-            tile = np.where(
-                tile < _CLIPPED_VALUE, (tile / white).clip(0, 1), 1
-            )  # who knows how bright what is clipped was
+            # how bright clipped texels were is not known: they stay white
+            tile = np.where(tile < _CLIPPED_VALUE, (tile / white).clip(0, 1), 1)
         tiles.append(tile)
     return tiles
 
@@ -228,16 +228,14 @@ def blended_materials(strip: Path) -> tuple[frozenset[str], frozenset[str]]:
     presets = parts[2].split("X")
     if len(presets) != len(materials):  # whose preset is which is not known
         return frozenset(materials), frozenset(materials)
-    return frozenset(materials), frozenset(
-        f"{base_material};{preset}" for base_material, preset in zip(materials, presets, strict=True)
-    )
+    pairs = zip(materials, presets, strict=True)
+    return frozenset(materials), frozenset(f"{base_material};{preset}" for base_material, preset in pairs)
 
 
 def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
-    """Return the groups of strips, by which errors are averaged.
+    """Return the group of each strip: the component of strips that share base materials, or the blend of presets.
 
-    A group is a component of strips that share base materials, if there are five components or more; else all strips of
-    one blend.
+    Components count if there are five or more of them; else strips of one blend are a group.
     """
     components = _connect_strips({strip: blended_materials(strip)[0] for strip in strips})
     if len(set(components.values())) >= _ONE_TEST_IN:
@@ -309,14 +307,20 @@ def _choose_test_units(blends: Counter[frozenset[str]]) -> frozenset[str]:
     candidates = membership[:: -(-len(unit_sets) // _MAX_CANDIDATES)]
     best_score, best_choice = (0.0, 0.0), torch.zeros(len(units))
     for start in range(0, len(unit_sets), -(-len(unit_sets) // max(_MAX_WALKS_TIMES_BLENDS // len(unit_sets), 1))):
-        chosen, test, train = membership[start], 0.0, strip_counts.sum().item()
-        while test <= train:
-            test, train = (float(count) for count in _count_kept_strips(membership, strip_counts, chosen[None]))
-            if test <= train and test * _ONE_TEST_IN >= test + train and (test + train, -test) > best_score:
-                best_score, best_choice = (test + train, -test), chosen
+        chosen, test_count, train_count = membership[start], 0.0, strip_counts.sum().item()
+        while test_count <= train_count:
+            test_count, train_count = (
+                float(count) for count in _count_kept_strips(membership, strip_counts, chosen[None])
+            )
+            if (
+                test_count <= train_count
+                and test_count * _ONE_TEST_IN >= test_count + train_count
+                and (test_count + train_count, -test_count) > best_score
+            ):
+                best_score, best_choice = (test_count + train_count, -test_count), chosen
             next_choices = torch.maximum(chosen, candidates)
-            tests, trains = _count_kept_strips(membership, strip_counts, next_choices)
-            kept_counts = torch.where(tests > test, tests + trains, -1)
+            test_counts, train_counts = _count_kept_strips(membership, strip_counts, next_choices)
+            kept_counts = torch.where(test_counts > test_count, test_counts + train_counts, -1)
             if kept_counts.max() < 0:
                 break
             chosen = next_choices[kept_counts.argmax()]
@@ -334,6 +338,5 @@ def _count_kept_strips(membership: Tensor, strip_counts: Tensor, chosen: Tensor)
     Returns:
         Numbers of strips made of chosen units alone, for tests, and of none of them, for training, [K] each.
     """
-    return strip_counts @ (membership @ (1 - chosen).T == 0).float(), strip_counts @ (
-        membership @ chosen.T == 0
-    ).float()
+    has_only_chosen, has_no_chosen = (membership @ units.T == 0 for units in (1 - chosen, chosen))
+    return strip_counts @ has_only_chosen.float(), strip_counts @ has_no_chosen.float()

@@ -12,10 +12,10 @@ from typing import NamedTuple
 from data_tools.readers import material_maps, square_photos, strips
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, check_exists, read_pixels
-from data_tools.readers.input_source import DAMAGED_FACT, PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.input_source import DAMAGED_FACT, DEFAULT_PHOTO_PX, PHOTO_COUNT_FACT, Source, Sources
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import is_unused_map
-from data_tools.readers.square_photos import SIZE, flash_view, folders_with_places, task_of_square, to_square_photo
+from data_tools.readers.square_photos import flash_view, folders_with_places, task_of_square, to_square_photo
 from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.learning.task import Task
 
@@ -52,7 +52,7 @@ def find(path: Path) -> Sources:
     placed = folders_with_places(path) if path.is_dir() else []
     files = [file for file in files if _is_elsewhere(file, placed)]
     source_of_file: dict[Path, Path | None] = {}
-    unknown: dict[Path, str] = {}
+    title_by_unknown_file: dict[Path, str] = {}
     materials: dict[Path, material_maps.MaterialFiles] = {}
     by_folder: dict[Path, list[Path]] = {}
     for file in files:
@@ -63,14 +63,14 @@ def find(path: Path) -> Sources:
         for material in materials_here:
             materials[material.source] = material
             source_of_file.update(dict.fromkeys(material.maps, material.source))
-            unknown |= dict.fromkeys(material.unknown, material.title)
+            title_by_unknown_file |= dict.fromkeys(material.unknown, material.title)
     skipped += [
         f"{file}: of unknown role beside the maps of {title}, left out; rename it, or name it if it is a photo."
-        for file, title in unknown.items()
+        for file, title in title_by_unknown_file.items()
     ]
-    source_of_file |= dict.fromkeys(unknown)
-    found = dict.fromkeys(source for file in files if (source := source_of_file.get(file, file)))
-    return [_make_source(file, materials.get(file)) for file in found], skipped
+    source_of_file |= dict.fromkeys(title_by_unknown_file)
+    files_found = dict.fromkeys(source for file in files if (source := source_of_file.get(file, file)))
+    return [_make_source(file, materials.get(file)) for file in files_found], skipped
 
 
 def _make_source(file: Path, material: material_maps.MaterialFiles | None) -> Source:
@@ -97,7 +97,7 @@ def role_of(path: Path) -> FileRole:
 
 def read_task(
     path: Path,
-    size: int = SIZE,
+    size: int = DEFAULT_PHOTO_PX,
     fov_rad: float = 0.0,
     stops: float = 0.0,
     layer: str = "",
@@ -117,7 +117,7 @@ def read_task(
         The task that :func:`make_svbrdf_task` makes; for a photograph it has `photo` alone, sRGB uint8 [3, S, S].
     """
     check_exists(path)
-    role, least = content or role_of(path), min(size, SIZE)
+    role, least = content or role_of(path), min(size, DEFAULT_PHOTO_PX)
     if role.material:
         return material_maps.read_task(path, size, least=least, layer=layer, content=role.material)
     if role.strip:
@@ -129,7 +129,7 @@ def read_task(
 
 
 def task_of_object(
-    source: object, name: str, size: int = SIZE, fov_rad: float = 0.0, stops: float = 0.0, **_: object
+    source: object, name: str, size: int = DEFAULT_PHOTO_PX, fov_rad: float = 0.0, stops: float = 0.0, **_: object
 ) -> Task:
     """Make the task of a material in memory, of its maps or of its flash photograph.
 
@@ -141,9 +141,11 @@ def task_of_object(
         stops: the number of stops by which a photograph is too bright.
     """
     if isinstance(source, Mapping):
-        return material_maps.task_of_arrays(source, name, size, min(size, SIZE))
+        return material_maps.task_of_arrays(source, name, size, min(size, DEFAULT_PHOTO_PX))
     view = flash_view(pixels_of(name, source, material_maps.OR_MAPS_TEXT), fov_rad, name)
-    return _correct_task_exposure(Task(name, {"photo": to_square_photo(view, name, size, min(size, SIZE))}), stops)
+    return _correct_task_exposure(
+        Task(name, {"photo": to_square_photo(view, name, size, min(size, DEFAULT_PHOTO_PX))}), stops
+    )
 
 
 def _correct_task_exposure(task: Task, stops: float) -> Task:

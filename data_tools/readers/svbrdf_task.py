@@ -64,9 +64,9 @@ def render_flash_photo(
         intensity: the intensity of the flash; with 1 and beside the lens white has radiance 1 in the centre.
         eye: the position [3] of the camera in half sides of the patch; None for straight above.
     """
-    above = camera_position(dtype=torch.float32)
+    above_centre = camera_position(dtype=torch.float32)
     texel_places = texel_positions(*maps.shape[-2:], dtype=torch.float32)
-    light, view = (above if position is None else position for position in (flash, eye))
+    light, view = (above_centre if position is None else position for position in (flash, eye))
     radiance = render_maps(unpack_maps(maps.float()), texel_places, light, view, intensity=intensity)
     return encode_srgb(radiance)
 
