@@ -86,9 +86,9 @@ class GonioConverter(Converter):
 class ImagesConverter(Converter):
     """Convert photographs of textures.
 
-    Any format of OpenImageIO: JPEG, PNG, TIFF, EXR and more. Of each the central square is taken, upright, scaled in
-    linear light to --size, and kept as 8-bit sRGB. A bad file that was named ends the conversion and nothing is
-    written; one found in a folder is skipped with a warning.
+    All formats of OpenImageIO are read: JPEG, PNG, TIFF, EXR and more. The central square of each photograph is taken,
+    upright, scaled in linear light to --size, and kept as 8-bit sRGB. A bad file that was named ends the conversion
+    and nothing is written; one found in a folder is skipped with a warning.
 
     Examples:
       metapp data images photographs --out textures
@@ -103,13 +103,14 @@ class ImagesConverter(Converter):
 class FlashConverter(Converter):
     """Convert flash photographs of flat materials.
 
-    Of each the central square is taken, around the flash, upright, scaled in linear light to --size, and kept as
-    8-bit sRGB. Fits take the camera for one of 45 degrees along the shorter side: of a wider one, as EXIF or --fov
-    tells, only the part within 45 degrees is taken. All photographs of a material belong to one split. A bad file that
-    was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
+    The central square of each photograph is taken, around the flash, upright, scaled in linear light to --size, and
+    kept as 8-bit sRGB. Fits assume a field of view of 45 degrees along the shorter side: if EXIF or --fov says that
+    the camera's is wider, only the part within 45 degrees is taken. All photographs of a material belong to one split.
+    A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a
+    warning.
 
-    The material is told by <split>_<material>_<image>.jpg, by <split>/<material>/<image>.jpg (Henzler et al. 2021),
-    or by <material>/<image>.jpg below the folder; any other photograph is of a material of its own.
+    Names tell the material: <split>_<material>_<image>.jpg, <split>/<material>/<image>.jpg (Henzler et al. 2021), or
+    <material>/<image>.jpg below the folder. Any other photograph is of a material of its own.
 
     Examples:
       metapp data flash flash_images --out flash
@@ -146,13 +147,13 @@ class FlashConverter(Converter):
 class MapsConverter(Converter):
     """Convert materials whose maps are separate images, such as rock_diffuse.png beside rock_normal.png.
 
-    Base colour (diffuse, albedo, basecolor, color), normal, roughness or gloss, and, if there are any, specular or
-    metallic, also packed (arm, orm, metallicRoughness); any case and format. Variants (COL_VAR1) and tiles (1001) are
-    materials of their own. Of each map the central square is taken, scaled to --size, and the photograph under a
-    flash is rendered. A bad material is skipped with a warning.
+    A material has a base colour (diffuse, albedo, basecolor, color), a normal, and a roughness or gloss map, and may
+    have a specular or metallic one; maps may be packed (arm, orm, metallicRoughness), in any case and format. Variants
+    (COL_VAR1) and tiles (1001) are materials of their own. The central square of each map is taken, scaled to --size,
+    and the photograph under a flash is rendered. A bad material is skipped with a warning.
 
-    A colour without such a word, rock.png beside rock_norm.png and rock_gloss.png, is an old game's, whose gloss is
-    converted to a roughness.
+    A colour whose name has no such word, rock.png beside rock_norm.png and rock_gloss.png, comes from an old game,
+    whose gloss is converted to a roughness.
 
     Examples:
       metapp data maps materials --out svbrdf
@@ -174,11 +175,11 @@ class MapsConverter(Converter):
 class MaterialsConverter(MapsConverter):
     """Convert real materials for training, with drawn ones beside them.
 
-    As `metapp data maps`, but a set may lack its roughness: one is made up, and losses of made-up maps count
-    nothing. A specular map without a roughness is an old game's, with shading in its colours, which count less. Maps
-    that are smaller than --size are repeated, as such sets tile. Folders of data sets, as of `metapp data synth
-    svbrdf_nonstationary --size 512`, are drawn materials; of these and of real ones the recipe pretrained sees as
-    many, whatever their numbers. Give maps room for crops: 512 px or more.
+    Maps are read as `metapp data maps` reads them, but a material may lack its roughness: it is made up, and losses of
+    made-up maps count nothing. A material with a specular but no roughness map comes from an old game; its colours
+    have shading in them, and count less. Maps smaller than --size are repeated, as they tile. Folders of data sets,
+    such as `metapp data synth svbrdf_nonstationary --size 512` writes, hold drawn materials; the recipe pretrained
+    sees as many of these as of real ones, whatever their numbers. Give maps room for crops: 512 px or more.
 
     Examples:
       metapp data materials scans drawn --split train --out mixed
@@ -199,10 +200,10 @@ def _parse_folder(path: Path) -> Path:
 class StripsConverter(Converter):
     """Convert strips, images of five squares: flash photograph, normal, diffuse, roughness, specular.
 
-    As Deschaintre et al. 2018 publish theirs: linear, normals with y up. A bad file that was named ends the conversion
-    and nothing is written; one found in a folder is skipped with a warning. Base materials are told by
-    <number>;<material>X<material>;<preset>X<preset>.png; any other strip is of a material of its own. Where base
-    materials cannot be parted, since all are blended with all, their presets are.
+    All but the normals is linear, and normals have y up, as Deschaintre et al. 2018 publish them. A bad file that was
+    named ends the conversion and nothing is written; one found in a folder is skipped with a warning. Names tell the
+    base materials: <number>;<material>X<material>;<preset>X<preset>.png; any other strip is of a material of its own.
+    Where all base materials are blended with all others, the split is by their presets.
 
     Examples:
       metapp data strips DeepMaterialsData/trainBlended --out svbrdf
@@ -215,7 +216,9 @@ class StripsConverter(Converter):
         split_option("no base material on both sides, a fifth or more for tests; blends of both sides are left out."),
     ] = "auto"
     size: SizeOption = 256
-    gamma: Annotated[float, Option("Encoding of all tiles but the normals; 1 is linear.", "G", low=0.1, high=10)] = 1.0
+    gamma: Annotated[
+        float, Option("Gamma that all tiles but the normals are encoded with; 1 is linear.", "G", low=0.1, high=10)
+    ] = 1.0
     white: Annotated[
         float,
         Option(
@@ -229,7 +232,7 @@ class StripsConverter(Converter):
         Path | None,
         Option(
             "Maps by another method, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for the table of baselines; "
-            "where they show the middle alone, so do the tasks.",
+            "if they show the middle of strips alone, so do the tasks.",
             "FOLDER",
             parse=_parse_folder,
         ),
@@ -239,12 +242,12 @@ class StripsConverter(Converter):
 
 @dataclass(frozen=True)
 class LavalConverter(Converter):
-    """Convert HDR environment maps, such as those of the Laval indoor set.
+    """Convert HDR environment maps, such as the Laval indoor set.
 
-    Any lat-long map (Gardner et al. 2017 publish 2048 x 1024 EXR) with floating-point RGB or gray pixels. It becomes
-    linear Rec.709 of 64 x 128 texels (--rows), averaged over solid angle, of mean luminance 1 beside the scale it had,
-    and four photographs of spheres under it. A bad file that was named ends the conversion and nothing is written; one
-    found in a folder is skipped with a warning.
+    A map is lat-long, with floating-point RGB or gray pixels (Gardner et al. 2017 publish 2048 x 1024 EXR). It becomes
+    linear Rec.709 of 64 x 128 texels (--rows), averaged over solid angle, of mean luminance 1; the luminance it had is
+    kept beside it, and four photographs of spheres under it are rendered. A bad file that was named ends the
+    conversion and nothing is written; one found in a folder is skipped with a warning.
 
     Examples:
       metapp data laval IndoorHDR --out laval

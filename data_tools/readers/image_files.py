@@ -430,8 +430,8 @@ def check_size(width: int, height: int, path: Path | str, low: int = _MIN_SIDE_P
 def _find_layer(source: oiio.ImageInput, layer: str, path: Path, *, lacks_blue: bool = False) -> tuple[int, list[int]]:
     """Find the part of a file that holds a picture, and its channels: red, green, blue (gray thrice) and any alpha.
 
-    Of RGB layers, in all parts of an EXR, the one of channels without a prefix is taken, else one of _BEAUTY_LAYERS,
-    else the only one; without an RGB layer, the only gray one that is not depth.
+    The RGB layer is taken whose channels have no prefix, else one of _BEAUTY_LAYERS, else the only one, in all parts of
+    an EXR; without an RGB layer, the only gray one that is not depth.
 
     Args:
         source: an open file; its current part changes.
@@ -482,10 +482,8 @@ def _find_layer(source: oiio.ImageInput, layer: str, path: Path, *, lacks_blue: 
         raise ValueError(f"{path}: a deep image, expected one colour a pixel; flatten it.")
     if layer_names:
         subject = f"no single layer {layer!a} among" if layer else "layers"
-        raise ValueError(
-            f"{path}: {subject} {', '.join(layer_names)}, expected one of them; choose it by --layer NAME, or export "
-            "it alone."
-        )
+        found = f"{subject} {', '.join(layer_names)}"
+        raise ValueError(f"{path}: {found}, expected one of them; choose it by --layer NAME, or export it alone.")
     shown = ", ".join(name if name.isprintable() else ascii(name) for name in all_channels[:8])
     raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")
 

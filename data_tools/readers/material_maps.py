@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from data_tools.readers import square_photos
 from data_tools.readers.arrays import check_pixels, check_range, is_pil, picture_values, pixels_of
@@ -91,6 +92,7 @@ class MaterialFiles(NamedTuple):
         """The files of all maps, each once."""
         return list(dict.fromkeys(file for files in self.files.values() for file in files))
 
+    @override
     def __str__(self) -> str:
         return str(self.folder / self.name)
 
