@@ -170,7 +170,10 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path) -> Sources:
-    """Find the HDR maps at a path; see :func:`find_files`. A named file is not checked before it is read."""
+    """Find the HDR maps at a path; see :func:`find_files`.
+
+    A named file must exist; other faults of it are found when it is read.
+    """
 
     def fault(file: Path) -> str | None:
         if line := photo_fault(file):

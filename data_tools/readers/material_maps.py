@@ -218,7 +218,7 @@ def _list_variants(
 
 
 def _unpack_channels(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
-    """Return files by role, with each file of packed channels under those of its roles that have no file yet."""
+    """Return files by role, with files of packed channels under each of their roles that has no file yet."""
     for packed, channels in PACKED_CHANNEL_ROLES.items():
         for file in files.pop(packed, ()):
             for role in filter(None, channels):

@@ -52,16 +52,18 @@ def find(path: Path) -> Sources:
 
 
 def find_images(path: Path) -> FoundFiles:
-    """Find image files; see :func:`find_files`. A named file is not checked before it is read."""
+    """Find image files; see :func:`find_files`.
+
+    A named file must exist; other faults of it are found when it is read.
+    """
     nothing = f"no image in this folder, {EXPECTED_IMAGE}; name the folder of the photographs."
     return find_files(path, check_exists, photo_fault, nothing, ALL_PICTURE_SUFFIXES)
 
 
 def photo_fault(file: Path) -> str | None:
-    """Return the line why a file in a folder is no image.
+    """Return the line why a file in a folder is no image; "" for an image, None for a file that needs no line.
 
-    Returns:
-        "" for an image, by its suffix or if it can be opened; None for one of TEXTS_BESIDE_PHOTOS, which needs no line.
+    Files count as images by their suffix, or if they can be opened; TEXTS_BESIDE_PHOTOS need no line.
     """
     suffix = file.suffix.lower()
     # only these are opened, since opening 50,000 files of any suffix takes a minute
