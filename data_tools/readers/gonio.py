@@ -284,7 +284,7 @@ def _find_colours(path: Path, names: Sequence[str]) -> tuple[list[str], Doubles]
     """
     if all(name in names for name in RGB_COLUMNS):
         return list(RGB_COLUMNS), np.eye(3)
-    spectral = {float(found[1]): name for name in names if (found := _WAVELENGTH.fullmatch(name))}
+    spectral = {float(match[1]): name for name in names if (match := _WAVELENGTH.fullmatch(name))}
     if not spectral:
         missing = next(name for name in RGB_COLUMNS if name not in names)
         raise ValueError(f"{path}: no column {missing}, expected r, g, b, or wavelengths such as 400nm, 410nm, ...")

@@ -54,7 +54,8 @@ def test_a_file_that_stands_for_another_one_is_refused_by_every_reader(
     tmp_path: Path, line: str, content: bytes
 ) -> None:
     readers: dict[str, Callable[[Path], object]] = {
-        "gold.binary": merl.find, "sky.hdr": environment_maps.read_task, "rock.jpg": square_photos.read_task, "camera.txt": read_text,
+        "gold.binary": merl.find, "sky.hdr": environment_maps.read_task, "rock.jpg": square_photos.read_task,
+        "camera.txt": read_text,
     }  # fmt: skip
     for name, read in readers.items():
         (file := tmp_path / name).write_bytes(content)
