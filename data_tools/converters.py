@@ -148,9 +148,9 @@ class MapsConverter(Converter):
     """Convert materials whose maps are separate images, such as rock_diffuse.png beside rock_normal.png.
 
     A material has a base colour (diffuse, albedo, basecolor, color), a normal, and a roughness or gloss map, and may
-    have a specular or metallic one; maps may be packed (arm, orm, metallicRoughness), in any case and format. Variants
-    (COL_VAR1) and tiles (1001) are materials of their own. The central square of each map is taken, scaled to --size,
-    and the photograph under a flash is rendered. A bad material is skipped with a warning.
+    have a specular or metallic one, in any case and format, also packed (arm, orm, metallicRoughness). Variants
+    (COL_VAR1) and tiles (1001) are materials of their own. The central square of each map is scaled to --size, and the
+    photograph under a flash is rendered. A bad material is skipped with a warning.
 
     A colour whose name has no such word, rock.png beside rock_norm.png and rock_gloss.png, comes from an old game,
     whose gloss is converted to a roughness.

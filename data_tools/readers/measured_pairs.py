@@ -1,6 +1,6 @@
 """BRDF tasks of measured pairs of directions, which a goniometer or arrays in memory give.
 
-Measurements stay what they are: nothing is interpolated, and no pictures are made of them.
+Nothing is interpolated, and no pictures are made of measurements; repeated ones alone are averaged.
 """
 
 from __future__ import annotations
@@ -47,11 +47,12 @@ class MeasuredPairs(NamedTuple):
 
 
 def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> Task:
-    """Make the BRDF task of measurements above the surface.
+    """Make the BRDF task of measurements, all of which must lie above the surface.
 
-    The samples are the measurements, in random order, half of them for fits to see; of MAX_PAIRS_ALL_SEEN or fewer,
-    fits see all. Measurements of equal half and difference angles, to 1e-5 rad, are averaged, since a held-out sample
-    must not have been seen. There is no picture of a sphere: it would be interpolated, and no reference.
+    The samples are the measurements, in random order: the first half is for fits to see, the second is held out. Of
+    MAX_PAIRS_ALL_SEEN or fewer, both halves hold all measurements. Measurements of equal angles, to 1e-5 rad, are
+    averaged, since a held-out sample must not have been seen. There is no picture of a sphere, which would have to be
+    interpolated and so could not serve as a reference.
 
     Args:
         name: the name of the task.

@@ -235,17 +235,17 @@ def evaluate_brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
     return maps.diffuse * (1 - maps.specular) / math.pi + lobe
 
 
-def directions_to_point(place: Tensor, texel_positions: Tensor) -> tuple[Tensor, Tensor]:
+def directions_to_point(place: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
     """Compute the directions and squared distances from the texels of the patch to a point above it.
 
     Args:
         place: the point, [B, 3], z > 0.
-        texel_positions: [2, h, w] or [B, 2, h, w], see :func:`texel_positions`.
+        positions: [2, h, w] or [B, 2, h, w], see :func:`texel_positions`.
 
     Returns:
         Unit vectors [B, 3, h, w], and squared distances in half sides, [B, 1, h, w].
     """
-    across = place[..., :2, None, None] - texel_positions
+    across = place[..., :2, None, None] - positions
     up = place[..., 2:, None, None].expand_as(across[..., :1, :, :])
     squared = (across * across).sum(-3, keepdim=True) + up * up
     return torch.cat([across, up], dim=-3) * squared.rsqrt(), squared
@@ -253,7 +253,7 @@ def directions_to_point(place: Tensor, texel_positions: Tensor) -> tuple[Tensor,
 
 def render_maps(
     maps: Maps,
-    texel_positions: Tensor,
+    positions: Tensor,
     light: Tensor,
     view: Tensor,
     *,
@@ -264,7 +264,7 @@ def render_maps(
 
     Args:
         maps: the maps of the patch, or of any crop of it.
-        texel_positions: positions of the maps' texels in the patch, [2, h, w] or [B, 2, h, w]; see
+        positions: positions of the maps' texels in the patch, [2, h, w] or [B, 2, h, w]; see
             :func:`texel_positions`.
         light: [3] or [B, 3], position of the flash; z > 0.
         view: [3] or [B, 3], position of the viewer; z > 0.
@@ -276,8 +276,8 @@ def render_maps(
     Returns:
         Linear radiance [B, 3, h, w], >= 0.
     """
-    wi, squared_distance = directions_to_point(light, texel_positions)
-    wo, _ = directions_to_point(view, texel_positions)
+    wi, squared_distance = directions_to_point(light, positions)
+    wo, _ = directions_to_point(view, positions)
     power = falloff[..., None, None, None] if isinstance(falloff, Tensor) else falloff
     colour = intensity[..., None, None] if isinstance(intensity, Tensor) else intensity
     irradiance = (

@@ -129,7 +129,7 @@ def print_notes(notes: Sequence[str]) -> None:
 
 
 def make_rich_table(table: Table, width: int | None = None) -> RichTable:
-    """Lay out the table of one application for a terminal: as many columns, from the left, as there is room for.
+    """Lay out the table of one application for a terminal: the columns, from the left, that have room on it.
 
     Args:
         table: a table with rows.

@@ -118,7 +118,7 @@ def comparison_text(comparison: PairedComparison, compared_row: str) -> str:
 
 
 def describe_winner(row: Row, compared_row: str = "quickft") -> list[str]:
-    """Return a sentence that names the method of the lower error, unless chance could be the reason."""
+    """Return a sentence on which method has the lower error, or that there is no win; [] without a comparison."""
     comparison: PairedComparison | None = row[f"vs_{compared_row}"]
     if comparison is None:
         return []
@@ -132,7 +132,7 @@ def describe_winner(row: Row, compared_row: str = "quickft") -> list[str]:
 
 
 def fit_remarks(rows: Sequence[Row]) -> list[str]:
-    """Return counts of fits that end above their initialisation's loss, look doubtful, or were guarded, by row."""
+    """Return a line for each row with fits that end above their initialisation's loss, look doubtful, or were guarded."""
     remarks = (
         ("warnings", "{} of {} fits ended above their initialisation's loss"),
         ("doubtful", "{} of {} fits look doubtful; the entry `warning` of their records says why"),
@@ -175,9 +175,10 @@ def subset_note(evaluation: EvaluationRun) -> list[str]:
 
 
 def scale_free_figures(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
-    """Return the share of the gap that Meta closes and its speed-up over Overfit; both carry across data sets.
+    """Return the share of the gap that Meta closes and its speed-up over Overfit.
 
-    The gap is between the errors of General and Overfit; there is none if Overfit is no better than General.
+    Neither depends on the scale of errors or the speed of a machine, so both can be compared between data sets. The gap
+    is between the errors of General and Overfit; without one, where Overfit is no better, the share is None.
 
     Args:
         rows: rows that include General's, Overfit's and Meta's.

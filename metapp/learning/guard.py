@@ -1,4 +1,4 @@
-"""The guard of learned rules: a fit that fails is continued by a plain Adam.
+"""The guard of learned rules: plain Adam goes on from a doubtful fit or its initialisation, whichever is better.
 
 A learned rule promises nothing on a task unlike its training tasks. Safeguarded learned optimisation (Heaton et al.
 2023) keeps a learned step if the loss falls, and replaces it by a plain step otherwise. Here a whole fit is judged, at

@@ -32,7 +32,12 @@ from metapp.storage.parameters import read_checked_params
 
 ERROR_RECORD_KEYS = ("error", "photo_error")  # entries of a record; progress shows the first one that has a value
 DRAWN_TIME_SHARE = 0.9  # about the share of an input's time that has passed when its pictures are drawn
-FORESEEN_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError)  # errors by which an input or a fit may fail
+FORESEEN_ERRORS = (
+    ValueError,
+    OSError,
+    FloatingPointError,
+    MemoryError,
+)  # errors of inputs and fits that a run foresees; if its only input fails by another one, that is raised
 
 
 class Failure(NamedTuple):

@@ -49,7 +49,7 @@ class FitOptions:
     app_options: AppOptions = field(default_factory=AppOptions)
     data: Annotated[Path | None, Option("Folder of a data set; default: the embedded set.")] = None
     observe: Annotated[str, Option("What fits see, reference or photo; default: what INPUT holds.")] = ""
-    recipe: Annotated[str, Option("Recipe; default: full, the best that ships.", panel=FIT)] = ""
+    recipe: Annotated[str, Option("Recipe; default: what the inputs suit, else full.", panel=FIT)] = ""
     rule: Annotated[
         str, Option("Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.", panel=FIT)
     ] = ""

@@ -1,4 +1,4 @@
-"""The choice of a protocol and a recipe by options and inputs, made here alone, and the reason for it.
+"""The only place where a protocol and a recipe are chosen from options and inputs, with the reason.
 
 Inputs are looked at only by their protocols and facts (number of photos, of samples and so on), which the readers of
 formats state; no file is opened here.
@@ -95,7 +95,9 @@ def _choose_protocol(options: FitOptions, sources: Sequence[Source], protocols: 
 def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str) -> tuple[str, str, str]:
     """Choose the recipe that suits all sources, else the usual recipe.
 
-    Inputs that a user names must be alike; a folder, such as one of a material database, may hold inputs of both kinds.
+    Inputs that a user names must be alike. A folder, such as one of a material database, may hold inputs that a recipe
+    suits beside others: then the recipe's `mixed` is chosen, or an error is raised if it has none. Damaged inputs do
+    not count.
 
     Args:
         options: the options of the fit.

@@ -1,7 +1,8 @@
 """The application of illumination: HDR environment maps (paper section 4.1.5).
 
 A fit sees a map itself, or nothing but the LDR photograph of a sphere under it; either way its answer is a map, which
-is judged by what it lights. How light gets to spheres and to the second scene is known to other modules.
+is judged by what it lights. Other modules compute how light gets to spheres and to the second scene, two spheres on a
+floor.
 """
 
 from __future__ import annotations
@@ -42,12 +43,16 @@ from metapp.rendering.second_scene import relighting
 
 RADIANCE_FLOOR = 0.01  # radiance in a map of mean luminance 1, below which its log is flat
 RADIOSITY_FLOOR = 0.02  # radiosity of a surface under such a map, below which its log is flat
-# weights in the outer loss of texels, of glossy surfaces, of the logs of all surfaces, and of the photograph, where
-# diffuse surfaces have weight 1
-TEXELS_WEIGHT, MIRRORING_WEIGHT, LOGS_WEIGHT, PHOTO_WEIGHT = 0.3, 0.3, 0.2, 0.3
+# Weights in the outer loss, where diffuse surfaces have weight 1
+TEXELS_WEIGHT = 0.3  # of the radiance of texels
+MIRRORING_WEIGHT = 0.3  # of glossy surfaces
+LOGS_WEIGHT = 0.2  # of the logs of all surfaces
+PHOTO_WEIGHT = 0.3  # of the photograph
 LIGHT_WEIGHT = 0.3  # what a texel's own radiance, of mean 1, adds to its weight in a fit, so that few steps find suns
 BODY_NUMBERS = 10  # numbers that describe a sphere's material and a camera
-BODY_GAIN = 100  # factor of these numbers: few steps at a network's rate find them, else the map takes their part
+BODY_GAIN = (
+    100  # factor of these numbers, so that few steps at a network's rate find them; else the map would absorb them
+)
 BODY_ROUGHNESSES = (0.25, 0.42, 0.7)  # roughnesses of the lobes that a sphere's gloss is mixed of
 DEFAULT_READ_ROWS = 64  # rows to which files of maps are read, for networks of as many or fewer
 LOSS_PHOTO_PX = 32  # side of the photograph in the loss

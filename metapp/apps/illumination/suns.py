@@ -1,8 +1,9 @@
 """The brightest lights of a map in closed form: their directions, light and size.
 
-A sun is too small and too bright for few steps of a network. It has 10 numbers: the mean direction of its light, the
-light itself (radiance times solid angle, RGB), its mean squared angle to that direction in rad^2, and the radiance
-round it. Where a sun is, the network's radiance does not count.
+A network cannot fit a sun in few steps, as it is too small and too bright. So it is kept as 10 numbers: the mean
+direction of its light, the light above its surroundings (radiance times solid angle, RGB), the mean squared angle to
+that direction in rad^2, and the background radiance behind it, the mean of the texels that it covers, each capped.
+There the background replaces the network's radiance.
 """
 
 from __future__ import annotations

@@ -34,11 +34,11 @@ from metapp.extensions.guided.histogram import (
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 
-MIN_ENTRY_PATHS = 2048.0  # an entry that so many paths visited has a histogram of its own
-MAX_RECORDED_BOUNCES = 8  # of a path, that the cache learns from
+MIN_ENTRY_PATHS = 2048.0  # sum of 1 / density over bounces from which on an entry has a histogram of its own
+MAX_RECORDED_BOUNCES = 8  # first bounces of a path, from which the cache learns
 MIN_ROW_BOUNCES = 8  # a row of fewer bounces has no expectations
-_SUMS_PER_ENTRY = 3  # of radiance, of squares of carried radiance, of ones
-POINT_DENSITY_SHARE = 0.8  # of the voxels along an axis, which are placed where points are; the others are even
+_SUMS_PER_ENTRY = 3  # sums of outgoing luminance, of squared carried luminance, and of bounces
+POINT_DENSITY_SHARE = 0.8  # of the voxels along an axis, spread by the density of points; the others are even
 _AXIS_PARTS = 64  # parts of an axis within which voxels have one width
 _AXIS_STEPS = 1024  # steps of an axis, each in one voxel: the voxel of a point is looked up, not searched
 

@@ -40,7 +40,7 @@ from metapp.learning.rules import append_axes
 from metapp.learning.task import Batch, Params, Task, Tasks
 
 LIGHT_FLOOR = 0.03  # radiance, 1 is white, that is added before logs
-# Initial learned parameters of the loss: where |d| is rounded off, the weights of the prior and of moved flashes
+# Initial learned parameters of the loss: the |d| below which it is quadratic, weights of the prior and of moved flashes
 ROUNDING, PRIOR_WEIGHT, FLASH_WEIGHT = 0.02, 0.04, 0.02
 LIKELIHOOD_WEIGHT = 0.05  # weight in the outer loss of the likelihood of predicted deviations
 INITIAL_ROUGHNESSES = (0.15, 0.25, 0.35, 0.5, 0.7)  # candidates for the roughness that Overfit begins with
@@ -56,7 +56,7 @@ class Texels(NamedTuple):
 
     Attributes:
         height, width: texels.
-        periodic: whether the maps tile; no photographs of one place do.
+        periodic: whether the maps tile; False, as maps of a photographed place do not.
     """
 
     height: int
@@ -271,7 +271,7 @@ def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
 
     Args:
         maps: the maps [T, C, H, W].
-        batch: `photos` and `places`; the median over texels counts, where nothing clips.
+        batch: `photos` and `places`. Clipped values count as of no difference; the median over texels is taken.
     """
     places, photos = batch["places"], batch["photos"]
     zeros = places.new_zeros(len(places), FLASH_NUMBERS, places.shape[1])
@@ -283,8 +283,8 @@ def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
 def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Take random photographs of materials, as people do by hand.
 
-    The camera is held over the patch or tilted from all sides; measured places are up to 3 % off; the exposure is one
-    for all photographs, or each time another.
+    The camera is held over the patch or tilted from all sides. Measured places have Gaussian errors, of up to 3 % of the
+    height. The exposure is one for all photographs, or each time another.
 
     Args:
         maps: packed maps [T, 10, S, S].

@@ -1,7 +1,7 @@
 """Gauss-Newton steps of several photographs: the part `newton` of rules.
 
-Texels see each other only through the flashes, as points do through the cameras in bundle adjustment (Triggs et al.
-2000): the Schur complement gives the flashes, a system of 9 numbers each texel.
+Given the flashes, texels are independent, as points are given the cameras in bundle adjustment (Triggs et al. 2000). So
+a Schur complement yields one system of 4 N numbers for N flashes; then each texel has a system of 9 numbers.
 """
 
 from __future__ import annotations
@@ -27,8 +27,12 @@ TEXEL_NUMBERS = sum(CHANNELS)
 SHAPE_CHANNELS = 0, 1, ROUGHNESS_CHANNEL  # slopes and roughness among a texel's numbers, on which all channels depend
 FLASH_STRIDE = 4  # flashes are solved on every fourth row and column
 DAMPING = 0.03  # added to the diagonal of normal equations, beside the prior
-MAX_CHANGE = (0.3, 0.3, *(TEXEL_NUMBERS - 2) * (1.0,))  # largest change of each number of a texel in a step
-MAX_FLASH_CHANGE = 0.5  # largest change of each number of a flash in a step
+MAX_CHANGE = (
+    0.3,
+    0.3,
+    *(TEXEL_NUMBERS - 2) * (1.0,),
+)  # soft bound (tanh) of the change of each number of a texel in a step
+MAX_FLASH_CHANGE = 0.5  # hard bound of the change of each number of a flash in a step
 DIFFERENCE_STEP = 1e-3  # step of central differences, in the numbers of texels and flashes
 
 

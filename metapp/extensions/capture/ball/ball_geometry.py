@@ -58,13 +58,13 @@ class Ball(NamedTuple):
         """Return the disc's centre [3], in px, for a camera at the origin that looks to +z, with x right and y down."""
         return np.array([self.x - self.lens.x, self.y - self.lens.y, self.lens.focal])
 
-    def to_px(self, disc_places: Floats) -> Floats:
+    def to_px(self, places: Floats) -> Floats:
         """Return the px [2, ...] of the photograph (right, down) of places [2, ...] in the disc (right, up)."""
         centre = self._centre()
         right = np.cross([0.0, 1.0, 0.0], centre)
         up = np.cross(right, centre)
         axes = self.radius * np.stack([right / np.linalg.norm(right), up / np.linalg.norm(up)])
-        x, y, z = np.tensordot(centre, np.ones(disc_places.shape[1:]), 0) + np.tensordot(axes, disc_places, (0, 0))
+        x, y, z = np.tensordot(centre, np.ones(places.shape[1:]), 0) + np.tensordot(axes, places, (0, 0))
         return np.stack([self.lens.focal * x / z + self.lens.x, self.lens.focal * y / z + self.lens.y])
 
     def resize(self, share: float) -> Ball:
@@ -79,22 +79,22 @@ def disc_places(size: int) -> Floats:
     return np.stack(np.meshgrid(coordinates, -coordinates))
 
 
-def disc_to_directions(disc_places: Floats, angle: float = FAR_CAMERA_ANGLE_RAD) -> Floats:
+def disc_to_directions(places: Floats, angle: float = FAR_CAMERA_ANGLE_RAD) -> Floats:
     """Return the directions that places in the disc mirror; beyond the contour, those that the contour mirrors.
 
     Args:
-        disc_places: the places (right, up), [2, ...].
+        places: the places (right, up), [2, ...].
         angle: half the angle that the ball fills for its camera, in rad.
 
     Returns:
         The directions, [3, ...], of unit length.
     """
-    radius = np.hypot(disc_places[0], disc_places[1])
+    radius = np.hypot(places[0], places[1])
     # By the law of sines in the triangle of camera, centre and point: the mirrored direction leans by twice the angle
     # of incidence, less the lean beta of the ray itself.
     beta = np.arctan(np.minimum(radius, 1) * math.tan(angle))
     psi = 2 * np.arcsin(np.minimum(np.sin(beta) / math.sin(angle), 1)) - beta
-    azimuth_axis = disc_places / np.maximum(radius, 1e-12)
+    azimuth_axis = places / np.maximum(radius, 1e-12)
     return np.stack([np.sin(psi) * azimuth_axis[0], np.sin(psi) * azimuth_axis[1], np.cos(psi)])
 
 
