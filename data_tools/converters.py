@@ -150,10 +150,8 @@ class MapsConverter(Converter):
     A material has a base colour (diffuse, albedo, basecolor, color), a normal, and a roughness or gloss map, and may
     have a specular or metallic one, in any case and format, also packed (arm, orm, metallicRoughness). Variants
     (COL_VAR1) and tiles (1001) are materials of their own. The central square of each map is scaled to --size, and the
-    photograph under a flash is rendered. A bad material is skipped with a warning.
-
-    A colour whose name has no such word, rock.png beside rock_norm.png and rock_gloss.png, comes from an old game,
-    whose gloss is converted to a roughness.
+    photograph under a flash is rendered. A bad material is skipped with a warning. A colour whose name has no such
+    word, rock.png beside rock_norm.png and rock_gloss.png, is an old game's, whose gloss becomes a roughness.
 
     Examples:
       metapp data maps materials --out svbrdf

@@ -132,7 +132,7 @@ def describe_winner(row: Row, compared_row: str = "quickft") -> list[str]:
 
 
 def fit_remarks(rows: Sequence[Row]) -> list[str]:
-    """Return a line for each row with fits that end above their initialisation's loss, look doubtful, or were guarded."""
+    """Return a line for each row with fits that end above their initialisation's loss, are doubtful, or guarded."""
     remarks = (
         ("warnings", "{} of {} fits ended above their initialisation's loss"),
         ("doubtful", "{} of {} fits look doubtful; the entry `warning` of their records says why"),

@@ -283,8 +283,8 @@ def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
 def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Take random photographs of materials, as people do by hand.
 
-    The camera is held over the patch or tilted from all sides. Measured places have Gaussian errors, of up to 3 % of the
-    height. The exposure is one for all photographs, or each time another.
+    The camera is held over the patch or tilted from all sides. Measured places have Gaussian errors of up to 3 % of
+    the height. The exposure is one for all photographs, or each time another.
 
     Args:
         maps: packed maps [T, 10, S, S].
