@@ -117,7 +117,7 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
     shown = {each["title"]: each for each in view.facts["pictures"]}
     names = ("reference", REGULAR, pages.GUIDED_LABEL)
     worst = [f"worst region x4, {name}" for name in names]
-    assert list(shown) == [*names, *worst, "error by time", f"error, {REGULAR}", f"error, {pages.GUIDED}"]
+    assert list(shown) == [*names, *worst, "error by time", f"error, {REGULAR}", f"error, {pages.GUIDED_LABEL}"]
     assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
     light = {name: view.arrays[name].float().permute(2, 0, 1)[None] for name in names}
     assert float(light["reference"].mean()) == pytest.approx(1, rel=1e-3)
