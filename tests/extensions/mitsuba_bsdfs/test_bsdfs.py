@@ -100,7 +100,9 @@ def test_weights_that_change_are_evaluated_from_memory_alike(mi: Any, neural: Ne
         np.testing.assert_allclose(np.array(bsdf.eval(context, interaction, mi.Vector3f(light))), constant, 1e-4, 1e-6)
     small, numbers = neural("nbrdf").reflection.network, np.random.default_rng(0).random((6, 50))
     inputs = [mi.Float(row) for row in numbers]
-    np.testing.assert_allclose(np.array(small._by_vectors(inputs)), np.array(small._by_gathers(inputs)), 1e-4, 1e-5)
+    np.testing.assert_allclose(
+        np.array(small._apply_cooperative_vectors(inputs)), np.array(small._apply_gathered(inputs)), 1e-4, 1e-5
+    )
 
 
 @pytest.mark.parametrize(("bsdf", "other"), [("nbrdf", "Diffuse"), ("odd", "Null")], indirect=["bsdf"])
