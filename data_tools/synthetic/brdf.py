@@ -18,7 +18,7 @@ from data_tools.readers.brdf_task import make_brdf_task
 from data_tools.readers.merl import tabulate_merl, write_merl
 from data_tools.synthetic.brdf_anisotropic import anisotropic_materials
 from data_tools.synthetic.brdf_draws import COUNTS as COUNTS
-from data_tools.synthetic.brdf_draws import Draws, Split, SyntheticBrdf, colour_name, roughness_name
+from data_tools.synthetic.brdf_draws import Draws, SyntheticBrdf, colour_name, roughness_name
 from data_tools.synthetic.brdf_models import (
     CONDUCTORS,
     IsotropicModel,
@@ -32,6 +32,7 @@ from data_tools.synthetic.brdf_models import (
     plastic,
     sheen,
 )
+from data_tools.synthetic.random_values import Split
 from metapp.appearance.geometry import Cosines, angle_cosines
 from metapp.learning.task import Task
 

@@ -23,9 +23,10 @@ from data_tools.synthetic.brdf_anisotropic_models import (
     fibres,
     ward,
 )
-from data_tools.synthetic.brdf_draws import COUNTS, Draws, Split, SyntheticBrdf, colour_name
+from data_tools.synthetic.brdf_draws import COUNTS, Draws, SyntheticBrdf, colour_name
 from data_tools.synthetic.brdf_models import CONDUCTORS, Rgb
 from data_tools.synthetic.interfaces import fresnel_conductor
+from data_tools.synthetic.random_values import Split
 from metapp.appearance.geometry import rotate_about_normal, rusinkiewicz_to_directions
 from metapp.appearance.reflection import fresnel_schlick
 

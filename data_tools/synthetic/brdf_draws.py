@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from torch import Tensor
 
 from data_tools.synthetic.brdf_models import Rgb
+from data_tools.synthetic.random_values import Split
 from metapp.appearance.reflection import MicrofacetKind
 
-Split = Literal["train", "test"]
 COUNTS: dict[Split, int] = {"train": 80, "test": 20}
 
 

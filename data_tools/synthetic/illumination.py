@@ -30,8 +30,8 @@ from data_tools.synthetic.environments.outdoor import (
 )
 from data_tools.synthetic.environments.patterns import vector
 from data_tools.synthetic.environments.scene_geometry import EnvironmentScene
-from data_tools.synthetic.random_values import Field, between, chance
-from data_tools.synthetic.stationary.families import Split, split_draws
+from data_tools.synthetic.random_values import Field, Split, between, chance
+from data_tools.synthetic.stationary.families import split_draws
 from metapp.appearance.latlong import solid_angles
 from metapp.learning.task import Task
 

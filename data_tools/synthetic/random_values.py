@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from data_tools.random_streams import Rng
 
 Field = npt.NDArray[np.floating]  # float32 in all maps
 Ids = npt.NDArray[np.int64]
+Split = Literal["train", "test"]  # of an embedded set
 
 _Item = TypeVar("_Item")
 

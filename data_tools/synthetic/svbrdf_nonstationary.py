@@ -31,7 +31,8 @@ from data_tools.synthetic.nonstationary.wear import (
     stains,
     tracks,
 )
-from data_tools.synthetic.stationary.families import Split, split_draws
+from data_tools.synthetic.random_values import Split
+from data_tools.synthetic.stationary.families import split_draws
 from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES
 from metapp.appearance.flash import (
     BESIDE_LENS_SHARE,

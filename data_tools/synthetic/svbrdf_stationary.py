@@ -16,8 +16,8 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from data_tools.random_streams import Rng
 from data_tools.readers.flash_photos import UNITS as OF_PHOTOS
-from data_tools.synthetic.random_values import between, log_between, uniforms
-from data_tools.synthetic.stationary.families import FAMILIES, Split, split_draws
+from data_tools.synthetic.random_values import Split, between, log_between, uniforms
+from data_tools.synthetic.stationary.families import FAMILIES, split_draws
 from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from metapp.appearance.flash import (
     STATISTICS_SIDES_PX,

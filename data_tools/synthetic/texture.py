@@ -15,8 +15,8 @@ import torch
 
 from data_tools.random_streams import Rng
 from data_tools.synthetic.patterns.fields import blur_periodic, height_slopes
-from data_tools.synthetic.random_values import Field, between, log_between
-from data_tools.synthetic.stationary.families import FAMILIES, Split, split_draws
+from data_tools.synthetic.random_values import Field, Split, between, log_between
+from data_tools.synthetic.stationary.families import FAMILIES, split_draws
 from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from metapp.learning.task import Task
 

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 
 from data_tools.random_streams import random_stream
 from data_tools.synthetic.cornell import draw_scene
-from data_tools.synthetic.stationary.families import Split, split_draws
+from data_tools.synthetic.random_values import Split
+from data_tools.synthetic.stationary.families import split_draws
 from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, make_transport_task
 from metapp.learning.task import Task
 

@@ -19,7 +19,7 @@ import torch
 from data_tools.readers.merl import read_merl
 from data_tools.synthetic import brdf as synthetic_brdf
 from data_tools.synthetic import transport as synthetic_transport
-from data_tools.synthetic.stationary.families import Split
+from data_tools.synthetic.random_values import Split
 from data_tools.synthetic.transport import cornell_tasks, synthetic_tasks
 from metapp.learning.task import Task
 from metapp.registry import registry

@@ -23,6 +23,7 @@ from data_tools.synthetic.environments.scene_geometry import (
 from data_tools.synthetic.random_values import Field, between, chance, integer_between, log_between, pick, uniforms
 from data_tools.synthetic.stationary.periodic_maps import Range
 
+EYE_CLEARANCE_M = 0.5  # distance of the eye from boxes
 WALL_SIDES = (0, 1, 4, 5)  # numbers of the sides of a room that are walls
 
 
@@ -200,8 +201,9 @@ def add_beams(rng: Rng, scene: EnvironmentScene) -> None:
         low, high = vector(scene.low[0], top - depth, z - 0.12), vector(scene.high[0], top, z + 0.12)
         scene.boxes.append(Box(low, high, finish))
     for z in np.linspace(first, last, integer_between(rng, 0, 4)).tolist():
-        add_indoor_box(
-            scene, Box(vector(middle - 0.2, scene.low[1], z - 0.2), vector(middle + 0.2, top, z + 0.2), finish)
+        scene.add_box(
+            EYE_CLEARANCE_M,
+            Box(vector(middle - 0.2, scene.low[1], z - 0.2), vector(middle + 0.2, top, z + 0.2), finish),
         )
 
 
@@ -240,7 +242,7 @@ def add_box_at_wall(
         low[axis] = scene.high[axis] - size[2]
     else:
         high[axis] = scene.low[axis] + size[2]
-    add_indoor_box(scene, Box(np.maximum(low, scene.low), np.minimum(high, scene.high), finish))
+    scene.add_box(EYE_CLEARANCE_M, Box(np.maximum(low, scene.low), np.minimum(high, scene.high), finish))
 
 
 def add_furniture(rng: Rng, scene: EnvironmentScene, count: int, height: Range, colourful: bool = False) -> None:
@@ -258,7 +260,7 @@ def add_furniture(rng: Rng, scene: EnvironmentScene, count: int, height: Range, 
         half = vector(size[0], 0, size[2]) / 2 if chance(rng, 0.5) else vector(size[2], 0, size[0]) / 2
         low, high = np.maximum(middle - half, scene.low), np.minimum(middle + half, scene.high)
         low[1], high[1] = scene.low[1], min(float(scene.low[1]) + size[1], float(scene.high[1]) - 0.1)
-        add_indoor_box(scene, Box(low, high, finish))
+        scene.add_box(EYE_CLEARANCE_M, Box(low, high, finish))
 
 
 def _draw_painted_finish(rng: Rng, colour: Field) -> Finish:
@@ -267,9 +269,3 @@ def _draw_painted_finish(rng: Rng, colour: Field) -> Finish:
     kind = pick(rng, ("plain", "plain", "patches", "patches", "stripes"))
     finish = Finish(np.clip(colour, 0.02, 0.85), np.clip(other, 0.02, 0.85), kind, log_between(rng, 0.8, 4))
     return finish._replace(other=None) if kind == "plain" else finish
-
-
-def add_indoor_box(scene: EnvironmentScene, box: Box) -> None:
-    """Add a box unless the eye would be in it or less than 0.5 m from it."""
-    if (np.maximum(box.low, -box.high)[[0, 2]] > 0.5).any():
-        scene.boxes.append(box)

@@ -167,6 +167,11 @@ class EnvironmentScene:
         """Whether the scene has walls on all sides."""
         return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
 
+    def add_box(self, clearance_m: float, box: Box) -> None:
+        """Add a box unless the eye would be in it or less than `clearance_m` metres from it."""
+        if (np.maximum(box.low, -box.high)[[0, 2]] > clearance_m).any():
+            self.boxes.append(box)
+
 
 class Hits(NamedTuple):
     """The first intersections of N rays from the eye.

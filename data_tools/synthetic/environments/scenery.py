@@ -36,6 +36,7 @@ _WALLS: tuple[_Colours, ...] = (  # brick, plaster, concrete, wood
 )
 _HEDGE = Finish(vector(0.05, 0.08, 0.02), vector(0.12, 0.15, 0.05), "leaves", 6)
 
+EYE_CLEARANCE_M = 0.4  # distance of the eye from boxes
 NATURAL_GROUNDS = ("grass", "grass", "grass", "meadow", "meadow", "dirt", "dirt", "sand", "snow", "gravel")
 PAVED_GROUNDS = ("asphalt", "asphalt", "concrete", "concrete", "gravel")
 
@@ -112,7 +113,7 @@ def add_surrounding_houses(rng: Rng, scene: EnvironmentScene, distance: float, l
         half = vector(*(distance * between(rng, 0.12, 0.35) for _ in range(3)))
         low, high = centre - half, centre + half
         low[1], high[1] = bottom, bottom + height * between(rng, 0.4, 1.4)
-        add_outdoor_box(scene, Box(low, high, draw_facade_finish(rng, lit)))
+        scene.add_box(EYE_CLEARANCE_M, Box(low, high, draw_facade_finish(rng, lit)))
     add_trees(rng, scene, integer_between(rng, 0, 6), (6, distance))
     add_garden_walls(rng, scene, integer_between(rng, 0, 2))
     add_bushes(rng, scene, integer_between(rng, 0, 3), (4, distance))
@@ -143,10 +144,11 @@ def add_porch(rng: Rng, scene: EnvironmentScene) -> None:
     for post_z in np.linspace(z[0] + 0.2, z[1] - 0.2, integer_between(rng, 2, 5)).tolist():
         for edge in x if chance(rng, 0.5) else x[:1]:
             low, high = vector(edge - 0.15, bottom, post_z - 0.15), vector(edge + 0.15, underside, post_z + 0.15)
-            add_outdoor_box(scene, Box(low, high, finish))
+            scene.add_box(EYE_CLEARANCE_M, Box(low, high, finish))
     if chance(rng, 0.5):
-        add_outdoor_box(
-            scene, Box(vector(x[0] - 0.4, bottom, z[0]), vector(x[0] - 0.1, underside, z[1]), draw_wall_finish(rng))
+        scene.add_box(
+            EYE_CLEARANCE_M,
+            Box(vector(x[0] - 0.4, bottom, z[0]), vector(x[0] - 0.1, underside, z[1]), draw_wall_finish(rng)),
         )
 
 
@@ -162,7 +164,7 @@ def add_vehicles(rng: Rng, scene: EnvironmentScene, count: int, distance: Range,
         elif chance(rng, 0.5):
             half = half[[2, 1, 0]]
         centre[1] = scene.low[1] + half[1]
-        add_outdoor_box(scene, Box(centre - half, centre + half, Finish(colour, gloss=0.05)))
+        scene.add_box(EYE_CLEARANCE_M, Box(centre - half, centre + half, Finish(colour, gloss=0.05)))
 
 
 def add_garden_walls(rng: Rng, scene: EnvironmentScene, count: int) -> None:
@@ -185,7 +187,7 @@ def add_garden_walls(rng: Rng, scene: EnvironmentScene, count: int) -> None:
         if chance(rng, 0.4):
             pattern, size = pick(rng, ("stripes", "patches")), log_between(rng, 0.6, 6)
             finish = finish._replace(other=finish.colour * np.float32(0.2), pattern=pattern, size=size)
-        add_outdoor_box(scene, Box(low, high, finish))
+        scene.add_box(EYE_CLEARANCE_M, Box(low, high, finish))
 
 
 def add_paths(rng: Rng, scene: EnvironmentScene, count: int) -> None:
@@ -215,7 +217,7 @@ def _add_tree(rng: Rng, scene: EnvironmentScene, x: float, z: float, radius: flo
     scene.crowns.append(Crown(vector(x, top, z), radius, _draw_leaf_colour(rng)))
     trunk = vector(0.06, 0, 0.06) * np.float32(1 + radius)
     bark = Finish(vector(0.09, 0.07, 0.05) * np.float32(between(rng, 0.5, 2)))
-    add_outdoor_box(scene, Box(vector(x, scene.low[1], z) - trunk, vector(x, top, z) + trunk, bark))
+    scene.add_box(EYE_CLEARANCE_M, Box(vector(x, scene.low[1], z) - trunk, vector(x, top, z) + trunk, bark))
 
 
 def add_bushes(rng: Rng, scene: EnvironmentScene, count: int, distance: Range) -> None:
@@ -233,9 +235,3 @@ def add_bushes(rng: Rng, scene: EnvironmentScene, count: int, distance: Range) -
 def _draw_leaf_colour(rng: Rng) -> Field:
     """Draw the albedo [3] of foliage."""
     return vector(between(rng, 0.45, 1.0), 1, between(rng, 0.15, 0.5)) * np.float32(between(rng, 0.05, 0.14))
-
-
-def add_outdoor_box(scene: EnvironmentScene, box: Box) -> None:
-    """Add a box unless the eye would be in it or less than 0.4 m from it."""
-    if (np.maximum(box.low, -box.high)[[0, 2]] > 0.4).any():
-        scene.boxes.append(box)

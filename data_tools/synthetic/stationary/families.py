@@ -7,16 +7,15 @@ orientation and irregularity, and most hold several kinds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Literal
 
 from data_tools.random_streams import Rng, random_stream
+from data_tools.synthetic.random_values import Split
 from data_tools.synthetic.stationary.building_materials import bricks, metal, shingles, tiles, wood
 from data_tools.synthetic.stationary.nature import camouflage, dots, foliage, grass, rust
 from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
 from data_tools.synthetic.stationary.stone import cracks, grain, granite, gravel, marble, terrazzo
 from data_tools.synthetic.stationary.textile import knit, leather, stripes, weave
 
-Split = Literal["train", "test"]
 Family = Callable[[Rng, int], PeriodicMaps]
 
 FAMILIES: dict[str, Family] = {

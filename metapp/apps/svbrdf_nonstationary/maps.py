@@ -32,6 +32,7 @@ FLASH_NUMBERS = 4  # unbounded numbers that stand for a flash: its shift in x an
 FLASH_SHIFT, FLASH_LOG_HEIGHT, FLASH_LOG_GAIN = 0.3, 0.2, 0.3
 MIN_ROUGHNESS = 0.05  # the roughness of maps, whose square is alpha of GGX, is not below
 CLIPPED_VALUE = 0.95  # linear value, 1 is white, from which on a photograph may be clipped
+MIN_NORMAL_Z = 0.2  # z of normals by which slopes stay below 5
 MIN_COSINE = 0.4  # cosine with the patch's normal of the most oblique light or view
 CONTRAST_CELLS = 64  # a picture's side over the distance of the neighbours that contrasts are taken of
 
@@ -68,6 +69,11 @@ def pool_maps(maps: Tensor, size: Sequence[int]) -> Tensor:
 def normalise(vectors: Tensor) -> Tensor:
     """Scale vectors [..., 3, H, W] to length 1; many times as fast as torch's own function, as channels come first."""
     return vectors * vectors.square().sum(-3, keepdim=True).clamp_min(1e-24).rsqrt()
+
+
+def find_slopes(normals: Tensor) -> Tensor:
+    """Return x and y over z of normals [T, 3, H, W], with z raised to at least MIN_NORMAL_Z: [T, 2, H, W]."""
+    return normals[:, :2] / normals[:, 2:].clamp_min(MIN_NORMAL_Z)
 
 
 def map_differences(maps: Maps, target: Maps) -> list[Tensor]:

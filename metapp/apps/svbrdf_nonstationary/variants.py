@@ -27,6 +27,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH_NUMBERS,
     FLASH_SHIFT,
     decode_flash,
+    find_slopes,
     normalise,
     render_photo,
 )
@@ -128,7 +129,7 @@ def restyle(maps: Tensor, rng: Generator) -> Tensor:
         return uniform(1, 1, 1) < share
 
     normals, diffuse, roughness, specular = maps.split((3, 3, 1, 3), 1)
-    slopes = normals[:, :2] / normals[:, 2:].clamp_min(0.2)
+    slopes = find_slopes(normals)
     slopes = slopes * torch.where(draw_chance(0.6), torch.exp(0.5 * normal(1, 1, 1)), 1)
     slopes = _limit_slopes(slopes, MAX_SLOPE)
     tone_pattern = _standardise((diffuse.mean(1, keepdim=True) + 1e-3).log())

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.apps.svbrdf_nonstationary.maps import PIXEL_INPUTS, normalise, pixel_inputs, pool_maps
+from metapp.apps.svbrdf_nonstationary.maps import PIXEL_INPUTS, find_slopes, normalise, pixel_inputs, pool_maps
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import describe_patch
 from metapp.apps.svbrdf_nonstationary.variants import (
     RESTYLED_SHARES,
@@ -53,7 +53,7 @@ def flatten_relief(maps: Tensor, rng: Generator) -> Tensor:
     """Flatten the relief of materials [T, 10, S, S], so that their patterns are nearly all paint."""
     uniform, _ = draws_per_material(len(maps), rng)
     low, high = LOG_FLATTENING
-    slopes = maps[:, :2] / maps[:, 2:3].clamp_min(0.2) * torch.exp(low + (high - low) * uniform(1, 1, 1))
+    slopes = find_slopes(maps[:, :3]) * torch.exp(low + (high - low) * uniform(1, 1, 1))
     return torch.cat([normalise(torch.cat([slopes, torch.ones_like(slopes[:, :1])], 1)), maps[:, 3:]], 1)
 
 

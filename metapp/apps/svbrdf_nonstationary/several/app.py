@@ -29,6 +29,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     decode_maps,
     decode_photo,
     encode_roughness,
+    find_slopes,
     map_differences,
     pool_maps,
 )
@@ -184,7 +185,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         maps, target = decode_maps(theta["maps"]), unpack_maps(batch["maps"])
         differences = map_differences(maps, target)
         diffuse, specular, roughness, normal = (difference.abs().mean((1, 2, 3)) for difference in differences)
-        slope_error = (_find_slopes(maps.normal) - _find_slopes(target.normal)).abs().mean((1, 2, 3))
+        slope_error = (find_slopes(maps.normal) - find_slopes(target.normal)).abs().mean((1, 2, 3))
         mean_tilt = target.normal[:, :2].abs().sum(1).mean((1, 2)) / 3
         loss = 0.5 * self.radiance_difference(maps, target, batch["pairs"])
         loss = loss + 2 * normal + 0.15 * normal / (mean_tilt + 0.03)
@@ -336,11 +337,6 @@ def _round_off(difference: Tensor, rounding: Tensor) -> Tensor:
     """Return sqrt(d^2 + s^2) - s for a difference d [T, ...] and its rounding s [T] or []: |d|, rounded off below s."""
     rounding = append_axes(rounding, difference)
     return (difference * difference + rounding * rounding).sqrt() - rounding
-
-
-def _find_slopes(normal: Tensor) -> Tensor:
-    """Return x and y over z of normals [T, 3, H, W], where z is small over a greater one: [T, 2, H, W]."""
-    return normal[:, :2] / normal[:, 2:].clamp_min(0.2)
 
 
 def _encode_maps(maps: Maps) -> Tensor:
