@@ -9,9 +9,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.arguments import JsonFlag, Overwrite, Quiet, Seed, check_new_file
-from metapp.cli.console import print_json
 from metapp.names import did_you_mean
-from metapp.runs.reporter import progress, say
 
 
 def plan_measurements(
@@ -53,45 +51,15 @@ def plan_measurements(
       metapp meta brdf paint.csv
       metapp plan brdf --samples 8 --after paint.csv --out more.csv
     """
-    import torch
-
-    from data_tools.readers.gonio import read_pairs, write_pairs
-    from data_tools.readers.measured_pairs import MIN_PAIRS, MeasuredPairs
-    from metapp.appearance.geometry import directions_to_rusinkiewicz
     from metapp.apps.brdf.few.design import InstrumentLimits
-    from metapp.apps.brdf.presenter import describe_unseen_highlight
-    from metapp.evaluation.planning import draw_directions, plan_brdf
-    from metapp.evaluation.style import save_figure
+    from metapp.cli.planned_pairs import write_plan
 
     if app != "brdf":
         expected = f"expected brdf; other applications have no directions to choose.{did_you_mean(app, ['brdf'])}"
         raise typer.BadParameter(f"'{app}': {expected}")
     for path in (out, out.with_suffix(".png")):
         check_new_file(path, overwrite)
-    detector = None if detector is None else math.radians(detector)
-    limits = InstrumentLimits(math.radians(grazing), math.radians(apart), detector)
-    no_directions = torch.zeros(0, 3, dtype=torch.float64)
-    measurements = read_pairs(after) if after else MeasuredPairs(no_directions, no_directions, no_directions)
-    with progress("plan", quiet=quiet):
-        wi, wo, (error_before, error_after) = plan_brdf(samples, limits, measurements, seed)
-    write_pairs(out, wi, wo, measurements)
-    picture = save_figure(draw_directions(wi, wo, measurements), out.with_suffix(".png"))
-    if not quiet:
-        errors = f"from {error_before:.2f} to {error_after:.2f}"
-        say(f"{out}: {samples} pairs to measure; the expected error x100 falls {errors}")
-        pairs = samples + len(measurements.wi)
-        next_step = (
-            f"metapp meta brdf {out}"
-            if pairs >= MIN_PAIRS
-            else f"plan more pairs by --after {out}, since a fit takes at least {MIN_PAIRS}"
-        )
-        all_angles = torch.cat(
-            [directions_to_rusinkiewicz(*pair) for pair in ((measurements.wi, measurements.wo), (wi, wo))]
-        )
-        if unseen := describe_unseen_highlight(all_angles):
-            say(f"{unseen}; allow them by --apart and --grazing")
-        say(f"picture: {picture}\nfill in r, g, b; then: {next_step}")
-    if json:
-        expected_errors = {"before": error_before, "after": error_after}
-        written = {"out": str(out), "picture": str(picture)}
-        print_json({"samples": samples, **written, "expected_error": expected_errors})
+    limits = InstrumentLimits(
+        math.radians(grazing), math.radians(apart), None if detector is None else math.radians(detector)
+    )
+    write_plan(samples, limits, out=out, after=after, seed=seed, json=json, quiet=quiet)

@@ -75,11 +75,6 @@ class App(ABC):
     deterministic: ClassVar[bool] = False
 
     @property
-    def cheap_fits(self) -> bool:
-        """Whether fits are so quick that a search of an Adam can fit all validation tasks."""
-        return False
-
-    @property
     def read_size(self) -> int:
         """The size at which a user's files are read, in px a side or rows of a map; 0 leaves it to the readers."""
         return 0

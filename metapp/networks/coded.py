@@ -17,7 +17,6 @@ from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.networks.field import LocalField, regrid
 
-CHEAP_TEXELS = 64 * 64  # texels of the largest field that a search can afford to fit to all validation tasks
 INITIAL_SMOOTHING = 0.3  # of |d| in losses, in their unit, before a rule has learned it
 
 
@@ -36,11 +35,6 @@ class CodedApp(App):
     network: LocalField = field()
 
     single_threaded = deterministic = True
-
-    @property
-    @override
-    def cheap_fits(self) -> bool:
-        return self.network.height * self.network.width <= CHEAP_TEXELS
 
     @override
     def loss_parameters(self, steps: int) -> Params:

@@ -187,7 +187,8 @@ def _run_outer_loop(
             yield state._replace(note=note if mean is None else f"loss {mean:.3f}, {note}")
 
 
-MAX_SEARCH_TASKS = 8  # validation tasks of a search whose fits are not cheap
+MAX_SEARCH_TASKS = 8  # validation tasks of a search, unless networks are small
+SMALL_NETWORK_PARAMETERS = 2**16  # up to which a search can afford to fit single-threaded applications to all tasks
 
 
 def _search_adam(
@@ -234,9 +235,11 @@ def _search_adam(
 
 
 def _select_search_tasks(app: App, tasks: Tasks) -> Tasks:
-    """Return all validation tasks if fits are cheap, else up to MAX_SEARCH_TASKS of them, evenly spaced."""
-    if app.cheap_fits:
-        return tasks
+    """Return all validation tasks if networks are small, else up to MAX_SEARCH_TASKS of them, evenly spaced."""
+    if app.single_threaded:
+        theta = app.init(Generator().manual_seed(0), 1)
+        if sum(parameter.numel() for parameter in theta.values()) <= SMALL_NETWORK_PARAMETERS:
+            return tasks
     count = min(len(tasks), MAX_SEARCH_TASKS)
     return tasks.select([i * len(tasks) // count for i in range(count)])
 

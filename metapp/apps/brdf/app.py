@@ -53,7 +53,7 @@ class Brdf(App):
         "render": TensorSpec(("H", "W", 4), optional=True),
         "environment": TensorSpec(("h", "w", 4), optional=True),
     }
-    single_threaded = cheap_fits = True
+    single_threaded = True
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
