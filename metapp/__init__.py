@@ -1,12 +1,21 @@
 """metapp: reproduce visual appearance by machine learning, and compare how training decides speed and quality.
 
-This module has the Python API alone:
+This module holds the Python API alone, and imports it at its first use:
 
     import metapp
 
     fit = metapp.fit("brdf", "gold.binary")
     fit.error, fit.seconds, fit.parameters
     fit.save("gold.safetensors")
+
+The packages in order of reading: `learning` has fits and update rules, `paradigms` the five ways of training;
+`appearance`, `networks` and `rendering` have what applications are made of, `apps` the applications; `storage` has
+files, `runs` what one command does, `evaluation` tables and figures, `cli` the commands. `checkpoints` holds the
+checkpoints that ship, `extensions` packages that the core never imports.
+
+Of the modules, `registry` has tables of all that has a name, `contracts` what the entries of these tables must be, and
+`contents` the core's entries. `learned_rules` finds rules by name, `names` lists names for help and errors, `options`
+makes options of dataclasses, `mitsuba` registers plugins for Mitsuba 3, and `__main__` runs the command `metapp`.
 """
 
 from __future__ import annotations

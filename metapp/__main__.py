@@ -1,4 +1,4 @@
-"""The command `metapp`, for `python -m metapp`."""
+"""The command `metapp` for those who start it by `python -m metapp`. Its code is in `metapp.cli`."""
 
 from metapp.cli import main
 

@@ -1,6 +1,7 @@
-"""All that the core registers, by name, on one page: each entry is imported at its first use.
+"""All that the core registers, by name, on one page; the code of an entry is imported at its first use.
 
-Extensions register their entries in modules of their own. This one imports nothing that a listed module needs.
+Extensions register their entries in modules of their own. Every command imports this module, so it imports nothing but
+the registry and the table of paradigms, which are quick to import.
 """
 
 import math

@@ -1,9 +1,12 @@
 """The contracts of the registry's tables: what the object that an entry names takes and returns.
 
 A class here is a `typing.Protocol`: a function or module with a matching signature fulfils it without naming it. Tables
-of :class:`metapp.registry.Registry` name their contracts, so that mypy checks calls of the objects that they load. The
-types are types of `metapp.learning`, for mypy alone: nothing is imported at run time. A type of a layer above is `Any`,
-and the docstring names it.
+of :class:`metapp.registry.Registry` name their contracts, so that mypy checks calls of the objects that they load.
+Contracts that are base classes are elsewhere: `metapp.learning.app.App`, `metapp.appearance.presenter.Presenter`,
+`metapp.learning.rules.Part` and `metapp.extensions.baselines.baseline.Baseline`.
+
+The types are types of `metapp.learning`, for mypy alone: nothing is imported at run time. A type of a layer above is
+`Any`, and the docstring names it.
 """
 
 from __future__ import annotations
@@ -41,9 +44,9 @@ class ReadObject(Protocol):
         Args:
             source: the object, of any type but a path or text.
             name: the task's name, with which error messages begin.
-            **arguments: `observe`, the value of --observe; `size`, `rows` and `least`, in px, if the application reads
-                pictures to a size; and the options about INPUT that the user gave. The function must accept further
-                ones as `**_`.
+            **arguments: `observe`, the value of --observe; the options about INPUT that the user gave; and, if
+                `App.read_size` is not 0, the sizes to read to, in px: `size`, the side of pictures, `rows`, the rows of
+                panoramas, and `least`, the least side of photographs. The function must accept further ones as `**_`.
 
         Raises:
             ValueError: the application fits no objects of this type, or the values are not usable.
@@ -53,6 +56,8 @@ class ReadObject(Protocol):
 
 class MergeInputs(Protocol):
     """A function that makes one task of all inputs, called if the option of its key is given, such as --shutter.
+
+    The option is a field of the application's options (`metapp.options.AppOptions`), about INPUT.
 
     >>> import torch
     >>> from pathlib import Path
@@ -79,6 +84,8 @@ class MergeInputs(Protocol):
 
 class RenderFit(Protocol):
     """A function that makes further pictures of a fit, called if the option of its key is given, such as --render.
+
+    The option is a field of the application's options (`metapp.options.AppOptions`), about OUTPUT.
 
     >>> import torch
     >>> from metapp.appearance.pictures import Picture, ScenePictures

@@ -1,6 +1,7 @@
 """Learned rules by name: rules, parts and compositions of the registry, as --rule names them.
 
-`metapp.learning.rules` composes parts, and knows no registry; this module gives it the registered ones.
+`metapp.learning.rules` composes parts and knows no registry; this module passes it the parts and the names that are
+registered.
 """
 
 from __future__ import annotations

@@ -143,7 +143,13 @@ def parse_options(options: type[Options], values: Mapping[str, object], **checke
 
 @dataclass(frozen=True)
 class AppOptions:
-    """The options that an application has in addition to the options of all fits; applications extend this class."""
+    """The options that an application has in addition to the options of all fits.
+
+    An application's subclass is a frozen dataclass, each field of which is annotated by an :class:`Option`. The
+    option's
+    panel says what the option influences: INPUT the reading of inputs, FIT the recipe, by :meth:`adapt_recipe`, and
+    OUTPUT the presenter and the files of a fit.
+    """
 
     def non_default_values(self, *panels: str) -> dict[str, Any]:
         """Return the values that differ from their default, by name, of options in these panels or in all panels."""
@@ -203,8 +209,9 @@ def split_option(auto: str) -> Option:
 class Converter:
     """The command `metapp data NAME`, which converts files of the format NAME to a data set.
 
-    A subclass declares the command: its fields are the options, and its docstring is the help. If names or files tell
-    more about the split than their order, it declares `split` again.
+    A subclass declares the command. Its fields are the options, which the format's `read_task` gets as keyword
+    arguments, and its docstring is the help. If names or files tell more about the split than their order, it declares
+    `split` again, by :func:`split_option`.
     """
 
     split: Annotated[str, split_option("of the sorted names, every fifth is a test task (80 give 64 + 16).")] = "auto"

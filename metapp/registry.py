@@ -67,9 +67,9 @@ class Entry(Generic[Contract]):
     """A reference to an object, with its help and conditions, which are known before it is imported.
 
     Attributes:
-        reference: "module:attribute", or "module:TABLE.key" for the entry of a table.
-        help: a few words that help texts and lists show.
-        apps: the applications that the object is for, if the entry's key does not name one.
+        reference: "module:attribute"; "module:TABLE.key" for an entry of a dictionary; "module" for the module itself.
+        help: a few words that help texts and lists show; :class:`Registry` says for some tables what they are about.
+        apps: the applications that the object is for, if the entry's key does not name one, as of measures.
 
     >>> Entry("math:gcd").load()(12, 18)
     6
@@ -91,7 +91,9 @@ class Entry(Generic[Contract]):
 
 @dataclass(frozen=True, kw_only=True)
 class Application(Entry[Any]):
-    """An application: a reference to a subclass of `metapp.learning.app.App`.
+    """The entry of an application: a reference to a subclass of `metapp.learning.app.App`.
+
+    The entry's key is the application's name. Its recipes are entries of their own, and "quick" is one of them.
 
     Attributes:
         title: the name in tables and pictures.
@@ -143,17 +145,21 @@ class Format(Entry[Any]):
 
     - `recognises(path)`, for inputs of fits: returns whether a path is a file of the format, or a folder with such
       files, by suffixes and first bytes;
-    - `find(path)`: returns a `data_tools.readers.input_source.Source` for each task, with all that must be known before
-      it is read, and a message for each skipped file of a folder; raises ValueError for a bad path;
-    - `read_task(path, ...)`: returns the task; raises ValueError if the file is damaged. Fits pass those keyword
-      arguments that it names, among them `content`, which is what `find` has parsed already;
-    - `UNITS`, if the command "data NAME" (a `metapp.options.Converter`) converts files: units of tensors by name;
-    - `entries(paths, folders, split)`, optional: returns names, groups and splits, each as a
-      `metapp.storage.data_sets.ManifestEntry`, for the paths of all sources.
+    - `find(path)`: returns a pair of lists: a `data_tools.readers.input_source.Source` for each task, with all that
+      must be known before the task is read, and a line for each file of a folder that is skipped. It raises ValueError
+      for a bad path. The caller fills in the fields `format`, `given` and `named` of a source;
+    - `read_task(path, ...)`: returns the task; raises ValueError if the file is damaged. It may name keyword arguments,
+      all with defaults. Fits pass those that it names of the arguments that :class:`metapp.contracts.ReadObject` lists,
+      and `content`, which is the `content` of the source. The command "data NAME" passes its options and `content`;
+    - `UNITS`, if there is a command "data NAME" (a `metapp.options.Converter`): units of the tasks' tensors by name;
+    - `entries(paths, folders, split)`, optional, for that command: returns name, group and split of each task as a
+      `metapp.storage.shards.ManifestEntry`, by the path of its source; sources without an entry are left out. `folders`
+      are the folders that were searched, `split` is the command's option. By default a task is named by its file.
 
     Attributes:
         app: the application whose tasks the files hold.
-        inputs: what the files are, in words, for help and errors; "" if fits do not accept them as INPUT.
+        inputs: what the files are, in words, for help and errors; "" if fits do not accept them as INPUT, so that the
+            module needs no `recognises`.
         data_sets: whether the command "data NAME" also accepts data sets.
     """
 
@@ -184,7 +190,11 @@ class Export(Entry[Any]):
 
 
 class Entries(UserDict[Any, Value]):
-    """Entries by name, or by several words such as an application and a name. Each key can be set once.
+    """A table of entries by name, or by several words such as an application and a name. Each key can be set once.
+
+    Args:
+        kind: the type of all entries.
+        key_length: the number of words of a key; keys of several words are tuples.
 
     >>> commands = Entries(Entry)
     >>> commands["count"] = Entry("mine:count")
@@ -226,10 +236,43 @@ def _join_words(*words: str) -> str:
 class Registry:
     """Tables of entries, and which package filled them.
 
-    The keys of a table are names unless a comment says more. The type of a table's entries names their contract: what
-    the object that an entry loads takes and returns. See :mod:`metapp.contracts`.
+    Keys of a table are names, or pairs and triples that begin with an application's name. The type of a table's entries
+    names their contract: what the object that an entry loads takes and returns. See :mod:`metapp.contracts`.
 
     Attributes:
+        applications: applications by name.
+        recipes: recipes by application, protocol ("" if there is only one) and name.
+        networks: networks of an application that users do not choose, by application and name: the parameters of a fit
+            tell which one they belong to. Of the applications that ship, brdf has such networks, objects of
+            `metapp.apps.brdf.brdf_network.BrdfNetwork`.
+        parts: parts of learned rules, in the order in which they act on a step. An entry loads a subclass of
+            `metapp.learning.rules.Part`, or another function that makes a part; the key is the part's `name`.
+        rules: learned rules, as names of parts and compositions that are joined by "+".
+        compositions: further such texts, whose names may also be a piece of a longer composition; lists of choices show
+            the names in `rules` alone.
+        formats: formats of files. The command "data NAME" converts the files of the format NAME.
+        objects: functions that make tasks of objects in memory, by application.
+        synthetic: modules that draw embedded data sets, by application.
+        merges: functions that make one task of all inputs, by application and by the name of an option of the
+            application about INPUT, which calls for it.
+        outputs: functions that make further pictures of a fit, by application and by the name of an option of the
+            application about OUTPUT, which calls for them.
+        exports: forms in which fits are written, by application and name.
+        file_exports: forms in which files that are no fits are written; `help` says which files.
+        pages: functions that make the viewer's pages of fits, by application.
+        plugins: functions without arguments that register a plugin of Mitsuba, by the plugin's name. For an integrator
+            `help` says what it does; for a BSDF `help` is empty, which is how the two are told apart.
+        measures: measures of pictures by name. An entry loads a `metapp.appearance.picture_measures.PictureMeasure`;
+            its `apps` are the applications whose pictures are measured, and `help` is the note in tables.
+        baselines: functions that make baselines, by application and by the name of a baseline.
+        tables: tables of `metapp evaluate`; `help` is the heading in a report.
+        commands: commands by the words after `metapp`. An entry loads a function that typer reads or a group of typer;
+            for "data FORMAT" it loads a subclass of `metapp.options.Converter`.
+        examples: commands that work as they are, by application: pairs of the words after `metapp`, in which {} is the
+            folder of inputs, and of a line about what they produce.
+        methods: functions that become methods of fits in the Python API.
+        hooks: functions that the core calls if they are there: "steps" is a :class:`metapp.contracts.MakeSteps`,
+            "scene" a :class:`metapp.contracts.CheckScene`.
         owners: the package that registered a name, by table and name.
         extensions: the package of each extension, by the extension's name.
         problems: why some extensions cannot be used, by "NAME of PACKAGE".
@@ -237,37 +280,27 @@ class Registry:
 
     def __init__(self) -> None:
         self.applications = Entries(Application)
-        self.recipes = Entries(RecipeEntry, 3)  # by application, protocol ("" if there is only one) and name
-        self.networks: Entries[Entry[Any]] = Entries(
-            Entry, 2
-        )  # by application and name; a fit's parameters tell its network
-        # parts of learned rules, in the order in which they act on a step; rules and compositions are names joined by
-        # +, and lists of choices show rules alone
+        self.recipes = Entries(RecipeEntry, 3)
+        self.networks: Entries[Entry[Any]] = Entries(Entry, 2)
         self.parts: Entries[Entry[Callable[[], contracts.Part]]] = Entries(Entry)
         self.rules = Entries(str)
         self.compositions = Entries(str)
         self.formats = Entries(Format)
-        self.objects: Entries[Entry[contracts.ReadObject]] = Entries(Entry)  # by application
-        self.synthetic: Entries[Entry[contracts.EmbeddedSet]] = Entries(Entry)  # by application
-        self.merges: Entries[Entry[contracts.MergeInputs]] = Entries(Entry, 2)  # by application and option
-        self.outputs: Entries[Entry[contracts.RenderFit]] = Entries(Entry, 2)  # by application and option
-        self.exports = Entries(Export, 2)  # by application and name
-        self.file_exports: Entries[Entry[contracts.ExportFiles]] = Entries(
-            Entry
-        )  # `help` says which files are exported
-        self.pages: Entries[Entry[contracts.ViewFit]] = Entries(Entry)  # by application
-        # functions that register a plugin of Mitsuba; for an integrator `help` says what it does
+        self.objects: Entries[Entry[contracts.ReadObject]] = Entries(Entry)
+        self.synthetic: Entries[Entry[contracts.EmbeddedSet]] = Entries(Entry)
+        self.merges: Entries[Entry[contracts.MergeInputs]] = Entries(Entry, 2)
+        self.outputs: Entries[Entry[contracts.RenderFit]] = Entries(Entry, 2)
+        self.exports = Entries(Export, 2)
+        self.file_exports: Entries[Entry[contracts.ExportFiles]] = Entries(Entry)
+        self.pages: Entries[Entry[contracts.ViewFit]] = Entries(Entry)
         self.plugins: Entries[Entry[Callable[[], None]]] = Entries(Entry)
-        self.measures: Entries[Entry[Any]] = Entries(Entry)  # a `metapp.appearance.picture_measures.PictureMeasure`
-        self.baselines: Entries[Entry[contracts.MakeBaselines]] = Entries(Entry, 2)  # by application and method
-        self.tables: Entries[Entry[contracts.MakeTable]] = Entries(Entry)  # of `metapp evaluate`; `help`: the heading
-        # functions that typer reads, or groups of typer; for "data FORMAT" subclasses of `metapp.options.Converter`
+        self.measures: Entries[Entry[Any]] = Entries(Entry)
+        self.baselines: Entries[Entry[contracts.MakeBaselines]] = Entries(Entry, 2)
+        self.tables: Entries[Entry[contracts.MakeTable]] = Entries(Entry)
         self.commands: Entries[Entry[Any]] = Entries(Entry)
-        # by application: pairs of the words after `metapp`, in which {} is the folder of inputs, and of a line about
-        # what they produce
         self.examples: Entries[Entry[Sequence[tuple[str, str]]]] = Entries(Entry)
-        self.methods: Entries[Entry[contracts.FitMethod]] = Entries(Entry)  # methods of fits in the Python API
-        self.hooks: Entries[Entry[Any]] = Entries(Entry)  # "steps" is a `contracts.MakeSteps`, "scene" a `CheckScene`
+        self.methods: Entries[Entry[contracts.FitMethod]] = Entries(Entry)
+        self.hooks: Entries[Entry[Any]] = Entries(Entry)
         self.owners: dict[str, str] = {}
         self.extensions: dict[str, str] = {}
         self.problems: dict[str, str] = {}

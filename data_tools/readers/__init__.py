@@ -1,6 +1,10 @@
 """Readers and writers of files, one module a format.
 
-To read in this order: `listing` finds files in folders and `input_source` says what a reader finds; `image_files`,
-`colours`, `lenses`, `camera_raws` and `numbers`, `arrays` read pictures from files and from memory; all other modules
-make the tasks of a format of them.
+Read these first: `listing` finds files in folders, `input_source` says what a reader finds. `image_files` reads
+pictures, with `colours`, `lenses` and `camera_raws`; `arrays` and `numbers` read pictures and numbers in memory.
+
+Readers of BRDFs make tasks by `brdf_task` or `measured_pairs`: `merl`, `nbrdf_files`, `gonio` and `brdf_objects`.
+Readers of photographs build on `square_photos`, which reads textures itself: `flash_photos`, and for non-stationary
+svBRDFs, whose tasks `svbrdf_task` makes, `svbrdf_inputs`, `strips`, `placed_photos`, `material_maps` with `map_names`
+and `normal_maps`, and `training_materials`. `environment_maps` reads light.
 """

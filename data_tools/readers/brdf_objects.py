@@ -1,4 +1,7 @@
-"""BRDFs in memory as tasks: functions of two directions, arrays of samples, and BSDFs of Mitsuba."""
+"""BRDFs in memory as tasks: functions of two directions, arrays of samples, and BSDFs of Mitsuba.
+
+The Python API passes objects here. Files are read elsewhere; tasks of both are made by the same functions.
+"""
 
 from __future__ import annotations
 

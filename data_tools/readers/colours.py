@@ -30,21 +30,35 @@ Floats = NDArray[np.floating]
 
 
 class IccProfile(NamedTuple):
-    """An ICC profile of encoded colours: its description, and its conversion of uint8 [rows, columns, 3] to sRGB."""
+    """An ICC profile of encoded colours.
+
+    Attributes:
+        name: the description in the profile.
+        convert: a function that converts colours, uint8 [rows, columns, 3], to sRGB.
+    """
 
     name: str
     convert: Callable[[Array], Array]
 
 
 class Primaries(NamedTuple):
-    """The matrix [3, 3] of linear colours to Rec.709, and their encoding: a power, 1 for none, 0 for sRGB's curve."""
+    """A colour space that is given by its primaries.
+
+    Attributes:
+        matrix: the matrix [3, 3] of linear colours to linear Rec.709.
+        power: the power of stored values that makes them linear; 1 if they are so, 0 for sRGB's curve.
+    """
 
     matrix: Floats
     power: float = 1.0
 
 
 class Hlg(NamedTuple):
-    """Hybrid log-gamma (ITU-R BT.2100): the matrix [3, 3] of linear colours to Rec.709."""
+    """A colour space whose values are encoded by hybrid log-gamma (ITU-R BT.2100).
+
+    Attributes:
+        matrix: the matrix [3, 3] of linear colours to linear Rec.709.
+    """
 
     matrix: Floats
 

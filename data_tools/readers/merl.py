@@ -90,7 +90,7 @@ def task_of_table(name: str, table: Doubles, samples: int, source: str | Path) -
         source: the file that errors name.
 
     Raises:
-        ValueError: see :func:`make_brdf_task`; there are fewer bins than samples.
+        ValueError: see :func:`data_tools.readers.brdf_task.make_brdf_task`; there are fewer bins than samples.
     """
     measured = _draw_table_samples(source, table, samples) if samples > 1 else None
     # interpolation reads at random places: channels side by side, and half the bytes, make it faster

@@ -57,7 +57,7 @@ def read_task(
         folder: the folder of photographs and text files.
         size: the side of the result, in px; above 256 only for photographs that have as many.
         stops: the number of stops by which all photographs are too bright.
-        layer: the layer of EXR files; see :func:`read_pixels`.
+        layer: the layer of EXR files; see :func:`data_tools.readers.image_files.read_pixels`.
         content: the photographs, as :func:`find` found them; None to look for them.
 
     Returns:

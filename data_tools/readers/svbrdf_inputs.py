@@ -44,7 +44,7 @@ def recognises(path: Path) -> bool:
 
 
 def find(path: Path) -> Sources:
-    """Find all strips and photographs, and one file of each material that is kept as maps; see :func:`find_files`.
+    """Find all strips and photographs, and one file of each material that is kept as maps.
 
     Folders of several photographs with positions of camera and flash are left out; see :func:`folders_with_places`.
     """
@@ -110,11 +110,12 @@ def read_task(
         size: the side of the result, in px; above 256 only for files that have as many.
         fov_rad: the field of view, in rad, of a photograph's camera; 0: as EXIF says (see :func:`flash_view`).
         stops: the number of stops by which a photograph is too bright.
-        layer: the layer of an EXR file; see :func:`read_pixels`.
+        layer: the layer of an EXR file; see :func:`data_tools.readers.image_files.read_pixels`.
         content: what the file is, as :func:`find` found it; None to find out.
 
     Returns:
-        The task that :func:`make_svbrdf_task` makes; for a photograph it has `photo` alone, sRGB uint8 [3, S, S].
+        The task that :func:`data_tools.readers.svbrdf_task.make_svbrdf_task` makes; for a photograph it has `photo`
+        alone, sRGB uint8 [3, S, S].
     """
     check_exists(path)
     role, least = content or role_of(path), min(size, DEFAULT_PHOTO_PX)

@@ -44,7 +44,7 @@ def make_svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) ->
 
     Args:
         name: the name of the task.
-        maps: packed maps [10, S, S]; see :func:`pack_maps`.
+        maps: packed maps [10, S, S]; see :func:`metapp.appearance.flash.pack_maps`.
         photo: its flash photograph, sRGB uint8 [3, S, S]; None to render it.
 
     Returns:

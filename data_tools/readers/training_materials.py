@@ -69,7 +69,7 @@ def read_task(
         source: one of the material's maps, or a drawn material's file in its data set.
         size: the side of the maps, in px.
         normals: where green points in normal maps; see :func:`material_maps.read_task`.
-        layer: the layer of EXR files; see :func:`read_pixels`.
+        layer: the layer of EXR files; see :func:`data_tools.readers.image_files.read_pixels`.
         content: the material, as :func:`find` found it; None to look for it.
 
     Raises:

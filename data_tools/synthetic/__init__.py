@@ -1,7 +1,9 @@
 """The embedded data sets and the procedural models that they are drawn from.
 
 Each of `brdf`, `texture`, `svbrdf_stationary`, `svbrdf_nonstationary`, `illumination` and `transport` draws the set of
-one application. The reflection models of BRDFs are in `brdf_models` and `brdf_anisotropic_models`, periodic patterns in
-`patterns`, materials in `stationary` and `nonstationary`, environment maps in `environments`, and Cornell boxes in
-`cornell`.
+one application, by random draws of `random_values`. For BRDFs read `brdf_models` and `brdf_anisotropic_models`, the
+reflection models, with `interfaces`, Fresnel's equations; `brdf_draws`, their random numbers; and `brdf_anisotropic`,
+the anisotropic materials. Periodic patterns are in `patterns`, materials in `stationary` and `nonstationary`,
+environment maps in `environments`, and Cornell boxes in `cornell`, of which `transport_task` makes tasks. `examples`
+has small files to try commands on.
 """

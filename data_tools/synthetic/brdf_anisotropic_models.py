@@ -24,7 +24,12 @@ _LEAST = 1e-4  # the least cosine that is divided by
 
 
 class Roughness(NamedTuple):
-    """The GGX or Beckmann roughness along x (first) and y (second), > 0."""
+    """The GGX or Beckmann roughness of an anisotropic surface.
+
+    Attributes:
+        first: the roughness along x, > 0.
+        second: the roughness along y, > 0.
+    """
 
     first: float
     second: float

@@ -1,4 +1,7 @@
-"""Random draws of both synthetic BRDF sets, isotropic and anisotropic."""
+"""Random draws of both synthetic BRDF sets, isotropic and anisotropic.
+
+Both sets give a material its hue, roughness and lightness here, and its name. Reflection models are not known here.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,17 @@ class SyntheticBrdf(NamedTuple):
 
 
 class Draws:
-    """The uniform numbers of one material: three spread evenly over its family, the others independent."""
+    """The uniform numbers of one material: three spread evenly over its family, the others independent.
+
+    Args:
+        split: the split of the set.
+        seed: the seed of the set.
+        family: the number of the material's family.
+        member: the number of the material in its family.
+
+    Attributes:
+        hue, roughness, lightness: the three numbers, in [0, 1).
+    """
 
     def __init__(self, split: Split, seed: int, family: int, member: int) -> None:
         key = [seed, list(COUNTS).index(split), family]

@@ -30,7 +30,12 @@ _GAP = 0.02  # the least distance between two spheres, and of a hovering one to 
 
 
 class SpherePlace(NamedTuple):
-    """The centre and the radius of a sphere in the box."""
+    """The place of a sphere in the box, which spans [-1, 1] along each axis.
+
+    Attributes:
+        centre: its centre.
+        radius: its radius.
+    """
 
     centre: tuple[float, float, float]
     radius: float

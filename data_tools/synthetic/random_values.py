@@ -1,4 +1,8 @@
-"""Random numbers, choices and arrays for the embedded sets, from streams of `data_tools.random_streams`."""
+"""Random numbers, choices and arrays for the embedded sets, from streams of `data_tools.random_streams`.
+
+Streams give uniform numbers, of which the other draws are computed here by formulas. So draws are equal on every
+machine.
+"""
 
 from __future__ import annotations
 

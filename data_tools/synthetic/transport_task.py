@@ -1,4 +1,8 @@
-"""Tasks of light transport: samples of the light paths of a scene."""
+"""Tasks of light transport: samples of the light paths of a scene.
+
+The embedded set, the command `metapp data cornell` and readers of scene files make their tasks here. Where a scene
+comes from is not known; how its paths are traced is decided in `metapp.rendering.paths`.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Geometry, reflection, photographs, colour, error measures and image features: the physics and the looks of fits.
 
 Read `geometry` and `reflection`, how surfaces reflect; `flash`, `highlight` and `surface`, flat materials under a
-flash; `latlong`, `sphere` and `photograph`, environment maps and spheres; `colour`, `metrics`, `features`, `order` and
-`lines`, what pictures are compared by; and then `pictures`, `presenter` and `picture_measures`, what applications show.
-`lobes` and `quilting` are methods of their own.
+flash; `latlong`, `sphere` and `photograph`, environment maps and spheres; `colour` and `colorimetry`, colours; and
+`metrics`, `features`, `order` and `lines`, what pictures are compared by. Then read `pictures`, `presenter`,
+`picture_measures` and `uniform`, what applications show and warn of. `lobes` and `quilting` are methods of their own.
 """

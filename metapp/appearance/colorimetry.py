@@ -1,6 +1,7 @@
-"""Colorimetry by colour-science: spectra as linear RGB, colour differences.
+"""Colorimetry by the package colour-science: spectra as linear RGB, and colour differences.
 
-The package takes a second to import, so that no fit may need this module; only readers and measures do.
+The package takes a second to import, so fits must not use this module; only readers of files and measures of pictures
+do.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Visual feature statistics: Gram matrices of ImageNet VGG features, or of fixed random filters without its weights.
 
-Losses of textures and of materials compare them. It depends on one file in the cache, which `metapp data vgg` fetches;
-without it everything works by random filters, and results say so.
+Losses of textures and of materials compare these statistics. The features depend on one file in the cache, which
+`metapp data vgg` fetches. Without the file all losses work by random filters, and results say so.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Straight lines in pictures: whether a picture breaks the lines of its exemplar, and whether it shows seams.
 
-Neither needs a lattice, nor anything but the two pictures. Joints, cracks, threads and fibres are lines that go on for
-many texels; a generator that loses them leaves edges as strong, but short ones. Blocks that do not meet add lines that
-are longer than any in the exemplar.
+Joints, cracks, threads and fibres are lines that go on for many texels. A generator that loses them makes edges that
+are as strong, but short. Blocks that do not meet add lines that are longer than any in the exemplar. Both are measured
+on the two pictures alone, which need not have a lattice, unlike in :mod:`metapp.appearance.order`.
 """
 
 from __future__ import annotations

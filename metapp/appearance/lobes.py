@@ -1,7 +1,8 @@
 """Importance sampling of a BRDF by a mixture of cosine and GGX lobes, fitted for each angle of the viewer.
 
-Any mixture leaves the mean right and changes the noise alone. So the weights minimise the variance. Renderers and the
-viewer draw directions by the mixture; what represents the BRDF does not matter here, it is a function of angles.
+The mean of a picture is right whatever the mixture, which changes the noise alone; so the mixture is fitted to minimise
+the variance. Renderers and the viewer draw directions by it. A BRDF is known here as a function of angles, not by the
+network or the file that represents it.
 """
 
 from __future__ import annotations

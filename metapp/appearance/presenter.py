@@ -27,7 +27,11 @@ class Presenter(Generic[PresentedApp]):
     """What people look at of an application's fits; a subclass shows what its application has.
 
     Methods that take `theta` and `task` show one fit: `theta` holds parameters without a task axis. The defaults show
-    nothing, so that an application can do without a presenter of its own.
+    nothing, so that an application can do without a presenter of its own, and a subclass defines the methods for what
+    it can show: most often :meth:`preview` and :meth:`pictures`.
+
+    A subclass may add fields, as a frozen dataclass, too. A field has the value of the application's option of this
+    name, if the option is about OUTPUT and was given.
 
     Attributes:
         app: the application, at the recipe of the fits.

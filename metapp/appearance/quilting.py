@@ -1,6 +1,6 @@
 """Image quilting: a picture of blocks of an exemplar that agree where they overlap (Efros & Freeman 2001).
 
-It is a method by itself, which knows neither networks nor tasks; textures begin with it, and baselines consist of it.
+The method is by itself and knows neither networks nor tasks; textures begin with it, and baselines consist of it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Warnings of inputs that are the same everywhere, and of fits that are so, or black, where their inputs are not.
+"""Warnings of fits that are black, or the same everywhere, where their inputs are not, and remarks on uniform inputs.
 
-Each returns clauses, to be printed and recorded by callers; what inputs are is theirs to say.
+Functions return clauses, which callers print and record. The module compares values alone: callers say which quantity
+of an input the values are.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Applications, their recipes and their presenters, loaded by the names that the registry lists.
 
-Each application that ships is a package here: `app` has its class, `recipes` its recipes, `options` its own options
-and `presenter` what people look at. Begin with `brdf`; `exemplar` is the base of `texture` and `svbrdf_stationary`;
-`svbrdf_nonstationary`, `illumination` and `transport` stand alone. This module knows none of them by name: it loads
-what `metapp.registry` says there is.
+Each application that ships is a package here: `app` has its class, `recipes` its recipes, `presenter` what people look
+at and `options`, if there is one, its own options. Begin with `brdf`; `exemplar` is the base of `texture` and
+`svbrdf_stationary`; `svbrdf_nonstationary`, `illumination` and `transport` stand alone. This module knows none of them
+by name: it loads what `metapp.registry` says there is.
 """
 
 from __future__ import annotations

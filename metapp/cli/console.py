@@ -1,6 +1,6 @@
 """The terminal: standard output, messages, progress bars, and the one place that turns errors into a line.
 
-It knows nothing of applications. rich is imported when something is printed, since completion prints nothing.
+Nothing here knows of applications. rich is imported when something is printed, since completion prints nothing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The command `metapp evaluate`: the paper's tables and figures, from records; fits without a record are run first."""
+"""The command `metapp evaluate`: the paper's tables and figures, from records; fits without a record are run first.
+
+Only arguments and help are made here; :mod:`metapp.cli.evaluation_output`, which imports torch, does the work.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Options of `metapp evaluate`, which help and shells read without any larger import."""
+"""Options of `metapp evaluate`.
+
+They are apart from the work, so that help and completion import nothing large to read them.
+"""
 
 from __future__ import annotations
 

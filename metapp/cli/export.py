@@ -1,4 +1,7 @@
-"""The command `metapp export`: write the fits of a run, or measurements and checkpoints, in another file format."""
+"""The command `metapp export`: write the fits of a run, or measurements and checkpoints, in another file format.
+
+The file formats are entries of the registry; none is known here by its name.
+"""
 
 from __future__ import annotations
 

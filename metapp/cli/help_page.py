@@ -1,6 +1,6 @@
 """The page that --help prints: usage, text, and panels of commands and options.
 
-It knows commands as typer makes them, and nothing of metapp's own tables.
+Commands are known here as typer makes them; metapp's own tables are not.
 """
 
 from __future__ import annotations

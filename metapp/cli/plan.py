@@ -1,4 +1,7 @@
-"""The command `metapp plan`: choose the next directions in which to measure a BRDF."""
+"""The command `metapp plan`: choose the next directions in which to measure a BRDF.
+
+Here are arguments, files and messages; the directions are chosen in :mod:`metapp.evaluation.planning`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The commands `metapp data synth` and `metapp data cornell`, which draw synthetic data sets."""
+"""The commands `metapp data synth` and `metapp data cornell`, which draw synthetic data sets.
+
+Only arguments and help are made here; :mod:`metapp.cli.synthesis`, which imports torch, does the work.
+"""
 
 from __future__ import annotations
 

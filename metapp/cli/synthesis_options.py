@@ -1,4 +1,7 @@
-"""Options of the commands that draw data sets, which help and shells read without any larger import."""
+"""Options of the commands that draw data sets.
+
+They are apart from the work, so that help and completion import nothing large to read them.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The choice of directions in which to measure a BRDF, before anything is measured or after some directions are.
 
-It joins the model of fits of few samples (:mod:`metapp.apps.brdf.few`) with the checkpoint that ships for it. It reads
-and writes no file.
+The module joins the model of fits of few samples (:mod:`metapp.apps.brdf.few`) with the checkpoint that ships for it.
+Nothing here reads or writes a user's file.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """What each extension that ships adds to the registry, by name: a function for each, which setup.cfg names.
 
-References are texts, so that nothing of an extension is imported before it is used.
+References are texts, so that nothing of an extension is imported before it is used. Every command calls these
+functions, so nothing but the registry is imported here.
 """
 
 from __future__ import annotations

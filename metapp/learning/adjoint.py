@@ -25,7 +25,12 @@ RuleStep = Callable[[Params, Params, Params, Params], tuple[Params, Params]]
 
 
 class DrawnBatch(NamedTuple):
-    """A batch of samples, and the names of the tasks that they are samples of."""
+    """A batch of samples, and the names of the tasks that they are samples of.
+
+    Attributes:
+        names: the names of the tasks.
+        batch: the samples, by which the function `value` of a :class:`Loss` computes the loss.
+    """
 
     names: tuple[str, ...]
     batch: AnyBatch

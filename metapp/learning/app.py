@@ -50,13 +50,18 @@ class App(ABC):
 
     All methods are batched over tasks: parameters and batches have a leading task axis T. Every application defines the
     abstract methods. The other methods have defaults, which do nothing or call the network. A recipe holds an
-    application; all sizes are fields of it, so that two applications with equal fields are equal.
+    application; all sizes are fields of it, so that two applications with equal fields are equal. A subclass with
+    fields of its own is a frozen dataclass, too.
+
+    What :meth:`prepare` returns of each task is stacked: methods that take `tasks` find a tensor of the T selected
+    tasks as `tasks.data[name][tasks.rows]`. An application that has baselines defines `errors_of(answer, tasks)`, too:
+    it measures an answer that need not come from the network, and :meth:`errors` calls it.
 
     Attributes:
-        network: the network of one task, which has a method `init`; None if the application initialises parameters
-            itself. Update rules also read two attributes of networks that have them: `periodic`, whether parameters on
-            a grid continue at the opposite edge, and `linear_parameter`, the name of a parameter [C, F] in which the
-            output is linear.
+        network: the network of one task, which has the methods `init`, `init_encoder` and `encode`, unless the
+            application defines its own; None if it defines all three. Update rules also read two attributes of networks
+            that have them: `periodic`, whether parameters on a grid continue at the opposite edge, and
+            `linear_parameter`, the name of a parameter [C, F] in which the output is linear.
         protocol: which part of a task a fit may observe, a value of --observe; "" if there is only one protocol.
         name: the application's name on the command line.
         error_measure: the meaning and the scale of the errors that `errors` returns.
@@ -90,7 +95,10 @@ class App(ABC):
 
     @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Prepare one task for fitting, once, and return tensors without a task axis, by name."""
+        """Prepare one task for fitting, once, and return tensors without a task axis, by name.
+
+        Tasks that are fitted together must have tensors of equal shapes.
+        """
 
     def init(self, rng: Generator, count: int) -> Params:
         """Draw random network parameters for `count` tasks; each tensor is [count, ...]."""

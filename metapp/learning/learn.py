@@ -1,6 +1,6 @@
 """The one descent behind every paradigm, and the functions that lift losses and so make Meta out of General.
 
-The paper's three algorithms are three names here: :func:`learn` (alg. 1), a :class:`Loss` (alg. 2), and
+The paper's three algorithms are three names here: :func:`learn` (alg. 1), :func:`task_loss` (alg. 2), and
 `over_tasks(after_learning(loss))` (alg. 3). Update rules are in `metapp.learning.rules`; which loss, rule and
 initialisation a paradigm has is decided in `metapp.paradigms`.
 """

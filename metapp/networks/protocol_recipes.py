@@ -1,4 +1,7 @@
-"""The table of recipes of an application with two protocols: fits of the thing itself, and of one photograph of it."""
+"""The table of recipes of an application with two protocols: fits of the thing itself, and of one photograph of it.
+
+Two applications have such tables, which differ in their networks and in how they are trained. None is known here.
+"""
 
 from __future__ import annotations
 

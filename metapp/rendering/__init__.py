@@ -1,4 +1,4 @@
-"""Rendering by Mitsuba: everything that imports it, and nothing that a fit without scenes needs.
+"""Rendering by Mitsuba, which light transport, the errors of illumination and plugins of extensions need.
 
 Read `variant`, which Mitsuba is loaded with; `jit` and `types`, its modules and the names of its types; `scenes`,
 scenes by others; `paths`, light paths by their random numbers; `pictures`, pictures by any integrator; and

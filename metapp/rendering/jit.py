@@ -1,7 +1,7 @@
 """Dr.Jit and Mitsuba, imported after a fit libLLVM was chosen: Dr.Jit keeps the first one that it finds.
 
-Code that runs inside Mitsuba's kernels imports them from here. All are `Any`, since the types of arrays are different
-ones in each variant, and Mitsuba's stubs mix the types of two variants.
+Code that runs inside Mitsuba's kernels imports them from here. `dr`, `mi` and `nn` are `Any`, since the types of arrays
+are different ones in each variant, and Mitsuba's stubs mix the types of two variants.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Mitsuba in a variant that renders many rays at once, with a libLLVM that does not abort the process.
 
-Where Mitsuba is imported, it is imported by this module or by :mod:`metapp.rendering.jit`; scenes are not known here.
+Mitsuba takes a libLLVM when it is imported, and keeps it. So the first import in a process is by this module or by
+:mod:`metapp.rendering.jit`, or follows :func:`choose_llvm`. Scenes are not known here.
 """
 
 from __future__ import annotations

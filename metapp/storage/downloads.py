@@ -1,4 +1,7 @@
-"""Downloads of files from the web, with progress and with errors that name the address."""
+"""Downloads of files from the web, with progress and with errors that name the address.
+
+Callers check what arrived, by its hash, and keep it; nothing is written here.
+"""
 
 from __future__ import annotations
 

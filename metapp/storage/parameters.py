@@ -1,4 +1,4 @@
-"""The check of parameters that are read back from fits: they must be those of the network that the settings describe.
+"""The check of parameters that are read back from fits: they must belong to the network that the settings describe.
 
 Anybody may have written the files, so that names, shapes and values are compared before a network is evaluated.
 """

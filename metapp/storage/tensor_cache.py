@@ -1,6 +1,6 @@
 """The cache of tensors that take long to compute, one file in the cache folder for each set of tensors.
 
-A file is taken only if the code and the torch that made its tensors are those of now.
+A file is taken only if its tensors were made by the code and the version of torch that run now.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The writing of XML documents, whole or not at all."""
+"""The writing of XML documents with indentation, whole or not at all. What a document means is not known here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The far distance: hills, woods and towns before the sky, and the ground that windows look down on."""
+"""The far distance: hills, woods and towns before the sky, and the ground that windows look down on.
+
+All of it is a function of direction, since nothing in it is near enough to move with the eye.
+"""
 
 from __future__ import annotations
 

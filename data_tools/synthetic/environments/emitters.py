@@ -1,4 +1,8 @@
-"""Lamps, windows and parts of the sky as points and directions that send light."""
+"""Lamps, windows and parts of the sky as points and directions that send light.
+
+A scene's extended lights are cut into a number of points that does not depend on the map's size, so that a map costs
+little. The sun is not among them; how light reaches surfaces is computed in `light`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Environments under a roof: each function `<family>(rng)` draws a scene of its family."""
+"""Environments under a roof: each function `<family>(rng)` draws a scene of its family.
+
+Scenes are put together of what `fittings`, `sky` and `backdrop` draw; how they are lit and rendered is not known here.
+"""
 
 from __future__ import annotations
 

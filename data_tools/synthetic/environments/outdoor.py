@@ -1,4 +1,7 @@
-"""Environments under the open sky: each function `<family>(rng)` draws a scene of its family."""
+"""Environments under the open sky: each function `<family>(rng)` draws a scene of its family.
+
+Scenes are put together of what `scenery` and `sky` draw; how they are lit and rendered is not known here.
+"""
 
 from __future__ import annotations
 

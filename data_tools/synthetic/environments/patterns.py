@@ -1,4 +1,7 @@
-"""Vectors, colours of light, and noises that skies and surfaces look up."""
+"""Vectors, colours of light, and noises that skies and surfaces look up.
+
+The noises are drawn once for all maps, so that a map takes little time. Scenes are not known here.
+"""
 
 from __future__ import annotations
 

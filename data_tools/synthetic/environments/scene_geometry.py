@@ -56,7 +56,12 @@ class Finish(NamedTuple):
 
 
 class Box(NamedTuple):
-    """A block between two corners [3]; the eye is outside."""
+    """A block whose sides are parallel to the axes; the eye is outside.
+
+    Attributes:
+        low, high: its corners [3].
+        finish: the look of its sides.
+    """
 
     low: Field
     high: Field
@@ -64,7 +69,13 @@ class Box(NamedTuple):
 
 
 class Crown(NamedTuple):
-    """The leaves of a tree or bush, a loose ball with an albedo [3]."""
+    """The leaves of a tree or bush, a loose ball.
+
+    Attributes:
+        centre: its middle [3].
+        radius: its radius in m.
+        colour: albedo [3] of the leaves.
+    """
 
     centre: Field
     radius: float

@@ -1,4 +1,7 @@
-"""The look of surfaces at intersections: albedo, mirroring, and light of their own."""
+"""The look of surfaces at intersections: albedo, mirroring, and light of their own.
+
+Light that comes from elsewhere is not known here; `light` multiplies it with these albedos.
+"""
 
 from __future__ import annotations
 

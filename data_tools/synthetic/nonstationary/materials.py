@@ -1,4 +1,7 @@
-"""The materials of a patch's layers: metals, paints, plastics, and pieces of the procedural materials."""
+"""The materials of a patch's layers: metals, paints, plastics, and pieces of the procedural materials.
+
+The families of patches choose among them. Where a layer lies on the patch, and what has worn it, is not known here.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Weathering of a patch: dirt in cavities, worn edges, scratches, stains, water, rust, smudges."""
+"""Weathering of a patch: dirt in cavities, worn edges, scratches, stains, water, rust, smudges.
+
+Most functions take a finished surface and return a changed one, so that families of patches combine them freely.
+"""
 
 from __future__ import annotations
 

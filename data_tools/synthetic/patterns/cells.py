@@ -1,4 +1,7 @@
-"""Periodic cells: lattices at any angle with an identity for every cell, and Worley noise on them."""
+"""Periodic cells: lattices at any angle with an identity for every cell, and Worley noise on them.
+
+Bricks, tiles, weaves and stones are made of them, but no material is known here.
+"""
 
 from __future__ import annotations
 

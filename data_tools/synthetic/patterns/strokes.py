@@ -1,4 +1,7 @@
-"""Strokes scattered over the periodic tile: fibres, blades, leaves, scratches, the upper ones hiding the lower ones."""
+"""Strokes scattered over the periodic tile: fibres, blades, leaves, scratches, the upper ones hiding the lower ones.
+
+Materials give strokes their colours and heights; here are their places alone.
+"""
 
 from __future__ import annotations
 

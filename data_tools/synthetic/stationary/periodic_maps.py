@@ -1,4 +1,8 @@
-"""The maps of a periodic procedural material, and the draws of its colours and its relief."""
+"""The maps of a periodic procedural material, and the draws of its colours and its relief.
+
+Every family makes its maps by :func:`assemble_maps`, which keeps them in the ranges of plausible materials. No family
+is known here.
+"""
 
 from __future__ import annotations
 

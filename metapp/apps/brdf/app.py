@@ -31,9 +31,9 @@ MANY_SAMPLES = 4096  # different samples, above which further ones count no more
 
 @dataclass(frozen=True)
 class Brdf(App):
-    """BRDFs: a task is one measured or modelled material.
+    """The application of BRDFs: a task is one measured or modelled material.
 
-    Of an anisotropic material a network that does not read phi_h fits the mean over phi_h.
+    If a material is anisotropic, a network that does not read phi_h fits the mean over phi_h.
 
     Attributes:
         network: evaluates materials, and has General's encoder of its own.

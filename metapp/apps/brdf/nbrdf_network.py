@@ -1,6 +1,7 @@
 """The NBRDF network of Sztrajman et al. 2021: 675 weights, all of them a material's own, and General's set encoder.
 
-The set encoder reads samples in any order and number; the feature network has one, too.
+The set encoder reads samples in any order and number. Its two functions also serve the encoder of the feature network,
+:mod:`metapp.apps.brdf.feature_network`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The options of the application brdf."""
+"""The options of the application brdf. Help and completion read this module, so it imports nothing large."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled fro
 
 
 class BrdfPresenter(Presenter[Brdf]):
-    """Pictures, remarks and warnings of a fitted BRDF by any network; also for subclasses of the application."""
+    """The presenter of BRDFs fitted by any network; subclasses of the application are shown by it, too."""
 
     picture_measure = (
         "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"

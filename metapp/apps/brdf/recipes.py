@@ -1,4 +1,7 @@
-"""The recipes of the application brdf: networks, sizes and rates of training, each with its reason."""
+"""The recipes of the application brdf: networks, sizes and rates of training, each with its reason.
+
+The recipe `few`, whose fits have a network of another kind, is in `metapp.apps.brdf.few`.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Data augmentation of BRDFs: mixtures of materials, and samples as instruments take them.
 
-Users bring fewer samples than training materials have, noisy ones, or none at grazing angles; a network that was
-trained by these functions has seen such. They change the tensors of prepared tasks and know no network.
+Users bring fewer samples than training materials have, noisy ones, or none at grazing angles. A network that was
+trained by these functions has seen such samples. The functions change tensors of prepared tasks, and know no network.
 """
 
 from __future__ import annotations

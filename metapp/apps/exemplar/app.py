@@ -1,7 +1,7 @@
 """The base of applications that generate, from noise, a picture with the visual statistics of an exemplar photograph.
 
-It has the generator, General's encoder, layouts and data augmentation. What is compared with the exemplar is the matter
-of :class:`Statistics`, whose subclass an application chooses.
+Here are the generator, General's encoder, layouts and data augmentation. An application says what is compared with the
+exemplar by a subclass of :class:`metapp.apps.exemplar.exemplar_statistics.Statistics`.
 """
 
 from __future__ import annotations

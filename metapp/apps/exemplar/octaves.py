@@ -1,4 +1,8 @@
-"""Octaves: the sizes at which pictures are compared with an exemplar, and the features that are compared at each."""
+"""Octaves: the sizes at which pictures are compared with an exemplar, and the features that are compared at each.
+
+The module knows pictures and features of VGG-16. Which statistics of these features count is decided in
+:mod:`metapp.apps.exemplar.exemplar_statistics`.
+"""
 
 from __future__ import annotations
 

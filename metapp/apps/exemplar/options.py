@@ -1,4 +1,7 @@
-"""Options of applications that generate pictures with the statistics of an exemplar."""
+"""Options of applications that generate pictures with the statistics of an exemplar.
+
+Help and completion read this module, so it imports nothing large before an option takes effect.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from metapp.options import FIT, Option
 
 @dataclass(frozen=True)
 class ExemplarOptions(PictureOptions):
-    """Size and resolution of the pictures that are generated, and of the exemplar."""
+    """The options of textures, and of other pictures like an exemplar: their size, and the exemplar's resolution."""
 
     size: Annotated[tuple[int, int] | None, size_option("textures and maps up to 4096x4096")] = None
     detail: Annotated[

@@ -1,4 +1,8 @@
-"""The presenter of pictures that are generated from noise: their size, and warnings about structure that they lost."""
+"""The presenter of pictures that are generated from noise: their size, and warnings about structure that they lost.
+
+The presenters of textures and of stationary svBRDFs extend the class here; they say how a picture is made of the
+network's output.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,7 @@ Generated = TypeVar("Generated")
 
 @dataclass(frozen=True)
 class ExemplarPresenter(Presenter[GeneratingApp]):
-    """What people look at of pictures or maps that a network generates from noise, like one exemplar.
+    """The presenter of pictures or maps that a network generates from noise, like one exemplar.
 
     Attributes:
         min_line_strength: the strength of a picture's lines over the exemplar's below which the picture breaks them.

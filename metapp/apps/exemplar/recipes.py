@@ -1,4 +1,7 @@
-"""Recipes of applications that generate pictures from noise: at 64 texels by a U-Net, at 256 by a pyramid."""
+"""Recipes of applications that generate pictures from noise: at 64 texels by a U-Net, at 256 by a pyramid.
+
+Textures and stationary svBRDFs make their recipes by these functions, and pass what differs between them.
+"""
 
 from __future__ import annotations
 

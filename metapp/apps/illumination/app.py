@@ -60,7 +60,7 @@ LOSS_PHOTO_PX = 32  # side of the photograph in the loss
 
 @dataclass(frozen=True)
 class Illumination(CodedApp):
-    """Illumination: a task is one environment map of mean luminance 1.
+    """The application of illumination: a task is one environment map of mean luminance 1.
 
     Under the protocol "reference" a fit sees the map itself. Under "photo" it sees the LDR photograph of a sphere
     alone, and finds the light under which a sphere of some material looks so through some camera. If that sphere is a

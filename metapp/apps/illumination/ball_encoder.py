@@ -1,6 +1,7 @@
 """General's encoder of illumination: from a photographed sphere to a map's code, the sphere's material and the camera.
 
-It knows directions on the sphere and nothing of the network that holds a map, but for the length of its code.
+The encoder knows directions on the sphere. Of the network that makes a map of the code it knows the length of the code
+alone.
 """
 
 from __future__ import annotations

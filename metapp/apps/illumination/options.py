@@ -1,4 +1,4 @@
-"""The options of the application illumination."""
+"""The options of the application illumination. Help and completion read this module, so it imports nothing large."""
 
 from __future__ import annotations
 

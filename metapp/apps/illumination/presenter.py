@@ -27,7 +27,7 @@ LARGEST_MAP_ROWS = 1024  # rows of the file of a map, at most
 
 
 class IlluminationPresenter(Presenter[Illumination]):
-    """Pictures, remarks and warnings of a fitted environment map; `size` is the size of the file `map`."""
+    """The presenter of fitted environment maps; `size` is the size of the file `map`."""
 
     picture_measure = "the second scene under the map, tone-mapped"
 

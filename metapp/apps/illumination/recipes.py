@@ -1,4 +1,7 @@
-"""The recipes of the application illumination: networks, sizes and rates of training, each with its reason."""
+"""The recipes of the application illumination: networks, sizes and rates of training, each with its reason.
+
+There is a table of recipes for each protocol: fits of a map itself, and fits of the photograph of a sphere.
+"""
 
 from __future__ import annotations
 

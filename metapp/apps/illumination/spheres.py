@@ -2,9 +2,9 @@
 
 The spheres are a mirror, matte silver, and gray plastic, by name "diffuse". The protocol is StyleLight's (Wang et al.
 2022), which DiffusionLight (Phongthawee et al. 2024) follows: maps are tone-mapped first, then light the spheres, so
-that suns count little beside the rest of the map. The materials are those of its Blender scenes. There the camera is 16
-away and sees a perspective; here it is far away, at +z, as where photographs are taken from. Where maps come from is
-not known here.
+that suns count little beside the rest of the map. The materials are taken from DiffusionLight's Blender scenes. In
+these scenes the camera sees a perspective from a distance of 16; here it is far away, at +z, as for photographs of
+spheres. Where maps come from is not known here.
 """
 
 from __future__ import annotations

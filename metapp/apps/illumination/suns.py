@@ -1,9 +1,9 @@
 """The brightest lights of a map in closed form: their directions, light and size.
 
-A network cannot fit a sun in few steps, as it is too small and too bright. So it is kept as 10 numbers: the mean
-direction of its light, the light above its surroundings (radiance times solid angle, RGB), the mean squared angle to
-that direction in rad^2, and the background radiance behind it, the mean of the texels that it covers, each capped.
-There the background replaces the network's radiance.
+A network cannot fit a sun in few steps, as it is too small and too bright. So a sun is kept as 10 numbers: the mean
+direction of its light; its light above its surroundings (radiance times solid angle, RGB); the mean squared angle to
+that direction in rad^2; and the background radiance behind it, which replaces the network's radiance there. This is the
+mean of the texels that the sun covers, each of which is capped before.
 """
 
 from __future__ import annotations

@@ -2,5 +2,6 @@
 
 Read `maps`, what maps are and how they look under a light; `app`, what all fits share; `coded_maps` with `encoder` and
 `variants`, fits of known maps and of one photograph; then `pretrained`, one photograph by features of VGG-16, and
-`several`, several photographs.
+`several`, several photographs, which people take from the `places` that are drawn for training. `recipes` and
+`presenter` are as in every application.
 """

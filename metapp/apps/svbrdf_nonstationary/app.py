@@ -1,8 +1,8 @@
-"""Non-stationary svBRDFs: maps of a flat material from photographs under a flash (paper section 4.1.4: from one).
+"""Non-stationary svBRDFs, maps of a flat material from photographs under a flash (paper section 4.1.4: one photograph).
 
-Here is what all fits of such materials share: the tensors of tasks, the maps that they are judged by, and errors.
-What a fit sees, and what its parameters are, differ: `coded_maps` has fits of the maps themselves and of one
-photograph, `pretrained` those of one photograph by features of VGG-16, `several` those of several photographs.
+Here is what all fits of such materials share: the tensors of tasks, the maps that they are judged by, and errors. What
+a fit sees, and what its parameters are, differ: `coded_maps` has fits of the maps themselves and of one photograph,
+`pretrained` has fits of one photograph by features of VGG-16, and `several` fits of several photographs.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ FINEST_PX = 2048  # longest side at which a user's photograph is read
 
 @dataclass(frozen=True)
 class SvbrdfNonstationary(App):
-    """One flat material a task, photographed from straight above with the flash beside the lens.
+    """The application of non-stationary svBRDFs: a task is one flat material, photographed with a flash.
 
-    A task has `photo` and, where it is known, the material's `maps`; `others` and `places` are of further photographs.
+    A task has `photo`, taken from straight above with the flash beside the lens, and, where they are known, the
+    material's `maps`; `others` and `places` are of further photographs.
 
     Attributes:
         sees_others: whether fits see `others`, too, and place the flash of each photograph.

@@ -71,7 +71,7 @@ def field_of(side: int, hidden: int) -> LocalField:
 
 @dataclass(frozen=True)
 class CodedMaps(SvbrdfNonstationary, CodedApp):
-    """Maps that a field makes of the photograph and of the code at each place.
+    """Non-stationary svBRDFs whose maps a field makes of the photograph and of the code at each place.
 
     Attributes:
         encoder_width: the number of channels of the encoder's level of 64 texels.
@@ -161,7 +161,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
 
 @dataclass(frozen=True)
 class FromMaps(CodedMaps):
-    """Fits that see the material's maps, and pictures of it under several lights (--observe reference)."""
+    """The application whose fits see a material's maps, and pictures of it under some lights (--observe reference)."""
 
     protocol: str = field(default="reference", kw_only=True)
 
@@ -192,7 +192,7 @@ class FromMaps(CodedMaps):
 
 @dataclass(frozen=True)
 class FromPhoto(CodedMaps):
-    """Fits that see one photograph alone, and estimate its flash, too (--observe photo)."""
+    """The application whose fits see one photograph alone, and estimate its flash, too (--observe photo)."""
 
     protocol: str = field(default="photo", kw_only=True)
 

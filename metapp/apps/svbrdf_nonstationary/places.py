@@ -1,4 +1,8 @@
-"""Where people hold camera and flash when they take several photographs of a flat material."""
+"""Where people hold camera and flash when they take several photographs of a flat material.
+
+Training and the embedded data set both draw places here, by one distribution. What the photographs show is not known
+here.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The presenter of non-stationary svBRDFs: maps, pictures of them under flashes and other lights, and warnings."""
+"""The presenter of non-stationary svBRDFs: maps, pictures of them under flashes and other lights, and warnings.
+
+One presenter serves fits of maps, of one photograph and of several: it gets maps from methods of the application, and
+knows no network.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +31,7 @@ SHOWN_PX = 256  # longest side of maps that are shown
 
 @dataclass(frozen=True)
 class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
-    """Maps of a flat material, their photographs as the fit sees them, and pictures under other lights.
+    """The presenter of maps of a flat material: with photographs as the fit sees them, and under other lights.
 
     Applications that extend :class:`SvbrdfNonstationary` are shown by it, too: it asks them for maps and flashes.
 

@@ -1,4 +1,7 @@
-"""The recipes of non-stationary svBRDFs whose General is trained without features of VGG-16, by protocol."""
+"""The recipes of non-stationary svBRDFs whose General is trained without features of VGG-16, by protocol.
+
+The recipes `pretrained` and `several`, which begin at these, are in packages of their names.
+"""
 
 from __future__ import annotations
 

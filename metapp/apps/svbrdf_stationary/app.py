@@ -35,7 +35,7 @@ RELIEF_WIDTHS = 1 / 32  # height, in widths of the photo, that 1 in the network'
 
 @dataclass(frozen=True)
 class SvbrdfStationary(ExemplarApp):
-    """One flash photograph of a flat stationary material a task.
+    """The application of stationary svBRDFs: a task is one flash photograph of a flat stationary material.
 
     The generator does not know the place, which keeps highlights out of the maps.
 

@@ -1,4 +1,8 @@
-"""The statistics of flash photographs: features window by window, the light, and the gloss that the highlight shows."""
+"""The statistics of flash photographs: features window by window, the light, and the gloss that the highlight shows.
+
+A flash lights each place differently, so that statistics of a whole picture would mix bright and dark places. Pictures
+are known here, but not the maps or the network that they are made of.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The options of stationary svBRDFs."""
+"""The options of stationary svBRDFs. Help and completion read this module, so it imports nothing large."""
 
 from __future__ import annotations
 
@@ -10,4 +10,4 @@ from metapp.networks.picture_options import CameraOptions, ReliefOptions
 
 @dataclass(frozen=True)
 class FlashExemplarOptions(ReliefOptions, ExemplarOptions, CameraOptions):
-    """Size, detail and relief of maps that tile, and the camera of the flash photo."""
+    """The options of stationary svBRDFs: size, detail and relief of maps that tile, and the flash photo's camera."""

@@ -1,4 +1,8 @@
-"""The presenter of stationary svBRDFs: maps that tile, photographs of them, and warnings."""
+"""The presenter of stationary svBRDFs: maps that tile, photographs of them, and warnings.
+
+Warnings about lost structure come from :mod:`metapp.apps.exemplar.presenter`; here are pictures of maps, and warnings
+about highlights that clip in the photo.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,7 @@ MIN_LINE_STRENGTH = 0.85
 
 @dataclass(frozen=True)
 class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
-    """Maps that tile, beside their flash photograph and under other lights.
+    """The presenter of maps that tile: beside their flash photograph, and under other lights.
 
     Attributes:
         relief: the factor of slopes of normals and of heights in files and pictures; errors are without it.

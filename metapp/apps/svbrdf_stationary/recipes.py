@@ -1,4 +1,7 @@
-"""The recipes of stationary svBRDFs."""
+"""The recipes of stationary svBRDFs: sizes, numbers of steps, and rates.
+
+They are made by :mod:`metapp.apps.exemplar.recipes`, which also makes the recipes of textures.
+"""
 
 from __future__ import annotations
 

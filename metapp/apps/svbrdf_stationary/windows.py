@@ -1,4 +1,8 @@
-"""Parts of feature maps whose statistics are taken: windows, which overlap and fade, and rings about the centre."""
+"""Parts of feature maps whose statistics are taken: windows, which overlap and fade, and rings about the centre.
+
+The light of a flash is nearly even within a window, and at one distance from the centre. What features mean is not
+known here.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The application of textures: Gram matrices of features of generated pictures are fitted to an exemplar's."""
+"""The application of textures: Gram matrices of features of generated pictures are fitted to an exemplar's.
+
+The generator, General's encoder and data augmentation are in :mod:`metapp.apps.exemplar.app`; here is what makes a
+texture of the network's output and what is compared with the exemplar.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ MIN_CROP_SHARE = 0.5  # shortest side of random crops over the side of the exemp
 
 
 class GramStatistics(Statistics):
-    """Gram matrices of features, means over the whole picture."""
+    """Statistics of exemplars by Gram matrices of features, means over the whole picture."""
 
     reduced_precision = True
 
@@ -58,7 +62,7 @@ class GramStatistics(Statistics):
 
 
 class Texture(ExemplarApp):
-    """One exemplar of a stationary texture a task."""
+    """The application of textures: a task is one exemplar of a stationary texture."""
 
     name = "texture"
     error_measure = ErrorMeasure("relative L1 distance of Gram matrices, mean over taps and generated textures")

@@ -1,4 +1,8 @@
-"""The presenter of textures: files that tile, comparisons with the exemplar, and warnings."""
+"""The presenter of textures: files that tile, comparisons with the exemplar, and warnings.
+
+Warnings about lost structure come from :mod:`metapp.apps.exemplar.presenter`; here are the pictures of fits that they
+compare with the exemplar.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ MIN_LINE_STRENGTH = 0.935
 
 @dataclass(frozen=True)
 class TexturePresenter(ExemplarPresenter[Texture]):
-    """A texture that tiles, beside its exemplar."""
+    """The presenter of a texture that tiles, beside its exemplar."""
 
     picture_measure = "a texture of the exemplar's size beside the exemplar"
     min_line_strength = MIN_LINE_STRENGTH

@@ -1,4 +1,7 @@
-"""The recipes of textures."""
+"""The recipes of textures: sizes, numbers of steps, and rates.
+
+They are made by :mod:`metapp.apps.exemplar.recipes`, which also makes the recipes of stationary svBRDFs.
+"""
 
 from __future__ import annotations
 

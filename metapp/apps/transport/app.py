@@ -28,10 +28,10 @@ LOG_JITTER = 0.1  # standard deviation of what augmentation adds to the log of a
 
 @dataclass(frozen=True)
 class Transport(App):
-    """Light transport: a task is one scene, as samples of its light paths in proportion to the luminance they carry.
+    """The application of light transport: a task is one scene, as samples of its light paths.
 
-    The fields beside the network are about pictures alone: no training depends on them, so that checkpoints are the
-    same for all their values.
+    Samples are in proportion to the luminance that their paths carry. The fields beside the network are about pictures
+    alone: no training depends on them, so that checkpoints are the same for all their values.
 
     Attributes:
         picture: side in px of the pictures that fits are judged by.

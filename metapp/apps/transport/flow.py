@@ -1,6 +1,7 @@
 """A normalizing flow on the unit cube of primary samples: q(film) q(directions | film), with a code in every place.
 
-It is fitted to samples by their likelihood. It knows neither scenes nor how a direction is made of its coordinates.
+The flow is fitted to samples by their likelihood. Neither scenes nor how a direction is made of its coordinates are
+known here.
 """
 
 from __future__ import annotations

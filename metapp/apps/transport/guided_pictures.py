@@ -56,6 +56,9 @@ class SceneRenderer:
         reference_spp: paths a pixel of the reference, in two halves, which tell its own error.
         wave_paths: paths that Mitsuba's path traces at a time, for which there is memory.
 
+    Attributes:
+        tracer: the tracer of the scene's paths.
+
     Raises:
         ValueError: the scene cannot be traced here.
     """

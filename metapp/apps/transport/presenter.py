@@ -22,7 +22,7 @@ NEXT_EVENT_NOTE = (
 
 
 class TransportPresenter(Presenter[Transport]):
-    """Pictures, measures of pictures and remarks of the fitted density of a scene's light paths."""
+    """The presenter of the fitted density of a scene's light paths: pictures, their measures, and remarks."""
 
     @property
     @override

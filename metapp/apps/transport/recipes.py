@@ -1,4 +1,7 @@
-"""The recipes of the application transport: networks, sizes and rates of training, each with its reason."""
+"""The recipes of the application transport: networks, sizes and rates of training, each with its reason.
+
+Fits of `full` are fits of `quick`: only the pictures by which they are judged are larger.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The cost of paradigms: bytes stored for m exemplars, as m grows, and samples of a task that a fit sees."""
+"""The cost of paradigms: bytes stored for m exemplars, as m grows, and samples of a task that a fit sees.
+
+Both are counted from recipes, parameters and checkpoints; nothing is fitted for them.
+"""
 
 from __future__ import annotations
 

@@ -72,9 +72,9 @@ def specular_to_metallic(diffuse: Tensor, specular: Tensor) -> tuple[Tensor, Ten
     The equations are d = c_b (1 - m) for the diffuse colour and s = c (1 - m) + c_b m for the specular one, with base
     colour c_b, metallic m and the F0 of dielectrics c. Eliminating the base colour leaves c m^2 + (d + s - 2 c) m - (s
     - c) = 0, linear in d and s: it is solved for their means over the channels. The base colour is then d + s - c (1 -
-    m). Both are exact if such maps exist (`from_metallic` inverts them); elsewhere they are clamped to [0, 1]: a
-    specular colour below 0.04, or of another hue than the base colour's, is lost, which is why formats that can hold F0
-    itself get it.
+    m). Both are exact if such maps exist (:func:`metapp.appearance.surface.metallic_to_specular` inverts them);
+    elsewhere they are clamped to [0, 1]: a specular colour below 0.04, or of another hue than the base colour's, is
+    lost, which is why formats that can hold F0 itself get it.
 
     Args:
         diffuse: the diffuse albedo, [..., 3, H, W], linear in [0, 1].

@@ -71,9 +71,13 @@ class BaselineFit(NamedTuple):
 
 
 class Baseline(ABC):
-    """A method that a reader would use instead of a network.
+    """A method that a reader would use instead of a network; a subclass defines `name`, `title`, `cannot` and `fit`.
+
+    Args:
+        app: the application under its protocol.
 
     Attributes:
+        app: the application.
         name: the name by which the option `--method` and the rows of tables call the method.
         title: the method in words, with its source.
         cannot: an ability of networks that the method lacks, as words that follow "cannot".

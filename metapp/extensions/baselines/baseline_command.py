@@ -1,4 +1,8 @@
-"""The command `metapp baseline`, which runs a method of the table of baselines on files."""
+"""The command `metapp baseline`, which runs a method of the table of baselines on files.
+
+Only arguments and help are made here; :mod:`metapp.extensions.baselines.baseline_run`, which imports torch, does the
+work.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Fits of baselines to tasks, timed by the same clock and judged by the same errors as fits of paradigms."""
+"""Fits of baselines to tasks, timed by the same clock and judged by the same errors as fits of paradigms.
+
+A method is known here by the contract :class:`metapp.extensions.baselines.baseline.Baseline` alone. The command and the
+table both make their fits here, so that their figures agree.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A method without a network, run on the inputs of a command; its answers are kept in a run's folder, as fits are."""
+"""The run of a method without a network on inputs of a command; answers are kept in a run's folder, as fits are.
+
+What a method computes is not known here; :mod:`metapp.extensions.baselines.baseline_fits` fits and judges it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The table of baselines: methods without a network beside paradigms, on the same samples of the same tasks."""
+"""The table of baselines: methods without a network beside paradigms, on the same samples of the same tasks.
+
+Rows of paradigms come from records, as in all tables. Answers of methods are recorded, too, so that each is made once.
+"""
 
 from __future__ import annotations
 

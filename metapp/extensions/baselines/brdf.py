@@ -1,4 +1,7 @@
-"""Baselines of BRDFs: principal components of training BRDFs, two GGX lobes, the nearest training material."""
+"""Baselines of BRDFs: principal components of training BRDFs, two GGX lobes, the nearest training material.
+
+The methods see the samples that fits see. Their mathematics is in `components` and `ggx_lobes`, which know no tasks.
+"""
 
 from __future__ import annotations
 
@@ -136,6 +139,9 @@ class Pca(Baseline):
 
     The penalty and the number of solves are chosen on validation materials, by components of the others; then the
     components of all training materials are taken.
+
+    Attributes:
+        count: the number of components.
     """
 
     title = "ridge on components of log-relative training BRDFs (Nielsen et al. 2015), weighted for the table's error"

@@ -1,4 +1,8 @@
-"""Baselines of illumination: spherical harmonics of a map, and the light that a mirror ball in a photograph shows."""
+"""Baselines of illumination: spherical harmonics of a map, and the light that a mirror ball in a photograph shows.
+
+Each serves one protocol: the first reads the map itself, the second the light that a task holds of a photographed
+mirror ball. The mathematics of spherical harmonics is in `harmonics`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Baselines of non-stationary svBRDFs from one photograph: the photograph as a flat material, and predicted maps."""
+"""Baselines of non-stationary svBRDFs from one photograph: the photograph as a flat material, and predicted maps.
+
+Another method has made the predicted maps, which were converted with the tasks; no such method is run here.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Baselines of stationary svBRDFs from a flash photograph: the nearest training material, and quilted maps."""
+"""Baselines of stationary svBRDFs from a flash photograph: the nearest training material, and quilted maps.
+
+The nearest material answers with its photograph, the other method with maps. Both are judged by the application's own
+measure of pictures.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Baselines of textures: the nearest training texture, and image quilting (Efros & Freeman 2001)."""
+"""Baselines of textures: the nearest training texture, and image quilting (Efros & Freeman 2001).
+
+The quilting of one picture is in `metapp.appearance.quilting`; here it becomes a method that is fitted and judged.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The command `metapp compare`, which shows runs side by side."""
+"""The command `metapp compare`, which shows runs side by side.
+
+Only arguments and help are made here; `side_by_side`, which imports torch, does the work.
+"""
 
 from __future__ import annotations
 

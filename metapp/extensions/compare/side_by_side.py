@@ -1,4 +1,7 @@
-"""Runs that a command line names, side by side: their comparison, its picture and its table."""
+"""Runs that a command line names, side by side: their comparison, its picture and its table.
+
+It tells runs from inputs among the paths of the command, and lays out what `comparison` found.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `metapp doctor`, which prints a report on the installation."""
+"""The command `metapp doctor`, which prints a report on the installation. `installation` makes the report."""
 
 from __future__ import annotations
 

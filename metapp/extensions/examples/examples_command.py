@@ -1,4 +1,7 @@
-"""The command `metapp examples`: commands that work as they are, and the input files that they name."""
+"""The command `metapp examples`: commands that work as they are, and the input files that they name.
+
+The input files are drawn on demand by `data_tools.synthetic.examples`; nothing is fitted here.
+"""
 
 from __future__ import annotations
 

@@ -49,6 +49,11 @@ class VoxelGrid:
     Args:
         low, high: the corners of the box, [3] each; points outside belong to the outermost voxels.
         points: points of surfaces, [3, N], where voxels are narrower; without any, all voxels are alike.
+
+    Attributes:
+        low: the lower corner of the box.
+        scale: the number of steps of each axis in a unit of length.
+        voxels: for each axis the voxel that each of its steps is in.
     """
 
     def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike) -> None:
@@ -103,6 +108,12 @@ class GuideCache:
             points.
 
     Attributes:
+        voxels: the grid of voxels.
+        sums: for each bin of each entry a sum of squared luminance and a count of bounces, both weighted by densities.
+        bounces: for each entry the sums of outgoing luminance, of squared carried luminance, and of bounces.
+        rows: the row of each entry in the table of histograms; row 0, which is uniform, is for entries without paths.
+        words: the table of histograms, as words of the alias method.
+        expected: for each row the two numbers that :meth:`row_expectations` returns.
         prior: a function that expects second moments in voxels of twice the side; by default by the voxels around them.
     """
 
@@ -263,6 +274,7 @@ class BounceRecords:
         paths: the number of paths.
 
     Attributes:
+        lane: the index of each path.
         stores: the first `numbers` values of a bounce, each for all paths, 0 if there was no bounce: entry *
             HISTOGRAM_BINS + bin + 1; the density of the sampled direction, divided by the density of cosine sampling;
             the luminance of the path's throughput before the bounce; the luminance that the path had with the emitter

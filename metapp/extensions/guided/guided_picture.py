@@ -1,8 +1,8 @@
 """A picture that the integrator `metapp_guided_path` makes.
 
-It is rendered in parts: a regular one, then guided ones, by a cache that has learned from a survey of the scene and
-from the parts before. Every part is a share of the picture that does not depend on samples, so that the mean of the
-picture is right.
+The picture is rendered in parts: a regular one, then guided ones, by a cache that has learned from a survey of the
+scene and from the parts before. The share of the picture that a part makes up does not depend on samples, so that the
+mean of the picture is right.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class PartCost(NamedTuple):
 
 
 class GuidedPicture:
-    """A picture in the making.
+    """A picture in the making: what was rendered of it so far, and the cache that guides the rest.
 
     Args:
         integrator: Mitsuba's `path` of the same properties, by which regular paths are traced.
@@ -121,6 +121,11 @@ class GuidedPicture:
         prior: the parameters of the network that is the cache's prior; None for the voxels around.
 
     Attributes:
+        regular_block: the image of the regular part; None before it is rendered.
+        block: the image of the guided parts; None before there is one.
+        wave_count: the number of waves of paths that were traced.
+        regular_cost: the luminance and the cost of regular paths; None before they were traced.
+        cache: the cache.
         guiding_helps: whether guided paths have less error in the same time, as far as is known.
         spent: the seconds of CPU that each kind of work took, by its name.
     """

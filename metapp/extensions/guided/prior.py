@@ -155,6 +155,9 @@ class LearnedPrior:
         theta: the network's parameters.
         voxels: the voxels of twice the side that were surveyed, with their axes, [S, 4].
         features: the features of these voxels that :func:`entry_features` returns.
+
+    Attributes:
+        rows: for each voxel of twice the side its row of `features`; -1 if it was not surveyed.
     """
 
     def __init__(self, theta: Params, voxels: Tensor, features: Tensor) -> None:

@@ -1,4 +1,7 @@
-"""Pictures of the scenes of transport, by `metapp_guided_path` and by `path` in the same time, whatever was fitted."""
+"""Pictures of the scenes of transport, by `metapp_guided_path` and by `path` in the same time, whatever was fitted.
+
+They are the output `--render` of the application transport. Both integrators read the scene alone: no fit guides them.
+"""
 
 from __future__ import annotations
 

@@ -59,6 +59,14 @@ class Vertex:
         ray: the rays that arrive.
         si: where they meet surfaces.
         active: which paths meet one.
+
+    Attributes:
+        bsdf: the BSDFs there.
+        emitter, emitted: a sampled direction to an emitter, and its radiance over the density of the direction.
+        is_lit: whether the emitter was sampled.
+        draws: the random numbers of the next direction.
+        share: the share of directions that the cache samples, in [0, 1].
+        location: where the vertices are in the cache.
     """
 
     def __init__(
@@ -133,7 +141,10 @@ class Vertex:
         )
 
     def record_values(self, sample: DirectionSample) -> tuple[mt.UInt32, mt.Float, mt.Mask]:
-        """Return the first two numbers that :class:`BounceRecords` keeps of a sample, and where they are recorded."""
+        """Return the first two numbers that records keep of a sample, and where they are recorded.
+
+        See :class:`metapp.extensions.guided.guide_cache.BounceRecords`.
+        """
         cache, location = self.cache, self.location
         direction = location.frame.to_local(self.si.to_world(sample.wo))
         density, bin_index = sample.guide or (

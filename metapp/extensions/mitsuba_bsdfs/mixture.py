@@ -16,7 +16,7 @@ from metapp.rendering.jit import dr, mi
 
 
 class MitsubaLobeMixture:
-    """A mixture of a cosine and GGX lobes in Mitsuba's active variant.
+    """A mixture of a cosine lobe and GGX lobes in Mitsuba's active variant, by which directions are sampled.
 
     Directions of a lobe below the surface are mirrored up, so the density integrates to 1 over the directions above.
 

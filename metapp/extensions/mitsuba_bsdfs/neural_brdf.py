@@ -37,7 +37,7 @@ class MitsubaNetwork:
         weights, biases: TensorXf [out, in] and Float [out] of each layer; a caller who changes them calls
             :meth:`read_weights_from_memory`.
         featured: whether inputs are features and hidden layers x sigmoid(x); else the inputs of an NBRDF, and ReLU.
-        turn: azimuth of the material's axes in rad; None for an isotropic material.
+        axes_azimuth_rad: azimuth of the material's axes in rad; None for an isotropic material.
         darkest: the reflectance that is added before the logarithm; 0 for networks that end in exp(x) - 1. See
             :class:`metapp.apps.brdf.brdf_network.PlainLayers`.
     """
@@ -280,6 +280,15 @@ class NetworkReflection(Reflection):
     Its parameters are the network's `weights0`, `bias0`, ..., which are differentiable, and the parameters of the tint.
     Directions are sampled from lobes that fit the network as it was loaded: later changes of weights change the noise
     of pictures alone.
+
+    Args:
+        props: Mitsuba's properties of the plugin: `filename`, and `tint`, a texture.
+
+    Attributes:
+        path: the file or folder of the fit.
+        network: the network.
+        mixture: the lobes.
+        tint: the texture that multiplies reflectance.
     """
 
     def __init__(self, props: mt.Properties) -> None:

@@ -38,7 +38,14 @@ def neural_svbrdf_class() -> mt.PluginClass:
 
 
 class MapsReflection(Reflection):
-    """A reflection with a Lambertian and a GGX component, whose parameters are textures."""
+    """A reflection with a Lambertian and a GGX component, whose parameters are textures.
+
+    Args:
+        props: Mitsuba's properties of the plugin, with the textures that DEFAULT_TEXTURE_VALUES names.
+
+    Attributes:
+        textures: the textures by name.
+    """
 
     def __init__(self, props: mt.Properties) -> None:
         self.textures = {key: props.get_texture(key, value) for key, value in DEFAULT_TEXTURE_VALUES.items()}
@@ -71,6 +78,10 @@ class Texel:
         maps: values of the textures: diffuse colour, F0 and roughness.
         viewer: directions of the viewers, above the surface.
         enabled: whether the diffuse and the specular component are evaluated.
+
+    Attributes:
+        facets: Mitsuba's GGX distribution of the texels' roughness.
+        specular_share: the share of directions that are sampled for the specular component, in [0, 1].
     """
 
     def __init__(self, maps: tuple[mt.Color, mt.Color, mt.Float], viewer: mt.Vector3, enabled: list[bool]) -> None:

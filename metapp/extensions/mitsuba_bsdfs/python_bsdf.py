@@ -1,7 +1,7 @@
 """The base of BSDFs of Mitsuba 3 that are written in Python: reflection on the upper side of surfaces.
 
-It turns a reflection, which knows directions above the surface alone, into a class of Mitsuba's active variant, with
-masks, components and flags as Mitsuba's integrators expect them. It does not know networks or maps.
+A :class:`Reflection` knows directions above the surface alone. Here it becomes a class of Mitsuba's active variant,
+with masks, components and flags as Mitsuba's integrators expect them. Networks and maps are not known here.
 """
 
 from __future__ import annotations

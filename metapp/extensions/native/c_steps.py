@@ -1,8 +1,9 @@
 """Steps of learning in C (`step.c`) for the NBRDF network and for rules all of whose parts have a form in C.
 
 The loss is in C as well (`nbrdf`). Steps by torch are the reference, from which results differ by rounding. The
-parameters that steps in C return are views of one tensor [T, P], see :class:`FlatParameters`. Nothing outside of this
-package knows the layout of the arguments of `step.c`.
+parameters that steps in C return are views of one tensor [T, P], see
+:class:`metapp.extensions.native.packing.FlatParameters`. Nothing outside of this package knows the layout of the
+arguments of `step.c`.
 """
 
 from __future__ import annotations

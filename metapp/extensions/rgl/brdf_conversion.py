@@ -1,6 +1,7 @@
 """The conversion of measured BRDFs without a fit: MERL tables, RGL files in RGB or with spectra, NBRDF networks.
 
-It is `metapp export` of files that are no runs. The module knows readers and writers of formats, but no applications.
+This is what `metapp export` does with files that are no runs. The module knows readers and writers of formats, but no
+applications.
 """
 
 from __future__ import annotations

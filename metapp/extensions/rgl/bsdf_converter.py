@@ -1,4 +1,4 @@
-"""Help and options of `metapp data bsdf`; the reader itself is in `rgl`."""
+"""Help and options of `metapp data bsdf`, apart from the reader in `rgl`, so that help imports nothing large."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `metapp data vgg`, which gets the weights of VGG-16 into the user's cache."""
+"""The command `metapp data vgg`, which gets the weights of VGG-16 into the user's cache. `weights` does the work."""
 
 from __future__ import annotations
 

@@ -37,11 +37,17 @@ class Part:
 
     Methods that a part does not define change nothing. A step passes the gradients through :meth:`gradients` of all
     parts and the result through their :meth:`directions`. It passes the directions through :meth:`updates`, and
-    subtracts the updates from the parameters. Last, it passes the new parameters through :meth:`moved`. In all these
-    methods `alpha` holds the hyperparameters of one step, with a task axis.
+    subtracts the updates from the parameters; a parameter without an update stays. Last, it passes the new parameters
+    through :meth:`moved`. In these four methods `alpha` holds the hyperparameters of one step, with a task axis in
+    place of the axis of steps.
+
+    Parts of a rule share one dictionary of hyperparameters and one of memories, so that a part may read another's.
+    Hence the names in both are unique among parts. Hyperparameters whose names begin with `loss.` are given to the
+    application's loss, without this prefix. The four methods and :meth:`state` are pure functions of tensors: they are
+    differentiated, and draw no random numbers.
 
     Attributes:
-        name: the name in compositions such as "adam+curvature".
+        name: the name in compositions such as "adam+curvature", which is also the key in the registry.
         is_rate: whether the part decides how far parameters move; a rule has exactly one such part.
         needs_one_of: names of parts of which a rule with this part must have at least one; () if it needs none.
         settled: beginnings of the names of hyperparameters that are computed from gradients of training tasks, before
@@ -74,24 +80,36 @@ class Part:
         return {}
 
     def loss(self, app: App, loss: Loss) -> Loss:
-        """Return the loss that steps descend in place of the application's own loss."""
+        """Return the loss that steps descend in place of a given loss.
+
+        Args:
+            app: the application.
+            loss: the application's own loss, or what a part before this one made of it.
+        """
         return loss
 
     def state(self, alpha: Params, theta: Params) -> Params:
         """Return the part's memory before the first step, by name.
 
         Args:
-            alpha: the hyperparameters.
+            alpha: the hyperparameters of all steps, [K, ...], or [K, T, ...] if each task has its own.
             theta: the initialisation [T, ...].
         """
         return {}
 
     def gradients(self, alpha: Params, grads: Params) -> Params:
-        """Transform gradients [T, ...], before directions are made of them."""
+        """Transform gradients [T, ...], before directions are made of them.
+
+        Args:
+            alpha: the hyperparameters of this step, with a task axis.
+            grads: the gradients, by the names of parameters.
+        """
         return grads
 
     def directions(self, alpha: Params, directions: Params, state: Params) -> tuple[Params, Params]:
         """Transform directions, and return with them what the part remembers for the next step.
+
+        What is not returned is forgotten.
 
         Args:
             alpha: the hyperparameters of this step, with a task axis.
@@ -103,7 +121,11 @@ class Part:
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Transform updates [T, ...], which are subtracted from the parameters.
 
-        Before all parts the updates are the directions.
+        The first part gets the directions as updates.
+
+        Args:
+            alpha: the hyperparameters of this step, with a task axis.
+            updates: the updates, by the names of parameters.
         """
         return updates
 

@@ -50,6 +50,11 @@ class Tracer:
 
     Raises:
         ValueError: a scene that `load_scene` refuses.
+
+    Attributes:
+        mi: the module of Mitsuba, in its variant.
+        scene: Mitsuba's object of the scene.
+        greatest_luminance: the greatest luminance that its lights send out; 0 if they do not tell.
     """
 
     def __init__(
@@ -143,7 +148,7 @@ class TooFewPathsError(ValueError):
 
 
 class ImageSum:
-    """The sum of the radiance of paths in each pixel of a small picture."""
+    """The sum of the radiance of paths in each pixel of a small picture, SAMPLE_IMAGE_PX a side."""
 
     def __init__(self) -> None:
         self._total = torch.zeros(3, SAMPLE_IMAGE_PX**2, dtype=torch.float64)

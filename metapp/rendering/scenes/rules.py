@@ -206,6 +206,9 @@ class SceneChecker:
     Args:
         files: the files that it may name.
         most_values: greatest number of values in the whole scene.
+
+    Attributes:
+        value_count: the number of values that were checked so far.
     """
 
     def __init__(self, files: SceneFiles, most_values: int = MAX_SCENE_VALUES) -> None:

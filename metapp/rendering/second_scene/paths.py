@@ -40,6 +40,9 @@ class TransferPaths:
     """The paths from the rows of the matrix, the pixels and then the patches, back to the light.
 
     Arrays are Dr.Jit's, one entry a path.
+
+    Attributes:
+        scene: Mitsuba's object of the second scene, without a light.
     """
 
     def __init__(self) -> None:

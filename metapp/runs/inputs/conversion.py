@@ -1,7 +1,7 @@
 """The conversion of a user's files into a data set, by one loop for every format.
 
-How a file is read is the format's matter (`data_tools.readers`), how a data set lies on disk is the matter of
-`metapp.storage.shards`. Here files are found, named, read one by one, and skipped if they are damaged.
+Readers of formats (`data_tools.readers`) decide how a file is read, and `metapp.storage.shards` how a data set lies on
+disk. Here files are found, named, read one by one, and skipped if they are damaged.
 """
 
 from __future__ import annotations

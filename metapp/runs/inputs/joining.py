@@ -1,4 +1,7 @@
-"""The joining of several data sets of one application into one, with their splits as they are."""
+"""The joining of several data sets of one application into one, with their splits as they are.
+
+Tasks are joined by their tensors' names and shapes; what tensors mean is not known here.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ def join_data_sets(
         quiet: whether no progress is shown.
 
     Returns:
-        The names of the tasks that were written.
+        The folder and the names of the tasks that were written.
 
     Raises:
         ValueError: the folder is one of the data sets, a data set cannot be read or is of another application, two

@@ -1,7 +1,7 @@
 """The application of BRDFs from few samples, which states the error that they leave, and the recipe `few`.
 
-It differs from :class:`metapp.apps.brdf.app.Brdf` in that a fit sees all samples in its one step, and in that the
-network says how much each counts.
+The application differs from :class:`metapp.apps.brdf.app.Brdf` in that a fit sees all samples in its one step, and in
+that the network says how much each of them counts.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TRAINING_SAMPLE_RANGE = (4, 256)  # the least and the greatest count of samples 
 
 @dataclass(frozen=True)
 class FewSamples(Brdf):
-    """BRDFs from few samples, all of which a fit sees at once."""
+    """The application of BRDFs from few samples, all of which a fit sees at once."""
 
     network: BrdfNetwork = FEW_NETWORK
 

@@ -1,10 +1,11 @@
 """The network of fits of few samples: a linear Gaussian model of the logarithm of reflectance.
 
-It adds up learned features, as Nielsen et al. 2015 ("On Optimal, Minimal BRDF Sampling for Reflectance Acquisition")
-add up components of a table, but of features that any pair of directions has. The weights of a material's features are
-Gaussian: one ridge regression gives their mean after samples, and their covariance is the uncertainty that the samples
-leave, by which `metapp.apps.brdf.few.design` plans. Luminance varies more than colour (:func:`opponent_axes`). Each
-kind of materials has a Gaussian of its own; samples say by their likelihood which one holds.
+The model adds up learned features, as Nielsen et al. 2015 ("On Optimal, Minimal BRDF Sampling for Reflectance
+Acquisition") add up components of a table, but of features that any pair of directions has. The weights of a material's
+features are Gaussian: one ridge regression gives their mean after samples, and their covariance is the uncertainty that
+the samples leave, by which `metapp.apps.brdf.few.design` plans. Luminance varies more than colour
+(:func:`metapp.apps.brdf.brdf_network.opponent_axes`). Each kind of materials has a Gaussian of its own; samples say by
+their likelihood which one holds.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""Non-stationary svBRDFs from one photograph whose General reads features of VGG-16: the fields, losses and fits."""
+"""Non-stationary svBRDFs from one photograph whose General reads features of VGG-16: the fields, losses and fits.
+
+A fit differs from a fit of :class:`metapp.apps.svbrdf_nonstationary.coded_maps.FromPhoto` in where its maps come from:
+they are the mean of two fields, and steps change the code of the second field and the flash alone. The features
+themselves are read in :mod:`metapp.apps.svbrdf_nonstationary.pretrained.encoder`.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +87,7 @@ class MeanField(LocalField):
 
 @dataclass(frozen=True)
 class FromFeatures(FromPhoto):
-    """Fits of one photograph that begin at General's maps by features of VGG-16.
+    """The application whose fits of one photograph begin at General's maps by features of VGG-16.
 
     General draws no relief that a photograph does not show. Beside `maps` a training task may hold `known` [4], weights
     of the loss of the maps in the order of PARTS, 0 where a map is made up.

@@ -1,9 +1,9 @@
 """General's encoder of a flash photograph: a small decoder over frozen features of VGG-16.
 
 Features that know real pictures tell relief from colour where an encoder that has seen drawn materials alone does not.
-Features have the size of pixels, highlights that of the patch: gloss is read off a small picture of all of it, and off
-the maps that General by the recipe "full" makes, which was trained on ten times as many materials. The trained part is
-the decoder; VGG's weights are those that `metapp data vgg` keeps, in no checkpoint.
+But features look at pixels, and a highlight is as large as the patch: so gloss is read off a small picture of all of
+the patch, and off the maps that General by the recipe "full" makes, which was trained on ten times as many materials.
+The trained part is the decoder; VGG's weights are those that `metapp data vgg` keeps, in no checkpoint.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ def negative_log_likelihood(differences: Sequence[Tensor], theta: Params) -> Ten
     Only `deviation` has a gradient of it.
 
     Args:
-        differences: what :func:`map_differences` returns.
+        differences: what :func:`metapp.apps.svbrdf_nonstationary.maps.map_differences` returns.
         theta: parameters with `deviation`, logs of the scales.
     """
     scale = laplace_scales(theta)

@@ -1,4 +1,7 @@
-"""The recipe of non-stationary svBRDFs from one photograph by features of VGG-16, the default where its weights are."""
+"""The recipe of non-stationary svBRDFs from one photograph by features of VGG-16, the default where its weights are.
+
+The recipe is `full` but for the application, the training of General, and an Adam that was searched for it.
+"""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class Texels(NamedTuple):
 
 @dataclass(frozen=True)
 class SeveralPhotos(SvbrdfNonstationary):
-    """Fits of several flash photographs of one place.
+    """The application whose fits see several flash photographs of one place.
 
     The parameters are the maps themselves, `maps` [T, 9, H, W] unbounded numbers, and the flashes, `flash`
     [T, FLASH_NUMBERS, N]. Fits that begin at General's maps keep these as a prior: `prior` [T, 18, H, W] has its

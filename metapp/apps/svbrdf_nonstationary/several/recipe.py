@@ -1,4 +1,8 @@
-"""The recipe of non-stationary svBRDFs from several photos: maps of each texel, begun by photometric stereo."""
+"""The recipe of non-stationary svBRDFs from several photographs: maps of each texel, begun by photometric stereo.
+
+The recipe holds numbers of steps and rates alone; a step itself is in
+`metapp.apps.svbrdf_nonstationary.several.newton`.
+"""
 
 from __future__ import annotations
 

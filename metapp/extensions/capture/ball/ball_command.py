@@ -1,4 +1,7 @@
-"""The command `metapp data ball`, which reads the light around a mirror ball from photographs."""
+"""The command `metapp data ball`, which reads the light around a mirror ball from photographs.
+
+Only arguments and messages are made here; :mod:`metapp.extensions.capture.ball.light_files` does the work.
+"""
 
 from __future__ import annotations
 

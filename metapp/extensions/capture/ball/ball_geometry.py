@@ -21,7 +21,12 @@ _SPLINE_NODES = 2000  # of the spline through the places where directions are se
 
 
 class PinholeLens(NamedTuple):
-    """A pinhole camera: its focal length and its principal point, in px of the photograph."""
+    """A pinhole camera, in px of the photograph.
+
+    Attributes:
+        focal: the focal length.
+        x, y: the principal point.
+    """
 
     focal: float
     x: float

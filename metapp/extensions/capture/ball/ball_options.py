@@ -1,4 +1,7 @@
-"""The options of the command that reads the light around a mirror ball."""
+"""The options of `metapp data ball`.
+
+They are apart from the work, so that help and completion import nothing large to read them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The format of LDR photographs of balls, which are inputs of illumination."""
+"""The format of LDR photographs of balls, which are inputs of illumination.
+
+It has the functions that :class:`metapp.registry.Format` lists. A ball is found and unwrapped by
+:mod:`metapp.extensions.capture.ball.capture`.
+"""
 
 from __future__ import annotations
 

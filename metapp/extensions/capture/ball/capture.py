@@ -1,4 +1,8 @@
-"""From photographs of a mirror ball to the light around it: balls are found, aligned, merged and unwrapped."""
+"""From photographs of a mirror ball to the light around it: balls are found, aligned, merged and unwrapped.
+
+`circle` finds balls, `bracket` aligns and merges their photographs. Here are the order of these steps, the unwrapping,
+and what is done where a step fails. Nothing is written here.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The light around a mirror ball, written as a data set, a map and pictures of the balls that were found."""
+"""The light around a mirror ball, written as a data set, a map and pictures of the balls that were found.
+
+How the light is recovered is not known here; see :mod:`metapp.extensions.capture.ball.capture`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The commands of `metapp data` for photographs of a flat material, with a printed marker sheet or without."""
+"""The commands of `metapp data` for photographs of a flat material, with a printed marker sheet or without.
+
+Only arguments and messages are made here; `rectification` and `sheet_page`, which are imported when a command runs, do
+the work.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The options of the commands that write marker sheets and rectify photographs."""
+"""The options of the commands that write marker sheets and rectify photographs.
+
+They are apart from the work, so that help and completion import nothing large to read them.
+"""
 
 from __future__ import annotations
 

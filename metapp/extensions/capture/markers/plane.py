@@ -26,7 +26,8 @@ def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> li
     """Find the cameras above the plane by which photographs fit best; lengths are in distances of the first from it.
 
     Args:
-        sightings: the photographs that :func:`register_photos` placed on the first one.
+        sightings: the photographs that :func:`metapp.extensions.capture.markers.registration.register_photos` placed on
+            the first one.
         focal_mm: the focal length, as on 35 mm film, of photographs that do not state it.
     """
     sightings_with_focal = [sighting._replace(focal_mm=sighting.focal_mm or focal_mm) for sighting in sightings]

@@ -1,4 +1,8 @@
-"""Hand-held photographs of a flat material, turned into a folder of rectified ones, with lines about what is wrong."""
+"""Hand-held photographs of a flat material, turned into a folder of rectified ones, with lines about what is wrong.
+
+This is the work of `metapp data rectify`: it finds files, skips what cannot be rectified, and says what is doubtful.
+How photographs are rectified is decided in `rectified_photos` and `sample`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The page of a marker sheet, to print."""
+"""The page of a marker sheet, to print: markers around an opening, a ruler, and instructions.
+
+Which markers a sheet has, and where, is decided in `sheet`, by which photographs are read, too.
+"""
 
 from __future__ import annotations
 
