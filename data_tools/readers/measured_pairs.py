@@ -1,6 +1,6 @@
-"""BRDF tasks of measured pairs of directions, which a goniometer or arrays in memory give.
+"""BRDF tasks made of reflectance that was measured at pairs of directions, such as by a goniometer.
 
-Nothing is interpolated, and no pictures are made of measurements; repeated ones alone are averaged.
+Measurements are neither interpolated nor rendered as a picture. Only repeated ones are changed: they are averaged.
 """
 
 from __future__ import annotations
@@ -16,22 +16,23 @@ from data_tools.readers import brdf_task
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
 
-MIN_PAIRS = 4  # different pairs of directions that a task needs
-MAX_PAIRS_ALL_SEEN = 1000  # with at most this many measurements, none is held out
+MIN_PAIRS = 4  # number of different pairs of directions that a task needs
+MAX_PAIRS_ALL_SEEN = 1000  # of at most so many different pairs, none is held out
 MAX_REFLECTANCE_PER_SR = 1e9  # a BRDF's largest value; larger ones are a mistake
 MAX_THETA_RAD = math.radians(89.999)  # angle from the normal; measurements closer to the surface are left out
-# Measurements that are compared to tell whether phi_h counts, and the neighbours that each is compared with.
-AZIMUTH_TEST_PAIRS, AZIMUTH_TEST_NEIGHBOURS = 1_024, 8
-MIN_AZIMUTH_EXPLAINED_SHARE = 0.1  # of squared differences of neighbours, from which on phi_h counts
-MIN_AZIMUTH_TEST_PAIRS = 64  # fewer measurements count as isotropic
+# The test that tells whether reflectance depends on phi_h, the azimuth of the half vector
+AZIMUTH_TEST_PAIRS = 1_024  # number of measurements that are compared with their neighbours
+AZIMUTH_TEST_NEIGHBOURS = 8  # number of neighbours that each of them is compared with
+MIN_AZIMUTH_EXPLAINED_SHARE = 0.1  # share of the squared differences of neighbours that phi_h must explain
+MIN_AZIMUTH_TEST_PAIRS = 64  # of fewer measurements the material counts as isotropic
 MIN_HALF_THETA_RAD = math.radians(3)  # half vectors closer to the normal have no meaningful azimuth
 
 
 class MeasuredPairs(NamedTuple):
-    """Measured pairs of directions.
+    """The reflectance that was measured at N pairs of directions.
 
     Attributes:
-        wi: unit vectors [N, 3] to the light, z the normal, float64.
+        wi: unit vectors [N, 3] to the light, in a frame whose z axis is the normal, float64.
         wo: unit vectors [N, 3] to the detector, float64.
         reflectance: linear RGB [N, 3] in 1/sr, >= 0, float64.
     """
@@ -41,18 +42,18 @@ class MeasuredPairs(NamedTuple):
     reflectance: Tensor
 
     def above(self) -> MeasuredPairs:
-        """Return the pairs of which neither direction is along or below the surface."""
+        """Return the pairs whose directions are both within MAX_THETA_RAD of the normal."""
         rows = torch.minimum(self.wi[:, 2], self.wo[:, 2]) > math.cos(MAX_THETA_RAD)
         return MeasuredPairs(self.wi[rows], self.wo[rows], self.reflectance[rows])
 
 
 def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> Task:
-    """Make the BRDF task of measurements, all of which must lie above the surface.
+    """Make a BRDF task of measurements, all of which must lie above the surface.
 
-    The samples are the measurements, in random order: the first half is for fits to see, the second is held out. Of
-    MAX_PAIRS_ALL_SEEN or fewer, both halves hold all measurements. Measurements of equal angles, to 1e-5 rad, are
-    averaged, since a held-out sample must not have been seen. There is no picture of a sphere, which would have to be
-    interpolated and so could not serve as a reference.
+    Measurements of equal angles, to 1e-5 rad, are averaged first: otherwise a fit could see a sample that is held out.
+    The samples of the task are the measurements in random order. Fits see the first half of the samples, and the second
+    half is held out; if there are at most MAX_PAIRS_ALL_SEEN measurements, each half holds all of them. The task has no
+    picture of a sphere: it would have to be interpolated and so could not serve as a reference.
 
     Args:
         name: the name of the task.
@@ -60,15 +61,15 @@ def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> T
         source: the file that errors name; "" for the task's name.
 
     Returns:
-        A task with float32 tensors: angles [N, 3] in rad, reflectance [N, 3] in 1/sr, linear RGB; phi_h [N] in rad if
-        :func:`depends_on_azimuth` says that it counts.
+        A task with float32 tensors: `angles` [N, 3] in rad, `reflectance` [N, 3] in 1/sr, linear RGB; and `phi_h` [N]
+        in rad if :func:`depends_on_azimuth` holds.
 
     Raises:
         ValueError: there are too few measurements.
     """
     angles = directions_to_four_angles(pairs.wi, pairs.wo)
-    azimuths = depends_on_azimuth(angles, pairs.reflectance)
-    angles, reflectance = angles if azimuths else angles[:, :3], pairs.reflectance
+    is_anisotropic = depends_on_azimuth(angles, pairs.reflectance)
+    angles, reflectance = angles if is_anisotropic else angles[:, :3], pairs.reflectance
     if len(angles):
         angles, reflectance = _merge_duplicates(angles, reflectance)
     if len(angles) < MIN_PAIRS:
@@ -82,35 +83,39 @@ def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> T
 
 
 def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
-    """Tell whether measured reflectance depends on phi_h: whether phi_h explains how neighbours differ.
+    """Tell whether measured reflectance depends on phi_h, the azimuth of the half vector.
 
-    Differences of log reflectance are fitted by least squares of differences of the first two harmonics of phi_h, which
-    noise does not follow. Measurements at one azimuth count as isotropic.
+    Neighbours are measurements whose other three angles nearly agree. If reflectance depends on phi_h, the difference
+    of the log reflectance of neighbours follows from their phi_h. So these differences are fitted by least squares, as
+    linear combinations of the differences of cos and sin of phi_h and of 2 phi_h; noise cannot be fitted so.
+    Reflectance depends on phi_h if the fit explains more than MIN_AZIMUTH_EXPLAINED_SHARE of the squared differences.
+    Measurements that all have one azimuth count as isotropic.
 
     Args:
         angles: theta_h, theta_d, phi_d and phi_h in rad, [N, 4].
         reflectance: reflectance in 1/sr, [N, 3].
     """
-    tilted = angles[:, 0] > MIN_HALF_THETA_RAD
-    angles, values = angles[tilted], torch.log(reflectance[tilted].mean(1) + 1e-3)
+    has_azimuth = angles[:, 0] > MIN_HALF_THETA_RAD
+    angles, logs = angles[has_azimuth], torch.log(reflectance[has_azimuth].mean(1) + 1e-3)
     if len(angles) < MIN_AZIMUTH_TEST_PAIRS:
         return False
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))[:AZIMUTH_TEST_PAIRS]
     points = _comparison_points(angles[:, :3])
-    nearest = [
+    neighbours = [
         torch.cdist(part, points).topk(1 + AZIMUTH_TEST_NEIGHBOURS, largest=False).indices
         for part in points[order].split(512)
     ]
-    first, second = order.repeat_interleave(AZIMUTH_TEST_NEIGHBOURS), torch.cat(nearest)[:, 1:].reshape(-1)
+    first, second = order.repeat_interleave(AZIMUTH_TEST_NEIGHBOURS), torch.cat(neighbours)[:, 1:].reshape(-1)
     phi_h = angles[:, 3]
-    waves = torch.stack([phi_h.cos(), phi_h.sin(), (2 * phi_h).cos(), (2 * phi_h).sin()], 1).double()
-    changes, difference = waves[first] - waves[second], (values[first] - values[second]).double()
-    total = float(difference.square().sum())
-    gram = changes.T @ changes + 1e-9 * len(changes) * torch.eye(4, dtype=torch.float64)
-    moment = changes.T @ difference
-    # four fitted numbers explain a share of noise, too, which is subtracted
-    explained = float(moment @ torch.linalg.solve(gram, moment)) - 4 * total / len(order)
-    return total > 0 and explained > MIN_AZIMUTH_EXPLAINED_SHARE * total
+    harmonics = torch.stack([phi_h.cos(), phi_h.sin(), (2 * phi_h).cos(), (2 * phi_h).sin()], 1).double()
+    harmonic_differences, log_differences = harmonics[first] - harmonics[second], (logs[first] - logs[second]).double()
+    total_squares = float(log_differences.square().sum())
+    ridge = 1e-9 * len(harmonic_differences) * torch.eye(4, dtype=torch.float64)
+    matrix = harmonic_differences.T @ harmonic_differences + ridge
+    right_side = harmonic_differences.T @ log_differences
+    # Four fitted numbers explain a share of pure noise, too, which is subtracted.
+    explained_squares = float(right_side @ torch.linalg.solve(matrix, right_side)) - 4 * total_squares / len(order)
+    return total_squares > 0 and explained_squares > MIN_AZIMUTH_EXPLAINED_SHARE * total_squares
 
 
 def _merge_duplicates(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
@@ -121,12 +126,12 @@ def _merge_duplicates(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tens
         reflectance: reflectance in 1/sr, [N, 3].
 
     Returns:
-        Distinct angles and their reflectance, in the order of angles.
+        Distinct angles and their reflectance, ordered by the first angle, then by the next ones.
     """
     rounded_angles = (angles * 1e5).round().long()
     rounded_angles -= rounded_angles.amin(0)
+    # Each row of angles becomes one integer, its key, which sorts like the row: ten times as fast as unique rows.
     row_keys = rounded_angles[:, 0]
-    # one key for each row, in the order of rows: ten times as fast as torch.unique of rows
     for column in rounded_angles.T[1:]:
         row_keys = torch.unique(row_keys, return_inverse=True)[1] * (column.max() + 1) + column
     _, inverse, count = torch.unique(row_keys, return_inverse=True, return_counts=True)
@@ -140,9 +145,12 @@ def _merge_duplicates(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tens
 
 
 def _comparison_points(angles: Tensor) -> Tensor:
-    """Map angles [N, 3] in rad to points [N, 4] whose distances say how alike the angles are; highlights are narrow."""
+    """Map angles [N, 3] in rad to points [N, 4] that are the nearer, the more alike reflectance is at the angles.
+
+    The root of theta_h spreads small angles, where highlights make reflectance change fast.
+    """
     theta_h, theta_d, phi_d = angles.double().unbind(-1)
-    doubled_phi_d = 2 * phi_d  # doubled, since by reciprocity phi_d + pi is phi_d
+    doubled_phi_d = 2 * phi_d  # by reciprocity reflectance is equal at phi_d and phi_d + pi
     return torch.stack(
         [2 * theta_h.sqrt(), theta_d, theta_d * doubled_phi_d.cos() / 2, theta_d * doubled_phi_d.sin() / 2], -1
     )

@@ -42,7 +42,7 @@ UNITS = {
 }
 
 _PREDICTED_GAMMA = 2.2  # encoding of predicted diffuse and specular maps
-_CLIPPED_VALUE = 0.995  # linear value from which on a strip's photograph counts as clipped
+_CLIPPED_LINEAR_VALUE = 0.995  # linear value from which on a strip's photograph counts as clipped
 _MIN_VISIBLE_REFLECTANCE = 1 / 255  # a material with less in all texels is black
 _ONE_TEST_IN = 5  # share of strips or components for tests; fewer than five components have no fifth
 _MAX_CANDIDATES = 256  # blends that a step of a walk chooses from
@@ -198,7 +198,7 @@ def _read_tiles(path: Path, gamma: float, white: float, layer: str) -> list[Floa
         tile = complete_normals(tile, path) if index == 1 else tile**gamma
         if index == 0:
             # how bright clipped texels were is not known: they stay white
-            tile = np.where(tile < _CLIPPED_VALUE, (tile / white).clip(0, 1), 1)
+            tile = np.where(tile < _CLIPPED_LINEAR_VALUE, (tile / white).clip(0, 1), 1)
         tiles.append(tile)
     return tiles
 

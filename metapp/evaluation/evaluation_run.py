@@ -107,7 +107,7 @@ class EvaluationRun:
         return select_evenly(self.tasks, self.long_fit_tasks)
 
     def is_of_subset(self, name: str) -> bool:
-        """Return whether a row of the results covers some of the test tasks alone."""
+        """Return whether a row of the results covers only a subset of the test tasks."""
         return len(self.tasks_of(name)) < len(self.tasks)
 
     def table(self, name: str) -> Table:

@@ -49,11 +49,13 @@ def make_row(
         evaluation: the application under a protocol, with its tasks and records.
         name: the name of the row's method, such as a paradigm.
         records: records of tasks; their entry `error` may hold another measure than the application's error.
-        entries: further entries, and entries that replace those made here.
-        compared_rows: rows of the results that the row is compared with on the same tasks, in entries `vs_<row>`.
+        entries: further entries; an entry of the same name as one that is made here replaces it.
+        compared_rows: names of rows of the results. Errors are compared with theirs on the same tasks, in an entry
+            `vs_<name>` for each, which is None for the row itself.
     """
     app, groups = evaluation.app, evaluation.groups
-    clauses = [record["warning"].split("; ") for record in records if record.get("warning")]
+    # A warning is a list of clauses. If one says that the loss rose, it is the first; all others doubt the fit.
+    warnings = [record["warning"].split("; ") for record in records if record.get("warning")]
     measure_values = {key: [record[key] for record in records if key in record] for key in app.error_measure.further}
     seconds = [record["seconds"] for record in records if "seconds" in record]
     row = {
@@ -63,8 +65,8 @@ def make_row(
         **summarise_errors(errors_by_task(records), groups),
         "seconds": statistics.median(seconds) if seconds else None,
         "tasks": len(records),
-        "warnings": sum(warning[0].startswith(LOSS_ROSE_CLAUSE) for warning in clauses),
-        "doubtful": sum(not warning[-1].startswith(LOSS_ROSE_CLAUSE) for warning in clauses),
+        "warnings": sum(clauses[0].startswith(LOSS_ROSE_CLAUSE) for clauses in warnings),
+        "doubtful": sum(not clauses[-1].startswith(LOSS_ROSE_CLAUSE) for clauses in warnings),
         "guarded": count_guarded(records),
         "threads": ", ".join(map(str, sorted({record["threads"] for record in records if record.get("threads")})))
         or None,
@@ -83,13 +85,16 @@ def make_row(
 
 
 def paper_entries(app: App, name: str) -> Row:
-    """Return the paper's error and seconds of a paradigm, None each under another protocol than the paper's."""
+    """Return the error and the seconds that the paper states for a paradigm, as entries of a row.
+
+    An entry is None if the paper states no such figure, as under a protocol that is not the paper's.
+    """
     figures = paper_figures() if is_first_protocol(app) else {}
     return {f"paper_{key}": figures.get(key, {}).get(app.name, {}).get(name) for key in ("error", "seconds")}
 
 
 def errors_by_task(records: Sequence[Record]) -> ErrorsByTask:
-    """Return the errors of the records that have one, by the task's name."""
+    """Return errors by the name of the task; records whose error is None are left out."""
     return {record["name"]: record["error"] for record in records if record["error"] is not None}
 
 
@@ -168,10 +173,12 @@ def _threads_note(rows: Sequence[Row]) -> list[str]:
 
 
 def subset_note(evaluation: EvaluationRun) -> list[str]:
-    """Return a note on the rows that cover some of the test tasks alone; [] if all rows cover all."""
-    names = [name for name in evaluation.runs if evaluation.is_of_subset(name)]
-    count = len(evaluation.tasks_of(names[0])) if names else 0
-    return [f"*: on {count} evenly spaced tasks; --whole measures all"] if names else []
+    """Return a note that explains the asterisk of rows which cover a subset of the test tasks; [] without such rows."""
+    subset_rows = [name for name in evaluation.runs if evaluation.is_of_subset(name)]
+    if not subset_rows:
+        return []
+    task_count = len(evaluation.tasks_of(subset_rows[0]))  # all subsets are of one size
+    return [f"*: on {task_count} evenly spaced tasks; --whole measures all"]
 
 
 def scale_free_figures(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:

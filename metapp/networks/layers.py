@@ -16,7 +16,7 @@ from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, 
 from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Params
 
-LEAKY_SLOPE = 0.2  # slope of leaky ReLUs below 0
+GENERATOR_LEAKY_SLOPE = 0.2  # slope below 0 of the leaky ReLUs of generators
 VARIANCE_EPS = 1e-5  # that is added to variances, by instance_norm, too
 STRIP_ROWS = 256  # rows of maps that are computed at a time; even
 
@@ -102,7 +102,7 @@ def apply_styled(theta: Params, name: str, x: Tensor, above: Tensor | None = Non
     """
     x = _convolve(theta[f"{name}.kernel"], pad_periodic(x), None if above is None else pad_periodic(above))
     gain, shift = channel_style(theta, name)
-    return leaky_relu(instance_norm(x) * gain + shift, LEAKY_SLOPE)
+    return leaky_relu(instance_norm(x) * gain + shift, GENERATOR_LEAKY_SLOPE)
 
 
 # Weights [phase, a, d] by which row d of a 3x3 kernel for enlarged maps counts in row a of a kernel for the maps before
@@ -162,5 +162,5 @@ def apply_styled_by_rows(theta: Params, name: str, x: Tensor, above: Tensor | No
         channel.sub_(channel.mean((-1, -2), keepdim=True))
         norm = torch.linalg.vector_norm(channel, dim=(-1, -2), keepdim=True)  # quicker than torch's variance
         variance = norm.square() / channel[0, 0].numel()
-        leaky_relu_(channel.mul_(gain * torch.rsqrt(variance + VARIANCE_EPS)).add_(shift), LEAKY_SLOPE)
+        leaky_relu_(channel.mul_(gain * torch.rsqrt(variance + VARIANCE_EPS)).add_(shift), GENERATOR_LEAKY_SLOPE)
     return result

@@ -1,6 +1,7 @@
-"""A run from its options to its folder: the checkpoint is provided, inputs are fitted, and each fit is written.
+"""The execution of a run: its checkpoint is provided, its inputs are fitted, and each fit is written to its folder.
 
-What became of each input is reported as plain data, which the command line prints; nothing here prints.
+The outcome of each input is returned as plain data, which the command line prints. Nothing here prints: messages and
+progress go to the reporter.
 """
 
 from __future__ import annotations
@@ -32,12 +33,9 @@ from metapp.storage.parameters import read_checked_params
 
 ERROR_RECORD_KEYS = ("error", "photo_error")  # entries of a record; progress shows the first one that has a value
 DRAWN_TIME_SHARE = 0.9  # about the share of an input's time that has passed when its pictures are drawn
-FORESEEN_ERRORS = (
-    ValueError,
-    OSError,
-    FloatingPointError,
-    MemoryError,
-)  # errors of inputs and fits that a run foresees; if its only input fails by another one, that is raised
+# Errors of inputs and of fits that a run reports in a line. Any other error may be a mistake in the code: a run of one
+# input raises it, with its traceback; a run of several inputs reports it, too, and fits the others.
+FORESEEN_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError)
 
 
 class Failure(NamedTuple):
@@ -87,8 +85,8 @@ class RunReport(NamedTuple):
         run: the run, with its checkpoint.
         folder: the folder of the run.
         outcomes: one outcome for each input, in the order of the inputs.
-        tasks_per_second: number of new fits per second, where reading, fitting, writing and drawing count; None if
-            there was nothing left to fit.
+        tasks_per_second: the number of new fits per second of the whole run, in which inputs are read and fitted, and
+            fits drawn and written; None if there was no new fit.
     """
 
     run: Run
@@ -117,11 +115,12 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
 
     Args:
         run: a run without its checkpoint.
-        provide: a function that returns a run with its checkpoint. With --train it is
-            :func:`metapp.runs.checkpoint_training.train_run`, a module that most runs need not import.
+        provide: a function that returns a run with its checkpoint. The default reads it from a file. With --train the
+            caller passes :func:`metapp.runs.checkpoint_training.train_run`, whose module most runs need not import.
 
     Returns:
-        The report of all outcomes. None on all but the first of several ranks: the others only help to train.
+        The report of all outcomes. Of several ranks (processes of one training), only the first has a report; the
+        others help to train and return None.
 
     Raises:
         ValueError: inputs are bad, there is no checkpoint, a folder cannot be written to, or nothing could be fitted.
@@ -130,7 +129,7 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
     with torch_defaults(single=run.app.single_threaded):
         if ranks.rank_number() > 0:
             if run.options.train:
-                with use_reporter(Reporter()):
+                with use_reporter(Reporter()):  # shows neither messages nor progress
                     provide(replace(run, options=replace(run.options, quiet=True)))
             return None
         make_folder(run.options.out)
@@ -144,10 +143,12 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
             say(f"{full_name(run.app)} {run.paradigm.name}: {count}; {steps}{size}")
         begin, folder = time.perf_counter(), run.folder(label)
         outcomes = list(keep_fits(run, folder, sources))
-        fit_count = sum(outcome.record is not None and not outcome.is_earlier for outcome in outcomes)
-        rate = fit_count / (time.perf_counter() - begin) if fit_count else None
+        new_fits = sum(outcome.record is not None and not outcome.is_earlier for outcome in outcomes)
+        tasks_per_second = new_fits / (time.perf_counter() - begin) if new_fits else None
+        # outcomes come as inputs are done, in another order than the inputs where several are fitted side by side
         order = {source.place: number for number, source in enumerate(sources)}
-        report = RunReport(run, folder, sorted(outcomes, key=lambda outcome: order[outcome.place]), rate)
+        outcomes.sort(key=lambda outcome: order[outcome.place])
+        report = RunReport(run, folder, outcomes, tasks_per_second)
         if not report.records:
             introduction = f"none of {len(sources)} inputs could be fitted; the first: " if len(sources) > 1 else ""
             raise ValueError(f"{introduction}{report.failures[0].reason}")
@@ -166,25 +167,28 @@ def keep_fits(run: Run, folder: RunFolder, sources: Sequence[Input]) -> Iterator
     Yields:
         The outcome of each input, as soon as it is known.
     """
-    drawn_count, count = 0, len(sources)
-    with progress(run.paradigm.name, count, long=count > 1, quiet=run.options.quiet) as bar:
+    shown_count, input_count = 0, len(sources)
+    with progress(run.paradigm.name, input_count, long=input_count > 1, quiet=run.options.quiet) as bar:
         bar.set_label(f"{Path(sources[0].place).name}: reading")
         for source, fit in fit_sources(run, sources, folder, bar):
             if isinstance(fit, Exception):
-                if count == 1 and not isinstance(fit, FORESEEN_ERRORS):
+                if input_count == 1 and not isinstance(fit, FORESEEN_ERRORS):
                     raise fit
                 outcome = _report_failure(source, fit, bar)
             else:
                 try:
-                    outcome = _keep_fit(folder, source, fit, bar, is_shown=drawn_count < MAX_SHEET_ROWS)
-                    drawn_count += 1
+                    outcome = _keep_fit(folder, source, fit, bar, is_shown=shown_count < MAX_SHEET_ROWS)
+                    shown_count += 1
                 except ValueError as error:
                     outcome = _report_failure(source, error, bar)
             yield outcome
 
 
 def _report_failure(source: Input, error: Exception, bar: Bar) -> Outcome:
-    """Return the outcome of an input that an error kept from being fitted, and show it in the progress."""
+    """Return the outcome of an input whose fit failed by an error, and show the failure in the progress.
+
+    A bad input that the user did not name, but that was found in a folder, does not fail the run.
+    """
     bar.advance(f"failed: {Path(source.place).name}")
     fails_run = source.named or not isinstance(error, BadInput)
     reason = str(error_about_file(error, Path(source.place)))

@@ -28,9 +28,9 @@ from metapp.learning.recipe import Recipe
 INCIDENT_RAD = torch.linspace(0, math.radians(85), 16, dtype=torch.float64)  # angles of the light from the normal
 POLAR_NODES, AZIMUTH_NODES = 48, 24  # nodes of half vectors, in theta_h and in half a circle about the normal
 CROWDING_POWER = 3  # the power that crowds theta_h around 0, where lobes are
-TARGET_ALBEDO = 0.995  # the share of light to which a fit is brought at angles where it reflects more than all
-# solves of least squares, at most; then log(1 + f) is multiplied by the factor until no share is above 1
-MAX_SOLVES, DIMMING_FACTOR = 10, 0.99
+TARGET_ALBEDO = 0.995  # the share of light that a fit is made to reflect at angles where it reflected more than all
+MAX_SOLVES = 10  # solves of least squares, at most
+DIMMING_FACTOR = 0.99  # factor of log(1 + f) of fits that these solves do not bring to conserve energy
 RELATIVE_RIDGE = 1e-9  # the penalty of least squares, over the mean of the Gram matrix's diagonal
 
 
@@ -80,11 +80,12 @@ def albedo(reflectance: Callable[[Tensor], Tensor]) -> Tensor:
 
 
 def conserve_energy(features: Tensor, last: Tensor) -> Tensor:
-    """Return the closest last layer whose BRDF conserves energy; unchanged if it already does.
+    """Return a last layer close to the given one whose BRDF conserves energy; unchanged if it already does.
 
-    Where more than all light is reflected, reflectance is divided by the greater excess of the two directions, so that
-    it stays reciprocal. Least squares find the layer that is closest to the result, again and again until no share is
-    above 1.
+    A direction of the light has an excess if the BRDF reflects more than all of that light. Reflectance at a pair of
+    directions is divided by the greater of the excesses of both directions, so that it stays reciprocal. Least squares
+    find the layer whose reflectance is closest to the result. Both are repeated, up to MAX_SOLVES times, until no share
+    of light is above 1. If one still is, log(1 + f) is multiplied by DIMMING_FACTOR until none is.
 
     Args:
         features: features [F, 16 N] at the pairs of :func:`quadrature`; log(1 + f) is their sum, weighted by the layer.

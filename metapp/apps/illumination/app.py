@@ -27,7 +27,13 @@ from metapp.appearance.photograph import (
 )
 from metapp.apps.illumination import ball_encoder
 from metapp.apps.illumination.map_augmentation import normalise_luminance, vary_maps
-from metapp.apps.illumination.mirror import complete_maps, mirror_loss, resample_seen, shows_mirror
+from metapp.apps.illumination.mirror import (
+    CLIPPED_DISPLAY_VALUE,
+    complete_maps,
+    mirror_loss,
+    resample_seen,
+    shows_mirror,
+)
 from metapp.apps.illumination.spheres import (
     FACING_SURFACES,
     MIRRORING_SURFACES,
@@ -42,13 +48,15 @@ from metapp.networks.coded import CodedApp, smooth_absolute
 from metapp.rendering.second_scene import relighting
 
 RADIANCE_FLOOR = 0.01  # radiance in a map of mean luminance 1, below which its log is flat
-RADIOSITY_FLOOR = 0.02  # radiosity of a surface under such a map, below which its log is flat
+REFLECTED_RADIANCE_FLOOR = 0.02  # radiance that a white surface reflects under such a map, below which its log is flat
 # Weights in the outer loss, where diffuse surfaces have weight 1
 TEXELS_WEIGHT = 0.3  # of the radiance of texels
 MIRRORING_WEIGHT = 0.3  # of glossy surfaces
 LOGS_WEIGHT = 0.2  # of the logs of all surfaces
 PHOTO_WEIGHT = 0.3  # of the photograph
-LIGHT_WEIGHT = 0.3  # what a texel's own radiance, of mean 1, adds to its weight in a fit, so that few steps find suns
+# A texel's weight in the inner loss is its solid angle times (1 + LIGHT_WEIGHT * radiance), where radiance is 1 on
+# average: bright texels count more, so that few steps find suns.
+LIGHT_WEIGHT = 0.3
 BODY_NUMBERS = 10  # numbers that describe a sphere's material and a camera
 BODY_GAIN = (
     100  # factor of these numbers, so that few steps at a network's rate find them; else the map would absorb them
@@ -100,8 +108,8 @@ class Illumination(CodedApp):
         """Prepare the photograph, and the map if it is known.
 
         Returns:
-            `photo` uint8 [3, S, S]; what :meth:`describe_maps` makes of the map, without a task axis; and under "photo"
-            the light in a mirror: see :meth:`prepare_mirror`.
+            `photo` uint8 [3, S, S]; the tensors of :meth:`describe_maps` without a task axis, if the map is known; and
+            under the protocol "photo" the light in a mirror, see :meth:`prepare_mirror`.
 
         Raises:
             ValueError: the task has no map, though fits see it.
@@ -131,22 +139,28 @@ class Illumination(CodedApp):
         return resample_seen(task.data["seen"].float(), task.data["certain"].float(), height, width)
 
     def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
-        """Return maps at the network's size, and what losses compare of them.
+        """Resample maps to the network's size, and compute the quantities that losses compare with fits.
 
         Args:
             maps: linear radiance [T, 3, h, w], of any size.
 
         Returns:
-            `map` [T, 3, H, W]; `sent` [T, 3, S], the radiosity of S surfaces under it; and under "reference" `suns`
+            `map`, the radiance maps [T, 3, H, W]; `sent`, the radiance that S surfaces reflect under each map,
+            [T, 3, S], see :meth:`_reflected_radiance`; and under the protocol "reference" `suns`, the suns of each map,
             [T, SUN_COUNT, SUN_NUMBERS].
         """
         maps = resample_maps(maps, self.network.height, self.network.width)
         suns = {"suns": find_suns(maps)} if self.protocol == "reference" else {}
-        return {"map": maps, "sent": maps.flatten(2) @ self._surface_transfer(maps).T} | suns
+        return {"map": maps, "sent": self._reflected_radiance(maps)} | suns
 
-    def _surface_transfer(self, like: Tensor) -> Tensor:
-        """Return the transport of light to S surfaces, [S, H * W]: first diffuse ones, then glossy ones, all around."""
-        return surface_transfer(self.network.height, self.network.width, like.device).to(like)
+    def _reflected_radiance(self, maps: Tensor) -> Tensor:
+        """Return the radiance [T, 3, S] that S white surfaces reflect under radiance maps [T, 3, H, W].
+
+        First come FACING_SURFACES diffuse surfaces, which face directions all around, then MIRRORING_SURFACES glossy
+        ones, which mirror directions all around.
+        """
+        transfer = surface_transfer(self.network.height, self.network.width, maps.device).to(maps)
+        return maps.flatten(2) @ transfer.T
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
@@ -182,64 +196,83 @@ class Illumination(CodedApp):
 
     @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Return the difference of each fit from the photograph or from the map that it sees, [T].
+        """Return the difference of each fit from the photograph or the map that it sees, [T].
 
-        Of a map it is a sum: of log radiance, of the radiosity of surfaces, and of the log of that. The learned `light`
-        [T] is the log of the number that takes the place of LIGHT_WEIGHT; for `smoothing` see :func:`smooth_absolute`.
+        The difference from a map has three terms: the log radiance of texels, the radiance that surfaces reflect, and
+        the log of that radiance.
+
+        Args:
+            theta: fits [T, ...].
+            batch: what fits see, from :meth:`sample`.
+            learned: loss parameters that a rule has learned; {} for none. `light` [T] is the log of a weight that
+                replaces LIGHT_WEIGHT; for `smoothing` see :func:`smooth_absolute`.
         """
         maps = self.radiance_maps(theta)
         if self.protocol == "photo":
-            return self._visible_loss(theta, maps, batch, learned)
+            return self._photo_protocol_loss(theta, maps, batch, learned)
         light_weight = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT_WEIGHT
-        sent, logs = self._compare_radiosity(maps, batch["sent"], learned)
-        return _texel_loss(maps, batch["map"], learned, light_weight) + (sent + logs).mean((1, 2))
+        differences, log_differences = self._compare_reflected_radiance(maps, batch["sent"], learned)
+        reflected_loss = (differences + log_differences).mean((1, 2))
+        return _texel_loss(maps, batch["map"], learned, light_weight) + reflected_loss
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Return the difference of each answer from the true map, whatever fits see, [T].
+        """Return the difference of each answer from the true map, whether fits see that map or a photograph, [T].
 
-        Above all the radiosity of diffuse surfaces counts; the other parts have the weights TEXELS_WEIGHT to
-        PHOTO_WEIGHT.
+        The radiance that diffuse surfaces reflect has weight 1; the other terms are multiplied by MIRRORING_WEIGHT,
+        LOGS_WEIGHT, TEXELS_WEIGHT and PHOTO_WEIGHT.
         """
         maps, answers = self.radiance_maps(theta), self.answer(theta, batch)
-        sent, logs = self._compare_radiosity(answers, batch["sent"], {})
-        texels = _texel_loss(answers, batch["map"], {}, 0.0)
-        photo = self._visible_loss(theta, maps, batch, {})
-        diffuse, glossy = (part.mean((1, 2)) for part in sent.split((FACING_SURFACES, MIRRORING_SURFACES), 2))
+        differences, log_differences = self._compare_reflected_radiance(answers, batch["sent"], {})
+        texel_loss = _texel_loss(answers, batch["map"], {}, 0.0)
+        photo_loss = self._photo_protocol_loss(theta, maps, batch, {})
+        diffuse_loss, glossy_loss = (
+            part.mean((1, 2)) for part in differences.split((FACING_SURFACES, MIRRORING_SURFACES), 2)
+        )
         result: Tensor = (
-            diffuse
-            + MIRRORING_WEIGHT * glossy
-            + LOGS_WEIGHT * logs.mean((1, 2))
-            + TEXELS_WEIGHT * texels
-            + PHOTO_WEIGHT * photo
+            diffuse_loss
+            + MIRRORING_WEIGHT * glossy_loss
+            + LOGS_WEIGHT * log_differences.mean((1, 2))
+            + TEXELS_WEIGHT * texel_loss
+            + PHOTO_WEIGHT * photo_loss
         )
         return result
 
-    def _compare_radiosity(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
-        """Return differences of the radiosity of S surfaces under maps from the target, and of its log, [T, 3, S] each.
+    def _compare_reflected_radiance(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
+        """Compare the radiance that S surfaces reflect under maps with a target.
 
         Args:
             maps: linear radiance [T, 3, H, W].
-            target: radiosity under the true maps, [T, 3, S].
+            target: the radiance that the surfaces reflect under the true maps, [T, 3, S].
             learned: loss parameters that a rule has learned; {} for none.
+
+        Returns:
+            Absolute differences of the radiance and of its log, [T, 3, S] each; see :func:`smooth_absolute`.
         """
-        sent = maps.flatten(2) @ self._surface_transfer(maps).T
-        logs = (sent + RADIOSITY_FLOOR).log() - (target + RADIOSITY_FLOOR).log()
-        return smooth_absolute(sent - target, learned), smooth_absolute(logs, learned)
+        reflected = self._reflected_radiance(maps)
+        log_difference = (reflected + REFLECTED_RADIANCE_FLOOR).log() - (target + REFLECTED_RADIANCE_FLOOR).log()
+        return smooth_absolute(reflected - target, learned), smooth_absolute(log_difference, learned)
 
-    def _visible_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
-        """Return the loss of the light in the mirror if there is one, else of the photograph, [T]."""
-        photo_loss = self._photo_loss(theta, maps, batch, learned)
+    def _photo_protocol_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
+        """Return the difference of each fit from its photograph, [T].
+
+        Where a task holds the light in a mirror, the map is compared with that light; elsewhere the photograph is
+        rendered from the map and compared in display values.
+        """
+        display_loss = self._display_loss(theta, maps, batch, learned)
         if "seen" not in batch:
-            return photo_loss
-        return torch.where(shows_mirror(batch), mirror_loss(maps, batch, learned), photo_loss)
+            return display_loss
+        return torch.where(shows_mirror(batch), mirror_loss(maps, batch, learned), display_loss)
 
-    def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
-        """Return the mean difference of display values, [T]; where the photograph clips, only darker fits differ."""
+    def _display_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
+        """Return the mean difference of rendered photographs from photographs in display values, [T].
+
+        Where a photograph clips, it is a lower bound: only darker renderings differ from it.
+        """
         side = batch["photo"].shape[-1]
         target = avg_pool2d(batch["photo"].to(maps) / 255, side // LOSS_PHOTO_PX)
         shortfall = target - self.render_ball(theta, maps, LOSS_PHOTO_PX)
-        shortfall = torch.where(target > 0.98, relu(shortfall), shortfall)
+        shortfall = torch.where(target > CLIPPED_DISPLAY_VALUE, relu(shortfall), shortfall)
         return smooth_absolute(shortfall, learned).flatten(2)[..., _find_inner_pixels(side, maps.device)].mean((1, 2))
 
     def render_ball(self, theta: Params, maps: Tensor, size: int) -> Tensor:

@@ -16,7 +16,7 @@ from metapp.appearance.latlong import texel_directions
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_dense
 
-LEAKY_SLOPE = 0.1  # slope of leaky ReLUs below 0
+ENCODER_LEAKY_SLOPE = 0.1  # slope below 0 of the leaky ReLUs of the encoder
 PHOTO_PX = 64  # side of a photograph
 PHOTO_CHANNELS = ((3, 24), (24, 48), (48, 64), (64, 96))  # channels of the layers that read the photograph as it is
 OUTLINE_NUMBERS = 32  # numbers that describe the photograph as a whole
@@ -30,7 +30,7 @@ def init_reader(rng: Generator, code: int, body: int) -> Params:
     Args:
         rng: the source of all draws.
         code: length of the code.
-        body: count of numbers of the sphere's material and the camera.
+        body: number of the numbers that describe the sphere's material and the camera.
     """
     reader: Params = {}
     layer = functools.partial(add_layer, reader, rng)
@@ -52,9 +52,9 @@ def init_reader(rng: Generator, code: int, body: int) -> Params:
 def read_ball_photos(reader: Params, photos: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
     """Read photographs of spheres: predict a map's code, the sphere's material and the camera.
 
-    There are two views of a photograph: as it is, and unwrapped to the directions that its pixels mirror and face. Each
-    direction also sees the other side of the sphere at its elevation, and its row's mean: most light behind a sphere
-    resembles the light before it.
+    The networks read a photograph in two ways: as it is, for a summary of the whole, and unwrapped to the directions
+    that its pixels mirror and face, for the code. Each direction also reads the other side of the sphere at its
+    elevation and the mean of its row, since most light behind a sphere resembles the light before it.
 
     Args:
         reader: parameters of :func:`init_reader`.
@@ -68,14 +68,16 @@ def read_ball_photos(reader: Params, photos: Tensor, rows: int, columns: int) ->
     features = photos - 0.5
     for i in range(len(PHOTO_CHANNELS)):
         kernel, shift = reader[f"photo{i}.kernel"], reader[f"photo{i}.shift"]
-        features = leaky_relu(conv2d(features, kernel, shift, stride=2, padding=1), LEAKY_SLOPE)
-    summary = leaky_relu(apply_dense(reader, "whole", features.flatten(1)), LEAKY_SLOPE)
+        features = leaky_relu(conv2d(features, kernel, shift, stride=2, padding=1), ENCODER_LEAKY_SLOPE)
+    summary = leaky_relu(apply_dense(reader, "whole", features.flatten(1)), ENCODER_LEAKY_SLOPE)
     features = unwrap_photos(photos, 2 * rows, 2 * columns).contiguous(memory_format=torch.channels_last)
     outline = apply_dense(reader, "around0.whole", apply_dense(reader, "outline", summary))[..., None, None]
-    features = avg_pool2d(leaky_relu(_convolve_around(reader, "around0", features) + outline, LEAKY_SLOPE), 2)
+    features = avg_pool2d(leaky_relu(_convolve_around(reader, "around0", features) + outline, ENCODER_LEAKY_SLOPE), 2)
     for i, stride in enumerate(SPHERE_STRIDES, 1):
-        row = conv1d(features.mean(3), reader[f"around{i}.row.kernel"], reader[f"around{i}.row.shift"])[..., None]
-        features = features + leaky_relu(_convolve_around(reader, f"around{i}", features, stride) + row, LEAKY_SLOPE)
+        row_means = conv1d(features.mean(3), reader[f"around{i}.row.kernel"], reader[f"around{i}.row.shift"])[..., None]
+        features = features + leaky_relu(
+            _convolve_around(reader, f"around{i}", features, stride) + row_means, ENCODER_LEAKY_SLOPE
+        )
     return conv2d(features, reader["code.kernel"], reader["code.shift"]), apply_dense(reader, "body", summary)
 
 

@@ -18,7 +18,7 @@ from metapp.learning.task import Batch, Params
 from metapp.networks.coded import smooth_absolute
 
 RADIANCE_FLOOR = 0.01  # radiance over the mean luminance of what is seen, below which its log is flat
-CLIPPED_VALUE = 0.98  # display value from which a photograph says no more
+CLIPPED_DISPLAY_VALUE = 0.98  # display value from which a photograph of a ball is a lower bound of the light
 # least light of a clipped texel, over the light at which it clips; General says how much more; best in validation
 CLIPPED_LIGHT_FACTOR = 2.0
 

@@ -18,7 +18,7 @@ from typing_extensions import override
 
 from metapp.appearance.flash import Maps, map_statistics, render_maps, texel_positions, unpack_maps
 from metapp.apps.svbrdf_nonstationary.maps import (
-    CLIPPED_VALUE,
+    CLIPPED_LINEAR_VALUE,
     FLASH_NUMBERS,
     Flash,
     decode_photo,
@@ -204,7 +204,7 @@ def blots(diffuse: Tensor, photo: Tensor) -> Tensor:
         diffuse: differences of diffuse colours at gamma 2.2, [T, 3, H, W].
         photo: linear photographs [T, 3, H, W].
     """
-    clips = (photo > CLIPPED_VALUE).any(1, keepdim=True).float()
+    clips = (photo > CLIPPED_LINEAR_VALUE).any(1, keepdim=True).float()
     return (diffuse.abs() * clips).mean((1, 2, 3)) / clips.mean((1, 2, 3)).clamp_min(1e-6)
 
 

@@ -28,7 +28,7 @@ from metapp.apps.svbrdf_nonstationary.app import (
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
-    CLIPPED_VALUE,
+    CLIPPED_LINEAR_VALUE,
     PIXEL_INPUTS,
     Flash,
     decode_flash,
@@ -227,7 +227,7 @@ def photo_loss(radiance: Tensor, photos: Tensor, learned: Params) -> Tensor:
         learned: learned parameters of the loss, {} for |d|.
     """
     log_differences = (photos + RADIANCE_FLOOR).log() - (radiance + RADIANCE_FLOOR).log()
-    log_differences = torch.where(photos > CLIPPED_VALUE, relu(log_differences), log_differences)
+    log_differences = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(log_differences), log_differences)
     return smooth_absolute(log_differences, learned).mean(tuple(range(1, log_differences.ndim)))
 
 

@@ -16,7 +16,7 @@ from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS, PIXEL_INPUTS, p
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution, apply_dense
 
-LEAKY_SLOPE = 0.1  # slope of leaky ReLUs below 0
+ENCODER_LEAKY_SLOPE = 0.1  # slope below 0 of the leaky ReLUs of the encoder
 BASE_TEXELS = 64  # a side of the level that all others are counted from
 LEVEL_COUNT = 5  # resolutions from BASE_TEXELS down, each half of the one before
 FLASH_CELLS = 4  # cells a side of the coarsest level that the flash is looked for in
@@ -128,6 +128,8 @@ def add_block(encoder: Params, rng: Generator, name: str, inputs: int, outputs: 
 
 def apply_block(encoder: Params, name: str, x: Tensor) -> Tensor:
     """Apply two convolutions; the second is beside a path around it and knows the mean of the picture."""
-    first = leaky_relu(apply_convolution(encoder, f"{name}.first", x), LEAKY_SLOPE)
+    first = leaky_relu(apply_convolution(encoder, f"{name}.first", x), ENCODER_LEAKY_SLOPE)
     mean = apply_dense(encoder, f"{name}.mean", first.mean((2, 3)))
-    return first + leaky_relu(apply_convolution(encoder, f"{name}.second", first) + mean[..., None, None], LEAKY_SLOPE)
+    return first + leaky_relu(
+        apply_convolution(encoder, f"{name}.second", first) + mean[..., None, None], ENCODER_LEAKY_SLOPE
+    )

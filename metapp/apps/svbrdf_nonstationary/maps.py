@@ -31,7 +31,7 @@ FLASH_NUMBERS = 4  # unbounded numbers that stand for a flash: its shift in x an
 # What 1 of such a number means: half sides of the patch, the log of the height, the log of the gain
 FLASH_SHIFT, FLASH_LOG_HEIGHT, FLASH_LOG_GAIN = 0.3, 0.2, 0.3
 MIN_ROUGHNESS = 0.05  # the roughness of maps, whose square is alpha of GGX, is not below
-CLIPPED_VALUE = 0.95  # linear value, 1 is white, from which on a photograph may be clipped
+CLIPPED_LINEAR_VALUE = 0.95  # linear value, 1 is white, from which on a photograph may be clipped
 MIN_NORMAL_Z = 0.2  # z of normals by which slopes stay below 5
 MIN_COSINE = 0.4  # cosine with the patch's normal of the most oblique light or view
 CONTRAST_CELLS = 64  # a picture's side over the distance of the neighbours that contrasts are taken of

@@ -41,8 +41,8 @@ FLASH_DEVIATIONS = (
     FLASH_BRIGHTNESS_LOG_DEVIATION / FLASH_LOG_GAIN,
 )
 CROP_SIDES = (0.35, 0.7)  # sides of crops over that of the maps, in which a square of any direction has room
-EXPOSED_SHARE, EXPOSURE_STOPS = 0.2, 1.1  # the share of photographs that are exposed wrongly, and by how many stops
-TINTED_SHARE, LOG_TINT = 0.3, 0.04  # the share whose white balance is off, and the log of how much
+MISEXPOSED_SHARE, MAX_EXPOSURE_STOPS = 0.2, 1.1  # share of photographs that are exposed wrongly, and by how much
+TINTED_SHARE, TINT_LOG_DEVIATION = 0.3, 0.04  # share whose white balance is off, and the deviation of its log gains
 MAX_SLOPE = 2.0  # tangent of the tilt of normals, at most, in restyled materials
 RESTYLED_SHARES = (0.75, 0.3)  # the share of materials of other gloss and colour, before and after they are mixed
 
@@ -52,8 +52,8 @@ Draw = Callable[..., Tensor]  # draws random numbers [T, *shape] from a shape
 def vary_materials(maps: Tensor, side: int, rng: Generator) -> Tensor:
     """Return augmented materials [T, 10, side, side] of maps [T, 10, S, S].
 
-    If S is at least twice the side they are crops in any direction, else all of the maps, turned by quarters. Half of
-    the materials are mixed with their neighbour, evenly or by a smooth mask.
+    If S is at least twice the side, each material is a crop in any direction; else it is the whole material, turned by
+    quarters. Half of the materials are mixed with their neighbour, evenly or by a smooth mask.
     """
     has_room = maps.shape[-1] >= 2 * side
     maps = _crop(maps, side, rng) if has_room else torch.stack([_turn(material, rng) for material in maps])
@@ -62,12 +62,16 @@ def vary_materials(maps: Tensor, side: int, rng: Generator) -> Tensor:
 
 
 def draw_photos(maps: Tensor, rng: Generator) -> Tensor:
-    """Photograph maps [T, 10, S, S] with random flash, exposure and noise, in 8 bits: linear [T, 3, S, S]."""
+    """Render photographs of maps [T, 10, S, S] with random flash, exposure, white balance and noise.
+
+    Returns:
+        Linear values that were rounded to 8 bits of sRGB, [T, 3, S, S].
+    """
     uniform, normal = draws_per_material(len(maps), rng)
     flash = normal(FLASH_NUMBERS) * maps.new_tensor(FLASH_DEVIATIONS) * (uniform(1) > BESIDE_LENS_SHARE)
-    stops = EXPOSURE_STOPS * (2 * uniform(1) - 1) * (uniform(1) < EXPOSED_SHARE)
+    stops = MAX_EXPOSURE_STOPS * (2 * uniform(1) - 1) * (uniform(1) < MISEXPOSED_SHARE)
     flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / FLASH_LOG_GAIN]) * stops
-    tint = torch.exp(LOG_TINT * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED_SHARE))
+    tint = torch.exp(TINT_LOG_DEVIATION * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED_SHARE))
     display = linear_to_srgb((tint * render_photo(unpack_maps(maps), decode_flash(flash))).clamp(0, 1))
     noise = torch.randn(display.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
     return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)
@@ -119,15 +123,17 @@ def crop_turned(
 
 
 def restyle(maps: Tensor, rng: Generator) -> Tensor:
-    """Give materials other relief, brightness, specular colour and roughness, and keep their patterns.
+    """Give materials [T, 10, H, W] other relief, colours and roughness, which follow the patterns of the old ones.
 
-    Scanned materials are like this more often than drawn ones: where they differ from place to place, it is by little.
+    The new gloss differs little from place to place, as it does more often in scanned materials than in drawn ones.
+    Each change is made to a random share of the materials.
     """
     uniform, normal = draws_per_material(len(maps), rng)
 
     def draw_chance(share: float) -> Tensor:
         return uniform(1, 1, 1) < share
 
+    # Relief, and the patterns that the new specular colour and roughness follow
     normals, diffuse, roughness, specular = maps.split((3, 3, 1, 3), 1)
     slopes = find_slopes(normals)
     slopes = slopes * torch.where(draw_chance(0.6), torch.exp(0.5 * normal(1, 1, 1)), 1)
@@ -135,17 +141,20 @@ def restyle(maps: Tensor, rng: Generator) -> Tensor:
     tone_pattern = _standardise((diffuse.mean(1, keepdim=True) + 1e-3).log())
     roughness_pattern = _standardise(roughness)
     relief_pattern = _standardise(avg_pool2d(slopes.square().sum(1, keepdim=True).add(1e-8).sqrt(), 9, 1, 4))
+    # Specular colour: of any material from 0.02 to 0.3 or of a dielectric, in some materials slightly coloured
     f0 = torch.where(draw_chance(0.5), torch.exp(-3.9 + 2.7 * uniform(1, 1, 1)), 0.03 + 0.03 * uniform(1, 1, 1))
     f0 = f0 * torch.exp(0.06 * normal(3, 1, 1) * draw_chance(0.4))
     even_specular = f0 * torch.exp(0.08 * normal(1, 1, 1) * tone_pattern + 0.05 * normal(1, 1, 1) * roughness_pattern)
     specular = torch.where(draw_chance(0.5), even_specular.clamp(0.005, 0.95), specular)
-    pattern = (
+    # Roughness
+    variation = (
         0.06 * normal(1, 1, 1) * tone_pattern
         + 0.06 * normal(1, 1, 1) * roughness_pattern
         + 0.05 * normal(1, 1, 1) * relief_pattern
     )
-    new_roughness = (0.1 + 0.95 * uniform(1, 1, 1) + pattern).clamp(0.08, 1)
+    new_roughness = (0.1 + 0.95 * uniform(1, 1, 1) + variation).clamp(0.08, 1)
     roughness = torch.where(draw_chance(0.6), new_roughness, roughness)
+    # Diffuse colour: greyer, brighter or darker, in some materials nearly black, in others nearly even
     grey = diffuse.mean(1, keepdim=True)
     new_diffuse = torch.where(
         draw_chance(0.35), torch.lerp(grey.expand_as(diffuse), diffuse, 0.5 * uniform(1, 1, 1)), diffuse

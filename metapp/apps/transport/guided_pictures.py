@@ -202,9 +202,10 @@ def row_title(integrator: str) -> str:
 def picture_errors(
     renderer: SceneRenderer, flow: Flow, fits: Mapping[str, TimedFit], task: Task
 ) -> dict[str, dict[str, float]]:
-    """Measure the pictures that fits guide, and pictures without a fit.
+    """Measure the pictures that fits guide, and pictures that are rendered without a fit.
 
-    The latter are REGULAR, REGULAR_NEE and a picture by each of :func:`extension_integrators`.
+    The pictures without a fit are REGULAR, REGULAR_NEE and one by each of :func:`extension_integrators`. All times are
+    divided by the time of REGULAR's picture.
 
     Args:
         renderer: the renderer of the task's scene.
@@ -213,11 +214,15 @@ def picture_errors(
         task: the task, whose `samples` fits see.
 
     Returns:
-        By name: `MAPE`, `SMAPE` and `DSSIM` at the renderer's `spp`; `time`, of the picture over REGULAR's, the table
-        counted; `fixed time`, of the preparation, whatever the paths: the samples that fits see, the fit and its table,
-        over REGULAR's picture; and `MAPE, equal time`, of as many paths as there is time for where all of that and the
-        picture may take as long as REGULAR's `spp`, left out if there is time for none. REFERENCE_ERROR_NAME has the
-        reference's own `MAPE`.
+        Measures of each picture, by the name of the fit or integrator; REFERENCE_ERROR_NAME has the `MAPE` of the
+        reference itself.
+
+        - `MAPE`, `SMAPE` and `DSSIM`: errors of a picture of the renderer's `spp` paths a pixel
+        - `time`: the time of this picture; for a guided picture it includes the making of the fit's table
+        - `fixed time`: the time of all preparation, which does not depend on the number of paths: sampling what the fit
+          sees, the fit, and its table
+        - `MAPE, equal time`: the error of a picture that together with its preparation takes as long as REGULAR's;
+          left out if that time is too short for one path a pixel
     """
     regular = renderer.errors(renderer.regular_picture.picture)
     errors = {

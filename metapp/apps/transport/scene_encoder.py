@@ -17,7 +17,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution, apply_dense
 
-LEAKY_SLOPE = 0.1  # slope of leaky ReLUs below 0
+ENCODER_LEAKY_SLOPE = 0.1  # slope below 0 of the leaky ReLUs of the encoder
 LIGHT_FLOOR = 0.01  # luminance in a picture of mean luminance 1, below which its log is flat
 # channels of convolutions, maps by which the whole picture is pooled, and convolutions after that
 ENCODER_CHANNELS, ATTENTION_HEADS, RESIDUAL_BLOCKS = 48, 8, 3
@@ -49,11 +49,12 @@ def init_reader(rng: Generator, code: int) -> Params:
 def read_scene_pictures(reader: Params, images: Tensor, flow: Flow) -> Params:
     """Predict the parameters that each flow has for itself from pictures of scenes.
 
-    Convolutions also read the whole picture, pooled by ATTENTION_HEADS attention maps.
+    Convolutions read the surroundings of each cell of the flow's grid. A summary of the whole picture, which
+    ATTENTION_HEADS attention maps pool, is added to each cell.
 
     Args:
         reader: parameters of :func:`init_reader`.
-        images: linear RGB of any scale, [T, 3, 2 rows, 2 columns] of the flow's grid.
+        images: linear RGB of any scale, [T, 3, 2 rows, 2 columns], where rows and columns are those of the flow's grid.
         flow: the network, for its gains.
 
     Returns:
@@ -63,16 +64,18 @@ def read_scene_pictures(reader: Params, images: Tensor, flow: Flow) -> Params:
     logs = (light / light.mean((1, 2), keepdim=True).clamp_min(1e-12) + LIGHT_FLOOR).log()
     colours = images / (images.sum(1, keepdim=True) + 1e-6) - 1 / 3
     features = torch.cat([logs[:, None], colours[:, ::2], cell_coordinates(images)], 1)
-    features = leaky_relu(conv2d(features, reader["in.kernel"], reader["in.shift"], stride=2, padding=1), LEAKY_SLOPE)
+    features = leaky_relu(
+        conv2d(features, reader["in.kernel"], reader["in.shift"], stride=2, padding=1), ENCODER_LEAKY_SLOPE
+    )
     coordinates = cell_coordinates(features)
-    cell_features = leaky_relu(apply_convolution(reader, "look", features), LEAKY_SLOPE)
-    weights = apply_convolution(reader, "heads", cell_features).flatten(2).softmax(2)
-    pooled = weights @ torch.cat([cell_features, coordinates], 1).flatten(2).mT
+    cell_features = leaky_relu(apply_convolution(reader, "look", features), ENCODER_LEAKY_SLOPE)
+    attention = apply_convolution(reader, "heads", cell_features).flatten(2).softmax(2)
+    pooled = attention @ torch.cat([cell_features, coordinates], 1).flatten(2).mT
     whole = apply_dense(reader, "whole", pooled.flatten(1))
     features = cell_features + whole[..., None, None]
     for i in range(RESIDUAL_BLOCKS):
         features = features + leaky_relu(
-            apply_convolution(reader, f"block{i}", torch.cat([features, coordinates], 1)), LEAKY_SLOPE
+            apply_convolution(reader, f"block{i}", torch.cat([features, coordinates], 1)), ENCODER_LEAKY_SLOPE
         )
     film = _make_film_splines(logs, apply_convolution(reader, "film", features))
     parameters = {"z": apply_convolution(reader, "code", features) / flow.gain}
@@ -80,7 +83,7 @@ def read_scene_pictures(reader: Params, images: Tensor, flow: Flow) -> Params:
 
 
 def _make_film_splines(logs: Tensor, corrections: Tensor) -> Params:
-    """Return `film.x` and `film.y`: evenly wide bins whose masses are the picture's, with corrections.
+    """Return `film.x` and `film.y`, the splines over the film: bins of even width with the picture's light, corrected.
 
     Args:
         logs: log luminance of the picture, [T, rows, columns].

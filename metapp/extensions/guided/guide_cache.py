@@ -1,8 +1,9 @@
 """A spatial cache of directional histograms, learned from the paths of one scene, in the active variant of Mitsuba.
 
-An entry is a voxel and the axis nearest to a surface's normal. Its histogram has bins of the hemisphere above the
-surface, all of the same projected solid angle. An entry that many paths visited has a histogram of its own; the others
-share the histogram of a voxel of twice the side. The cache knows nothing of how paths are traced.
+An entry stands for a voxel and one of six axes, the one nearest to a surface's normal. Its histogram has bins of the
+hemisphere above the surface, all of the same projected solid angle. An entry that many paths visited has a histogram of
+its own in the table of histograms. The others share the histogram of the coarse voxel that they lie in, which has twice
+the side. The cache knows nothing of how paths are traced.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 
 MIN_ENTRY_PATHS = 2048.0  # sum of 1 / density over bounces from which on an entry has a histogram of its own
-MAX_RECORDED_BOUNCES = 8  # first bounces of a path, from which the cache learns
-MIN_ROW_BOUNCES = 8  # a row of fewer bounces has no expectations
-_SUMS_PER_ENTRY = 3  # sums of outgoing luminance, of squared carried luminance, and of bounces
-POINT_DENSITY_SHARE = 0.8  # of the voxels along an axis, spread by the density of points; the others are even
+MAX_RECORDED_BOUNCES = 8  # the cache learns from so many bounces of a path, the first ones
+MIN_ROW_BOUNCES = 8  # a row of fewer bounces has no expected luminance
+_SUMS_PER_ENTRY = 3  # sums of outgoing luminance, of squared luminance of continued paths, and of bounces
+POINT_DENSITY_SHARE = 0.8  # share of the voxels along an axis that are spread by the density of points, not evenly
 _AXIS_PARTS = 64  # parts of an axis within which voxels have one width
 _AXIS_STEPS = 1024  # steps of an axis, each in one voxel: the voxel of a point is looked up, not searched
 
@@ -114,7 +115,8 @@ class GuideCache:
         rows: the row of each entry in the table of histograms; row 0, which is uniform, is for entries without paths.
         words: the table of histograms, as words of the alias method.
         expected: for each row the two numbers that :meth:`row_expectations` returns.
-        prior: a function that expects second moments in voxels of twice the side; by default by the voxels around them.
+        prior: a function that estimates the second moments of coarse voxels from their sums. The default,
+            :func:`second_moments`, shrinks them towards the moments of coarser voxels.
     """
 
     def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike) -> None:
@@ -122,10 +124,11 @@ class GuideCache:
         # Sums are in double precision, where the order in which threads add hardly matters: pictures can be repeated.
         # A bin's sum of squares and its count stand side by side, as they are read together.
         self.sums = dr.zeros(mi.Float64, CACHE_ENTRIES * HISTOGRAM_BINS * 2)
-        self.rows = dr.zeros(mi.UInt32, CACHE_ENTRIES)  # of each entry; row 0, uniform, is for entries without paths
+        # The row of each entry in the table of histograms; row 0 is uniform, for entries that no path came near.
+        self.rows = dr.zeros(mi.UInt32, CACHE_ENTRIES)
         self.bounces = dr.zeros(mi.Float64, CACHE_ENTRIES * _SUMS_PER_ENTRY)
-        self.expected = dr.zeros(mi.Float, 2)  # two numbers for each row; see `row_expectations`
-        dr.eval(self.sums, self.rows, self.bounces, self.expected)
+        self.expected_luminances = dr.zeros(mi.Float, 2)  # two numbers for each row; see `row_expectations`
+        dr.eval(self.sums, self.rows, self.bounces, self.expected_luminances)
         self._tabulate(torch.ones(1, HISTOGRAM_BINS, dtype=torch.float64))
         self.prior: MomentPrior = second_moments
 
@@ -182,27 +185,30 @@ class GuideCache:
         return mi.Float(word >> 2 * BYTE_BITS) * (HISTOGRAM_BINS / PROBABILITY_SLOTS)
 
     def row_expectations(self, row: mt.UInt32, active: mt.Mask) -> mt.Vector2:
-        """Return what paths bring at a surface, as learned for a row; 0 where too few paths came.
+        """Return two luminances that paths are expected to bring from surfaces of a row; 0 if it has too few bounces.
+
+        Both are learned from earlier paths; see :meth:`add_radiance`.
 
         Returns:
-            The luminance that the surface sends out, without emission, and the root mean square of the radiance of
-            paths that go on.
+            The mean of the outgoing luminance, and the root mean square of the luminance of continuations.
         """
-        return dr.gather(mi.Vector2f, self.expected, row, active)
+        return dr.gather(mi.Vector2f, self.expected_luminances, row, active)
 
     def add_radiance(
-        self, index: mt.UInt32, density: mt.Float, carried: mt.Float, outgoing: mt.Float, active: mt.Mask
+        self, index: mt.UInt32, density: mt.Float, continuation: mt.Float, outgoing: mt.Float, active: mt.Mask
     ) -> None:
-        """Add the radiance of paths to the sums that histograms are made of.
+        """Add what paths brought from one of their bounces to the sums that histograms are made of.
 
         Args:
             index: entry * HISTOGRAM_BINS + bin.
             density: the density of the sampled direction, divided by the density of cosine sampling.
-            carried: the luminance that came from the direction, divided by the density by which it was sampled.
-            outgoing: the luminance that the path brought from here on, including the emitter that was sampled here.
+            continuation: the luminance that the path brought by going on in the sampled direction: an estimate of the
+                light that the surface reflects, which is divided by the density of that direction.
+            outgoing: `continuation` and the light of the emitter that was sampled here: an estimate of all light that
+                the surface reflects.
             active: where there was a path.
         """
-        squares = carried * carried
+        squares = continuation * continuation
         for sums, start, values in (
             (self.sums, index * 2, (squares * density, dr.rcp(density))),
             (self.bounces, index // HISTOGRAM_BINS * _SUMS_PER_ENTRY, (outgoing, squares, mi.Float(1))),
@@ -227,24 +233,27 @@ class GuideCache:
     def update_histograms(self) -> int:
         """Make all histograms anew from the sums.
 
+        The rows of the table are the uniform histogram, the histograms of coarse voxels that paths visited, and the
+        histograms of entries that many paths visited, in this order.
+
         Returns:
             The number of histograms, without the uniform one.
         """
         visited, squares, counts = self.visited_sums()
-        coarse_squares, coarse_counts, coarse, parent = coarsen_sums(squares, counts, voxels_of_entries(visited))
-        expected = self.prior(coarse_squares, coarse_counts, coarse)
-        fine_rows = (counts.flatten(1).sum(1) >= MIN_ENTRY_PATHS).nonzero()[:, 0]
-        own_moments = shrink_moments(squares[fine_rows], counts[fine_rows], expected[parent[fine_rows]])
-        weights = torch.cat([expected, own_moments]).flatten(1) ** SECOND_MOMENT_POWER
+        coarse_squares, coarse_counts, coarse, coarse_index = coarsen_sums(squares, counts, voxels_of_entries(visited))
+        coarse_moments = self.prior(coarse_squares, coarse_counts, coarse)
+        well_known = (counts.flatten(1).sum(1) >= MIN_ENTRY_PATHS).nonzero()[:, 0]
+        fine_moments = shrink_moments(squares[well_known], counts[well_known], coarse_moments[coarse_index[well_known]])
+        weights = torch.cat([coarse_moments, fine_moments]).flatten(1) ** SECOND_MOMENT_POWER
         is_dark = weights.sum(1) == 0
         self._tabulate(torch.cat([weights.new_ones(1, HISTOGRAM_BINS), torch.where(is_dark[:, None], 1, weights)]))
-        self._tabulate_expectations(visited, parent, len(coarse), fine_rows)
+        self._tabulate_luminances(visited, coarse_index, len(coarse), well_known)
         rows = torch.zeros(*3 * (GRID_SIDE_VOXELS // 2,), NORMAL_AXES, dtype=torch.int32)
         rows[tuple(coarse.T)] = torch.arange(1, 1 + len(coarse), dtype=torch.int32)
         for axis in range(3):
             rows = rows.repeat_interleave(2, axis)
         rows = rows.flatten()
-        rows[visited[fine_rows]] = torch.arange(1 + len(coarse), 1 + len(weights), dtype=torch.int32)
+        rows[visited[well_known]] = torch.arange(1 + len(coarse), 1 + len(weights), dtype=torch.int32)
         self.rows = mi.UInt32(rows.numpy().view(np.uint32))
         return len(weights)
 
@@ -252,14 +261,23 @@ class GuideCache:
         """Return the sums over the bounces of each entry, [CACHE_ENTRIES, _SUMS_PER_ENTRY]."""
         return torch.from_numpy(self.bounces.numpy()).reshape(CACHE_ENTRIES, _SUMS_PER_ENTRY)
 
-    def _tabulate_expectations(self, visited: Tensor, parent: Tensor, coarse_count: int, fine_rows: Tensor) -> None:
-        """Make the table of :meth:`row_expectations`, with the rows of the table of histograms."""
+    def _tabulate_luminances(
+        self, visited: Tensor, coarse_index: Tensor, coarse_count: int, well_known: Tensor
+    ) -> None:
+        """Make the table that :meth:`row_expectations` reads; its rows are those of the table of histograms.
+
+        Args:
+            visited: the entries that paths visited, [P].
+            coarse_index: the index of the coarse voxel that each of these entries lies in, [P].
+            coarse_count: the number of coarse voxels.
+            well_known: the indices, among the P entries, of those that have a histogram of their own.
+        """
         entry_sums = self._entry_sums()[visited]
-        shared_sums = entry_sums.new_zeros(coarse_count, _SUMS_PER_ENTRY).index_add_(0, parent, entry_sums)
-        sums = torch.cat([entry_sums.new_zeros(1, _SUMS_PER_ENTRY), shared_sums, entry_sums[fine_rows]])
+        coarse_sums = entry_sums.new_zeros(coarse_count, _SUMS_PER_ENTRY).index_add_(0, coarse_index, entry_sums)
+        sums = torch.cat([entry_sums.new_zeros(1, _SUMS_PER_ENTRY), coarse_sums, entry_sums[well_known]])
         means = torch.where(sums[:, 2:] < MIN_ROW_BOUNCES, 0, sums[:, :2] / sums[:, 2:])
         means[:, 1] = means[:, 1].sqrt()
-        self.expected = mi.Float(means.float().flatten().numpy())
+        self.expected_luminances = mi.Float(means.float().flatten().numpy())
 
     def _tabulate(self, weights: Tensor) -> None:
         """Make the table of histograms from weights [rows, HISTOGRAM_BINS]."""
@@ -275,10 +293,16 @@ class BounceRecords:
 
     Attributes:
         lane: the index of each path.
-        stores: the first `numbers` values of a bounce, each for all paths, 0 if there was no bounce: entry *
-            HISTOGRAM_BINS + bin + 1; the density of the sampled direction, divided by the density of cosine sampling;
-            the luminance of the path's throughput before the bounce; the luminance that the path had with the emitter
-            sampled at the bounce, and without it; the point; the normal.
+        stores: the first `numbers` of these values of each bounce, all 0 where there was no bounce. An array of each
+            value holds all bounces of all paths.
+
+            - entry * HISTOGRAM_BINS + bin + 1
+            - the density of the sampled direction, divided by the density of cosine sampling
+            - the luminance of the path's throughput before the bounce
+            - the luminance that the path had brought by then, with the emitter that was sampled at the bounce
+            - this luminance without that emitter
+            - x, y and z of the point, then of the normal: six values
+        numbers: how many of these values are stored.
     """
 
     numbers = 5
@@ -290,23 +314,35 @@ class BounceRecords:
         dr.eval(self.lane, self.stores)
 
     def record_bounce(self, depth: mt.UInt32, values: tuple[mt.Float | mt.UInt32, ...], active: mt.Mask) -> None:
-        """Record the bounce of a depth; values beyond the first `numbers` are dropped."""
+        """Record the bounce of all active paths at a depth.
+
+        Args:
+            depth: the number of surfaces that each path met before.
+            values: the values of :attr:`stores`, in this order; those beyond the first `numbers` are dropped.
+            active: which paths have a bounce to record.
+        """
         slot, active = self.lane * MAX_RECORDED_BOUNCES + depth, active & (depth < MAX_RECORDED_BOUNCES)
         for store, value in zip(self.stores, values[: self.numbers], strict=True):
             dr.scatter(store, value, slot, active)
 
     def add_to_cache(self, cache: GuideCache, radiance: mt.Color) -> None:
-        """Add all bounces to a cache, by the radiance that the paths have in the end."""
+        """Add all bounces to a cache.
+
+        Args:
+            cache: the cache that learns from them.
+            radiance: the radiance that each path brought in the end.
+        """
         final_luminance = mi.luminance(radiance)
         dr.eval(final_luminance, self.stores)
-        index, density, throughput, radiance, unlit = self.stores[:5]
+        index, density, throughput, lit_luminance, unlit_luminance = self.stores[:5]
         final_luminance = dr.gather(
             mi.Float, final_luminance, dr.arange(mi.UInt32, self.paths * MAX_RECORDED_BOUNCES) // MAX_RECORDED_BOUNCES
         )
-        carried, outgoing = (
+        # A path brought from the bounce on what it did not have before, per unit of throughput.
+        continuation, outgoing = (
             dr.maximum(final_luminance - earlier_luminance, 0) / dr.maximum(throughput, 1e-12)
-            for earlier_luminance in (radiance, unlit)
+            for earlier_luminance in (lit_luminance, unlit_luminance)
         )
         active = (index > 0) & (density > 0) & dr.isfinite(outgoing)
-        cache.add_radiance(index - 1, density, carried, outgoing, active)
+        cache.add_radiance(index - 1, density, continuation, outgoing, active)
         dr.eval(cache.sums, cache.bounces)

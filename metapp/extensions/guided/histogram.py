@@ -68,12 +68,12 @@ def coarsen_sums(squares: Tensor, counts: Tensor, voxels: Tensor) -> tuple[Tenso
         Both sums over the Q coarse voxels, [Q, SIDE, SIDE]; the coarse voxels, [Q, 4]; the index of the coarse voxel
         that each voxel belongs to, [P].
     """
-    coarse, parent = coarse_voxels(voxels).unique(dim=0, return_inverse=True)
+    coarse, coarse_index = coarse_voxels(voxels).unique(dim=0, return_inverse=True)
     coarse_squares, coarse_counts = (
-        sums.new_zeros(len(coarse), HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS).index_add_(0, parent, sums)
+        sums.new_zeros(len(coarse), HISTOGRAM_SIDE_BINS, HISTOGRAM_SIDE_BINS).index_add_(0, coarse_index, sums)
         for sums in (squares, counts)
     )
-    return coarse_squares, coarse_counts, coarse, parent
+    return coarse_squares, coarse_counts, coarse, coarse_index
 
 
 def second_moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
@@ -96,8 +96,8 @@ def second_moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
         return shrink_moments(
             squares, counts, torch.ones_like(squares), 1e-9
         )  # the whole box has nothing around it to expect moments from
-    coarse_squares, coarse_counts, coarse, parent = coarsen_sums(squares, counts, voxels)
-    return shrink_moments(squares, counts, second_moments(coarse_squares, coarse_counts, coarse)[parent])
+    coarse_squares, coarse_counts, coarse, coarse_index = coarsen_sums(squares, counts, voxels)
+    return shrink_moments(squares, counts, second_moments(coarse_squares, coarse_counts, coarse)[coarse_index])
 
 
 def shrink_moments(squares: Tensor, counts: Tensor, expected: Tensor, prior_paths: float = PRIOR_PATHS) -> Tensor:

@@ -39,7 +39,8 @@ class _Paths:
         origin: the point that the ray leaves.
         density, is_delta: the density of the ray's direction per solid angle, or whether it has none.
         hits: whether the path met something, at least a sky.
-        expected: the luminance of the whole path, by the cache at the first surface that it knows; 0 before.
+        whole_luminance: the luminance that the whole path is expected to bring, by the first surface on it that the
+            cache knows; 0 before that surface.
     """
 
     sampler: mt.Sampler
@@ -53,7 +54,7 @@ class _Paths:
     is_delta: mt.Mask
     hits: mt.Mask
     active: mt.Mask
-    expected: mt.Float
+    whole_luminance: mt.Float
 
 
 class PathTracer(NamedTuple):
@@ -97,7 +98,7 @@ class PathTracer(NamedTuple):
             sample = vertex.sample_cache() if guided else vertex.sample_bsdf()
             unlit_luminance, remaining = mi.luminance(paths.radiance), mi.Float(0)
             if guided:
-                paths.expected, remaining = _expect_luminance(paths, *vertex.expected_radiance(sample))
+                paths.whole_luminance, remaining = _expect_luminance(paths, *vertex.expected_luminances(sample))
             paths.radiance += paths.throughput * sample.emitter_radiance
             if records is not None:
                 index, density, is_recorded = vertex.record_values(sample)
@@ -142,17 +143,20 @@ class PathTracer(NamedTuple):
         )
 
 
-def _expect_luminance(paths: _Paths, outgoing: mt.Float, carried: mt.Float) -> tuple[mt.Float, mt.Float]:
-    """Return the luminance of whole paths, and the share of it that they are expected to bring yet; 0 if not known.
+def _expect_luminance(paths: _Paths, outgoing: mt.Float, continuation: mt.Float) -> tuple[mt.Float, mt.Float]:
+    """Return the expected luminance of whole paths, and the share of it that they will bring after this surface.
+
+    Both are 0 where the cache knows neither this surface nor one before it; the share also where it does not know this
+    one.
 
     Args:
         paths: the paths, before next-event estimation at this surface.
-        outgoing, carried: the cache's expectations at this surface; see :meth:`GuideCache.row_expectations`.
+        outgoing, continuation: the cache's expectations at this surface; see :meth:`GuideCache.row_expectations`.
     """
     throughput, is_known = mi.luminance(paths.throughput), outgoing > 0
     expected_here = mi.luminance(paths.radiance) + throughput * outgoing
-    whole_luminance = dr.select((paths.expected == 0) & is_known, expected_here, paths.expected)
-    return whole_luminance, dr.select(is_known, throughput * carried / whole_luminance, 0)
+    whole_luminance = dr.select((paths.whole_luminance == 0) & is_known, expected_here, paths.whole_luminance)
+    return whole_luminance, dr.select(is_known, throughput * continuation / whole_luminance, 0)
 
 
 def _weigh_emission(scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:

@@ -96,13 +96,13 @@ def _shrink_means(sums: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
         sums: the sums of luminance of all entries, [CACHE_ENTRIES].
         counts: the counts of paths of all entries, [CACHE_ENTRIES].
     """
-    parent = _index_voxels(coarse_voxels(voxels_of_entries(torch.arange(CACHE_ENTRIES))))
+    coarse_index = _index_voxels(coarse_voxels(voxels_of_entries(torch.arange(CACHE_ENTRIES))))
     coarse_sums, coarse_counts = (
-        values.new_zeros(_COARSE_ENTRIES).index_add_(0, parent, values) for values in (sums, counts)
+        values.new_zeros(_COARSE_ENTRIES).index_add_(0, coarse_index, values) for values in (sums, counts)
     )
     mean = sums.sum() / counts.sum().clamp_min(1)
     coarse_means = (coarse_sums + ENTRY_PRIOR_PATHS * mean) / (coarse_counts + ENTRY_PRIOR_PATHS)
-    outgoing = (sums + ENTRY_PRIOR_PATHS * coarse_means[parent]) / (counts + ENTRY_PRIOR_PATHS)
+    outgoing = (sums + ENTRY_PRIOR_PATHS * coarse_means[coarse_index]) / (counts + ENTRY_PRIOR_PATHS)
     return torch.cat([outgoing, mean[None]]), torch.cat([counts, counts.new_zeros(1)])
 
 

@@ -154,8 +154,11 @@ class Vertex:
         active = self.active & (self.share > 0) & ~sample.is_delta & (direction.z > 1e-4)
         return location.entry * HISTOGRAM_BINS + bin_index + 1, density, active
 
-    def expected_radiance(self, sample: DirectionSample) -> mt.Vector2:
-        """Return what the cache expects of paths that go on by a sample; see :meth:`GuideCache.row_expectations`."""
+    def expected_luminances(self, sample: DirectionSample) -> mt.Vector2:
+        """Return the luminances that the cache expects paths to bring; see :meth:`GuideCache.row_expectations`.
+
+        They are 0 where no directions are sampled from the cache, and for samples of delta lobes.
+        """
         return self.cache.row_expectations(self.location.row, self.active & (self.share > 0) & ~sample.is_delta)
 
     def _evaluate(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> EmitterAndBsdfSample:

@@ -26,7 +26,7 @@ from metapp.learning.task import Params
 HIDDEN_CHANNELS = 32  # channels of the network's two inner layers
 MEMORY_CHANNELS = 16  # channels of the memory from step to step
 PARAMETER_UNIT_STEPS = 10  # the unit of the parameter as the network reads it, in lengths of a step
-LEAKY_RELU_SLOPE = 0.1
+RULE_LEAKY_SLOPE = 0.1  # slope below 0 of the leaky ReLUs of the network
 
 
 def is_periodic(app: App) -> bool:
@@ -119,8 +119,8 @@ def _evaluate_network(
     log_length = 0.3 * grad_length.log().expand(-1, 1, *grad.shape[2:])
     features = torch.cat([value / (PARAMETER_UNIT_STEPS * unit), grad / grad_length, direction, log_length, memory], 1)
     features = _convolve(alpha, name, 0, features) + alpha[f"{name}.place"]
-    features = _convolve(alpha, name, 1, leaky_relu(features, LEAKY_RELU_SLOPE))
-    output = _convolve(alpha, name, 2, leaky_relu(features, LEAKY_RELU_SLOPE))
+    features = _convolve(alpha, name, 1, leaky_relu(features, RULE_LEAKY_SLOPE))
+    output = _convolve(alpha, name, 2, leaky_relu(features, RULE_LEAKY_SLOPE))
     moves, memory_change = output.split([value.shape[1], MEMORY_CHANNELS], 1)
     return unit * moves, memory + memory_change
 

@@ -73,7 +73,7 @@ def test_changes_are_those_of_dense_least_squares() -> None:
         moved = torch.full((FLASH_NUMBERS, COUNT), 2 * SETTINGS["flash"])
         moved[3] = 1e-4
         moved = (SIDE * SIDE * moved).flatten()
-        matrix = rows.T @ (weight[:, None] * rows) + torch.cat([pull + newton.DAMPING, moved]).diag()
+        matrix = rows.T @ (weight[:, None] * rows) + torch.cat([pull + newton.TEXEL_DAMPING, moved]).diag()
         moment = rows.T @ (weight * short) + torch.cat([pull * off, moved * flash.flatten()])
         both: Tensor = torch.linalg.solve(matrix, moment)
         if flash is theta["flash"]:

@@ -190,7 +190,10 @@ def _to_places(candidates: Tensor) -> Tensor:
 def _choose_greedily(
     theta: Params, posterior: Posterior, where: Tensor, reference_places: Tensor, count: int
 ) -> list[int]:
-    """Choose candidates, one after the other, by which the expected square error falls most; return their indices.
+    """Choose candidates one after the other, each the one by which the expected square error falls most.
+
+    A measurement shrinks the covariance of the model's parameters, whatever its value will be: so the error that is
+    expected after it is known before it is made.
 
     Args:
         theta: the model, or a fit by it, [1, ...].
@@ -198,6 +201,9 @@ def _choose_greedily(
         where: candidates as half vector, difference vector and cos theta_i, [1, 7, N].
         reference_places: the pairs of directions whose error is lowered, likewise [1, 7, M].
         count: number of candidates to choose.
+
+    Returns:
+        The indices of the chosen candidates, in this order.
     """
     weights = sample_precision(theta, error_slope(model_reflectance(theta, where).clamp_min(0), where))[0].double()
     reference_slope = error_slope(model_reflectance(theta, reference_places).clamp_min(0), reference_places)[0].double()
@@ -206,8 +212,8 @@ def _choose_greedily(
     reference_gram, covariance = reference_features @ reference_features.T, posterior.covariance
     chosen: list[int] = []
     for _ in range(count):
-        covariances = covariance @ features  # [3, F, N]
-        variances = 1 / weights + (covariances * features).sum(1)
+        covariances = covariance @ features  # of the parameters with each candidate's measurement, [3, F, N]
+        variances = 1 / weights + (covariances * features).sum(1)  # of the measurements, with noise
         error_drops = ((reference_gram @ covariances) * covariances).sum(1) / variances
         best = int(error_drops.sum(0).argmax())
         chosen.append(best)
@@ -219,7 +225,9 @@ def _choose_greedily(
 def _refine(
     theta: Params, candidates: Tensor, limits: InstrumentLimits, seen_places: Tensor, reference_places: Tensor
 ) -> Tensor:
-    """Turn candidates along the gradient of the expected error, as far as the limits allow; return the best ones.
+    """Turn candidates by Adam so that the expected error falls, and return the best ones of all steps, [N, 3] in rad.
+
+    A candidate that a step would turn beyond the limits of the instrument stays where it is.
 
     Args:
         theta: the model, or a fit by it, [1, ...].

@@ -20,8 +20,14 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, grid_sample, in
 from metapp.appearance.features import load_features, uses_bfloat16, vgg_weights_path
 from metapp.appearance.flash import texel_positions
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
-from metapp.apps.svbrdf_nonstationary.encoder import BASE_TEXELS, LEAKY_SLOPE, apply_block, apply_pointwise, upsample
-from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_VALUE
+from metapp.apps.svbrdf_nonstationary.encoder import (
+    BASE_TEXELS,
+    ENCODER_LEAKY_SLOPE,
+    apply_block,
+    apply_pointwise,
+    upsample,
+)
+from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import add_polish, describe_highlight, predict_roughness
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.task import Params
@@ -75,18 +81,19 @@ def init_decoder(rng: Generator, code: int) -> Params:
 
 
 def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, patch: Params | None = None) -> Params:
-    """Read linear photographs: the codes of fields, the flash, and predicted errors.
+    """Predict from linear photographs the codes of fields, the flash, and errors of maps.
 
     Args:
         decoder: the parameters that `init_decoder` draws.
         photos: linear photographs of any exposure and white balance, [T, 3, H, H].
-        place: the positions of the pixels, [T, 2, H, H]; None if the photographs show all of the patch.
-        patch: what `describe_patch` returns for all of the patch; None if the photographs show it.
+        place: the positions of the pixels in the patch, [T, 2, H, H]; None if the photographs show the whole patch.
+        patch: the tensors of :func:`describe_patch` for the whole patch, of which the photographs show a window; None
+            if the photographs show the whole patch.
 
     Returns:
-        `z`, the code [T, code, H, H] and after it the code of General by "full"; `flash` [T, FLASH_NUMBERS] by General
-        of "full"; `deviation` [T, len(PARTS), H / 4, H / 4], logs of predicted errors; `shown` [T], the roughness that
-        the highlight shows.
+        `z`, the code [T, code, H, H] followed by the code that General of the recipe "full" predicts; `flash`
+        [T, FLASH_NUMBERS], which that General predicts, too; `deviation` [T, len(PARTS), H / 4, H / 4], logs of
+        predicted errors; `shown` [T], the roughness that the highlight shows.
 
     Raises:
         ValueError: there are no weights of VGG-16; H is no multiple of SIDE_STEP_PX.
@@ -112,7 +119,7 @@ def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, pa
             level_place = avg_pool2d(place, 1 << level)
             guess_features = apply_pointwise(decoder, f"level{level}.guess", _sample_at(patch["guess"], level_place))
             overview_features = _sample_at(overview_features, level_place).to(level_features)
-            level_features = leaky_relu(level_features + overview_features + guess_features, LEAKY_SLOPE)
+            level_features = leaky_relu(level_features + overview_features + guess_features, ENCODER_LEAKY_SLOPE)
             parts = [level_features, avg_pool2d(inputs, 1 << level).to(level_features)]
             parts += [] if x is None else [upsample(apply_pointwise(decoder, f"level{level}.coarser", x))]
             # channels first take half the time where there are gradients, though VGG is quicker with channels last
@@ -127,11 +134,12 @@ def read_photos(decoder: Params, photos: Tensor, place: Tensor | None = None, pa
 
 @torch.no_grad()
 def describe_patch(photos: Tensor) -> Params:
-    """Describe linear photographs [T, 3, H, W] of all of a patch, for windows of it, too.
+    """Describe linear photographs [T, 3, H, W] of a whole patch, so that windows of it can be read with this context.
 
     Returns:
-        `overview` [T, 3, OVERVIEW_PX, OVERVIEW_PX]; `highlight` [T, HIGHLIGHT_NUMBERS]; and by General of "full", whose
-        side is S: `guess` [T, GUESS_CHANNELS, S, S], `code` [T, its code, S, S] and `flash` [T, FLASH_NUMBERS].
+        `overview` [T, 3, OVERVIEW_PX, OVERVIEW_PX], the reduced photographs; `highlight` [T, HIGHLIGHT_NUMBERS]; and
+        what General of the recipe "full" predicts, at its side S: `guess` [T, GUESS_CHANNELS, S, S], `code`
+        [T, C, S, S] and `flash` [T, FLASH_NUMBERS].
     """
     network = FULL_APP.network
     small = interpolate(photos, (network.height, network.width), mode="bilinear")
@@ -184,7 +192,7 @@ def _balance(photos: Tensor, place: Tensor, mean: Tensor) -> tuple[Tensor, Tenso
     padded = pad(logs.mean(1, keepdim=True), (1, 1, 1, 1), mode="replicate")
     horizontal = padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2]
     vertical = padded[..., :-2, 1:-1] - padded[..., 2:, 1:-1]
-    is_clipped = (photos > CLIPPED_VALUE).any(1, keepdim=True).to(photos)
+    is_clipped = (photos > CLIPPED_LINEAR_VALUE).any(1, keepdim=True).to(photos)
     mean_inputs = torch.cat([grey.log() / 3, (white / grey).log()], 1).expand(-1, -1, *photos.shape[-2:])
     inputs = [logs, horizontal, vertical, place.expand(len(photos), -1, -1, -1), is_clipped, mean_inputs]
     return balanced, torch.cat(inputs, 1)

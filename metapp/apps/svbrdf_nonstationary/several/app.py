@@ -1,7 +1,8 @@
 """Non-stationary svBRDFs from several flash photographs of one place: the application and its random photographs.
 
-A batch holds the photographs as `photos` [T, N, 3, H, W], linear, and the measured positions of camera and flash of
-each as `places` [T, N, 2, 3], in half sides of the patch. A photograph without a place is one from straight above.
+A batch holds N linear photographs of each task, `photos` [T, N, 3, H, W], and the measured positions of camera and
+flash of each photograph, `places` [T, N, 2, 3], in half sides of the patch. A task that has a single photograph and no
+places was photographed from straight above.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ from metapp.appearance.flash import Maps, camera_distance, camera_position, rend
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
-    CLIPPED_VALUE,
+    CLIPPED_LINEAR_VALUE,
     FLASH_LOG_GAIN,
     FLASH_LOG_HEIGHT,
     FLASH_NUMBERS,
     FLASH_SHIFT,
+    MIN_ROUGHNESS,
     Flash,
     decode_maps,
     decode_photo,
@@ -41,23 +43,25 @@ from metapp.learning.rules import append_axes
 from metapp.learning.task import Batch, Params, Task, Tasks
 
 LIGHT_FLOOR = 0.03  # radiance, 1 is white, that is added before logs
-# Initial learned parameters of the loss: the |d| below which it is quadratic, weights of the prior and of moved flashes
-ROUNDING, PRIOR_WEIGHT, FLASH_WEIGHT = 0.02, 0.04, 0.02
-LIKELIHOOD_WEIGHT = 0.05  # weight in the outer loss of the likelihood of predicted deviations
+# Initial values of the loss parameters that a rule may learn
+ROUNDING = 0.02  # log radiance: |differences| of photographs and renderings are rounded off below
+PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of a texel
+FLASH_WEIGHT = 0.02  # weight of the squared displacements of flashes from their measured positions
+LIKELIHOOD_WEIGHT = 0.05  # weight in the outer loss of the likelihood of the scales that General predicts
 INITIAL_ROUGHNESSES = (0.15, 0.25, 0.35, 0.5, 0.7)  # candidates for the roughness that Overfit begins with
 SEARCH_PX = 64  # side of the photographs by which these candidates are compared
 TILTED_SHARE = 0.6  # share of augmented materials that are photographed from all sides; the others from above
-# Share of augmented materials whose photographs differ in exposure, and the standard deviation of its natural log
-EXPOSED_SHARE, EXPOSURE_LOG_DEVIATION = 0.3, 0.35
+UNEQUAL_EXPOSURE_SHARE = 0.3  # share of augmented materials whose photographs differ in exposure
+EXPOSURE_LOG_DEVIATION = 0.35  # standard deviation of the natural log of exposures that differ
 MAX_TILT_RAD = math.radians(36)  # largest angle of a camera with the patch's normal
 
 
 class Texels(NamedTuple):
-    """Maps that are parameters themselves, nine unbounded numbers a texel.
+    """The network of fits whose parameters are the maps themselves: nine unbounded numbers for each texel.
 
     Attributes:
-        height, width: texels.
-        periodic: whether the maps tile; False, as maps of a photographed place do not.
+        height, width: the size of the maps in texels.
+        periodic: whether the maps tile; False, since the maps of a photographed place do not.
     """
 
     height: int
@@ -73,9 +77,10 @@ class Texels(NamedTuple):
 class SeveralPhotos(SvbrdfNonstationary):
     """The application whose fits see several flash photographs of one place.
 
-    The parameters are the maps themselves, `maps` [T, 9, H, W] unbounded numbers, and the flashes, `flash`
-    [T, FLASH_NUMBERS, N]. Fits that begin at General's maps keep these as a prior: `prior` [T, 18, H, W] has its
-    numbers, and the logs of the scales by which they may be off.
+    The parameters of a fit are unbounded numbers: `maps` [T, 9, H, W] stands for the maps, `flash`
+    [T, FLASH_NUMBERS, N] for the flashes. A fit that begins at General's maps is kept near them by a third parameter,
+    `prior` [T, 18, H, W], which no step changes: at each texel the nine numbers that the prior expects, then the logs
+    of the nine scales by which they may be off.
     """
 
     network: Texels = field(default=Texels(256, 256))
@@ -84,7 +89,11 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Add all photographs, moved onto the surface, as `photos` [N, 3, H, W], and their `places` [N, 2, 3].
+        """Add all photographs and their places.
+
+        Returns:
+            Also `photos` [N, 3, H, W], linear photographs aligned to the height of the surface, see
+            :func:`align_to_surface`, and `places` [N, 2, 3].
 
         Raises:
             ValueError: the numbers of places and photographs differ.
@@ -103,60 +112,68 @@ class SeveralPhotos(SvbrdfNonstationary):
     def task_parameters(self, tasks: Tasks) -> Params:
         """Return initial maps and flashes, by photometric stereo in closed form.
 
-        One roughness holds for the whole surface: of INITIAL_ROUGHNESSES the one with the lowest loss.
+        The whole surface gets one roughness, by which stereo does not solve: of INITIAL_ROUGHNESSES the one with the
+        lowest loss.
         """
         batch, network = self.condition(tasks, Generator()), self.network
         size = (min(SEARCH_PX, network.height), min(SEARCH_PX, network.width))
         batch["photos"] = _pool_photos(batch["photos"], size)
-        slopes, diffuse, rough, specular = reader.read_photos(**batch).maps.split(CHANNELS, 1)
-        thetas, losses = [], []
+        slopes, diffuse, roughness_numbers, specular = reader.read_photos(**batch).maps.split(CHANNELS, 1)
+        candidates, losses = [], []
         for roughness in INITIAL_ROUGHNESSES:
-            roughness_numbers = torch.full_like(rough, math.log((roughness - 0.05) / (1 - roughness)))
-            maps = torch.cat([slopes, diffuse, roughness_numbers, specular], 1)
-            thetas.append({"maps": maps, "flash": estimate_flashes(decode_maps(maps), batch)})
-            losses.append(self.loss(thetas[-1], batch, {}))
+            number = math.log((roughness - MIN_ROUGHNESS) / (1 - roughness))
+            maps = torch.cat([slopes, diffuse, torch.full_like(roughness_numbers, number), specular], 1)
+            candidates.append({"maps": maps, "flash": estimate_flashes(decode_maps(maps), batch)})
+            losses.append(self.loss(candidates[-1], batch, {}))
         best = torch.stack(losses).argmin(0), torch.arange(len(tasks), device=tasks.rows.device)
-        theta = {key: torch.stack([candidate[key] for candidate in thetas])[best] for key in thetas[0]}
+        theta = {key: torch.stack([candidate[key] for candidate in candidates])[best] for key in candidates[0]}
         return theta | {"maps": interpolate(theta["maps"], (network.height, network.width), mode="bilinear")}
 
     @override
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
-        """Return the maps at the resolution of a photograph, whose finer detail goes to the diffuse colour."""
+        """Return the maps at the size of a photograph.
+
+        Enlarged maps are smooth: the detail of the photograph that is finer than the fitted maps is multiplied onto the
+        diffuse colour.
+        """
         size = photo.shape[-2:]
         if size == theta["maps"].shape[-2:]:
             return decode_maps(theta["maps"])
         maps, logs = decode_maps(interpolate(theta["maps"], size, mode="bicubic")), _log_radiance(photo)
         coarse_logs = adaptive_avg_pool2d(logs, (self.network.height, self.network.width))
-        detail = logs - interpolate(coarse_logs, size, mode="bicubic")
-        return maps._replace(diffuse=(maps.diffuse * detail.exp()).clamp(0, 1))
+        log_detail = logs - interpolate(coarse_logs, size, mode="bicubic")
+        return maps._replace(diffuse=(maps.diffuse * log_detail.exp()).clamp(0, 1))
 
     @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Return the negative log posterior of each task, [T], summed over texels.
 
-        Its terms are rounded |differences| of log photographs and log renderings, where a photograph clips of darker
-        renderings alone, squared displacements of flashes, and the distance from the prior where a task has one.
+        It has three terms: rounded |differences| of log photographs and log renderings; squared displacements of the
+        flashes; and, where a task has a prior, rounded |distances| of the maps from it. Where a photograph clips, only
+        darker renderings differ from it.
         """
-        learned = self.settings(learned, theta["maps"])
+        parameters = self.settings(learned, theta["maps"])
         photos = batch["photos"]
         residual = _log_radiance(photos) - _log_radiance(
             render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
         )
-        residual = torch.where(photos > CLIPPED_VALUE, relu(residual), residual)
-        loss = _round_off(residual, learned["smoothing"].exp()).mean((1, 2, 3, 4))
-        loss = loss + learned["flash"].exp() * theta["flash"][:, :3].square().mean((1, 2))
+        residual = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(residual), residual)
+        loss = _round_off(residual, parameters["smoothing"].exp()).mean((1, 2, 3, 4))
+        # The gain of a flash, its last number, is free.
+        loss = loss + parameters["flash"].exp() * theta["flash"][:, :-1].square().mean((1, 2))
         if "prior" in theta:
-            mean, deviation = theta["prior"].detach().chunk(2, 1)
-            deviations = _round_off((theta["maps"] - mean) * (-deviation).exp(), photos.new_ones(())).mean((2, 3))
-            loss = loss + (deviations * learned["prior"].exp()).sum(1) / photos.shape[1]
+            mean, log_scale = theta["prior"].detach().chunk(2, 1)
+            distances = _round_off((theta["maps"] - mean) * (-log_scale).exp(), photos.new_ones(())).mean((2, 3))
+            # The more photographs there are, the less the prior counts beside their mean.
+            loss = loss + (distances * parameters["prior"].exp()).sum(1) / photos.shape[1]
         return loss * (photos.shape[-2] * photos.shape[-1])
 
     def settings(self, learned: Params, like: Tensor) -> Params:
-        """Return the learned parameters of the loss, [T, ...], or their initial values if there are none.
+        """Return the loss parameters [T, ...]: those that a rule has learned, or their initial values.
 
         Args:
-            learned: the parameters that a rule has learned, or {}.
-            like: a tensor whose first axis is of tasks, and whose dtype and device count.
+            learned: the loss parameters that a rule has learned; {} for none.
+            like: a tensor [T, ...] that gives initial values their number of tasks, dtype and device.
         """
         return learned or {
             key: value.expand(len(like), *value.shape[1:]).to(like) for key, value in self.loss_parameters(1).items()
@@ -164,10 +181,11 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def loss_parameters(self, steps: int) -> Params:
-        """Return logs of initial values, [steps, ...] each.
+        """Return the logs of initial values of the loss parameters.
 
-        `smoothing` is the rounding of |d|, `prior` the weight of the prior for each number of a texel, and `flash` the
-        weight of displacements of flashes.
+        Returns:
+            `smoothing` [steps], the log of ROUNDING; `prior` [steps, 9], the log of PRIOR_WEIGHT for each number of a
+            texel; `flash` [steps], the log of FLASH_WEIGHT.
         """
         values = {
             "smoothing": torch.tensor(ROUNDING),
@@ -180,7 +198,8 @@ class SeveralPhotos(SvbrdfNonstationary):
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Return the difference of maps, above all normals, and of their log radiance under random lights, [T].
 
-        The prior's deviations count by the likelihood of General's errors, and nothing else moves them.
+        A last term trains the scales of General's prior: the negative log likelihood of the errors of its maps under
+        Laplace distributions of these scales.
         """
         maps, target = decode_maps(theta["maps"]), unpack_maps(batch["maps"])
         differences = map_differences(maps, target)
@@ -190,9 +209,9 @@ class SeveralPhotos(SvbrdfNonstationary):
         loss = 0.5 * self.radiance_difference(maps, target, batch["pairs"])
         loss = loss + 2 * normal + 0.15 * normal / (mean_tilt + 0.03)
         loss = loss + 0.5 * slope_error + 0.7 * diffuse + 0.5 * specular + roughness
-        mean, deviation = theta["prior"].chunk(2, 1)
-        scaled_errors = (mean - _encode_maps(target)).detach().abs() * (-deviation).exp() + deviation
-        return loss + LIKELIHOOD_WEIGHT * scaled_errors.mean((1, 2, 3))
+        mean, log_scale = theta["prior"].chunk(2, 1)
+        negative_log_likelihood = (mean - _encode_maps(target)).detach().abs() * (-log_scale).exp() + log_scale
+        return loss + LIKELIHOOD_WEIGHT * negative_log_likelihood.mean((1, 2, 3))
 
     @override
     def init_encoder(self, rng: Generator) -> Params:
@@ -206,15 +225,17 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """Return General's maps, also as the prior, and flashes whose brightness agrees with them."""
-        maps, deviation = reader.predict_maps(encoder, reader.read_photos(**condition))
-        deviations = [
-            part.expand(-1, count, -1, -1) for part, count in zip(deviation.split(1, 1), CHANNELS, strict=True)
+        """Return General's maps, the flashes whose brightness agrees with them, and these maps as the prior."""
+        maps, log_scales = reader.predict_maps(encoder, reader.read_photos(**condition))
+        # General predicts one scale for each kind of map: all numbers of that kind share it.
+        expanded_scales = [
+            log_scale.expand(-1, count, -1, -1)
+            for log_scale, count in zip(log_scales.split(1, 1), CHANNELS, strict=True)
         ]
         return {
             "maps": maps,
             "flash": estimate_flashes(decode_maps(maps), condition),
-            "prior": torch.cat([maps, *deviations], 1),
+            "prior": torch.cat([maps, *expanded_scales], 1),
         }
 
     @override
@@ -243,8 +264,8 @@ class SeveralPhotos(SvbrdfNonstationary):
 def decode_flashes(flash: Tensor, places: Tensor) -> Flash:
     """Return the flashes that unbounded numbers stand for, with axes [T, N, ...].
 
-    Zeros stand for a flash at its measured place in whose light a white patch has radiance 1 right below it. People
-    hold camera and flash together, so that both move.
+    Zeros stand for a flash at its measured position, in whose light a white patch right below it has radiance 1. In a
+    hand-held device the flash sits beside the lens: the shift and the height that the numbers state move both.
 
     Args:
         flash: the numbers, [T, FLASH_NUMBERS, N].
@@ -268,24 +289,28 @@ def render_photos(maps: Maps, flashes: Flash) -> Tensor:
 
 @torch.no_grad()
 def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
-    """Return numbers of flashes at their measured places, as bright as maps ask for, [T, FLASH_NUMBERS, N].
+    """Return the numbers of flashes at their measured positions whose gains fit the photographs, [T, FLASH_NUMBERS, N].
+
+    The log gain of a flash is the median over texels of the difference of the log photograph from the log rendering of
+    the maps, where clipped values count as no difference.
 
     Args:
         maps: the maps [T, C, H, W].
-        batch: `photos` and `places`. Clipped values count as of no difference; the median over texels is taken.
+        batch: `photos` and `places`.
     """
     places, photos = batch["places"], batch["photos"]
     zeros = places.new_zeros(len(places), FLASH_NUMBERS, places.shape[1])
     log_gains = _log_radiance(photos) - _log_radiance(render_photos(maps, decode_flashes(zeros, places)))
-    log_gains = torch.where(photos > CLIPPED_VALUE, 0, log_gains).mean(2).flatten(2).median(2).values
+    log_gains = torch.where(photos > CLIPPED_LINEAR_VALUE, 0, log_gains).mean(2).flatten(2).median(2).values
     return torch.cat([zeros[:, :-1], log_gains[:, None] / FLASH_LOG_GAIN], 1)
 
 
 def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Take random photographs of materials, as people do by hand.
+    """Render random photographs of materials, as people take them by hand.
 
-    The camera is held over the patch or tilted from all sides. Measured places have Gaussian errors of up to 3 % of
-    the height. The exposure is one for all photographs, or each time another.
+    The camera is held over the patch, or is moved around it and tilted towards it. Measured places have Gaussian errors
+    of up to 3 % of the camera's height. The exposures of a material nearly agree, or differ for a share of
+    UNEQUAL_EXPOSURE_SHARE.
 
     Args:
         maps: packed maps [T, 10, S, S].
@@ -293,19 +318,20 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
         rng: draws all random numbers.
 
     Returns:
-        Linear photographs of 8 bits, [T, count, 3, S, S], and measured places [T, count, 2, 3].
+        Photographs [T, count, 3, S, S], linear values that were rounded to 8 bits of sRGB, and measured places
+        [T, count, 2, 3].
     """
     uniform, normal = draws_per_material(len(maps), rng)
     places_above, offsets = held_places(len(maps), count, rng)
     azimuth = 2 * math.pi * (torch.arange(count, device=rng.device)[None, :, None] / max(count - 1, 1) + uniform(1, 1))
     azimuth, tilt = azimuth + 0.4 * normal(count, 1), 0.1 + (MAX_TILT_RAD - 0.1) * uniform(count, 1)
-    tilt = torch.cat([0.15 * tilt[:, :1], tilt[:, 1:]], 1)  # the first from about straight above
+    tilt = torch.cat([0.15 * tilt[:, :1], tilt[:, 1:]], 1)  # the first photograph is taken from nearly straight above
     distance = camera_distance() * (0.75 + 0.5 * uniform(count, 1)) * (1 + uniform(1, 1))
     tilted_places = distance * torch.cat([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), tilt.cos()], -1)
     true_places = torch.where(uniform(1, 1) < TILTED_SHARE, tilted_places, places_above)
     measured_places = true_places + 1.5 * uniform(1, 1) * offsets
     log_exposure = torch.where(
-        uniform(1) < EXPOSED_SHARE, EXPOSURE_LOG_DEVIATION * normal(count) - 0.15, 0.06 * normal(count)
+        uniform(1) < UNEQUAL_EXPOSURE_SHARE, EXPOSURE_LOG_DEVIATION * normal(count) - 0.15, 0.06 * normal(count)
     )
     flash = torch.cat(
         [log_exposure.new_zeros(len(maps), FLASH_NUMBERS - 1, count), log_exposure[:, None] / FLASH_LOG_GAIN], 1
@@ -318,7 +344,7 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
 
 
 def _task_places(task: Task) -> Tensor:
-    """Return positions of camera and flash, [N, 2, 3]; a photograph without a place is one from straight above."""
+    """Return the positions of camera and flash, [N, 2, 3]; a task without places has one photo from straight above."""
     return task.data.get("places", camera_position().expand(1, 2, 3)).float()
 
 

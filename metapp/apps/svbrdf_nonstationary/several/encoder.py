@@ -1,8 +1,8 @@
 """General's encoder of several flash photographs: maps of each texel, and the scales of their errors.
 
-Photometric stereo in closed form comes first: brightness and slopes of Lambertian texels, and the exposures of the
-photographs. It is corrected by a small network of each photograph, of which the mean and the maximum over photographs
-count, so that their order does not, and by a U-Net over texels.
+Photometric stereo in closed form comes first: it solves for the brightness and slopes of Lambertian texels, and for the
+exposures of the photographs. Two networks then correct its maps. A small one reads each photograph by itself; the mean
+and the maximum of its outputs over photographs do not depend on their order. A U-Net over texels reads these.
 """
 
 from __future__ import annotations
@@ -16,22 +16,34 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, leaky_relu
 
 from metapp.appearance.flash import directions_to_point, texel_positions
-from metapp.apps.svbrdf_nonstationary.encoder import LEAKY_SLOPE, add_block, apply_block, apply_pointwise, upsample
+from metapp.apps.svbrdf_nonstationary.encoder import (
+    ENCODER_LEAKY_SLOPE,
+    add_block,
+    apply_block,
+    apply_pointwise,
+    upsample,
+)
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution
 
-STEM_CHANNELS = 32  # of the network of a photograph
+STEM_CHANNELS = 32  # channels of the network that reads a photograph
 WIDTHS = (32, 48, 64, 96, 96)  # channels of the U-Net's levels; sides are multiples of 16 texels
 PHOTO_INPUTS, TEXEL_INPUTS = 18, 12  # channels that the networks read of a photograph, and of texels
-NOISE_VALUE, CLIPPED_VALUE = 0.004, 0.97  # linear values, 1 is white: noise of 8 bits; clipped from there on
-LOBE_TANGENTS = (0.06, 0.12, 0.25, 0.5)  # widths of highlights, tangents of half angles
+NOISE_VALUE = 0.004  # noise of photographs of 8 bits, a linear value, 1 is white
+STEREO_CLIPPED_LINEAR_VALUE = 0.97  # linear value, 1 is white, above which photometric stereo hardly trusts a pixel
+HIGHLIGHT_TANGENTS = (
+    0.06,
+    0.12,
+    0.25,
+    0.5,
+)  # widths of the curves that highlights are sums of: tangents of half angles
 TEXEL_SOLVES = 4  # reweighted least squares of brightness and slopes
 EXPOSURE_SOLVES = 2  # solves of exposures after slopes are known
-LOBE_SOLVES = 3  # reweighted least squares of exposures and highlights, before slopes are known
+HIGHLIGHT_SOLVES = 3  # reweighted least squares of exposures and highlights, before slopes are known
 LAMBERTIAN_SPREAD = 0.08  # relative deviation from a Lambertian texel that halves a photograph's weight
-RIDGE = (0.05 / 0.4) ** 2  # relative noise of a photograph over the slopes expected, squared
-MAX_SLOPE = 1.5
+RIDGE = (0.05 / 0.4) ** 2  # (relative noise of a photograph / size of slopes that are expected) squared
+MAX_SLOPE = 1.5  # soft bound (tanh) of the length of slopes
 EXPOSURE_STRIDE = 4  # exposures are solved on every fourth row and column
 
 
@@ -88,8 +100,8 @@ def predict_maps(params: Params, reading: Reading) -> tuple[Tensor, Tensor]:
     """
     leading = reading.photos.shape[:2]
     x = reading.photos.flatten(0, 1).contiguous(memory_format=torch.channels_last)
-    x = leaky_relu(apply_convolution(params, "stem.first", x), LEAKY_SLOPE)
-    x = leaky_relu(apply_pointwise(params, "stem.second", x), LEAKY_SLOPE).unflatten(0, leading)
+    x = leaky_relu(apply_convolution(params, "stem.first", x), ENCODER_LEAKY_SLOPE)
+    x = leaky_relu(apply_pointwise(params, "stem.second", x), ENCODER_LEAKY_SLOPE).unflatten(0, leading)
     texel_inputs = torch.cat([x.mean(1), x.amax(1), reading.texels], 1).contiguous(memory_format=torch.channels_last)
     x, skips = texel_inputs, []
     for level in range(len(WIDTHS)):
@@ -146,26 +158,59 @@ def photometric_stereo(brightness: Tensor, tangents: Tensor, valid: Tensor, nois
     return level * typical[:, 0], slopes, weight, torch.cat([azz, axx], 1) / determinant * RIDGE
 
 
-def _solve_exposures(logs: Tensor, lobes: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+def _solve_gains(
+    logs: Tensor, highlights: Tensor, tangents: Tensor, valid: Tensor, noise: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Solve for the exposures and highlights of photographs, on every EXPOSURE_STRIDEth row and column.
+
+    A gain and a tilt of the whole patch look alike, so exposures are solved such that the mean slope is 0.
+
+    Args:
+        logs: logs of brightness over the brightness of a flat white patch, [T, N, 1, H, W].
+        highlights: K curves of the half angle, [T, N, K, H, W].
+        tangents, valid, noise: the arguments of :func:`photometric_stereo`.
+
+    Returns:
+        Logs of gains, [T, N], and strengths of the K curves, [T, K].
+    """
+    logs, highlights, tangents, valid, noise = (
+        values[..., ::EXPOSURE_STRIDE, ::EXPOSURE_STRIDE] for values in (logs, highlights, tangents, valid, noise)
+    )
+    trust = valid / (1 + (noise / 0.05).square())
+    gains, strengths = _solve_exposures(logs[:, :, 0].flatten(2), highlights.flatten(3), trust[:, :, 0].flatten(2))
+    gloss = (strengths[:, None, :, None, None] * highlights).sum(2, keepdim=True)
+    for _ in range(EXPOSURE_SOLVES):
+        matte = torch.exp(logs - gloss - _add_picture_axes(gains))
+        level, slopes, *_ = photometric_stereo(matte, tangents, valid, noise)
+        slopes = slopes - slopes.mean((2, 3), keepdim=True)
+        lambertian = (1 + (slopes[:, None] * tangents).sum(2, keepdim=True)).clamp_min(0.1)
+        gains = gains + _centre((matte / (level[:, None] * lambertian)).log().flatten(2).median(2).values)
+    return gains, strengths
+
+
+def _solve_exposures(logs: Tensor, highlights: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Solve for exposures and highlights of photographs before slopes are known, by reweighted least squares.
 
-    The log of a pixel is the sum of a term of its texel, one of its photograph, and a curve of the half angle.
+    The log brightness of a pixel is a sum of three terms: one of its texel, one of its photograph (the exposure), and
+    one of its half angle (the highlight). Texels are eliminated: their mean over photographs is subtracted.
 
     Args:
         logs: logs of the brightness of P pixels of each photograph, [T, N, P].
-        lobes: K curves of the half angle, [T, N, K, P].
+        highlights: K curves of the half angle, [T, N, K, P].
         weight: weights of the pixels, [T, N, P].
 
     Returns:
         Logs of gains, [T, N], and strengths of the K curves, [T, K].
     """
     count = logs.shape[1]
-    logs, lobes, weight = logs.double(), lobes.double(), weight.double() + 1e-3
+    logs, highlights, weight = logs.double(), highlights.double(), weight.double() + 1e-3
     photo_rows = torch.eye(count).to(logs)[None, :, :, None].expand(len(logs), -1, -1, logs.shape[-1])
-    rows = torch.cat([photo_rows, lobes], 2)
-    ridge = torch.cat([logs.new_full((count,), 1e-3), logs.new_full((lobes.shape[2],), 3e-3)]).diag() * logs.shape[-1]
+    rows = torch.cat([photo_rows, highlights], 2)
+    ridge = (
+        torch.cat([logs.new_full((count,), 1e-3), logs.new_full((highlights.shape[2],), 3e-3)]).diag() * logs.shape[-1]
+    )
     current_weight = weight
-    for _ in range(LOBE_SOLVES):
+    for _ in range(HIGHLIGHT_SOLVES):
         total = current_weight.sum(1, keepdim=True)
         y = logs - (current_weight * logs).sum(1, keepdim=True) / total
         x = rows - (current_weight[:, :, None] * rows).sum(1, keepdim=True) / total[:, :, None]
@@ -195,42 +240,37 @@ def read_photos(photos: Tensor, places: Tensor) -> Reading:
         photos: linear photographs [T, N, 3, H, W].
         places: positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
     """
+    # The geometry of each pixel: directions to camera and flash, the half vector, the brightness of a flat white patch
     texels = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)
-    (wo, _), (wi, squared) = (directions_to_point(place, texels) for place in places.unbind(2))
-    white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared  # brightness of a flat white patch
+    (wo, _), (wi, squared_distance) = (directions_to_point(place, texels) for place in places.unbind(2))
+    white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared_distance
     half = wi + wo
     half = half / half.norm(dim=2, keepdim=True)
-    lobes = torch.exp((1 - 1 / half[:, :, 2:].square()) / (2 * half.new_tensor(LOBE_TANGENTS)[:, None, None].square()))
+    widths = half.new_tensor(HIGHLIGHT_TANGENTS)[:, None, None]
+    highlights = torch.exp((1 - 1 / half[:, :, 2:].square()) / (2 * widths.square()))
     tangents = wi[:, :, :2] / wi[:, :, 2:]
+
+    # Colours over the brightness of the white patch, and how far each pixel can be trusted
     colour = photos.clamp_min(NOISE_VALUE / 4) / white
     grey, brightness = colour.mean(2, keepdim=True), photos.mean(2, keepdim=True)
     logs, noise = grey.log(), NOISE_VALUE / 2 / brightness.clamp_min(NOISE_VALUE / 4)
-    is_clipped = (photos.amax(2, keepdim=True) > CLIPPED_VALUE).to(photos)
+    is_clipped = (photos.amax(2, keepdim=True) > STEREO_CLIPPED_LINEAR_VALUE).to(photos)
     valid = 1 - 0.98 * is_clipped
-    # exposures are solved such that the means of slopes, which depend on them, are 0
-    coarse_logs, coarse_lobes, coarse_tangents, coarse_valid, coarse_noise = (
-        part[..., ::EXPOSURE_STRIDE, ::EXPOSURE_STRIDE] for part in (logs, lobes, tangents, valid, noise)
-    )
-    trust = coarse_valid / (1 + (coarse_noise / 0.05).square())
-    gains, strengths = _solve_exposures(
-        coarse_logs[:, :, 0].flatten(2), coarse_lobes.flatten(3), trust[:, :, 0].flatten(2)
-    )
-    gloss = (strengths[:, None, :, None, None] * lobes).sum(2, keepdim=True)
-    for _ in range(EXPOSURE_SOLVES):
-        y = torch.exp(coarse_logs - gloss[..., ::EXPOSURE_STRIDE, ::EXPOSURE_STRIDE] - _add_picture_axes(gains))
-        level, slopes, *_ = photometric_stereo(y, coarse_tangents, coarse_valid, coarse_noise)
-        slopes = slopes - slopes.mean((2, 3), keepdim=True)
-        lambertian = (1 + (slopes[:, None] * coarse_tangents).sum(2, keepdim=True)).clamp_min(0.1)
-        gains = gains + _centre((y / (level[:, None] * lambertian)).log().flatten(2).median(2).values)
+
+    # Photometric stereo, of photographs from which exposures and highlights are divided out
+    gains, strengths = _solve_gains(logs, highlights, tangents, valid, noise)
+    gloss = (strengths[:, None, :, None, None] * highlights).sum(2, keepdim=True)
     scale = torch.exp(-_add_picture_axes(gains) - gloss)
     colour, grey = colour * scale, grey * scale
-    level, slopes, weights, unknown = photometric_stereo(grey, tangents, valid, noise)
+    level, slopes, weights, unknown_share = photometric_stereo(grey, tangents, valid, noise)
     lambertian = (1 + (slopes[:, None] * tangents).sum(2, keepdim=True)).clamp_min(0.05)
     weight = weights / weights.sum(1, keepdim=True)
-    body_colour = (weight * colour / lambertian).sum(1)
-    log_ratio = (colour / (body_colour[:, None] * lambertian)).log().clamp(-3, 3)
+    facing_colour = (weight * colour / lambertian).sum(1)  # the colour of a texel that faces the flash
+
+    # What stereo leaves unexplained, and the directions of the flash and of highlights about the normal
+    log_ratio = (colour / (facing_colour[:, None] * lambertian)).log().clamp(-3, 3)
     grey_log_ratio = log_ratio.mean(2, keepdim=True)
-    length = (1 + slopes.square().sum(1, keepdim=True)).sqrt()
+    length = (1 + slopes.square().sum(1, keepdim=True)).sqrt()  # of the vector (slopes, 1), along the normal
     normal = (torch.cat([slopes, torch.ones_like(length)], 1) / length)[:, None]
     cos_half = (half * normal).sum(2, keepdim=True).clamp(-1, 1)
     photo_inputs = [
@@ -248,18 +288,19 @@ def read_photos(photos: Tensor, places: Tensor) -> Reading:
         _add_picture_axes(gains).expand_as(white),
         10 * weight / (1 + 9 * weight),
     ]
-    albedo = (body_colour * length).clamp(2e-4, 0.98)
+    albedo = (facing_colour * length).clamp(2e-4, 0.98)
     texel_inputs = [
         2 * slopes,
         albedo.log() / 2 + 1,
         2 * (weight * grey_log_ratio.square()).sum(1).sqrt(),
         grey_log_ratio.amax(1),
         grey_log_ratio.amin(1),
-        unknown.sqrt(),
+        unknown_share.sqrt(),
         torch.full_like(length, math.log(photos.shape[1]) - 1.5),
         (photos.mean((1, 2), keepdim=True)[:, 0] + NOISE_VALUE).log() / 2 + 1,
     ]
-    shade_logits = torch.logit((albedo ** (1 / 2.2)).clamp(0.02, 0.98))
-    maps = torch.cat([slopes, shade_logits, torch.zeros_like(length), torch.zeros_like(albedo)], 1)
+    # Stereo finds slopes and diffuse colour; the numbers of roughness and specular colour are 0, where fits begin.
+    diffuse_logits = torch.logit((albedo ** (1 / 2.2)).clamp(0.02, 0.98))
+    maps = torch.cat([slopes, diffuse_logits, torch.zeros_like(length), torch.zeros_like(albedo)], 1)
     stereo = (grey, tangents, level, weights)
     return Reading(torch.cat(photo_inputs, 2), torch.cat(texel_inputs, 1), maps, gains, *stereo)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from data_tools.readers.colours import Floats
 from data_tools.readers.image_files import Pixels, is_heif, open_largest_picture
 from metapp.appearance.colour import linear_to_srgb
-from metapp.apps.illumination.mirror import CLIPPED_VALUE
+from metapp.apps.illumination.mirror import CLIPPED_DISPLAY_VALUE
 from metapp.extensions.capture.ball.ball_geometry import Ball, disc_places
 from metapp.extensions.capture.ball.ball_picture import extract_ball
 from metapp.extensions.capture.hand_photos import import_opencv
@@ -184,7 +184,7 @@ def merge_exposures(
     weights = ((display - 0.01) / 0.15).clip(0, 1) * below_white * below_white.min(1, keepdims=True) * pictures[:, 3:]
     shortest, longest = exposures.argmin(), exposures.argmax()
     shortest_display = display[shortest].max(0) * pictures[shortest, 3]
-    is_clipped = (shortest_display >= CLIPPED_VALUE) & (not is_hdr)
+    is_clipped = (shortest_display >= CLIPPED_DISPLAY_VALUE) & (not is_hdr)
     weighted_mean = (weights * radiances).sum(0) / weights.sum(0).clip(1e-6)
     fallback = np.where(shortest_display > 0.5, radiances[shortest], radiances[longest])
     radiance = np.where((weights.sum(0) > 1e-3) & ~is_clipped, weighted_mean, fallback)

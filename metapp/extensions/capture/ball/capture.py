@@ -21,7 +21,7 @@ from data_tools.readers.environment_maps import MAP_HEIGHT_PX
 from data_tools.readers.image_files import Pixels, read_pixels
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.latlong import texel_directions
-from metapp.apps.illumination.mirror import CLIPPED_VALUE
+from metapp.apps.illumination.mirror import CLIPPED_DISPLAY_VALUE
 from metapp.extensions.capture.ball.ball_geometry import FAR_CAMERA_ANGLE_RAD, Ball, directions_to_disc
 from metapp.extensions.capture.ball.ball_picture import (
     block_means,
@@ -182,7 +182,7 @@ def recover_light(
         [extract_ball(*photo, size, first_ball.half_angle_rad, max_value) for photo in zip(photos, balls, strict=True)]
     )
     # fits see the brightest photograph that is hardly white anywhere, else the darkest
-    is_white_px = pictures[:, :3].max(1) >= srgb_to_linear(torch.tensor(CLIPPED_VALUE)).item()
+    is_white_px = pictures[:, :3].max(1) >= srgb_to_linear(torch.tensor(CLIPPED_DISPLAY_VALUE)).item()
     white_shares = np.average(is_white_px.reshape(len(photos), -1), 1, pictures[:, 3].reshape(len(photos), -1))
     order = np.argsort(exposures).tolist()
     reference_index = next((number for number in reversed(order) if white_shares[number] <= _MAX_WHITE_SHARE), order[0])

@@ -16,7 +16,7 @@ from metapp.appearance.latlong import luminance, resample_maps, solid_angles, te
 from metapp.appearance.photograph import render_mirror_spheres
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.apps.illumination.app import Illumination
-from metapp.apps.illumination.mirror import CLIPPED_VALUE, RADIANCE_FLOOR, shows_mirror
+from metapp.apps.illumination.mirror import CLIPPED_DISPLAY_VALUE, RADIANCE_FLOOR, shows_mirror
 from metapp.apps.illumination.presenter import IlluminationPresenter
 from metapp.apps.illumination.spheres import DIFFUSE_ALBEDO, DIFFUSE_SPECULAR, METAL_REFLECTANCE, SPHERE_ROUGHNESSES
 from metapp.extensions.viewer.view import MAX_HALF_FLOAT, View, crop_thumbnail
@@ -103,7 +103,7 @@ def _render_ball(app: Illumination, theta: Params, data: Batch) -> Tensor:
         return app.render_ball(theta, app.radiance_maps(theta), size)[0].clamp(0, 1)
     photo, ball = data["photo"][0] / 255, render_mirror_spheres(app.answer(theta, data), size)[0]
     # a photograph does not say how bright its light was: the exposure makes the median of its measured pixels equal
-    is_measured = (photo.amax(0) < CLIPPED_VALUE) & (photo.amin(0) > RADIANCE_FLOOR) & (ball.amin(0) > 0)
+    is_measured = (photo.amax(0) < CLIPPED_DISPLAY_VALUE) & (photo.amin(0) > RADIANCE_FLOOR) & (ball.amin(0) > 0)
     ratio = luminance(srgb_to_linear(photo))[is_measured] / luminance(ball)[is_measured]
     exposure = ratio.median() if is_measured.any() else 1 / ball.amax().clamp_min(1e-9)
     return linear_to_srgb((ball * exposure).clamp(0, 1))
