@@ -23,8 +23,8 @@ SizeOption = Annotated[int, Option("Side of the pictures.", "PX", low=32, high=4
 NormalsOption = Annotated[
     str,
     Option(
-        "Where the green of normals points: up (opengl) or down (directx). auto: as names say (gl, dx), else as a "
-        "height field could have it.",
+        "Where the green of normals points: up (opengl) or down (directx). auto: as names say (gl, dx), else as "
+        "would fit a height field.",
         "opengl|directx|auto",
         choices=("opengl", "directx", "auto"),
     ),
@@ -33,10 +33,10 @@ NormalsOption = Annotated[
 
 @dataclass(frozen=True)
 class MerlConverter(Converter):
-    """Convert MERL tables, measured BRDFs.
+    """Convert MERL tables of measured BRDFs.
 
     A table (Matusik et al. 2003) has 34,992,012 bytes. It becomes samples (angles in rad, reflectance in 1/sr, linear
-    RGB) at the centres of measured bins. A bad file that was named ends the conversion and nothing is written; one
+    RGB) at the centres of measured bins. A bad file that you name ends the conversion, and nothing is written; one
     found in a folder is skipped with a warning.
 
     Examples:
@@ -49,13 +49,13 @@ class MerlConverter(Converter):
 
 @dataclass(frozen=True)
 class NbrdfConverter(Converter):
-    """Convert NBRDF networks, BRDFs as small neural networks.
+    """Convert NBRDF networks, which are BRDFs as small neural networks.
 
     A network (Sztrajman et al. 2021) is a Keras model as published, gold.h5 (which needs h5py: pip install
     "metapp[nbrdf]"), or a folder with fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy. It becomes samples (angles in
-    rad, reflectance in 1/sr, linear RGB) above the horizon, named by its file or folder. Several may share a folder,
-    each with its name in front: gold_fc1.npy. A folder without a usable network ends the conversion and
-    nothing is written; further bad networks are skipped with a warning.
+    rad, reflectance in 1/sr, linear RGB) above the horizon, named by its file or folder. Several networks may share a
+    folder if the name of each is in front of its files: gold_fc1.npy. A folder without a usable network ends the
+    conversion, and nothing is written; other bad networks are skipped with a warning.
 
     Examples:
       metapp data nbrdf trained --out nbrdf
@@ -67,14 +67,14 @@ class NbrdfConverter(Converter):
 
 @dataclass(frozen=True)
 class GonioConverter(Converter):
-    """Convert goniometer measurements, CSV files.
+    """Convert goniometer measurements of BRDFs, in CSV files.
 
-    A line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light), theta_o_deg,
-    phi_o_deg (detector), or _rad for radians, and the BRDF in 1/sr as r, g, b (linear RGB) or as wavelengths (400nm,
-    410nm, ...). Semicolons, tabs, quotes, decimal commas, a row of units and UTF-16, as spreadsheets write, are read as
-    well. A negative theta is at phi + 180 degrees. Lines that begin with # are comments. The measurements themselves
-    are the samples, in random order; a bad file that was named ends the conversion and nothing is written; one found in
-    a folder is skipped with a warning.
+    A file has a line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light),
+    theta_o_deg, phi_o_deg (detector), or _rad for radians, and the BRDF in 1/sr as r, g, b (linear RGB) or as
+    wavelengths (400nm, 410nm, ...). Semicolons, tabs, quotes, decimal commas, a row of units and UTF-16, as
+    spreadsheets write, are read as well. A negative theta means the opposite side, phi + 180 degrees. Lines that begin
+    with # are comments. The measurements themselves become the samples, in random order. A bad file that you name ends
+    the conversion, and nothing is written; one found in a folder is skipped with a warning.
 
     Examples:
       metapp data gonio paint.csv --out measured
@@ -87,7 +87,7 @@ class ImagesConverter(Converter):
     """Convert photographs of textures.
 
     All formats of OpenImageIO are read: JPEG, PNG, TIFF, EXR and more. The central square of each photograph is taken,
-    upright, scaled in linear light to --size, and kept as 8-bit sRGB. A bad file that was named ends the conversion
+    upright, scaled in linear light to --size, and kept as 8-bit sRGB. A bad file that you name ends the conversion,
     and nothing is written; one found in a folder is skipped with a warning.
 
     Examples:
@@ -106,11 +106,11 @@ class FlashConverter(Converter):
     The central square of each photograph is taken, around the flash, upright, scaled in linear light to --size, and
     kept as 8-bit sRGB. Fits assume a field of view of 45 degrees along the shorter side: if EXIF or --fov says that
     the camera's is wider, only the part within 45 degrees is taken. All photographs of a material belong to one split.
-    A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a
+    A bad file that you name ends the conversion, and nothing is written; one found in a folder is skipped with a
     warning.
 
     Names tell the material: <split>_<material>_<image>.jpg, <split>/<material>/<image>.jpg (Henzler et al. 2021), or
-    <material>/<image>.jpg below the folder. Any other photograph is of a material of its own.
+    <material>/<image>.jpg below the folder. A photograph with another name counts as a material of its own.
 
     Examples:
       metapp data flash flash_images --out flash
@@ -120,15 +120,15 @@ class FlashConverter(Converter):
     split: Annotated[
         str,
         split_option(
-            "as names or folders say (train, test), if they say both; else every fifth of the sorted materials is for "
-            "tests."
+            "as names or folders say (train, test), if both words occur; else every fifth of the sorted materials is a "
+            "test task."
         ),
     ] = "auto"
     size: SizeOption = 256
     fov: Annotated[
         float,
         Option(
-            "The camera's field of view along the shorter side; 0: as EXIF says, else 45.",
+            "The camera's field of view along the shorter side; 0 takes EXIF's, else 45.",
             "DEGREES",
             low=0.0,
             high=150.0,
@@ -150,8 +150,8 @@ class MapsConverter(Converter):
     A material has a base colour (diffuse, albedo, basecolor, color), a normal, and a roughness or gloss map, and may
     have a specular or metallic one, in any case and format, also packed (arm, orm, metallicRoughness). Variants
     (COL_VAR1) and tiles (1001) are materials of their own. The central square of each map is scaled to --size, and the
-    photograph under a flash is rendered. A bad material is skipped with a warning. A colour whose name has no such
-    word, rock.png beside rock_norm.png and rock_gloss.png, is an old game's, whose gloss becomes a roughness.
+    photograph under a flash is rendered. A bad material is skipped with a warning. A colour map whose name has no such
+    word (rock.png beside rock_norm.png and rock_gloss.png) is taken for an old game's; its gloss becomes a roughness.
 
     Examples:
       metapp data maps materials --out svbrdf
@@ -161,7 +161,7 @@ class MapsConverter(Converter):
     split: Annotated[
         str,
         split_option(
-            "of the sorted names, every fifth is a test task; variants with the same normal map stay together."
+            "every fifth of the sorted names is a test task; variants with the same normal map stay together."
         ),
     ] = "auto"
     size: SizeOption = 256
@@ -171,13 +171,13 @@ class MapsConverter(Converter):
 
 @dataclass(frozen=True)
 class MaterialsConverter(MapsConverter):
-    """Convert real materials for training, with drawn ones beside them.
+    """Convert real materials for training, with synthetic ones beside them.
 
-    Maps are read as `metapp data maps` reads them, but a material may lack its roughness: it is made up, and losses of
-    made-up maps count nothing. A material with a specular but no roughness map comes from an old game; its colours
+    Maps are read as `metapp data maps` reads them, but a material may lack its roughness: then one is made up, and
+    does not count in losses. A material with a specular but no roughness map is taken for an old game's; its colours
     have shading in them, and count less. Maps smaller than --size are repeated, as they tile. Folders of data sets,
-    such as `metapp data synth svbrdf_nonstationary --size 512` writes, hold drawn materials; the recipe pretrained
-    sees as many of these as of real ones, whatever their numbers. Give maps room for crops: 512 px or more.
+    such as `metapp data synth svbrdf_nonstationary --size 512` writes, hold synthetic materials; the recipe pretrained
+    sees as many of these as of real ones, whatever their numbers. Training crops maps, so give 512 px or more.
 
     Examples:
       metapp data materials scans drawn --split train --out mixed
@@ -198,10 +198,10 @@ def _parse_folder(path: Path) -> Path:
 class StripsConverter(Converter):
     """Convert strips, images of five squares: flash photograph, normal, diffuse, roughness, specular.
 
-    All but the normals is linear, and normals have y up, as Deschaintre et al. 2018 publish them. A bad file that was
-    named ends the conversion and nothing is written; one found in a folder is skipped with a warning. Names tell the
-    base materials: <number>;<material>X<material>;<preset>X<preset>.png; any other strip is of a material of its own.
-    Where all base materials are blended with all others, the split is by their presets.
+    All squares but the normals are linear, and normals have y up, as Deschaintre et al. 2018 publish them. A bad file
+    that you name ends the conversion, and nothing is written; one found in a folder is skipped with a warning. Names
+    tell the base materials: <number>;<material>X<material>;<preset>X<preset>.png; a strip with another name counts as
+    a material of its own. Where all base materials are blended with all others, the split is by their presets.
 
     Examples:
       metapp data strips DeepMaterialsData/trainBlended --out svbrdf
@@ -211,11 +211,13 @@ class StripsConverter(Converter):
 
     split: Annotated[
         str,
-        split_option("no base material on both sides, a fifth or more for tests; blends of both sides are left out."),
+        split_option(
+            "no base material is in both splits, a fifth or more are for tests; blends across splits are left out."
+        ),
     ] = "auto"
     size: SizeOption = 256
     gamma: Annotated[
-        float, Option("Gamma that all tiles but the normals are encoded with; 1 is linear.", "G", low=0.1, high=10)
+        float, Option("Gamma that all squares but the normals are encoded with; 1 is linear.", "G", low=0.1, high=10)
     ] = 1.0
     white: Annotated[
         float,
@@ -230,7 +232,7 @@ class StripsConverter(Converter):
         Path | None,
         Option(
             "Maps by another method, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for the table of baselines; "
-            "if they show the middle of strips alone, so do the tasks.",
+            "if they show only the middle of strips, so do the tasks.",
             "FOLDER",
             parse=_parse_folder,
         ),
@@ -244,8 +246,8 @@ class LavalConverter(Converter):
 
     A map is lat-long, with floating-point RGB or gray pixels (Gardner et al. 2017 publish 2048 x 1024 EXR). It becomes
     linear Rec.709 of 64 x 128 texels (--rows), averaged over solid angle, of mean luminance 1; the luminance it had is
-    kept beside it, and four photographs of spheres under it are rendered. A bad file that was named ends the
-    conversion and nothing is written; one found in a folder is skipped with a warning.
+    kept beside it, and four photographs of spheres under it are rendered. A bad file that you name ends the
+    conversion, and nothing is written; one found in a folder is skipped with a warning.
 
     Examples:
       metapp data laval IndoorHDR --out laval

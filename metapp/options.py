@@ -202,7 +202,7 @@ def split_option(auto: str) -> Option:
         auto: how names or files tell the split of a task, for the help on the value "auto".
     """
     splits = ("train", "test", "auto")
-    return Option(f"Where the tasks belong. auto: {auto}", "|".join(splits), choices=splits)
+    return Option(f"The split that tasks are put in. auto: {auto}", "|".join(splits), choices=splits)
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class Converter:
     `split` again, by :func:`split_option`.
     """
 
-    split: Annotated[str, split_option("of the sorted names, every fifth is a test task (80 give 64 + 16).")] = "auto"
+    split: Annotated[str, split_option("every fifth of the sorted names is a test task (80 give 64 + 16).")] = "auto"
 
     def arguments(self) -> dict[str, object]:
         """Return the options as keyword arguments of the format's `read_task`."""

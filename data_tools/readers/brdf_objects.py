@@ -44,15 +44,17 @@ def task_of_object(source: object, name: str, **_: object) -> Task:
     if isinstance(source, tuple | list):
         if len(source) != len(SAMPLE_ARRAY_NAMES):
             raise ValueError(
-                f"{name}: {len(source)} arrays, expected {len(SAMPLE_ARRAY_NAMES)}: {', '.join(SAMPLE_ARRAY_NAMES)}."
+                f"{name}: {len(source)} arrays, expected {len(SAMPLE_ARRAY_NAMES)}: {', '.join(SAMPLE_ARRAY_NAMES)}; "
+                "give one of each."
             )
         wi, wo = (unit_vectors(name, *pair) for pair in zip(source[:2], SAMPLE_ARRAY_NAMES[:2], strict=True))
         values = vectors_of(name, source[2], SAMPLE_ARRAY_NAMES[2])
         if not ((values >= 0) & (values <= MAX_REFLECTANCE_PER_SR)).all():
             found = "reflectance that is negative, huge or not finite"
-            raise ValueError(f"{name}: {found}, expected 0 to {MAX_REFLECTANCE_PER_SR:g}.")
+            raise ValueError(f"{name}: {found}, expected 0 to {MAX_REFLECTANCE_PER_SR:g} /sr; leave such samples out.")
         if not len(wi) == len(wo) == len(values):
-            raise ValueError(f"{name}: {len(wi)}, {len(wo)} and {len(values)} rows, expected as many of each.")
+            found = f"{len(wi)} rows of wi, {len(wo)} of wo, {len(values)} of reflectance"
+            raise ValueError(f"{name}: {found}, expected equally many; give one of each for a sample.")
         return task_of_pairs(name, MeasuredPairs(wi, wo, values).above())
     if type(source).__module__.partition(".")[0] == "mitsuba":
         return _make_function_task(name, partial(evaluate_mitsuba_bsdf, load_mitsuba(), source))
@@ -103,7 +105,8 @@ def _call_function(name: str, function: BrdfFunction, angles: Tensor) -> Tensor:
     if values.shape == (len(wi),):
         values = values[:, None].expand(-1, 3)
     if values.shape != (len(wi), 3):
-        raise ValueError(f"{name}: values {tuple(values.shape)}, expected {(len(wi), 3)}: RGB of each pair.")
+        found = f"the function returns values {tuple(values.shape)}"
+        raise ValueError(f"{name}: {found}, expected {(len(wi), 3)}, the RGB of each pair of directions; reshape them.")
     if (values < 0).any():
         least = float(values.min())
         raise ValueError(f"{name}: reflectance of {least:.3g} /sr, expected 0 or more; clamp it in the function.")

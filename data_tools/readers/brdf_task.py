@@ -104,7 +104,8 @@ def _require_finite(source: str | Path, subjects: Iterable[tuple[str, Tensor]]) 
         bad_count = int((~torch.isfinite(values)).sum())
         if bad_count:
             raise ValueError(
-                f"{source}: {bad_count:,} values of the {subject} are NaN or infinite, expected finite ones."
+                f"{source}: {bad_count:,} values of the {subject} are NaN or infinite, expected finite ones; "
+                "correct or leave out what they were computed from."
             )
 
 

@@ -167,7 +167,7 @@ def _read_columns(path: Path) -> tuple[dict[str, Doubles], list[int]]:
     separator_line = re.fullmatch(r'"?sep=(.)"?', rows[0][1].rstrip("\r\n"), re.IGNORECASE) if rows else None
     rows = rows[1:] if separator_line else rows
     if not rows:
-        raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers.")
+        raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers; add them.")
     separator = separator_line[1] if separator_line else max(_SEPARATORS, key=rows[0][1].count)
     names = _split_cells(rows.pop(0)[1].lower(), separator)
     cells_below = _split_cells(rows[0][1].lower(), separator) if rows else []
@@ -181,7 +181,7 @@ def _read_columns(path: Path) -> tuple[dict[str, Doubles], list[int]]:
         repeated_name = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"{path}: two columns {_quote(repeated_name)}, expected names that differ; rename one.")
     if not rows:
-        raise ValueError(f"{path}: no rows below the column names, expected a row of numbers a measurement; add them.")
+        raise ValueError(f"{path}: no rows below the column names, expected a row for each measurement; add them.")
     number_lines = (line if separator == "," else line.replace(",", ".") for _, line in rows)
     numbers = np.empty((0, 0))
     with contextlib.suppress(ValueError):  # ten times as fast as cell by cell, but does not say which line is wrong
@@ -204,7 +204,7 @@ def _read_lines(path: Path, text: io.TextIOWrapper) -> Iterator[tuple[int, str]]
         line = text.readline(_MAX_LINE_CHARACTERS + 1)
         if len(line) > _MAX_LINE_CHARACTERS:
             found = f"line {line_number}: more than {_MAX_LINE_CHARACTERS:,} characters"
-            raise ValueError(f"{path}: {found}, expected a row a pair; break it.")
+            raise ValueError(f"{path}: {found}, expected a row for each pair of directions; break the line.")
         if not line:
             return
         if line.strip(_SEPARATORS + '" \r\n') and line.lstrip()[0] != "#":
@@ -241,10 +241,11 @@ def _parse_cells(path: Path, line_number: int, cells: list[str], count: int) -> 
     """
     if len(cells) != count:
         raise ValueError(
-            f"{path}: line {line_number}: {len(cells)} numbers, expected {count} as column names; put it right."
+            f"{path}: line {line_number}: {len(cells)} numbers, expected {count}, one for each column name; "
+            "add or remove cells."
         )
     if bad_cells := [cell for cell in cells if cell and not _is_number(cell)]:
-        raise ValueError(f"{path}: line {line_number}: {_quote(bad_cells[0])}, expected a number; put it right.")
+        raise ValueError(f"{path}: line {line_number}: {_quote(bad_cells[0])}, expected a number; correct the cell.")
     return [float(cell.replace(",", ".")) if cell else math.nan for cell in cells]
 
 
@@ -261,16 +262,19 @@ def _read_angle(path: Path, columns: dict[str, Doubles], lines: list[int], name:
     """
     stated_units = [unit for unit in RADIANS_PER_UNIT if f"{name}_{unit}" in columns]
     if len(stated_units) != 1:
-        problem = "both units" if stated_units else ("no unit" if name in columns else "no such column")
-        raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad.")
+        problem, remedy = ("no unit", "rename it") if name in columns else ("no such column", "add it")
+        if stated_units:
+            problem, remedy = "both units", "remove one of them"
+        raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad; {remedy}.")
     values, unit = columns[f"{name}_{stated_units[0]}"], RADIANS_PER_UNIT[stated_units[0]]
     limit_rad = math.pi / 2 if name.startswith("theta") else 2 * math.tau
     is_bad = ~(np.abs(values * unit) <= limit_rad + 1e-6)
     if is_bad.any():
         row = int(is_bad.argmax())
+        remedy = "leave out directions below the surface" if name.startswith("theta") else "check the unit"
         raise ValueError(
             f"{path}: line {lines[row]}: {name} {values[row]:.6g} {stated_units[0]}, expected {-limit_rad / unit:.6g} "
-            f"to {limit_rad / unit:.6g}; reflection alone can be fitted."
+            f"to {limit_rad / unit:.6g}; {remedy}."
         )
     result: Doubles = values * unit
     return result
@@ -287,12 +291,15 @@ def _find_colours(path: Path, names: Sequence[str]) -> tuple[list[str], Doubles]
     spectral = {float(match[1]): name for name in names if (match := _WAVELENGTH.fullmatch(name))}
     if not spectral:
         missing = next(name for name in RGB_COLUMNS if name not in names)
-        raise ValueError(f"{path}: no column {missing}, expected r, g, b, or wavelengths such as 400nm, 410nm, ...")
+        raise ValueError(
+            f"{path}: no column {missing}, expected r, g, b, or wavelengths such as 400nm, 410nm; add them."
+        )
     wavelengths_nm = np.array(sorted(spectral))
     if len(wavelengths_nm) < 4 or wavelengths_nm[0] > VISIBLE_RANGE_NM[0] or wavelengths_nm[-1] < VISIBLE_RANGE_NM[1]:
         found = f"{len(wavelengths_nm)} wavelengths from {wavelengths_nm[0]:g} to {wavelengths_nm[-1]:g} nm"
         raise ValueError(
-            f"{path}: {found}, expected 4 or more that cover {VISIBLE_RANGE_NM[0]:g} to {VISIBLE_RANGE_NM[1]:g} nm."
+            f"{path}: {found}, expected 4 or more that cover {VISIBLE_RANGE_NM[0]:g} to {VISIBLE_RANGE_NM[1]:g} nm; "
+            "add columns for them."
         )
     return [spectral[wavelength] for wavelength in wavelengths_nm], spectrum_to_rgb_matrix(wavelengths_nm)
 

@@ -142,7 +142,8 @@ def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] |
     folder = Path(folder)
     if set(weights) != set(NBRDF_ARRAY_SHAPES):
         raise ValueError(
-            f"{folder}: weights {', '.join(sorted(weights)) or 'none'}, expected {', '.join(NBRDF_ARRAY_SHAPES)}."
+            f"{folder}: weights {', '.join(sorted(weights)) or 'none'}, expected {', '.join(NBRDF_ARRAY_SHAPES)}; "
+            "give them all."
         )
     numpy_arrays = {
         part: value.detach().cpu().numpy() if isinstance(value, Tensor) else value for part, value in weights.items()
@@ -240,12 +241,16 @@ def _read_keras(path: Path) -> dict[str, NDArray[np.float32]]:
             file.visititems(visit)
     except Exception as error:  # libhdf5 may raise anything
         reason = (str(error) or type(error).__name__).splitlines()[0][:80]
-        raise ValueError(f"{path}: not a readable HDF5 file ({reason}), expected a Keras model of an NBRDF.") from None
+        raise ValueError(
+            f"{path}: not a readable HDF5 file ({reason}), expected a Keras model of an NBRDF; copy it again."
+        ) from None
     arrays_by_shape = {arrays[2].shape: arrays for arrays in layers.values() if 2 in arrays}
     kernels = [NBRDF_ARRAY_SHAPES[f"fc{layer}"] for layer in (1, 2, 3)]
     if arrays_by_shape.keys() != set(kernels):
         shapes = ", ".join(map(str, arrays_by_shape)) or "none"
-        raise ValueError(f"{path}: dense layers {shapes}, expected {', '.join(map(str, kernels))} of an NBRDF network.")
+        raise ValueError(
+            f"{path}: dense layers {shapes}, expected {', '.join(map(str, kernels))}; give an NBRDF network."
+        )
     parts = {f"fc{layer + 1}": arrays_by_shape[kernel][2] for layer, kernel in enumerate(kernels)}
     parts |= {f"b{layer + 1}": arrays_by_shape[kernel].get(1, np.empty(0)) for layer, kernel in enumerate(kernels)}
     for part, array in parts.items():
@@ -272,9 +277,11 @@ def _read_part(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
     except Exception as error:  # numpy lets pass whatever Python's tokenizer raises at a damaged header
         # the message repeats the header, which may be long
         reason = (str(error) or type(error).__name__).splitlines()[0][:80].rstrip(".")
-        raise ValueError(f"{path}: not a readable .npy file ({reason}), expected float32 {shape}.") from None
+        raise ValueError(
+            f"{path}: not a readable .npy file ({reason}), expected float32 {shape}; save it again."
+        ) from None
     if mapped.dtype.kind != "f":
-        raise ValueError(f"{path}: values of type {mapped.dtype}, expected float32.")
+        raise ValueError(f"{path}: values of type {mapped.dtype}, expected float32; convert them.")
     with np.errstate(over="ignore"):  # doubles beyond float32 are refused by the check below
         array = np.array(mapped, dtype=np.float32, order="C")
     _check_part(array, shape, str(path))
@@ -287,4 +294,4 @@ def _check_part(array: NDArray[np.floating], shape: tuple[int, ...], subject: st
         remedy = "; transpose it: weights are stored [inputs, outputs]" if array.shape == shape[::-1] else ""
         raise ValueError(f"{subject}: shape {array.shape}, expected {shape}{remedy}.")
     if not np.isfinite(array).all():
-        raise ValueError(f"{subject}: holds NaN or infinite values, expected finite weights.")
+        raise ValueError(f"{subject}: holds NaN or infinite values, expected finite weights; export the network again.")

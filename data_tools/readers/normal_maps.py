@@ -69,7 +69,7 @@ def complete_normals(values: Array, source: Path) -> Array:
     if (long_share := float((squared_lengths > _MAX_SQUARED_LENGTH).mean())) > _MAX_LONG_SHARE:
         raise ValueError(
             f"{source}: x^2 + y^2 of red and green is above 1 in {long_share:.0%} of the px, expected normals (0..1 "
-            "for -1..1); it holds something else."
+            "for -1..1); export the normals again, or leave the map out."
         )
     if x_in_alpha:
         warnings.warn(f"{source}: red is constant, x is taken from alpha, z = sqrt(1 - x^2 - y^2).", stacklevel=2)

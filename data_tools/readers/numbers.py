@@ -28,7 +28,7 @@ def array_of(name: str, source: object) -> NDArray[Any]:
         ValueError: the source is no numbers, has masked or too many ones, or is a tensor that is not dense.
     """
     if isinstance(source, np.ma.MaskedArray) and (masked := np.count_nonzero(np.ma.getmaskarray(source))):
-        raise ValueError(f"{name}: {masked:,} values are masked, expected all; fill them: a.filled(0).")
+        raise ValueError(f"{name}: {masked:,} values are masked, expected none; replace them, such as by a.filled(0).")
     try:
         dense = source.detach().cpu().resolve_neg() if isinstance(source, Tensor) else source
         values = np.asarray(dense.float() if isinstance(dense, Tensor) and dense.dtype == torch.bfloat16 else dense)
@@ -38,7 +38,7 @@ def array_of(name: str, source: object) -> NDArray[Any]:
         kind = f"an array of {values.dtype}" if values.ndim else type(source).__name__
         if isinstance(source, Tensor):
             kind = f"a tensor ({source.dtype}, {source.layout}, on {source.device})".replace("torch.", "")
-        raise ValueError(f"{name}: {kind}, expected an array of numbers.")
+        raise ValueError(f"{name}: {kind}, expected an array of numbers; convert it to one.")
     if values.size > MAX_ARRAY_VALUES:
         raise ValueError(
             f"{name}: {values.size:,} values, expected {MAX_ARRAY_VALUES:,} or fewer; take a part of them."
@@ -73,7 +73,7 @@ def vectors_of(name: str, values: object, what: str) -> Tensor:
     """
     array = doubles_of(f"{name}: {what}", values)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name}: {what} {tuple(array.shape)}, expected [N, 3].")
+        raise ValueError(f"{name}: {what} {tuple(array.shape)}, expected [N, 3], a vector in each row; reshape it.")
     return array
 
 
@@ -92,6 +92,6 @@ def unit_vectors(name: str, values: object, what: str) -> Tensor:
     lengths = array.norm(dim=1, keepdim=True)
     if not ((lengths - 1).abs() < 1e-3).all():
         worst = float(lengths[(lengths - 1).abs().argmax()])
-        raise ValueError(f"{name}: {what} of length {worst:.4g}, expected unit vectors.")
+        raise ValueError(f"{name}: {what} of length {worst:.4g}, expected unit vectors; divide them by their lengths.")
     unit: Tensor = array / lengths
     return unit

@@ -118,7 +118,7 @@ def _read_places_above(path: Path, photos: int, farthest_cm: float) -> Tensor:
         if not max(map(abs, place)) <= farthest_cm:
             raise ValueError(
                 f"{path}: place {number} is {max(map(abs, place)):g} cm away, expected {farthest_cm:g} at most, "
-                f"{MAX_DISTANCE_SIDES:g} sides of the patch; write cm."
+                f"{MAX_DISTANCE_SIDES:g} sides of the patch; give places in cm."
             )
     places = places.float()
     for number, z_cm in enumerate(places[:, 2].tolist(), 1):
@@ -136,7 +136,7 @@ def _read_rows(path: Path, count: int, width: int) -> list[list[float]]:
     try:
         lines = [line for line in read_text(path).splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: cannot be read as text, expected lines in cm: {count}; write it.") from error
+        raise ValueError(f"{path}: cannot be read as text, expected lines in cm: {count}; write them.") from error
     if len(lines) != count:
         raise ValueError(f"{path}: {len(lines)} lines, expected {count}; give one for each photo, or one side.")
     return [_parse_numbers(path, line, width) for line in lines]
@@ -150,6 +150,7 @@ def _parse_numbers(path: Path, line: str, width: int) -> list[float]:
         numbers = []
     if len(numbers) != width or not all(map(math.isfinite, numbers)):
         raise ValueError(
-            f"{path}: line {line!r}, expected {width} finite number{'s' * (width != 1)}, parted by commas; mend it."
+            f"{path}: line {line!r}, expected {width} finite number{'s' * (width != 1)}, separated by "
+            "commas; correct the line."
         )
     return numbers

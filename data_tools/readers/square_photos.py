@@ -203,7 +203,7 @@ def to_square_photo(whole: Pixels, name: str, size: int = DEFAULT_PHOTO_PX, leas
         if colours.dtype.kind == "f" and (colours > 1).mean() > 0.5:
             raise ValueError(
                 f"{name}: values up to {colours.max():.4g}, most above 1, which is white, expected values in [0, 1]; "
-                "scale them to it."
+                "divide them so that white is 1."
             )
         raise ValueError(
             f"{name}: one colour all over (standard deviation {deviation * 255:.2f} of 255), expected a picture with "

@@ -116,7 +116,9 @@ def read_predicted(folder: Path, names: tuple[str, ...]) -> list[Floats]:
     shapes = [tile.shape[:2] for tile in tiles]
     if len(set(shapes)) > 1 or shapes[0][0] != shapes[0][1]:
         found = ", ".join(f"{width} x {height}" for height, width in shapes)
-        raise ValueError(f"{folder / name}_N.png and so on: {found} px, expected squares of one size; export them.")
+        raise ValueError(
+            f"{folder / name}_N.png and so on: {found} px, expected squares of one size; export all four again."
+        )
     return [normal, diffuse**_PREDICTED_GAMMA, roughness, specular**_PREDICTED_GAMMA]
 
 

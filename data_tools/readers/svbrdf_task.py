@@ -111,7 +111,7 @@ def decode_unit_normals(stored: Tensor, source: Path) -> Tensor:
     mean_z = float(vectors[2].mean())
     if not mean_z >= _MIN_MEAN_Z:
         raise ValueError(
-            f"{source}: normals with a mean z of {mean_z:.2f}, expected {_MIN_MEAN_Z} or more; it holds something "
-            "else, or not as tangent-space normals (0..1 for -1..1)."
+            f"{source}: normals with a mean z of {mean_z:.2f}, expected {_MIN_MEAN_Z} or more; export "
+            "tangent-space normals, stored as 0..1 for -1..1."
         )
     return functional.normalize(torch.cat([vectors[:2], vectors[2:].clamp_min(_MIN_NORMAL_Z)]), dim=0)

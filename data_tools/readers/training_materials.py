@@ -112,7 +112,9 @@ def _read_drawn_task(source: Path, size: int) -> Task:
     side = task.data["maps"].shape[-1] if "maps" in task.data else 0
     if side != size:
         found = f"maps of {side} px" if side else "a photo without maps"
-        raise ValueError(f"{source}: {found}, expected maps of {size} px; set --size, or draw others.")
+        raise ValueError(
+            f"{source}: {found}, expected maps of {size} px; set --size to that of the data set, or draw the set anew."
+        )
     return _add_weights(task._replace(data={key: task.data[key] for key in OF_MAPS}), torch.ones(4), 0)
 
 

@@ -94,7 +94,7 @@ def check_out_folder(path: Path | None) -> Path | None:
     return path
 
 
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run; in a folder of runs, the newest run.")]
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or of runs, whose newest is taken.")]
 FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line of output.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]

@@ -24,7 +24,7 @@ AppsArgument = Annotated[
 def evaluate_command(
     options: EvaluateOptions, apps: AppsArgument = None, json: JsonFlag = False, overwrite: Overwrite = False
 ) -> None:
-    """Print the paper's tables of your data beside the paper's figures; fits without a record are run first.
+    """Print tables of errors and times beside the paper's figures; fits that are missing are run first.
 
     Example: metapp evaluate brdf --which quickft
     """

@@ -29,17 +29,17 @@ class EvaluateOptions:
         ),
     ] = ""
     format: Annotated[str, Option(f"Format of tables: {', '.join(TABLE_FORMATS)}.", choices=TABLE_FORMATS)] = "rich"
-    no_run: Annotated[bool, Option("Use existing records only, and say how many are missing.")] = False
+    no_run: Annotated[bool, Option("Run no fits: use existing records only, and say how many are missing.")] = False
     table: Annotated[bool, Option("This option has no effect: tables are always printed.")] = False
     whole: Annotated[
-        bool, Option("Fit all test tasks by Overfit and Finetune, not three of them; take both protocols.")
+        bool, Option("Measure Overfit and Finetune on all test tasks, not on three; take both protocols.")
     ] = False
     rule: Annotated[str, Option("Meta's learned rule; default: the recipe's.")] = ""
     observe: Annotated[
         str,
         Option(
-            "What fits may see, where an application has both: reference or photo; default: reference, with --whole "
-            "both."
+            "Protocol, what fits see where an application has both: reference or photo; default: reference, with "
+            "--whole both."
         ),
     ] = ""
     data: Annotated[Path | None, Option("Folder of a data set; default: the embedded data set.")] = None

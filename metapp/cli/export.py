@@ -32,16 +32,14 @@ def _describe_kinds() -> str:
 def export_command(
     source: Annotated[
         Path,
-        typer.Argument(
-            metavar="RUN", help="Folder of a run; in a folder of runs, the newest run; or a file, see KIND."
-        ),
+        typer.Argument(metavar="RUN", help="Folder of a run, or of runs, whose newest is taken; or a file, see KIND."),
     ],
     form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=export_words, help=f"{_describe_kinds()}.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(
             metavar="[INPUT]...",
-            help="Original input, for formats that need it: nbrdf of a ridge fit, surfaces of flash photos. The "
+            help="Original input, for kinds that need it: nbrdf of a ridge fit, surfaces of flash photos. The "
             "embedded data set is found automatically.",
         ),
     ] = None,
@@ -51,7 +49,7 @@ def export_command(
         typer.Option(
             "--out",
             callback=check_out_folder,
-            help="Folder to write to; default: KIND in each task's folder, for files KIND.",
+            help="Folder to write to; default: a folder named KIND, in the folder of each fit, or here for files.",
         ),
     ] = None,
     size: Annotated[
@@ -59,7 +57,7 @@ def export_command(
     ] = None,
     relief: Annotated[
         float | None,
-        typer.Option(metavar="FACTOR", help="Factor on the slopes of normals of svbrdf_*; default: the fit's, else 1."),
+        typer.Option(metavar="FACTOR", help="Factor on the slopes of normals of svBRDFs; default: the fit's, else 1."),
     ] = None,
     json: JsonFlag = False,
     quiet: Quiet = False,

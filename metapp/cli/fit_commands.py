@@ -40,7 +40,7 @@ def make_fit_command(paradigm: str, app: str) -> Callable[..., None]:
     help_texts = {  # help that depends on the application; "" for an option that the application does not have
         "observe": options_by_name(FitOptions)["observe"].help if protocols_of(app) else "",
         "export": f"{exports}; several separated by commas." if exports else "",
-        "recipe": f"{', '.join(recipe_names(app))}; default: what the inputs suit, else full.",
+        "recipe": f"{', '.join(recipe_names(app))}; default: the one that suits the inputs, else full.",
         "rule": f"{', '.join(registry().rules)}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     }
     inputs_argument = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_describe_inputs(app))

@@ -46,8 +46,8 @@ def plan_measurements(
 ) -> None:
     """Choose the pairs of light and detector directions that are most informative for an isotropic BRDF.
 
-    They minimise the expected error of a fit by recipe few: first one by one, then jointly by the error's gradient.
-    Measure them, fill in the BRDF (r, g, b in 1/sr), then fit the file.
+    They minimise the expected error of a fit by the recipe few: pairs are chosen one after another, then moved together
+    along the error's gradient. Measure them, fill in the BRDF (r, g, b in 1/sr), then fit the file.
 
     Examples:
       metapp plan brdf --samples 16 --out paint.csv

@@ -73,7 +73,12 @@ def synth(
 synth.__doc__ = "\n\n".join(
     [
         str(synth.__doc__),
-        "\n".join(["Sets:", *(f"  {name}: {embedded.help}" for name, embedded in registry().synthetic.items())]),
+        "\n".join(
+            [
+                "Sets (training + test tasks):",
+                *(f"  {name}: {embedded.help}" for name, embedded in registry().synthetic.items()),
+            ]
+        ),
         "Examples:\n  metapp data synth brdf\n  metapp data synth brdf --count 10 --seed 1 --as merl --out materials",
     ]
 )

@@ -19,9 +19,7 @@ class SynthOptions:
 
     count: Annotated[
         int | None,
-        Option(
-            "Number of tasks, both splits together; default: as many as the default set has.", low=1, high=1_000_000
-        ),
+        Option("Number of tasks, training and test tasks together; default: as stated above.", low=1, high=1_000_000),
     ] = None
     size: Annotated[
         int | None,
@@ -52,4 +50,4 @@ class CornellOptions(Converter):
 
     count: Annotated[int, Option("Number of scenes.", low=1, high=100_000)] = 10
     samples: Annotated[int, Option("Samples per scene that fits may see; the paper has 288,000.", low=1)] = 32_768
-    held: Annotated[int, Option("Samples per scene that only errors are measured on.", "M", low=1)] = 8_192
+    held: Annotated[int, Option("Held-out samples per scene, on which errors are measured.", "M", low=1)] = 8_192

@@ -133,7 +133,8 @@ def onnx_files(registry: Registry) -> None:
     )
     for kind in ("onnx", "onnx-page"):
         registry.file_exports[kind] = Entry(
-            f"{here}.general_files:write_general", help="General of photos, by a checkpoint or its name"
+            f"{here}.general_files:write_general",
+            help="General's networks for photos (RUN is a checkpoint or its name)",
         )
 
 
@@ -147,7 +148,8 @@ def rgl(registry: Registry) -> None:
     registry.exports["brdf", "mitsuba"] = Export(f"{here}.brdf_scene:write_brdf_scenes")
     for kind in ("merl", "bsdf", "bsdf-spectral"):
         registry.file_exports[kind] = Entry(
-            f"{here}.brdf_conversion:write_converted", help="MERL tables, RGL files, NBRDF networks, folders of them"
+            f"{here}.brdf_conversion:write_converted",
+            help="MERL tables, RGL files, NBRDF networks, folders of them (RUN is the file)",
         )
 
 

@@ -46,12 +46,12 @@ def parse_field_of_view(degrees: float) -> float:
 
 def size_option(limits: str) -> Option:
     """Return the option --size of the files that fits write; `limits` say how large these may be."""
-    return Option(f"Rows x columns of files: {limits}.", "HxW|N", panel=OUTPUT, parse=parse_size)
+    return Option(f"Rows x columns: {limits}.", "HxW|N", panel=OUTPUT, parse=parse_size)
 
 
 def fov_option(default: str) -> Option:
     """Return the option --fov of the photos that fits read; `default` says what holds where it is not given."""
-    help_text = f"Field of view, shorter side; default: {default}."
+    help_text = f"Field of view along the shorter side of photos; default: {default}."
     return Option(help_text, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=parse_field_of_view)
 
 
@@ -86,7 +86,7 @@ class ReliefOptions(AppOptions):
     relief: Annotated[
         float,
         Option(
-            "Factor of slopes of normals in files, not of errors; default: 1.",
+            "Factor on slopes of normals in files, not in errors; default: 1.",
             "FACTOR",
             low=0,
             high=10,
@@ -111,7 +111,7 @@ class FlashOptions(ReliefOptions, CameraOptions):
     stops: Annotated[
         float,
         Option(
-            "Stops by which photos are too bright; negative: dark.",
+            "Stops by which photos are too bright; negative if they are too dark.",
             "STOPS",
             low=-4.0,
             high=4.0,

@@ -36,27 +36,27 @@ class ParadigmEntry(Entry["type[Paradigm]"]):
 PARADIGMS = {
     "general": ParadigmEntry(
         reference="metapp.paradigms.adam:General",
-        help="One forward pass of an encoder trained over all tasks.",
+        help="Predict fits by an encoder, in one forward pass.",
         ignored_options=("rule", "steps"),
     ),
     "overfit": ParadigmEntry(
         reference="metapp.paradigms.adam:Overfit",
-        help="Train on each task alone, from a random initialisation.",
+        help="Fit by many steps of Adam, from random parameters.",
         ignored_options=("rule", "checkpoint", "train", "train_steps"),
     ),
     "finetune": ParadigmEntry(
         reference="metapp.paradigms.adam:Finetune",
-        help="A tenth of Overfit's steps, from General's result.",
+        help="Fit by a tenth of Overfit's steps, from General's prediction.",
         ignored_options=("rule",),
     ),
     "quickft": ParadigmEntry(
         reference="metapp.paradigms.adam:QuickFT",
-        help="As many Adam steps as Meta takes, from General's result.",
+        help="Fit by as many steps as Meta takes, of a searched Adam, from General's prediction.",
         ignored_options=("rule",),
     ),
     "meta": ParadigmEntry(
         reference="metapp.paradigms.meta:Meta",
-        help="A few steps of a learned rule from a learned initialisation.",
+        help="Fit by a few steps of a learned update rule, from a learned initialisation.",
     ),
 }
 

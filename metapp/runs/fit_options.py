@@ -29,7 +29,7 @@ from metapp.storage.files import file_name
 from metapp.storage.folders import is_data_set
 
 MAX_GRADIENT_STEPS, MAX_SEED = 10**9, 2**63 - 1
-DEFAULT_TASKS_HELP = "default: tests of --data"  # a clause of help texts about INPUT
+DEFAULT_TASKS_HELP = "default: test tasks of --data"  # a clause of help texts about INPUT
 
 
 @dataclass(frozen=True)
@@ -47,15 +47,15 @@ class FitOptions:
     paradigm: str = "meta"
     inputs: Sequence[object] = ()
     app_options: AppOptions = field(default_factory=AppOptions)
-    data: Annotated[Path | None, Option("Folder of a data set; default: the embedded set.")] = None
-    observe: Annotated[str, Option("What fits see, reference or photo; default: what INPUT holds.")] = ""
-    recipe: Annotated[str, Option("Recipe; default: what the inputs suit, else full.", panel=FIT)] = ""
+    data: Annotated[Path | None, Option("Folder of a data set; default: the embedded data set.")] = None
+    observe: Annotated[str, Option("Protocol, what fits see: reference or photo; default: what INPUT holds.")] = ""
+    recipe: Annotated[str, Option("Recipe; default: the one that suits the inputs, else full.", panel=FIT)] = ""
     rule: Annotated[
         str, Option("Learned rule, or parts joined by +, such as adam+curvature; default: the recipe's.", panel=FIT)
     ] = ""
     steps: Annotated[
         int | None,
-        Option("Gradient steps; default: the recipe's.", low=0, high=MAX_GRADIENT_STEPS, panel=FIT),
+        Option("Number of gradient steps; default: the recipe's.", low=0, high=MAX_GRADIENT_STEPS, panel=FIT),
     ] = None
     checkpoint: Annotated[
         Path | None,
@@ -64,7 +64,7 @@ class FitOptions:
     train: Annotated[bool, Option("Train first, on the training tasks of --data.", panel=FIT)] = False
     train_steps: Annotated[
         int | None,
-        Option("Outer training steps; default: the recipe's.", low=1, high=MAX_GRADIENT_STEPS, panel=FIT),
+        Option("Number of outer training steps; default: the recipe's.", low=1, high=MAX_GRADIENT_STEPS, panel=FIT),
     ] = None
     seed: Annotated[int, Option("Random seed; default: 0.", low=0, high=MAX_SEED, panel=FIT)] = 0
     device: Annotated[str, Option("auto, cpu, cuda; default: auto.", choices=("auto", "cpu", "cuda"), panel=FIT)] = (

@@ -304,7 +304,7 @@ def test_sources_are_all_paths_or_none() -> None:
         with pytest.raises(ValueError, match=one):
             api.fit_all("texture", source)
     for sources, line in (
-        (["a", lambertian], "1 of 2 sources are no paths"),
+        (["a", lambertian], "1 of 2 inputs are objects in memory, expected all or none"),
         (list(np.ones((3, 2))), r"object-1: ndarray, expected a path, a function"),
         ([], "0 sources, expected a list of one or more"),
     ):

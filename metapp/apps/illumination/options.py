@@ -15,12 +15,12 @@ from metapp.options import INPUT, Option
 class IlluminationOptions(CameraOptions):
     """The options of illumination: size of the map, camera, and shutter times of photos of a mirror ball."""
 
-    size: Annotated[tuple[int, int] | None, size_option("of the map, up to 1024x2048")] = None
+    size: Annotated[tuple[int, int] | None, size_option("the map, up to 1024x2048")] = None
     fov: Annotated[float, fov_option("EXIF's, else a distant camera")] = 0.0
     shutter: Annotated[
         str,
         Option(
-            "Shutter times of INPUT photos of one mirror ball, which are merged: such as 1/20,1/60, or auto.",
+            "Shutter times, such as 1/20,1/60, or auto, of INPUT: photos of one mirror ball, to merge.",
             "T,T,...",
             panel=INPUT,
             protocol="photo",

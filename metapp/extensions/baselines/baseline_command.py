@@ -35,7 +35,7 @@ def make_baseline_command(app: str) -> Callable[..., None]:
     inputs_argument = typer.Argument(
         metavar="[INPUT]...",
         rich_help_panel=INPUT,
-        help=f"Files of the application or folders; {DEFAULT_TASKS_HELP}.",
+        help=f"Files that the application reads, or folders of them; {DEFAULT_TASKS_HELP}.",
     )
     method_option = typer.Option(
         metavar="NAME",
@@ -43,7 +43,9 @@ def make_baseline_command(app: str) -> Callable[..., None]:
         autocompletion=baseline_words,
         help=f"{method_names}.",
     )
-    json_option = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object, the last line of output.")
+    json_option = typer.Option(
+        "--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of output."
+    )
     option_names = [name for name in BASELINE_OPTION_NAMES if name != "observe" or protocols_of(app)]
     general_options = [options_by_name(FitOptions)[name] for name in option_names]
     own_options = [

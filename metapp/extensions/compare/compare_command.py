@@ -22,7 +22,7 @@ def compare_command(
         list[Path] | None,
         typer.Argument(
             metavar="[RUN|INPUT]...",
-            help="Further runs; the fitted files, if they have moved: the picture needs them.",
+            help="Further runs; or the files that were fitted, if they have moved, for the picture.",
         ),
     ] = None,
     task: Annotated[
@@ -37,9 +37,9 @@ def compare_command(
     json: JsonFlag = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare runs with the first: errors of each task, the ratio of mean errors with its interval, and a picture.
+    """Compare runs with the first of them: errors of each task, ratio of mean errors with its interval, picture.
 
-    Example: metapp compare RUN OTHER_RUN
+    Example: metapp compare runs/brdf/meta runs/brdf/quickft
     """
     from metapp.extensions.compare.side_by_side import compare_runs, comparison_table
 

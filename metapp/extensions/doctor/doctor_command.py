@@ -9,7 +9,7 @@ from metapp.cli.console import print_json, standard_output
 def doctor_command(
     json: JsonFlag = False,
 ) -> None:
-    """Print the installation: versions, device, compiler, cache, shipped checkpoints, VGG weights, libLLVM."""
+    """Print what is installed and what fails: versions, device, compiler, cache, checkpoints, VGG, libLLVM."""
     from metapp.extensions.doctor.installation import examine_installation
 
     subjects = examine_installation()

@@ -37,7 +37,7 @@ SVBRDF_NONSTATIONARY_EXAMPLES = (
         "maps for Blender, and a material in glTF",
     ),
     ("quickft svbrdf_nonstationary {}/mosaic.png", "maps fitted by a tuned Adam, to compare"),
-    ("baseline svbrdf_nonstationary {}/mosaic.png --method flat", "maps of one value each"),
+    ("baseline svbrdf_nonstationary {}/mosaic.png --method flat", "the photo itself as a flat diffuse map, to compare"),
 )
 SVBRDF_STATIONARY_EXAMPLES = (
     (

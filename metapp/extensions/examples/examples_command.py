@@ -54,7 +54,7 @@ def examples_command(
 ) -> None:
     """Print commands that can be run as printed, five per application, and the result of each.
 
-    --make writes their input files, which are small, synthetic and no training data.
+    --make writes their input files, which are small, synthetic and not used in training.
     The output is a shell script.
 
     Example: metapp examples brdf --make example-inputs

@@ -10,11 +10,11 @@ from metapp.options import Converter
 
 @dataclass(frozen=True)
 class BsdfConverter(Converter):
-    """Convert RGL measurements, BRDFs, isotropic or anisotropic.
+    """Convert RGL measurements of BRDFs, isotropic or anisotropic.
 
-    A file of the RGL material database (Dupuy and Jakob 2018), _rgb.bsdf or _spec.bsdf. Mitsuba evaluates it; it
-    becomes samples (angles in rad, reflectance in 1/sr, linear RGB, spectra in D65) above the horizon.
-    A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a
+    A file of the RGL material database (Dupuy and Jakob 2018), _rgb.bsdf or _spec.bsdf, is evaluated by Mitsuba and
+    becomes samples above the horizon (angles in rad, reflectance in 1/sr, linear RGB; of spectra under D65).
+    A bad file that you name ends the conversion, and nothing is written; one found in a folder is skipped with a
     warning.
 
     Examples:

@@ -25,14 +25,17 @@ OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page 
 def view_command(
     runs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[RUN]...", help="Folders of runs (the newest), of a run or a task; default: runs."),
+        typer.Argument(
+            metavar="[RUN]...",
+            help="Folders of fits, of runs, or of several runs, whose newest is taken; default: runs.",
+        ),
     ] = None,
     inputs: Annotated[
         list[Path] | None,
         typer.Option("--input", metavar="INPUT", help="Original input, if it has moved."),
     ] = None,
     task: Annotated[str, typer.Option(metavar="NAME", help="Show this task alone; default: all.")] = "",
-    most: Annotated[int, typer.Option(min=1, help="Maximum number of tasks.")] = 20,
+    most: Annotated[int, typer.Option(min=1, help="Maximum number of tasks on the page.")] = 20,
     data: FittedData = None,
     out: Annotated[
         Path | None, typer.Option(dir_okay=False, help="Output file; default: view.html in the first RUN.")
@@ -79,7 +82,8 @@ def try_command(
 ) -> None:
     """Make a small synthetic input of each application, fit it by Meta, and open one page of all fits.
 
-    texture and svbrdf_stationary need metapp data vgg first; without it and without APP they are left out.
+    texture and svbrdf_stationary need the VGG weights, see metapp data vgg; without them and without APP they are left
+    out.
 
     Example: metapp try --out try
     """

@@ -131,7 +131,9 @@ def convert_files(
             say(f"warning: skipped: {line}")
         if useless_folders:
             count = len(errors_by_folder[useless_folders[0]])
-            raise ValueError(f"{useless_folders[0]}: {count} sources, none usable; expected at least one.")
+            raise ValueError(
+                f"{useless_folders[0]}: {count} sources, none usable, expected one or more; see the warnings above."
+            )
 
     with torch_defaults(single=class_of(form.app).single_threaded):  # small tensors, for which threads only wait
         written = write_data_set(out, form.app, reader.UNITS, read_tasks(), notes, overwrite=overwrite)

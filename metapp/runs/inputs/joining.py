@@ -39,7 +39,9 @@ def join_data_sets(
             tasks have one name, or tensors of one name have different shapes.
     """
     if folder.resolve() in [source.resolve() for source in sources]:
-        raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
+        raise ValueError(
+            f"{folder}: one of the data sets to read, expected another folder to write to; choose another --out."
+        )
     manifests = [read_manifest(source) for source in sources]
     app = class_of(name := manifests[0].app)
     tasks_by_name = [

@@ -156,7 +156,9 @@ def read_tasks(sources: Sequence[Input]) -> list[Task]:
                 raise error_about_file(error, Path(source.place)) from None
             say(f"warning: skipped {error_about_file(error, Path(source.place))}")
     if not tasks_by_place:
-        raise ValueError(f"none of the {len(sources)} found could be read.")
+        raise ValueError(
+            f"{len(sources)} inputs were found, none can be read, expected one or more; see the warnings above."
+        )
     return rename_duplicates(tasks_by_place)
 
 
@@ -226,7 +228,9 @@ def are_objects(sources: Sequence[object]) -> bool:
     """
     count = sum(not _is_path(source) for source in sources)
     if 0 < count < len(sources):
-        raise ValueError(f"{count} of {len(sources)} sources are no paths, expected all or none of them.")
+        raise ValueError(
+            f"{count} of {len(sources)} inputs are objects in memory, expected all or none; fit paths by another call."
+        )
     return count > 0
 
 
@@ -243,7 +247,10 @@ def inputs_of_objects(app: str, objects: Sequence[object], arguments: Mapping[st
     """
     entry = registry().objects.get(app)
     if entry is None:
-        raise ValueError(f"{type(objects[0]).__name__}: no path, expected one; {app} reads files and folders.")
+        raise ValueError(
+            f"{type(objects[0]).__name__}: an object in memory, expected a path, since {app} reads files "
+            "alone; save it to one."
+        )
     task_of_object, names = entry.load(), _object_names(objects)
     tasks = [task_of_object(source, name, **arguments) for source, name in zip(objects, names, strict=True)]
     return [Input(str(number), task._replace, True) for number, task in enumerate(tasks)]

@@ -31,7 +31,7 @@ class BallOptions:
     shutter: Annotated[
         str, Option("Shutter times of the photos in their order, such as 1/20,1/60; auto: EXIF's.", "T,T,...")
     ] = "auto"
-    fov: Annotated[float, fov_option("EXIF's of uncropped photos, else far away")] = 0.0
+    fov: Annotated[float, fov_option("EXIF's of uncropped photos, else a distant camera")] = 0.0
     ball: Annotated[
         tuple[float, ...],
         Option("Where the ball is, px from the upper left; default: it is found.", "X,Y,RADIUS", parse=parse_circle),

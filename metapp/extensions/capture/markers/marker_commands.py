@@ -58,15 +58,13 @@ def rectify_command(
     """Rectify hand-held flash photographs of a flat material, and find the positions of camera and flash.
 
     In photos that show a marker sheet, the sheet's opening is rectified. Where no photo shows a marker, photos are
-    registered by the material's own features: one from about straight above, the others up to 30 degrees aside, all
-    aimed at one place. The straightest photo is the reference; the square is the largest that all photos show, and
-    lengths are in its sides. Where a table around the sample is seen, which lies lower, the square is the largest on
-    the sample.
-    Writes square pictures 00.png, 01.png, ..., the one from nearest to straight above first, camera_pos.txt,
-    light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR`. Pictures in its folder
-    found/ show the markers or points found. Photos that do not fit are skipped, each with a line, and shown by
-    found/skipped.png; where none is left, DIR.failed.png beside the folder shows what was found in them. Needs OpenCV,
-    which metapp's extra `capture` installs.
+    registered by the material's own features: aim all at one place, one from about straight above, the others up to 30
+    degrees aside. The straightest photo is the reference; the square is the largest that all photos show, and its side
+    is the unit of lengths. If a table around the sample is seen, which lies lower, the square stays on the sample.
+    Writes square pictures 00.png, 01.png, ..., the straightest first, camera_pos.txt, light_pos.txt and image_size.txt:
+    a folder for `metapp meta svbrdf_nonstationary DIR`. Pictures in its folder found/ show the markers or points found.
+    Photos that do not fit are skipped, each with a line, and shown by found/skipped.png; if none is left, the picture
+    DIR.failed.png beside the folder shows what was found in them. Needs OpenCV: metapp's extra `capture` installs it.
 
     Examples:
       metapp data rectify photos/ --out leaf
