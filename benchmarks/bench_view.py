@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from metapp.extensions.viewer import viewer_page as pages
-from tests.browser import Page, browsing
+from tests.browser import Page, open_browser
 
 WINDOW_WIDTH_PX, WINDOW_HEIGHT_PX = 1280, 720
 # returns milliseconds of a frame at rest, the resolution while moving and frames a second while moving, or null
@@ -38,7 +38,7 @@ def main() -> None:
     print(f"{file}: {file.stat().st_size / 1e6:.2f} MB, of which {empty_bytes / 1e6:.2f} MB are scripts and three.js\n")
     print("| view | frame at rest, ms | resolution while moving | frames/s while moving |")
     print("|---|---|---|---|")
-    with browsing() as browser:
+    with open_browser() as browser:
         page = Page(browser, file, WINDOW_WIDTH_PX, WINDOW_HEIGHT_PX, adapts=True)
         for index, section in enumerate(page.page.evaluate("DATA.groups.map((group) => group.section)")):
             page.page.evaluate(f"metapp.open({index})")

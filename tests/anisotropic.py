@@ -1,4 +1,4 @@
-"""An anisotropic material for tests, and a network that was solved for it."""
+"""An anisotropic material in closed form, brushed metal, with tasks, measurements and a network of it for tests."""
 
 import functools
 from typing import Any
@@ -19,68 +19,68 @@ from metapp.extensions.viewer.pages.anisotropic_residual import interpolation_ma
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task
 
-TURN = 0.7  # rad, azimuth of the axis along which the highlight reaches farthest
-ROUGHNESS = Roughness(0.4, 0.12)
+HIGHLIGHT_AZIMUTH_RAD = 0.7  # of the axis along which the highlight is longest
+ROUGHNESSES = Roughness(0.4, 0.12)
 APP = ANISOTROPIC.meta["ridge"].app
-VIEWERS = ((10, 0), (40, 70), (40, 200), (65, 310))  # degrees: theta, phi
+VIEWERS_DEGREES = ((10, 0), (40, 70), (40, 200), (65, 310))  # theta and phi
 COLOUR = (0.9, 0.6, 0.3)
 
 
-def brushed_directions(wi: Tensor, wo: Tensor) -> Tensor:
-    """GGX of two roughnesses, turned, on a diffuse body: [..., 3] in 1/sr of unit vectors above the surface."""
-    lobe = rotate_model(facets(ROUGHNESS, lambda cos: cos * 0 + cos.new_tensor(COLOUR)), TURN)
+def brushed_reflectance(wi: Tensor, wo: Tensor) -> Tensor:
+    """Return the BRDF [..., 3] in 1/sr for unit vectors above the surface: an anisotropic GGX lobe and a constant."""
+    lobe = rotate_model(facets(ROUGHNESSES, lambda cos: cos * 0 + cos.new_tensor(COLOUR)), HIGHLIGHT_AZIMUTH_RAD)
     return lobe(wi, wo) + wi.new_tensor([0.02, 0.03, 0.05])
 
 
-def brushed(angles: Tensor) -> Tensor:
-    """The same of angles [..., 4] in rad, 0 below the horizon."""
+def brushed_reflectance_at_angles(angles: Tensor) -> Tensor:
+    """Return the BRDF [..., 3] in 1/sr for Rusinkiewicz angles [..., 4] in rad, 0 below the horizon."""
     wi, wo = rusinkiewicz_to_directions(angles.double())
-    return torch.where(is_above_horizon(angles)[..., None], brushed_directions(wi, wo), 0.0).to(angles)
+    return torch.where(is_above_horizon(angles)[..., None], brushed_reflectance(wi, wo), 0.0).to(angles)
 
 
-def direction(theta: Any, phi: Any) -> NDArray[np.float64]:
-    """Unit vectors [..., 3] of angles in rad."""
+def direction_at_angles(theta: Any, phi: Any) -> NDArray[np.float64]:
+    """Return unit vectors [..., 3] for spherical angles in rad."""
     parts = np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
     return np.stack(parts, -1).astype(np.float64)
 
 
-def directions(count: int, seed: int, least: float = 0.05) -> Tensor:
-    """Unit vectors above the surface, float64; the smaller `least`, the more of them are along it."""
+def random_directions(count: int, seed: int, least_height: float = 0.05) -> Tensor:
+    """Draw unit vectors above the surface, float64 [count, 3]; a smaller `least_height` gives more grazing ones."""
     vectors = torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
-    vectors[:, 2] = vectors[:, 2].abs() + least
+    vectors[:, 2] = vectors[:, 2].abs() + least_height
     return vectors / vectors.norm(dim=1, keepdim=True)
 
 
-def viewer_at(degrees: tuple[float, float]) -> list[float]:
-    """The direction of a viewer at angles (theta, phi)."""
-    at: list[float] = direction(*np.radians(degrees)).tolist()
-    return at
+def direction_at_degrees(degrees: tuple[float, float]) -> list[float]:
+    """Return the unit vector [3] for (theta, phi) in degrees."""
+    vector: list[float] = direction_at_angles(*np.radians(degrees)).tolist()
+    return vector
 
 
-def measured(count: int, *, anisotropic: bool = True) -> MeasuredPairs:
-    """The material, or one without azimuth, as a goniometer has it, with noise of 5 %."""
-    wi, wo = directions(count, 3), directions(count, 4)
-    near = wi * torch.tensor([-1.0, -1.0, 1.0]) + 0.4 * directions(count, 5)
-    wo[::2] = (near / near.norm(dim=1, keepdim=True))[::2]
-    values = brushed_directions(wi, wo)
+def measure_with_noise(count: int, *, anisotropic: bool = True) -> MeasuredPairs:
+    """Return measurements with noise of 5 %, half near the mirror direction, of the material or of an isotropic one."""
+    wi, wo = random_directions(count, 3), random_directions(count, 4)
+    near_mirror = wi * torch.tensor([-1.0, -1.0, 1.0]) + 0.4 * random_directions(count, 5)
+    wo[::2] = (near_mirror / near_mirror.norm(dim=1, keepdim=True))[::2]
+    values = brushed_reflectance(wi, wo)
     if not anisotropic:
         angles = directions_to_four_angles(wi, wo)
         angles[:, 3] = 0
-        values = brushed(angles)
+        values = brushed_reflectance_at_angles(angles)
     noise = torch.exp(0.05 * torch.randn(values.shape, generator=torch.Generator().manual_seed(0)))
     return MeasuredPairs(wi, wo, values * noise)
 
 
 @functools.cache
-def task(samples: int = 16_384) -> Task:
-    """The material as a task."""
-    return make_brdf_task("brushed", brushed, samples, azimuths=True)
+def brushed_task(samples: int = 16_384) -> Task:
+    """Return the material as a task."""
+    return make_brdf_task("brushed", brushed_reflectance_at_angles, samples, azimuths=True)
 
 
 @functools.cache
-def fitted() -> Params:
-    """A network with random features, of which the last layer was solved for the material; without a task axis."""
-    tasks = stack_tasks(APP, [task()])
+def solve_for_brushed() -> Params:
+    """Return parameters of a network with random features whose last layer is solved for the material; no task axis."""
+    tasks = stack_tasks(APP, [brushed_task()])
     theta = APP.init(torch.Generator().manual_seed(0), 1)
     batch = APP.sample(tasks, torch.Generator().manual_seed(1), 4096)
     theta["turn"] = find_axes(batch)
@@ -92,6 +92,6 @@ def fitted() -> Params:
     return {key: value[0].detach() for key, value in theta.items()}
 
 
-def interpolated(grid: Tensor, angles: Tensor, turn: float) -> Tensor:
-    """The values that the page's shader finds at angles [N, 4] in rad in a grid of `anisotropic_residual`."""
+def interpolate_as_shader(grid: Tensor, angles: Tensor, turn: float) -> Tensor:
+    """Return the values that the page's shader interpolates in a residual grid at angles [N, 4] in rad."""
     return torch.from_numpy(interpolation_matrix(angles, turn) @ grid.float().flatten(0, -2)[:, :3].numpy())

@@ -1,4 +1,4 @@
-"""Pages in headless Chromium, which draws WebGL by SwiftShader."""
+"""Pages of `metapp view` in headless Chromium, which draws WebGL in software, for tests and screenshots."""
 
 import contextlib
 import io
@@ -21,15 +21,15 @@ ARGUMENTS = (
     "--disable-sync --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
 )
 
-# draw at full resolution, however busy this machine is, and labels over pictures
-WHOLE = """Object.defineProperty(Viewer.prototype, "strip", { value: false });
+# pages draw fewer pixels on slow machines, and labels in a strip; here at full resolution, and labels over pictures
+DRAW_AT_FULL_RESOLUTION = """Object.defineProperty(Viewer.prototype, "strip", { value: false });
 DrawnViewer.prototype._details = () => [1, 1];
 dispatchEvent(new Event("resize"));"""
 
 
 @contextlib.contextmanager
-def browsing() -> Iterator[Any]:
-    """A browser of playwright's; skips the test where there is none."""
+def open_browser() -> Iterator[Any]:
+    """Open Chromium by playwright; skip the test if either is missing."""
     if not CHROMIUM:
         pytest.skip("no Chromium: apt-get install chromium")
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'metapp[dev]'")
@@ -39,58 +39,71 @@ def browsing() -> Iterator[Any]:
         browser.close()
 
 
-def assert_alike(
-    seen: np.ndarray, wanted: Any, where: Tensor | None = None, *, mean: float = 2 / 255, least: float = 0.97
+def assert_pictures_match(
+    screen: np.ndarray,
+    expected: Any,
+    where: Tensor | None = None,
+    *,
+    most_mean_difference: float = 2 / 255,
+    least_similarity: float = 0.97,
 ) -> None:
-    """Assert that the screen shows a picture [H, W, 3] of display values, where `where` [H, W] is true.
+    """Assert that a screenshot [H, W, 3] shows the expected picture [H, W, 3] of display values.
 
-    To a mean difference of at most `mean` and a structural similarity of `least` or more.
+    Args:
+        screen: the screenshot, in [0, 1].
+        expected: the picture, in [0, 1].
+        where: the pixels that count, bool [H, W]; None: all.
+        most_mean_difference: the mean absolute difference allowed.
+        least_similarity: the mean structural similarity required.
     """
-    pair = [torch.as_tensor(np.ascontiguousarray(each)).float() for each in (seen, wanted)]
+    pair = [torch.as_tensor(np.ascontiguousarray(picture)).float() for picture in (screen, expected)]
     mask = torch.ones(pair[0].shape[:2], dtype=torch.bool) if where is None else where
-    similar = ssim(*(torch.where(mask[..., None], each, 0.5).permute(2, 0, 1)[None] for each in pair))
-    assert float(similar.mean()) >= least
-    assert float((pair[0] - pair[1])[mask].abs().mean()) <= mean
+    similar = ssim(*(torch.where(mask[..., None], picture, 0.5).permute(2, 0, 1)[None] for picture in pair))
+    assert float(similar.mean()) >= least_similarity
+    assert float((pair[0] - pair[1])[mask].abs().mean()) <= most_mean_difference
 
 
-LEGEND = 46  # px below differences
-# of errors, from none to all
-HEAT = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]], np.float64) / 255
+LEGEND_PX = 46  # height of the legend below difference pictures
+# colours of the page for errors from 0 to the largest
+ERROR_COLOURS = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]], np.float64) / 255
 
 
-def false_colours(errors: np.ndarray, most: float) -> np.ndarray:
-    """Display values [H, W, 3] of errors [H, W], as pages colour them up to `most`."""
-    places = np.clip(errors / most, 0, 1) * 4
-    return np.stack([np.interp(places, np.arange(5), HEAT[:, c]) for c in range(3)], -1)
+def error_colours(errors: np.ndarray, largest_error: float) -> np.ndarray:
+    """Return display values [H, W, 3] for errors [H, W], as pages colour them up to the largest error."""
+    places = np.clip(errors / largest_error, 0, 1) * 4
+    return np.stack([np.interp(places, np.arange(5), ERROR_COLOURS[:, c]) for c in range(3)], -1)
 
 
 class Page:
-    """A page that `metapp view` wrote, opened from disk; `adapts`: it draws fewer pixels where the machine is slow,
-    and labels stand above pictures, not over them.
+    """A page that `metapp view` wrote, opened in a browser.
 
     Attributes:
-        page: playwright's.
+        page: the page object of playwright.
         problems: errors that the page reported.
     """
 
     def __init__(
         self, browser: Any, file: Path | str, width: int = 480, height: int = 320, *, adapts: bool = False
     ) -> None:
+        """Open a file, or an address, in a window of a size in px.
+
+        With `adapts` the page draws fewer pixels where the machine is slow, and labels above pictures, as for users.
+        """
         self.page = browser.new_page(viewport={"width": width, "height": height})
         self.problems: list[str] = []
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
-        self.page.on("console", self._heard)
+        self.page.on("console", self._record_message)
         self.page.goto(file.resolve().as_uri() if isinstance(file, Path) else file)
         self.page.evaluate("metapp.ready")
         if not adapts:
-            self.page.evaluate(WHOLE)
+            self.page.evaluate(DRAW_AT_FULL_RESOLUTION)
 
-    def _heard(self, message: Any) -> None:
+    def _record_message(self, message: Any) -> None:
         if message.type == "error":
             self.problems.append(message.text)
 
-    def sized(self, width: int, height: int) -> None:
-        """Give the view a size in px."""
+    def resize(self, width: int, height: int) -> None:
+        """Set the size of the view in px."""
         style = f"position: fixed; left: 0; top: 0; width: {width}px; height: {height}px; min-height: 0"
         self.page.evaluate(f"document.getElementById('stage').style = '{style}'; dispatchEvent(new Event('resize'))")
 
@@ -100,12 +113,12 @@ class Page:
             self.page.evaluate("([name, value]) => metapp.set(name, value)", [name, value])
 
     def settle(self, seconds: float = 120) -> None:
-        """Wait until the picture does not improve any more."""
+        """Wait until the page has finished drawing."""
         self.page.set_default_timeout(1000 * seconds)
         self.page.evaluate("metapp.settled()")
 
     def screenshot(self) -> np.ndarray:
-        """The view as the screen shows it, [H, W, 3] in [0, 1], without what lies over it."""
+        """Return the view as the screen shows it, [H, W, 3] in [0, 1], without labels, lamp, handle and plots."""
         self.page.add_style_tag(content=".label, .lamp, .wipe, .plot { visibility: hidden }")
         picture = Image.open(io.BytesIO(self.page.locator("#stage").screenshot(timeout=120_000)))
         return np.asarray(picture.convert("RGB"), dtype=np.float64) / 255

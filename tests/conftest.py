@@ -1,4 +1,4 @@
-"""What several test files share."""
+"""Fixtures for all tests: isolated caches, seeded draws, commands run in this process, small networks and recipes."""
 
 import functools
 import itertools
@@ -27,37 +27,37 @@ from metapp.extensions.native import compiler
 from metapp.learning.recipe import Recipe
 from metapp.rendering.second_scene.relighting import matrix_file
 from tests.needs_mitsuba import skip_without_mitsuba
-from tests.small_spheres import run_small, shrink_spheres
+from tests.small_spheres import run_with_small_spheres, shrink_spheres
 
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # commands that tests start inherit it
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
-os.environ[features.FLOAT32_VARIABLE] = "1"  # figures are the same on all machines
+os.environ[features.FLOAT32_VARIABLE] = "1"  # so that figures are the same on all machines
 HAS_GPU = torch.cuda.is_available()
 
 
-class Result(NamedTuple):
-    """What a command left: exit code, standard output, standard error."""
+class CommandResult(NamedTuple):
+    """The result of a command: exit code, standard output and standard error."""
 
     code: int
     out: str
     err: str
 
     @property
-    def document(self) -> dict[str, Any]:
-        """The object that --json prints last."""
+    def json_document(self) -> dict[str, Any]:
+        """The JSON object in the last line of standard output, which --json prints."""
         result: dict[str, Any] = json.loads(self.out.splitlines()[-1])
         return result
 
     @property
-    def done(self) -> dict[str, Any]:
-        """The same, of a command that did all that it was to do."""
+    def json_result(self) -> dict[str, Any]:
+        """The JSON object that a command with --json prints; fails the test unless the exit code is 0."""
         assert self.code == 0, self.err
-        return self.document
+        return self.json_document
 
     @property
     def error(self) -> str:
-        """The one line of a command that could not use its data, after what else it said."""
+        """The single error line of a command that ended with code 1; it may have printed warnings before."""
         assert self.code == 1, self.err
         assert "Traceback" not in self.err
         (line,) = [line for line in self.err.splitlines() if line.startswith("error: ")]
@@ -65,14 +65,14 @@ class Result(NamedTuple):
 
     @property
     def misuse(self) -> str:
-        """The one line of a command that could not use its options."""
+        """The single error line of a command that was called with wrong options: code 2 and no output."""
         assert (self.code, self.out) == (2, ""), self.err
         (line,) = [line for line in self.err.splitlines() if line.startswith("Error: ")]
         return line
 
     @property
     def refusal(self) -> str:
-        """The one line of a command that could not use its data."""
+        """The single line that a command with code 1 printed, an error, and nothing else."""
         assert (self.code, self.out) == (1, "")
         (line,) = self.err.splitlines()
         assert line.startswith("error: ")
@@ -80,10 +80,10 @@ class Result(NamedTuple):
 
 
 @pytest.fixture(autouse=True)
-def _seed() -> None:
-    """The same draws in every run, whatever ran before.
+def _seed_generators() -> None:
+    """Seed torch before each test, so that its draws do not depend on the tests before it.
 
-    Where there is no GPU, `torch.manual_seed` keeps three stacks for later: milliseconds for each of many tests.
+    `torch.manual_seed` is not called: where there is no GPU, it stores three stack traces, which takes milliseconds.
     """
     torch.default_generator.manual_seed(0)
     if HAS_GPU:
@@ -92,7 +92,7 @@ def _seed() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """What fixtures that several tests share have for a cache: none depends on what the user has fetched."""
+    """Give fixtures that several tests share a cache of their own, without files that the user has fetched."""
     with pytest.MonkeyPatch.context() as patch:
         folder = tmp_path_factory.mktemp("cache")
         patch.setenv("METAPP_CACHE", str(folder))
@@ -100,24 +100,24 @@ def _shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def _caches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Names for the caches of tests: `mktemp` would look at those of all tests before."""
+def _cache_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Return paths for the caches of tests, numbered. `mktemp` would list the folders of all tests before each time."""
     folder = tmp_path_factory.mktemp("caches")
     return (folder / str(i) for i in itertools.count())
 
 
 @pytest.fixture(autouse=True)
-def cache(_caches: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
-    """No test touches the user's cache; each has an empty one of its own."""
-    folder = next(_caches)
+def cache(_cache_folders: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give each test an empty cache folder, so that none touches the user's."""
+    folder = next(_cache_folders)
     folder.mkdir()
     monkeypatch.setenv("METAPP_CACHE", str(folder))
     return folder
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """C sources are compiled once for the tests of all workers; the folder that holds the compiled ones."""
+def _shared_native_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Compile C sources once for the tests of all workers, into the folder that this fixture returns."""
     base = tmp_path_factory.getbasetemp()
     folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with pytest.MonkeyPatch.context() as patch:
@@ -126,26 +126,29 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture
-def compiled(cache: Path, _compiled_once: Path) -> None:
-    """The same for processes that a test starts; as links of files, since a linked folder may be somebody else's."""
-    _compiled_once.mkdir(mode=0o700, exist_ok=True)
-    shutil.copytree(_compiled_once, cache / _compiled_once.name, copy_function=os.link)
+def compiled_in_cache(cache: Path, _shared_native_folder: Path) -> None:
+    """Link the compiled C sources into the test's cache, for processes that the test starts.
+
+    The files are linked, not the folder: metapp does not trust a folder that is a link.
+    """
+    _shared_native_folder.mkdir(mode=0o700, exist_ok=True)
+    shutil.copytree(_shared_native_folder, cache / _shared_native_folder.name, copy_function=os.link)
 
 
 USER_WEIGHTS, USER_MATRIX = vgg_weights_path(), matrix_file()  # before any test moves the cache
 
 
 @pytest.fixture
-def vgg(cache: Path) -> Path:
-    """The VGG weights that `make setup` fetched, in the test's cache."""
-    return lend(USER_WEIGHTS, cache, "the VGG weights are not there: metapp data vgg fetches them")
+def vgg_weights(cache: Path) -> Path:
+    """Link the VGG weights that `make setup` fetched into the test's cache, whose folder is returned."""
+    return link_into_cache(USER_WEIGHTS, cache, "the VGG weights are not there: metapp data vgg fetches them")
 
 
 @pytest.fixture
 def with_bfloat16(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """VGG with made-up weights, and a CPU that is said to be made for bfloat16."""
+    """Store random VGG weights up to relu2_1, and have metapp take this CPU for one that computes in bfloat16."""
     rng = torch.Generator().manual_seed(5)
-    shapes = zip(range(3), (64, 64, 128), (3, 64, 64), strict=True)  # up to relu2_1
+    shapes = zip(range(3), (64, 64, 128), (3, 64, 64), strict=True)
     weights = {f"conv{i}.weight": torch.randn(out, of, 3, 3, generator=rng) / (9 * of) ** 0.5 for i, out, of in shapes}
     biases = {key.replace("weight", "bias"): torch.zeros(len(value)) for key, value in weights.items()}
     save_file(weights | biases, cache / "vgg16.safetensors")
@@ -154,23 +157,24 @@ def with_bfloat16(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def scene(cache: Path) -> Path:
-    """The matrix of the second scene that `make setup` built, in the test's cache."""
-    return lend_scene(cache)
+def second_scene(cache: Path) -> Path:
+    """Link the second scene's matrix that `make setup` built into the test's cache, whose folder is returned."""
+    return link_scene_matrix(cache)
 
 
 @pytest.fixture(scope="session")
-def shared_scene(_shared_cache: Path) -> Path:
-    """The same for fixtures that several tests share: building the matrix takes a minute."""
-    return lend_scene(_shared_cache)
+def shared_second_scene(_shared_cache: Path) -> Path:
+    """Link the second scene's matrix into the cache of fixtures that several tests share: it takes long to build."""
+    return link_scene_matrix(_shared_cache)
 
 
-def lend_scene(cache: Path) -> Path:
-    return lend(USER_MATRIX, cache, "the second scene's matrix is not there: make setup builds it")
+def link_scene_matrix(cache: Path) -> Path:
+    """Link the matrix of the second scene into a cache; skip the test where `make setup` has not built it."""
+    return link_into_cache(USER_MATRIX, cache, "the second scene's matrix is not there: make setup builds it")
 
 
-def lend(file: Path, cache: Path, reason: str) -> Path:
-    """The cache with a file of the user's; skips the test where there is none."""
+def link_into_cache(file: Path, cache: Path, reason: str) -> Path:
+    """Link a file of the user's cache into another cache, whose folder is returned; skip the test if it is missing."""
     if not file.is_file():
         pytest.skip(reason)
     (cache / file.name).symlink_to(file)
@@ -178,8 +182,8 @@ def lend(file: Path, cache: Path, reason: str) -> Path:
 
 
 @functools.cache
-def made_command() -> Callable[..., Any]:
-    """What typer makes of the commands whenever they are called, which takes 40 ms, made once."""
+def typer_command() -> Callable[..., Any]:
+    """Return the commands as typer builds them at each call; built once here, since building takes 40 ms."""
     import typer
 
     from metapp.cli.command_tree import app
@@ -188,24 +192,24 @@ def made_command() -> Callable[..., Any]:
 
 
 @pytest.fixture
-def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
-    """Runs `metapp <arguments>` as the command does, without the seconds that a new process takes.
+def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., CommandResult]:
+    """Return a function that runs `metapp <arguments>` in this process, without the seconds that a new one takes.
 
-    No line tells of a wait: what a test reads does not depend on how busy the machine is.
+    It prints no line about waiting, so that its output does not depend on how busy the machine is.
     """
     from metapp.cli.console import Terminal, run_command
 
-    made_command()  # of all extensions, before a test leaves one out
+    typer_command()  # built with all extensions, before a test leaves one out
 
-    def call(*arguments: str | Path) -> Result:
-        words = [str(each) for each in arguments]
+    def run_metapp(*arguments: str | Path) -> CommandResult:
+        words = [str(argument) for argument in arguments]
         with warnings.catch_warnings():
             terminal = Terminal(wait_seconds=3600.0)
-            code = run_command(lambda: made_command()(words, standalone_mode=False, prog_name="metapp"), terminal)
+            code = run_command(lambda: typer_command()(words, standalone_mode=False, prog_name="metapp"), terminal)
         captured = capsys.readouterr()
-        return Result(int(code), captured.out, captured.err)
+        return CommandResult(int(code), captured.out, captured.err)
 
-    return call
+    return run_metapp
 
 
 @pytest.fixture
@@ -215,7 +219,10 @@ def rng() -> torch.Generator:
 
 @pytest.fixture(scope="session")
 def random_angles() -> Callable[..., Tensor]:
-    """Draws up to `count` half and difference angles, float64 [N, 3] rad, the same each time; all above the horizon."""
+    """Return a function that draws up to `count` half and difference angles, float64 [N, 3] in rad.
+
+    Every call draws the same angles. Unless `above` is false, directions below the horizon are left out.
+    """
 
     def draw(count: int = 4000, *, above: bool = True) -> Tensor:
         rng = torch.Generator().manual_seed(3)
@@ -228,7 +235,7 @@ def random_angles() -> Callable[..., Tensor]:
 
 @pytest.fixture(scope="module")
 def mitsuba() -> Iterator[Any]:
-    """Mitsuba, in the variant that evaluates one thing at a time."""
+    """Mitsuba in the variant scalar_rgb, which evaluates one direction at a time."""
     module = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
     before = module.variant()
     module.set_variant("scalar_rgb")
@@ -239,9 +246,12 @@ def mitsuba() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def photograph(mitsuba: Any) -> Callable[..., Tensor]:
-    """Photo [3, size, size] by Mitsuba of the square [-1, 1]^2 with a BSDF, under a point light, from `camera()`."""
+    """Return a function that renders the square [-1, 1]^2 with a BSDF under a point light by Mitsuba, [3, size, size].
 
-    def photo(bsdf: Callable[[Any], dict[str, Any]], light: Tensor, size: int, samples: int) -> Tensor:
+    The camera is above the middle, at `camera_distance()`.
+    """
+
+    def render(bsdf: Callable[[Any], dict[str, Any]], light: Tensor, size: int, samples: int) -> Tensor:
         pose = mitsuba.ScalarTransform4f().look_at(origin=[0, 0, camera_distance()], target=[0, 0, 0], up=[0, 1, 0])
         film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
         sampler = {"type": "stratified", "sample_count": samples}
@@ -253,7 +263,7 @@ def photograph(mitsuba: Any) -> Callable[..., Tensor]:
                 "light": {
                     "type": "point",
                     "position": light.tolist(),
-                    # scalar_rgb would take a bare number for a spectrum of that height as well; RGB is explicit.
+                    # stated as RGB: scalar_rgb takes a bare number for a spectrum of that height
                     "intensity": {"type": "rgb", "value": [math.pi * camera_distance() ** 2] * 3},
                 },
                 "patch": {"type": "rectangle", "bsdf": bsdf(mitsuba)},
@@ -262,12 +272,15 @@ def photograph(mitsuba: Any) -> Callable[..., Tensor]:
         pixels = torch.tensor(mitsuba.render(scene, seed=0).array, dtype=torch.float64)
         return pixels.reshape(size, size, 3).movedim(-1, 0)
 
-    return photo
+    return render
 
 
 @pytest.fixture(scope="module")
 def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Tensor]:
-    """BRDF [N, 3] of a Mitsuba plugin for directions [N, 3]; the plugin's own values include the outgoing cosine."""
+    """Return a function that evaluates a Mitsuba plugin's BRDF, [N, 3] in 1/sr, for directions [N, 3].
+
+    The plugin's values include the outgoing cosine, which is divided out.
+    """
 
     def evaluate(bsdf: dict[str, Any], wi: Tensor, wo: Tensor) -> Tensor:
         plugin, context, values = mitsuba.load_dict(bsdf), mitsuba.BSDFContext(), []
@@ -281,34 +294,37 @@ def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Ten
 
 
 @pytest.fixture
-def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Gives the recipes "quick" and "full" of all protocols other networks and a few steps; without a compiler."""
+def shorten_recipes(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Return a function that gives the recipes "quick" and "full" of all protocols other networks and a few steps.
+
+    It also keeps torch from compiling, which takes longer than so few steps.
+    """
 
     def shorten(recipes: dict[str, dict[str, Recipe]], quick: Any, full: Any, **fields: Any) -> None:
-        for of_protocol in recipes.values():
+        for protocol_recipes in recipes.values():
             for name, network in (("quick", quick), ("full", full)):
-                app = type(of_protocol[name].app)(network, **fields)
-                monkeypatch.setitem(of_protocol, name, replace(_short(of_protocol[name]), app=app))
+                app = type(protocol_recipes[name].app)(network, **fields)
+                monkeypatch.setitem(protocol_recipes, name, replace(_shorten_recipe(protocol_recipes[name]), app=app))
         monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")
 
     return shorten
 
 
-def _short(recipe: Recipe) -> Recipe:
-    few: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
+def _shorten_recipe(recipe: Recipe) -> Recipe:
+    few_steps: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
     return replace(
         recipe,
         steps=3,
         overfit_steps=30,
         finetune_steps=5,
-        general=replace(recipe.general, **few),
-        meta={name: replace(training, **few, tuned=False) for name, training in recipe.meta.items()},
+        general=replace(recipe.general, **few_steps),
+        meta={name: replace(training, **few_steps, tuned=False) for name, training in recipe.meta.items()},
     )
 
 
 @pytest.fixture(scope="session")
-def neural_fits(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
-    """Makes a folder of so many random NBRDF networks, m0, m1, ..., the same each time."""
+def write_nbrdf_networks(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+    """Return a function that writes a folder of `count` random NBRDF networks, m0, m1, ..., alike at each call."""
 
     def write(count: int) -> Path:
         folder, rng = tmp_path_factory.mktemp("networks"), np.random.default_rng(0)
@@ -322,40 +338,40 @@ def neural_fits(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Pat
 
 
 @pytest.fixture(scope="module")
-def network(neural_fits: Callable[[int], Path]) -> Path:
-    """One such network."""
-    return neural_fits(1) / "m0"
+def network(write_nbrdf_networks: Callable[[int], Path]) -> Path:
+    """The folder of one random NBRDF network, not to write to."""
+    return write_nbrdf_networks(1) / "m0"
 
 
 @pytest.fixture
 def fit(metapp: Callable) -> Callable:
-    """`metapp PARADIGM brdf ARGUMENTS... --quiet`."""
+    """Return a function that runs `metapp PARADIGM brdf ARGUMENTS... --quiet`."""
     return lambda paradigm, *arguments: metapp(paradigm, "brdf", *arguments, "--quiet")
 
 
 @pytest.fixture(scope="session")
-def ten_materials(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of ten small materials, eight of them for training; for tests to copy, not to write to."""
+def ten_materials(write_nbrdf_networks: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of ten small materials, eight of them for training. Tests copy it and do not write to it."""
     folder = tmp_path_factory.mktemp("data") / "materials"
-    run_small("data", "nbrdf", neural_fits(10), "--out", folder, "--samples", "512")
+    run_with_small_spheres("data", "nbrdf", write_nbrdf_networks(10), "--out", folder, "--samples", "512")
     return folder
 
 
 @pytest.fixture
 def few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands trace 2**16 paths of a scene at a time instead of 2**19, where samples are few."""
+    """Have commands trace 2**16 paths of a scene at a time instead of 2**19: these tests need few samples."""
     monkeypatch.setattr("metapp.rendering.paths.path_space.BATCH_PATHS", 2**16)
 
 
 @pytest.fixture
 def small_spheres(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures of BRDFs of 16 px instead of 96, where what they show does not matter."""
+    """Have pictures of BRDFs drawn at 16 px instead of 96, for tests to which their content does not matter."""
     shrink_spheres(monkeypatch)
 
 
 @pytest.fixture
 def mi() -> Iterator[Any]:
-    """Mitsuba with the plugins, in the variant llvm_ad_rgb; as it was afterwards."""
+    """Mitsuba with metapp's plugins, in the variant llvm_ad_rgb; the variant before is restored after the test."""
     skip_without_mitsuba()
     import mitsuba
 

@@ -1,6 +1,6 @@
-"""Programs in forks of a process that has imported torch: for tests of processes, but not of how they start.
+"""Programs in forks of a process that has imported torch, for tests that need a process but no fresh Python.
 
-A process of its own takes 1.3 s to import torch, a fork 0.1 s. Forks have an environment, streams and an exit code too.
+A new process takes 1.3 s to import torch, a fork 0.1 s. A fork has its own environment, streams and exit code too.
 """
 
 import multiprocessing
@@ -18,66 +18,82 @@ FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
     ["torch", "metapp.runs.execution", "metapp.cli.command_tree", "metapp.apps.brdf.presenter"]
 )
-OUT, ERR = "out.txt", "err.txt"
+STDOUT_FILE, STDERR_FILE = "out.txt", "err.txt"
 
 
-class Running(NamedTuple):
-    """A program in a fork, and the folder of what it says."""
+class ForkedProgram(NamedTuple):
+    """A program that runs in a fork, and the folder to which its output goes."""
 
     process: ForkServerProcess
-    said: Path
+    output_folder: Path
 
-    def end(self, seconds: float = 600) -> tuple[int | None, str, str]:
-        """Its exit code, standard output and standard error, once it has ended; no code where it takes longer."""
+    def wait_for_output(self, seconds: float = 600) -> tuple[int | None, str, str]:
+        """Wait for the program to end and return its exit code, standard output and standard error.
+
+        The exit code is None if it runs longer than `seconds`.
+        """
         self.process.join(seconds)
-        return self.process.exitcode, (self.said / OUT).read_text(), (self.said / ERR).read_text()
+        return (
+            self.process.exitcode,
+            (self.output_folder / STDOUT_FILE).read_text(),
+            (self.output_folder / STDERR_FILE).read_text(),
+        )
 
 
-def start(program: Callable[..., Any], *arguments: Any, said: Path, more: Mapping[str, str] | None = None) -> Running:
+def start_in_fork(
+    program: Callable[..., Any],
+    *arguments: Any,
+    output_folder: Path,
+    extra_environment: Mapping[str, str] | None = None,
+) -> ForkedProgram:
     """Start `program(*arguments)`, a function of a module, in a fork.
 
     Args:
-        said: a folder for what it says: out.txt and err.txt.
-        more: what its environment has beside that of the test.
+        output_folder: the folder for its standard output and standard error, out.txt and err.txt.
+        extra_environment: variables that its environment has beside those of the test.
     """
-    said.mkdir(parents=True, exist_ok=True)
-    process = FORKS.Process(target=_begin, args=(program, arguments, said, {**os.environ, **(more or {})}))
+    output_folder.mkdir(parents=True, exist_ok=True)
+    process = FORKS.Process(
+        target=_run_in_fork, args=(program, arguments, output_folder, {**os.environ, **(extra_environment or {})})
+    )
     process.start()
-    return Running(process, said)
+    return ForkedProgram(process, output_folder)
 
 
-def run_script(script: Path, *arguments: str | Path, said: Path) -> tuple[int | None, str, str]:
-    """Run a file as `python <script> <arguments>` does: exit code, standard output, standard error."""
-    return start(_script, str(script), *map(str, arguments), said=said).end(300)
+def run_script(script: Path, *arguments: str | Path, output_folder: Path) -> tuple[int | None, str, str]:
+    """Run a file as `python <script> <arguments>` does; return exit code, standard output and standard error."""
+    return start_in_fork(_run_file, str(script), *map(str, arguments), output_folder=output_folder).wait_for_output(300)
 
 
-def metapp(*words: str) -> None:
-    """Be the `metapp` command."""
+def run_metapp(*words: str) -> None:
+    """Run the `metapp` command in this process."""
     from metapp.cli import main
 
     sys.argv = ["metapp", *words]
     main()
 
 
-def compiles(source: Path, found: bool) -> None:
-    """Load a C source, and fail where its functions were to be had or not against `found`."""
+def load_compiled_source(source: Path, is_expected: bool) -> None:
+    """Load a C source, and fail unless it can be compiled just if `is_expected`."""
     from metapp.extensions.native.compiler import load_library
 
-    assert (load_library(source) is not None) is found
+    assert (load_library(source) is not None) is is_expected
 
 
-def _script(*words: str) -> None:
+def _run_file(*words: str) -> None:
     sys.argv = [*words]
     sys.path.insert(0, str(Path(words[0]).parent))
-    if chosen := os.environ.get("PYTHONWARNINGS"):
-        warnings.simplefilter(chosen)  # type: ignore[arg-type]  (Python reads it when it starts)
+    if warning_action := os.environ.get("PYTHONWARNINGS"):
+        warnings.simplefilter(warning_action)  # type: ignore[arg-type]  (Python reads it when it starts)
     runpy.run_path(words[0], run_name="__main__")
 
 
-def _begin(program: Callable[..., Any], arguments: tuple[Any, ...], said: Path, environment: dict[str, str]) -> None:
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has its background processes ignore it
+def _run_in_fork(
+    program: Callable[..., Any], arguments: tuple[Any, ...], output_folder: Path, environment: dict[str, str]
+) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells have background processes ignore SIGINT
     os.environ.clear()
     os.environ.update(environment)
-    for number, name in ((1, OUT), (2, ERR)):
-        os.dup2(os.open(said / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+    for number, name in ((1, STDOUT_FILE), (2, STDERR_FILE)):
+        os.dup2(os.open(output_folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
     program(*arguments)

@@ -1,4 +1,4 @@
-"""Marks of single values of a parametrized test."""
+"""Pytest marks for single values of a parametrized test."""
 
 from typing import Any
 
@@ -6,5 +6,5 @@ import pytest
 
 
 def long(*values: Any) -> Any:
-    """Values with which a test takes seconds, beside others with which it is quicker: run by `make test-long`."""
+    """Mark values with which a test takes seconds while other values are quicker: `make test-long` runs them."""
     return pytest.param(*values, marks=pytest.mark.long)

@@ -1,4 +1,4 @@
-"""Image files of all kinds, whole and damaged, and how every refusal of one looks."""
+"""Writers of image files of many kinds, whole and damaged, and a check that a reader refuses a file in one line."""
 
 import os
 import struct
@@ -13,10 +13,10 @@ import pytest
 import torch
 from torch import Tensor
 
-KINDS = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
+OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
 
-# by EXIF's orientation, what a camera stores that is held so: the picture is turned back
-STORED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+# for each orientation of EXIF, how a camera stores an upright picture; readers turn it back
+STORED_BY_ORIENTATION: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     1: lambda values: values,
     2: np.fliplr,
     3: lambda values: np.rot90(values, 2),
@@ -31,12 +31,12 @@ P3_TO_SRGB = torch.tensor(  # linear colours
 )
 
 
-def write(path: Path, values: np.ndarray, kind: str = "", names: tuple[str, ...] = (), **attributes: Any) -> Path:
-    """An image file of values [height, width, channels], stored as they are or as `kind`.
+def write_image(path: Path, values: np.ndarray, kind: str = "", names: tuple[str, ...] = (), **attributes: Any) -> Path:
+    """Write an image file of values [height, width, channels], stored as they are or as `kind`, and return its path.
 
-    Attributes are as OpenImageIO calls them, `_` for `:`.
+    Attributes have their names in OpenImageIO, with `_` for `:`.
     """
-    spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], kind or KINDS[values.dtype.name])
+    spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], kind or OIIO_TYPES[values.dtype.name])
     spec.channelnames = names or spec.channelnames
     if str(spec.format).startswith("uint"):
         spec.attribute("oiio:UnassociatedAlpha", 1)
@@ -57,12 +57,12 @@ def write(path: Path, values: np.ndarray, kind: str = "", names: tuple[str, ...]
 
 
 def write_exr(path: Path, *parts: tuple[str, np.ndarray], window: tuple[int, int, int, int] | None = None) -> Path:
-    """An EXR file of parts.
+    """Write an EXR file of parts and return its path.
 
     Args:
         path: the file.
-        parts: each one's name and values [height, width, channels]; the channels are called after a colon, parted by
-            spaces: "beauty:R G B". A single part "deep" is deep, without samples.
+        parts: name and values [height, width, channels] of each part. The name may be followed by a colon and the names
+            of its channels, as in "beauty:R G B". A single part called "deep" is deep, without samples.
         window: height, width of the display window, and row and column in it of the first pixel; None: all.
     """
     specs = []
@@ -93,56 +93,59 @@ def write_exr(path: Path, *parts: tuple[str, np.ndarray], window: tuple[int, int
 
 
 def write_planes(path: Path, planes: Tensor, kind: str = "uint8") -> Path:
-    """An image file of planes [C, H, W] in [0, 1]."""
-    return write(path, planes.permute(1, 2, 0).float().numpy(), kind)
+    """Write an image file of planes [C, H, W] in [0, 1] and return its path."""
+    return write_image(path, planes.permute(1, 2, 0).float().numpy(), kind)
 
 
-def planes(values: np.ndarray) -> Tensor:
-    """Values [height, width, channels] as [channels, height, width]."""
+def channels_first(values: np.ndarray) -> Tensor:
+    """Return values [height, width, channels] as [channels, height, width]."""
     return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
 
 
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> np.ndarray:
+def noise_image(height: int, width: int, channels: int = 3, seed: int = 0) -> np.ndarray:
+    """Return random uint8 values [height, width, channels]."""
     return np.random.default_rng(seed).integers(0, 256, (height, width, channels), dtype=np.uint8)
 
 
-def photograph(path: Path, seed: int = 0, side: int = 48) -> Path:
-    """An image file of noise."""
-    return write(path, noise(side, side, seed=seed))
+def write_noise_photo(path: Path, seed: int = 0, side: int = 48) -> Path:
+    """Write a square image file of noise and return its path."""
+    return write_image(path, noise_image(side, side, seed=seed))
 
 
-def environment(path: Path, seed: int = 0, **attributes: str) -> Path:
-    """A small lat-long map of noise."""
-    return write(path, np.random.default_rng(seed).uniform(0.1, 9, (32, 64, 3)).astype(np.float32), **attributes)
+def write_noise_map(path: Path, seed: int = 0, **attributes: str) -> Path:
+    """Write a lat-long map of noise, 64 x 32 texels, and return its path."""
+    return write_image(path, np.random.default_rng(seed).uniform(0.1, 9, (32, 64, 3)).astype(np.float32), **attributes)
 
 
-def truncated(path: Path, keep: float = 0.5) -> Path:
+def truncate_file(path: Path, keep: float = 0.5) -> Path:
+    """Cut a file to a share of its length and return its path."""
     os.truncate(path, int(path.stat().st_size * keep))
     return path
 
 
-def text(path: Path) -> Path:
+def write_text(path: Path) -> Path:
+    """Write a text, which is no image, and return its path."""
     path.write_text("a texture, in words\n")
     return path
 
 
-def profile(matrix: np.ndarray, power: float, name: str = "a space", kind: bytes = b"RGB ") -> bytes:
-    """An ICC profile, version 2.
+def icc_profile(matrix: np.ndarray, power: float, name: str = "a space", kind: bytes = b"RGB ") -> bytes:
+    """Return an ICC profile of version 2.
 
     Args:
-        matrix: [3, 3], linear colours to XYZ of D50.
-        power: of the encoding.
-        name: its description.
-        kind: "RGB " or, of a power alone, "GRAY"; of others there is no conversion.
+        matrix: [3, 3], from linear colours to XYZ under D50.
+        power: the exponent of the encoding.
+        name: the description of the profile.
+        kind: "RGB ", or "GRAY" for a profile of the power alone; other kinds get no data for a conversion.
     """
     text = name.encode() + b"\0"
     tags = {b"desc": b"desc" + struct.pack(">4xI", len(text)) + text + bytes(78)}
     curve = b"curv" + struct.pack(">4xIH", 1, round(power * 256))
     for number, part in enumerate((b"r", b"g", b"b") if kind == b"RGB " else ()):
-        xyz = struct.pack(">4x3i", *(round(65536 * each) for each in matrix[:, number]))
+        xyz = struct.pack(">4x3i", *(round(65536 * value) for value in matrix[:, number]))
         tags |= {part + b"XYZ": b"XYZ " + xyz, part + b"TRC": curve}
     tags |= {b"kTRC": curve} if kind == b"GRAY" else {}
-    tags[b"wtpt"] = b"XYZ " + struct.pack(">4x3i", *(round(65536 * each) for each in (0.9642, 1, 0.8249)))
+    tags[b"wtpt"] = b"XYZ " + struct.pack(">4x3i", *(round(65536 * value) for value in (0.9642, 1, 0.8249)))
     table, body, start = b"", b"", 132 + 12 * len(tags)
     for key, content in tags.items():
         table += struct.pack(">4sII", key, start + len(body), len(content))
@@ -150,21 +153,21 @@ def profile(matrix: np.ndarray, power: float, name: str = "a space", kind: bytes
     head = struct.pack(
         ">I4sI4s4s4s12s4s", start + len(body), b"", 0x2100000, b"mntr", kind, b"XYZ ", bytes(12), b"acsp"
     )
-    light = struct.pack(">3i", *(round(65536 * each) for each in (0.9642, 1, 0.8249)))
+    light = struct.pack(">3i", *(round(65536 * value) for value in (0.9642, 1, 0.8249)))
     return head.ljust(68, b"\0") + light + bytes(48) + struct.pack(">I", len(tags)) + table + body
 
 
-def png_with(file: bytes, chunks: dict[bytes, bytes]) -> bytes:
-    """A PNG file with more chunks after its header."""
-    more = b"".join(
+def add_png_chunks(file: bytes, chunks: dict[bytes, bytes]) -> bytes:
+    """Return a PNG file with more chunks after its header."""
+    added = b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
         for kind, data in chunks.items()
     )
-    return file[:33] + more + file[33:]
+    return file[:33] + added + file[33:]
 
 
-def check_refused(read: Callable[[Path], object], path: Path, message: str) -> None:
-    """One line that names the path, once, and holds the message."""
+def assert_refused_in_one_line(read: Callable[[Path], object], path: Path, message: str) -> None:
+    """Assert that a reader refuses a file by one line that names the path once and holds the message."""
     with pytest.raises(ValueError) as error:  # noqa: PT011  (the message is looked at below)
         read(path)
     line = str(error.value)

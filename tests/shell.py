@@ -1,7 +1,7 @@
-"""Bash whose `metapp` and `python` are forks of a process that has imported torch: for tests of many commands.
+"""Bash in which `metapp` and `python` run as forks of a process that has imported torch, for tests of many commands.
 
-They are small programs in a folder of PATH, which pass their arguments, folder, environment and streams to this
-process. Whatever bash makes of a line, such as pipes, patterns and variables, is as it is for a user.
+`metapp` and `python` are small programs in a folder of PATH, which pass their arguments, folder, environment and
+streams to this process. Bash treats pipes, patterns and variables as it does for a user.
 """
 
 import contextlib
@@ -17,19 +17,19 @@ from pathlib import Path
 
 from tests.forks import FORKS
 
-PLACE = "METAPP_TESTS_SOCKET"
-# without what Python imports at the start, it takes 20 ms
-PROGRAM = f"""#!{sys.executable} -IS
+SOCKET_VARIABLE = "METAPP_TESTS_SOCKET"
+# without the modules that Python imports by default, the program starts in 20 ms
+CLIENT_PROGRAM = f"""#!{sys.executable} -IS
 import json, os, socket, sys
 call = socket.socket(socket.AF_UNIX)
-call.connect(os.environ["{PLACE}"])
+call.connect(os.environ["{SOCKET_VARIABLE}"])
 socket.send_fds(call, [b"."], [0, 1, 2])
 call.sendall(json.dumps([sys.argv, os.getcwd(), dict(os.environ)]).encode("utf-8", "surrogateescape"))
 call.shutdown(socket.SHUT_WR)
 sys.exit(int(call.recv(8)))
 """
-SECONDS = 600  # of a script, at most
-MANY = """
+SCRIPT_TIMEOUT_S = 600
+COMMANDS_PROGRAM = """
 import json, sys
 from metapp.cli.command_tree import app
 from metapp.cli.console import run_command
@@ -41,70 +41,77 @@ for line in sys.stdin:
 """
 
 
-def many_commands(
-    *lines: Sequence[object], folder: Path, python: str | Path = sys.executable, **more: str
+def run_commands(
+    *lines: Sequence[object], folder: Path, python: str | Path = sys.executable, **environment: str
 ) -> list[str]:
-    """What commands print, each of which ends well, in one process of its own; `more` of its environment."""
-    done = subprocess.run(
-        [python, "-c", MANY],
+    """Run `metapp` commands in one new process and return what each prints; all must succeed.
+
+    Args:
+        lines: the arguments of each command.
+        folder: the folder to run in.
+        python: the interpreter.
+        environment: variables beside those of the test.
+    """
+    process = subprocess.run(
+        [python, "-c", COMMANDS_PROGRAM],
         input="\n".join(json.dumps(list(map(str, line))) for line in lines),
         capture_output=True,
         text=True,
         check=False,
         cwd=folder,
-        env={**os.environ, "COLUMNS": "200", "OMP_NUM_THREADS": "1", **more},
+        env={**os.environ, "COLUMNS": "200", "OMP_NUM_THREADS": "1", **environment},
     )
-    assert "Traceback" not in done.stderr
-    *said, _ = done.stdout.split("\n== ")
-    codes = [part.partition("\n")[0] for part in done.stdout.split("\n== ")[1:]]
-    assert codes == ["0"] * len(lines), done.stderr
-    return [said[0], *(part.partition("\n")[2] for part in said[1:])]
+    assert "Traceback" not in process.stderr
+    *parts, _ = process.stdout.split("\n== ")
+    codes = [part.partition("\n")[0] for part in process.stdout.split("\n== ")[1:]]
+    assert codes == ["0"] * len(lines), process.stderr
+    return [parts[0], *(part.partition("\n")[2] for part in parts[1:])]
 
 
 @contextlib.contextmanager
 def forked_commands(folder: Path) -> Iterator[Mapping[str, str]]:
-    """Serve `metapp` and `python`; what the environment of `bash` needs for that.
+    """Serve the programs `metapp` and `python`, and yield the environment variables by which bash finds them.
 
     Args:
-        folder: for the two programs; seconds.txt in it lists all calls, with the CPU seconds of each.
+        folder: a new folder for the two programs; seconds.txt in it lists all calls with their CPU seconds.
     """
     folder.mkdir()
     for name in ("metapp", "python"):
-        (folder / name).write_text(PROGRAM, encoding="utf-8")
+        (folder / name).write_text(CLIENT_PROGRAM, encoding="utf-8")
         (folder / name).chmod(0o755)
-    place = folder / "socket"
+    socket_path = folder / "socket"
     with socket.socket(socket.AF_UNIX) as server:
-        server.bind(os.path.relpath(place))  # of a socket the path has 107 characters at most
+        server.bind(os.path.relpath(socket_path))  # the path of a socket has at most 107 characters
         server.listen()
         threading.Thread(target=_accept, args=(server,), daemon=True).start()
-        yield {PLACE: str(place), "PATH": f"{folder}:{os.environ['PATH']}"}
+        yield {SOCKET_VARIABLE: str(socket_path), "PATH": f"{folder}:{os.environ['PATH']}"}
         server.shutdown(socket.SHUT_RDWR)
 
 
-def bash(script: str, folder: Path, environment: Mapping[str, str]) -> tuple[int, str]:
-    """Run a script by bash up to its first error: exit code, and all that it printed."""
-    done = subprocess.run(
+def run_bash(script: str, folder: Path, environment: Mapping[str, str]) -> tuple[int, str]:
+    """Run a script by bash up to its first error; return the exit code and all that it printed."""
+    process = subprocess.run(
         ["bash", "-eu", "-o", "pipefail", "-c", script],
         cwd=folder,
         env={**os.environ, **environment},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        timeout=SECONDS,
+        timeout=SCRIPT_TIMEOUT_S,
         check=False,
     )
-    return done.returncode, done.stdout.decode(errors="replace")
+    return process.returncode, process.stdout.decode(errors="replace")
 
 
 def _accept(server: socket.socket) -> None:
-    with contextlib.suppress(OSError):  # it is closed
+    with contextlib.suppress(OSError):  # the socket is closed at the end
         while True:
             call, _ = server.accept()
             threading.Thread(target=_answer, args=(call,), daemon=True).start()
 
 
 def _answer(call: socket.socket) -> None:
-    process = FORKS.Process(target=_be, args=(call,))
+    process = FORKS.Process(target=_run_request, args=(call,))
     process.start()
     process.join()
     code = process.exitcode or 0
@@ -112,8 +119,8 @@ def _answer(call: socket.socket) -> None:
         call.sendall(str(code if code >= 0 else 128 - code).encode())
 
 
-def _be(call: socket.socket) -> None:
-    """Be the command that a call asks for."""
+def _run_request(call: socket.socket) -> None:
+    """Run the command that a client asks for, with its streams, folder and environment, in this fork."""
     _, streams, *_ = socket.recv_fds(call, 1, 3)
     request = b"".join(iter(lambda: call.recv(1 << 16), b""))
     for number, stream in enumerate(streams):
@@ -125,15 +132,15 @@ def _be(call: socket.socket) -> None:
     os.environ.clear()
     os.environ.update(environment)
     try:
-        _run(Path(words[0]).name, words[1:])
+        _run_program(Path(words[0]).name, words[1:])
     finally:
         used = os.times()
         with (Path(words[0]).parent / "seconds.txt").open("a", encoding="utf-8") as file:
             file.write(f"{sum(used[:4]):.1f} {' '.join([Path(words[0]).name, *words[1:]])}\n")
 
 
-def _run(name: str, words: list[str]) -> None:
-    """Be `metapp`, or `python` with a file, `-m` or `-c`."""
+def _run_program(name: str, words: list[str]) -> None:
+    """Run `metapp`, or `python` with a file or `-m`, in this process."""
     if name == "metapp":
         from metapp.cli import main
 

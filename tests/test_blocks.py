@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.conftest import USER_MATRIX, USER_WEIGHTS, lend
+from tests.conftest import USER_MATRIX, USER_WEIGHTS, link_into_cache
 from tests.needs_mitsuba import skip_without_mitsuba
-from tests.shell import bash, forked_commands
+from tests.shell import forked_commands, run_bash
 
 ROOT = Path(__file__).parent.parent
 FENCE = re.compile(
@@ -47,7 +47,7 @@ class Block(NamedTuple):
         return python if self.kind == "python" else self.code
 
     def commands(self) -> list[str]:
-        """Its lines without comments, those that go on in one."""
+        """Return the lines without comments, with continued lines joined."""
         lines = re.sub(r"\\\n\s*", "", self.code).splitlines()
         return [command for line in lines if (command := re.sub(r"\s*#.*", "", line).strip())]
 
@@ -92,7 +92,7 @@ def test_blocks_have_a_language_and_those_that_do_not_run_a_reason() -> None:
             assert not block.reason or (block.kind in RUN and block.reason in REASONS), block
 
 
-def test_what_another_page_runs_is_there() -> None:
+def test_blocks_left_to_another_page_run_there() -> None:
     lines = {line for page in PAGES for block in blocks_of(page) if not block.reason for line in block.commands()}
     for block in LEFT_OUT:
         if block.reason == "another page runs it":
@@ -108,23 +108,23 @@ def test_blocks_that_run_have_no_placeholders() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("compiled")
+@pytest.mark.usefixtures("compiled_in_cache")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_blocks_of_a_page_run(page: Path, cache: Path, tmp_path: Path) -> None:
-    """In a folder that has `examples`, as a clone has; pages open in no browser."""
+    """They run in a folder that has `examples`, as a clone has; pages open in no browser."""
     blocks = [block for block in blocks_of(page) if block.kind in RUN and not block.reason]
     code = "".join(block.code for block in blocks)
     if re.search(r"illumination|transport|mitsuba", code):
         skip_without_mitsuba()
-        lend(USER_MATRIX, cache, "the second scene's matrix is not there: make setup builds it")
+        link_into_cache(USER_MATRIX, cache, "the second scene's matrix is not there: make setup builds it")
     if re.search(r"texture|svbrdf_stationary|metapp try", code):
-        lend(USER_WEIGHTS, cache, "the VGG weights are not there: metapp data vgg fetches them")
+        link_into_cache(USER_WEIGHTS, cache, "the VGG weights are not there: metapp data vgg fetches them")
     clone = tmp_path / "clone"
     clone.mkdir()
     (clone / "examples").symlink_to(ROOT / "examples")
     with forked_commands(tmp_path / "bin") as environment:
         for block in blocks:
-            code, said = bash(block.script(), clone, {**environment, "BROWSER": "true"})
-            assert code == 0, f"{block}: exit code {code}\n{block.code}\n{said}"
+            code, output = run_bash(block.script(), clone, {**environment, "BROWSER": "true"})
+            assert code == 0, f"{block}: exit code {code}\n{block.code}\n{output}"
     called = tmp_path / "bin" / "seconds.txt"  # pages that have left out all blocks call nothing
     print(called.read_text(encoding="utf-8") if called.exists() else "")

@@ -13,10 +13,10 @@ import pytest
 import metapp
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-pytestmark = [pytest.mark.long, pytest.mark.usefixtures("compiled")]
+pytestmark = [pytest.mark.long, pytest.mark.usefixtures("compiled_in_cache")]
 
 
-def measured(path: Path) -> Path:
+def goniometer_table(path: Path) -> Path:
     """A table of a goniometer, of a grey material."""
     angles = [(i % 80, 9 * i % 360, 7 * i % 80) for i in range(200)]
     rows = [f"{incident},{turned},{outgoing},0,0.2,0.2,0.2" for incident, turned, outgoing in angles]
@@ -26,27 +26,27 @@ def measured(path: Path) -> Path:
 
 @pytest.mark.parametrize(("script", "package"), [("dask_fits.py", "distributed"), ("ray_fits.py", "ray")])
 def test_two_workers_fit_as_one_process_does(
-    script: str, package: str, neural_fits: Callable[[int], Path], tmp_path: Path
+    script: str, package: str, write_nbrdf_networks: Callable[[int], Path], tmp_path: Path
 ) -> None:
     """Each source once, with the same error, also at an address; a bad one is a row with its reason."""
     if not importlib.util.find_spec(package):
         pytest.skip(f"{package} is not installed; make test-cluster installs it")
-    networks = [str(folder) for folder in sorted(neural_fits(9).iterdir())]
+    networks = [str(folder) for folder in sorted(write_nbrdf_networks(9).iterdir())]
     (tmp_path / "torn.binary").write_bytes(b"x")
     torn = str(tmp_path / "torn.binary")
-    table = measured(tmp_path / "paint.csv")
+    table = goniometer_table(tmp_path / "paint.csv")
     address = f"file://{table}"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, EXAMPLES / script, *networks, torn, address],
         capture_output=True,
         text=True,
         check=False,
         env={**os.environ, "PYTHONPATH": str(EXAMPLES.parent)},
     )
-    assert done.returncode == 0, done.stderr[-2000:]
-    rows = {row["source"]: row for row in map(json.loads, done.stdout.splitlines())}
+    assert process.returncode == 0, process.stderr[-2000:]
+    rows = {row["source"]: row for row in map(json.loads, process.stdout.splitlines())}
     assert rows.keys() == {*networks, torn, address}
-    assert len(done.stdout.splitlines()) == 11
+    assert len(process.stdout.splitlines()) == 11
     assert rows[torn]["failure"].startswith(f"{torn}: 1 bytes, expected 34,992,012")
     for place, path in (*((one, one) for one in networks[::8]), (address, table)):
         assert rows[place]["error"] == pytest.approx(metapp.fit("brdf", path).error, rel=1e-6)

@@ -91,21 +91,21 @@ def unknown_in(line: str, rules: Collection[str] = ()) -> str:
     return ""
 
 
-def test_commands_exist() -> None:
+def test_commands_and_options_in_pages_exist() -> None:
     for page, line in lines_of_code():
         if METAPP.match(line) and not ANY_COMMAND.match(line):
             declared = re.findall(r'registry.rules\["([\w-]+)"', page.read_text(encoding="utf-8"))
             assert unknown_in(STANDS_FOR.sub("x", line), declared) == "", (page, line)
 
 
-def test_targets_exist() -> None:
+def test_make_targets_in_pages_exist() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     for page, line in lines_of_code():
         if line.startswith("make "):
             assert {word for word in line.split()[1:] if "=" not in word} <= targets, (page, line)
 
 
-def test_files_exist() -> None:
+def test_files_named_in_pages_exist() -> None:
     for page, line in lines_of_code():
         if PATH.match(line):
             assert (ROOT / line).exists(), (page, line)
@@ -155,12 +155,12 @@ def test_readme_is_one_screen_and_has_a_command_of_every_application() -> None:
 
 
 def test_what_is_pinned_takes_the_python_of_debian_12() -> None:
-    """Of what is installed here: 3.11.2, not merely a later 3.11."""
+    """All packages that are installed here accept Python 3.11.2, not merely a later 3.11."""
     pinned = {line.partition("==")[0].lower() for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines()}
-    for each in importlib.metadata.distributions():
-        wanted = each.metadata["Requires-Python"]
-        if each.name.lower() in pinned and wanted:
-            assert SpecifierSet(wanted).contains("3.11.2"), each.name
+    for distribution in importlib.metadata.distributions():
+        expected = distribution.metadata["Requires-Python"]
+        if distribution.name.lower() in pinned and expected:
+            assert SpecifierSet(expected).contains("3.11.2"), distribution.name
 
 
 # Examples in docstrings are run

@@ -15,61 +15,70 @@ import torch
 
 from tests import forks
 from tests.needs_mitsuba import needs_mitsuba
-from tests.pictures import write, write_planes
+from tests.pictures import write_image, write_planes
 
-pytestmark = pytest.mark.usefixtures("compiled")
+pytestmark = pytest.mark.usefixtures("compiled_in_cache")
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Callable[..., str]:
-    """Runs an example in a process that has imported torch alone; what it prints."""
+    """Return a function that runs an example in a fork that has imported torch alone, and returns what it prints."""
 
     def call(script: str | Path, *arguments: str | Path) -> str:
-        code, said, warned = forks.run_script(EXAMPLES / script, *arguments, said=tmp_path / "said")
+        code, messages, warned = forks.run_script(EXAMPLES / script, *arguments, output_folder=tmp_path / "said")
         assert code == 0, warned
         assert warned == ""
-        return said
+        return messages
 
     return call
 
 
 @pytest.fixture
 def run_here(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
-    """As `run`, in this process, which has imported torch already."""
+    """Return a function that runs an example in this process, which has imported torch already."""
 
     def call(script: str, *arguments: str | Path) -> str:
         monkeypatch.setattr(sys, "argv", [script, *map(str, arguments)])
         capfd.readouterr()
         runpy.run_path(str(EXAMPLES / script), run_name="__main__")
-        said, warned = capfd.readouterr()
+        messages, warned = capfd.readouterr()
         assert warned == ""
-        return said
+        return messages
 
     return call
 
 
-def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
-    said = run("fit_brdf.py", next(neural_fits(1).iterdir()), tmp_path / "a.safetensors")
-    assert said.startswith("error x100 ")
-    assert said.count("1/sr") == 3
-    assert said.splitlines()[-1].endswith("21471 weights")
+def test_example_fit_brdf_runs(
+    write_nbrdf_networks: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]
+) -> None:
+    output = run("fit_brdf.py", next(write_nbrdf_networks(1).iterdir()), tmp_path / "a.safetensors")
+    assert output.startswith("error x100 ")
+    assert output.count("1/sr") == 3
+    assert output.splitlines()[-1].endswith("21471 weights")
     assert (tmp_path / "a.safetensors").is_file()
 
 
-def test_maml_in_30_lines(run: Callable[..., str], tmp_path: Path) -> None:
-    """With a tenth of its outer steps the learned initialisation is the better one, before and after gradient steps."""
-    said = run(smaller("maml_in_30_lines.py", {"40, 600": "40, 60"}, tmp_path))
-    (before, after), (learned_before, learned_after) = (map(float, line.split()[-2:]) for line in said.splitlines()[1:])
+def test_example_maml_in_30_lines_runs(run: Callable[..., str], tmp_path: Path) -> None:
+    """A tenth of its outer steps suffices for a better initialisation, before and after gradient steps."""
+    output = run(smaller("maml_in_30_lines.py", {"40, 600": "40, 60"}, tmp_path))
+    (before, after), (learned_before, learned_after) = (
+        map(float, line.split()[-2:]) for line in output.splitlines()[1:]
+    )
     assert 0.8 * before < after < before
     assert learned_after < 0.8 * after
     assert learned_after < learned_before
 
 
 @pytest.mark.long
-def test_compare_paradigms(neural_fits: Callable[[int], Path], run_here: Callable[..., str]) -> None:
-    rows = [line.split() for line in run_here("compare_paradigms.py", next(neural_fits(1).iterdir())).splitlines()[1:]]
+def test_example_compare_paradigms_runs(
+    write_nbrdf_networks: Callable[[int], Path], run_here: Callable[..., str]
+) -> None:
+    rows = [
+        line.split()
+        for line in run_here("compare_paradigms.py", next(write_nbrdf_networks(1).iterdir())).splitlines()[1:]
+    ]
     assert [row[0] for row in rows] == ["general", "quickft", "meta", "finetune", "overfit"]
     error = {name: float(value) for name, value, _ in rows}
     assert max(error["finetune"], error["overfit"]) < error["meta"] < error["general"]
@@ -97,7 +106,7 @@ def smaller(script: str, changes: dict[str, str], folder: Path) -> Path:
     return folder / script
 
 
-def test_relight_maps(tmp_path: Path, run_here: Callable[..., str]) -> None:
+def test_example_relight_maps_runs(tmp_path: Path, run_here: Callable[..., str]) -> None:
     flat = {"diffuse": (0.5, 0.4, 0.3), "specular": (0.1, 0.1, 0.1), "normal": (0.5, 0.5, 1.0), "roughness": (0.4,)}
     maps = write_maps(tmp_path, **flat)
     assert "4 pictures of 16 x 16 pixels" in run_here("relight_maps.py", maps, tmp_path / "lit.png")
@@ -108,11 +117,13 @@ def test_relight_maps(tmp_path: Path, run_here: Callable[..., str]) -> None:
 
 @pytest.mark.long
 @needs_mitsuba
-def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
+def test_example_mitsuba_brdf_runs(
+    write_nbrdf_networks: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]
+) -> None:
     changes = {r'"width": 512, "height": 512': '"width": 48, "height": 48', r"spp=64": "spp=8"}
     script = smaller("mitsuba_brdf.py", changes, tmp_path)
-    said = run(script, next(neural_fits(1).iterdir()), tmp_path / "ball.png")
-    assert said.startswith("m0: error x100 ")
+    output = run(script, next(write_nbrdf_networks(1).iterdir()), tmp_path / "ball.png")
+    assert output.startswith("m0: error x100 ")
     picture = pixels(tmp_path / "ball.png")
     assert picture.shape[:2] == (48, 48)
     assert picture[24, 24, :3].max() > 0.02
@@ -120,19 +131,19 @@ def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: C
 
 @pytest.mark.long
 @needs_mitsuba
-def test_anisotropic_brdf(tmp_path: Path, run: Callable[..., str]) -> None:
+def test_example_anisotropic_brdf_runs(tmp_path: Path, run: Callable[..., str]) -> None:
     """The fit is nearer to the metal than that which knows no azimuth."""
     changes = {r"SIZE, SAMPLES = .*": "SIZE, SAMPLES = 32, 16", r', "Al": .*': "}"}
-    said = run(smaller("anisotropic_brdf.py", changes, tmp_path), tmp_path / "a.png")
-    found = re.findall(r"error x100 ([\d.]+), picture differs by ([\d.]+) %", said)
-    (error, off), (other_error, other_off) = ((float(each) for each in pair) for pair in found)
+    output = run(smaller("anisotropic_brdf.py", changes, tmp_path), tmp_path / "a.png")
+    found = re.findall(r"error x100 ([\d.]+), picture differs by ([\d.]+) %", output)
+    (error, off), (other_error, other_off) = ((float(number) for number in pair) for pair in found)
     assert error < 0.2 * other_error
     assert off < 0.3 * other_off
     assert pixels(tmp_path / "a.png").shape[:2] == (32, 96)
 
 
 @needs_mitsuba
-def test_guided_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Callable[..., str]) -> None:
+def test_example_guided_render_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Callable[..., str]) -> None:
     monkeypatch.setenv("PYTHONWARNINGS", "ignore")  # in a small picture of one ball a guide does not pay
     scene = """<scene version="3.0.0">
       <sensor type="perspective"><float name="fov" value="40"/>
@@ -147,26 +158,28 @@ def test_guided_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Cal
 
 
 @pytest.mark.long
-def test_photo_to_blender(tmp_path: Path, run_here: Callable[..., str]) -> None:
+def test_example_photo_to_blender_runs(tmp_path: Path, run_here: Callable[..., str]) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     wall = np.stack([np.exp(-2 * (x * x + y * y)) * (0.5 + 0.3 * np.sin(9 * x + i)) for i in range(3)], -1)
-    photo = write(tmp_path / "wall.png", wall.astype(np.float32), "uint8")
-    said = run_here("photo_to_blender.py", photo, tmp_path / "out")
-    assert said.startswith("wall: 256 x 256 texels")
+    photo = write_image(tmp_path / "wall.png", wall.astype(np.float32), "uint8")
+    output = run_here("photo_to_blender.py", photo, tmp_path / "out")
+    assert output.startswith("wall: 256 x 256 texels")
     assert (tmp_path / "out" / "gltf" / "wall.glb").read_bytes().startswith(b"glTF")
     assert len(list((tmp_path / "out" / "asset" / "wall").iterdir())) == 12
     assert len(list((tmp_path / "out" / "blender" / "wall").iterdir())) == 8
 
 
 @needs_mitsuba
-def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
-    """At a few pixels: white light from everywhere shows a floor in its colour, and balls on it."""
+def test_example_mitsuba_scene_runs(
+    write_nbrdf_networks: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]
+) -> None:
+    """The picture has few pixels: white light from everywhere shows a floor in its colour, and balls on it."""
     red = {"diffuse": (0.8, 0.2, 0.2), "specular": (0.0, 0.0, 0.0), "normal_gl": (0.5, 0.5, 1.0), "roughness": (0.9,)}
-    maps, network = write_maps(tmp_path / "clay", "clay_", **red), next(neural_fits(1).iterdir())
-    light = write(tmp_path / "light.exr", np.ones((8, 16, 3), np.float32))
+    maps, network = write_maps(tmp_path / "clay", "clay_", **red), next(write_nbrdf_networks(1).iterdir())
+    light = write_image(tmp_path / "light.exr", np.ones((8, 16, 3), np.float32))
     changes = {r"SIZE, SAMPLES, EXPOSURE = .*": "SIZE, SAMPLES, EXPOSURE = 48, 8, 0.3"}
-    said = run(smaller("mitsuba_scene.py", changes, tmp_path), maps, light, tmp_path / "a.png", network, network)
-    assert "48 x 48 px, 8 samples" in said
+    output = run(smaller("mitsuba_scene.py", changes, tmp_path), maps, light, tmp_path / "a.png", network, network)
+    assert "48 x 48 px, 8 samples" in output
     picture = pixels(tmp_path / "a.png")
     assert picture.shape[:2] == (48, 48)
     floor, ball = picture[44, 24, :3], picture[20, 24, :3]
@@ -176,21 +189,23 @@ def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path, run: 
 
 @needs_mitsuba
 @pytest.mark.slow
-def test_ball_to_hdr(tmp_path: Path, run: Callable[..., str]) -> None:
+def test_example_ball_to_hdr_runs(tmp_path: Path, run: Callable[..., str]) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     shade = np.where(x * x + y * y < 1, 0.4 - 0.3 * y, 0)[..., None].repeat(3, 2)  # lit from above
-    ball = write(tmp_path / "ball.png", shade.astype(np.float32), "uint8")
-    said = run("ball_to_hdr.py", ball, tmp_path / "map.exr")
-    assert said.startswith("ball: 256 x 128 texels, fitted in ")
-    made = pixels(tmp_path / "map.exr")
-    assert made.shape == (128, 256, 3)
-    assert made[:64].mean() > made[64:].mean() > 0
+    ball = write_image(tmp_path / "ball.png", shade.astype(np.float32), "uint8")
+    output = run("ball_to_hdr.py", ball, tmp_path / "map.exr")
+    assert output.startswith("ball: 256 x 128 texels, fitted in ")
+    result = pixels(tmp_path / "map.exr")
+    assert result.shape == (128, 256, 3)
+    assert result[:64].mean() > result[64:].mean() > 0
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("vgg", "scene")
-def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
-    """Its cells run in order, and those that end with fits show them; a texture of 64 texels stands for one of 256."""
+@pytest.mark.usefixtures("vgg_weights", "second_scene")
+def test_example_notebook_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its cells run in order, and cells that end with a fit show it; the texture has 64 texels instead of 256."""
     document = json.loads((EXAMPLES / "notebook.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in document["cells"] if cell["cell_type"] == "code"]
     assert not any(cell.get("outputs") for cell in document["cells"])
@@ -206,6 +221,6 @@ def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest
     assert {path.name for path in tmp_path.iterdir()} == {"bricks.png", "plastic.safetensors"}
     assert names["wall"].app.name == "texture"
     assert names["light"].error < 1
-    said, warned = capfd.readouterr()
-    assert said.startswith("{'basecolor': (256, 256, 3)}")
+    messages, warned = capfd.readouterr()
+    assert messages.startswith("{'basecolor': (256, 256, 3)}")
     assert warned == ""

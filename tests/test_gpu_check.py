@@ -28,11 +28,11 @@ def test_a_device_is_compared_with_the_cpu(
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_what_breaks_on_a_device_is_a_line_of_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failures_on_a_device_are_lines_of_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--device", "cuda", *FEW[2:], "--data", str(tmp_path), "illumination:reference"]) == 1
     assert capsys.readouterr().out.count("no CUDA device") == 5
 
 
-def test_an_unknown_subject_is_refused_with_those_there_are() -> None:
+def test_unknown_subjects_are_refused_with_the_known_ones() -> None:
     with pytest.raises(SystemExit, match="svbrdf_nonstationary:photo"):
         main([*FEW, "tissue"])

@@ -1,4 +1,4 @@
-"""How the code hangs together: who imports whom, who prints, what is installed, and that nothing is unpickled."""
+"""The structure of the code: imports between layers, who prints, what is installed, and that nothing is unpickled."""
 
 import ast
 import configparser
@@ -54,9 +54,9 @@ def files_with(pattern: str) -> list[str]:
     return [str(path.relative_to(ROOT)) for path in found]
 
 
-def test_layers() -> None:
+def test_imports_keep_to_the_layers() -> None:
     """The contracts of setup.cfg hold: who imports whom, who knows a terminal."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", "from importlinter.cli import lint_imports_command as lint; lint()", "--no-cache"],
         capture_output=True,
         text=True,
@@ -64,7 +64,7 @@ def test_layers() -> None:
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
-    assert done.returncode == 0, done.stdout
+    assert process.returncode == 0, process.stdout
 
 
 def test_no_circles_among_files() -> None:
@@ -125,7 +125,7 @@ def test_only_the_command_line_prints_or_exits() -> None:
 
 
 def test_nothing_is_unpickled() -> None:
-    """But the public weights of VGG: tests/extensions/vgg holds that their hashes come first, classes are refused."""
+    """The public weights of VGG are the exception; tests/extensions/vgg checks that hashes are compared first."""
     assert files_with(UNPICKLES) == ["metapp/extensions/vgg/weights.py"]
 
 
@@ -143,7 +143,7 @@ def test_every_extension_is_offered() -> None:
 def test_help_answers_at_once(arguments: list[str]) -> None:
     lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
     lines += "    print({'torch', 'mitsuba', 'colour', 'matplotlib', 'numpy', 'scipy'} & sys.modules.keys())"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", lines, *arguments, "--help"], capture_output=True, text=True, check=True, cwd=ROOT
     )
-    assert done.stdout.splitlines()[-1] == "set()"
+    assert process.stdout.splitlines()[-1] == "set()"

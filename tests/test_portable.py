@@ -1,4 +1,4 @@
-"""Windows and macOS lack what Linux has: metapp works without it."""
+"""metapp works without the modules and functions that Linux has and Windows or macOS lack."""
 
 import os
 import subprocess
@@ -51,10 +51,10 @@ def test_help_fit_and_load_need_nothing_that_linux_alone_has(tmp_path: Path) -> 
     (tmp_path / "paint.csv").write_text("\n".join(["theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b", *rows]))
     root = str(Path(__file__).parent.parent)
     environment = {**os.environ, "PYTHONPATH": root, "METAPP_CACHE": str(tmp_path / "cache")}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
     )
-    assert done.returncode == 0, done.stderr
-    assert "Usage" in done.stdout
-    loaded, again = map(float, done.stdout.splitlines()[-1].split())
+    assert process.returncode == 0, process.stderr
+    assert "Usage" in process.stdout
+    loaded, again = map(float, process.stdout.splitlines()[-1].split())
     assert loaded == again

@@ -13,8 +13,8 @@ LEANING_WORDS = re.compile(r"\b[Aa]s of `|\bthat of `|\bthose of `|[;,] as there
 FEWEST_WORDS = 3
 
 
-def leaning(text: str) -> str:
-    """What is wrong with a docstring, "" for nothing."""
+def describe_leaning(text: str) -> str:
+    """Return what is wrong with a docstring, or ""."""
     first = text.strip().splitlines()[0] if text.strip() else ""
     if LEANING_BEGINNING.match(first):
         return "begins by leaning on another text"
@@ -35,9 +35,9 @@ def leaning(text: str) -> str:
         ("One scene.", "fewer"),
     ],
 )
-def test_what_leans_on_another_text_is_told(text: str, says: str) -> None:
-    assert says in leaning(text)
-    assert bool(says) == bool(leaning(text))
+def test_docstrings_that_lean_on_another_text_are_detected(text: str, says: str) -> None:
+    assert says in describe_leaning(text)
+    assert bool(says) == bool(describe_leaning(text))
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
@@ -47,7 +47,7 @@ def test_docstrings_can_be_understood_alone(folder: str) -> None:
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 text = ast.get_docstring(node)
-                if text and (fault := leaning(text)):
+                if text and (fault := describe_leaning(text)):
                     name = getattr(node, "name", "the module")
                     found.append(f"{file.relative_to(ROOT)}:{getattr(node, 'lineno', 1)} {name} {fault}: {text[:60]!r}")
     assert not found, "\n".join(found)

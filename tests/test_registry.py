@@ -81,7 +81,7 @@ def install(folder: Path, text: str, name: str = "stranger", point: str = "") ->
 
 
 @pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Registry]]:
+def install_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Registry]]:
     """Installs modules as packages for as long as a test takes; returns the registry that has them."""
     monkeypatch.syspath_prepend(tmp_path)
     fresh = functools.cache(module._build_registry.__wrapped__)
@@ -101,53 +101,59 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
 
 
 @pytest.mark.parametrize("point", ["stranger_module", "stranger_module:register"])
-def test_a_package_of_others_adds_its_entries(installed: Callable[..., Registry], point: str, tmp_path: Path) -> None:
-    """Its entry point names a module or a function."""
+def test_another_package_adds_its_entries(
+    install_packages: Callable[..., Registry], point: str, tmp_path: Path
+) -> None:
+    """The package's entry point names a module or a function."""
     install(tmp_path, GOOD, point=point)
-    there = installed()
-    assert there is registry()
-    assert there.problems == {}
-    assert there.extensions["stranger"] == there.owners["tables strange"] == "stranger"
-    assert there.tables["strange"].load()(12, 18) == 6
-    assert list(there.tables)[-1] == "strange"  # what ships comes first
+    loaded_registry = install_packages()
+    assert loaded_registry is registry()
+    assert loaded_registry.problems == {}
+    assert loaded_registry.extensions["stranger"] == loaded_registry.owners["tables strange"] == "stranger"
+    assert loaded_registry.tables["strange"].load()(12, 18) == 6
+    assert list(loaded_registry.tables)[-1] == "strange"  # what ships comes first
 
 
 @pytest.mark.parametrize(("text", "reason"), REASONS.items(), ids=REASONS)
-def test_a_broken_extension_is_left_out_as_a_whole(text: str, reason: str, installed: Callable[..., Registry]) -> None:
+def test_a_broken_extension_is_left_out_as_a_whole(
+    text: str, reason: str, install_packages: Callable[..., Registry]
+) -> None:
     before = registry()
-    there = installed(text)
-    assert reason.format(name="stranger_module") in there.problems.pop("stranger of stranger")
-    assert there.problems == {}
-    assert list(there.entries()) == list(before.entries())
-    assert "stranger" not in there.extensions
+    loaded_registry = install_packages(text)
+    assert reason.format(name="stranger_module") in loaded_registry.problems.pop("stranger of stranger")
+    assert loaded_registry.problems == {}
+    assert list(loaded_registry.entries()) == list(before.entries())
+    assert "stranger" not in loaded_registry.extensions
 
 
-def test_of_two_packages_with_one_name_the_second_is_left_out(installed: Callable[..., Registry]) -> None:
-    installed(GOOD, "a")
-    there = installed(GOOD, "b")
-    assert there.problems == {"b of b": "ValueError: tables strange: registered by b, but a has registered it already"}
-    assert there.owners["tables strange"] == "a"
+def test_of_two_packages_with_one_name_the_second_is_left_out(install_packages: Callable[..., Registry]) -> None:
+    install_packages(GOOD, "a")
+    loaded_registry = install_packages(GOOD, "b")
+    assert loaded_registry.problems == {
+        "b of b": "ValueError: tables strange: registered by b, but a has registered it already"
+    }
+    assert loaded_registry.owners["tables strange"] == "a"
 
 
-def test_ctrl_c_is_no_error_of_an_extension(installed: Callable[..., Registry]) -> None:
+def test_ctrl_c_is_no_error_of_an_extension(install_packages: Callable[..., Registry]) -> None:
     with pytest.raises(KeyboardInterrupt):
-        installed("raise KeyboardInterrupt")
+        install_packages("raise KeyboardInterrupt")
 
 
-def test_left_out_by_the_environment_nothing_of_it_is_there(
-    installed: Callable[..., Registry], monkeypatch: pytest.MonkeyPatch
+def test_extensions_disabled_by_the_environment_leave_no_entries(
+    install_packages: Callable[..., Registry], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(WITHOUT_VARIABLE, "viewer, stranger,dead")
-    installed(GOOD)
-    there = installed("import nothing_at_all", "dead")
-    assert there.problems == {}
-    assert not there.extensions.keys() & {"viewer", "stranger", "dead"}
-    assert not {"strange"} & there.tables.keys()
-    assert "view" not in there.commands
+    install_packages(GOOD)
+    loaded_registry = install_packages("import nothing_at_all", "dead")
+    assert loaded_registry.problems == {}
+    assert not loaded_registry.extensions.keys() & {"viewer", "stranger", "dead"}
+    assert not {"strange"} & loaded_registry.tables.keys()
+    assert "view" not in loaded_registry.commands
 
 
 def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
-    """In a process of its own, which says why they are left out."""
+    """A new process says why they are left out."""
     for i, text in enumerate(REASONS):
         install(tmp_path, text, f"broken{i}")
     command = '    registry.commands["good"] = Entry("good_module:run")\n\n\ndef run(x: int | str): ...\n'
@@ -161,12 +167,12 @@ def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
         )
 
     assert "overfit" in metapp("--help").stdout
-    done = metapp("doctor", "--json")
+    result = metapp("doctor", "--json")
     count = len(REASONS)
-    assert done.stderr.count("; it is left out.\n") == len(done.stderr.splitlines()) == count
+    assert result.stderr.count("; it is left out.\n") == len(result.stderr.splitlines()) == count
     name = f"broken{list(BROKEN).index('raise SystemExit(7)')}"
-    assert f"warning: extension {name} of {name}: SystemExit: 7; it is left out.\n" in done.stderr
-    extensions = json.loads(done.stdout)["extensions"]
+    assert f"warning: extension {name} of {name}: SystemExit: 7; it is left out.\n" in result.stderr
+    extensions = json.loads(result.stdout)["extensions"]
     assert "good of good" in extensions
     assert "broken5 of broken5 (left out: ValueError: exports brdf glsl: registered by broken5, but" in extensions
     assert extensions.count("left out") == count
@@ -174,15 +180,17 @@ def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
     assert "good" not in listed.stdout  # typer makes no command of its function
 
 
-def test_of_others_what_cannot_be_loaded_is_left_out_with_a_warning(installed: Callable[..., Registry]) -> None:
-    there = installed(f'{GOOD}    registry.networks["brdf", "strange"] = Entry("math:nothing")\n')
+def test_entries_of_other_packages_that_cannot_be_loaded_are_left_out_with_a_warning(
+    install_packages: Callable[..., Registry],
+) -> None:
+    loaded_registry = install_packages(f'{GOOD}    registry.networks["brdf", "strange"] = Entry("math:nothing")\n')
     with pytest.warns(
         UserWarning, match="extension of stranger: math:nothing cannot be loaded: .*; strange is left out"
     ):
-        assert list(there.load_table("networks", "brdf")) == list(there.networks.of("brdf"))[:-1]
+        assert list(loaded_registry.load_table("networks", "brdf")) == list(loaded_registry.networks.of("brdf"))[:-1]
 
 
-def test_all_that_ships_can_be_loaded() -> None:
+def test_all_entries_that_ship_can_be_loaded() -> None:
     for _, _, entry in registry().entries():
         for name in ("reference", "options", "presenter", "lacks", "facts"):
             if reference := getattr(entry, name, ""):
@@ -193,7 +201,7 @@ def test_all_that_ships_can_be_loaded() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(registry().formats))
-def test_modules_have_what_entries_say(name: str) -> None:
+def test_modules_have_the_attributes_that_entries_name(name: str) -> None:
     form = registry().formats[name]
     module = form.load()
     assert callable(module.find)
@@ -211,7 +219,7 @@ def test_modules_have_what_entries_say(name: str) -> None:
 @pytest.mark.parametrize("form", registry().exports.values(), ids=map("-".join, registry().exports))
 def test_writers_take_a_surface_or_parameters(form: Export) -> None:
     parameters = inspect.signature(form.load()).parameters.values()
-    names = [each.name for each in parameters if each.kind is not each.KEYWORD_ONLY]
+    names = [parameter.name for parameter in parameters if parameter.kind is not parameter.KEYWORD_ONLY]
     assert names[:2] == (["surface", "path"] if form.of_surface else ["app", "theta"])
     assert len(names) == 3
 
@@ -229,21 +237,21 @@ CONTRACTS = {
 
 
 @pytest.mark.parametrize("table", CONTRACTS)
-def test_functions_take_what_their_contracts_pass(table: str) -> None:
+def test_functions_take_the_arguments_of_their_contracts(table: str) -> None:
     passed = inspect.signature(CONTRACTS[table].__call__).parameters.values()
-    words = [each.name for each in passed if each.kind is each.POSITIONAL_ONLY][1:]  # after self
+    words = [parameter.name for parameter in passed if parameter.kind is parameter.POSITIONAL_ONLY][1:]  # after self
     assert words
     for entry in getattr(registry(), table).values():
         inspect.signature(entry.load()).bind(*words)
 
 
-def test_hooks_take_what_their_contracts_pass() -> None:
+def test_hooks_take_the_arguments_of_their_contracts() -> None:
     inspect.signature(registry().hooks["steps"].load()).bind("rule", "loss", "theta", 2, compiles=True)
     inspect.signature(registry().hooks["scene"].load()).bind("scene")
 
 
 @pytest.mark.parametrize("app", registry().synthetic)
-def test_embedded_sets_have_what_their_contract_says(app: str) -> None:
+def test_embedded_sets_fulfil_their_contract(app: str) -> None:
     module = registry().synthetic[app].load()
     assert all(hasattr(module, name) for name in contracts.EmbeddedSet.__annotations__)
     assert list(module.COUNTS) == ["train", "test"]
@@ -253,5 +261,5 @@ def test_embedded_sets_have_what_their_contract_says(app: str) -> None:
 def test_contracts_import_nothing_of_metapp() -> None:
     """They name types of all layers, which layers below must not import at run time."""
     code = "import sys, metapp; before = set(sys.modules); import metapp.contracts; print(*set(sys.modules) - before)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert [name for name in done.stdout.split() if name.startswith(("metapp", "torch"))] == ["metapp.contracts"]
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert [name for name in process.stdout.split() if name.startswith(("metapp", "torch"))] == ["metapp.contracts"]

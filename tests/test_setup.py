@@ -27,7 +27,7 @@ esac
 """
 
 
-def locked(name: str) -> dict[str, set[Version]]:
+def locked_versions(name: str) -> dict[str, set[Version]]:
     """Versions of a lock file by package: several, where later Pythons have a later one. Each has a SHA-256."""
     versions: dict[str, set[Version]] = {}
     for entry in re.split(r"\n(?=\S)", (ROOT / "locks" / f"{name}.txt").read_text("utf-8").strip()):
@@ -39,12 +39,12 @@ def locked(name: str) -> dict[str, set[Version]]:
     return versions
 
 
-def pinned() -> dict[str, str]:
+def constrained_versions() -> dict[str, str]:
     pins = [line.split("==") for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines()]
     return {canonicalize_name(package): version for package, version in pins}
 
 
-def required(*extras: str) -> set[str]:
+def required_packages(*extras: str) -> set[str]:
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg")
     lines = [setup["options.extras_require"][extra] for extra in extras] or [setup["options"]["install_requires"]]
@@ -53,20 +53,23 @@ def required(*extras: str) -> set[str]:
 
 @pytest.mark.parametrize("name", ["packages", "torch", "torch-cpu", "docs", "cluster"])
 def test_locked_versions_are_those_of_the_constraints(name: str) -> None:
-    for package, versions in locked(name).items():
-        if package in pinned():
-            assert {version.public for version in versions} == {pinned()[package]}, package
+    for package, versions in locked_versions(name).items():
+        if package in constrained_versions():
+            assert {version.public for version in versions} == {constrained_versions()[package]}, package
 
 
-def test_what_setup_installs_is_locked() -> None:
-    packages, torch = locked("packages"), locked("torch")
-    extras = {name: locked(name) for name in ("docs", "cluster")}
-    assert required() | required("dev") | {"pip", "setuptools"} <= packages.keys() | {"torch"}
-    assert all(required(name) <= extra.keys() for name, extra in extras.items())
+def test_all_packages_that_setup_installs_are_locked() -> None:
+    packages, torch = locked_versions("packages"), locked_versions("torch")
+    extras = {name: locked_versions(name) for name in ("docs", "cluster")}
+    assert required_packages() | required_packages("dev") | {"pip", "setuptools"} <= packages.keys() | {"torch"}
+    assert all(required_packages(name) <= extra.keys() for name, extra in extras.items())
     assert "torch" in torch
-    assert locked("torch-cpu") == {"torch": {Version(f"{pinned()['torch']}+cpu")}}
+    assert locked_versions("torch-cpu") == {"torch": {Version(f"{constrained_versions()['torch']}+cpu")}}
     assert (
-        pinned().keys() - packages.keys() - torch.keys() - {name for extra in extras.values() for name in extra}
+        constrained_versions().keys()
+        - packages.keys()
+        - torch.keys()
+        - {name for extra in extras.values() for name in extra}
         == UNLOCKED
     )
     for extra in extras.values():  # beside the others in one environment
@@ -82,14 +85,14 @@ def set_up(
     python.write_text(PYTHON)
     python.chmod(0o755)
     environment = {key: value for key, value in os.environ.items() if key not in ("HASHES", "TORCH_INDEX")}
-    done = subprocess.run(
+    process = subprocess.run(
         ["bash", "tools/setup.sh", str(python), str(folder / "venv")],
         cwd=ROOT,
         env=environment | {"CALLS": str(calls), "FAILS": fails, "MESSAGE": message} | variables,
         capture_output=True,
         text=True,
     )
-    return calls.read_text().splitlines(), done
+    return calls.read_text().splitlines(), process
 
 
 @pytest.fixture(autouse=True)

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.shell import many_commands
+from tests.shell import run_commands
 
-pytestmark = pytest.mark.usefixtures("compiled")
+pytestmark = pytest.mark.usefixtures("compiled_in_cache")
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "seventh_application"
@@ -54,7 +54,7 @@ class Environment:
 
     def commands(self, *lines: Sequence[object]) -> list[str]:
         """What commands print, each of which ends well."""
-        return many_commands(*lines, folder=self.python.parent, python=self.python)
+        return run_commands(*lines, folder=self.python.parent, python=self.python)
 
 
 @pytest.fixture
@@ -69,12 +69,12 @@ def curves(tmp_path: Path) -> Path:
 
 
 @pytest.mark.long
-def test_every_command_takes_it(curves: Path, tmp_path: Path) -> None:
+def test_every_command_takes_the_seventh_application(curves: Path, tmp_path: Path) -> None:
     installed = Environment(tmp_path / "env")
     data, runs = tmp_path / "set", tmp_path / "runs"
     shared = ["--out", runs, "--quiet", "--json"]
     train = ["--data", data, *shared, "--train", "--train-steps", "2"]
-    said = installed.commands(
+    output = installed.commands(
         ["meta", "curve", "--help"],
         ["data", "--help"],
         ["data", "curve", curves, "--out", data, "--json", "--quiet"],
@@ -85,12 +85,14 @@ def test_every_command_takes_it(curves: Path, tmp_path: Path) -> None:
         ["quickft", "curve", *train],
         ["overfit", "curve", "--data", data, *shared],
     )
-    assert "What to fit: .curve files of 32 numbers" in " ".join(said[0].replace("│", " ").split())
-    assert "Convert curves, text files of 32 numbers." in said[1]
-    assert json.loads(said[2])["app"] == "curve"
-    assert "no problems" in said[3]
-    assert json.loads(said[4])["tasks"][0]["error"] < 1
-    error = {name: json.loads(said[5 + i])["error"] for i, name in enumerate(("general", "meta", "quickft", "overfit"))}
+    assert "What to fit: .curve files of 32 numbers" in " ".join(output[0].replace("│", " ").split())
+    assert "Convert curves, text files of 32 numbers." in output[1]
+    assert json.loads(output[2])["app"] == "curve"
+    assert "no problems" in output[3]
+    assert json.loads(output[4])["tasks"][0]["error"] < 1
+    error = {
+        name: json.loads(output[5 + i])["error"] for i, name in enumerate(("general", "meta", "quickft", "overfit"))
+    }
     assert error["overfit"] < error["general"]
     assert len(list(runs.rglob("curve.png"))) == 4 * 4
     assert len(list(runs.rglob("csv/*.csv"))) == 4
@@ -109,7 +111,7 @@ def test_every_command_takes_it(curves: Path, tmp_path: Path) -> None:
     assert "Curve" in (tmp_path / "report" / "index.md").read_text()
 
 
-def test_help_and_python_have_it_until_it_is_broken_which_is_said_or_uninstalled(curves: Path, tmp_path: Path) -> None:
+def test_help_and_python_list_it_until_it_is_broken_or_uninstalled(curves: Path, tmp_path: Path) -> None:
     installed = Environment(tmp_path / "env")
     assert "curve" in installed.commands(["meta", "--help"])[0]
     typed = {"_METAPP_COMPLETE": "complete_bash", "COMP_WORDS": "metapp baseline curve --method ", "COMP_CWORD": "4"}
@@ -118,11 +120,11 @@ def test_help_and_python_have_it_until_it_is_broken_which_is_said_or_uninstalled
     assert float(installed.run(fit, curves / "c00.curve").stdout) < 0.1
     (package,) = installed.python.parent.parent.glob("lib/python*/site-packages/metapp_curve/__init__.py")
     package.write_text("import nothing_of_this_name\n")
-    done = installed.run(MAIN, "doctor")
-    assert "extension curve of metapp-curve: ModuleNotFoundError" in done.stdout + done.stderr
+    result = installed.run(MAIN, "doctor")
+    assert "extension curve of metapp-curve: ModuleNotFoundError" in result.stdout + result.stderr
     installed.pip("uninstall", "--quiet", "--yes", "metapp-curve")
-    done = installed.run(MAIN, "doctor")
-    assert "curve" not in done.stdout + done.stderr
+    result = installed.run(MAIN, "doctor")
+    assert "curve" not in result.stdout + result.stderr
     assert installed.run(MAIN, "meta", "curve").returncode != 0
 
 
@@ -132,10 +134,12 @@ def test_help_and_python_have_it_until_it_is_broken_which_is_said_or_uninstalled
 PAGE = ROOT / "docs" / "developers" / "extend.md"
 
 
-@pytest.mark.usefixtures("compiled")
-def test_the_blocks_of_the_page_work_as_one_package(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("compiled_in_cache")
+def test_the_blocks_of_the_page_work_as_one_package(
+    write_nbrdf_networks: Callable[[int], Path], tmp_path: Path
+) -> None:
     """Installed as a reader would, with all modules in one folder."""
-    (neural_fits(1) / "m0").rename(tmp_path / "gold")
+    (write_nbrdf_networks(1) / "m0").rename(tmp_path / "gold")
     package = tmp_path / "package"
     package.mkdir()
     blocks = re.findall(r"```(\w+)\n(?:# (\w+\.\w+)\n)?(.*?)```", PAGE.read_text(), re.DOTALL)
@@ -145,7 +149,7 @@ def test_the_blocks_of_the_page_work_as_one_package(neural_fits: Callable[[int],
     installed = Environment(tmp_path / "env")
     installed.pip("install", "--quiet", "--no-deps", "--no-build-isolation", "--editable", str(package))
     quick = ("--recipe", "quick", "--quiet")
-    said = many_commands(
+    output = run_commands(
         ("data", "synth", "brdf", "--count", 5, "--out", "set", "--quiet"),
         ("meta", "brdf", "--data", "set", "--rule", "meta-damped", "--train", "--train-steps", 1, "--json", *quick),
         ("meta", "brdf", "--help"),
@@ -157,12 +161,12 @@ def test_the_blocks_of_the_page_work_as_one_package(neural_fits: Callable[[int],
         python=installed.python,
         METAPP_WITHOUT="native",  # torch would compile the rule, for a minute
     )
-    fit = json.loads(said[1])
+    fit = json.loads(output[1])
     assert fit["rule"] == "meta-damped"
     assert fit["error"] > 0
-    assert "meta-damped" in said[2]
-    assert 0 < json.loads(said[3])["tasks"][0]["error"] < 100
+    assert "meta-damped" in output[2]
+    assert 0 < json.loads(output[3])["tasks"][0]["error"] < 100
     (file,) = (tmp_path / "runs").rglob("text/gold.txt")
     assert "w1 (21, 6)" in file.read_text()
-    assert 0 < json.loads(said[5])["error"] < 10
-    assert json.loads(said[6])["error"] > 0
+    assert 0 < json.loads(output[5])["error"] < 10
+    assert json.loads(output[6])["error"] > 0

@@ -15,7 +15,7 @@ from pathlib import Path
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.browser import Page, browsing
+from tests.browser import Page, open_browser
 
 SCREEN_WIDTH_PX, SCREEN_HEIGHT_PX, JPEG_QUALITY = 1120, 660, 82
 MAX_PICTURE_SECONDS = 90.0  # that a page may take to refine a picture
@@ -34,7 +34,7 @@ def main() -> None:
     """Write view-<name>.jpg of each application, as its page opens."""
     file, out = Path(sys.argv[1]), Path(sys.argv[2])
     task_by_name = dict(word.partition(":")[::2] for word in sys.argv[3:] or PICTURE_NAMES.values())
-    with browsing() as browser:
+    with open_browser() as browser:
         page = Page(browser, file, SCREEN_WIDTH_PX, SCREEN_HEIGHT_PX, adapts=True)
         groups = page.page.evaluate("DATA.groups.map((group) => [group.section, group.title])")
         for section, name in PICTURE_NAMES.items():

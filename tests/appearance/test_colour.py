@@ -47,15 +47,15 @@ def test_relative_errors_of_dark_pixels_have_a_floor() -> None:
 @pytest.mark.parametrize("measure", [mape, smape, dssim])
 def test_errors_are_of_each_picture_and_of_no_unit(measure, pictures: Tensor) -> None:  # type: ignore[no-untyped-def]
     torch.testing.assert_close(measure(pictures, pictures), torch.zeros(3), atol=1e-5, rtol=0)
-    wanted = pictures.flip(0) + 0.5
-    each = measure(pictures, wanted)
-    assert each.shape == (3,)
-    assert len(set(each.tolist())) > 1
-    torch.testing.assert_close(measure(pictures[1:2], wanted[1:2]), each[1:2])
-    torch.testing.assert_close(measure(7 * pictures, 7 * wanted), each)
+    expected = pictures.flip(0) + 0.5
+    value = measure(pictures, expected)
+    assert value.shape == (3,)
+    assert len(set(value.tolist())) > 1
+    torch.testing.assert_close(measure(pictures[1:2], expected[1:2]), value[1:2])
+    torch.testing.assert_close(measure(7 * pictures, 7 * expected), value)
 
 
-def test_what_is_a_fifth_brighter_is_20_percent_off(pictures: Tensor) -> None:
+def test_pixels_a_fifth_brighter_have_an_error_of_20_percent(pictures: Tensor) -> None:
     torch.testing.assert_close(mape(1.2 * pictures, pictures), torch.full((3,), 0.2))
     torch.testing.assert_close(smape(1.2 * pictures, pictures), torch.full((3,), 2 * 0.2 / 2.2))
     torch.testing.assert_close(smape(pictures, 1.2 * pictures), torch.full((3,), 2 * 0.2 / 2.2))
@@ -69,8 +69,10 @@ def test_structural_similarity_is_that_of_a_library(size: tuple[int, int, int]) 
     rng = Generator().manual_seed(2)
     one, other = torch.rand(2, 4, *size, generator=rng)
     other = one + 0.3 * other
-    mean, each = structural_similarity_index_measure(one, other, data_range=1.0, reduction=None, return_full_image=True)
-    assert torch.equal(ssim(one, other), each)
+    mean, similarity_map = structural_similarity_index_measure(
+        one, other, data_range=1.0, reduction=None, return_full_image=True
+    )
+    assert torch.equal(ssim(one, other), similarity_map)
     assert torch.equal(ssim(one, other).flatten(1).mean(1), mean)
     assert 0 < mean.min() < mean.max() < 1
 
@@ -96,7 +98,7 @@ SHARMA = """
 
 
 def test_colour_differences_are_those_of_the_published_pairs() -> None:
-    """Also as display values in D65, but for two pairs that lie at a jump; black and white differ by 100."""
+    """Display values in D65 agree as well, but for two pairs at a discontinuity; black and white differ by 100."""
     colour, table = import_colour_science(), np.array(SHARMA.split(), float).reshape(-1, 7)
     np.testing.assert_allclose(colour.delta_E(table[:, :3], table[:, 3:6], method="CIE 2000"), table[:, 6], atol=1e-4)
     table = np.delete(table, (3, 4), 0)
@@ -106,7 +108,7 @@ def test_colour_differences_are_those_of_the_published_pairs() -> None:
 
 
 def test_srgb_of_tensors_is_that_of_colour_science() -> None:
-    """Its transfer functions of IEC 61966-2-1, though it takes longer to import than a fit takes."""
+    """The library colour-science has the transfer functions of IEC 61966-2-1, but takes long to import."""
     values, colour = np.linspace(0, 1, 1001), import_colour_science()
     pairs = ((srgb_to_linear, colour.models.eotf_sRGB), (linear_to_srgb, colour.models.eotf_inverse_sRGB))
     for ours, theirs in pairs:

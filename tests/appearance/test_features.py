@@ -45,8 +45,8 @@ def rand(rng: Generator) -> Callable[..., Tensor]:
 
 def test_gram_matrices_in_closed_form(rand: Callable[..., Tensor]) -> None:
     maps = rand(2, 3, 4, 5)
-    by_hand = sum(maps[:, :, None, y, x] * maps[:, None, :, y, x] for y in range(4) for x in range(5)) / 20
-    torch.testing.assert_close(gram(maps), by_hand)
+    vgg_by_hand = sum(maps[:, :, None, y, x] * maps[:, None, :, y, x] for y in range(4) for x in range(5)) / 20
+    torch.testing.assert_close(gram(maps), vgg_by_hand)
 
 
 @pytest.mark.parametrize("memory_format", [torch.contiguous_format, torch.channels_last])
@@ -55,11 +55,11 @@ def test_gram_matrices_are_twice_differentiable(
 ) -> None:
     maps = rand(2, 3, 4, 5).contiguous(memory_format=memory_format).requires_grad_()
     weights = rand(2, 3, 3)  # not symmetric
-    assert torch.autograd.gradcheck(lambda each: gram(each) * weights, (maps,))
-    assert torch.autograd.gradgradcheck(lambda each: gram(each) * weights, (maps,))
+    assert torch.autograd.gradcheck(lambda features: gram(features) * weights, (maps,))
+    assert torch.autograd.gradgradcheck(lambda features: gram(features) * weights, (maps,))
 
 
-def test_distances(rand: Callable[..., Tensor]) -> None:
+def test_statistics_distances_are_relative_and_weigh_taps_alike(rand: Callable[..., Tensor]) -> None:
     target = [rand(2, 3, 3), rand(2, 5, 5)]
     assert statistics_distance(target, target).tolist() == [0, 0]
     torch.testing.assert_close(statistics_distance([0 * t for t in target], target), torch.ones(2, dtype=torch.float64))
@@ -116,7 +116,7 @@ def test_amplitudes_are_amplitudes_wherever_waves_are(rand: Callable[..., Tensor
 
 
 def test_many_channels_add_their_power_about(rng: Generator) -> None:
-    """Of 128 unlike channels the sum by random signs is that of all, within what 8 such sums scatter."""
+    """The sum of 128 unlike channels by random signs has their power, within the scatter of 8 such sums."""
     maps = torch.randn(1, 128, 32, 32, generator=rng, dtype=torch.float64)
     power = sum(amplitude_spectrum(maps[:, i : i + 1]) ** 2 for i in range(128))
     found = amplitude_spectrum(maps) ** 2
@@ -125,12 +125,12 @@ def test_many_channels_add_their_power_about(rng: Generator) -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5])
-def test_gradients_stay_finite_where_there_is_nothing(value: float) -> None:
-    """Of a black picture, a uniform one, and one that equals the exemplar."""
+def test_gradients_are_finite_for_flat_pictures(value: float) -> None:
+    """Gradients are finite for a black picture, a uniform one, and one that equals the exemplar."""
     maps = torch.full((1, 2, 8, 8), value, dtype=torch.float64, requires_grad=True)
     for statistic, target in itertools.product((gram, amplitude_spectrum), (0.0, value, 1.0)):
-        wanted = statistic(torch.full_like(maps, target))
-        (slope,) = torch.autograd.grad(statistics_distance([statistic(maps)], [wanted]).sum(), maps)
+        expected = statistic(torch.full_like(maps, target))
+        (slope,) = torch.autograd.grad(statistics_distance([statistic(maps)], [expected]).sum(), maps)
         assert slope.isfinite().all()
 
 
@@ -140,7 +140,9 @@ def test_gradients_stay_finite_where_there_is_nothing(value: float) -> None:
 def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> None:
     image = rand(2, 3, 16, 16).float()
     first = load_features(TAPS, image)(image)
-    assert [tuple(each.shape) for each in first] == [(2, RANDOM_FILTER_COUNT, size, size) for size in (16, 8, 4, 2)]
+    assert [tuple(response.shape) for response in first] == [
+        (2, RANDOM_FILTER_COUNT, size, size) for size in (16, 8, 4, 2)
+    ]
     torch.manual_seed(99)
     features._load_extractor.cache_clear()
     again = load_features(TAPS, image)(image)
@@ -153,7 +155,7 @@ def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> 
 # VGG
 
 
-def made_up() -> dict[str, Tensor]:
+def random_weights() -> dict[str, Tensor]:
     """Random weights of a network's shapes, about as large as keeps the size of what passes through."""
     rng, weights, inputs = Generator().manual_seed(5), {}, 3
     for layer, outputs in enumerate(itertools.chain(*VGG_BLOCKS)):
@@ -168,13 +170,15 @@ def made_up() -> dict[str, Tensor]:
 def vgg16(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of made-up weights, of the true shapes."""
     path = tmp_path_factory.mktemp("weights") / "vgg16.safetensors"
-    save_file(made_up(), path)
+    save_file(random_weights(), path)
     return path
 
 
 def by_hand(weights: dict[str, Tensor], images: Tensor) -> dict[str, Tensor]:
     """All layers of VGG-16, as its paper lists them: 3x3 convolutions, maximum of 2x2 after each block."""
-    mean, deviation = (torch.tensor(each)[:, None, None] for each in (IMAGENET_MEAN, IMAGENET_DEVIATION))
+    mean, deviation = (
+        torch.tensor(channel_values)[:, None, None] for channel_values in (IMAGENET_MEAN, IMAGENET_DEVIATION)
+    )
     x, found, layer = (images - mean) / deviation, {}, 0
     for block, depth in enumerate((2, 2, 3, 3, 3), 1):
         if block > 1:
@@ -188,17 +192,17 @@ def by_hand(weights: dict[str, Tensor], images: Tensor) -> dict[str, Tensor]:
 
 
 @pytest.mark.parametrize("taps", [TAPS, ("relu1_1", "relu1_2", "relu2_2", "relu3_3"), ("relu3_1",)])
-def test_vgg_is_what_its_paper_lists(
+def test_vgg_has_the_layers_of_its_paper(
     taps: tuple[str, ...], vgg16: Path, cache: Path, rand: Callable[..., Tensor]
 ) -> None:
     os.link(vgg16, cache / "vgg16.safetensors")
     image = rand(2, 3, 32, 16)
     network = load_features(taps, image)
-    maps, expected = network(image), by_hand(made_up(), image)
+    maps, expected = network(image), by_hand(random_weights(), image)
     assert len(maps) == len(taps)
-    for tap, each in zip(taps, maps, strict=True):
-        torch.testing.assert_close(each, expected[tap])
-    assert tap_channels(taps) == [each.shape[1] for each in maps]
+    for tap, tap_maps in zip(taps, maps, strict=True):
+        torch.testing.assert_close(tap_maps, expected[tap])
+    assert tap_channels(taps) == [tap_maps.shape[1] for tap_maps in maps]
     features._load_extractor.cache_clear()  # 60 MB each
 
 
@@ -206,9 +210,9 @@ def gradient_of(pictures: Tensor) -> tuple[list[Tensor], list[Tensor]]:
     """Gram matrices of pictures that are descended, and the gradients of their mean squares, each alone."""
     image = pictures.clone().requires_grad_()
     maps = load_features(TAPS[:3], image)(image, reduced=True)
-    found = [gram(each) for each in maps]
-    slopes = [torch.autograd.grad(each.square().mean(), image, retain_graph=True)[0] for each in found]
-    return [each.detach() for each in found], slopes
+    found = [gram(tap_maps) for tap_maps in maps]
+    slopes = [torch.autograd.grad(matrix.square().mean(), image, retain_graph=True)[0] for matrix in found]
+    return [matrix.detach() for matrix in found], slopes
 
 
 @pytest.fixture
@@ -228,40 +232,40 @@ def test_bfloat16_statistics_and_gradients_are_float32s(rng: Generator, monkeypa
     found, slopes = gradient_of(pictures)
     monkeypatch.setenv(features.FLOAT32_VARIABLE, "1")
     expected, exact = gradient_of(pictures)
-    for one, other in zip(found, expected, strict=True):
-        assert one.dtype == torch.float32
-        assert 0 < (one - other).norm() < 2**-7 * other.norm()  # each of 10 layers rounds by 2^-9
+    for first, other in zip(found, expected, strict=True):
+        assert first.dtype == torch.float32
+        assert 0 < (first - other).norm() < 2**-7 * other.norm()  # each of 10 layers rounds by 2^-9
     allowed = [2**-4, 2**-4, 2**-2]  # ReLUs near 0 and maxima of nearly equal ones change, more so in deep layers
-    for short, long, much in zip(slopes, exact, allowed, strict=True):
-        assert (short - long).norm() < much * long.norm()
+    for in_bfloat16, long, much in zip(slopes, exact, allowed, strict=True):
+        assert (in_bfloat16 - long).norm() < much * long.norm()
 
 
 @pytest.mark.usefixtures("whole_vgg_in_bfloat16")
 def test_only_descended_pictures_are_in_bfloat16(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else all is as what is judged, bit by bit; float64 is never reduced."""
+    """All other results are equal bit by bit to those of errors, and float64 is never reduced."""
     pictures = torch.rand(1, 3, 32, 32, generator=rng)
     network = load_features(TAPS, pictures)
     long, descended = network(pictures), pictures.clone().requires_grad_()
     with torch.no_grad():
-        made = descended * 1
+        result = descended * 1
 
     def reduced() -> list[Tensor]:
         return load_features(TAPS, pictures)(descended, reduced=True)
 
-    assert {each.dtype for each in reduced()} == {torch.bfloat16}
+    assert {tap_maps.dtype for tap_maps in reduced()} == {torch.bfloat16}
     reduced_steps = {"features": describe_features(), "precision": "VGG in bfloat16"}
     assert feature_conditions(torch.device("cpu")) == reduced_steps
     assert feature_conditions(torch.device("cuda")) == feature_conditions() == {"features": describe_features()}
     precise = descended.double()
-    assert {each.dtype for each in load_features(TAPS, precise)(precise, reduced=True)} == {torch.float64}
-    judged = [network(pictures, reduced=True), network(made, reduced=True), network(descended)]
+    assert {tap_maps.dtype for tap_maps in load_features(TAPS, precise)(precise, reduced=True)} == {torch.float64}
+    judged = [network(pictures, reduced=True), network(result, reduced=True), network(descended)]
     monkeypatch.setattr(features, "has_bfloat16", lambda: False)
     assert feature_conditions(torch.device("cpu")) == feature_conditions()
     for maps in (*judged, reduced()):
         assert all(torch.equal(one, other) for one, other in zip(maps, long, strict=True))
 
 
-def test_weights_are_imagenets_where_they_are_known_to_be(cache: Path) -> None:
+def test_weights_are_called_imagenet_where_their_source_is_known(cache: Path) -> None:
     digest = hashlib.sha256(torch.ones(3).numpy().tobytes()).hexdigest()
     path = cache / "vgg16.safetensors"
     for time, notes in enumerate((None, {"sha256": 64 * "0"})):
@@ -269,14 +273,15 @@ def test_weights_are_imagenets_where_they_are_known_to_be(cache: Path) -> None:
         os.utime(path, (time, time))
         assert describe_features() == f"VGG-16 features (unknown weights {digest[:8]})"
     os.utime(path, (9, 9))
-    own = (digest[:8],)  # the very weights, wherever they came from
-    assert describe_features(own) == "VGG-16 features (ImageNet)"
+    own_digest = (digest[:8],)  # the very weights, wherever they came from
+    assert describe_features(own_digest) == "VGG-16 features (ImageNet)"
 
 
-def test_the_weights_of_the_shipped_checkpoints_are_known(vgg: Path) -> None:
+def test_the_weights_of_the_shipped_checkpoints_are_known(vgg_weights: Path) -> None:
     assert describe_features() == "VGG-16 features (ImageNet)"
-    save_file(load_file(vgg / "vgg16.safetensors"), vgg / "copy.safetensors")  # without notes on their source
-    (vgg / "copy.safetensors").replace(vgg / "vgg16.safetensors")
+    save_file(load_file(vgg_weights / "vgg16.safetensors"), vgg_weights / "copy.safetensors")
+    # the copy has no notes on the source of the weights
+    (vgg_weights / "copy.safetensors").replace(vgg_weights / "vgg16.safetensors")
     assert describe_features() == "VGG-16 features (ImageNet)"
 
 
@@ -324,7 +329,7 @@ def waves(kind: str, size: int = 64) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(("kind", "place"), [("rows", 0), ("columns", 1), ("checkerboard", 2)])
-def test_waves_of_two_pixels_are_one_number_each(kind: str, place: int) -> None:
+def test_each_wave_of_two_pixels_changes_one_statistic(kind: str, place: int) -> None:
     """Equal phase everywhere: the window of 8 px sums all of it, the others nothing."""
     found = detail_statistics(waves(kind))[0, 0, COSINES:]
     expected = torch.full((3,), 1e-5, dtype=torch.float64)
@@ -340,7 +345,7 @@ def test_cosine_waves_hold_all_power_but_that_of_means(rng: Generator) -> None:
     torch.testing.assert_close(power, 16 * variances, atol=1e-6, rtol=1e-6)
 
 
-def test_gradients_are_finite_differences_and_finite_of_nothing(rng: Generator) -> None:
+def test_gradients_agree_with_finite_differences_and_are_finite_for_flat_pictures(rng: Generator) -> None:
     picture = torch.rand(1, 2, 16, 16, generator=rng, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(detail_statistics, picture)
     grey = torch.full((1, 1, 16, 16), 0.5, requires_grad=True)

@@ -32,7 +32,7 @@ from metapp.appearance.highlight import (
     remove_flash_falloff,
 )
 from tests import surfaces
-from tests.surfaces import normal_of, waves
+from tests.surfaces import normal_from_slopes, wave_heights_and_normals
 
 RandomAngles = Callable[..., Tensor]
 MitsubaBrdf = Callable[[dict[str, Any], Tensor, Tensor], Tensor]
@@ -47,7 +47,7 @@ def flat(
     size: tuple[int, int] = (1, 1),
     normal: tuple[float, ...] = UP,
 ) -> Maps:
-    """The same material everywhere, float64, [.., H, W] without a batch."""
+    """Return maps that are alike everywhere, float64, [.., H, W] without a batch."""
     values = ([diffuse] * 3, [specular], [roughness], normal)
     return Maps(*(torch.tensor(v, dtype=torch.float64)[:, None, None].expand(-1, *size) for v in values))
 
@@ -61,7 +61,7 @@ def rough(rng: torch.Generator, *batch: int, size: tuple[int, int] = (6, 5), col
     return Maps(draw(3), draw(colours), 0.25 + 0.7 * draw(1), normal_from_height(draw(1), 0.6))
 
 
-def at(x: float, y: float, z: float = camera_distance()) -> Tensor:
+def position_above(x: float, y: float, z: float = camera_distance()) -> Tensor:
     return torch.tensor([x, y, z], dtype=torch.float64)
 
 
@@ -91,7 +91,7 @@ def test_normals_of_a_slope() -> None:
         torch.testing.assert_close(normal, expected.expand_as(normal))
 
 
-def test_statistics_of_halves() -> None:
+def test_statistics_of_two_halves_agree_with_worked_values() -> None:
     """Half of the patch bright, shiny and level, half dark, dull and tilted by 30 degrees."""
     bright = flat(1.0, 1.0, 0.9)
     dark = flat(0.25, 0.25, 0.5, normal=(0.0, -0.5, math.sqrt(0.75)))
@@ -107,21 +107,23 @@ def test_statistics_of_halves() -> None:
 
 def test_a_tilted_texel_is_brightest_where_it_faces_the_flash() -> None:
     centre, tilted = torch.zeros(2, 1, 1, dtype=torch.float64), flat(0.5, normal=(0.6, 0, 0.8))  # to the right
-    towards = render_maps(tilted, centre, at(1.5, 0, 2), at(0, 0))  # face to face, 2.5 away
+    towards = render_maps(tilted, centre, position_above(1.5, 0, 2), position_above(0, 0))  # face to face, 2.5 away
     assert towards[0].item() == pytest.approx(0.5 * (camera_distance() / 2.5) ** 2, rel=1e-3)
-    assert (towards > render_maps(tilted, centre, at(0, 0, 2.5), at(0, 0))).all()
+    assert (towards > render_maps(tilted, centre, position_above(0, 0, 2.5), position_above(0, 0))).all()
     steep = flat(1, 0.5, normal=(0.96, 0, 0.28))
-    assert (render_maps(steep, centre, at(-1, 0, 0.2), at(0, 0)) == 0).all()
+    assert (render_maps(steep, centre, position_above(-1, 0, 0.2), position_above(0, 0)) == 0).all()
 
 
 def test_intensity_and_falloff_may_differ_by_picture() -> None:
     maps, place = flat(0.7, size=(4, 4)), grid(4, 4)
     colour = torch.tensor([[1.0, 0.5, 0.25], [2.0, 2.0, 2.0]], dtype=torch.float64)
     power = torch.tensor([0.0, 2.0], dtype=torch.float64)
-    both = render_maps(maps, place, at(0, 0), at(0, 0), intensity=colour, falloff=power)
-    white = render_maps(maps, place, at(0, 0), at(0, 0))
+    both = render_maps(maps, place, position_above(0, 0), position_above(0, 0), intensity=colour, falloff=power)
+    white = render_maps(maps, place, position_above(0, 0), position_above(0, 0))
     torch.testing.assert_close(both[0], white * colour[0][:, None, None])
-    torch.testing.assert_close(both[1], 2 * render_maps(maps, place, at(0, 0), at(0, 0), falloff=2.0))
+    torch.testing.assert_close(
+        both[1], 2 * render_maps(maps, place, position_above(0, 0), position_above(0, 0), falloff=2.0)
+    )
 
 
 # Reflection
@@ -129,20 +131,20 @@ def test_intensity_and_falloff_may_differ_by_picture() -> None:
 
 def channels_first(*vectors: Tensor) -> list[Tensor]:
     """Directions [N, 3] as a picture of one column."""
-    return [each.T[..., None] for each in vectors]
+    return [directions.T[..., None] for directions in vectors]
 
 
 def test_very_smooth_materials_stay_finite() -> None:
     maps = flat(0.5, 0.04, 0.0, size=(3, 3))
     roughness = maps.roughness.clone().requires_grad_()
-    image = render_maps(maps._replace(roughness=roughness), grid(3, 3), at(0, 0), at(0, 0))
+    image = render_maps(maps._replace(roughness=roughness), grid(3, 3), position_above(0, 0), position_above(0, 0))
     assert image.isfinite().all()
     image.sum().backward()
     assert roughness.grad is not None
     assert (roughness.grad == 0).all()
 
 
-def in_frames(normal: Tensor, direction: Tensor) -> Tensor:
+def rotate_to_frames(normal: Tensor, direction: Tensor) -> Tensor:
     """Local directions [N, 3] to those of the patch where the normals are [N, 3]."""
     tangent = torch.linalg.cross(normal, normal.new_tensor([0.0, 1.0, 0.0]).expand_as(normal))
     tangent = tangent / tangent.norm(dim=-1, keepdim=True)
@@ -158,10 +160,10 @@ def test_reflection_agrees_with_mitsuba(
     angles[::2, 0] *= 0.2  # half of them near the peak
     local = rusinkiewicz_to_directions(angles)
     above = (local[0][:, 2] > 0) & (local[1][:, 2] > 0)
-    wi, wo = (each[above] for each in local)
+    wi, wo = (directions[above] for directions in local)
     normal = torch.randn(len(wi), 3, generator=rng, dtype=torch.float64) * 0.4 + torch.tensor(UP, dtype=torch.float64)
     normal = normal / normal.norm(dim=-1, keepdim=True)
-    turned = channels_first(*(in_frames(normal, each) for each in (wi, wo)))
+    turned = channels_first(*(rotate_to_frames(normal, directions) for directions in (wi, wo)))
     tilted = normal.T[..., None]
 
     mirror = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": roughness**2}
@@ -192,8 +194,10 @@ def test_a_photo_of_a_texture_agrees_with_mitsuba(photograph: Callable[..., Tens
         texture = {"type": "bitmap", "bitmap": bitmap, "filter_type": "nearest", "raw": True}
         return {"type": "diffuse", "reflectance": texture}
 
-    photo = photograph(bsdf, at(*LIGHT), 16, 16)
-    image = render_maps(flat(size=(16, 16))._replace(diffuse=diffuse), grid(16, 16), at(*LIGHT), at(0, 0))
+    photo = photograph(bsdf, position_above(*LIGHT), 16, 16)
+    image = render_maps(
+        flat(size=(16, 16))._replace(diffuse=diffuse), grid(16, 16), position_above(*LIGHT), position_above(0, 0)
+    )
     torch.testing.assert_close(image, photo, rtol=5e-3, atol=0)
 
 
@@ -202,21 +206,24 @@ def test_a_photo_of_a_texture_agrees_with_mitsuba(photograph: Callable[..., Tens
 
 def test_a_crop_is_lit_as_its_place_in_the_photo(rng: torch.Generator) -> None:
     maps, place = rough(rng, 2), grid(6, 5)
-    light, view = at(0.2, 0.1), at(0, 0)
+    light, view = position_above(0.2, 0.1), position_above(0, 0)
     whole = render_maps(maps, place, light, view)
-    crop = Maps(*(each[..., 1:4, 2:5] for each in maps))
+    crop = Maps(*(part[..., 1:4, 2:5] for part in maps))
     torch.testing.assert_close(render_maps(crop, place[:, 1:4, 2:5], light, view), whole[..., 1:4, 2:5])
     other = torch.stack([place[:, 1:4, 2:5], place[:, :3, :3]])  # each of the batch from a place of its own
-    there = render_maps(Maps(*(each[1:, ..., 1:4, 2:5] for each in maps)), place[:, :3, :3], light, view)
-    torch.testing.assert_close(render_maps(crop, other, light, view)[1:], there)
+    rendered_crop = render_maps(Maps(*(part[1:, ..., 1:4, 2:5] for part in maps)), place[:, :3, :3], light, view)
+    torch.testing.assert_close(render_maps(crop, other, light, view)[1:], rendered_crop)
 
 
-def test_a_batch_is_what_its_members_are(rng: torch.Generator) -> None:
+def test_batches_render_as_their_members_do(rng: torch.Generator) -> None:
     maps, place = rough(rng, 3, colours=1), grid(6, 5)
-    light, view = torch.stack([at(0, 0), at(0.3, 0, 2), at(0, 1)]), torch.stack([at(0, 0), at(0, 0.5), at(1, 0, 3)])
+    light, view = (
+        torch.stack([position_above(0, 0), position_above(0.3, 0, 2), position_above(0, 1)]),
+        torch.stack([position_above(0, 0), position_above(0, 0.5), position_above(1, 0, 3)]),
+    )
     together = render_maps(maps, place, light, view)
     assert together.shape == (3, 3, 6, 5)
-    alone = [render_maps(Maps(*(each[i] for each in maps)), place, light[i], view[i]) for i in range(3)]
+    alone = [render_maps(Maps(*(part[i] for part in maps)), place, light[i], view[i]) for i in range(3)]
     torch.testing.assert_close(together, torch.stack(alone))
     mapped = torch.func.vmap(lambda maps, light, view: render_maps(maps, place, light, view))(maps, light, view)
     torch.testing.assert_close(together, mapped)
@@ -227,10 +234,10 @@ def test_single_precision_is_enough(rng: torch.Generator, roughness: float) -> N
     maps = rough(rng, size=(64, 64))
     maps = maps._replace(roughness=torch.full_like(maps.roughness, roughness), normal=flat(size=(64, 64)).normal)
     single = render_maps(
-        Maps(*(each.float() for each in maps)), texel_positions(64, 64), camera_position(), camera_position()
+        Maps(*(part.float() for part in maps)), texel_positions(64, 64), camera_position(), camera_position()
     )
     assert single.dtype == torch.float32
-    double = render_maps(maps, grid(64, 64), at(0, 0), at(0, 0))
+    double = render_maps(maps, grid(64, 64), position_above(0, 0), position_above(0, 0))
     # At the floor of roughness alpha squared is 2.6e-6, and 1 - cos is known to 6e-8.
     torch.testing.assert_close(single.double(), double, rtol=0.1 if roughness == 0 else 1e-3, atol=1e-6)
 
@@ -256,7 +263,7 @@ def test_exposure_is_a_clamp_and_a_root_with_finite_gradients() -> None:
 # Where the flash was
 
 
-def textured(rng: torch.Generator, specular: float, roughness: float, contrast: float, blob: int = 1) -> Maps:
+def textured_material(rng: torch.Generator, specular: float, roughness: float, contrast: float, blob: int = 1) -> Maps:
     """A material of 128 by 128 texels whose albedo and normals vary, in blobs of so many texels."""
     noise = torch.randn(1, 1, 128 // blob, 128 // blob, generator=rng).repeat_interleave(blob, -1)
     albedo = (0.25 * (contrast * noise.repeat_interleave(blob, -2)).exp()).clamp(0, 1)
@@ -284,7 +291,7 @@ PLACES = ((0.0, 0.0), (0.2, 0.1), (-0.3, 0.2), (0.1, -0.4))
 def test_the_flash_is_found(
     specular: float, roughness: float, contrast: float, blob: int, tolerance: float, rng: torch.Generator
 ) -> None:
-    maps = textured(rng, specular, roughness, contrast, blob)
+    maps = textured_material(rng, specular, roughness, contrast, blob)
     for x, y in PLACES:
         above = camera_position() + torch.tensor([x, y, 0])
         photo = radiance_to_display(render_maps(maps, texel_positions(128, 128), above, above, intensity=1.2))
@@ -292,7 +299,7 @@ def test_the_flash_is_found(
 
 
 def test_flash_positions_of_wide_photos_and_of_batches(rng: torch.Generator) -> None:
-    maps = textured(rng, 0.04, 0.3, 0.2)
+    maps = textured_material(rng, 0.04, 0.3, 0.2)
     lights = camera_position() + torch.tensor([[0.2, -0.1, 0.0], [-0.3, 0.3, 0.0]])
     photos = radiance_to_display(render_maps(maps, texel_positions(128, 128), lights, lights))
     found = estimate_flash_position(photos)
@@ -321,7 +328,7 @@ def test_an_unclear_flash_is_taken_to_be_central(rng: torch.Generator) -> None:
 
 def test_the_flash_is_at_most_half_way_to_the_edge(rng: torch.Generator) -> None:
     light = camera_position() + torch.tensor([0.9, 0.0, 0.0])
-    maps = Maps(*(each.float() for each in flat(0.5, size=(64, 64))))
+    maps = Maps(*(part.float() for part in flat(0.5, size=(64, 64))))
     found = estimate_flash_position(radiance_to_display(render_maps(maps, texel_positions(64, 64), light, light)))
     assert found.norm() <= 0.5 + 1e-6
     x, y = texel_positions(64, 64)
@@ -343,9 +350,9 @@ def photo(
     roughness: float, specular: float, light: Tensor, diffuse: tuple[float, float, float] = (0.3, 0.2, 0.1)
 ) -> Tensor:
     """A flat even material [1, 3, SIZE, SIZE] under a flash."""
-    one = torch.ones(1, 1, SIZE, SIZE)
+    ones = torch.ones(1, 1, SIZE, SIZE)
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, SIZE, SIZE)
-    maps = Maps(torch.tensor(diffuse)[:, None, None] * one, specular * one, roughness * one, up)
+    maps = Maps(torch.tensor(diffuse)[:, None, None] * ones, specular * ones, roughness * ones, up)
     return radiance_to_display(render_maps(maps, texel_positions(SIZE, SIZE), light, light, falloff=1.0))
 
 
@@ -369,7 +376,7 @@ def glossy(seed: int, size: int) -> Maps:
     return Maps(0.1 + 0.5 * paint, specular * even.expand(1, 3, -1, -1), roughness * even, normal_from_height(bumps))
 
 
-def photographed(maps: Maps, clipped: float) -> Tensor:
+def photo_with_clipping(maps: Maps, clipped: float) -> Tensor:
     """A photo [3, H, W] of 8 bits, with a little noise, of whose px such a share clips in all channels."""
     size = maps.roughness.shape[-1]
     radiance = render_maps(maps, texel_positions(size, size), above(0.1, 0.0), above(0.1, 0.0))[0]
@@ -384,21 +391,21 @@ def test_highlights_are_doubted_if_white_is_clipped(seed: int) -> None:
     """Exposures of which 0.5 to 5 % clip are said, others, of which less than 0.1 % does, are not."""
     maps = glossy(seed, 64)
     share = 0.005 * 10 ** (seed / 19)
-    (clause,) = clipped_highlight_warnings(photographed(maps, share), F0_BOUND_CLAUSE)
+    (clause,) = clipped_highlight_warnings(photo_with_clipping(maps, share), F0_BOUND_CLAUSE)
     assert clause.endswith("% of the photo is clipped, so F0 is a lower bound (a darker exposure shows more)")
     assert 0.9 * share < float(clause.split()[0]) / 100 < 2.5 * share  # with what all but clips
-    assert clipped_highlight_warnings(photographed(maps, 0.0), F0_BOUND_CLAUSE) == []
+    assert clipped_highlight_warnings(photo_with_clipping(maps, 0.0), F0_BOUND_CLAUSE) == []
 
 
 @pytest.mark.parametrize("paint", [(255, 120, 80), (255, 252, 190), (229, 229, 229)])
 def test_saturated_paint_is_no_clipped_highlight(paint: tuple[int, int, int]) -> None:
-    """One or two channels alone are a colour; what JPEG makes of white is none."""
+    """One or two clipped channels are a colour, and white beneath which JPEG left traces of colour is a highlight."""
     photo = (torch.tensor(paint) / 255)[:, None, None].expand(3, 64, 64)
     assert not find_white(photo).any()
     assert find_white((torch.tensor([250, 255, 243]) / 255)[:, None, None].expand(3, 64, 64)).all()
 
 
-def test_glints_are_not_filled_highlights_are() -> None:
+def test_highlights_are_filled_and_glints_are_not() -> None:
     photo = torch.full((1, 3, 256, 256), 0.3)
     photo[..., ::16, ::16] = 1
     assert not find_clipped(photo).any()
@@ -409,7 +416,7 @@ def test_glints_are_not_filled_highlights_are() -> None:
 
 
 @pytest.fixture
-def blotched() -> tuple[Maps, Tensor]:
+def maps_with_blots() -> tuple[Maps, Tensor]:
     """Maps [2, C, 128, 128] of an even material, wrong beneath the first photo's clipped highlight, and both photos."""
     photos = torch.full((2, 3, 128, 128), 0.5)
     photos[0, :, 40:80, 40:80] = 1
@@ -423,8 +430,8 @@ def blotched() -> tuple[Maps, Tensor]:
     return maps, photos
 
 
-def test_maps_beneath_clipped_highlights_are_those_around(blotched: tuple[Maps, Tensor]) -> None:
-    maps, photos = blotched
+def test_maps_beneath_clipped_highlights_are_those_around(maps_with_blots: tuple[Maps, Tensor]) -> None:
+    maps, photos = maps_with_blots
     filled = fill_clipped(maps, photos)
     for part, before, value in zip(filled, maps, (0.3, 0.1, 0.4), strict=False):
         covered = part[0, :, 40:80, 40:80].clone()
@@ -441,33 +448,34 @@ def test_maps_beneath_clipped_highlights_are_those_around(blotched: tuple[Maps, 
     assert fill_clipped(maps, photos.clamp_max(0.9)) is maps
 
 
-def test_finer_maps_are_filled_as_coarser_ones(blotched: tuple[Maps, Tensor]) -> None:
-    maps, photos = blotched
+def test_finer_maps_are_filled_as_coarser_ones(maps_with_blots: tuple[Maps, Tensor]) -> None:
+    maps, photos = maps_with_blots
     fine = Maps(*(part.repeat_interleave(2, -1).repeat_interleave(2, -2) for part in maps))
     found = Maps(*(torch.nn.functional.avg_pool2d(part, 2) for part in fill_clipped(fine, photos)))
     for part, expected in zip(found[:3], fill_clipped(maps, photos)[:3], strict=True):
         torch.testing.assert_close(part[0, :, 45:55, 45:55], expected[0, :, 45:55, 45:55], atol=0.01, rtol=0)
 
 
-def test_a_photo_that_clips_all_over_leaves_mean_maps(blotched: tuple[Maps, Tensor]) -> None:
-    maps, photos = blotched
+def test_a_photo_that_clips_all_over_leaves_mean_maps(maps_with_blots: tuple[Maps, Tensor]) -> None:
+    maps, photos = maps_with_blots
     filled = fill_clipped(maps, torch.ones_like(photos))
     for part, before in zip(filled[:3], maps[:3], strict=True):
         assert torch.isfinite(part).all()
         assert before.amin() <= part.amin() <= part.amax() <= before.amax()
 
 
-def test_clipped_highlights_still_say_how_wide_they_are() -> None:
+def test_width_of_clipped_highlights_is_estimated() -> None:
     light = above(0.0, 0.0)
     picture = photo(0.25, 0.1, light)
     assert (picture > 0.99).float().mean() > 0.005
     assert float(estimate_gloss(picture, light).roughness) == pytest.approx(0.25, rel=0.2)
 
 
-def test_contrast_tells_varnish_from_cloth_and_share_metal() -> None:
+def test_contrast_separates_varnish_from_cloth_and_highlight_share_metal() -> None:
     light = above(0.0, 0.0)
     shiny, matte = (
-        float(estimate_gloss(photo(*each, light), light).central_lobe_share) for each in ((0.2, 0.04), (0.8, 0.02))
+        float(estimate_gloss(photo(*parameters, light), light).central_lobe_share)
+        for parameters in ((0.2, 0.04), (0.8, 0.02))
     )
     assert matte < 0.3 < 0.8 < shiny
     bodies = ((0.2, (0.0, 0.0, 0.0)), (0.02, (0.4, 0.4, 0.4)))
@@ -490,7 +498,7 @@ def test_photos_without_their_light_are_as_bright_in_all_rings() -> None:
 
 
 def test_waves_that_tile_are_found_exactly() -> None:
-    height, normal = waves(48)
+    height, normal = wave_heights_and_normals(48)
     assert torch.allclose(height_from_normal(normal, periodic=True), height, atol=1e-10)
     both = height_from_normal(torch.stack([normal.flip(-1), normal]), periodic=True)
     assert torch.equal(both[1], height_from_normal(normal, periodic=True))
@@ -498,15 +506,15 @@ def test_waves_that_tile_are_found_exactly() -> None:
 
 def test_heights_of_a_hill_and_of_a_plane_that_do_not_tile() -> None:
     size = 64
-    x, y = ((each - size / 2) / (size / 6) for each in surfaces.grid(size))
+    x, y = ((centres - size / 2) / (size / 6) for centres in surfaces.texel_centres(size))
     height = 5 * (-(x * x + 2 * y * y) / 2).exp()
-    normal = normal_of(-x * height / (size / 6), -2 * y * height / (size / 6))
+    normal = normal_from_slopes(-x * height / (size / 6), -2 * y * height / (size / 6))
     found = height_from_normal(normal, periodic=False)[0]
     assert (found - (height - height.mean())).abs().max() < 0.02  # of 5
     # and a tilted plane
-    x, y = surfaces.grid(32)
+    x, y = surfaces.texel_centres(32)
     plane = 0.3 * x - 0.2 * y
-    found = height_from_normal(normal_of(0.3 + 0 * x, -0.2 + 0 * y), periodic=False)[0]
+    found = height_from_normal(normal_from_slopes(0.3 + 0 * x, -0.2 + 0 * y), periodic=False)[0]
     assert (found - (plane - plane.mean())).abs().max() < 0.15  # half a texel's step: edges are mirrored
 
 
@@ -515,10 +523,10 @@ def test_heights_of_a_hill_and_of_a_plane_that_do_not_tile() -> None:
 def test_fields_need_not_be_square(kept: tuple[int, int], periodic: bool) -> None:
     """Waves along the longer side alone, of which the other is a part."""
     rows, columns = kept
-    x, y = (4 * math.pi * each / 48 for each in surfaces.grid(48))
+    x, y = (4 * math.pi * centres / 48 for centres in surfaces.texel_centres(48))
     along, slope = (x, (1, 0)) if columns == 48 else (y, (0, 1))
     step = 4 * math.pi / 48 * along.cos()
-    normal = normal_of(slope[0] * step, slope[1] * step)[:, :rows, :columns]
+    normal = normal_from_slopes(slope[0] * step, slope[1] * step)[:, :rows, :columns]
     found = height_from_normal(normal, periodic=periodic)
     assert found.shape == (1, rows, columns)
     assert (found[0] - along.sin()[:rows, :columns]).abs().max() < (1e-9 if periodic else 0.2)

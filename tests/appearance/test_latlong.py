@@ -82,7 +82,7 @@ def test_solid_angles_cover_the_sphere(size: tuple[int, int]) -> None:
     )
 
 
-def test_luminance() -> None:
+def test_luminance_weights_channels_and_solid_angles() -> None:
     gray = torch.full((2, 3, 4, 8), 0.7, dtype=torch.float64)
     torch.testing.assert_close(luminance(gray), gray[:, 0])
     torch.testing.assert_close(mean_luminance(gray), gray[:, 0, 0, 0])
@@ -151,7 +151,7 @@ def test_diffuse_light_of_spherical_harmonics(rng: torch.Generator) -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.25, 0.7])
-def test_the_lobe_is_mitsubas(roughness: float, mitsuba_brdf: Callable, rng: torch.Generator) -> None:
+def test_lobe_agrees_with_mitsuba(roughness: float, mitsuba_brdf: Callable, rng: torch.Generator) -> None:
     normals = draw_normals(rng, 6, facing=True)
     to_light = texel_directions(8, 16, dtype=torch.float64).flatten(1).T
     weights = solid_angles(8, 16, dtype=torch.float64).expand(8, 16).flatten()

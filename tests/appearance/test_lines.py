@@ -94,13 +94,13 @@ KINDS = LINES | {"spots": spots}
 
 
 @functools.cache
-def drawn(name: str, seed: int = 0) -> tuple[Tensor, Tensor]:
+def draw_exemplar(name: str, seed: int = 0) -> tuple[Tensor, Tensor]:
     """Return an exemplar [3, SIDE, SIDE] and another part of the same drawing, of the same size."""
     whole = KINDS[name](Generator().manual_seed(seed)).clamp(0, 1).expand(3, -1, -1)
     return whole[:, :SIDE, :SIDE], whole[:, SIDE:, SIDE:]
 
 
-def chopped(exemplar: Tensor, rng: Generator, side: int = 16) -> Tensor:
+def chop_and_blend(exemplar: Tensor, rng: Generator, side: int = 16) -> Tensor:
     """Return pieces of an exemplar in another order, blended where they meet, so that lines end without seams."""
     moves = side * (torch.rand(1, 2, SIDE // side, SIDE // side, generator=rng) - 0.5)
     shift = interpolate(moves, size=(SIDE, SIDE), mode="nearest")
@@ -110,7 +110,7 @@ def chopped(exemplar: Tensor, rng: Generator, side: int = 16) -> Tensor:
     return grid_sample(exemplar[None], grid[None], padding_mode="reflection", align_corners=False)[0]
 
 
-def scattered(exemplar: Tensor, rng: Generator) -> Tensor:
+def scatter_phases(exemplar: Tensor, rng: Generator) -> Tensor:
     """Return noise of an exemplar's spectrum: each wave is there, at another place."""
     phases = torch.fft.rfft2(torch.randn(SIDE, SIDE, generator=rng))
     mean = exemplar.mean((1, 2), keepdim=True)
@@ -118,7 +118,7 @@ def scattered(exemplar: Tensor, rng: Generator) -> Tensor:
     return torch.fft.irfft2(spectrum, s=(SIDE, SIDE)) + mean
 
 
-def shuffled(exemplar: Tensor, rng: Generator, side: int = 64) -> Tensor:
+def shuffle_blocks(exemplar: Tensor, rng: Generator, side: int = 64) -> Tensor:
     """Return blocks of an exemplar side by side, uncut, each under light of its own."""
     rows = []
     for _ in range(SIDE // side):
@@ -133,76 +133,82 @@ SEEDS = (0, 1, 2)
 LIKE = ("planks", "cells", "knit", "spots")  # whose parts are alike; threads and scratches differ from place to place
 
 
-def speaks(exemplar: Tensor, made: Tensor) -> bool:
+def is_doubted(exemplar: Tensor, picture: Tensor) -> bool:
     """Return True if fits would say that a texture breaks lines or shows seams."""
-    lines = compare_lines(exemplar, made)
+    lines = compare_lines(exemplar, picture)
     return lines.fine_ratio < MIN_LINE_STRENGTH or lines.long_ratio > SEAM_STRENGTH_RATIO
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", LIKE)
 def test_another_part_of_a_texture_is_intact(name: str, seed: int) -> None:
-    assert not speaks(*drawn(name, seed))
+    assert not is_doubted(*draw_exemplar(name, seed))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", [*LIKE, "threads"])
 def test_a_texture_that_is_moved_and_repeated_is_intact(name: str, seed: int) -> None:
     """Seen past its edges, where it does not meet itself; also of four times the size."""
-    exemplar, _ = drawn(name, seed)
-    assert not speaks(exemplar, exemplar.roll((90, 70), (1, 2)))
-    assert not speaks(exemplar, exemplar.roll((90, 70), (1, 2)).repeat(1, 2, 2))
+    exemplar, _ = draw_exemplar(name, seed)
+    assert not is_doubted(exemplar, exemplar.roll((90, 70), (1, 2)))
+    assert not is_doubted(exemplar, exemplar.roll((90, 70), (1, 2)).repeat(1, 2, 2))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", LINES)
-def test_lines_in_pieces_are_told(name: str, seed: int) -> None:
-    exemplar, _ = drawn(name, seed)
-    assert compare_lines(exemplar, chopped(exemplar, Generator().manual_seed(seed))).fine_ratio < MIN_LINE_STRENGTH
+def test_broken_lines_are_detected(name: str, seed: int) -> None:
+    exemplar, _ = draw_exemplar(name, seed)
+    assert (
+        compare_lines(exemplar, chop_and_blend(exemplar, Generator().manual_seed(seed))).fine_ratio < MIN_LINE_STRENGTH
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", ["planks", "cells", "scratches"])
-def test_noise_of_the_same_spectrum_is_told(name: str, seed: int) -> None:
+def test_noise_of_the_same_spectrum_is_detected(name: str, seed: int) -> None:
     """Joints, cracks and scratches become noise, though no wave is stronger or weaker."""
-    exemplar, _ = drawn(name, seed)
-    assert compare_lines(exemplar, scattered(exemplar, Generator().manual_seed(seed))).fine_ratio < MIN_LINE_STRENGTH
+    exemplar, _ = draw_exemplar(name, seed)
+    assert (
+        compare_lines(exemplar, scatter_phases(exemplar, Generator().manual_seed(seed))).fine_ratio < MIN_LINE_STRENGTH
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", ["planks", "knit", "threads"])
-def test_blocks_side_by_side_are_told(name: str, seed: int) -> None:
-    exemplar, _ = drawn(name, seed)
-    assert speaks(exemplar, shuffled(exemplar, Generator().manual_seed(seed)))
+def test_unmatched_blocks_are_detected(name: str, seed: int) -> None:
+    exemplar, _ = draw_exemplar(name, seed)
+    assert is_doubted(exemplar, shuffle_blocks(exemplar, Generator().manual_seed(seed)))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_seams_of_a_quilt_under_uneven_light_are_told(seed: int) -> None:
-    exemplar, _ = drawn("knit", seed)
+def test_seams_of_a_quilt_under_uneven_light_are_detected(seed: int) -> None:
+    exemplar, _ = draw_exemplar("knit", seed)
     uneven = exemplar + torch.linspace(-0.2, 0.2, SIDE)[:, None]
     for photo, seams in ((exemplar, False), (uneven, True)):
         numbers, pixels = np.random.default_rng(seed), photo.movedim(0, -1).numpy()
-        made = quilt(pixels, (SIDE, SIDE), numbers, block=64, overlap=10, tiles=True)
-        assert (compare_lines(photo, torch.from_numpy(made).movedim(-1, 0)).long_ratio > SEAM_STRENGTH_RATIO) == seams
+        picture = quilt(pixels, (SIDE, SIDE), numbers, block=64, overlap=10, tiles=True)
+        assert (
+            compare_lines(photo, torch.from_numpy(picture).movedim(-1, 0)).long_ratio > SEAM_STRENGTH_RATIO
+        ) == seams
 
 
-@pytest.mark.parametrize("change", [chopped, scattered])
-def test_what_has_no_lines_cannot_lose_them(change: Callable[[Tensor, Generator], Tensor]) -> None:
+@pytest.mark.parametrize("change", [chop_and_blend, scatter_phases])
+def test_textures_without_lines_get_no_warning(change: Callable[[Tensor, Generator], Tensor]) -> None:
     for seed in SEEDS:
-        exemplar, _ = drawn("spots", seed)
-        assert not speaks(exemplar, change(exemplar, Generator().manual_seed(seed)))
+        exemplar, _ = draw_exemplar("spots", seed)
+        assert not is_doubted(exemplar, change(exemplar, Generator().manual_seed(seed)))
 
 
 def test_synthetic_photographs_are_intact_as_they_are_and_broken_in_pieces() -> None:
     for task in synthetic_tasks("test", 12, 3):
         exemplar = torch.from_numpy(np.asarray(task.data["image"])) / 255
-        assert not speaks(exemplar, exemplar.roll((90, 70), (1, 2))), task.name
+        assert not is_doubted(exemplar, exemplar.roll((90, 70), (1, 2))), task.name
         if task.name.startswith(("bricks", "wood", "tiles", "knit")):
-            assert speaks(exemplar, chopped(exemplar, Generator().manual_seed(0))), task.name
+            assert is_doubted(exemplar, chop_and_blend(exemplar, Generator().manual_seed(0))), task.name
 
 
-def test_nothing_is_said_of_small_pictures_and_of_flat_exemplars() -> None:
-    exemplar, other = drawn("planks")
+def test_small_pictures_and_flat_exemplars_get_no_warning() -> None:
+    exemplar, other = draw_exemplar("planks")
     small = other[:, : SMALLEST_SIDE_PX - 1]
     flat = torch.full_like(exemplar, 0.4)
     for pair in ((exemplar, small), (small, exemplar), (flat, exemplar), (flat, flat)):

@@ -73,7 +73,7 @@ def test_flattened_photos_have_one_brightness() -> None:
     assert float(flat.mean()) == pytest.approx(0.5, abs=0.03)
 
 
-def test_levelled_pictures_lose_slow_changes_alone() -> None:
+def test_removing_shading_removes_slow_changes_alone() -> None:
     y, x = torch.meshgrid(torch.linspace(-1, 1, SIZE), torch.linspace(-1, 1, SIZE), indexing="ij")
     slow = torch.stack([0.2 * x, 0.1 * y * y - 0.1 * x, 0.3 * x * y])
     waves = torch.sin(2 * math.pi * torch.arange(SIZE) / 8).expand(3, SIZE, SIZE)
@@ -113,27 +113,27 @@ def steepest(picture: np.ndarray) -> float:
 @pytest.mark.parametrize("tiles", [False, True])
 def test_a_picture_is_made_of_pixels_of_the_exemplar(tiles: bool) -> None:
     exemplar = np.random.default_rng(1).random((20, 24, 3)).astype(np.float32)
-    made = quilt(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2, tiles=tiles)
-    assert made.shape == (33, 41, 3)
-    assert made.dtype == np.float32
-    assert {*map(tuple, made.reshape(-1, 3).tolist())} <= {*map(tuple, exemplar.reshape(-1, 3).tolist())}
+    picture = quilt(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2, tiles=tiles)
+    assert picture.shape == (33, 41, 3)
+    assert picture.dtype == np.float32
+    assert {*map(tuple, picture.reshape(-1, 3).tolist())} <= {*map(tuple, exemplar.reshape(-1, 3).tolist())}
 
 
 @pytest.mark.parametrize("size", [(48, 48), (64, 32), (40, 56)])
-def test_what_repeats_is_quilted_without_seams(size: tuple[int, int]) -> None:
-    """Of sizes that its period divides; across the edges where it tiles."""
+def test_periodic_exemplars_are_quilted_without_seams(size: tuple[int, int]) -> None:
+    """Sizes that the period divides have no seams, nor have edges where the result tiles."""
     exemplar = waves()
-    made = quilt(exemplar, size, np.random.default_rng(0), block=12, overlap=4, tiles=True)
-    assert steepest(made) <= 1.01 * steepest(exemplar)
+    picture = quilt(exemplar, size, np.random.default_rng(0), block=12, overlap=4, tiles=True)
+    assert steepest(picture) <= 1.01 * steepest(exemplar)
 
 
 def test_blocks_are_in_phase_with_the_lattice() -> None:
-    """Of an exemplar of places: all blocks lie whole periods from where the first one lies, but for PHASE_PX."""
+    """Blocks are taken at whole periods from the first one, within PHASE_PX; the exemplar's values are positions."""
     side, period = 48, 8.0
     places = np.stack([*np.indices((side, side)), np.zeros((side, side))], 2).astype(float)
     frequencies = np.array([[1 / period, 0.0], [0.0, 1 / period]])
-    made = quilt(places, (64, 64), np.random.default_rng(0), block=16, overlap=4, frequencies=frequencies)
-    shifts = made[..., :2] - places_of(64)
+    picture = quilt(places, (64, 64), np.random.default_rng(0), block=16, overlap=4, frequencies=frequencies)
+    shifts = picture[..., :2] - places_of(64)
     beside = (shifts - shifts[0, 0]) / period
     assert float(np.hypot(*np.moveaxis(beside - beside.round(), 2, 0)).max()) * period <= PHASE_TOLERANCE_PX
     free = quilt(places, (64, 64), np.random.default_rng(0), block=16, overlap=4)[..., :2] - places_of(64)

@@ -27,8 +27,8 @@ WHITE = torch.ones(3)
 
 
 def material(albedo: Tensor, specular: float, roughness: float) -> SphereMaterials:
-    """One of gloss of one roughness."""
-    parts = torch.tensor([[float(each == roughness) for each in GLOSS_ROUGHNESSES]])
+    """Return a material whose gloss has a single roughness."""
+    parts = torch.tensor([[float(lobe_roughness == roughness) for lobe_roughness in GLOSS_ROUGHNESSES]])
     return SphereMaterials(albedo[None], torch.tensor([specular]), parts)
 
 
@@ -38,7 +38,7 @@ def gloss(roughness: float) -> SphereMaterials:
 
 
 def render_material_spheres(light: Tensor, of: SphereMaterials, size: int) -> Tensor:
-    """One picture [3, size, size], by the one roughness that the gloss has."""
+    """Return one picture [3, size, size] of a sphere whose gloss has a single roughness."""
     kind = int(of.gloss_weights.argmax())
     single = of._replace(gloss_weights=of.gloss_weights[:, kind : kind + 1])
     return shade_all(light[None], single, size, GLOSS_ROUGHNESSES[kind : kind + 1])[0]
@@ -71,7 +71,7 @@ def smooth(towards: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("roughness", GLOSS_ROUGHNESSES)
-def test_furnace(roughness: float) -> None:
+def test_spheres_in_even_light_show_that_light(roughness: float) -> None:
     picture = render_material_spheres(torch.ones(3, 64, 128), material(WHITE, 0.3, roughness), 16)
     mask = sphere_normals(16)[1]
     torch.testing.assert_close(picture, mask.expand(3, 16, 16).float(), atol=1e-5, rtol=0)
@@ -92,10 +92,10 @@ def test_gloss_rises_to_the_rim_by_schlick(specular: float) -> None:
 def test_the_matrices_are_fine_enough(roughness: float) -> None:
     # Against all texels of the map, each looked at in 9 places.
     normals, mask = sphere_normals(16)
-    some = mask & (torch.arange(256).reshape(16, 16) % 9 == 0)
+    compared_pixels = mask & (torch.arange(256).reshape(16, 16) % 9 == 0)
     light = sky(64, 128)
-    lobe = glossy_transfer(normals[:, some].T, roughness, 64, 128, samples=3)
-    fine, coarse = light.flatten(1) @ lobe.T, render_material_spheres(light, gloss(roughness), 16)[:, some]
+    lobe = glossy_transfer(normals[:, compared_pixels].T, roughness, 64, 128, samples=3)
+    fine, coarse = light.flatten(1) @ lobe.T, render_material_spheres(light, gloss(roughness), 16)[:, compared_pixels]
     assert (coarse - fine).abs().max() < 0.02 * fine.max()
 
 
@@ -125,7 +125,7 @@ def mitsuba_sphere(mitsuba: Any) -> Callable[[dict[str, Any], int], Tensor]:
     return render
 
 
-def test_the_picture_is_mitsubas(mitsuba_sphere: Callable) -> None:
+def test_pictures_agree_with_mitsuba(mitsuba_sphere: Callable) -> None:
     albedo = torch.tensor([0.8, 0.5, 0.3])
     bodies = {
         "diffuse": ({"reflectance": {"type": "rgb", "value": albedo.tolist()}}, material(albedo, 0.0, 0.54)),
@@ -135,8 +135,8 @@ def test_the_picture_is_mitsubas(mitsuba_sphere: Callable) -> None:
     inside = normals[2] > 0.7  # a pixel is nearly what its centre is, and masking loses little
     for name, (bsdf, of) in bodies.items():
         ours, theirs = (
-            each[:, inside]
-            for each in (render_material_spheres(sky(64, 128), of, 16), mitsuba_sphere({"type": name, **bsdf}, 16))
+            spheres[:, inside]
+            for spheres in (render_material_spheres(sky(64, 128), of, 16), mitsuba_sphere({"type": name, **bsdf}, 16))
         )
         assert (ours - theirs).abs().mean() < 0.06 * theirs.mean(), name  # noise
         torch.testing.assert_close(ours.mean(-1), theirs.mean(-1), rtol=0.02, atol=0)
@@ -170,7 +170,7 @@ def test_curves_rise_from_black_and_go_on_above_white(rng: torch.Generator) -> N
     assert (slope[:, 0, -1] > 0).all()
 
 
-def test_light_from_behind_only() -> None:
+def test_light_from_behind_reaches_the_rim_alone() -> None:
     for peak in (0.0, 1e-20, 1e20):
         light = torch.zeros(3, 64, 128)
         light[:, 32, 20] = peak  # z = -0.54: only the rim sees it
@@ -182,7 +182,7 @@ def test_light_from_behind_only() -> None:
 # Photographs
 
 
-def test_draws_and_that_the_scale_of_a_map_does_not_matter(rng: torch.Generator) -> None:
+def test_photographs_depend_on_the_seed_and_not_on_the_scale_of_a_map(rng: torch.Generator) -> None:
     light = draw_map(rng)
     first = photographs(light, 5)
     assert torch.equal(photographs(light, 5), first)

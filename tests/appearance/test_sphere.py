@@ -88,7 +88,7 @@ def test_the_environments_irradiance_is_that_of_a_fine_grid() -> None:
 def test_cached_tensors_are_remade_if_damaged_or_of_other_code(
     end: int, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And every time where the cache cannot be written to."""
+    """Where the cache cannot be written to, they are computed every time."""
     calls: list[None] = []
 
     def make() -> dict[str, Tensor]:
@@ -97,11 +97,11 @@ def test_cached_tensors_are_remade_if_damaged_or_of_other_code(
 
     def same() -> None:
         found = cache_files.load_or_compute_tensors("some", [__file__], make)
-        assert all(torch.equal(value, found[key]) and value.dtype == found[key].dtype for key, value in made.items())
+        assert all(torch.equal(value, found[key]) and value.dtype == found[key].dtype for key, value in result.items())
 
     with monkeypatch.context() as patch:
         patch.setattr(cache_files, "_maker", lambda sources: "of another version")
-        made = cache_files.load_or_compute_tensors("some", [__file__], make)
+        result = cache_files.load_or_compute_tensors("some", [__file__], make)
     for expected in (2, 3):
         for _ in range(2):
             same()
@@ -157,7 +157,7 @@ def test_half_and_difference_vectors_are_what_their_names_say(random_angles: Ran
     torch.testing.assert_close(at.outgoing, wo[:, 2], rtol=0, atol=1e-12)
 
 
-def test_known_directions() -> None:
+def test_angles_of_known_directions_agree_with_worked_values() -> None:
     up, side = torch.tensor([0.0, 0.0, 1.0]), torch.tensor([1.0, 0.0, 0.0])
     torch.testing.assert_close(directions_to_rusinkiewicz(up, up), torch.zeros(3))
     torch.testing.assert_close(directions_to_rusinkiewicz(side, up)[:2], torch.full((2,), math.pi / 4))
@@ -171,8 +171,8 @@ def test_known_directions() -> None:
 def test_gradients_are_finite_where_angles_are_undefined(dtype: torch.dtype) -> None:
     up, side = torch.tensor([0.0, 0.0, 1.0], dtype=dtype), torch.tensor([1.0, 0.0, 0.0], dtype=dtype)
     slanted = torch.tensor([0.6, 0.0, 0.8], dtype=dtype)
-    for one, other in [(up, up), (slanted, slanted), (slanted, slanted * torch.tensor([-1, 1, 1])), (side, up)]:
-        wi, wo = one.clone().requires_grad_(), other.clone().requires_grad_()
+    for first, other in [(up, up), (slanted, slanted), (slanted, slanted * torch.tensor([-1, 1, 1])), (side, up)]:
+        wi, wo = first.clone().requires_grad_(), other.clone().requires_grad_()
         angles = directions_to_rusinkiewicz(wi, wo)
         assert angles.isfinite().all()
         for gradient in torch.autograd.grad(angles.sum(), (wi, wo)):

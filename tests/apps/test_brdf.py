@@ -25,7 +25,7 @@ SAMPLES = 512
 
 @pytest.fixture(scope="module")
 def materials() -> list[Task]:
-    return [make_brdf_task(each.name, each.evaluate, samples=SAMPLES) for each in synthetic_materials("train", 4)]
+    return [make_brdf_task(brdf.name, brdf.evaluate, samples=SAMPLES) for brdf in synthetic_materials("train", 4)]
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def distance_by_hand(theta: Params, batch: Batch, task: int) -> np.ndarray:
     return np.abs(np.log1p(network_by_hand(theta, task, where[:6]) * where[6]) - target)
 
 
-def test_init_of_the_papers_recipe() -> None:
+def test_papers_recipe_has_the_papers_initialisation_and_settings() -> None:
     """Weights uniform in +-0.05 and biases 0 (Sztrajman et al. 2021), also in what an untrained General predicts."""
     recipe = recipes_of("brdf")["paper"]
     app = recipe.app
@@ -75,12 +75,12 @@ def test_init_of_the_papers_recipe() -> None:
     assert (training.steps, training.rates, training.decay, training.first.rate) == (1_000_000, {"": 1e-4}, 1e-6, 1e-3)
 
 
-def test_losses_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
+def test_losses_agree_with_worked_values(theta: Params, batch: Batch, rng: Generator) -> None:
     """Plain, smoothed, and of weighted samples."""
     rounding, knots = torch.tensor([0.3, 0.1, 0.01, 1.0]), torch.randn(4, WEIGHT_KNOTS, generator=rng)
     loss = APP.loss(theta, batch, {})
     smooth = APP.loss(theta, batch, {"smoothing": rounding.log(), "weights": torch.zeros(4, WEIGHT_KNOTS)})
-    weighted = APP.loss(theta, batch, {"smoothing": torch.full((4,), -20.0), "weights": knots})
+    weighted_reflectance = APP.loss(theta, batch, {"smoothing": torch.full((4,), -20.0), "weights": knots})
     assert loss.shape == (4,)
     assert (smooth < loss).all()
     for task, s in enumerate(rounding.tolist()):
@@ -89,7 +89,7 @@ def test_losses_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
         np.testing.assert_allclose(float(smooth[task]), (np.sqrt(d * d + s * s) - s).mean(), rtol=1e-4)
         theta_h = np.arccos(batch["where"][task, 2].clamp(-1, 1).numpy())
         weight = np.exp(np.interp(theta_h, np.linspace(0, math.pi / 2, WEIGHT_KNOTS), knots[task].numpy()))
-        np.testing.assert_allclose(float(weighted[task]), (d * weight).mean(), rtol=1e-4)
+        np.testing.assert_allclose(float(weighted_reflectance[task]), (d * weight).mean(), rtol=1e-4)
 
 
 def test_same_as_the_published_network(theta: Params, materials: list[Task], tasks: Tasks, tmp_path: Path) -> None:
@@ -97,10 +97,10 @@ def test_same_as_the_published_network(theta: Params, materials: list[Task], tas
     angles, errors = materials[0].data["angles"], APP.errors(theta, tasks)["error"]
     held_out = slice(SAMPLES // 2, None)
     for task, material in enumerate(materials):
-        one = {key: value[task] for key, value in theta.items()}
-        export(APP, one, tmp_path / material.name)
+        single = {key: value[task] for key, value in theta.items()}
+        export(APP, single, tmp_path / material.name)
         published = evaluate_nbrdf(read_nbrdf(tmp_path / material.name), angles)
-        torch.testing.assert_close(APP.reflectance(one, angles), published, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(APP.reflectance(single, angles), published, rtol=1e-5, atol=1e-5)
         cosine, truth = angle_cosines(angles).incident[held_out, None], material.data["reflectance"][held_out]
         error = (torch.log1p(published[held_out] * cosine) - torch.log1p(truth * cosine)).abs().mean()
         torch.testing.assert_close(error, errors[task], rtol=1e-4, atol=1e-7)
@@ -109,14 +109,14 @@ def test_same_as_the_published_network(theta: Params, materials: list[Task], tas
 # Samples
 
 
-def poisoned(tasks: Tasks, part: slice) -> Tasks:
+def poison_second_half(tasks: Tasks, part: slice) -> Tasks:
     target = tasks.data["target"].clone()
     target[:, part] = math.nan
     return Tasks(tasks.names, {**tasks.data, "target": target}, tasks.rows)
 
 
 def test_fits_see_the_first_half_alone(tasks: Tasks, theta: Params, rng: Generator) -> None:
-    hidden, seen = poisoned(tasks, slice(SAMPLES // 2, None)), poisoned(tasks, slice(SAMPLES // 2))
+    hidden, seen = poison_second_half(tasks, slice(SAMPLES // 2, None)), poison_second_half(tasks, slice(SAMPLES // 2))
     drawn = APP.sample(hidden, rng, 5000)["target"]
     assert torch.isfinite(drawn).all()
     assert torch.isfinite(APP.condition(hidden, rng)["target"]).all()
@@ -127,7 +127,7 @@ def test_fits_see_the_first_half_alone(tasks: Tasks, theta: Params, rng: Generat
 # Encoder
 
 
-def test_encoder_does_not_mind_the_order_of_samples(tasks: Tasks, rng: Generator) -> None:
+def test_encoder_does_not_depend_on_the_order_of_samples(tasks: Tasks, rng: Generator) -> None:
     encoder, seen = APP.init_encoder(rng), APP.condition(tasks, rng)
     shuffled = {key: value[..., torch.randperm(value.shape[-1], generator=rng)] for key, value in seen.items()}
     order = torch.randperm(seen["where"].shape[-1], generator=rng)
@@ -142,8 +142,8 @@ def test_encoder_does_not_mind_the_order_of_samples(tasks: Tasks, rng: Generator
 # Made-up materials
 
 
-def apart(tasks: Tasks) -> Tasks:
-    """The same materials, as if each had angles of its own: they cannot be mixed."""
+def separate_angles(tasks: Tasks) -> Tasks:
+    """Return the materials with angles of their own, so that they cannot be mixed."""
     return Tasks(tasks.names, {key: value.clone().contiguous() for key, value in tasks.data.items()}, tasks.rows)
 
 
@@ -152,17 +152,17 @@ def weighted(tasks: Tasks) -> Tensor:
     return torch.expm1(tasks.data["target"])
 
 
-def sources(made: Tasks, tasks: Tasks) -> Tensor:
+def sources(mixed: Tasks, tasks: Tasks) -> Tensor:
     """Indices [N] of the samples of `tasks` that made-up materials stand at."""
-    return torch.cdist(made.data["where"][0].double(), tasks.data["where"][0].double()).argmin(1)
+    return torch.cdist(mixed.data["where"][0].double(), tasks.data["where"][0].double()).argmin(1)
 
 
-def test_a_made_up_material_is_one_material(tasks: Tasks, rng: Generator) -> None:
+def test_augmented_material_is_a_single_material(tasks: Tasks, rng: Generator) -> None:
     """Each channel is one channel of the source times one factor, at every sample."""
-    own = apart(tasks)
-    made = APP.augment(own, rng)
-    assert (made.data["target"] >= 0).all()
-    before, after = weighted(own)[:, sources(made, own)], weighted(made)
+    separate = separate_angles(tasks)
+    variants = APP.augment(separate, rng)
+    assert (variants.data["target"] >= 0).all()
+    before, after = weighted(separate)[:, sources(variants, separate)], weighted(variants)
     permuted = 0
     for task in range(4):
         matches = []
@@ -183,10 +183,10 @@ def test_mixtures_are_between_two_materials(tasks: Tasks, rng: Generator, monkey
     )  # no gains
     mixed = 0
     for _ in range(4):
-        made = APP.augment(tasks, rng)
-        at = sources(made, tasks)
+        variants = APP.augment(tasks, rng)
+        at = sources(variants, tasks)
         for task in range(4):
-            mine, result = grey[task, at, 0], weighted(made)[task, :, 0]
+            mine, result = grey[task, at, 0], weighted(variants)[task, :, 0]
             fits = []  # (how much the share of the task varies over samples, that share), for each other one
             for other in set(range(4)) - {task}:
                 gap = mine - grey[other, at, 0]

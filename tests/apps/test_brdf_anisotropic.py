@@ -1,4 +1,4 @@
-"""Anisotropic BRDFs: what is read, what is fitted, what is refused."""
+"""Anisotropic BRDFs: inputs that are read, networks that are fitted, and uses that are refused."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,13 +26,20 @@ from metapp.apps.brdf.app import Brdf
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from tests import anisotropic
-from tests.anisotropic import APP, TURN, brushed, brushed_directions, directions, measured
+from tests.anisotropic import (
+    APP,
+    HIGHLIGHT_AZIMUTH_RAD,
+    brushed_reflectance,
+    brushed_reflectance_at_angles,
+    measure_with_noise,
+    random_directions,
+)
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
 def test_four_angles_give_the_directions_back() -> None:
-    wi, wo = directions(1000, 0), directions(1000, 1)
+    wi, wo = random_directions(1000, 0), random_directions(1000, 1)
     angles = directions_to_four_angles(wi, wo)
     for found, expected in zip(rusinkiewicz_to_directions(angles), (wi, wo), strict=True):
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
@@ -44,7 +51,7 @@ def test_four_angles_give_the_directions_back() -> None:
 
 
 def test_inputs_are_reciprocal_and_turn_with_the_material() -> None:
-    wi, wo = directions(1000, 0), directions(1000, 1)
+    wi, wo = random_directions(1000, 0), random_directions(1000, 1)
     where, exchanged = (
         APP.prepare(task_at(directions_to_four_angles(*pair)))["where"] for pair in ((wi, wo), (wo, wi))
     )
@@ -58,27 +65,27 @@ def test_inputs_are_reciprocal_and_turn_with_the_material() -> None:
 
 def task_at(angles: Tensor) -> Task:
     angles = angles.float()
-    data = {"angles": angles[:, :3], "phi_h": angles[:, 3], "reflectance": brushed(angles)}
+    data = {"angles": angles[:, :3], "phi_h": angles[:, 3], "reflectance": brushed_reflectance_at_angles(angles)}
     return Task("brushed", data)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_axes_are_found_in_samples(seed: int) -> None:
-    batch = APP.sample(stack_tasks(APP, [anisotropic.task()]), torch.Generator().manual_seed(seed), 1024)
-    assert float(find_axes(batch)) == pytest.approx(TURN, abs=0.05)
+    batch = APP.sample(stack_tasks(APP, [anisotropic.brushed_task()]), torch.Generator().manual_seed(seed), 1024)
+    assert float(find_axes(batch)) == pytest.approx(HIGHLIGHT_AZIMUTH_RAD, abs=0.05)
 
 
 def test_a_fit_is_reciprocal_and_nearer_than_an_isotropic_one() -> None:
-    theta, wi, wo = anisotropic.fitted(), directions(2000, 0), directions(2000, 1)
-    there, back = (APP.reflectance(theta, directions_to_four_angles(*pair).float()) for pair in ((wi, wo), (wo, wi)))
-    torch.testing.assert_close(there, back, rtol=1e-3, atol=1e-4)
-    assert there.isfinite().all()
+    theta, wi, wo = anisotropic.solve_for_brushed(), random_directions(2000, 0), random_directions(2000, 1)
+    forward, back = (APP.reflectance(theta, directions_to_four_angles(*pair).float()) for pair in ((wi, wo), (wo, wi)))
+    torch.testing.assert_close(forward, back, rtol=1e-3, atol=1e-4)
+    assert forward.isfinite().all()
     with torch.no_grad():
-        own = anisotropic_directional_albedo(
+        fit_albedo = anisotropic_directional_albedo(
             lambda *pair: APP.reflectance(theta, directions_to_four_angles(*pair).float()).double(), wi[:4], 24
         )
-    assert own.max() < 1
-    tasks = stack_tasks(APP, [anisotropic.task()])
+    assert fit_albedo.max() < 1
+    tasks = stack_tasks(APP, [anisotropic.brushed_task()])
     error = float(APP.errors({key: value[None] for key, value in theta.items()}, tasks)["error"])
     where, target = tasks.data["where"][0], tasks.data["target"][0]
     # the mean over phi_h is about the best that is isotropic: what remains is how far samples are from it
@@ -88,7 +95,7 @@ def test_a_fit_is_reciprocal_and_nearer_than_an_isotropic_one() -> None:
 
 
 def test_synthetic_materials_are_reciprocal_and_lose_energy() -> None:
-    wi, wo = directions(200, 0), directions(200, 1)
+    wi, wo = random_directions(200, 0), random_directions(200, 1)
     for material in anisotropic_materials("test", 7):
 
         def value(*pair: Tensor) -> Tensor:
@@ -98,29 +105,32 @@ def test_synthetic_materials_are_reciprocal_and_lose_energy() -> None:
         assert value(wi, wo).min() >= 0
         assert anisotropic_directional_albedo(value, wi[:3], 64).max() < 1.01
         assert depends_on_phi_h(material.evaluate)
-    names = [{each.name.split("-")[0] for each in anisotropic_materials(split, 14)} for split in ("train", "test")]
+    names = [
+        {drawn_material.name.split("-")[0] for drawn_material in anisotropic_materials(split, 14)}
+        for split in ("train", "test")
+    ]
     assert names[1] - names[0] == set(TEST_ONLY_FAMILIES)
-    assert not any(depends_on_phi_h(each.evaluate) for each in synthetic_materials("test", 8))
+    assert not any(depends_on_phi_h(drawn_material.evaluate) for drawn_material in synthetic_materials("test", 8))
 
 
-def test_objects_say_by_themselves_whether_phi_h_counts() -> None:
+def test_dependence_on_phi_h_is_detected_in_functions() -> None:
     def function(wi: np.ndarray, wo: np.ndarray) -> Tensor:
-        return brushed_directions(*(torch.from_numpy(each).double() for each in (wi, wo)))
+        return brushed_reflectance(*(torch.from_numpy(vectors).double() for vectors in (wi, wo)))
 
     task = task_of_object(function, "f")
     assert task.data["phi_h"].shape == (65_536,)
     four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
-    torch.testing.assert_close(task.data["reflectance"], brushed(four), rtol=1e-3, atol=1e-5)
+    torch.testing.assert_close(task.data["reflectance"], brushed_reflectance_at_angles(four), rtol=1e-3, atol=1e-5)
     assert "phi_h" not in task_of_object(lambda wi, wo: 0.1 + 0 * wi, "lambert").data
 
 
 @pytest.mark.parametrize("count", [500, 4000])
 def test_measured_samples_keep_phi_h_where_it_counts(count: int) -> None:
-    task = task_of_pairs("a", measured(count))
+    task = task_of_pairs("a", measure_with_noise(count))
     four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
-    ratio = task.data["reflectance"] / brushed(four)
+    ratio = task.data["reflectance"] / brushed_reflectance_at_angles(four)
     assert float((ratio.log().std() - 0.05).abs()) < 0.01
-    assert "phi_h" not in task_of_pairs("a", measured(count, anisotropic=False)).data
+    assert "phi_h" not in task_of_pairs("a", measure_with_noise(count, anisotropic=False)).data
 
 
 def test_forms_without_phi_h_are_refused_in_one_line(metapp: Callable, tmp_path: Path) -> None:

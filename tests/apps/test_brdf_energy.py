@@ -39,7 +39,7 @@ def test_narrow_lobes_reflect_all(power: float) -> None:
     assert float(albedo(lobe)[0, 0]) == pytest.approx(1, abs=1e-3)
 
 
-def test_only_what_is_too_bright_changes() -> None:
+def test_energy_correction_changes_too_bright_materials_alone() -> None:
     """A diffuse layer that is twice as bright as white, and one below: with what rises towards grazing angles."""
     angles, _ = quadrature()
     c = angle_cosines(angles)
@@ -115,7 +115,7 @@ def test_colours_go_on_beyond_what_was_measured(roughness: float, colour: tuple[
 @pytest.mark.parametrize(
     ("bias", "words"), [(0.5, "reflects 2.04 of the light"), (50.0, "reflects more than 100 times the light")]
 )
-def test_a_fit_that_reflects_too_much_says_so(bias: float, words: str) -> None:
+def test_fits_that_reflect_too_much_carry_a_warning(bias: float, words: str) -> None:
     presenter = BrdfPresenter(Brdf(NBRDF_NETWORK))
     shapes = {"w1": (21, 6), "w2": (21, 21), "w3": (3, 21), "b1": (21, 1), "b2": (21, 1), "b3": (3, 1)}
     theta = {key: torch.zeros(shape) for key, shape in shapes.items()} | {"b3": torch.full((3, 1), bias)}
@@ -124,7 +124,7 @@ def test_a_fit_that_reflects_too_much_says_so(bias: float, words: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_highlight_that_no_sample_shows_is_said_so(seed: int) -> None:
+def test_unmeasured_highlights_are_reported(seed: int) -> None:
     """Scattered pairs of directions, whose mirror directions an instrument reaches or not."""
     rng = Generator().manual_seed(seed)
     count = int(torch.randint(8, 400, (), generator=rng))

@@ -34,7 +34,7 @@ RECIPE = RECIPES["full"]
 
 @pytest.fixture
 def theta() -> Params:
-    """One network with a material in it that reflects everywhere."""
+    """The parameters of a network with a random material that reflects everywhere."""
     rng = Generator().manual_seed(1)
     one = APP.init(rng, 1)
     last = 0.2 * torch.randn(one["last"].shape, generator=rng)
@@ -51,12 +51,12 @@ def where() -> torch.Tensor:
 
 
 def tasks_of(theta: Params) -> Tasks:
-    one = {key: value[0] for key, value in theta.items()}
-    return stack_tasks(APP, [make_brdf_task("made", lambda angles: APP.reflectance(one, angles), samples=4096)])
+    single = {key: value[0] for key, value in theta.items()}
+    return stack_tasks(APP, [make_brdf_task("made", lambda angles: APP.reflectance(single, angles), samples=4096)])
 
 
 def test_inputs_are_reciprocal_and_mirror_images_alike(rng: Generator) -> None:
-    """To rounding, in float64; where the half vector is the normal whatever phi_d is, and smooth where signs change."""
+    """Inputs agree to rounding, for every phi_d where the half vector is the normal, and are smooth at sign changes."""
     angles = torch.rand(2000, 3, generator=rng, dtype=torch.float64) * torch.tensor([1.5, 1.5, math.tau])
 
     def inputs(angles: Tensor) -> Tensor:
@@ -77,10 +77,10 @@ def test_inputs_are_reciprocal_and_mirror_images_alike(rng: Generator) -> None:
 
 
 def test_a_material_is_linear_in_the_last_layer(theta: Params, where: torch.Tensor) -> None:
-    """And the last feature is constant."""
+    """The last feature is constant."""
     assert bool((SIZE.linear_features(theta, where)[:, -1] == 1).all())
     twice = theta | {"last": 2 * theta["last"]}
-    logs = [torch.log1p(SIZE.reflectance(each, where)) for each in (theta, twice)]
+    logs = [torch.log1p(SIZE.reflectance(parameters, where)) for parameters in (theta, twice)]
     torch.testing.assert_close(2 * logs[0], logs[1], rtol=1e-4, atol=1e-5)
 
 
@@ -111,14 +111,14 @@ def test_weights_follow_the_loss(theta: Params) -> None:
     changed = theta | {"last": (theta["last"] + 1e-4).requires_grad_()}
     learned = {"smoothing": torch.tensor([math.log(0.02)], dtype=torch.float64)}
     learned["evidence"] = torch.zeros(1, 2, dtype=torch.float64)
-    wanted = torch.autograd.grad(APP.loss(changed, batch, learned).sum(), changed["last"])[0]
+    expected = torch.autograd.grad(APP.loss(changed, batch, learned).sum(), changed["last"])[0]
     near = APP.least_squares(changed, batch, learned)
     found = -(near.residual * near.weights[:, None]) @ near.features.mT / near.weights.shape[1]
-    torch.testing.assert_close(found / 3, wanted, rtol=2e-2, atol=2e-2 * float(wanted.abs().max()))
+    torch.testing.assert_close(found / 3, expected, rtol=2e-2, atol=2e-2 * float(expected.abs().max()))
 
 
 def test_few_samples_and_samples_that_are_missed_count_less(theta: Params) -> None:
-    """By the learned powers: their weights are those of many samples times powers of the count and of the misfit."""
+    """Weights are those of many samples times learned powers of the count and of the misfit."""
     tasks = tasks_of(theta)
     batch = APP.sample(tasks, Generator().manual_seed(6), 300)
     changed = theta | {"last": theta["last"] + 0.01}
@@ -140,7 +140,7 @@ MATERIALS, HALF = 256, 400
 
 @pytest.fixture
 def data() -> Params:
-    """One grey material MATERIALS times, at the same angles above the horizon."""
+    """The samples of a grey material, MATERIALS times, at the same angles above the horizon."""
     rng = Generator().manual_seed(5)
     high = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
     angles = torch.rand(40 * HALF, 3, generator=rng, dtype=torch.float64) * high
@@ -168,7 +168,7 @@ def test_some_materials_lack_grazing_samples(data: Params, rng: Generator) -> No
     assert float(least.max()) < math.cos(MAX_MEASURED_RAD[0]) + 0.02
 
 
-def test_samples_as_measured_are_as_many_as_they_say(data: Params, rng: Generator) -> None:
+def test_augmented_measurements_have_the_stated_number_of_samples(data: Params, rng: Generator) -> None:
     """Two thirds of the materials keep all their samples in place; the others see fewer, scattered or noisy ones."""
     given = data["where"].clone()
     drawn = draw_measurements(data, rng)
@@ -228,7 +228,7 @@ each_network = pytest.mark.parametrize("network", registry().load_table("network
 
 
 @each_network
-def test_parameters_tell_their_network(network: BrdfNetwork) -> None:
+def test_networks_are_recognised_by_their_parameters(network: BrdfNetwork) -> None:
     theta = {key: value[0] for key, value in network.init(Generator().manual_seed(1), 2).items()}
     assert find_network(theta) is network
     assert {key: tuple(value.shape) for key, value in theta.items()} == parameter_shapes(network)
@@ -249,7 +249,7 @@ def test_phi_h_counts_where_a_network_says_so(network: BrdfNetwork) -> None:
     values = network.evaluate(theta, angles)
     assert values.shape == (2, 3, 3)
     # one at a time: the rows of one product of matrices need not be the same to the bit
-    first, turned = (network.evaluate(theta, each) for each in angles)
+    first, turned = (network.evaluate(theta, four_angles) for four_angles in angles)
     assert torch.equal(first, turned) != network.anisotropic
     torch.testing.assert_close(network.evaluate(theta, angles[0, :, :3]), values[0])
     assert (network.fold(theta).axes_azimuth_rad is not None) == network.anisotropic

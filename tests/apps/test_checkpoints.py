@@ -16,7 +16,7 @@ from metapp.runs.checkpoint_selection import checkpoint_name
 from metapp.runs.default_recipe import has_shipped_recipe
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, QUICK_RECIPE_NAME, shipped_checkpoint_path
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 PACKAGE = shipped_checkpoint_path("brdf", "general").parent.parent
 FULL_ONES = [name for name in app_names() if (PACKAGE / name / FULL_RECIPE_NAME).is_dir()]
@@ -30,8 +30,8 @@ def files_of(name: str, recipe: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
 
 
-def start_of(name: str, each: str, recipe: str = QUICK_RECIPE_NAME) -> MetaParameters:
-    return load_checkpoint(shipped_checkpoint_path(name, each, recipe))[0]
+def start_of(name: str, checkpoint: str, recipe: str = QUICK_RECIPE_NAME) -> MetaParameters:
+    return load_checkpoint(shipped_checkpoint_path(name, checkpoint, recipe))[0]
 
 
 # What they are
@@ -49,13 +49,13 @@ def expected_of(name: str, recipe: str) -> set[str]:
     if recipe == FULL_RECIPE_NAME and protocols_of(name):
         names = set()
         for protocol in protocols_of(name):
-            app, of = app_by(name, FULL_RECIPE_NAME, protocol), recipes_of(name, protocol)[FULL_RECIPE_NAME]
+            app, of = app_by_recipe(name, FULL_RECIPE_NAME, protocol), recipes_of(name, protocol)[FULL_RECIPE_NAME]
             (general, adam), rule = names_of(QuickFT.of(app, of)), names_of(Meta.of(app, of))
             names |= {adam, *((general, *rule) if general != "general" else ())}
         return names
     names = {"general"}
     for protocol in protocols_of(name) or ("",):
-        app, of = app_by(name, recipe, protocol), recipes_of(name, protocol)[recipe]
+        app, of = app_by_recipe(name, recipe, protocol), recipes_of(name, protocol)[recipe]
         rules = of.meta if name == "brdf" else (of.rule,)
         names.add(names_of(QuickFT.of(app, of))[1])
         names.update(*(names_of(Meta.of(app, of, rule)) for rule in rules))
@@ -66,12 +66,12 @@ def expected_of(name: str, recipe: str) -> set[str]:
     ("name", "recipe"),
     [*((name, QUICK_RECIPE_NAME) for name in app_names()), *((name, FULL_RECIPE_NAME) for name in FULL_ONES)],
 )
-def test_they_say_what_they_are(name: str, recipe: str) -> None:
+def test_checkpoints_state_their_application_recipe_and_features(name: str, recipe: str) -> None:
     files = files_of(name, recipe)
     assert set(files) == expected_of(name, recipe)
     for stem, path in files.items():
-        own = "-photo" if stem.endswith("-photo") and "general-photo" in files else ""
-        encoder = tensor_digest(start_of(name, f"general{own}", recipe).encoder)
+        suffix = "-photo" if stem.endswith("-photo") and "general-photo" in files else ""
+        encoder = tensor_digest(start_of(name, f"general{suffix}", recipe).encoder)
         _, info = load_checkpoint(path)
         assert (info["app"], info["checkpoint"], info["recipe"]) == (name, stem.removesuffix("-photo"), recipe), stem
         assert info.get("features") == FEATURES.get(name), stem
@@ -88,7 +88,7 @@ def test_they_say_what_they_are(name: str, recipe: str) -> None:
             assert info["encoder"] == encoder, stem
 
 
-def test_they_are_small() -> None:
+def test_checkpoints_are_small() -> None:
     for name in app_names():
         for path in files_of(name, QUICK_RECIPE_NAME).values():
             assert path.stat().st_size < {"brdf": 2e6, "transport": 2e6, "svbrdf_nonstationary": 5e6}.get(name, 4e6)
@@ -113,13 +113,13 @@ def test_recipes_of_another_size_ship_with_a_folder() -> None:
 
 
 @pytest.mark.usefixtures("small_spheres")
-def test_the_command_finds_them(metapp: Callable, tmp_path: Path) -> None:
+def test_commands_find_shipped_checkpoints(metapp: Callable, tmp_path: Path) -> None:
     data = tmp_path / "few"
     assert metapp("data", "synth", "brdf", "--count", "5", "--out", data).code == 0
     result = metapp("meta", "brdf", "--data", data, "--out", tmp_path, "--json")
     assert "the checkpoint that ships, trained on other data" in result.err
-    assert result.document["error"] < 2
-    trained = tmp_path / "brdf/checkpoints" / f"{result.document['data']}-quick-seed0/meta-curvature.safetensors"
+    assert result.json_document["error"] < 2
+    trained = tmp_path / "brdf/checkpoints" / f"{result.json_document['data']}-quick-seed0/meta-curvature.safetensors"
     trained.parent.mkdir(parents=True)
     shutil.copy(shipped_checkpoint_path("brdf", "meta-curvature"), trained)
     again = ("meta", "brdf", "--data", data, "--out", tmp_path, "--recipe", "quick")

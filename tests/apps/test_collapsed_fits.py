@@ -1,4 +1,4 @@
-"""Presenters say of fits that collapsed, in warnings, and of inputs of one value, in their remarks."""
+"""Warnings about fits that collapsed to one value, and remarks about inputs that are one value."""
 
 import torch
 from torch import Tensor
@@ -9,11 +9,11 @@ from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 
 def test_a_network_of_zeros_is_black_where_the_material_is_not() -> None:
-    app = app_by("brdf")
+    app = app_by_recipe("brdf")
     presenter = presenter_of(app)
     theta = app.init(torch.Generator().manual_seed(0), 1)
     zeros = {key: torch.zeros_like(value) for key, value in theta.items()}
@@ -23,16 +23,16 @@ def test_a_network_of_zeros_is_black_where_the_material_is_not() -> None:
     black = make_brdf_task("black", lambda angles: torch.zeros(*angles.shape[:-1], 3), 64)
     chalk = make_brdf_task("chalk", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3), 64)
     tasks = [gloss, black, chalk]
-    one = {key: value[0] for key, value in zeros.items()}
-    said = [presenter.quality_warnings(zeros, stack_tasks(app, [task], "cpu"))[0] for task in tasks]
-    assert [[clause.partition(",")[0] for clause in clauses] for clauses in said] == [
+    single = {key: value[0] for key, value in zeros.items()}
+    messages = [presenter.quality_warnings(zeros, stack_tasks(app, [task], "cpu"))[0] for task in tasks]
+    assert [[clause.partition(",")[0] for clause in clauses] for clauses in messages] == [
         ["the fit is black"], [], ["the fit is black"]
     ]  # fmt: skip
-    notes = [str(presenter.remarks(one, task).get("note", "")) for task in tasks]
+    notes = [str(presenter.remarks(single, task).get("note", "")) for task in tasks]
     assert ["the input is one reflectance" in note for note in notes] == [False, False, True]
 
 
-def fitted(app: FromPhoto, maps: Maps) -> FromPhoto:
+def app_with_fixed_maps(app: FromPhoto, maps: Maps) -> FromPhoto:
     """An application whose fits have these maps, whatever their parameters."""
 
     class Fitted(FromPhoto):
@@ -42,13 +42,13 @@ def fitted(app: FromPhoto, maps: Maps) -> FromPhoto:
     return Fitted(**vars(app))
 
 
-def test_black_maps_are_said() -> None:
-    app = app_by("svbrdf_nonstationary", protocol="photo")
+def test_black_maps_get_a_warning() -> None:
+    app = app_by_recipe("svbrdf_nonstationary", protocol="photo")
     theta = app.init(torch.Generator().manual_seed(0), 1)
     photo = torch.randint(40, 200, (3, 64, 64), dtype=torch.uint8)
     tasks = stack_tasks(app, [Task("stone", {"photo": photo})], "cpu")
     plane = torch.ones(1, 1, 8, 8)
-    for albedo, said in (0.0, True), (0.01, False), (0.5, False):
+    for albedo, is_black in (0.0, True), (0.01, False), (0.5, False):
         maps = Maps(albedo * plane.expand(1, 3, 8, 8), 0 * plane, plane, plane.expand(1, 3, 8, 8))
-        (clauses,) = presenter_of(fitted(app, maps)).quality_warnings(theta, tasks)
-        assert any(clause.startswith("the fit is black") for clause in clauses) is said
+        (clauses,) = presenter_of(app_with_fixed_maps(app, maps)).quality_warnings(theta, tasks)
+        assert any(clause.startswith("the fit is black") for clause in clauses) is is_black

@@ -55,7 +55,7 @@ def warnings_of(app: App, theta: Params, tasks: Tasks) -> list[list[str]]:
     return shown(app).quality_warnings(theta, tasks)
 
 
-TEXTURE, MATERIAL = (pytest.mark.parametrize("app", [each], indirect=True) for each in ("texture", "svbrdf_stationary"))
+TEXTURE, MATERIAL = (pytest.mark.parametrize("app", [name], indirect=True) for name in ("texture", "svbrdf_stationary"))
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def tasks(app: ExemplarApp) -> Tasks:
 @pytest.mark.parametrize(
     ("name", "steps", "tasks", "size"), [("texture", 15, 5, (192, 256)), ("svbrdf_stationary", 20, 3, (256, 256))]
 )
-def test_the_papers_recipes(name: str, steps: int, tasks: int, size: tuple[int, int]) -> None:
+def test_recipes_of_the_paper_have_its_settings(name: str, steps: int, tasks: int, size: tuple[int, int]) -> None:
     recipe = recipes_of(name)["paper"]
     training = recipe.meta["meta-sgd"]
     assert (recipe.steps, recipe.rule, training.tasks, training.order) == (steps, "meta-sgd", tasks, 1)
@@ -110,16 +110,16 @@ def test_lost_order_is_doubted_where_networks_read_layouts(
 def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
     theta, shape = app.init(Generator().manual_seed(0), 3), (3, 1, 3, *app.octaves.octave_size())
     varied = torch.rand(shape, generator=Generator().manual_seed(1))
-    for made, said in (
+    for result, message in (
         (torch.zeros(shape), "the fit is black, and its input is not"),
         (torch.full(shape, 0.4), "the fit is the same everywhere, and its input is not"),
         (0.02 * varied, ""),
         (varied, ""),
     ):
-        monkeypatch.setattr(type(app.statistics), "render_answer", lambda *_, made=made: made)
+        monkeypatch.setattr(type(app.statistics), "render_answer", lambda *_, result=result: result)
         for clauses in warnings_of(app, theta, tasks):
-            assert any(clause.startswith("the fit is") for clause in clauses) == bool(said)
-            assert any(clause.startswith(said) for clause in clauses) or not said
+            assert any(clause.startswith("the fit is") for clause in clauses) == bool(message)
+            assert any(clause.startswith(message) for clause in clauses) or not message
 
 
 def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
@@ -143,20 +143,20 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
 @TEXTURE
 def test_lines_are_those_of_a_texture_as_large_as_files_are_quilted_for(app: ExemplarApp, tasks: Tasks) -> None:
     theta = app.init(Generator().manual_seed(0), 3)
-    made = torch.zeros(3, 3, *app.octaves.octave_size())
-    assert shown(app).pictures_for_lines(theta, made).shape == (3, 3, 2 * app.octaves.height, 2 * app.octaves.width)
+    result = torch.zeros(3, 3, *app.octaves.octave_size())
+    assert shown(app).pictures_for_lines(theta, result).shape == (3, 3, 2 * app.octaves.height, 2 * app.octaves.width)
 
 
 def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
     images = torch.rand(2, 3, *app.octaves.octave_size(), generator=Generator().manual_seed(0))
     whole, cropped = (
         app.statistics.compute_features(images, 0),
-        app.statistics.compute_features(images, 0, lambda some: some[..., : some.shape[-2] // 2, :]),
+        app.statistics.compute_features(images, 0, lambda features: features[..., : features.shape[-2] // 2, :]),
     )
     rows = images.shape[-2] // 2
-    assert [each.shape[-2] for each in cropped] == [*(each.shape[-2] for each in whole[:3]), rows, rows // 2]
-    for one, other in zip(whole[:3], cropped[:3], strict=True):
-        torch.testing.assert_close(one, other)
+    assert [octave.shape[-2] for octave in cropped] == [*(octave.shape[-2] for octave in whole[:3]), rows, rows // 2]
+    for first, other in zip(whole[:3], cropped[:3], strict=True):
+        torch.testing.assert_close(first, other)
 
 
 def test_softness_counts_at_the_finest_octave_by_exemplar(app: ExemplarApp, tasks: Tasks) -> None:
@@ -209,7 +209,7 @@ def test_descents_go_from_coarse_to_fine(app: ExemplarApp, tasks: Tasks) -> None
             seen.append(batch["noise"].shape[-1])
             return batch
 
-    watched = Watched(**{each.name: getattr(app, each.name) for each in fields(app)})
+    watched = Watched(**{field.name: getattr(app, field.name) for field in fields(app)})
     theta, rule = watched.init(rng, 3), sgd(dict.fromkeys(("rate",), torch.zeros(1)))
     learn(theta, rule, tasks, task_loss(watched, 1), steps=5, rng=rng)
     assert seen == [16, 16, 16, 32, 32]
@@ -236,7 +236,7 @@ def test_relief_keeps_its_slopes(app: Any) -> None:
 
 
 @pytest.fixture(scope="module")
-def paved(app: ExemplarApp) -> Tasks:
+def pavement(app: ExemplarApp) -> Tasks:
     """A pavement of stones of two colours, and one of noise."""
     at = torch.arange(64)
     stones = torch.where(((at[:, None] // 8 + at // 16) % 2).bool(), 200, 60).expand(3, -1, -1)
@@ -245,21 +245,21 @@ def paved(app: ExemplarApp) -> Tasks:
     return stack_tasks(app, [Task(name, {"image": image}) for name, image in images.items()])
 
 
-def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp, paved: Tasks) -> None:
-    layout = paved.data["layout"]
+def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp, pavement: Tasks) -> None:
+    layout = pavement.data["layout"]
     assert layout.shape == (2, 3, *app.octaves.layout_size)
     assert layout[0].std() > 0.1
     rng = Generator().manual_seed(0)
-    theta = Overfit.of(app, tiny(app.name), steps=2).fit(MetaParameters(), paved, rng)
-    encoded = app.encode(app.init_encoder(rng), app.condition(paved, rng))
+    theta = Overfit.of(app, tiny(app.name), steps=2).fit(MetaParameters(), pavement, rng)
+    encoded = app.encode(app.init_encoder(rng), app.condition(pavement, rng))
     assert torch.equal(theta["layout"], layout)
     assert torch.equal(encoded["layout"], layout)
     assert not app.init(rng, 2)["layout"].any()
 
 
-def test_layouts_move_with_noise_and_are_quilted_for_sizes(app: ExemplarApp, paved: Tasks) -> None:
+def test_layouts_move_with_noise_and_are_quilted_for_sizes(app: ExemplarApp, pavement: Tasks) -> None:
     rng, (height, width) = Generator().manual_seed(0), app.octaves.layout_size
-    layout = paved.data["layout"]
+    layout = pavement.data["layout"]
     moved = move_layouts(layout, torch.randn(2, 2, 8, 2 * height, 2 * width, generator=rng), 2)
     assert moved.shape == (2, 2, 3, height, width)
     assert not torch.equal(moved[0, 0], moved[0, 1])
@@ -271,20 +271,20 @@ def test_layouts_move_with_noise_and_are_quilted_for_sizes(app: ExemplarApp, pav
     torch.testing.assert_close(other.mean((-1, -2)), layout.mean((-1, -2))[:, None], atol=0.05, rtol=0)
 
 
-def test_networks_read_layouts_without_mean_and_of_one_contrast(app: ExemplarApp, paved: Tasks) -> None:
+def test_networks_read_layouts_without_mean_and_of_one_contrast(app: ExemplarApp, pavement: Tasks) -> None:
     noise = torch.randn(2, 1, 8, *(2 * side for side in app.octaves.layout_size))
-    layout = paved.data["layout"][:, None]
+    layout = pavement.data["layout"][:, None]
     read = normalise_layouts(layout, noise)
     assert read.shape == (2, 1, 3, *noise.shape[-2:])
     torch.testing.assert_close(read.mean((-1, -2)), torch.zeros(2, 1, 3), atol=1e-5, rtol=0)
     torch.testing.assert_close(normalise_layouts(0.3 + 0.5 * layout, noise), read)
 
 
-def test_what_is_made_follows_its_layout(app: ExemplarApp, paved: Tasks) -> None:
+def test_generated_pictures_follow_their_layout(app: ExemplarApp, pavement: Tasks) -> None:
     """The network reads it, and the loss counts how far the coarse picture is from it."""
     rng = Generator().manual_seed(0)
     noise = draw_noise(app, rng, 2, 1)
-    theta = app.init(rng, 2) | app.task_parameters(paved)
+    theta = app.init(rng, 2) | app.task_parameters(pavement)
     other = theta | {"layout": theta["layout"].flip(0)}
     assert not torch.equal(generate_raw(app, theta, noise), generate_raw(app, other, noise))
     coarse = move_layouts(theta["layout"], noise, 2)

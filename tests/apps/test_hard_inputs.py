@@ -29,7 +29,7 @@ from metapp.runs.checkpoint_selection import checkpoint_name
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.marked import long
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 WORSE = 1.2  # than QuickFT's
 
@@ -44,7 +44,7 @@ class Found(NamedTuple):
     guarded: DescentState
 
 
-def fitted(app: App, sources: Iterable[Task]) -> Found:
+def fit_by_shipped_checkpoint(app: App, sources: Iterable[Task]) -> Found:
     """Fits by what ships, with the same draws."""
     recipe = recipes_of(app.name, app.protocol)["quick"]
     meta, quickft, tasks = Meta.of(app, recipe), QuickFT.of(app, recipe), stack_tasks(app, list(sources))
@@ -74,7 +74,7 @@ def visible(app: App, theta: Params, tasks: Tasks) -> Tensor:
 
 
 def check(app: App, sources: Iterable[Task]) -> Found:
-    found = fitted(app, sources)
+    found = fit_by_shipped_checkpoint(app, sources)
     first, quickft, alone, guarded = (
         visible(app, theta, found.tasks) for theta in (found.first, found.quickft, found.alone, found.guarded.theta)
     )
@@ -119,9 +119,9 @@ MATERIALS: dict[str, Callable[[Tensor], Tensor]] = {
 }
 
 
-def test_materials() -> None:
+def test_guard_keeps_extreme_brdfs_usable() -> None:
     sources = [make_brdf_task(name, evaluate, samples=8192) for name, evaluate in MATERIALS.items()]
-    found = check(app_by("brdf"), sources)
+    found = check(app_by_recipe("brdf"), sources)
     acted = dict(zip(found.tasks.names, found.guarded.guarded.tolist(), strict=True))
     assert acted["saturated"]
     assert acted["searchlight"]
@@ -150,13 +150,15 @@ def sky() -> Tensor:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("scene")
-def test_suns() -> None:
+@pytest.mark.usefixtures("second_scene")
+def test_guard_keeps_maps_with_suns_usable() -> None:
     """Small suns are known; what a wider one's fit ends at is chance, and the guard ends that where it sees it."""
-    app = app_by("illumination")
+    app = app_by_recipe("illumination")
     places = itertools.product((5, 8, 12, 24), (20, 64), (1, 2))
     suns = [(row, column, size, share) for (row, column, size), share in zip(places, 8 * (0.97, 0.997), strict=True)]
-    found = check(app, [map_of(f"sun {each}", sun(*each, ground=sky())) for each in suns])
+    found = check(
+        app, [map_of(f"sun {place_and_light}", sun(*place_and_light, ground=sky())) for place_and_light in suns]
+    )
     quickft, alone, guarded = (
         app.errors(theta, found.tasks)["error"] for theta in (found.quickft, found.alone, found.guarded.theta)
     )
@@ -168,8 +170,8 @@ def test_suns() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("scene")
-def test_maps() -> None:
+@pytest.mark.usefixtures("second_scene")
+def test_guard_keeps_extreme_maps_usable() -> None:
     rng = Generator().manual_seed(0)
     black, ones = torch.zeros(3, 64, 128), torch.ones(3, 64, 128)
     lamp, lamps = black.clone(), sky()
@@ -185,7 +187,7 @@ def test_maps() -> None:
         "noise": torch.randn(3, 64, 128, generator=rng).mul(3).exp(),
         "few pixels": torch.rand(3, 2, 4, generator=rng).repeat_interleave(32, 1).repeat_interleave(32, 2),
     }
-    check(app_by("illumination"), [map_of(name, light) for name, light in lights.items()])
+    check(app_by_recipe("illumination"), [map_of(name, light) for name, light in lights.items()])
 
 
 def ball(name: str, colour: float, spot: int = 0) -> Task:
@@ -195,9 +197,9 @@ def ball(name: str, colour: float, spot: int = 0) -> Task:
     return Task(name, {"photos": photo.round().to(torch.uint8)[None]})
 
 
-@pytest.mark.usefixtures("scene")
-def test_photographs_of_spheres() -> None:
-    app = app_by("illumination", protocol="photo")
+@pytest.mark.usefixtures("second_scene")
+def test_guard_keeps_extreme_sphere_photos_usable() -> None:
+    app = app_by_recipe("illumination", protocol="photo")
     inputs = (
         ("black", 0, 0),
         ("nearly black", 1, 0),
@@ -213,8 +215,8 @@ def test_photographs_of_spheres() -> None:
 
 
 @pytest.mark.parametrize("protocol", ["reference", "photo"])
-def test_flat_materials(protocol: str) -> None:
-    app = app_by("svbrdf_nonstationary", protocol=protocol)
+def test_guard_keeps_flat_materials_usable(protocol: str) -> None:
+    app = app_by_recipe("svbrdf_nonstationary", protocol=protocol)
 
     def material(name: str, diffuse: float, specular: float, roughness: float) -> Task:
         flat = torch.ones(1, 128, 128)
@@ -225,13 +227,13 @@ def test_flat_materials(protocol: str) -> None:
     check(app, [material("black", 0, 0, 1), material("white", 1, 0, 1), material("mirror", 0, 1, 0.1)])
 
 
-@pytest.mark.usefixtures("vgg")
+@pytest.mark.usefixtures("vgg_weights")
 @pytest.mark.parametrize("name", [long("texture"), pytest.param("svbrdf_stationary", marks=pytest.mark.slow)])
-def test_pictures(name: str) -> None:
+def test_guard_keeps_extreme_pictures_usable(name: str) -> None:
     few = torch.rand(3, 2, 2, generator=Generator().manual_seed(0))
     images = {
         "black": torch.zeros(3, 64, 64),
         "white": torch.ones(3, 64, 64),
         "few pixels": few.repeat_interleave(32, 1).repeat_interleave(32, 2),
     }
-    check(app_by(name), [Task(each, {"image": (255 * image).to(torch.uint8)}) for each, image in images.items()])
+    check(app_by_recipe(name), [Task(kind, {"image": (255 * image).to(torch.uint8)}) for kind, image in images.items()])

@@ -23,7 +23,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField
 from metapp.rendering.second_scene.relighting import relight
 
-pytestmark = pytest.mark.usefixtures("scene")
+pytestmark = pytest.mark.usefixtures("second_scene")
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
 REFERENCE, PHOTO = (Illumination(FIELD, protocol=protocol) for protocol in ("reference", "photo"))
 
@@ -54,7 +54,7 @@ def tasks(app: Illumination) -> Tasks:
     return stack_tasks(app, [task_of(lamps(seed), f"lamps-{seed}") for seed in range(4)])
 
 
-def fitted(app: Illumination, maps: Tensor) -> Illumination:
+def app_with_fixed_maps(app: Illumination, maps: Tensor) -> Illumination:
     """The application whose fits have these maps [T, 3, H, W], whatever the parameters of their networks."""
 
     class Fitted(Illumination):
@@ -66,7 +66,7 @@ def fitted(app: Illumination, maps: Tensor) -> Illumination:
 
 def exact(app: Illumination, tasks: Tasks) -> tuple[Illumination, Params]:
     """The application whose fits have the tasks' maps, and parameters of as many fits."""
-    return fitted(app, tasks.data["map"][tasks.rows]), app.init(Generator().manual_seed(0), len(tasks))
+    return app_with_fixed_maps(app, tasks.data["map"][tasks.rows]), app.init(Generator().manual_seed(0), len(tasks))
 
 
 # What the encoder sees
@@ -114,7 +114,7 @@ def test_the_true_map_sphere_and_camera_look_like_the_photo(tasks: Tasks, rng: G
     assert photo.loss(darker, batch, {}).min() > 0.05
 
 
-def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
+def test_clipped_parts_of_a_photo_may_have_any_brightness(tasks: Tasks) -> None:
     photo = PHOTO
     theta = photo.init(Generator().manual_seed(0), 4)
     batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
@@ -124,7 +124,7 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
     assert photo.loss(dark, batch, {}).min() > 0.05
 
 
-def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
+def test_fits_see_the_map_or_the_photo_by_protocol(tasks: Tasks) -> None:
     small, reference, photo = REFERENCE.init(Generator().manual_seed(0), 4), REFERENCE, PHOTO
     batch = reference.sample(tasks, Generator(), 1)
     for app, seen, unseen in ((reference, "map", "photo"), (photo, "photo", "map")):
@@ -146,7 +146,7 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
 # Mirrors
 
 
-def mirrored(light: Tensor, clip: float = 1e9) -> Task:
+def mirror_ball_task(light: Tensor, clip: float = 1e9) -> Task:
     """A task whose mirror shows the front half of the sphere, up to a radiance, at twice the map's scale."""
     task, towards = task_of(light), texel_directions(*light.shape[1:])
     front, clips = (towards[2] > 0).float(), (light.amax(0) > clip).float()
@@ -156,31 +156,31 @@ def mirrored(light: Tensor, clip: float = 1e9) -> Task:
 
 def test_a_mirror_is_taken_as_it_is_and_fits_in_its_unit(rng: Generator) -> None:
     app, light = PHOTO, lamps(2)
-    tasks = stack_tasks(app, [mirrored(light)])
+    tasks = stack_tasks(app, [mirror_ball_task(light)])
     theta, front = app.init(rng, 1), texel_directions(8, 16)[2] > 0
-    made, target = app.answer(theta, tasks.data)[0], tasks.data["map"][0]
+    answer, target = app.answer(theta, tasks.data)[0], tasks.data["map"][0]
     # the rest is the network's, but for its scale
-    for ratio in ((made / target)[:, front], (made / app.radiance_maps(theta)[0])[:, ~front]):
+    for ratio in ((answer / target)[:, front], (answer / app.radiance_maps(theta)[0])[:, ~front]):
         torch.testing.assert_close(ratio, ratio.mean().expand(3, 64), rtol=1e-4, atol=0)
     app, theta = exact(app, tasks)
     torch.testing.assert_close(app.answer(theta, tasks.data), tasks.data["map"] / mean_luminance(tasks.data["map"]))
     assert app.loss(theta, app.sample(tasks, rng, 1), {}).max() < 1e-5  # at whatever scale
 
 
-def test_what_clips_in_a_mirror_is_as_bright_or_brighter(rng: Generator) -> None:
+def test_clipped_parts_of_a_mirror_are_at_least_as_bright(rng: Generator) -> None:
     app, light = PHOTO, torch.ones(3, 64, 128)
     light[:, :, 64:72] = 20.0  # the texels of a column of the field's
     light /= mean_luminance(light)
-    tasks = stack_tasks(app, [mirrored(light, clip=2.0)])
+    tasks = stack_tasks(app, [mirror_ball_task(light, clip=2.0)])
     target, batch = tasks.data["map"], app.sample(tasks, rng, 1)
     app, theta = exact(app, tasks)
     torch.testing.assert_close(app.answer(theta, tasks.data), target)  # though it was seen as 2
     assert app.loss(theta, batch, {}).max() < 1e-5
-    app = fitted(app, target.clamp(max=1.0))
+    app = app_with_fixed_maps(app, target.clamp(max=1.0))
     assert app.loss(theta, batch, {}).min() > 0.01
-    made = app.answer(theta, tasks.data)[0, 0]
+    answer = app.answer(theta, tasks.data)[0, 0]
     torch.testing.assert_close(
-        made[4, 8] / made[4, 6], CLIPPED_LIGHT_FACTOR * 2 / light[0, 0, 0]
+        answer[4, 8] / answer[4, 6], CLIPPED_LIGHT_FACTOR * 2 / light[0, 0, 0]
     )  # what is lost usually
 
 
@@ -190,8 +190,8 @@ def test_what_clips_in_a_mirror_is_as_bright_or_brighter(rng: Generator) -> None
 def test_variants_are_the_maps_turned_and_mirrored_and_tinted(tasks: Tasks, rng: Generator) -> None:
     maps = tasks.data["map"]
     for found, original in zip(turn_maps(maps, Generator().manual_seed(5)), maps, strict=True):
-        candidates = [each.roll(turn, -1) for turn in range(16) for each in (original, original.flip(-1))]
-        distances = [float((each - found).abs().mean()) for each in candidates]
+        candidates = [start.roll(turn, -1) for turn in range(16) for start in (original, original.flip(-1))]
+        distances = [float((candidate - found).abs().mean()) for candidate in candidates]
         assert min(distances) == 0 < sorted(distances)[len(distances) // 2]
     # and tinted
     ratio = (tint_maps(maps, rng) / maps).flatten(2)
@@ -205,9 +205,9 @@ def test_some_variants_are_regraded_or_mixed(tasks: Tasks, rng: Generator) -> No
     assert 6 < (power != 1).sum() < 26
     assert 0.7 < power.min() < power.max() < 1.4
     found = mix_maps(maps, rng)
-    own, other = ((found - each).flatten(1).norm(dim=1) for each in (maps, maps.roll(1, 0)))
-    torch.testing.assert_close(own + other, (maps - maps.roll(1, 0)).flatten(1).norm(dim=1))  # in between
-    assert 4 < (own > 0).sum() < 20
+    distance, other = ((found - originals).flatten(1).norm(dim=1) for originals in (maps, maps.roll(1, 0)))
+    torch.testing.assert_close(distance + other, (maps - maps.roll(1, 0)).flatten(1).norm(dim=1))  # in between
+    assert 4 < (distance > 0).sum() < 20
 
 
 def test_some_variants_get_lamps(rng: Generator) -> None:
@@ -231,15 +231,15 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks) -> No
     assert errors["error"].max() < 1e-5
     # a map's mean luminance is known: 1
     maps = tasks.data["map"]
-    assert fitted(app, 1.1 * maps).errors(theta, tasks)["error"].max() < 1e-5
+    assert app_with_fixed_maps(app, 1.1 * maps).errors(theta, tasks)["error"].max() < 1e-5
     others = maps.roll(1, 0)
-    found = fitted(app, 1.1 * others).errors(theta, tasks)["error"]
+    found = app_with_fixed_maps(app, 1.1 * others).errors(theta, tasks)["error"]
     expected = (relight(others) - relight(maps)).abs().mean((1, 2, 3))
     assert expected.min() > 0.01
     torch.testing.assert_close(found, expected, rtol=1e-3, atol=0)
 
 
-def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
+def test_maps_are_written_at_the_scale_of_the_input(rng: Generator) -> None:
     app = REFERENCE
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
     files = presenter_of(app).pictures(theta, task_of(lamps(0)))

@@ -97,7 +97,7 @@ def test_measures_of_pictures_in_closed_form() -> None:
     other[0, 0], other[0, 2, 1, 1] = 1.0, 99.0  # the latter is masked
     torch.testing.assert_close(rgb_angle_degrees(one, other, mask), torch.tensor([45 / 3]))
     # the nearest multiple is 6 / 16 of it
-    nearest, wanted = 0.375 * one[..., mask], other[..., mask]
-    torch.testing.assert_close(si_rmse(one, other, mask), ((nearest - wanted) ** 2).sum().div(3).sqrt()[None])
+    nearest, expected = 0.375 * one[..., mask], other[..., mask]
+    torch.testing.assert_close(si_rmse(one, other, mask), ((nearest - expected) ** 2).sum().div(3).sqrt()[None])
     for scale in (0.1, 0.37, 0.38, 3.0):
-        assert si_rmse(one, other, mask) <= ((scale * one[..., mask] - wanted) ** 2).sum().div(3).sqrt()
+        assert si_rmse(one, other, mask) <= ((scale * one[..., mask] - expected) ** 2).sum().div(3).sqrt()

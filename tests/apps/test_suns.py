@@ -15,7 +15,7 @@ from metapp.learning.task import Task
 from metapp.networks.field import LocalField
 from metapp.paradigms.adam import encoder_prediction
 
-pytestmark = pytest.mark.usefixtures("scene")
+pytestmark = pytest.mark.usefixtures("second_scene")
 HEIGHT, WIDTH = 64, 128
 
 
@@ -34,7 +34,7 @@ def towards(x: float, y: float, z: float) -> Tensor:
 
 
 @pytest.mark.parametrize("direction", [(0.3, 0.5, 0.8), (0.02, 0.4, -0.9), (-0.2, -0.1, 0.4)])
-def test_a_sun_is_found_where_it_is_as_wide_as_it_is(direction: tuple[float, float, float]) -> None:
+def test_suns_are_found_with_their_position_and_width(direction: tuple[float, float, float]) -> None:
     at = towards(*direction)
     (found,) = find_suns(sky((at, 8.0, 0.03))[None])
     assert (found[:, 3] > 0).tolist() == [True, False, False]
@@ -49,15 +49,15 @@ def test_a_sun_of_one_texel_is_exact(row: int, column: int) -> None:
     light[:, row, column] = torch.tensor([2000.0, 1600.0, 1200.0])
     light /= mean_luminance(light)
     suns = find_suns(light[None])
-    made = add_suns(torch.rand(1, 3, HEIGHT, WIDTH), suns)[0]
-    torch.testing.assert_close(made[:, row, column], light[:, row, column], rtol=1e-3, atol=0)
+    result = add_suns(torch.rand(1, 3, HEIGHT, WIDTH), suns)[0]
+    torch.testing.assert_close(result[:, row, column], light[:, row, column], rtol=1e-3, atol=0)
     # the network counts all round it
     network = light.clone()
     network[:, row, column] = 0
     torch.testing.assert_close(add_suns(network[None], suns)[0], light, rtol=2e-3, atol=1e-3)
 
 
-def test_all_light_stays_whatever_the_network_has_there() -> None:
+def test_suns_keep_their_light_whatever_the_network_predicts() -> None:
     light = sky((towards(0.3, 0.5, 0.8), 0.4, 0.02), (towards(-0.6, 0.3, -0.5), 0.2, 0.03))
     suns, area = find_suns(light[None]), solid_angles(HEIGHT, WIDTH)
     assert (suns[0, :, 3] > 0).sum() == 2
@@ -67,14 +67,14 @@ def test_all_light_stays_whatever_the_network_has_there() -> None:
         torch.testing.assert_close((around * area).sum((1, 2)), lights, rtol=1e-3, atol=0)
 
 
-def test_wide_and_dim_lights_are_the_networks() -> None:
+def test_wide_and_dim_lights_are_left_to_the_network() -> None:
     assert not find_suns(sky((towards(0, 1, 1), 0.9, 1.5 * MAX_SUN_RAD))[None]).any()
     assert not find_suns(sky((towards(0, 1, 1), 0.01, 0.05))[None]).any()
     light = sky()[None]
     torch.testing.assert_close(add_suns(light, find_suns(light)), light)
 
 
-def test_there_are_as_many_as_count_the_brightest() -> None:
+def test_brightest_suns_are_found_up_to_the_allowed_number() -> None:
     corners = [towards(x, 0.4, z) for x, z in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
     shares = [0.1, 0.25, 0.15, 0.2]
     (found,) = find_suns(sky(*((at, share, 0.02) for at, share in zip(corners, shares, strict=True)))[None])
@@ -83,14 +83,14 @@ def test_there_are_as_many_as_count_the_brightest() -> None:
         assert float(sun[:3] @ at) > 0.999
 
 
-def test_fits_of_maps_see_suns_that_no_step_moves(rng: Generator) -> None:
+def test_suns_are_found_before_fits_and_stay_fixed(rng: Generator) -> None:
     field = LocalField(32, 64, rows=4, columns=8, code=3, hidden=8, layers=2)
     light = sky((towards(0.3, 0.5, 0.8), 0.5, 0.02))
     task = Task("sky", {"map": light, "photos": torch.full((1, 3, 64, 64), 99, dtype=torch.uint8)})
     app = Illumination(field, protocol="reference")
     tasks = stack_tasks(app, [task])
     how, encoder = encoder_prediction(app), app.init_encoder(rng)
-    predicted, theta = (each.encode(encoder, each.condition(tasks, rng)) for each in (app, how))
+    predicted, theta = (variant.encode(encoder, variant.condition(tasks, rng)) for variant in (app, how))
     assert not [key for key in predicted if key.startswith("suns")]  # General sees the photograph alone
     torch.testing.assert_close(join_suns(theta), tasks.data["suns"])
     assert theta.keys() - predicted.keys() == app.task_parameters(tasks).keys() == split_suns(tasks.data["suns"]).keys()

@@ -138,7 +138,7 @@ def test_oblique_pairs_are_evenly_spread_above_the_patch(rng: Generator) -> None
     assert towards.mean((0, 1)).sub(torch.tensor([0.0, 0.0, 0.7])).abs().max() < 0.02  # z is uniform in [0.4, 1]
 
 
-def test_what_fits_see_is_not_what_they_are_judged_by(app: SvbrdfNonstationary) -> None:
+def test_lights_that_fits_see_differ_from_those_of_errors(app: SvbrdfNonstationary) -> None:
     rig, judged = (fixed_pairs(counts) for counts in (RIG_LIGHTS, JUDGED_LIGHTS))
     assert rig.shape == (5, 2, 3)
     assert judged.shape == (12, 2, 3)
@@ -149,8 +149,8 @@ def test_what_fits_see_is_not_what_they_are_judged_by(app: SvbrdfNonstationary) 
 def test_a_flash_described_by_zeros_is_the_camera_s() -> None:
     maps = material(0)[None]
     photo = render_photo(unpack_maps(maps), decode_flash(torch.zeros(1, FLASH_NUMBERS)))
-    wanted = srgb_to_linear(render_flash_photo(maps[0]).float() / 255)
-    torch.testing.assert_close(photo[0].clamp(0, 1), wanted, atol=0.01, rtol=0.01)  # 8 bits
+    expected = srgb_to_linear(render_flash_photo(maps[0]).float() / 255)
+    torch.testing.assert_close(photo[0].clamp(0, 1), expected, atol=0.01, rtol=0.01)  # 8 bits
 
 
 def test_white_below_a_flash_is_as_bright_at_any_height() -> None:
@@ -174,7 +174,9 @@ def test_turned_materials_look_like_turned_photos() -> None:
     for _ in range(60):
         turned = _turn(maps, rng)
         after = render_flash_photo(turned).int()
-        ways = [[torch.rot90(each, k, (1, 2)) for each in (a, a.flip(2)) for k in range(4)] for a in (photo, maps)]
+        ways = [
+            [torch.rot90(channels, k, (1, 2)) for channels in (a, a.flip(2)) for k in range(4)] for a in (photo, maps)
+        ]
         off = [int((candidate - after).abs().max()) for candidate in ways[0]]
         assert min(off) <= 1
         found.add(off.index(min(off)))
@@ -242,7 +244,7 @@ def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, m
     torch.testing.assert_close(app.errors({}, judged)["normal"], torch.full((4,), 10.0), rtol=1e-3, atol=0)
 
 
-def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -> None:
+def test_clipped_parts_of_a_photo_may_have_any_brightness(tasks: Tasks, exact: Params) -> None:
     photo = PHOTO
     white = {"photo": torch.ones(4, 3, SIDE, SIDE)}
     brighter = exact | {"flash": torch.tensor([[0.0, 0.0, 0.0, 20.0]]).expand(4, -1)}
@@ -250,7 +252,7 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -
     assert photo.loss(exact, white, {}).min() > 0.05
 
 
-def test_maps_are_filled_where_photos_clip_losses_are_not(
+def test_clipped_parts_are_filled_in_maps_but_not_in_losses(
     tasks: Tasks, exact: Params, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only of maps that people use, made of photographs; a line says how much."""
@@ -277,7 +279,7 @@ def test_maps_are_filled_where_photos_clip_losses_are_not(
     torch.testing.assert_close(people.loss(exact, batch, {}), PHOTO.loss(exact, batch, {}), rtol=0, atol=0)
 
 
-def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
+def test_fits_see_maps_or_a_photo_by_protocol(tasks: Tasks) -> None:
     reference, photo = REFERENCE, PHOTO
     theta = reference.init(Generator().manual_seed(0), 4)
     batch = reference.sample(tasks, Generator(), 1)
@@ -299,8 +301,8 @@ def test_blots_and_relief_are_measured(app: SvbrdfNonstationary, tasks: Tasks) -
     photo[..., :2, :2] = 1
     up = torch.zeros_like(maps.normal)
     up[:, 2] = 1
-    made = maps._replace(diffuse=torch.where(off > 0, 1.0, maps.diffuse), normal=up)
-    found = app.errors_of(made, replace(tasks, data=tasks.data | {"photo": photo}))
+    result = maps._replace(diffuse=torch.where(off > 0, 1.0, maps.diffuse), normal=up)
+    found = app.errors_of(result, replace(tasks, data=tasks.data | {"photo": photo}))
     torch.testing.assert_close(found["blots"], found["diffuse"] * off[0, 0].numel() / 4)
     tilt = (1 - maps.normal[:, 2].square()).clamp_min(0).sqrt().mean((1, 2))
     torch.testing.assert_close(found["relief"], 0.011 / (tilt + 0.01), rtol=0.02, atol=0)

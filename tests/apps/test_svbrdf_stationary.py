@@ -53,8 +53,8 @@ def glossy(seed: int, size: int = SIZE) -> Maps:
     patches = (torch.rand(1, 1, size // 2, size // 2, generator=seeded(seed)) < 0.5).float()
     patches = patches.repeat_interleave(2, -1).repeat_interleave(2, -2)
     colours = torch.tensor([[0.05, 0.1, 0.2], [0.3, 0.25, 0.1]])[..., None, None]
-    one = torch.ones(1, 1, size, size)
-    return Maps(torch.lerp(*colours, patches), 0.3 * one, 0.35 * one, normal_from_height(0.2 * patches))
+    ones = torch.ones(1, 1, size, size)
+    return Maps(torch.lerp(*colours, patches), 0.3 * ones, 0.35 * ones, normal_from_height(0.2 * patches))
 
 
 def photo_of(maps: Maps, place: tuple[float, float]) -> Tensor:
@@ -147,7 +147,7 @@ def test_a_photo_is_at_no_distance_from_itself(sources: list[Task], tasks: Tasks
 # The light
 
 
-def test_the_light_is_where_the_highlight_is(sources: list[Task], tasks: Tasks) -> None:
+def test_light_position_is_found_from_the_highlight(sources: list[Task], tasks: Tasks) -> None:
     """Found in the photo, and put there, above the camera's plane, whenever a fit is compared with it or shown."""
     lights = tasks.data["light"]
     torch.testing.assert_close(lights[:, :2], torch.tensor(PLACES), rtol=0, atol=0.1)
@@ -184,7 +184,7 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
     theta["out.kernel"] = scale * theta["out.kernel"]
     maps, height = app.generate_maps(theta, draw_noise(app, seeded(), 2, 3))
     leading = (2, 3)
-    assert [tuple(each.shape) for each in (*maps, height)] == [
+    assert [tuple(picture.shape) for picture in (*maps, height)] == [
         (*leading, channels, SIZE, SIZE) for channels in (3, 1, 1, 3, 1)
     ]
     assert 0 <= maps.diffuse.min() <= maps.diffuse.max() <= 1
@@ -206,8 +206,8 @@ def test_maps_stay_in_their_ranges(scale: float) -> None:
 def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
     app = TINY
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
-    made = presenter_of(app).pictures(theta, sources[0])
-    files = {name: picture.pixels for name, picture in made.items()}
+    pictures = presenter_of(app).pictures(theta, sources[0])
+    files = {name: picture.pixels for name, picture in pictures.items()}
     names = ["diffuse", "specular", "roughness", "normal", "height"]
     assert list(files) == [*names, *(f"lit_from_{name}" for name in relighting_positions())]
     side = FILE_SIDE_TIMES * SIZE
@@ -216,7 +216,9 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
         name: (side, side, channels.get(name, 3)) for name in files
     }
     kinds = {"roughness": "data", "normal": "data", "height": "height"}  # all else are colours
-    assert {name: picture.kind for name, picture in made.items()} == {name: kinds.get(name, "srgb") for name in files}
+    assert {name: picture.kind for name, picture in pictures.items()} == {
+        name: kinds.get(name, "srgb") for name in files
+    }
     torch.testing.assert_close((files["normal"] * 2 - 1).norm(dim=2), torch.ones(side, side))
     # what a user loads as maps is what was rendered
     normal = (files["normal"] * 2 - 1).permute(2, 0, 1)
@@ -238,7 +240,10 @@ def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
 
 @pytest.mark.parametrize("factor", [0.0, 1.0, 2.0])
 def test_slopes_and_heights_are_shown_times_a_factor(sources: list[Task], factor: float) -> None:
-    """In files, surfaces and previews, but the fit that is compared with the photo stays; by 1 nothing changes."""
+    """Files, surfaces and previews are scaled.
+
+    The fit that is compared with the photo is not; a factor of 1 changes nothing.
+    """
     theta = {key: value[0] for key, value in TINY.init(seeded(), 1).items()}
     plain, steeper = presenter_of(TINY), presenter_of(TINY, {"relief": factor})
     before, after = (presenter.linear_maps(theta, sources[0]) for presenter in (plain, steeper))
@@ -247,7 +252,7 @@ def test_slopes_and_heights_are_shown_times_a_factor(sources: list[Task], factor
     torch.testing.assert_close(slopes[1], factor * slopes[0])
     shown = steeper.pictures(theta, sources[0])["normal"].pixels
     torch.testing.assert_close(shown, after["normal"] * 0.5 + 0.5)
-    fits = [each.preview(theta, sources[0]) for each in (plain, steeper)]
+    fits = [presenter.preview(theta, sources[0]) for presenter in (plain, steeper)]
     same = {name for name, picture in fits[0].items() if torch.equal(picture, fits[1][name])}
     moved = {"normal", "height", *(f"lit_from_{name}" for name in relighting_positions())}
     assert same >= fits[0].keys() - moved
@@ -256,11 +261,11 @@ def test_slopes_and_heights_are_shown_times_a_factor(sources: list[Task], factor
 
 
 def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
-    """To where they mirror each other in a flat material."""
+    """The highlight of a flat material is where light and viewer mirror each other."""
     app = TINY
     theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
-    made = presenter_of(app).pictures(theta, sources[0])
-    files = {name: picture.pixels for name, picture in made.items()}
+    pictures = presenter_of(app).pictures(theta, sources[0])
+    files = {name: picture.pixels for name, picture in pictures.items()}
     assert files["height"].max() == 0
     places = texel_positions(FILE_SIDE_TIMES * SIZE, FILE_SIDE_TIMES * SIZE).flatten(1)
     found = {}
@@ -299,14 +304,14 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
     app = TINY
     theta = app.init(seeded(), 1)
     noise = draw_noise(app, seeded(), 1, 1)
-    own = map_statistics(app.generate_maps(theta, noise)[0])[0]
+    statistics = map_statistics(app.generate_maps(theta, noise)[0])[0]
     image = sources[0].data["image"]
 
     def loss_of(truth: Tensor) -> Tensor:
         tasks = stack_tasks(app, [Task("known", {"image": image, "truth": truth})])
         return app.outer_loss(theta, app.sample(tasks, seeded(), 1) | {"noise": noise}, {})
 
-    unequal = torch.cat([own.expand(2, -1, -1) + 0.5, own])  # of other sizes than the network's
+    unequal = torch.cat([statistics.expand(2, -1, -1) + 0.5, statistics])  # of other sizes than the network's
     others = torch.full((2, 6), 0.1)
     others[0, 3:5] = 0  # mean specular and roughness, which count by their logits, too
     there, off = loss_of(unequal), loss_of(unequal + others)
@@ -320,7 +325,7 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
         torch.testing.assert_close(found, expected[None], atol=0.01, rtol=0)  # maps vary a little
 
 
-def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
+def test_prior_adds_the_mean_square_deviation_from_usual_maps(sources: list[Task]) -> None:
     """Maps of one value each: its part of the loss is the mean square of what is off, and quick fits have none."""
     tasks = stack_tasks(KEPT, sources[:1])
     found = []
@@ -332,7 +337,7 @@ def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
     assert (QUICK.app.prior, PAPER.app.prior, FULL.app.prior) == (0, 0, PRIOR_WEIGHT)
 
 
-def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
+def test_true_maps_are_permuted_with_their_channels(sources: list[Task]) -> None:
     truth = torch.arange(36.0).view(3, 2, 6) / 36
     tasks = stack_tasks(TINY, [Task("known", {"image": sources[0].data["image"], "truth": truth})])
     found = TINY.permute_data(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
@@ -348,14 +353,14 @@ def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
     """Mirrored and transposed, never cropped: the light stays as far from the centre, and in the picture."""
     app, lights = TINY, []
     for seed in range(12):
-        made = app.augment(tasks.select([1]), seeded(seed))
-        lights.append(made.data["light"][0, :2])
-        assert set(made.data) == set(tasks.data) - {"image"}
+        variants = app.augment(tasks.select([1]), seeded(seed))
+        lights.append(variants.data["light"][0, :2])
+        assert set(variants.data) == set(tasks.data) - {"image"}
     found = torch.stack(lights)
     torch.testing.assert_close(found.norm(dim=1), tasks.data["light"][1, :2].norm().expand(12), rtol=0.1, atol=0.01)
     assert (found[:, 0] > 0.1).any()
     assert (found[:, 0] < -0.1).any()
-    torch.testing.assert_close(made.data["pooled"].sum(), tasks.data["pooled"][1].sum(), rtol=1e-3, atol=0)
+    torch.testing.assert_close(variants.data["pooled"].sum(), tasks.data["pooled"][1].sum(), rtol=1e-3, atol=0)
 
 
 def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> None:
@@ -378,13 +383,13 @@ def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> Non
 
 @pytest.mark.parametrize("specular_before", [0.5, -12.0])  # a General whose specular is 3e-7 everywhere, too
 def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: float) -> None:
-    """Of a photo of polished stone it is the photo's, of one of cloth General's."""
-    one, up = torch.ones(1, 1, 128, 128), torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, 128, 128)
+    """Fits of polished stone begin with the photo's gloss, and fits of cloth with General's."""
+    ones, up = torch.ones(1, 1, 128, 128), torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, 128, 128)
     photos = [
-        photo_of(Maps(0.2 * one.expand(1, 3, -1, -1), specular * one, roughness * one, up), (0.0, 0.0))
+        photo_of(Maps(0.2 * ones.expand(1, 3, -1, -1), specular * ones, roughness * ones, up), (0.0, 0.0))
         for specular, roughness in ((0.04, 0.25), (0.04, 0.8))
     ]
-    tasks = stack_tasks(KEPT, [Task(str(i), {"image": each}) for i, each in enumerate(photos)])
+    tasks = stack_tasks(KEPT, [Task(str(i), {"image": photo}) for i, photo in enumerate(photos)])
     encoder = KEPT.init_encoder(seeded())
     predicted = flat(KEPT, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
@@ -395,6 +400,6 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: 
     assert cloth == pytest.approx(0.1 + 0.9 * float(torch.sigmoid(torch.tensor(-1.5))))
     assert float(maps.specular[0].mean()) == pytest.approx(0.04, rel=0.5)
     again = theta["gloss"] - torch.stack(
-        [each.mean((1, 2, 3, 4)) for each in encode_gloss(maps.specular, maps.roughness)], -1
+        [encoded.mean((1, 2, 3, 4)) for encoded in encode_gloss(maps.specular, maps.roughness)], -1
     )
     assert float(again.abs().max()) < 1e-3

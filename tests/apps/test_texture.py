@@ -34,13 +34,13 @@ def wavy(sharpness: float, seed: int, size: int = 64) -> Tensor:
     return torch.lerp(first, second, torch.sigmoid(sharpness * smooth))
 
 
-def striped(size: int = 64) -> Tensor:
+def stripes(size: int = 64) -> Tensor:
     at = torch.arange(size) * (8 * torch.pi / size)
     wave = 0.5 + 0.5 * (at[:, None] + 2 * at).sin()
     return torch.stack([wave, 0.3 + 0.4 * wave, 1 - wave])
 
 
-def paved(size: int = 64) -> Tensor:
+def pavement(size: int = 64) -> Tensor:
     at = torch.arange(size) % 8 < 2
     joint = (at[:, None] | at).float()
     return torch.stack([0.2 + 0.6 * joint, torch.full_like(joint, 0.5), 0.8 - 0.6 * joint])
@@ -48,7 +48,7 @@ def paved(size: int = 64) -> Tensor:
 
 @pytest.fixture(scope="module")
 def sources() -> list[Task]:
-    pictures = {"soft": wavy(3, 1), "hard": wavy(8, 2), "stripes": striped(), "paving": paved()}
+    pictures = {"soft": wavy(3, 1), "hard": wavy(8, 2), "stripes": stripes(), "paving": pavement()}
     return [Task(name, {"image": (255 * picture).to(torch.uint8)}) for name, picture in pictures.items()]
 
 
@@ -81,7 +81,7 @@ class Exemplars(GramStatistics):
 
 
 class Seen(Texture):
-    """Keeps exemplars."""
+    """A data set that keeps the exemplars it was given."""
 
     @property
     def statistics(self) -> Exemplars:
@@ -98,9 +98,9 @@ def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tenso
 
 def test_variants_permute_the_channels_and_no_more() -> None:
     colour = torch.tensor([0.2, 0.4, 0.8])
-    made = variants(colour[:, None, None].expand(3, 32, 32)).mean((2, 3))
-    torch.testing.assert_close(made.sort(1).values, colour.expand(40, 3), rtol=0, atol=0.5 / 255)
-    assert len(made.round(decimals=2).unique(dim=0)) == 6  # every permutation comes
+    result = variants(colour[:, None, None].expand(3, 32, 32)).mean((2, 3))
+    torch.testing.assert_close(result.sort(1).values, colour.expand(40, 3), rtol=0, atol=0.5 / 255)
+    assert len(result.round(decimals=2).unique(dim=0)) == 6  # every permutation comes
 
 
 class Uncropped(Seen):
@@ -112,13 +112,13 @@ def test_variants_are_flipped_and_transposed() -> None:
     """What is brightest at the upper left comes at every corner, and turned over its diagonal."""
     image = torch.full((3, 16, 16), 0.2)
     image[:, :2, :6] = 1.0  # lies along the upper edge
-    made = variants(image, app=Uncropped)[:, 0]
-    corners = torch.stack([made[:, y : y + 2, x : x + 2].mean((1, 2)) for y in (0, 14) for x in (0, 14)], 1) > 0.9
+    result = variants(image, app=Uncropped)[:, 0]
+    corners = torch.stack([result[:, y : y + 2, x : x + 2].mean((1, 2)) for y in (0, 14) for x in (0, 14)], 1) > 0.9
     assert (corners.sum(1) == 1).all()
     assert corners.any(0).tolist() == [True, True, True, False]  # flips go left to right, before the transposition
-    lying = (made > 0.9).any(1).sum(1) == 6
+    lying = (result > 0.9).any(1).sum(1) == 6
     assert 5 < lying.sum() < 35
-    torch.testing.assert_close(made.mean((1, 2)), torch.full((40,), image.mean().item()), rtol=0, atol=1e-3)
+    torch.testing.assert_close(result.mean((1, 2)), torch.full((40,), image.mean().item()), rtol=0, atol=1e-3)
 
 
 def test_crops_are_squares_of_at_least_half_the_side() -> None:
@@ -154,10 +154,10 @@ def test_order_is_measured_where_the_exemplar_has_some() -> None:
         return Shown(**vars(app))
 
     fits = {"a": TimedFit({"z": torch.zeros(8)}, 0.0)}
-    paving = paved().repeat(1, 2, 2)[:, :64, :64]
-    for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):
+    paving = pavement().repeat(1, 2, 2)[:, :64, :64]
+    for result, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):
         task = Task("paving", {"image": (255 * paving).to(torch.uint8)})
-        measured = measure_pictures(presenter_of(showing(made)), fits, task)
+        measured = measure_pictures(presenter_of(showing(result)), fits, task)
         assert measured["a"]["order"] == pytest.approx(expected, abs=0.25)
     noise = torch.randint(256, (3, 64, 64), generator=seeded(1), dtype=torch.uint8)
     disorder = measure_pictures(presenter_of(showing(noise / 255)), fits, Task("noise", {"image": noise}))

@@ -25,11 +25,11 @@ def rng(seed: int = 0) -> Generator:
 
 
 def numbers(bins: int, count: int, scale: float = 1.5, seed: int = 0) -> Tensor:
-    """Of `count` splines, float64 [3 K + 1, count]."""
+    """Draw the parameters of `count` splines, float64 [3 K + 1, count]."""
     return scale * torch.randn(spline.count_numbers(bins), count, generator=rng(seed), dtype=torch.float64)
 
 
-def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
+def bent_flow(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
     """Parameters of a flow that is far from the identity, float64, task axis 1."""
     generator = rng(seed)
     start = flow.init(generator, 1)
@@ -74,14 +74,14 @@ def test_a_flow_is_the_identity_at_first() -> None:
 
 
 def middles(count: int) -> Tensor:
-    """Of the cells of a grid over the unit square, [1, 2, count * count]."""
-    each = (torch.arange(count, dtype=torch.float64) + 0.5) / count
-    return torch.stack(torch.meshgrid(each, each, indexing="ij")).flatten(1)[None]
+    """Return the centres of the cells of a grid over the unit square, [1, 2, count * count]."""
+    centres = (torch.arange(count, dtype=torch.float64) + 0.5) / count
+    return torch.stack(torch.meshgrid(centres, centres, indexing="ij")).flatten(1)[None]
 
 
 def test_the_density_is_the_jacobian_of_the_chain() -> None:
     flow = FLOW
-    theta = bent(flow, scale=0.2)
+    theta = bent_flow(flow, scale=0.2)
 
     def uniform(point: Tensor) -> Tensor:
         """What the chain of splines makes of a point: evenly spread where points have the flow's density."""
@@ -90,7 +90,7 @@ def test_the_density_is_the_jacobian_of_the_chain() -> None:
         chain = [flow.direction_numbers(theta, i, trunk, places[:, 2 : 2 + i]) for i in range(2)]
         chain = [*flow.film_numbers(theta, places[:, 0]), *chain]
         return torch.cat(
-            [spline.cumulative_mass(spline.decode_splines(each), places[:, i])[0] for i, each in enumerate(chain)]
+            [spline.cumulative_mass(spline.decode_splines(layer), places[:, i])[0] for i, layer in enumerate(chain)]
         )
 
     for seed in range(4):
@@ -106,13 +106,13 @@ def test_the_density_is_the_jacobian_of_the_chain() -> None:
 
 
 def test_a_table_is_the_flow_in_cells() -> None:
-    theta = {key: value[0].float() for key, value in bent(FLOW, scale=0.2).items()}
+    theta = {key: value[0].float() for key, value in bent_flow(FLOW, scale=0.2).items()}
     table = make_guide_table(FLOW, theta, places=8, cells=32, power=1.0)
     torch.testing.assert_close(table.masses.sum(1), torch.ones(64), atol=1e-5, rtol=0)
     place = torch.tensor([5.5 / 8, 2.5 / 8])
     square = middles(32).float()
-    one = {key: value[None] for key, value in theta.items()}
-    _, directions = FLOW.log_density(one, torch.cat([place[None, :, None].expand(1, 2, 1024), square], 1))
+    single = {key: value[None] for key, value in theta.items()}
+    _, directions = FLOW.log_density(single, torch.cat([place[None, :, None].expand(1, 2, 1024), square], 1))
     found = table.density(place.expand(1024, 2), square[0].T)
     assert float((found - directions[0].exp()).abs().mean()) < 0.02
     root = make_guide_table(FLOW, theta, places=8, cells=32, power=0.5)
@@ -121,12 +121,12 @@ def test_a_table_is_the_flow_in_cells() -> None:
     torch.testing.assert_close(ratio, ratio[:, :1].expand_as(ratio), rtol=1e-3, atol=0)
 
 
-def test_what_a_table_draws_has_the_density_that_it_says() -> None:
+def test_samples_of_a_table_follow_the_stated_density() -> None:
     """Also as its numbers say: of 200,000 draws as many fall into each cell as its mass is, within 5 deviations.
 
     So a guide leaves means over draws, over their density, as they are.
     """
-    theta = {key: value[0].float() for key, value in bent(FLOW).items()}
+    theta = {key: value[0].float() for key, value in bent_flow(FLOW).items()}
     table = make_guide_table(FLOW, theta, places=4, cells=8)
     torch.manual_seed(0)
     count = 200_000
@@ -142,7 +142,9 @@ def test_what_a_table_draws_has_the_density_that_it_says() -> None:
         torch.testing.assert_close(density, 64 * mass[cell[:, 0] * 8 + cell[:, 1]])
         assert ((seen - mass).abs() < 5 * (mass / count).sqrt() + 1e-5).all()
         within = drawn.double() * 8 % 1
-        eighths = torch.stack([torch.bincount((8 * each).long(), minlength=8) for each in within.T]) / count
+        eighths = (
+            torch.stack([torch.bincount((8 * coordinates).long(), minlength=8) for coordinates in within.T]) / count
+        )
         assert ((eighths - 1 / 8).abs() < 5 * math.sqrt(1 / 8 / count)).all()
     film = torch.rand(count, 2)
     drawn, density = table.sample(film)
@@ -178,42 +180,42 @@ def tasks(app: Transport) -> Tasks:
 
 
 def test_errors_are_of_held_out_samples_and_add_up(app: Transport, tasks: Tasks) -> None:
-    theta = {key: value.repeat(4, *[1] * (value.ndim - 1)).float() for key, value in bent(FLOW).items()}
+    theta = {key: value.repeat(4, *[1] * (value.ndim - 1)).float() for key, value in bent_flow(FLOW).items()}
     errors = app.errors(theta, tasks)
     torch.testing.assert_close(errors["error"], errors["film"] + errors["directions"])
     torch.testing.assert_close(errors["error"], app.loss(theta, {"points": tasks.data["held"].mT}, {}))
 
 
-def test_an_untrained_encoder_says_what_the_picture_says(app: Transport, tasks: Tasks) -> None:
+def test_untrained_encoder_predicts_the_pictures_density(app: Transport, tasks: Tasks) -> None:
     encoder = app.init_encoder(rng())
     theta = app.encode(encoder, app.condition(tasks, rng()))
-    each = (torch.arange(8) + 0.5) / 8
-    y, x = (values.flatten() for values in torch.meshgrid(each, each, indexing="ij"))
+    centres = (torch.arange(8) + 0.5) / 8
+    y, x = (values.flatten() for values in torch.meshgrid(centres, centres, indexing="ij"))
     points = torch.stack([x, y, x, y]).expand(4, 4, 64)
     film = FLOW.log_density(theta, points)[0].exp().reshape(4, 8, 8)
     image = tasks.data["image"][:, 0]
-    for found, wanted in zip(film, image, strict=True):
-        assert float(torch.corrcoef(torch.stack([found.flatten(), wanted.flatten()]))[0, 1]) > 0.98
+    for found, expected in zip(film, image, strict=True):
+        assert float(torch.corrcoef(torch.stack([found.flatten(), expected.flatten()]))[0, 1]) > 0.98
 
 
 def test_variants_are_mirrored_or_not(app: Transport, tasks: Tasks) -> None:
-    made = app.augment(tasks.select([0, 1, 2, 3, 0, 1, 2, 3]), rng(2))
+    variants = app.augment(tasks.select([0, 1, 2, 3, 0, 1, 2, 3]), rng(2))
     seen = set()
     for i in range(8):
-        plain, variant = tasks.data["samples"][i % 4], made.data["samples"][i]
+        plain, variant = tasks.data["samples"][i % 4], variants.data["samples"][i]
         same = torch.equal(plain, variant)
         turned = torch.stack([1 - plain[:, 0], plain[:, 1], 1 - plain[:, 2], plain[:, 3]], 1)
         assert same or torch.allclose(turned, variant, atol=1e-6)
         picture = tasks.data["image"][i % 4]
         picture = picture if same else picture.flip(2)
-        assert float((made.data["image"][i] / picture.clamp_min(1e-6)).log().abs().mean()) < 0.5
+        assert float((variants.data["image"][i] / picture.clamp_min(1e-6)).log().abs().mean()) < 0.5
         seen.add(same)
     assert seen == {True, False}
-    assert made.data["samples"].max() < 1
+    assert variants.data["samples"].max() < 1
 
 
-def mirrored(scene: dict[str, Any]) -> dict[str, Any]:
-    """The same scene with left and right exchanged."""
+def mirror_scene(scene: dict[str, Any]) -> dict[str, Any]:
+    """Return the scene with left and right exchanged."""
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
 
     def turn(value: Any) -> Any:
@@ -230,8 +232,8 @@ def test_the_tracer_mirrors_scenes_as_variants_do() -> None:
         scene, points = random_scene(seed), torch.rand(2**15, 4, generator=rng(seed))
         turned = torch.where(torch.tensor([True, False, True, False]), 1 - points, points)
         plain, other = (
-            Tracer(each, depth=2).trace_radiance(where, rng())
-            for each, where in ((scene, points), (mirrored(scene), turned))
+            Tracer(traced_scene, depth=2).trace_radiance(where, rng())
+            for traced_scene, where in ((scene, points), (mirror_scene(scene), turned))
         )
         lit = plain.sum(1) > 0
         assert lit.sum() > 100

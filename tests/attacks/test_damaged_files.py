@@ -23,7 +23,7 @@ NESTED = "[" * 100_000 + "]" * 100_000
 THETA = {"w": torch.arange(3.0)}
 
 
-def fitted(run: Path, name: str) -> Path:
+def fit_folder(run: Path, name: str) -> Path:
     """The folder of a fit."""
     record = {"name": name, "error": 0.5, "seconds": 0.1, "settings": {"steps": 10}}
     return Path(write_fit(run, record, THETA)["folder"])
@@ -41,13 +41,13 @@ BAD_RECORDS: dict[str, Any] = {
 
 @pytest.mark.parametrize("change", BAD_RECORDS.values(), ids=BAD_RECORDS)
 def test_a_bad_record_is_passed_over_with_a_warning(tmp_path: Path, change: Any) -> None:
-    file = fitted(tmp_path, "gold") / RECORD
-    fitted(tmp_path, "tin")
+    file = fit_folder(tmp_path, "gold") / RECORD
+    fit_folder(tmp_path, "tin")
     text = change if isinstance(change, str) else json.dumps({**json.loads(file.read_text()), **change})
     file.write_text(text, errors="surrogateescape")
     with pytest.warns(UserWarning, match=rf"gold/{RECORD}: no record, expected one of a task; passed over"):
         assert [record["name"] for record in read_fit_records(tmp_path, NUMBER_ENTRIES)] == ["tin"]
-    again = fitted(tmp_path, "gold")  # whose the folder is cannot be said
+    again = fit_folder(tmp_path, "gold")  # whose the folder is cannot be said
     with pytest.warns(UserWarning, match="no record"):
         assert [record["name"] for record in read_fit_records(tmp_path, NUMBER_ENTRIES)] == [again.name, "tin"]
 
@@ -60,7 +60,7 @@ DAMAGED = {
 
 @pytest.mark.parametrize("place", DAMAGED)
 def test_a_record_of_other_types_is_one_line(metapp: Callable, fit: Callable, network: Path, place: str) -> None:
-    folder = Path(fit("meta", network, "--recipe", "quick", "--json").done["tasks"][0]["folder"])
+    folder = Path(fit("meta", network, "--recipe", "quick", "--json").json_result["tasks"][0]["folder"])
     file = folder / RECORD
     whole = json.loads(file.read_text())
     for value in DAMAGED[place]:
@@ -90,7 +90,7 @@ NO_CHECKPOINTS = {  # tests/fuzz tries any bytes
 
 
 @pytest.mark.parametrize("content", NO_CHECKPOINTS.values(), ids=NO_CHECKPOINTS)
-def test_files_that_are_no_checkpoints(tmp_path: Path, content: bytes) -> None:
+def test_files_that_are_no_checkpoint_are_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "meta.safetensors"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"meta.safetensors: not a checkpoint that metapp wrote") as caught:
@@ -98,7 +98,7 @@ def test_files_that_are_no_checkpoints(tmp_path: Path, content: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-def written(name: str, changes: dict[str, Any]) -> Path:
+def write_changed_checkpoint(name: str, changes: dict[str, Any]) -> Path:
     """A rule's checkpoint that ships, with another description or other tensors: None takes one away."""
     checkpoint, info = load_checkpoint(SHIPPED / "brdf" / f"{name}.safetensors")
     for part, new in changes.items():
@@ -126,9 +126,9 @@ CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
 
 
 def test_checkpoints_of_other_fits_are_one_line(fit: Callable, network: Path) -> None:
-    for rule, changes, said in CHECKPOINTS:
-        line = fit("meta", network, "--rule", rule, "--checkpoint", written(rule, changes)).error
-        assert said in line, changes
+    for rule, changes, message in CHECKPOINTS:
+        line = fit("meta", network, "--rule", rule, "--checkpoint", write_changed_checkpoint(rule, changes)).error
+        assert message in line, changes
         assert "s.safetensors" in line, changes
     for name in ("texture/meta-basis", "illumination/general", "brdf/general", "brdf/quickft"):
         assert fit("meta", network, "--checkpoint", SHIPPED / f"{name}.safetensors").error
@@ -137,13 +137,15 @@ def test_checkpoints_of_other_fits_are_one_line(fit: Callable, network: Path) ->
 # Shards
 
 
-def test_what_a_shard_lacks_is_said_by_the_check_and_by_fits(metapp: Callable, fit: Callable, network: Path) -> None:
+def test_tensors_missing_from_a_shard_are_named_by_check_and_fits(
+    metapp: Callable, fit: Callable, network: Path
+) -> None:
     metapp("data", "nbrdf", network, "--out", "set", "--samples", "512", "--split", "test")
     (file,) = Path("set").glob("*.safetensors")
     save_file({key: value for key, value in load_file(file).items() if key != "reflectance"}, file)
-    for said in (metapp("data", "check", "set").err, fit("overfit", "--data", "set").error):
-        assert "'reflectance' is missing" in said
-        assert file.name in said
+    for message in (metapp("data", "check", "set").err, fit("overfit", "--data", "set").error):
+        assert "'reflectance' is missing" in message
+        assert file.name in message
     manifest = Path("set/manifest.json")
     manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"app": "../brdf"}))
     assert metapp("data", "check", "set").error

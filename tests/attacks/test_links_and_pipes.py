@@ -41,7 +41,7 @@ def sent(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("name", [RECORD, PARAMS])
 @pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
 def test_a_linked_record_does_not_cut_another_file(sent: Path, keys: Path, name: str, link: Callable) -> None:
-    """It is replaced by a file of the folder, what it led to stays."""
+    """The link is replaced by a file of the folder, and the file that it led to is unchanged."""
     write_fit(sent, GOLD, THETA)
     file = sent / "gold" / name
     content = file.read_bytes()
@@ -65,7 +65,7 @@ def test_nothing_is_written_into_a_linked_folder(sent: Path, keys: Path) -> None
 
 
 @pytest.mark.parametrize("read", [open_regular, read_bytes, read_text])
-def test_what_is_no_file_is_not_read(read: Callable, tmp_path: Path) -> None:
+def test_pipes_and_devices_are_not_read(read: Callable, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero")):
         with pytest.raises(ValueError, match="a pipe or device, expected a file"):
@@ -101,7 +101,7 @@ ATTACKS = ("a folder of another user", "a linked folder", "a folder that all cou
 
 @pytest.mark.skipif(find_compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
 @pytest.mark.parametrize("attack", ATTACKS)
-def test_a_library_of_others_is_not_run(
+def test_libraries_that_other_users_can_write_are_not_run(
     attack: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A library that is compiled from another source lies where ours would."""
@@ -110,12 +110,12 @@ def test_a_library_of_others_is_not_run(
     monkeypatch.setattr(module, "cache_folder", cache_folder)
     source, native = tmp_path / "seven.c", cache / "native"
     source.write_text("int seven(void) { return 7; }\n")
-    assert compiled(source, "seven") == 7
+    assert call_in_new_process(source, "seven") == 7
     (library,) = native.glob("seven-*.so")
     other = tmp_path / "other" / "seven.c"
     other.parent.mkdir()
     other.write_text("int seven(void) { return 666; }\n")
-    assert compiled(other, "seven") == 666
+    assert call_in_new_process(other, "seven") == 666
     (bad,) = set(native.glob("seven-*.so")) - {library}
     bad.replace(library)
     if attack == "a folder of another user":
@@ -125,15 +125,15 @@ def test_a_library_of_others_is_not_run(
         native.symlink_to("elsewhere")
     else:
         native.chmod(0o777)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as messages:
         warnings.simplefilter("default")
-        assert compiled(source, "seven") == 7
+        assert call_in_new_process(source, "seven") == 7
         assert load_library.__wrapped__(source, "seven") is not None
-    assert [str(each.message).partition(":")[0] for each in said] == [str(native)]
-    assert "code is compiled for this run alone" in str(said[0].message)
+    assert [str(warning.message).partition(":")[0] for warning in messages] == [str(native)]
+    assert "code is compiled for this run alone" in str(messages[0].message)
 
 
-def compiled(source: Path, name: str) -> int:
+def call_in_new_process(source: Path, name: str) -> int:
     """The result of a function, in a process of its own."""
     reading, writing = os.pipe()
     if (child := os.fork()) == 0:

@@ -1,31 +1,33 @@
-"""What tests of commands share."""
+"""Fixtures for tests that run commands: a working folder, inputs, and runs on them."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+REPOSITORY = Path(__file__).parents[2]
 
 
 @pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands run in the test's folder, where they keep runs unless told otherwise; so do programs that they start."""
+def _work_in_test_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run commands in the test's folder, where they write runs by default; programs that they start find metapp."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PYTHONPATH", str(REPOSITORY))
 
 
 @pytest.fixture(scope="module")
-def networks(request: pytest.FixtureRequest, neural_fits: Callable[[int], Path]) -> Path:
-    """As many random networks as a file of tests has for its NETWORKS, not to write to."""
-    return neural_fits(request.module.NETWORKS)
+def networks(request: pytest.FixtureRequest, write_nbrdf_networks: Callable[[int], Path]) -> Path:
+    """A folder of as many random networks as the test module's NETWORKS says, not to write to."""
+    return write_nbrdf_networks(request.module.NETWORKS)
 
 
 @pytest.fixture
-def fitted(metapp: Callable, networks: Path) -> Callable[..., Path]:
-    """Fits them, or other inputs, and returns the run's folder."""
+def fit_networks(metapp: Callable, networks: Path) -> Callable[..., Path]:
+    """Return a function that fits the random networks, or other inputs, and returns the run's folder."""
 
-    def fit(paradigm: str, *more: str | Path, inputs: Path = networks) -> Path:
-        return Path(metapp(paradigm, "brdf", inputs, "--recipe", "quick", "--json", "--quiet", *more).done["out"])
+    def fit_inputs(paradigm: str, *more: str | Path, inputs: Path = networks) -> Path:
+        return Path(
+            metapp(paradigm, "brdf", inputs, "--recipe", "quick", "--json", "--quiet", *more).json_result["out"]
+        )
 
-    return fit
+    return fit_inputs

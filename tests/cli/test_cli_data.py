@@ -26,9 +26,9 @@ from metapp.registry import registry
 from metapp.rendering.scenes.stored_text import decode_scene
 from metapp.runs.inputs.embedded import make_embedded_set, split_counts
 from metapp.storage.shards import list_data_set_problems, read_data_set, read_manifest
-from tests.conftest import Result
+from tests.conftest import CommandResult
 from tests.needs_mitsuba import needs_mitsuba
-from tests.small_spheres import run_small
+from tests.small_spheres import run_with_small_spheres
 
 FEW = ("--samples", "64")
 
@@ -67,17 +67,17 @@ def test_networks_become_a_data_set_split_by_the_rule(metapp: Callable, network_
     for name in ("tin", "brass", "sub/gold", "felt", "sub/wood", "ink"):
         network_at("in", name)
     result = metapp("data", "nbrdf", "in", "in/tin", "--out", "new/out", *FEW, "--json")
-    train = result.done.pop("train")
+    train = result.json_result.pop("train")
     assert sorted(train) == ["brass", "felt", "gold", "ink", "wood"]
-    assert list(result.document) == ["app", "out", "train", "test", "skipped"]
-    assert result.document == {"app": "brdf", "out": "new/out", "train": train, "test": ["tin"], "skipped": []}
+    assert list(result.json_document) == ["app", "out", "train", "test", "skipped"]
+    assert result.json_document == {"app": "brdf", "out": "new/out", "train": train, "test": ["tin"], "skipped": []}
     assert "5 train + 1 test tasks" in result.err
     again = ("--split", "test", "--overwrite", "--quiet", *FEW)
     assert metapp("data", "nbrdf", "in", "--out", "new/out", *again) == (0, "", "")
     assert {task.split for task in read_manifest(Path("new/out")).tasks} == {"test"}
 
 
-def test_check_says_what_a_set_holds_and_what_is_wrong(metapp: Callable, gold: Path) -> None:
+def test_check_reports_contents_and_faults_of_a_set(metapp: Callable, gold: Path) -> None:
     metapp("data", "merl", gold, "--out", "out", *FEW)
     code, out, err = metapp("data", "check", "out")
     assert (code, err) == (0, "")
@@ -93,8 +93,8 @@ def test_check_says_what_a_set_holds_and_what_is_wrong(metapp: Callable, gold: P
     assert code == 1
     assert [line.split(":")[0] for line in err.splitlines()] == ["problem", "problem"]
     result = metapp("data", "check", "out", "--json")
-    assert (result.code, result.document["app"], result.document["train"]) == (1, "brdf", 1)
-    assert len(result.document["problems"]) == 2
+    assert (result.code, result.json_document["app"], result.json_document["train"]) == (1, "brdf", 1)
+    assert len(result.json_document["problems"]) == 2
 
 
 # What does not: data is exit code 1 with one line, usage is 2
@@ -135,7 +135,7 @@ maps in --out out --normals left    | --normals 'left': expected one of opengl
 """
 
 
-def test_bad_usage(metapp: Callable, network_at: Callable) -> None:
+def test_wrong_options_are_refused(metapp: Callable, network_at: Callable) -> None:
     network_at("in")
     Path("file").write_text("")
     Path("merl/test").mkdir(parents=True)
@@ -147,17 +147,17 @@ def test_bad_usage(metapp: Callable, network_at: Callable) -> None:
 @pytest.mark.usefixtures("small_spheres")
 def test_join_keeps_each_task_in_its_split(metapp: Callable, network_at: Callable) -> None:
     for split, name in (("train", "tin"), ("test", "ink")):
-        made = metapp("data", "nbrdf", network_at(name), "--out", split, "--split", split, *FEW)
-        assert made.code == 0
+        result = metapp("data", "nbrdf", network_at(name), "--out", split, "--split", split, *FEW)
+        assert result.code == 0
 
-    def join(*sets: str) -> Result:
+    def join(*sets: str) -> CommandResult:
         return metapp("data", "join", *sets, "--out", "joint", "--overwrite", "--json")
 
-    document = join("train", "test").done
+    document = join("train", "test").json_result
     assert (document["train"], document["test"]) == (["tin"], ["ink"])
     assert [task.name for task in read_data_set(Path("joint"), "test", "brdf")] == ["ink"]
     assert list_data_set_problems(Path("joint")) == []
-    assert join("train", "test", "--alike").done["train"] == ["tin"]
+    assert join("train", "test", "--alike").json_result["train"] == ["tin"]
     assert {task.name: task.data["kind"].tolist() for task in read_data_set(Path("joint"))} == {"tin": [0], "ink": [1]}
     assert list_data_set_problems(Path("joint")) == []
     assert "two tasks of this name" in join("train", "train").error
@@ -169,11 +169,13 @@ def test_join_keeps_each_task_in_its_split(metapp: Callable, network_at: Callabl
 
 
 @pytest.fixture(scope="module")
-def runs(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def runs(write_nbrdf_networks: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run, and the network that it is a fit of."""
     folder = tmp_path_factory.mktemp("overwrite")
-    network = shutil.copytree(neural_fits(1) / "m0", folder / "m0")
-    run_small("meta", "brdf", network, "--rule", "meta-curvature", "--steps", "1", "--out", folder / "runs", "--quiet")
+    network = shutil.copytree(write_nbrdf_networks(1) / "m0", folder / "m0")
+    run_with_small_spheres(
+        "meta", "brdf", network, "--rule", "meta-curvature", "--steps", "1", "--out", folder / "runs", "--quiet"
+    )
     (run,) = (folder / "runs" / "brdf").iterdir()
     run.rename(folder / "run")
     return folder
@@ -190,7 +192,7 @@ FILES = {
 
 @pytest.mark.usefixtures("small_spheres")
 @pytest.mark.parametrize("command", FILES.values(), ids=FILES)
-def test_a_file_is_replaced_by_overwrite_alone(metapp: Callable[..., Result], runs: Path, command: str) -> None:
+def test_a_file_is_replaced_by_overwrite_alone(metapp: Callable[..., CommandResult], runs: Path, command: str) -> None:
     if "markers" in command:
         pytest.importorskip("cv2")
     file = out = Path("out.pdf")
@@ -214,9 +216,11 @@ SETS = {
 
 @pytest.mark.usefixtures("small_spheres")
 @pytest.mark.parametrize("command", SETS.values(), ids=SETS)
-def test_a_data_set_is_replaced_by_overwrite_alone(metapp: Callable[..., Result], runs: Path, command: str) -> None:
+def test_a_data_set_is_replaced_by_overwrite_alone(
+    metapp: Callable[..., CommandResult], runs: Path, command: str
+) -> None:
     if "{set}" in command:
-        run_small("data", "nbrdf", runs / "m0", "--out", "other", "--samples", "512", "--split", "test")
+        run_with_small_spheres("data", "nbrdf", runs / "m0", "--out", "other", "--samples", "512", "--split", "test")
     words = [*command.format(network=runs / "m0", set="other").split(), "--quiet", "--out", "set"]
     assert metapp(*words).code == 0
     Path("set/manifest.json").write_text(Path("set/manifest.json").read_text() + " ")
@@ -242,14 +246,14 @@ def test_a_data_set_is_replaced_by_overwrite_alone(metapp: Callable[..., Result]
     ],
 )
 def test_folders_train_and_test_stay_apart(
-    metapp: Callable[..., Result], runs: Path, paths: str, split: str, expected: tuple[str, str]
+    metapp: Callable[..., CommandResult], runs: Path, paths: str, split: str, expected: tuple[str, str]
 ) -> None:
     """Held-out materials must not be trained on, whatever `auto` would make of their names."""
     for folder, name in (("train", "one"), ("test", "two")):
         shutil.copytree(runs / "m0", Path("sets") / folder / name)
-    done = metapp("data", "nbrdf", *paths.split(), "--samples", 512, "--split", split, "--out", "set", "--json")
-    assert tuple(" ".join(sorted(done.document[part])) for part in ("train", "test")) == expected
-    assert ("train/ and test/ keep their tasks apart" in done.err) == (split == "auto")
+    result = metapp("data", "nbrdf", *paths.split(), "--samples", 512, "--split", split, "--out", "set", "--json")
+    assert tuple(" ".join(sorted(result.json_document[part])) for part in ("train", "test")) == expected
+    assert ("train/ and test/ keep their tasks apart" in result.err) == (split == "auto")
 
 
 @pytest.mark.usefixtures("small_spheres")
@@ -284,10 +288,10 @@ FEW_PATHS = ("--samples", "200", "--held", "50")
 @pytest.mark.usefixtures("small_spheres")
 def test_synth_makes_a_set_once(metapp: Callable, cache: Path) -> None:
     result = metapp("data", "synth", "brdf", "--count", "5", "--json")
-    folder = Path(result.document["out"])
+    folder = Path(result.json_document["out"])
     assert folder.is_relative_to(cache)
-    assert len(result.document["train"]) == 4
-    assert len(result.document["test"]) == 1
+    assert len(result.json_document["train"]) == 4
+    assert len(result.json_document["test"]) == 1
     assert list_data_set_problems(folder) == []
     before = (folder / "manifest.json").stat().st_mtime_ns
     assert make_embedded_set("brdf", count=5, quiet=True) == folder
@@ -300,7 +304,7 @@ def test_synth_makes_a_set_once(metapp: Callable, cache: Path) -> None:
 
 @pytest.mark.usefixtures("small_spheres")
 def test_synth_writes_merl_files_that_convert_back(metapp: Callable) -> None:
-    document = metapp("data", "synth", "brdf", "--count", "2", "--as", "merl", "--out", "merl", "--json").document
+    document = metapp("data", "synth", "brdf", "--count", "2", "--as", "merl", "--out", "merl", "--json").json_document
     (train,), (test,) = document["train"], document["test"]
     assert read_merl(Path(f"merl/train/{train}.binary")).max() > 0
     assert metapp("data", "merl", "merl/test", "--out", "shards", "--samples", "64").code == 0
@@ -353,7 +357,7 @@ def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: 
 @pytest.mark.usefixtures("few_paths")
 @needs_mitsuba
 def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
-    document = metapp("data", "cornell", "--count", "5", "--seed", "7", *FEW_PATHS, "--out", "a", "--json").done
+    document = metapp("data", "cornell", "--count", "5", "--seed", "7", *FEW_PATHS, "--out", "a", "--json").json_result
     assert document["train"] == [f"cornell-7-00{index}" for index in range(4)]
     assert document["test"] == ["cornell-7-004"]
     assert list_data_set_problems(Path("a")) == []

@@ -19,12 +19,12 @@ from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.runs import fitting
 from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
-from tests.conftest import Result
+from tests.conftest import CommandResult
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
-def one(result: Result) -> str:
+def only_error_line(result: CommandResult) -> str:
     """The one line, and no other, of a command that failed."""
     assert result.code == 1
     (line,) = result.err.splitlines()
@@ -67,7 +67,7 @@ def test_names_that_are_no_utf_8_are_text_in_json(metapp: Callable, network: Pat
     for name in ("m0", "m1"):
         shutil.copytree(network, place / (place.name + name))
     words = ("brdf", place, "--recipe", "quick", "--json", "--quiet")
-    runs = [metapp("meta", *words).done["out"], metapp("meta", *words, "--batch", "2").done["out"]]
+    runs = [metapp("meta", *words).json_result["out"], metapp("meta", *words, "--batch", "2").done["out"]]
     assert runs[0] == runs[1]
     texts = [json.dumps(json.loads(path.read_bytes())).encode() for path in Path("runs").rglob(RECORD)]
     texts += [metapp("compare", run, run, "--json").out.encode() for run in runs]
@@ -76,7 +76,7 @@ def test_names_that_are_no_utf_8_are_text_in_json(metapp: Callable, network: Pat
         for line in text.splitlines():
             json.dumps(json.loads(line), ensure_ascii=False).encode()
     assert sum(rb"caf\\udce9" in text for text in texts) == 2
-    assert metapp("compare", runs[0], runs[0], "--json").done["picture"]
+    assert metapp("compare", runs[0], runs[0], "--json").json_result["picture"]
     assert (
         "2 of 2 inputs are skipped, since they have a fit by equal settings"
         in metapp("meta", *words[:-1], "--resume").err
@@ -90,9 +90,9 @@ def test_files_of_any_name_are_fitted(fit: Callable, network: Path, name: str) -
     shutil.copytree(network, Path(name))
     result = fit("overfit", Path(name), "--steps", "2", "--export", "nbrdf", "--json")
     assert result.code == 0
-    (task,) = result.document["tasks"]
+    (task,) = result.json_document["tasks"]
     assert task["name"].isprintable()
-    folder = Path(result.document["out"])
+    folder = Path(result.json_document["out"])
     assert [record["name"] for record in read_fit_records(folder)] == [task["name"]]
     assert (folder / "pictures.png").is_file()
     place = Path(task["folder"])
@@ -102,8 +102,8 @@ def test_files_of_any_name_are_fitted(fit: Callable, network: Path, name: str) -
 
 def test_messages_are_one_short_line(metapp: Callable) -> None:
     for words in (("data", "check", "a\nb\x1b[31m"), ("data", "check", "/".join(["x" * 200] * 10))):
-        assert one(metapp(*words))
-    assert one(metapp("overfit", "brdf", "y" * 5000))
+        assert only_error_line(metapp(*words))
+    assert only_error_line(metapp("overfit", "brdf", "y" * 5000))
     assert shorten_to_line("a\nb\t\x1b\udce9") == "a\\nb\\t\\x1b\\udce9"
     long = shorten_to_line("gold.binary: " + "x" * 5000 + "; download it again.")
     assert len(long) <= MAX_MESSAGE_CHARACTERS
@@ -112,7 +112,7 @@ def test_messages_are_one_short_line(metapp: Callable) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyError("w1"), TypeError("a\nb" * 200)])
-def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
+def test_unexpected_errors_are_one_line_that_asks_for_a_report(
     fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     class Failing(Brdf):
@@ -121,7 +121,7 @@ def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
 
     quick, words = RECIPES["quick"], ("overfit", network, "--steps", "2", "--recipe", "quick")
     monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Failing(quick.app.network)))
-    line = one(fit(*words))
+    line = only_error_line(fit(*words))
     assert type(error).__name__ in line
     assert "please report it" in line
     monkeypatch.setenv("METAPP_TRACEBACK", "1")
@@ -132,9 +132,9 @@ def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
 def test_records_state_threads_and_fits_that_end_worse(
     fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def record(*words: str) -> tuple[Result, dict[str, Any]]:
+    def record(*words: str) -> tuple[CommandResult, dict[str, Any]]:
         result = fit("overfit", network, "--steps", "2", "--json", *words)
-        return result, read_fit_records(Path(result.done["out"]))[-1]
+        return result, read_fit_records(Path(result.json_result["out"]))[-1]
 
     _, whole = record()
     assert whole["threads"] == 1  # BRDFs are fitted by one thread
@@ -144,6 +144,6 @@ def test_records_state_threads_and_fits_that_end_worse(
     result, worse = record("--recipe", "quick")
     assert "warning: m0: the visible loss rose from" in result.err
     assert worse["warning"].startswith("the visible loss rose from ")
-    assert result.done["tasks"][0]["warning"] == worse["warning"]
+    assert result.json_result["tasks"][0]["warning"] == worse["warning"]
     monkeypatch.setattr(fitting, "draw_per_task", None)
-    assert "warning" not in fit("meta", network, "--json").done["tasks"][0]  # its guard compared them
+    assert "warning" not in fit("meta", network, "--json").json_result["tasks"][0]  # its guard compared them

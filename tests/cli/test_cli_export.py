@@ -10,7 +10,7 @@ import pytest
 
 from metapp.names import exports_of
 from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
-from tests.small_spheres import run_small
+from tests.small_spheres import run_with_small_spheres
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 FORMS = "bsdf, bsdf-spectral, cpp, glsl, hlsl, materialx, merl, mitsuba, nbrdf, onnx, osl, wgsl"
@@ -28,73 +28,75 @@ FILES = {
 
 
 @pytest.fixture(scope="module")
-def finished(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished_run(write_nbrdf_networks: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two networks, fitted by Meta's gradient rule; for tests to copy, not to write to."""
     folder = tmp_path_factory.mktemp("finished")
-    run_small("meta", "brdf", neural_fits(2), "--rule", "meta-curvature", "--out", folder, "--quiet")
+    run_with_small_spheres(
+        "meta", "brdf", write_nbrdf_networks(2), "--rule", "meta-curvature", "--out", folder, "--quiet"
+    )
     first, _ = folder.rglob(RECORD)
     return first.parents[1]
 
 
 @pytest.fixture
-def run(finished: Path) -> Path:
-    return Path(shutil.copytree(finished, Path("runs/brdf") / finished.name))
+def run(finished_run: Path) -> Path:
+    return Path(shutil.copytree(finished_run, Path("runs/brdf") / finished_run.name))
 
 
 @pytest.mark.long
 def test_every_fit_is_written(metapp: Callable, run: Path) -> None:
     for kind in exports_of("brdf"):
-        document = metapp("export", run, kind, "--json").done
+        document = metapp("export", run, kind, "--json").json_result
         assert document == {"form": kind, "out": str(run), "tasks": ["m0", "m1"]}
         for name in document["tasks"]:
-            made = [file.format(name, name) for file in FILES[kind]]
-            assert all((run / name / kind / file).is_file() for file in made), kind
-        one = metapp("export", run / "m1", kind, "--json").document
+            result = [file.format(name, name) for file in FILES[kind]]
+            assert all((run / name / kind / file).is_file() for file in result), kind
+        one = metapp("export", run / "m1", kind, "--json").json_document
         assert one == {"form": kind, "out": str(run / "m1" / kind), "tasks": ["m1"]}
         assert metapp("export", run, kind, "--out", f"else/{kind}", "--quiet") == (0, "", "")
-        assert Path("else", kind, made[0]).read_bytes() == (run / "m1" / kind / made[0]).read_bytes(), kind
+        assert Path("else", kind, result[0]).read_bytes() == (run / "m1" / kind / result[0]).read_bytes(), kind
 
 
 @pytest.mark.long
 def test_a_ridge_fit_is_distilled_once_where_its_input_is_given(
-    metapp: Callable, neural_fits: Callable[[int], Path]
+    metapp: Callable, write_nbrdf_networks: Callable[[int], Path]
 ) -> None:
-    network = neural_fits(1) / "m0"
+    network = write_nbrdf_networks(1) / "m0"
     fitted = metapp("meta", "brdf", network, "--export", "cpp,glsl,wgsl", "--json", "--quiet")
     assert fitted.err.count("m0: distilled into the network of the format") == 1
-    run = fitted.document["out"]
+    run = fitted.json_document["out"]
     assert len([*Path(run, "m0").glob("*/m0.*")]) == 3
     Path("moved").mkdir()
     moved = network.rename(Path("moved").absolute() / "m0")
     assert "m0: nbrdf is made of the fit and its input" in metapp("export", run, "nbrdf").error
-    done = metapp("export", run, "nbrdf", moved)
-    assert done.code == 0
-    assert "distilled" in done.err
+    result = metapp("export", run, "nbrdf", moved)
+    assert result.code == 0
+    assert "distilled" in result.err
     assert Path(run, "m0", "nbrdf", "m0", "b3.npy").is_file()
 
 
-def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
-    for words, said in (
+def test_exports_that_a_fit_lacks_are_refused(metapp: Callable, run: Path) -> None:
+    for words, message in (
         ((run, "blend"), f"expects one of {FORMS}"),
         ((run, "gltf"), "expects one of"),
         ((run, "merl", "--size", "64x64"), "--size"),
     ):
-        assert said in metapp("export", *words).misuse
+        assert message in metapp("export", *words).misuse
     refused = metapp("export", "nowhere", "nbrdf").error
     assert "nowhere: no such folder, expected a run's folder" in refused
     assert "no folders of fits" in metapp("export", Path(), "nbrdf").error
 
 
-def test_of_a_folder_of_runs_the_newest_is_taken(metapp: Callable, run: Path) -> None:
+def test_newest_run_of_a_folder_is_exported(metapp: Callable, run: Path) -> None:
     other = Path("runs/brdf/later")
     shutil.copytree(run, other)
     for times, newest in ((1, run), (3, other)):
         for place, when in ((run, 2), (other, times)):
             for name in ("m0", "m1"):
                 os.utime(place / name / RECORD, (when, when))
-        said = metapp("export", "runs", "nbrdf", "--out", "made", "--quiet")
-        assert said == (0, "", f"runs: the newest run is {newest}\n")
-    assert metapp("export", "runs/brdf", "nbrdf", "--json").document["out"] == str(other)
+        output = metapp("export", "runs", "nbrdf", "--out", "made", "--quiet")
+        assert output == (0, "", f"runs: the newest run is {newest}\n")
+    assert metapp("export", "runs/brdf", "nbrdf", "--json").json_document["out"] == str(other)
     assert "runs/brdf: the newest run" not in metapp("export", other, "nbrdf").err
 
 

@@ -21,7 +21,7 @@ from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
 from metapp.storage.checkpoint_files import content_digest, load_checkpoint
 from metapp.storage.fit_folders import RECORD, read_fit_records, read_params
-from tests.conftest import Result
+from tests.conftest import CommandResult
 
 STEPS = ("--train", "--train-steps", "3")
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -41,7 +41,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
 def fit(metapp: Callable, ten_materials: Path) -> Callable:
     """`metapp PARADIGM brdf` on ten small materials, eight of them for training, runs in a folder of this test."""
 
-    def call(paradigm: str, *arguments: str | Path) -> Result:
+    def call(paradigm: str, *arguments: str | Path) -> CommandResult:
         defaults = {"--recipe": "quick", "--data": ten_materials}
         more = [word for pair in defaults.items() if pair[0] not in arguments for word in pair]
         return metapp(paradigm, "brdf", *arguments, *more)
@@ -49,8 +49,8 @@ def fit(metapp: Callable, ten_materials: Path) -> Callable:
     return call
 
 
-def errors_of(result: Result) -> list[float]:
-    return [task["error"] for task in result.document["tasks"]]
+def errors_of(result: CommandResult) -> list[float]:
+    return [task["error"] for task in result.json_document["tasks"]]
 
 
 # What works
@@ -64,7 +64,7 @@ def write_to_a_full_disk(*arguments: object) -> None:
 @pytest.mark.parametrize("full", [False, True])
 def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.MonkeyPatch, full: bool) -> None:
     """Parameters and records are written first; a file in a folder's place, or a full disk, is said by its path."""
-    folder = Path(fit("general", *STEPS, "--json").done["out"])
+    folder = Path(fit("general", *STEPS, "--json").json_result["out"])
 
     if full:
         merl = replace(registry().exports["brdf", "merl"], reference=f"{__name__}:write_to_a_full_disk")
@@ -74,13 +74,15 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
             (folder / name / "merl").touch()
     result = fit("general", *STEPS, "--export", "merl,nbrdf")
     assert result.code == 1
-    said = " ".join(result.err.split())
+    output = " ".join(result.err.split())
     for name in ("m4", "m9"):
-        assert f"{folder}/{name}/merl/{name}: not written as merl: {'No space left' if full else 'File exists'}" in said
+        assert (
+            f"{folder}/{name}/merl/{name}: not written as merl: {'No space left' if full else 'File exists'}" in output
+        )
         assert (folder / name / "nbrdf" / name).is_dir()
         assert read_params(folder / name)
-    assert "error: 2 exports were not written; all fits are kept." in said
-    assert "inputs were not fitted" not in said
+    assert "error: 2 exports were not written; all fits are kept." in output
+    assert "inputs were not fitted" not in output
     assert [record["name"] for record in read_fit_records(folder)] == ["m4", "m9"]
 
 
@@ -143,7 +145,7 @@ def test_a_name_that_begins_with_a_dash_is_no_option(metapp: Callable, networks:
 
 def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
     result = fit("meta", "--rule", "meta-sgd", *STEPS, "--json", "--quiet")
-    document = result.document
+    document = result.json_document
     assert len(result.out.splitlines()) == 1
     keys = ["app", "paradigm", "rule", "steps", "device", "data", "error", "seconds", "tasks", "out"]
     assert sorted(document) == sorted([*keys, "guarded", "failures", "tasks_per_second"])
@@ -155,7 +157,10 @@ def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
 
 
 def test_a_trained_checkpoint_is_used_where_it_is_named(fit: Callable) -> None:
-    """By its file or its folder; else fits begin at the one that ships, whatever was trained here."""
+    """The option names its file or folder.
+
+    Without it, fits begin at the checkpoint that ships, whatever was trained here.
+    """
     ships = fit("general", "--json")
     trained = fit("general", *STEPS, "--json")
     (checkpoint,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
@@ -164,7 +169,7 @@ def test_a_trained_checkpoint_is_used_where_it_is_named(fit: Callable) -> None:
         again = fit("general", "--json", "--checkpoint", named)
         assert str(checkpoint) in again.err
         assert errors_of(again) == errors_of(trained)
-    assert fit("finetune", "--json", "--checkpoint", checkpoint.parent).document["steps"] == 5
+    assert fit("finetune", "--json", "--checkpoint", checkpoint.parent).json_document["steps"] == 5
     refuse(fit("meta", "--checkpoint", checkpoint.parent), "holds general, expected meta-curvature.safetensors")
     assert load_checkpoint(checkpoint)[1]["training"]["steps"] == 3
     fit("general", *STEPS)
@@ -180,8 +185,8 @@ def test_a_table_compares_the_checkpoints_of_a_folder(fit: Callable, metapp: Cal
     trained = {paradigm: fit(paradigm, *STEPS, "--json") for paradigm in ("general", "quickft", "meta")}
     (folder,) = Path("runs/brdf/checkpoints").iterdir()
     table = ("evaluate", "brdf", "--which", "quickft", "--data", ten_materials, "--json")
-    ships, own = (metapp(*table, *more).done["rows"] for more in ((), ("--checkpoint", folder)))
-    found = {row["paradigm"]: row["error"] for row in own}
+    ships, own_rows = (metapp(*table, *more).json_result["rows"] for more in ((), ("--checkpoint", folder)))
+    found = {row["paradigm"]: row["error"] for row in own_rows}
     means = {name: sum(errors_of(result)) / 2 for name, result in trained.items()}
     assert {name: found[name] for name in means} == pytest.approx(means)
     assert found != {row["paradigm"]: row["error"] for row in ships}
@@ -191,7 +196,7 @@ def test_a_table_compares_the_checkpoints_of_a_folder(fit: Callable, metapp: Cal
 
 @pytest.mark.parametrize(("paradigm", "rule"), [("general", "general"), ("meta", "meta-sgd")])
 def test_a_training_goes_on_from_a_checkpoint(fit: Callable, paradigm: str, rule: str) -> None:
-    """Its outer steps begin where those of the checkpoint ended, and the result is what fits are made by."""
+    """Outer steps go on where those of the checkpoint ended, and fits use the result."""
     named = () if paradigm == "general" else ("--rule", rule)
     first = fit(paradigm, *named, *STEPS, "--json")
     assert first.code == 0, first.err
@@ -232,7 +237,7 @@ def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.Mon
     assert errors_of(fit("quickft", "--checkpoint", general.parent, "--json")) == errors_of(tuned)
     assert tuned.code == 0
     assert "tuned Adam" in tuned.err
-    record = read_fit_records(Path(tuned.document["out"]))[-1]
+    record = read_fit_records(Path(tuned.json_document["out"]))[-1]
     assert record["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
 
 
@@ -263,7 +268,7 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
 
 
 def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:
-    """One that was trained by the same settings is not trained again, one of other settings is not replaced."""
+    """A General of equal settings is not trained again, and one of other settings is not replaced."""
     result = fit("meta", *STEPS)
     assert "no General ships for this data: training it first, 3 steps" in result.err
     (general,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
@@ -308,7 +313,7 @@ data nbrdf m --out set --samples 99999999999999999 | --samples 99999999999999999
 """
 
 
-def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
+def test_wrong_options_are_refused(metapp: Callable, fit: Callable) -> None:
     for table, call in ((MISUSED, fit), (MISUSED_ELSEWHERE, metapp)):
         for words, parts in (line.split("|") for line in table.strip().splitlines()):
             misuse = call(*words.split()).misuse
@@ -322,7 +327,7 @@ def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
         assert "Did you mean" not in metapp(*words).misuse
 
 
-def refuse(result: Result, *parts: str) -> None:
+def refuse(result: CommandResult, *parts: str) -> None:
     assert result.out == ""
     assert all(part in result.error for part in parts), result.err
 
@@ -344,7 +349,7 @@ meta --rule adam+average                 | brdf adam+average, recipe quick: no c
 """
 
 
-def test_refuses_bad_files(fit: Callable, metapp: Callable, networks: Path) -> None:
+def test_bad_files_are_refused(fit: Callable, metapp: Callable, networks: Path) -> None:
     Path("folder").mkdir()
     for name, content in {"text.binary": b"not a material", "photo.png": b"\x89PNG", "folder/notes.txt": b""}.items():
         Path(name).write_bytes(content)
@@ -375,17 +380,17 @@ def test_parameters_that_are_not_finite_are_an_error(
 
 
 def test_a_composition_is_trained_and_used(fit: Callable) -> None:
-    """As the recipe's default rule is, and under one name, whatever the order of its parts."""
+    """It is trained as the recipe's default rule is, and has one name, whatever the order of its parts."""
     trained = fit("meta", "--rule", "curvature+adam", *STEPS, "--json", "--quiet")
     assert trained.code == 0, trained.err
-    assert trained.document["rule"] == "adam+curvature"
+    assert trained.json_document["rule"] == "adam+curvature"
     (path,) = Path("runs").rglob("adam+curvature.safetensors")
     start, info = load_checkpoint(path)
     assert info["checkpoint"] == "adam+curvature"
     assert info["training"]["clip"] == RECIPES["quick"].meta["meta-curvature"].clip
     assert {"rate", "beta1", "beta2", "left", "right"} == {name.partition(".")[0] for name in start.alpha}
-    again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet", "--checkpoint", path.parent).document
-    assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.document["tasks"]]
+    again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet", "--checkpoint", path.parent).json_document
+    assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.json_document["tasks"]]
     assert "adam+curvature" in Path(again["out"]).name
     refuse(fit("meta", "--checkpoint", path), "expected brdf meta-curvature; add --rule adam+curvature")
 
@@ -402,17 +407,17 @@ def test_a_fit_imports_no_library_of_figures_and_ends_quietly() -> None:
         "print(gc.isenabled(), gc.get_freeze_count() > 100_000)",
         "print({'matplotlib', 'scipy', 'torchmetrics', 'mitsuba', 'colour'} & sys.modules.keys())",
     )
-    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "True True\nset()\n", "")
+    process = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stdout, process.stderr) == (0, "True True\nset()\n", "")
 
 
-def test_records_say_what_brdfs_reflect(fit: Callable) -> None:
+def test_records_state_the_albedo_of_brdfs(fit: Callable) -> None:
     done = fit("meta", "--conserve", "--json")
     assert done.code == 0, done.err
-    record = read_fit_records(Path(done.document["out"]))[0]
+    record = read_fit_records(Path(done.json_document["out"]))[0]
     assert len(record["albedo"]) == 16
     assert max(record["albedo"]) <= 1
-    assert "-conserve" in done.document["out"]
+    assert "-conserve" in done.json_document["out"]
     refused = fit("meta", "--recipe", "few", "--conserve")
     assert refused.code == 2
     assert "expected a recipe of isotropic BRDFs, such as full or quick" in " ".join(refused.err.split())

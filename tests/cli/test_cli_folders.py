@@ -10,9 +10,9 @@ import torch
 from metapp.learning.task import Task
 from metapp.storage.fit_folders import read_fit_records, write_fit
 from metapp.storage.shards import write_data_set
-from tests.extensions.capture.ball_photos import detailed, written
-from tests.extensions.capture.ball_photos import photograph as photograph_of_ball
-from tests.pictures import photograph
+from tests.extensions.capture.ball_photos import detailed_light, write_linear_png
+from tests.extensions.capture.ball_photos import photograph_ball as photograph_of_ball
+from tests.pictures import write_noise_photo
 
 NETWORKS = 1
 DATA_SET, RUN, FOUND = "a data set", "of a run", "made by metapp to show"
@@ -64,44 +64,44 @@ def folders(tmp_path: Path) -> Path:
         tasks = [(Task(f"{name}-bark", {"image": torch.randint(256, (3, 64, 64), dtype=torch.uint8)}), "test", "")]
         write_data_set(tmp_path / name, "texture", {"image": "sRGB"}, tasks, {"files": ["found"]})
     (tmp_path / "set/found").mkdir()
-    photograph(tmp_path / "set/found/0060.png")
+    write_noise_photo(tmp_path / "set/found/0060.png")
     settings = {"app": "texture", "paradigm": "meta", "rule": "basis", "recipe": "quick", "data": "files"}
     record = {"name": "bark", "error": 1.0, "seconds": 1.0, "settings": settings}
     kept = write_fit(tmp_path / "runs/texture/meta", record, {"w": torch.zeros(2)})
     for place in (Path(kept["folder"]) / "texture.png", tmp_path / "runs/texture/meta/pictures.png"):
-        photograph(place)
+        write_noise_photo(place)
     return tmp_path
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_folders_are_taken_or_refused_by_a_line(metapp: Callable, folders: Path, command: str) -> None:
-    for place, said in FOLDERS.items():
+    for place, description in FOLDERS.items():
         if place in COMMANDS[command] or (place == "set" and command.startswith(TAKEN)):
             continue
         if place.endswith(".png") and ("--data" in command or not command.startswith(FILES)):
             continue  # they take folders alone
-        done = metapp(*command.format(place, place).split())
-        line = done.error
+        result = metapp(*command.format(place, place).split())
+        line = result.error
         if place == "set" and command.startswith(OTHERS):
             assert "holds tasks of 'texture'" in line
-        elif "data ball" in command and "runs" in place and said == "a folder of runs":
+        elif "data ball" in command and "runs" in place and description == "a folder of runs":
             assert "a folder, expected an image file" in line
-        elif "data rectify" in command and said == "a folder of runs":
+        elif "data rectify" in command and description == "a folder of runs":
             assert "no image in this folder" in line
         else:
-            assert f"{place}: " in line, done
-            assert said in line, done
-            assert "metapp" in line or said == FOUND, done
+            assert f"{place}: " in line, result
+            assert description in line, result
+            assert "metapp" in line or description == FOUND, result
     assert not (folders / "out").exists()
 
 
-def test_what_takes_a_kind_does_not_refuse_it(metapp: Callable, folders: Path) -> None:
+def test_commands_do_not_refuse_the_folders_they_take(metapp: Callable, folders: Path) -> None:
     assert metapp("data", "check", "set").code == 0
     assert metapp("data", "join", "set", "other", "--out", "out").code == 0
     for place in ("runs", "runs/texture", "runs/texture/meta", "runs/texture/meta/bark"):
         for words in (["export", place, "png16"], ["view", place, "--no-open"]):
-            done = metapp(*words)
-            assert not any(said in done.err for said in ("expected a run's folder", DATA_SET)), done
+            result = metapp(*words)
+            assert not any(message in result.err for message in ("expected a run's folder", DATA_SET)), result
 
 
 def test_a_data_set_as_input_is_fitted_as_by_its_option(
@@ -110,19 +110,19 @@ def test_a_data_set_as_input_is_fitted_as_by_its_option(
     """The table of kinds, for fits: files and records are those of --data."""
     shutil.copytree(ten_materials, "set")
     given, options = ["--recipe", "quick", "--quiet", "--json"], ["--out", "by-option"]
-    by_option = metapp("meta", "brdf", "--data", "set", *given, *options).done
-    by_input = metapp("meta", "brdf", "set", *given).done
+    by_option = metapp("meta", "brdf", "--data", "set", *given, *options).json_result
+    by_input = metapp("meta", "brdf", "set", *given).json_result
     assert [task["error"] for task in by_input["tasks"]] == [task["error"] for task in by_option["tasks"]]
     assert Path(by_input["out"]).name == Path(by_option["out"]).name == f"meta-{by_input['data']}-quick"
-    (one, other) = (read_fit_records(Path(done["out"])) for done in (by_input, by_option))
+    (one, other) = (read_fit_records(Path(result["out"])) for result in (by_input, by_option))
     assert [record["origin"] for record in one] == [record["origin"] for record in other]
     # and where it has moved, a page, an export and a comparison find it as --data or as an input
     Path("moved").mkdir()
     Path("set").rename("moved/set")
     for words in (["--data", "moved/set"], ["--input", "moved/set"]):
-        done = metapp("view", by_input["out"], "--no-open", "--overwrite", "--most", "1", *words)
-        assert done.code == 0
-        assert "not at hand" not in done.err
+        result = metapp("view", by_input["out"], "--no-open", "--overwrite", "--most", "1", *words)
+        assert result.code == 0
+        assert "not at hand" not in result.err
     compared = metapp("compare", by_input["out"], by_option["out"], "moved/set", "--overwrite")
     assert compared.code == 0
     assert "no picture" not in compared.err
@@ -139,27 +139,27 @@ def test_a_data_set_as_input_is_fitted_as_by_its_option(
 )
 def test_a_data_set_stands_alone(metapp: Callable, folders: Path, words: list[str], line: str) -> None:
     shutil.copytree("set", "set2")
-    photograph(Path("bark.png"))
+    write_noise_photo(Path("bark.png"))
     assert line in metapp("meta", "texture", *words).misuse
 
 
 def test_runs_among_photos_are_no_inputs(metapp: Callable, folders: Path) -> None:
     """`metapp data images .` in the folder where runs, data sets and photographs lie."""
-    photograph(Path("bark.png"))
-    done = metapp("data", "images", ".", "--out", "out", "--size", "32", "--json").done
-    assert done["train"] + done["test"] == ["bark"]
+    write_noise_photo(Path("bark.png"))
+    result = metapp("data", "images", ".", "--out", "out", "--size", "32", "--json").json_result
+    assert result["train"] + result["test"] == ["bark"]
 
 
 @pytest.mark.long
-def test_light_of_a_ball_is_filled_in_from_its_data_set(metapp: Callable, tmp_path: Path, scene: Path) -> None:
+def test_light_of_a_ball_is_filled_in_from_its_data_set(metapp: Callable, tmp_path: Path, second_scene: Path) -> None:
     """`metapp data ball PHOTO --out garden; metapp meta illumination garden` fits the ball, and nothing else."""
     from metapp.extensions.capture.ball.ball_geometry import Ball
 
-    photo = written(tmp_path / "a.png", photograph_of_ball(Ball(80, 75, 60), 150, 160, 0.02, detailed))
+    photo = write_linear_png(tmp_path / "a.png", photograph_of_ball(Ball(80, 75, 60), 150, 160, 0.02, detailed_light))
     ball = ["--ball", "80,75,60", "--rows", "64"]
     assert metapp("data", "ball", photo, *ball, "--out", "garden", "--quiet").code == 0
     assert Path("garden/found/a.png").is_file()
-    done = metapp("meta", "illumination", "garden", "--recipe", "quick", "--json", "--quiet").done
-    assert [task["name"] for task in done["tasks"]] == ["garden"]
-    assert done["failures"] == []
+    result = metapp("meta", "illumination", "garden", "--recipe", "quick", "--json", "--quiet").json_result
+    assert [task["name"] for task in result["tasks"]] == ["garden"]
+    assert result["failures"] == []
     assert "made by metapp to show" in metapp("meta", "illumination", "garden/found", "--quiet").error

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from metapp.storage.shards import list_data_set_problems, read_data_set, read_manifest
-from tests.pictures import environment, noise, photograph, text, write
+from tests.pictures import noise_image, write_image, write_noise_map, write_noise_photo, write_text
 
 IN, OUT = Path("in"), Path("out")
 
@@ -30,34 +30,34 @@ class Set(NamedTuple):
 def strip(path: Path, tiles: int = 5) -> Path:
     values = np.random.default_rng(0).integers(20, 236, (40, 40 * tiles, 3), dtype=np.uint8)
     values[:, 40:80] = (128, 140, 250)
-    return write(path, values)
+    return write_image(path, values)
 
 
 def flat(path: Path, *colour: int) -> Path:
-    return write(path, np.full((40, 40, 3), colour, np.uint8))
+    return write_image(path, np.full((40, 40, 3), colour, np.uint8))
 
 
 def material(folder: Path, name: str, tilt: int) -> None:
-    colour = noise(40, 40, seed=tilt)
-    write(folder / f"{name}_diffuse.png", colour)
+    colour = noise_image(40, 40, seed=tilt)
+    write_image(folder / f"{name}_diffuse.png", colour)
     flat(folder / f"{name}_normal.png", 128 + tilt, 128, 250)
-    write(folder / f"{name}_gloss.png", colour[..., :1])
+    write_image(folder / f"{name}_gloss.png", colour[..., :1])
 
 
 def photographs() -> None:
     for index, name in enumerate(("bark", "sand", "grass", "sub/moss", "sub/wall", "rust")):
-        photograph(IN / f"{name}.png", index)
+        write_noise_photo(IN / f"{name}.png", index)
 
 
 def environments() -> None:
     for seed, name in enumerate(("a.exr", "b.hdr", "deep/er/c.exr", "deep/d.EXR", "e.exr")):
-        environment(IN / name, seed)
+        write_noise_map(IN / name, seed)
 
 
 def flashes() -> None:
     for seed, (number, image) in enumerate(FLASHES):
-        photograph(IN / f"train_{number:02d}_{image}.png", seed)
-    text(IN / "metadata.json")
+        write_noise_photo(IN / f"train_{number:02d}_{image}.png", seed)
+    write_text(IN / "metadata.json")
 
 
 def strips() -> None:
@@ -65,7 +65,7 @@ def strips() -> None:
         strip(IN / "deep" / f"{index};a{index}Xb{index};0X1.png")
         strip(IN / f"{index + 10};b{index}Xa{index};2Xdefault.png")
     strip(IN / "four.png", 4)
-    text(IN / "notes.txt")
+    write_text(IN / "notes.txt")
 
 
 def materials() -> None:
@@ -106,7 +106,7 @@ def test_files_become_a_data_set(name: str, metapp: Callable) -> None:
     case.make()
     result = metapp("data", name, IN, *case.words.split(), "--out", OUT, "--json")
     train, test = (dict.fromkeys(names.split(), split) for names, split in ((case.train, "train"), (case.test, "test")))
-    document = result.document
+    document = result.json_document
     assert (document["app"], document["out"], len(document["skipped"])) == (case.app, "out", len(case.skipped))
     assert ({*document["train"]}, {*document["test"]}) == (train.keys(), test.keys())
     *lines, last = result.err.splitlines()
@@ -128,27 +128,27 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     for name in ("1", "2"):
         strip(IN / f"{name};a;0.png")
     for letter, colour in {"N": (128, 128, 255), "D": (90, 80, 70), "R": (99, 99, 99), "S": (60, 60, 60)}.items():
-        write(Path("of") / f"1_{letter}.png", np.full((36, 36, 3), colour, np.uint8))
+        write_image(Path("of") / f"1_{letter}.png", np.full((36, 36, 3), colour, np.uint8))
     convert = ("data", "strips", IN, "--out", OUT, "--split", "test", "--size", "36", "--overwrite")
-    done = metapp(*convert, "--predicted", "of")
-    assert "in/2;a;0.png: of/2_N.png: no such file" in done.err
+    result = metapp(*convert, "--predicted", "of")
+    assert "in/2;a;0.png: of/2_N.png: no such file" in result.err
     assert [entry.name for entry in read_manifest(OUT).tasks] == ["1_a_0"]  # what is not predicted is left out
     assert read_manifest(OUT).notes["predicted"] == "of"
     (task,) = read_data_set(OUT, "test", "svbrdf_nonstationary")
     assert {tuple(value.shape) for value in task.data.values()} == {(10, 36, 36), (3, 36, 36)}
     call = ("baseline", "svbrdf_nonstationary", "--observe", "photo", "--method", "predicted", "--data", OUT)
-    judged = metapp(*call, "--recipe", "quick", "--json").done
+    judged = metapp(*call, "--recipe", "quick", "--json").json_result
     (record,) = judged["tasks"]
     assert record["normal"] < 20
     assert {"seconds", "threads"}.isdisjoint(record)
     assert (Path(judged["out"]) / "1_a_0" / "normal.png").is_file()
     options = ("--observe", "photo", "--data", OUT, "--recipe", "quick")
-    ours = metapp("general", "svbrdf_nonstationary", *options, "--json").done["out"]
+    ours = metapp("general", "svbrdf_nonstationary", *options, "--json").json_result["out"]
     compared = metapp("compare", ours, judged["out"], "--json")
     assert compared.code == 0
     assert "no picture" in compared.err
-    assert [side["label"] for side in compared.document["runs"]] == ["general", "predicted"]
-    assert compared.document["runs"][1]["measures"]["normals, degrees"]["mean"] == record["normal"]
+    assert [side["label"] for side in compared.json_document["runs"]] == ["general", "predicted"]
+    assert compared.json_document["runs"][1]["measures"]["normals, degrees"]["mean"] == record["normal"]
     assert "normals, degrees: " in " ".join(metapp("compare", ours, judged["out"]).out.split())
     assert "1_a_0" in metapp(*call, "--recipe", "quick").out
     assert metapp(*convert).code == 0

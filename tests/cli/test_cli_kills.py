@@ -13,7 +13,7 @@ import pytest
 from metapp.runs import checkpoint_training
 from tests import forks
 
-pytestmark = pytest.mark.usefixtures("compiled")
+pytestmark = pytest.mark.usefixtures("compiled_in_cache")
 
 
 class Command(NamedTuple):
@@ -22,17 +22,17 @@ class Command(NamedTuple):
     arguments: tuple[str | Path, ...]
     out: Path
 
-    def start(self, program: Callable[..., None] = forks.metapp) -> forks.Running:
-        said = self.out.with_name(f"{self.out.name}-said")
+    def start(self, program: Callable[..., None] = forks.run_metapp) -> forks.ForkedProgram:
+        output_folder = self.out.with_name(f"{self.out.name}-said")
         line = [*map(str, self.arguments), "--out", str(self.out), "--quiet"]
         often = {"METAPP_CHECKPOINT_SECONDS": "0.05"}
-        return forks.start(program, *line, said=said, more=often)
+        return forks.start_in_fork(program, *line, output_folder=output_folder, extra_environment=often)
 
     def run(self) -> str:
-        """To its end; what it says."""
-        code, _, said = self.start().end()
-        assert code == 0, said
-        return said
+        """Run the command to its end and return what it prints."""
+        code, _, output = self.start().wait_for_output()
+        assert code == 0, output
+        return output
 
     def starts(self) -> dict[str, bytes]:
         """The files of starts, whatever else is there."""
@@ -57,13 +57,13 @@ def _killed_when_it_is_done(*words: str) -> None:
     Path.unlink = lambda path, **how: (
         os._exit(9) if path.name == "general.training.safetensors" else unlink(path, **how)
     )
-    forks.metapp(*words)
+    forks.run_metapp(*words)
 
 
-def test_a_kill_after_the_checkpoint_is_written_keeps_it_once(command: Callable[..., Command]) -> None:
-    """The same command again writes the same checkpoint, which is none that it replaces."""
+def test_killed_after_writing_the_checkpoint_the_rerun_keeps_one(command: Callable[..., Command]) -> None:
+    """The command, run again, writes an equal checkpoint, which does not count as one that replaces another."""
     general = command("general")
-    assert general.start(_killed_when_it_is_done).end()[0] == 9
+    assert general.start(_killed_when_it_is_done).wait_for_output()[0] == 9
     (before,) = general.starts().values()
     general.run()
     (found,) = (path for path in general.out.rglob("checkpoints/**/*") if path.is_file())
@@ -81,10 +81,10 @@ def _stops_once_kept(*words: str) -> None:
             os.kill(os.getpid(), signal.SIGSTOP)
 
     checkpoint_training.save_training_state = written
-    forks.metapp(*words)
+    forks.run_metapp(*words)
 
 
-def stopped_once_kept(command: Command) -> forks.Running:
+def stopped_once_kept(command: Command) -> forks.ForkedProgram:
     """The command, stopped by itself: what it has left to do does not depend on how busy the machine is."""
     running = command.start(_stops_once_kept)
     state = Path(f"/proc/{running.process.pid}/stat")
@@ -99,9 +99,9 @@ def test_sigterm_acts_like_ctrl_c(command: Callable[..., Command]) -> None:
     running = stopped_once_kept(stopped)
     os.kill(running.process.pid, signal.SIGCONT)
     os.kill(running.process.pid, signal.SIGTERM)
-    code, _, said = running.end()
+    code, _, output = running.wait_for_output()
     assert code == 130
-    assert "Traceback" not in said
-    assert said.splitlines()[-1].startswith("interrupted; the same command goes on")
+    assert "Traceback" not in output
+    assert output.splitlines()[-1].startswith("interrupted; the same command goes on")
     assert list(stopped.out.rglob("general.interrupted.safetensors"))
     assert "going on from step" in stopped.run()

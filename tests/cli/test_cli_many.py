@@ -30,12 +30,12 @@ def materials(networks: Path) -> Path:
 @pytest.fixture
 def fit(metapp: Callable, materials: Path) -> Callable:
     """`metapp quickft brdf materials`, which draws samples for its start and for each step."""
-    told = ("--recipe", "quick", "--steps", "3", "--json")
-    return lambda *more: metapp("quickft", "brdf", materials, *told, *more)
+    options = ("--recipe", "quick", "--steps", "3", "--json")
+    return lambda *more: metapp("quickft", "brdf", materials, *options, *more)
 
 
 @pytest.fixture
-def fitted(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+def fitted_batches(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """The names of the tasks in each batch."""
     batches, original = [], fitting.fit_side_by_side
 
@@ -52,10 +52,10 @@ def errors(document: dict) -> dict[str, float]:
 
 
 @pytest.mark.long
-def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted: list[list[str]]) -> None:
-    alone, together = fit().document, fit("--batch", "2").document
+def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted_batches: list[list[str]]) -> None:
+    alone, together = fit().json_document, fit("--batch", "2").json_document
     assert errors(together) == pytest.approx(errors(alone), rel=1e-3)
-    assert fitted[-3:] == [["m0", "m1"], ["m2", "m3"], ["m4"]]
+    assert fitted_batches[-3:] == [["m0", "m1"], ["m2", "m3"], ["m4"]]
     assert together["tasks_per_second"] > 0
     assert together["failures"] == []
     folder = Path(together["out"])
@@ -76,41 +76,41 @@ def test_each_input_is_a_line_where_there_is_no_terminal(fit: Callable, material
     assert not any(line.startswith("quickft: ") for line in fit("--quiet").err.splitlines())
 
 
-def test_what_was_fitted_is_not_fitted_again(fit: Callable, fitted: list[list[str]], materials: Path) -> None:
-    first = fit("--batch", "2").document
-    del fitted[:]
+def test_fitted_inputs_are_not_fitted_again(fit: Callable, fitted_batches: list[list[str]], materials: Path) -> None:
+    first = fit("--batch", "2").json_document
+    del fitted_batches[:]
     again = fit("--batch", "4", "--resume")  # another number is the same run
-    assert fitted == []
-    assert (again.document["tasks_per_second"], again.document["tasks"]) == (None, first["tasks"])
+    assert fitted_batches == []
+    assert (again.json_document["tasks_per_second"], again.json_document["tasks"]) == (None, first["tasks"])
     assert "5 of 5 inputs are skipped, since they have a fit by equal settings" in again.err
     for file in (materials / "m3").iterdir():
         file.touch()  # which does not change its content
     shutil.rmtree(materials / "m1")
     shutil.copytree(materials / "m0", materials / "m1")
     shutil.copytree(materials / "m2", materials / "new")
-    assert sorted(errors(fit("--batch", "4", "--resume").document)) == sorted([*NAMES, "new"])
-    assert fitted == [["m1", "new"]]
+    assert sorted(errors(fit("--batch", "4", "--resume").json_document)) == sorted([*NAMES, "new"])
+    assert fitted_batches == [["m1", "new"]]
     fit("--resume", "--seed", "3")
-    assert fitted[1:] == [[name] for name in [*NAMES, "new"]]  # of other settings
+    assert fitted_batches[1:] == [[name] for name in [*NAMES, "new"]]  # of other settings
 
 
-def test_a_broken_file_stops_no_other(fit: Callable, fitted: list[list[str]], materials: Path) -> None:
+def test_a_broken_file_stops_no_other(fit: Callable, fitted_batches: list[list[str]], materials: Path) -> None:
     broken = materials / "m2" / "b1.npy"
     whole = broken.read_bytes()
     broken.write_bytes(b"broken")
     result = fit("--batch", "3")
     assert "warning: skipped: " in result.err  # it was found in a folder, not named
-    (failure,) = result.document["failures"]
+    (failure,) = result.json_document["failures"]
     assert failure["source"].endswith("m2")
-    assert sorted(errors(result.document)) == ["m0", "m1", "m3", "m4"]
+    assert sorted(errors(result.json_document)) == ["m0", "m1", "m3", "m4"]
     broken.write_bytes(whole)
-    del fitted[:]
-    assert sorted(errors(fit("--batch", "3", "--resume").done)) == NAMES
-    assert fitted == [["m2"]]
+    del fitted_batches[:]
+    assert sorted(errors(fit("--batch", "3", "--resume").json_result)) == NAMES
+    assert fitted_batches == [["m2"]]
 
 
-def test_a_fit_that_fails_is_parted_from_its_batch(
-    fit: Callable, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
+def test_failed_fits_are_separated_from_their_batch(
+    fit: Callable, fitted_batches: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Broken(Brdf):
         def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -123,16 +123,16 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
     monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Broken(quick.app.network)))
     result = fit("--batch", "4")
     assert result.error == "error: 1 of 5 inputs were not fitted."
-    assert sorted(errors(result.document)) == ["m0", "m2", "m3", "m4"]
-    assert "not finite" in result.document["failures"][0]["reason"]
-    assert fitted == [["m0", "m1", "m2", "m3"], ["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
-    records = read_fit_records(Path(result.document["out"]))
+    assert sorted(errors(result.json_document)) == ["m0", "m2", "m3", "m4"]
+    assert "not finite" in result.json_document["failures"][0]["reason"]
+    assert fitted_batches == [["m0", "m1", "m2", "m3"], ["m0"], ["m1"], ["m2"], ["m3"], ["m4"]]
+    records = read_fit_records(Path(result.json_document["out"]))
     assert [record["name"] for record in records] == ["m0", "m2", "m3", "m4"]
     assert not any("batch" in record for record in records)
 
 
 def test_batches_beyond_the_memory_are_fitted_one_by_one(
-    fit: Callable, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
+    fit: Callable, fitted_batches: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Large(Brdf):
         def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -143,7 +143,7 @@ def test_batches_beyond_the_memory_are_fitted_one_by_one(
     quick = RECIPES["quick"]
     monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Large(quick.app.network)))
     assert fit("--batch", "4").code == 0
-    assert fitted == [NAMES[:4], *([name] for name in NAMES)]
+    assert fitted_batches == [NAMES[:4], *([name] for name in NAMES)]
 
 
 def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
@@ -153,7 +153,7 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     task = Input.read_task
     monkeypatch.setattr(Input, "read_task", lambda self: task(self)._replace(name="one"))
     names = ["one", *(name_with_digest("one", str((materials / name).resolve())) for name in NAMES[1:])]
-    first = errors(fit("--batch", "8").document)
+    first = errors(fit("--batch", "8").json_document)
     assert list(first) == names
     assert "5 of 5 fits and their pictures replace earlier ones" in (again := fit()).err
-    assert list(errors(again.document)) == names
+    assert list(errors(again.json_document)) == names

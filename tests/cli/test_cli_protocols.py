@@ -41,7 +41,7 @@ from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
 from tests.marked import long
 from tests.pictures import write_planes
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 SVBRDF = "svbrdf_nonstationary"
 RECIPES = {"illumination": ILLUMINATION, SVBRDF: MATERIALS}
@@ -107,12 +107,12 @@ def app(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def small(scene: Path, short_by_protocol: Callable) -> None:
+def small(second_scene: Path, shorten_recipes: Callable) -> None:
     """Other sizes and a few steps."""
     local = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
-    short_by_protocol(RECIPES["illumination"], local, local._replace(height=16, width=32))
+    shorten_recipes(RECIPES["illumination"], local, local._replace(height=16, width=32))
     fields = (field_of(side, hidden=8)._replace(code=3) for side in (16, 24))
-    short_by_protocol(RECIPES[SVBRDF], *fields, encoder_width=2)
+    shorten_recipes(RECIPES[SVBRDF], *fields, encoder_width=2)
 
 
 @pytest.fixture
@@ -133,19 +133,21 @@ def luminance_of(path: Path) -> float:
 
 
 def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference: Path) -> None:
-    document = metapp("overfit", app, reference, "--json").done
+    document = metapp("overfit", app, reference, "--json").json_result
     assert (document["observe"], document["tasks"][0]["name"]) == ("reference", "reference")
     assert document["out"] == f"runs/{app}/overfit"  # of the full recipe, the usual one
     assert 0 < document["error"] < (100 if app == "illumination" else 2)
-    made = Path(document["out"]) / "reference"
-    assert {path.name for path in made.iterdir()} == APPS[app].files | {PARAMS, RECORD}
+    output_folder = Path(document["out"]) / "reference"
+    assert {path.name for path in output_folder.iterdir()} == APPS[app].files | {PARAMS, RECORD}
     if app == "illumination":
-        assert luminance_of(made / "map.exr") == pytest.approx(float(mean_luminance(read_map(reference, 8))), rel=0.5)
-        pixels = torch.from_numpy(oiio.ImageBuf(str(made / "map.exr")).get_pixels(oiio.FLOAT))
-        shown = oiio.ImageBuf(str(made / "map.png")).get_pixels(oiio.UINT8)
+        assert luminance_of(output_folder / "map.exr") == pytest.approx(
+            float(mean_luminance(read_map(reference, 8))), rel=0.5
+        )
+        pixels = torch.from_numpy(oiio.ImageBuf(str(output_folder / "map.exr")).get_pixels(oiio.FLOAT))
+        shown = oiio.ImageBuf(str(output_folder / "map.png")).get_pixels(oiio.UINT8)
         assert np.abs(shown - 255 * tone_map(pixels / pixels.mean()).numpy()).max() <= 1
     else:
-        specs = [oiio.ImageBuf(str(path)).spec() for path in made.glob("*.png")]
+        specs = [oiio.ImageBuf(str(path)).spec() for path in output_folder.glob("*.png")]
         assert {(spec.width, spec.height) for spec in specs} == {(256, 256)}  # readers scale to it
 
 
@@ -153,17 +155,17 @@ def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference
 def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
     """Alone, and in a folder with references."""
     fit = ("overfit", app, "--observe", "photo", "--json")
-    document = metapp(*fit, photo).done
+    document = metapp(*fit, photo).json_result
     assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
     assert 0 < document["photo_error"] == document["tasks"][0]["photo_error"] < 30
     assert document["out"].endswith("-photo")
     assert read_fit_records(Path(document["out"]))[0]["settings"]["observe"] == "photo"
-    made = Path(document["out"]) / "photo"
-    assert {path.name for path in made.iterdir()} == APPS[app].files | {PARAMS, RECORD}
+    output_folder = Path(document["out"]) / "photo"
+    assert {path.name for path in output_folder.iterdir()} == APPS[app].files | {PARAMS, RECORD}
     assert Path(document["out"], "pictures.png").is_file()
     if app == "illumination":
-        assert luminance_of(made / "map.exr") == pytest.approx(1, rel=0.01)
-    document = metapp(*fit, photo.parent).done
+        assert luminance_of(output_folder / "map.exr") == pytest.approx(1, rel=0.01)
+    document = metapp(*fit, photo.parent).json_result
     errors = {task["name"]: task["error"] for task in document["tasks"]}
     assert errors["photo"] is None
     assert [task["name"] for task in document["tasks"] if "photo_error" in task] == ["photo"]
@@ -219,8 +221,8 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     assert not Path("runs").exists()
 
 
-def test_what_is_cut_is_said_and_the_bar_moves(shot: Path, capsys: Any) -> None:
-    """Of the first inputs; the bar tells reading, fit, pictures and exports of each."""
+def test_cropping_is_reported_and_progress_shown(shot: Path, capsys: Any) -> None:
+    """Cropping of the first inputs is reported; the bar names reading, fit, pictures and exports of each input."""
     for number in range(5):
         write_planes(shot.with_name(f"wide{number}.png"), torch.rand(3, 64, 96))
     shown: list[tuple[float, str]] = []
@@ -256,10 +258,10 @@ def test_maps_have_the_size_asked_for(metapp: Callable, shot: Path) -> None:
     assert "--size 32x64: svbrdf_nonstationary expects square maps of 32 to 4096 px" in misuse
 
 
-def test_the_mean_tilt_is_said_once_for_a_run(metapp: Callable, shot: Path) -> None:
+def test_each_run_prints_the_mean_tilt_once(metapp: Callable, shot: Path) -> None:
     few = "; one photo cannot tell dents from bumps, several photos of one place do: metapp data rectify PHOTOS"
     result = metapp("overfit", SVBRDF, shot, "--json")
-    tilt = result.document["tasks"][0]["mean_tilt_degrees"]
+    tilt = result.json_document["tasks"][0]["mean_tilt_degrees"]
     assert tilt > 0
     assert f"relief: mean tilt {tilt:.1f} degrees{few * (tilt >= VISIBLE_TILT_DEGREES)}\n" in result.err
     assert "relief" not in metapp("overfit", SVBRDF, shot, "--quiet").err
@@ -268,8 +270,8 @@ def test_the_mean_tilt_is_said_once_for_a_run(metapp: Callable, shot: Path) -> N
     assert re.fullmatch(rf"relief: mean tilt \d+\.\d degrees, median of 2, up to \d+\.\d({re.escape(few)})?", line)
 
 
-def test_exports_have_slopes_times_a_factor(metapp: Callable, shot: Path) -> None:
-    """That of the command, else the fit's; its errors are without it."""
+def test_exported_slopes_are_scaled_by_the_relief_factor(metapp: Callable, shot: Path) -> None:
+    """The factor is that of the export command, or else the fit's; errors are measured without it."""
 
     def normals(run: str, *words: str) -> np.ndarray:
         assert metapp("export", run, "exr", shot, "--out", "made", *words).code == 0
@@ -279,7 +281,7 @@ def test_exports_have_slopes_times_a_factor(metapp: Callable, shot: Path) -> Non
 
     common = ("overfit", SVBRDF, shot, "--json")
     result = metapp(*common, "--relief", "2")
-    one, two = metapp(*common).document, result.document
+    one, two = metapp(*common).json_document, result.json_document
     assert f"relief: mean tilt {two['tasks'][0]['mean_tilt_degrees']:.1f} degrees, without --relief" in result.err
     same = ("name", "photo_error", "mean_tilt_degrees")
     assert [one["tasks"][0][key] for key in same] == [two["tasks"][0][key] for key in same]
@@ -295,9 +297,9 @@ def test_exports_have_slopes_times_a_factor(metapp: Callable, shot: Path) -> Non
         assert "expected 0 to 10" in metapp("export", one["out"], "exr", "--relief", factor).misuse
 
 
-def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
+def test_exposure_option_scales_the_photo(metapp: Callable, shot: Path) -> None:
     common = ("overfit", SVBRDF, shot, "--steps", "1", "--json")
-    fits = {stops: metapp(*common, "--stops", stops).document for stops in ("0", "-1")}
+    fits = {stops: metapp(*common, "--stops", stops).json_document for stops in ("0", "-1")}
     assert fits["0"]["out"] != fits["-1"]["out"]  # read otherwise, the same files are other data
     runs = [read_run_records(Path(fit["out"])).records for fit in fits.values()]
     (one,), (other,) = (
@@ -319,15 +321,15 @@ STEPS = ("--train", "--train-steps", "2", "--quiet")
 
 
 @pytest.fixture
-def on_data(metapp: Callable, short_by_protocol: Callable) -> Callable:
+def on_data(metapp: Callable, shorten_recipes: Callable) -> Callable:
     """A command on ten small materials, eight of them for training, with small networks and a few steps."""
     field = field_of(16, hidden=8)._replace(code=3)
-    short_by_protocol(MATERIALS, field, field, encoder_width=2)
+    shorten_recipes(MATERIALS, field, field, encoder_width=2)
     assert metapp("data", "synth", SVBRDF, "--count", "10", "--size", "32", "--out", "set", "--quiet").code == 0
     return lambda command, *more: metapp(command, SVBRDF, *more, "--recipe", "quick", "--data", "set")
 
 
-def test_protocols_share_general_and_nothing_else(on_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_protocols_share_generals_checkpoint_alone(on_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     quick = MATERIALS["photo"]["quick"]
     monkeypatch.setitem(MATERIALS["photo"], "quick", replace(quick, search=([{"rate": 0.5}],)))
     rule = MATERIALS["photo"]["quick"].rule
@@ -356,7 +358,7 @@ def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
         assert reason in metapp("evaluate", *apps, "--observe", observe, "--no-run").misuse
 
 
-def test_the_option_reaches_those_that_have_the_protocol() -> None:
+def test_observe_option_selects_protocols_in_evaluations() -> None:
     """The first protocol is the default, where fits see what the paper's do; the whole evaluation has all."""
     both = [(SVBRDF, "reference"), (SVBRDF, "photo")]
     for more, expected in (({"observe": "photo"}, both[1:]), ({}, both[:1]), ({"whole": True}, both)):
@@ -365,14 +367,14 @@ def test_the_option_reaches_those_that_have_the_protocol() -> None:
         assert found == [("texture", ""), *expected]
 
 
-def test_meta_is_compared_where_overfit_is_no_floor() -> None:
+def test_meta_is_compared_with_general_where_overfit_sees_less() -> None:
     errors = {"general": 1.0, "overfit": 0.5, "quickft": 0.978, "meta": 0.88}
     rows = [
         {"paradigm": name, "error": error, "shared_error": error, "few": False, "seconds": 1.0}
         | {"rule": "tied", "paper_error": None, "paper_seconds": None}
         for name, error in errors.items()
     ]
-    assert "gap closed 0.24" in describe_gap(app_by(SVBRDF), rows)
-    said = describe_gap(app_by(SVBRDF, protocol="photo"), rows)
-    assert said.startswith("Meta's error is 12 % below General's, 10 % below QuickFT's; Overfit sees the photo alone")
-    assert "gap" not in said
+    assert "gap closed 0.24" in describe_gap(app_by_recipe(SVBRDF), rows)
+    output = describe_gap(app_by_recipe(SVBRDF, protocol="photo"), rows)
+    assert output.startswith("Meta's error is 12 % below General's, 10 % below QuickFT's; Overfit sees the photo alone")
+    assert "gap" not in output

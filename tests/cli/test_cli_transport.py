@@ -23,7 +23,7 @@ from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.scene_files import scene_reader
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 
 @pytest.fixture(scope="module")
@@ -47,21 +47,21 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.long
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(box: Task) -> None:
-    task, app = box, app_by("transport")
+    task, app = box, app_by_recipe("transport")
     presenter, theta = presenter_of(app), uniform(app)
     found = presenter.picture_errors({"instant": TimedFit(theta, 0.0), "endless": TimedFit(theta, 1e9)}, task)
     with_nee = [guided_pictures.REGULAR_NEE, *map(guided_pictures.row_title, guided_pictures.extension_integrators())]
     assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
-    for name, each in list(found.items())[1:]:
-        assert set(each) - {guided_pictures.EQUAL_TIME} == measures | {"PSNR", "time", guided_pictures.FIXED_TIME}
-        assert all(0 < value < 2 for key, value in each.items() if key in measures)
+    for name, picture in list(found.items())[1:]:
+        assert set(picture) - {guided_pictures.EQUAL_TIME} == measures | {"PSNR", "time", guided_pictures.FIXED_TIME}
+        assert all(0 < value < 2 for key, value in picture.items() if key in measures)
         # the start's density is uniform, as Regular's is: the same picture but for noise
-        same = all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures)
+        same = all(picture[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures)
         assert same != (name in with_nee), name
-        assert each["MAPE"] <= 1.2 * found["regular"]["MAPE"]
-        assert each["time"] > 0
+        assert picture["MAPE"] <= 1.2 * found["regular"]["MAPE"]
+        assert picture["time"] > 0
     assert found["regular"][guided_pictures.EQUAL_TIME] == found["regular"]["MAPE"]
     assert guided_pictures.EQUAL_TIME not in found["endless"]
     assert found["endless"][guided_pictures.FIXED_TIME] > 1e6 * found["instant"][guided_pictures.FIXED_TIME] > 0
@@ -91,7 +91,7 @@ def test_pictures_with_nee_come_in_waves(box: Task) -> None:
 
 @pytest.mark.long
 def test_equal_time_counts_the_samples_that_a_fit_sees(box: Task) -> None:
-    app, sampled = app_by("transport"), []
+    app, sampled = app_by_recipe("transport"), []
 
     class Slow(guided_pictures.SceneRenderer):
         def time_sampling(self, samples: torch.Tensor) -> float:
@@ -111,12 +111,12 @@ def test_a_reference_knows_its_own_error(box: Task) -> None:
     studio = guided_pictures.SceneRenderer(
         box.data["scene"].numpy().tobytes(), size=8, reference_spp=guided_pictures.REFERENCE_SPP // 4
     )
-    told, wanted = (
+    stated_error, expected = (
         studio.reference_error,
         path_space.render_reference(studio.tracer, 8, 4 * guided_pictures.REFERENCE_SPP, seed=9),
     )
-    found = float(guided_pictures.mape(studio.reference[None], wanted[None]))
-    assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
+    found = float(guided_pictures.mape(studio.reference[None], expected[None]))
+    assert found == pytest.approx(stated_error, rel=0.3)  # as far from the truth as its halves say
     assert studio.time_sampling(box.data["samples"]) > 0
 
 
@@ -130,9 +130,11 @@ def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatc
     Path("bulb.json").write_text(json.dumps(box))
     result = metapp("overfit", "transport", "bulb.json", "--json")
     assert result.err.count("bulb: paths have next-event estimation from the second surface on") == 1
-    assert result.done["tasks"][0]["note"].startswith("paths have next-event estimation")
-    assert np.isfinite(result.done["error"])
-    made = Path(result.done["out"])
-    assert "next-event estimation" in json.loads((made / "bulb" / "record.json").read_text())["note"]
-    guided, regular = (oiio.ImageBuf(str(made / "bulb" / f"{name}.exr")).get_pixels() for name in ("guided", "regular"))
+    assert result.json_result["tasks"][0]["note"].startswith("paths have next-event estimation")
+    assert np.isfinite(result.json_result["error"])
+    output_folder = Path(result.json_result["out"])
+    assert "next-event estimation" in json.loads((output_folder / "bulb" / "record.json").read_text())["note"]
+    guided, regular = (
+        oiio.ImageBuf(str(output_folder / "bulb" / f"{name}.exr")).get_pixels() for name in ("guided", "regular")
+    )
     assert float(np.mean(guided)) == pytest.approx(float(np.mean(regular)), rel=0.2)

@@ -20,7 +20,7 @@ from metapp.registry import Entry, registry
 NAMES = ("bad:x:b.csv", "[red]a[/red].csv", "[/].csv", ":smile:.csv")
 
 
-def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_command_prints_a_warning_once(capsys: pytest.CaptureFixture[str]) -> None:
     for terminal in (Terminal(), Terminal()):
         for message in ("warning: a.png: it clips", "a line", "warning: b.png: it clips", "a line"):
             terminal.say(message)
@@ -30,13 +30,13 @@ def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[st
     assert lines.count("a line") == 8
 
 
-def test_paths_in_messages_turn_no_text(capsys: pytest.CaptureFixture[str]) -> None:
+def test_paths_in_messages_cannot_reverse_text(capsys: pytest.CaptureFixture[str]) -> None:
     Terminal().say("picture: a\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a")
     assert capsys.readouterr().err == "picture: a\\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a\n"
 
 
 def test_a_reader_that_goes_away_ends_a_command_quietly(capsys: pytest.CaptureFixture[str]) -> None:
-    """As of `metapp ... | head`."""
+    """An example is `metapp ... | head`."""
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "w") as pipe, contextlib.redirect_stdout(pipe):
@@ -57,18 +57,18 @@ def test_closed_streams_are_one_line_and_no_file_gets_their_numbers(streams: str
     lines = "from metapp.cli.console import run_command\nimport sys\n"
     lines += "def command():\n    file = open('made', 'w')\n    print('printed')\n    print(file.fileno(), file=file)\n"
     lines += "    file.close()\nsys.exit(run_command(command))"
-    done = subprocess.run(
+    process = subprocess.run(
         ["bash", "-c", f'"$0" -c "$1" {streams}', sys.executable, lines], capture_output=True, text=True, cwd=tmp_path
     )
-    said = "error: standard output: closed, expected an open one; print to a file or to /dev/null, or add --quiet.\n"
+    output = "error: standard output: closed, expected an open one; print to a file or to /dev/null, or add --quiet.\n"
     is_closed = "1>" in streams
-    assert done.stderr == (said if is_closed and "2>" not in streams else "")
-    assert (done.returncode, done.stdout) == ((1, "") if is_closed else (0, "printed\n"))
+    assert process.stderr == (output if is_closed and "2>" not in streams else "")
+    assert (process.returncode, process.stdout) == ((1, "") if is_closed else (0, "printed\n"))
     assert int((tmp_path / "made").read_text()) > 2
 
 
 def test_a_program_that_ends_itself_keeps_its_exit_code() -> None:
-    """As --show-completion does; only a broken pipe counts as output that nobody read."""
+    """--show-completion ends so; only a broken pipe counts as output that nobody read."""
     with pytest.raises(SystemExit) as ended:
         run_command(lambda: sys.exit(0))
     assert ended.value.code == 0
@@ -125,7 +125,7 @@ def test_the_time_left_is_shown_once_a_tenth_is_done(monkeypatch: pytest.MonkeyP
             assert bool(re.search(r"\d:\d\d:\d\d", drawn.getvalue())) == (step >= 10)
 
 
-def test_a_wait_is_said_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_waits_are_reported_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     terminal = Terminal(wait_seconds=0.05)
     with terminal.bar("photos", 3, 0, False) as bar:
         bar.advance("a.jpg")
@@ -141,7 +141,7 @@ def test_a_wait_is_said_where_there_is_no_terminal(capsys: pytest.CaptureFixture
     assert capsys.readouterr().err == ""
 
 
-def test_longer_waits_are_said_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
+def test_long_waits_are_reported_from_time_to_time(capsys: pytest.CaptureFixture[str]) -> None:
     terminal = Terminal(wait_seconds=3500.0, next_seconds=-3600.0)
     with terminal.bar("photos", 2, 0, False) as bar:
         bar.advance("a.jpg")
@@ -155,9 +155,9 @@ def test_completion_imports_nothing_large() -> None:
     lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
     lines += "    print({'torch', 'mitsuba', 'numpy', 'rich.console'} & sys.modules.keys())"
     line = {"_METAPP_COMPLETE": "complete_bash", "COMP_WORDS": "metapp meta brdf --recipe ", "COMP_CWORD": "4"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", lines], capture_output=True, text=True, env=os.environ | line, check=True
     )
-    *words, imported = done.stdout.splitlines()
+    *words, imported = process.stdout.splitlines()
     assert {"quick", "full", "few"} <= set(words)
     assert imported == "set()"

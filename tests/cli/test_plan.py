@@ -35,7 +35,7 @@ def fill_in(file: Path) -> None:
 
 def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> None:
     file = tmp_path / "paint.csv"
-    planned = metapp("plan", "brdf", "--samples", 12, "--out", file, "--json").document
+    planned = metapp("plan", "brdf", "--samples", 12, "--out", file, "--json").json_document
     expected = planned["expected_error"]
     assert 0 < expected["after"] < 0.2 * expected["before"]
     assert Path(planned["picture"]).is_file()
@@ -46,12 +46,12 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
     fitted = metapp("meta", "brdf", file, "--json")
     assert "recipe few, since every input has 200 samples or fewer" in fitted.err
     assert "all 12 samples are fitted, none is held out" in fitted.err
-    run = Path(fitted.document["out"])
-    assert fitted.document["error"] < 0.5
+    run = Path(fitted.json_document["out"])
+    assert fitted.json_document["error"] < 0.5
     (record,) = read_fit_records(run)
     assert 0 < record["expected"] < expected["before"]
     more = tmp_path / "more.csv"  # its first rows are those that were measured
-    then = metapp("plan", "brdf", "--samples", 3, "--after", file, "--out", more, "--json", "-q").document
+    then = metapp("plan", "brdf", "--samples", 3, "--after", file, "--out", more, "--json", "-q").json_document
     assert then["expected_error"]["after"] < then["expected_error"]["before"]
     rows = list(csv.reader(more.read_text().splitlines()))[3:]
     assert [row[4] != "" for row in rows] == [True] * 12 + [False] * 3
@@ -69,11 +69,11 @@ def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> No
         (("brdf", "--after", "gone.csv", "--out", "a.csv"), "gone.csv"),
     ],
 )
-def test_what_cannot_be_planned_is_refused(metapp: Callable, words: tuple[object, ...], found: str) -> None:
-    done = metapp("plan", *words)
-    assert done.code in (1, 2)
-    assert found in done.err
-    assert "Traceback" not in done.err
+def test_impossible_plans_are_refused(metapp: Callable, words: tuple[object, ...], found: str) -> None:
+    result = metapp("plan", *words)
+    assert result.code in (1, 2)
+    assert found in result.err
+    assert "Traceback" not in result.err
     assert not Path("a.csv").exists()
 
 
@@ -82,8 +82,8 @@ def test_as_few_rows_as_a_file_may_have_are_fitted(metapp: Callable, tmp_path: P
     assert metapp("plan", "brdf", "--samples", 4, "--out", file).code == 0
     fill_in(file)
     pairs = read_pairs(file)
-    assert metapp("meta", "brdf", file, "--json").document["error"] < 1
-    (fitted,) = metapp("baseline", "brdf", file, "--method", "ggx_2", "--json").document["tasks"]
+    assert metapp("meta", "brdf", file, "--json").json_document["error"] < 1
+    (fitted,) = metapp("baseline", "brdf", file, "--method", "ggx_2", "--json").json_document["tasks"]
     assert fitted["error"] < 1
     assert len(task_of_pairs("arrays", pairs).data["angles"].unique(dim=0)) == 4
 

@@ -1,4 +1,4 @@
-"""That one photograph cannot tell dents from bumps is said where it matters: where both readings look different."""
+"""The line about dents and bumps, which one photograph cannot tell apart: printed where both look different."""
 
 import re
 
@@ -48,14 +48,14 @@ def difference_of_readings(maps: Maps) -> float:
 
 @pytest.mark.parametrize("seed", range(20, 40))  # the threshold was chosen on 0 to 19
 @pytest.mark.parametrize(("times", "is_said"), [(2.0, True), (1 / 3, False)])
-def test_dents_and_bumps_are_said_where_they_look_different(seed: int, times: float, is_said: bool) -> None:
+def test_dents_and_bumps_cause_a_line_where_they_look_different(seed: int, times: float, is_said: bool) -> None:
     maps = tilted(material(seed), times * VISIBLE_TILT_DEGREES)
     assert (difference_of_readings(maps) > VISIBLE) is is_said
     (line,) = relief_lines([{"mean_tilt_degrees": mean_tilt_degrees(maps.normal)}])
     assert (DOUBT in line) is is_said
 
 
-def test_it_is_one_line_for_a_run() -> None:
+def test_each_run_prints_one_line_about_dents() -> None:
     steep, flat = {"mean_tilt_degrees": 9.0}, {"mean_tilt_degrees": 0.4}
     several = steep | {"counts": {"photos": 5}}
     assert relief_lines([{"error": 1.0}]) == []

@@ -1,4 +1,4 @@
-"""Sentences about rows, the paper's figures, and steps that bring Meta near Overfit."""
+"""Notes below tables: verdicts, the gap closed, figures of the paper, and steps after which Meta is near Overfit."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, A
         (None, ""),
     ],
 )
-def test_a_verdict_says_who_wins(found: PairedComparison | None, said: str) -> None:
+def test_verdicts_name_the_method_with_the_lower_error(found: PairedComparison | None, said: str) -> None:
     compared = row("meta", 1.0) | {"vs_quickft": found}
     lines = describe_winner(compared)
     assert len(lines) == bool(found)
@@ -48,7 +48,7 @@ def test_changes_are_of_the_size_of_the_other_error() -> None:
     assert describe_error_change(row("meta", None), row("quickft", 4.0)) == ""
 
 
-def test_there_is_no_gap_to_close_where_overfit_is_no_better() -> None:
+def test_no_gap_is_reported_where_overfit_is_no_better() -> None:
     rows = [row("general", 2.0), row("overfit", 1.0, 30.0), row("meta", 1.25, 2.0)]
     assert scale_free_figures(rows, "error", "seconds") == (0.75, 15.0)
     rows[1] |= {"error": 2.5}
@@ -69,8 +69,8 @@ def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:
     expected = (0.80, 0.93, 0.60, 0.78, 0.97, 0.77)
     assert [round(gap, 2) for gap in gaps.values()] == list(expected)
     assert known["storage"]["factor"] == known["storage"]["meta_networks"] / known["storage"]["exemplars"]
-    for each in known["samples"].values():
-        assert 1 - each["seen"] / each["all"] == pytest.approx(each["saved"], abs=1e-3)
+    for sample_source in known["samples"].values():
+        assert 1 - sample_source["seen"] / sample_source["all"] == pytest.approx(sample_source["saved"], abs=1e-3)
 
 
 def test_further_steps_are_counted_until_one_is_near() -> None:

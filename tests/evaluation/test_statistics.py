@@ -43,7 +43,7 @@ def some(found: PairedComparison | None) -> PairedComparison:
     return found
 
 
-def test_statistics_of_tasks() -> None:
+def test_statistics_of_tasks_agree_with_worked_values() -> None:
     found = summarise_errors({"a": 1.0, "b": 2.0, "c": 6.0}, {name: name for name in "abc"})
     assert (found["error"], found["median"], found["worst"]) == (3.0, 2.0, 6.0)
     low, mean, high = interval([1.0, 2.0, 6.0])
@@ -93,7 +93,7 @@ def test_errors_that_are_logarithms_are_compared_by_differences() -> None:
     assert str(found) == "-0.100 [-0.100, -0.100]"
 
 
-def test_there_is_no_ratio_to_zero_or_without_common_tasks() -> None:
+def test_no_ratio_is_given_to_zero_or_without_common_tasks() -> None:
     assert compared([1.0] * 6, [0.0] * 6) is None
     assert compared([1.0] * 6, [-1.0] * 6) is None
     assert some(compared([1.0] * 12, [0.0, *[1.0] * 11])).value == pytest.approx(12 / 11)

@@ -1,5 +1,5 @@
-"""What tests of extensions share with those of the core's commands."""
+"""Fixtures that tests of extensions share with tests of the core's commands."""
 
-from tests.cli.conftest import _here, fitted, networks
+from tests.cli.conftest import _work_in_test_folder, fit_networks, networks
 
-__all__ = ["_here", "fitted", "networks"]
+__all__ = ["_work_in_test_folder", "fit_networks", "networks"]

@@ -1,4 +1,4 @@
-"""Without an extension all else works, and its commands are refused."""
+"""Without an extension the core works, and commands of the extension are refused."""
 
 import json
 from importlib.metadata import entry_points
@@ -11,7 +11,7 @@ from metapp.registry import ENTRY_POINT_GROUP, WITHOUT_VARIABLE, registry
 from tests import forks
 
 NETWORKS = 1
-pytestmark = pytest.mark.usefixtures("compiled")
+pytestmark = pytest.mark.usefixtures("compiled_in_cache")
 
 
 def call_all(*lines: list[str]) -> None:
@@ -38,13 +38,19 @@ def test_without_extensions_the_core_works_and_their_commands_are_refused(
         ["evaluate", "brdf", "--data", "set", "--no-run", "--quiet"],
         ["data", "check", "set"],
     ]
-    names = [each.name for each in entry_points(group=ENTRY_POINT_GROUP) if each.value.startswith("metapp.extensions.")]
+    names = [
+        entry_point.name
+        for entry_point in entry_points(group=ENTRY_POINT_GROUP)
+        if entry_point.value.startswith("metapp.extensions.")
+    ]
     commands = list(registry().commands)
     monkeypatch.setenv(WITHOUT_VARIABLE, ",".join(names))
     theirs = [words.split() for words in commands if words not in registry().commands]
     assert theirs
     environment = {"COLUMNS": "150", WITHOUT_VARIABLE: ",".join(names)}
-    code, out, errors = forks.start(call_all, *core, *theirs, said=tmp_path / "said", more=environment).end()
+    code, out, errors = forks.start_in_fork(
+        call_all, *core, *theirs, output_folder=tmp_path / "said", extra_environment=environment
+    ).wait_for_output()
     assert code == 0, errors
     assert "Traceback" not in errors
     codes = [json.loads(line[3:]) for line in out.splitlines() if line.startswith("== ")]

@@ -1,4 +1,4 @@
-"""Small valid files of every reader, most made by the project's own writers: {file name: content} each."""
+"""Small valid files for every reader, most made by metapp's writers, each input as {file name: content}."""
 
 import io
 import json
@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from tests.pictures import png_with, profile, write_exr
-from tests.scene_files import OBJ, ply, serialized, volume
+from tests.pictures import add_png_chunks, icc_profile, write_exr
+from tests.scene_files import OBJ, ply_file, serialized_file, volume_file
 
 Files = dict[str, bytes]
-LIGHT = (".hdr", ".pfm")  # without alpha
+FORMATS_WITHOUT_ALPHA = (".hdr", ".pfm")
 
 SCENE = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/></integrator>
 <default name="size" value="16"/><sensor type="perspective"><float name="fov" value="45"/>
@@ -27,14 +27,15 @@ SCENE = """<scene version="3.0.0"><integrator type="path"><integer name="max_dep
 <shape type="rectangle"><emitter type="area"><rgb name="radiance" value="1,2,3"/></emitter></shape></scene>"""
 
 
-def picture(height: int, width: int, channels: int = 3) -> Any:
-    """Values in [0.2, 0.9], [height, width, channels] float32, with structure."""
+def wavy_picture(height: int, width: int, channels: int = 3) -> Any:
+    """Return waves with noise, [height, width, channels] float32 in about [0.1, 1]."""
     y, x = np.mgrid[:height, :width]
     noise = np.random.default_rng(0).random((height, width, channels))
     return (0.8 * (0.5 + 0.2 * np.sin(x / 3) * np.cos(y / 5))[..., None] + 0.2 * noise).astype(np.float32)
 
 
-def image(values: Any, suffix: str, depth: str = "uint8") -> bytes:
+def encode_image(values: Any, suffix: str, depth: str = "uint8") -> bytes:
+    """Return the bytes of an image file of values [height, width, channels]."""
     import OpenImageIO as oiio
 
     with tempfile.TemporaryDirectory() as folder:
@@ -47,110 +48,126 @@ def image(values: Any, suffix: str, depth: str = "uint8") -> bytes:
         return Path(name).read_bytes()
 
 
-def images(*kinds: str) -> list[Files]:
-    """A picture, also a map of light, in each of these formats, "suffix depth"; with alpha where not of 8 bits."""
+def image_files(*kinds: str) -> list[Files]:
+    """Return a picture that is also a valid environment map, for each "suffix depth".
+
+    It has an alpha channel unless the depth is uint8 or half or the format has none.
+    """
     return [
         {
-            f"wood{suffix}": image(
-                picture(32, 64, 3 if depth in ("uint8", "half") or suffix in LIGHT else 4), suffix, depth
+            f"wood{suffix}": encode_image(
+                wavy_picture(32, 64, 3 if depth in ("uint8", "half") or suffix in FORMATS_WITHOUT_ALPHA else 4),
+                suffix,
+                depth,
             )
         }
         for suffix, depth in map(str.split, kinds)
     ]
 
 
-def windows() -> list[Files]:
-    """Maps of light whose data window is larger than the display window, or a little smaller."""
-    wide = picture(40, 72)
+def exr_windows() -> list[Files]:
+    """Return environment maps whose data window is larger than the display window, or a little smaller."""
+    wide = wavy_picture(40, 72)
     return [
-        of_exr((":R G B", wide), window=(32, 64, -4, -4)),
-        of_exr((":R G B", wide[:31, :64]), window=(32, 64, 0, 0)),
+        exr_file((":R G B", wide), window=(32, 64, -4, -4)),
+        exr_file((":R G B", wide[:31, :64]), window=(32, 64, 0, 0)),
     ]
 
 
-def layers() -> list[Files]:
-    """Maps of light in layers, and in parts, of an EXR file, beside others."""
-    values = picture(32, 64, 8)
+def exr_layers() -> list[Files]:
+    """Return environment maps that are one of several layers, or of several parts, of an EXR file."""
+    values = wavy_picture(32, 64, 8)
     names = (
         "View.Depth.Z",
         "View.AO.R View.AO.G View.AO.B",
         "View.Combined.R View.Combined.G View.Combined.B View.Combined.A",
     )
     parts = ("depth:Z", values[..., :1]), ("AO:R G B", values[..., 1:4]), ("beauty:R G B A", values[..., 4:])
-    return [of_exr((f":{' '.join(names)}", values)), of_exr(*parts)]
+    return [exr_file((f":{' '.join(names)}", values)), exr_file(*parts)]
 
 
-def deep() -> list[Files]:
-    return [of_exr(("deep:R G B A", picture(32, 64, 4)))]
+def deep_exr() -> list[Files]:
+    """Return a deep EXR file without samples."""
+    return [exr_file(("deep:R G B A", wavy_picture(32, 64, 4)))]
 
 
-def balls() -> list[Files]:
-    """Linear photographs, of more than white."""
-    return [{f"ball{suffix}": image(3 * picture(64, 64), suffix, "float")} for suffix in (".exr", ".hdr", ".tif")]
+def ball_photos() -> list[Files]:
+    """Return linear photographs with values up to 3, so also above white."""
+    return [
+        {f"ball{suffix}": encode_image(3 * wavy_picture(64, 64), suffix, "float")}
+        for suffix in (".exr", ".hdr", ".tif")
+    ]
 
 
-def of_exr(*parts: tuple[str, Any], window: tuple[int, int, int, int] | None = None) -> Files:
+def exr_file(*parts: tuple[str, Any], window: tuple[int, int, int, int] | None = None) -> Files:
+    """Return an EXR file of parts and a window, which `tests.pictures.write_exr` explains."""
     with tempfile.TemporaryDirectory() as folder:
         return {"wood.exr": write_exr(Path(folder) / "x.exr", *parts, window=window).read_bytes()}
 
 
-def profiles() -> list[Files]:
-    """Photographs that state their colours: by profiles, in PNG and EXIF."""
+def photos_with_stated_colours() -> list[Files]:
+    """Return photographs that state their colour space: by ICC profiles, by PNG chunks and in EXIF."""
     from PIL import Image
 
-    levels = (picture(32, 64) * 255).astype(np.uint8)
+    levels = (wavy_picture(32, 64) * 255).astype(np.uint8)
     matrix, gray = np.array([[0.8, 0.1, 0.06], [0.3, 0.65, 0.05], [0, 0.03, 0.8]]), levels[..., 0]
     adobe = Image.Exif()
     adobe.get_ifd(0x8769)[0xA005] = {1: "R03"}
-    found = []
-    for values, suffix, stated in (
-        (levels, ".png", {"icc_profile": profile(matrix, 1.8)}),
-        (levels, ".jpg", {"icc_profile": profile(matrix, 1.0)}),
-        (gray, ".tif", {"icc_profile": profile(matrix, 1.8, kind=b"GRAY")}),
+    files: list[Files] = []
+    for values, suffix, colour_options in (
+        (levels, ".png", {"icc_profile": icc_profile(matrix, 1.8)}),
+        (levels, ".jpg", {"icc_profile": icc_profile(matrix, 1.0)}),
+        (gray, ".tif", {"icc_profile": icc_profile(matrix, 1.8, kind=b"GRAY")}),
         (levels, ".jpg", {"exif": adobe}),
     ):
         stream = io.BytesIO()
-        Image.fromarray(values).save(stream, Image.registered_extensions()[suffix], **stated)
-        found.append({f"wood{suffix}": stream.getvalue()})
+        Image.fromarray(values).save(stream, Image.registered_extensions()[suffix], **colour_options)
+        files.append({f"wood{suffix}": stream.getvalue()})
     chunks = {
         b"gAMA": (55556).to_bytes(4, "big"),
         b"cHRM": np.array([31270, 32900, 64000, 33000, 21000, 71000, 15000, 6000], ">u4").tobytes(),
     }
-    return [*found, {"wood.png": png_with(image(picture(32, 64), ".png"), chunks)},
-            {"wood.png": png_with(image(picture(32, 64), ".png"), {b"cICP": bytes((9, 16, 0, 1))})}]  # fmt: skip
+    plain = encode_image(wavy_picture(32, 64), ".png")
+    code_points = {b"cICP": bytes((9, 16, 0, 1))}
+    files += [{"wood.png": add_png_chunks(plain, added)} for added in (chunks, code_points)]
+    return files
 
 
-def radiance() -> list[Files]:
-    """Radiance pictures whose header states exposure and primaries."""
-    plain = image(picture(32, 64), ".hdr", "float")
-    more = b"\nEXPOSURE=4.0\nCOLORCORR= 1 0.5 1\nPRIMARIES= .7 .3 .2 .7 .15 .05 .3127 .329\n"
-    return [{"wood.hdr": plain.replace(b"\n", more, 1)}]
+def radiance_pictures() -> list[Files]:
+    """Return a Radiance picture whose header states exposure, colour correction and primaries."""
+    plain = encode_image(wavy_picture(32, 64), ".hdr", "float")
+    added_lines = b"\nEXPOSURE=4.0\nCOLORCORR= 1 0.5 1\nPRIMARIES= .7 .3 .2 .7 .15 .05 .3127 .329\n"
+    return [{"wood.hdr": plain.replace(b"\n", added_lines, 1)}]
 
 
-def strips() -> list[Files]:
-    values = picture(32, 160)
+def component_strips() -> list[Files]:
+    """Return strips of five squares, a photograph and four maps side by side, as PNG and JPEG."""
+    values = wavy_picture(32, 160)
     values[:, 32:64] = (0.5, 0.5, 0.98)
-    return [{"7;marbleXwood;1X2.png": image(values, ".png")}, {"7.jpg": image(values, ".jpg")}]
+    return [{"7;marbleXwood;1X2.png": encode_image(values, ".png")}, {"7.jpg": encode_image(values, ".jpg")}]
 
 
-def maps() -> list[Files]:
-    normal, gray = np.tile(np.float32((0.5, 0.5, 0.98)), (32, 32, 1)), picture(32, 32, 1)
+def material_maps() -> list[Files]:
+    """Return materials as separate maps, with single and with packed channels."""
+    normal, gray = np.tile(np.float32((0.5, 0.5, 0.98)), (32, 32, 1)), wavy_picture(32, 32, 1)
+    colours = encode_image(wavy_picture(32, 32), ".png")
     return [
-        {"rock_diff.png": image(picture(32, 32), ".png"), "rock_normal.exr": image(normal, ".exr", "half"),
-         "rock_rough.png": image(gray, ".png"), "rock_metal.jpg": image(gray, ".jpg")},
-        {"rock_diff.PNG": image(picture(32, 32), ".png"), "rock_arm.png": image(picture(32, 32), ".png"),
-         "rock_normal.exr": image(normal * 2 - 1, ".exr", "half")},
+        {"rock_diff.png": colours, "rock_normal.exr": encode_image(normal, ".exr", "half"),
+         "rock_rough.png": encode_image(gray, ".png"), "rock_metal.jpg": encode_image(gray, ".jpg")},
+        {"rock_diff.PNG": colours, "rock_arm.png": colours,
+         "rock_normal.exr": encode_image(normal * 2 - 1, ".exr", "half")},
     ]  # fmt: skip
 
 
-def merl() -> list[Files]:
-    """The header and the first values of a table, whose file is made as long as it says."""
+def merl_tables() -> list[Files]:
+    """Return the header and the first values of a MERL table; the test makes the file as long as the header says."""
     from data_tools.readers.merl import _HEADER
 
     return [{"gold.binary": _HEADER.tobytes() + np.linspace(1, 9, 8).tobytes()}]
 
 
-def networks() -> list[Files]:
+def nbrdf_networks() -> list[Files]:
+    """Return random NBRDF networks as arrays, with and without a prefix in front of their names."""
     from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES
 
     rng, found = np.random.default_rng(0), []
@@ -164,7 +181,8 @@ def networks() -> list[Files]:
     return found
 
 
-def rgl() -> list[Files]:
+def rgl_tables() -> list[Files]:
+    """Return an isotropic RGL table of random values."""
     from metapp.extensions.rgl.tensor_file import write_tensor_file
 
     grid, nodes = np.random.default_rng(0).random((1, 3, 4, 4)).astype("f4"), np.float32([0, 0.7, 1.4])
@@ -176,22 +194,24 @@ def rgl() -> list[Files]:
         return [{"paint.bsdf": (Path(folder) / "x").read_bytes()}]
 
 
-def tables() -> list[Files]:
+def goniometer_tables() -> list[Files]:
+    """Return goniometer tables in degrees and rad, with colours and with spectra, one of them of four rows."""
     rng = np.random.default_rng(0)
 
-    def table(rows: int, unit: str, names: list[str]) -> bytes:
+    def table_text(rows: int, unit: str, names: list[str]) -> bytes:
         angles = rng.random((rows, 4)) * [89, 360, 89, 360] * (1 if unit == "deg" else np.pi / 180)
         values = np.concatenate([angles, rng.random((rows, len(names)))], 1)
         head = [f"{name}_{unit}" for name in ("theta_i", "phi_i", "theta_o", "phi_o")]
-        lines = ["# a comment", ",".join(head + names), *(",".join(f"{each:.5g}" for each in row) for row in values)]
+        lines = ["# a comment", ",".join(head + names), *(",".join(f"{value:.5g}" for value in row) for row in values)]
         return "\n".join((*lines, "")).encode()
 
-    spectrum = [f"{each}nm" for each in range(400, 701, 50)]
-    return [{"paint.csv": table(80, "deg", ["r", "g", "b"])}, {"foil.csv": table(60, "rad", spectrum)},
-            {"few.csv": table(4, "deg", ["r", "g", "b"])}]  # fmt: skip
+    spectrum = [f"{wavelength}nm" for wavelength in range(400, 701, 50)]
+    return [{"paint.csv": table_text(80, "deg", ["r", "g", "b"])}, {"foil.csv": table_text(60, "rad", spectrum)},
+            {"few.csv": table_text(4, "deg", ["r", "g", "b"])}]  # fmt: skip
 
 
-def scenes() -> list[Files]:
+def scene_files() -> list[Files]:
+    """Return Mitsuba scenes: XML, XML with an include, XML of version 0.6 and JSON."""
     from data_tools.synthetic.cornell import random_scene
 
     part = '<scene version="3.0.0"><bsdf type="diffuse" id="other"/></scene>'
@@ -203,13 +223,13 @@ def scenes() -> list[Files]:
             {"box.xml": old.encode()}, {"box.json": json.dumps(random_scene(0)).encode()}]  # fmt: skip
 
 
-def meshes() -> list[Files]:
-    """A scene with a mesh, or with a grid of values, in a file of its own."""
+def scenes_with_data_files() -> list[Files]:
+    """Return scenes that name a data file beside them: a mesh or a grid of values."""
     from data_tools.synthetic.cornell import random_scene
 
     grid = np.random.default_rng(0).random((3, 4, 5)) - 0.5
-    parts = {"a.ply": ply("binary_little_endian"), "text.ply": ply("ascii"), "a.obj": OBJ.encode(),
-             "a.serialized": serialized(), "a.vol": volume((5, 4, 3), values=grid)}  # fmt: skip
+    parts = {"a.ply": ply_file("binary_little_endian"), "text.ply": ply_file("ascii"), "a.obj": OBJ.encode(),
+             "a.serialized": serialized_file(), "a.vol": volume_file((5, 4, 3), values=grid)}  # fmt: skip
     found = []
     for name, content in parts.items():
         kind = "sdfgrid" if name.endswith(".vol") else name.rpartition(".")[2]
@@ -218,7 +238,8 @@ def meshes() -> list[Files]:
     return found
 
 
-def shards() -> list[Files]:
+def data_sets() -> list[Files]:
+    """Return a data set of two BRDF tasks."""
     from data_tools.readers.brdf_task import UNITS, make_brdf_task
     from metapp.storage.shards import write_data_set
 
@@ -230,6 +251,7 @@ def shards() -> list[Files]:
 
 
 def checkpoints() -> list[Files]:
+    """Return two checkpoints that ship."""
     from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 
     names = ("meta-sgd", "meta-curvature")
@@ -237,6 +259,7 @@ def checkpoints() -> list[Files]:
 
 
 def records() -> list[Files]:
+    """Return the record of a fit."""
     settings = {"app": "brdf", "steps": 10}
     record = {"name": "a", "error": 0.5, "seconds": 0.1, "source": "/a.csv", "content": "12ab", "settings": settings}
     return [{"record.json": json.dumps(record, indent=1).encode()}]

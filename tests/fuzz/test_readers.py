@@ -23,8 +23,8 @@ from hypothesis import strategies as st
 from data_tools.readers.merl import FILE_BYTES
 from metapp.names import input_formats
 from tests.fuzz import files
-from tests.fuzz.mutations import damaged
-from tests.needs_mitsuba import MISSING
+from tests.fuzz.mutations import damage_one_file
+from tests.needs_mitsuba import REASON_TO_SKIP
 from tests.small_spheres import shrink_spheres
 
 EXAMPLES = int(os.environ.get("METAPP_FUZZ", "0"))  # of each reader; 0: a few, the same ones every time
@@ -42,7 +42,7 @@ def finite(task: Any) -> None:
 
 
 def read_input(app: str, folder: Path, file: Path, **options: str) -> None:
-    """As a fit's INPUT, of few samples or texels."""
+    """Read files as the INPUT of a fit with few samples or texels."""
     if file.suffix == ".binary" and file.stat().st_size > 64:  # a whole one takes 35 MB
         os.truncate(file, FILE_BYTES)
     place = folder if file.suffix == ".npy" else file
@@ -95,7 +95,7 @@ def small_tasks() -> Any:
 
 
 def read_checkpoint(folder: Path, file: Path) -> None:
-    """As --checkpoint, and one step of a fit."""
+    """Read files as --checkpoint, and take one step of a fit."""
     from metapp.runs.checkpoint_selection import attach_checkpoint
     from metapp.runs.fit_options import fit_options
     from metapp.runs.run import Run
@@ -110,7 +110,7 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 
 def read_records(folder: Path, file: Path) -> None:
-    """As a table, which shows all finished tasks."""
+    """Read files as a table does, which shows all finished tasks."""
     from metapp.storage.fit_folders import NUMBER_ENTRIES, RunFolder, summary
 
     place = folder / "fits" / "a"  # of a run's folder
@@ -124,7 +124,7 @@ def read_records(folder: Path, file: Path) -> None:
         summary(list(records.values()))
 
 
-images = functools.partial(functools.partial, files.images)
+images = functools.partial(functools.partial, files.image_files)
 of_materials = functools.partial(read_input, "brdf")
 of_photos = functools.partial(read_input, "texture")
 of_flash = functools.partial(read_input, "svbrdf_stationary")
@@ -132,10 +132,10 @@ of_maps = functools.partial(read_input, "svbrdf_nonstationary")
 of_light = functools.partial(read_input, "illumination")
 of_balls = functools.partial(read_input, "illumination", observe="photo")
 READERS: dict[str, tuple[Callable[[], list[files.Files]], Callable[[Path, Path], None]]] = {
-    "merl": (files.merl, of_materials),
-    "nbrdf": (files.networks, of_materials),
-    "rgl": (files.rgl, of_materials),
-    "table": (files.tables, of_materials),
+    "merl": (files.merl_tables, of_materials),
+    "nbrdf": (files.nbrdf_networks, of_materials),
+    "rgl": (files.rgl_tables, of_materials),
+    "table": (files.goniometer_tables, of_materials),
     "png": (images(".png uint8", ".png uint16"), of_photos),
     "jpeg": (images(".jpg uint8"), of_photos),
     "tiff": (images(".tif uint8", ".tif float"), of_photos),
@@ -144,22 +144,22 @@ READERS: dict[str, tuple[Callable[[], list[files.Files]], Callable[[Path, Path],
     "flash": (images(".png uint8", ".jpg uint8"), of_flash),
     "exr": (images(".exr half"), of_light),
     "hdr": (images(".hdr float"), of_light),
-    "windows": (files.windows, of_light),
-    "layers": (files.layers, of_light),
-    "deep": (files.deep, of_light),
-    "radiance": (files.radiance, of_light),
-    "profiles": (files.profiles, of_photos),
-    "balls": (files.balls, of_balls),
-    "strips": (files.strips, of_maps),
-    "maps": (files.maps, of_maps),
-    "scene": (files.scenes, read_scene),
-    "mesh": (files.meshes, read_scene),
-    "shard": (files.shards, read_shard),
+    "windows": (files.exr_windows, of_light),
+    "layers": (files.exr_layers, of_light),
+    "deep": (files.deep_exr, of_light),
+    "radiance": (files.radiance_pictures, of_light),
+    "profiles": (files.photos_with_stated_colours, of_photos),
+    "balls": (files.ball_photos, of_balls),
+    "strips": (files.component_strips, of_maps),
+    "maps": (files.material_maps, of_maps),
+    "scene": (files.scene_files, read_scene),
+    "mesh": (files.scenes_with_data_files, read_scene),
+    "shard": (files.data_sets, read_shard),
     "checkpoint": (files.checkpoints, read_checkpoint),
     "record": (files.records, read_records),
 }
 REFUSED = {"deep": "a deep image, expected one colour a pixel; flatten it."}  # whole, too
-NEED_MITSUBA = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+NEED_MITSUBA = pytest.mark.skipif(bool(REASON_TO_SKIP), reason=REASON_TO_SKIP)
 NAMES = [pytest.param(name, marks=NEED_MITSUBA if name in ("scene", "mesh") else ()) for name in READERS]
 
 
@@ -172,8 +172,8 @@ def attempt(name: str, content: files.Files, file: str) -> str:
     place = Path(tempfile.mkdtemp())
     folder = place / "fuzzed"
     folder.mkdir()
-    for each, written in content.items():
-        (folder / each).write_bytes(written)
+    for file_name, written in content.items():
+        (folder / file_name).write_bytes(written)
     before = signal.signal(signal.SIGPROF, hang)
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
@@ -201,8 +201,8 @@ def _cheap(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.parametrize("name", NAMES)
 def test_valid_files_are_read(name: str) -> None:
     for whole in READERS[name][0]():
-        said = attempt(name, whole, next(iter(whole)))
-        assert said.endswith(REFUSED[name]) if name in REFUSED else said == ""
+        output = attempt(name, whole, next(iter(whole)))
+        assert output.endswith(REFUSED[name]) if name in REFUSED else output == ""
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -219,8 +219,8 @@ def test_damaged_files_give_a_task_or_one_line(name: str) -> None:
     )
     @given(st.data())
     def check(data: Any) -> None:
-        said = attempt(name, *data.draw(damaged(whole)))
-        assert len(said.splitlines()) <= 1, said
-        assert not said or "fuzzed" in said, said
+        output = attempt(name, *data.draw(damage_one_file(whole)))
+        assert len(output.splitlines()) <= 1, output
+        assert not output or "fuzzed" in output, output
 
     check()

@@ -1,1 +1,1 @@
-"""Golden values: what fits, tables and readers gave at a commit; a rebuild gives the same."""
+"""Golden values: stored results of fits, tables and readers, with which later versions are compared."""

@@ -1,4 +1,4 @@
-"""Write golden values anew: python -m tests.golden [PART]..."""
+"""Compute golden values and write them to values.json: python -m tests.golden [PART]..."""
 
 import json
 import sys
@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from metapp.appearance import features
-from tests.golden.measured import PARTS
+from tests.golden.golden_values import PARTS
 from tests.golden.test_golden import FILE
 
 if __name__ == "__main__":

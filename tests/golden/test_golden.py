@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from metapp.appearance.features import vgg_weights_path
-from tests.golden.measured import PARTS
+from tests.golden.golden_values import PARTS
 
 FILE = Path(__file__).with_name("values.json")
 GOLDEN = json.loads(FILE.read_text(encoding="utf-8"))
@@ -25,7 +25,7 @@ ROUNDING = 1.5e-2  # of other CPUs and libraries, which learned steps amplify: u
 @pytest.mark.parametrize(
     "part", [pytest.param(part, marks=[pytest.mark.long] * (part in TAKES_SECONDS)) for part in PARTS]
 )
-def test_values_are_the_golden_ones(part: str, tmp_path: Path, cache: Path) -> None:
+def test_results_agree_with_golden_values(part: str, tmp_path: Path, cache: Path) -> None:
     if part in NEEDS_VGG:
         if not VGG.is_file():
             pytest.skip("the weights of VGG-16 are missing: metapp data vgg")

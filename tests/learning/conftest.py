@@ -1,4 +1,4 @@
-"""Tasks for the tests of learning."""
+"""Fixtures for tests of learning: tasks with parabolas as losses, and random tensors."""
 
 from collections.abc import Callable
 
@@ -12,13 +12,13 @@ from tests.learning.parabolas import NAMES
 
 @pytest.fixture
 def tasks(rng: Generator) -> Tasks:
-    """Parabolas about five centres, float64."""
+    """Five tasks, each with the random centre [3] of a parabola, float64."""
     centres = torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)
     return Tasks(NAMES, {"c": centres}, torch.arange(len(NAMES)))
 
 
 @pytest.fixture
 def randn() -> Callable[..., Tensor]:
-    """Draws standard normal float64 of a shape."""
+    """Return a function that draws a standard normal float64 tensor of a shape."""
     rng = Generator().manual_seed(5)
     return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64)

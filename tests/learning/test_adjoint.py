@@ -17,14 +17,14 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
 from metapp.paradigms.adam import encoder_prediction
-from tests.learning.parabolas import unused
-from tests.paradigms.small import FEATURED, SMALL, applicable, small_app
+from tests.learning.parabolas import refuse_to_draw
+from tests.paradigms.small import FEATURE_NETWORK, SMALL_APPLICATIONS, applicable_rules, small_app
 
 APP = Brdf()
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
-ON_MATRICES = applicable(APP)
-OTHERS = [("brdf", "meta-encoder", True), (FEATURED, "ridge", False), ("illumination", "meta-lgd", False)]
+ON_MATRICES = applicable_rules(APP)
+OTHERS = [("brdf", "meta-encoder", True), (FEATURE_NETWORK, "ridge", False), ("illumination", "meta-lgd", False)]
 
 
 def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
@@ -34,7 +34,7 @@ def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
     return value * torch.exp(learned["factor"]) if learned else value
 
 
-PARABOLA, BRDF = Loss(unused, parabola), Loss(unused, APP.loss)
+PARABOLA, BRDF = Loss(refuse_to_draw, parabola), Loss(refuse_to_draw, APP.loss)
 
 
 def symmetric(matrices: Tensor) -> Tensor:
@@ -68,7 +68,7 @@ def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable
             start = MetaParameters.unflatten(phi)
             learned = rule_of(rule).update_rule(expand_tasks(start.alpha, TASKS, 1))
             return APP.loss(
-                unrolled(expand_tasks(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}
+                learn_unrolled(expand_tasks(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}
             ).mean()
 
         if steps_of is None:  # one unrolled graph
@@ -83,7 +83,7 @@ def parabolas(randn: Callable[..., Tensor], count: int, tasks: int = TASKS) -> l
     return [{"A": symmetric(randn(tasks, 3, 3)) / 3, "c": randn(tasks, 3)} for _ in range(count)]
 
 
-def unrolled(theta: Params, rule: UpdateRule, batches: Sequence[Batch], loss: Loss, order: int) -> Params:
+def learn_unrolled(theta: Params, rule: UpdateRule, batches: Sequence[Batch], loss: Loss, order: int) -> Params:
     """What learn_through stands for: one graph through all steps."""
     state = rule.init(theta)
     for i, batch in enumerate(batches):
@@ -109,7 +109,7 @@ def assert_alike(actual: tuple[Tensor, Params], expected: tuple[Tensor, Params])
 
 @pytest.mark.parametrize("steps", [1, 2, 5])
 @pytest.mark.parametrize("order", [1, 2])
-def test_one_dimension_in_closed_form(order: int, steps: int) -> None:
+def test_derivative_in_one_dimension_agrees_with_the_closed_form(order: int, steps: int) -> None:
     curvature = torch.tensor([0.5, 2.0], dtype=torch.float64)
     target, rate = torch.tensor([1.0, -3.0], dtype=torch.float64), 0.3
     away, keep = 0.7 - target, 1 - rate * curvature
@@ -131,7 +131,7 @@ def test_one_dimension_in_closed_form(order: int, steps: int) -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("rule", ON_MATRICES)
-def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
+def test_derivative_agrees_with_an_unrolled_graph(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
     phi, mean = brdf_case(rule, randn)
     expected = value_and_grads(mean(order, steps_of=None), phi)
     value, grads = value_and_grads(mean(order), phi)
@@ -141,12 +141,14 @@ def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., T
 
 
 @pytest.mark.parametrize(("kind", "rule", "encoded"), [*(("brdf", rule, False) for rule in ON_MATRICES), *OTHERS])
-def test_derivatives_are_finite_differences(kind: str, rule: str, encoded: bool, randn: Callable[..., Tensor]) -> None:
+def test_derivatives_agree_with_finite_differences(
+    kind: str, rule: str, encoded: bool, randn: Callable[..., Tensor]
+) -> None:
     """Through the steps of every rule, in float64, along a random direction of each parameter of phi."""
     app, learned, start = small_app(kind), rule_of(rule), encoder_prediction(small_app(kind)) if encoded else None
     inner = learned.loss(app, task_loss(app, 16))
     loss = after_learning(inner, learned.update_rule, steps=3, order=2, prediction=start)
-    drawn = loss.draw(stack_tasks(app, SMALL[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
+    drawn = loss.draw(stack_tasks(app, SMALL_APPLICATIONS[app.name].tasks()[:2]), Generator().manual_seed(1), 1.0).batch
     batch = tree_map(lambda leaf: leaf.double() if isinstance(leaf, Tensor) else leaf, drawn)
     theta = {key: value[0].double() for key, value in app.init(Generator().manual_seed(2), 1).items()}
     encoder = {key: value.double() for key, value in app.init_encoder(Generator().manual_seed(3)).items()}
@@ -156,9 +158,9 @@ def test_derivatives_are_finite_differences(kind: str, rule: str, encoded: bool,
     _, grads = value_and_grads(lambda phi: loss.value(phi, batch, {}).mean(), phi)
     assert any(grad.any() for key, grad in grads.items() if not key.startswith("alpha."))
     for key, value in phi.items():
-        way = 1e-6 * torch.nn.functional.normalize(randn(*value.shape).flatten(), dim=0).reshape(value.shape)
-        above, below = (loss.value(phi | {key: value + sign * way}, batch, {}).mean() for sign in (1, -1))
-        torch.testing.assert_close((grads[key] * way).sum(), (above - below) / 2, rtol=1e-4, atol=1e-13, msg=key)
+        direction = 1e-6 * torch.nn.functional.normalize(randn(*value.shape).flatten(), dim=0).reshape(value.shape)
+        above, below = (loss.value(phi | {key: value + sign * direction}, batch, {}).mean() for sign in (1, -1))
+        torch.testing.assert_close((grads[key] * direction).sum(), (above - below) / 2, rtol=1e-4, atol=1e-13, msg=key)
 
 
 def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:
@@ -186,7 +188,7 @@ def test_no_graph_is_kept_between_steps(order: int, evaluations: int, randn: Cal
     alive: list[int] = []
 
     def value(params: Params, batch: Batch, learned: Params) -> Tensor:
-        alive.append(sum(each() is not None for each in activations))
+        alive.append(sum(reference() is not None for reference in activations))
         hidden = torch.tanh(params["x"][..., None] * batch["c"])
         activations.append(weakref.ref(hidden.untyped_storage()))
         return (hidden * hidden).mean((1, 2))
@@ -194,18 +196,20 @@ def test_no_graph_is_kept_between_steps(order: int, evaluations: int, randn: Cal
     batches = [{"c": randn(TASKS, 3, 50)} for _ in range(12)]
     theta = {"x": randn(TASKS, 3).requires_grad_()}
     rule = sgd({"rate": torch.full((1, TASKS), 0.1).double().requires_grad_()})
-    final = learn_differentiably(theta, rule, batches, Loss(unused, value), order=order)["x"]
-    kept = [weakref.ref(each["c"]) for each in batches]
+    final = learn_differentiably(theta, rule, batches, Loss(refuse_to_draw, value), order=order)["x"]
+    kept = [weakref.ref(batch["c"]) for batch in batches]
     del batches
-    assert sum(each() is not None for each in kept) == (12 if order == 2 else 0)
-    assert not any(each() is not None for each in activations)
+    assert sum(reference() is not None for reference in kept) == (12 if order == 2 else 0)
+    assert not any(reference() is not None for reference in activations)
     torch.autograd.grad(final.sum(), [theta["x"], rule.alpha["rate"]])
     assert len(alive) == evaluations
     assert max(alive) == 0
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_a_rule_that_all_tasks_share(order: int, randn: Callable[..., Tensor]) -> None:
+def test_derivative_of_a_rule_that_tasks_share_agrees_with_an_unrolled_graph(
+    order: int, randn: Callable[..., Tensor]
+) -> None:
     """Adam's products of betas then have no task axis."""
     start = {"x": randn(TASKS, 3), "beta1": torch.full((1,), 0.8).double()}
     batches = parabolas(randn, STEPS)
@@ -217,11 +221,11 @@ def test_a_rule_that_all_tasks_share(order: int, randn: Callable[..., Tensor]) -
         return descend({"x": leaves["x"]}, rule, batches, PARABOLA, order=order)["x"].square().sum()
 
     found = value_and_grads(lambda leaves: final(leaves, learn_differentiably), start)
-    assert_alike(found, value_and_grads(lambda leaves: final(leaves, unrolled), start))
+    assert_alike(found, value_and_grads(lambda leaves: final(leaves, learn_unrolled), start))
     assert found[1]["beta1"].any()
 
 
-def test_what_is_not_used_gets_no_gradient(randn: Callable[..., Tensor]) -> None:
+def test_unused_parameters_get_no_gradient(randn: Callable[..., Tensor]) -> None:
     """A parameter that the loss does not see."""
     batches = parabolas(randn, 3)
     theta = {"x": randn(TASKS, 3).requires_grad_(), "unseen": randn(TASKS, 2).requires_grad_()}
@@ -234,8 +238,8 @@ def test_what_is_not_used_gets_no_gradient(randn: Callable[..., Tensor]) -> None
 
 
 @pytest.mark.parametrize("steps", [0, 3])
-def test_a_second_derivation_gives_the_same(steps: int, randn: Callable[..., Tensor]) -> None:
-    """With retain_graph, and after no step, where theta is the initialisation."""
+def test_second_backward_pass_gives_the_same_gradient(steps: int, randn: Callable[..., Tensor]) -> None:
+    """This holds with retain_graph, and after no step, where theta is the initialisation."""
     batch = {"A": symmetric(randn(1, 3, 3)), "c": randn(1, 3)}
     theta = {"x": randn(1, 3).requires_grad_()}
     rule = sgd({"rate": torch.full((1, 1), 0.1).double()})

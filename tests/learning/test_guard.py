@@ -15,7 +15,7 @@ from metapp.learning.learn import DescentState, descend, expand_tasks, final_ite
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Params, Tasks
-from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
+from tests.learning.parabolas import EXACT_LOSS, NAMES, NOISY_LOSS, parabola_loss
 
 APP = Brdf()
 
@@ -32,22 +32,22 @@ def start(rng: Generator) -> Params:
     return {"x": torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)}
 
 
-def rates(*each: float) -> UpdateRule:
+def rates(*step_rates: float) -> UpdateRule:
     """A descent of a rate of its own for each task."""
-    return sgd({"rate": torch.tensor([each], dtype=torch.float64)})
+    return sgd({"rate": torch.tensor([step_rates], dtype=torch.float64)})
 
 
-def at_steps(*each: float) -> UpdateRule:
+def at_steps(*step_rates: float) -> UpdateRule:
     """A descent of a rate of its own for each step, the same for all tasks."""
-    return sgd({"rate": torch.tensor(each, dtype=torch.float64)[:, None].expand(-1, len(NAMES))})
+    return sgd({"rate": torch.tensor(step_rates, dtype=torch.float64)[:, None].expand(-1, len(NAMES))})
 
 
 def loss_of(theta: Params, tasks: Tasks) -> Tensor:
-    return parabola(theta, {"c": tasks.data["c"][tasks.rows]}, {})
+    return parabola_loss(theta, {"c": tasks.data["c"][tasks.rows]}, {})
 
 
 def fit(
-    rule: UpdateRule, start: Params, tasks: Tasks, *, loss: Loss = EXACT, guard: Guard = GUARD
+    rule: UpdateRule, start: Params, tasks: Tasks, *, loss: Loss = EXACT_LOSS, guard: Guard = GUARD
 ) -> tuple[DescentState, Params]:
     """A guarded fit, and the rule's own."""
     path = list(guarded_descent(start, rule, tasks, loss, Generator().manual_seed(1), guard))
@@ -63,21 +63,21 @@ def guarded_descent(
     return descend_with_guard(start, rule, tasks, loss, rng=rng, guard=guard, steps=STEPS)
 
 
-def test_where_it_does_not_act_nothing_changes(start: Params, tasks: Tasks) -> None:
-    """To the last digit, nor do the draws of what is fitted next."""
-    found, alone = fit(rates(*MIXED), start, tasks, loss=NOISY)
+def test_guard_that_does_not_act_changes_nothing(start: Params, tasks: Tasks) -> None:
+    """Results are equal to the last digit, and so are the draws of the next fit."""
+    found, alone = fit(rates(*MIXED), start, tasks, loss=NOISY_LOSS)
     assert found.guarded.tolist() == [False, True, False, True, False]
     assert torch.equal(found.theta["x"][::2], alone["x"][::2])
     guarded, plain = Generator().manual_seed(1), Generator().manual_seed(1)
     rule = rates(*[DIVERGING] * 5)
-    final_item(guarded_descent(start, rule, tasks, NOISY, guarded, GUARD))
-    learn(start, rule, tasks, NOISY, steps=STEPS, rng=plain)
+    final_item(guarded_descent(start, rule, tasks, NOISY_LOSS, guarded, GUARD))
+    learn(start, rule, tasks, NOISY_LOSS, steps=STEPS, rng=plain)
     assert torch.equal(guarded.get_state(), plain.get_state())
 
 
 def test_a_diverged_fit_goes_on_by_adam_from_its_initialisation(start: Params, tasks: Tasks) -> None:
     """Which stays where Adam does not help."""
-    adam = learn(start, fixed_adam(ADAM, start, STEPS), tasks, EXACT, steps=STEPS, rng=Generator())
+    adam = learn(start, fixed_adam(ADAM, start, STEPS), tasks, EXACT_LOSS, steps=STEPS, rng=Generator())
     for guard, expected in ((GUARD, adam), (Guard(Adam(1e3)), start)):
         found, _ = fit(rates(*[DIVERGING] * 5), start, tasks, guard=guard)
         assert found.guarded.all()
@@ -88,7 +88,7 @@ def test_a_diverged_fit_goes_on_by_adam_from_its_initialisation(start: Params, t
 def test_parameters_that_overflow_are_replaced(bad: float, start: Params, tasks: Tasks) -> None:
     rule = rates(FAST, bad, FAST, FAST, FAST)
     with pytest.raises(FloatingPointError, match=r"^chalk: "):
-        learn(start, rule, tasks, EXACT, steps=STEPS, rng=Generator())
+        learn(start, rule, tasks, EXACT_LOSS, steps=STEPS, rng=Generator())
     found, alone = fit(rule, start, tasks)
     assert found.guarded.tolist() == [False, True, False, False, False]
     assert (loss_of(found.theta, tasks) < loss_of(start, tasks)).all()
@@ -102,7 +102,7 @@ def test_an_initialisation_that_is_not_finite_is_refused(start: Params, tasks: T
 
 
 def test_a_loss_that_hardly_falls_is_doubtful(start: Params, tasks: Tasks) -> None:
-    """Its share of the initialisation's is (1 - rate)^(2 steps)."""
+    """The loss ends at (1 - rate)^(2 steps) times the loss of the initialisation."""
     rule, share = rates(*[SLOW] * 5), (1 - SLOW) ** (2 * STEPS)
     for fall, acts in ((1.0, False), (share + 1e-6, False), (share - 1e-6, True)):
         found, alone = fit(rule, start, tasks, guard=Guard(ADAM, fall))
@@ -160,10 +160,10 @@ def test_every_rule_is_guarded(rule: str, rate: float, rng: Generator) -> None:
     theta = APP.init(rng, 4)
     learned = rule_of(rule)
     alpha = learned.initial_alpha(APP, {key: value[0] for key, value in theta.items()}, STEPS, Adam(rate))
-    own, loss = learned.update_rule(expand_tasks(alpha, 4, 1)), task_loss(APP, 512)
+    learned_rule, loss = learned.update_rule(expand_tasks(alpha, 4, 1)), task_loss(APP, 512)
     draws = [Generator().manual_seed(2) for _ in range(2)]
-    found = final_item(guarded_descent(theta, own, materials, loss, draws[0], Guard(Adam(1e-3))))
-    alone = final_item(descend(theta, own, materials, loss, steps=STEPS, rng=draws[1])).theta
+    found = final_item(guarded_descent(theta, learned_rule, materials, loss, draws[0], Guard(Adam(1e-3))))
+    alone = final_item(descend(theta, learned_rule, materials, loss, steps=STEPS, rng=draws[1])).theta
     assert found.guarded.tolist() == [rate > 1] * 4
     judged = loss.draw(materials, Generator().manual_seed(2), 1.0).batch
     assert (APP.loss(found.theta, judged, {}) < APP.loss(theta, judged, {})).all()

@@ -32,8 +32,8 @@ from metapp.learning.learn import (
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam, sgd
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec, problems_of
-from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
-from tests.paradigms.small import applicable
+from tests.learning.parabolas import EXACT_LOSS, NAMES, NOISY_LOSS, parabola_loss
+from tests.paradigms.small import applicable_rules
 
 APP = Brdf()
 
@@ -71,10 +71,12 @@ def phi() -> Params:
 
 
 @pytest.mark.parametrize("steps", [0, 2, 20])
-def test_a_closed_form_from_an_initialisation_that_stays(steps: int, tasks: Tasks, rng: Generator) -> None:
+def test_descents_agree_with_the_closed_form_and_keep_the_initialisation(
+    steps: int, tasks: Tasks, rng: Generator
+) -> None:
     theta = {"x": torch.randn(5, 3, dtype=torch.float64).requires_grad_()}
     before = theta["x"].detach().clone()
-    final = learn(theta, sgd(rate(0.1)), tasks, EXACT, steps=steps, rng=rng)["x"]
+    final = learn(theta, sgd(rate(0.1)), tasks, EXACT_LOSS, steps=steps, rng=rng)["x"]
     torch.testing.assert_close(final, tasks.data["c"] + 0.9**steps * (before - tasks.data["c"]))
     assert torch.equal(theta["x"], before)
     assert theta["x"].grad is None
@@ -82,9 +84,9 @@ def test_a_closed_form_from_an_initialisation_that_stays(steps: int, tasks: Task
     assert torch.equal(final, before) is (steps == 0)
 
 
-@pytest.mark.parametrize("rule", ["adam", *applicable(APP)])
+@pytest.mark.parametrize("rule", ["adam", *applicable_rules(APP)])
 def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: Generator) -> None:
-    """With a generator for each task, its fit does not depend on those beside it."""
+    """With a generator for each task, its fit does not depend on the tasks beside it."""
     steps, count = 6, len(materials)
     start = {key: value.double() for key, value in APP.init(rng, count).items()}
     alpha = rule_of(rule).initial_alpha(
@@ -100,15 +102,15 @@ def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: G
         return learn(theta, own, materials.select(rows), task_loss(APP, 16), steps=steps, rng=draws)
 
     together, alone = fit(range(count)), [fit(range(i, i + 1)) for i in range(count)]
-    joined = {key: torch.cat([each[key] for each in alone]) for key in start}
+    joined = {key: torch.cat([result[key] for result in alone]) for key in start}
     torch.testing.assert_close(together, joined, rtol=1e-9, atol=1e-12)
     assert not any(torch.equal(joined[key][i], value[i]) for key, value in start.items() for i in range(count))
 
 
 def test_a_descent_yields_its_initialisation_and_each_step(tasks: Tasks, rng: Generator) -> None:
-    """With the parameters after so many steps and the loss before the last; nothing is drawn before a step is due."""
+    """It yields the parameters after each step and the loss before it, and draws nothing before a step is due."""
     drawn: list[float] = []
-    loss = replace(EXACT, draw=lambda tasks, rng, done: drawn.append(done) or EXACT.draw(tasks, rng, done))
+    loss = replace(EXACT_LOSS, draw=lambda tasks, rng, done: drawn.append(done) or EXACT_LOSS.draw(tasks, rng, done))
     descent = descend(zeros(tasks), sgd(rate(0.5)), tasks, loss, steps=3, rng=rng)
     for i, now in enumerate(descent):
         assert drawn == [k / 3 for k in range(i)]
@@ -122,16 +124,16 @@ def test_a_descent_yields_its_initialisation_and_each_step(tasks: Tasks, rng: Ge
 
 def test_a_descent_goes_on_from_any_of_its_steps(tasks: Tasks) -> None:
     start, rule = zeros(tasks), fixed_adam(Adam(0.1, final=0.0), zeros(tasks), 6)
-    expected = learn(start, rule, tasks, NOISY, steps=6, rng=Generator().manual_seed(1))
+    expected = learn(start, rule, tasks, NOISY_LOSS, steps=6, rng=Generator().manual_seed(1))
     rng = Generator().manual_seed(1)
-    middle = next(now for now in descend(start, rule, tasks, NOISY, steps=6, rng=rng) if now.step == 4)
-    others = descend({}, rule, tasks, NOISY, steps=6, rng=rng, since=DescentState(4, middle.theta, middle.state))
+    middle = next(now for now in descend(start, rule, tasks, NOISY_LOSS, steps=6, rng=rng) if now.step == 4)
+    others = descend({}, rule, tasks, NOISY_LOSS, steps=6, rng=rng, since=DescentState(4, middle.theta, middle.state))
     *_, final = others
     assert torch.equal(final.theta["x"], expected["x"])
 
 
 @pytest.mark.parametrize(("every", "expected"), [(0, [0]), (1, list(range(10))), (4, [0, 4, 8, 9]), (50, [0, 9])])
-def test_which_steps_are_checked(every: int, expected: list[int]) -> None:
+def test_finite_losses_are_checked_every_few_steps_and_at_the_last(every: int, expected: list[int]) -> None:
     """Counted from 0: every so many, and the last, unless it is the first alone."""
     for bad in range(10):
         losses = [torch.tensor([(math.nan, math.inf)[bad % 2] if i == bad else 1.0]) for i in range(10)]
@@ -157,79 +159,79 @@ def test_equal_applications_have_one_loss_that_holds_neither() -> None:
 
 
 def test_over_tasks_draws_without_replacement(tasks: Tasks, rng: Generator) -> None:
-    loss, counts = over_tasks(EXACT, count=3), dict.fromkeys(NAMES, 0)
+    loss, counts = over_tasks(EXACT_LOSS, count=3), dict.fromkeys(NAMES, 0)
     for _ in range(300):
         names = loss.draw(tasks, rng, 1.0).names
         assert len(names) == len(set(names)) == 3
         for name in names:
             counts[name] += 1
     assert all(abs(count - 180) < 5 * math.sqrt(300 * 0.6 * 0.4) for count in counts.values())
-    assert sorted(over_tasks(EXACT, count=9).draw(tasks, rng, 1.0).names) == list(NAMES)  # no more than there are
+    assert sorted(over_tasks(EXACT_LOSS, count=9).draw(tasks, rng, 1.0).names) == list(NAMES)  # no more than there are
     subset = tasks.select([1, 4])
     assert {name for _ in range(20) for name in loss.draw(subset, rng, 1.0).names} == {"chalk", "paper"}
 
 
 def test_over_tasks_draws_as_many_of_each_kind(tasks: Tasks, rng: Generator) -> None:
-    """One of five is of another kind: it is one of two that are drawn."""
+    """One of five tasks is of another kind, and it is one of the two that are drawn."""
     several = replace(tasks, data=tasks.data | {"kind": torch.tensor([[name == "chalk"] for name in NAMES])})
-    loss = over_tasks(EXACT, count=1)
+    loss = over_tasks(EXACT_LOSS, count=1)
     names = [loss.draw(several, rng, 1.0).names[0] for _ in range(400)]
     assert abs(names.count("chalk") - 200) < 5 * 10
     assert set(names) == set(NAMES)
-    assert sorted(over_tasks(EXACT, count=9).draw(several, rng, 1.0).names) == list(NAMES)
+    assert sorted(over_tasks(EXACT_LOSS, count=9).draw(several, rng, 1.0).names) == list(NAMES)
 
 
-def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> None:
+def test_over_tasks_draws_samples_of_augmented_tasks(tasks: Tasks, rng: Generator) -> None:
     def augment(picked: Tasks, rng: Generator) -> Tasks:
         names = tuple(f"twice {name}" for name in picked.selected_names)
         return Tasks(names, {"c": 2 * picked.data["c"][picked.rows]}, torch.arange(len(picked)))
 
-    drawn = over_tasks(EXACT, count=2, augment=augment).draw(tasks, rng, 1.0)
+    drawn = over_tasks(EXACT_LOSS, count=2, augment=augment).draw(tasks, rng, 1.0)
     for name, c in zip(drawn.names, drawn.batch["c"], strict=True):
         assert torch.equal(c, 2 * tasks.data["c"][NAMES.index(name.removeprefix("twice "))])
 
 
 @pytest.mark.parametrize("steps", [0, 4])
 def test_after_learning_is_the_loss_after_learn(steps: int, phi: Params, tasks: Tasks) -> None:
-    lifted = after_learning(NOISY, sgd, steps=steps, order=2)
+    lifted = after_learning(NOISY_LOSS, sgd, steps=steps, order=2)
     drawn = lifted.draw(tasks, Generator().manual_seed(1), 1.0)
     assert drawn.names == NAMES
     rng = Generator().manual_seed(1)
-    final = learn(expand_tasks({"x": phi["theta.x"]}, 5, 0), sgd(rate(0.1)), tasks, NOISY, steps=steps, rng=rng)
-    last = NOISY.draw(tasks, rng, 1.0).batch  # other samples than any step has seen
-    torch.testing.assert_close(lifted.value(phi, drawn.batch, {}), parabola(final, last, {}))
+    final = learn(expand_tasks({"x": phi["theta.x"]}, 5, 0), sgd(rate(0.1)), tasks, NOISY_LOSS, steps=steps, rng=rng)
+    last = NOISY_LOSS.draw(tasks, rng, 1.0).batch  # other samples than any step has seen
+    torch.testing.assert_close(lifted.value(phi, drawn.batch, {}), parabola_loss(final, last, {}))
 
 
 def test_inner_steps_draw_by_the_share_of_inner_steps(tasks: Tasks, rng: Generator) -> None:
-    """And the outer loss draws from all of the data, however far the outer loop is."""
+    """The outer loss draws from all of the data, at every outer step."""
     shares: list[float] = []
 
     def draw(tasks: Tasks, rng: Generator, done: float) -> DrawnBatch:
         shares.append(done)
-        return EXACT.draw(tasks, rng, done)
+        return EXACT_LOSS.draw(tasks, rng, done)
 
-    lifted = after_learning(replace(EXACT, draw=draw), sgd, steps=4, order=1)
+    lifted = after_learning(replace(EXACT_LOSS, draw=draw), sgd, steps=4, order=1)
     lifted.draw(tasks, rng, 0.3)
     assert shares == [0.0, 0.25, 0.5, 0.75, 1.0]
 
 
 def test_meta_is_learn_over_tasks_after_learning(phi: Params, tasks: Tasks, rng: Generator) -> None:
     """Alg. 3: on parabolas of one curvature the best start is the mean and the best rate the curvature's inverse."""
-    lifted = over_tasks(after_learning(EXACT, sgd, steps=3, order=2), count=5)
+    lifted = over_tasks(after_learning(EXACT_LOSS, sgd, steps=3, order=2), count=5)
     start = float(lifted.value(phi, lifted.draw(tasks, rng, 1.0).batch, {}).mean())
     trained = learn(phi, fixed_adam(Adam(0.1, final=0.0), phi, 200), tasks, lifted, steps=200, rng=rng)
     assert float(lifted.value(trained, lifted.draw(tasks, rng, 1.0).batch, {}).mean()) < 1e-6 * start
     torch.testing.assert_close(float(trained["alpha.rate"]), 1.0, rtol=0, atol=0.1)
 
 
-def test_after_encoding(tasks: Tasks, rng: Generator) -> None:
+def test_after_encoding_is_the_loss_of_predicted_parameters(tasks: Tasks, rng: Generator) -> None:
     def condition(tasks: Tasks, rng: Generator) -> Batch:
         return {"seen": tasks.data["c"][tasks.rows]}
 
     def encode(encoder: Params, observed: Any) -> Params:
         return {"x": observed["seen"] @ encoder["w"]}
 
-    loss = over_tasks(after_encoding(EXACT, EncoderPrediction(condition, encode)), count=5)
+    loss = over_tasks(after_encoding(EXACT_LOSS, EncoderPrediction(condition, encode)), count=5)
     phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flatten()
     trained = learn(phi, fixed_adam(Adam(0.05, final=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
     torch.testing.assert_close(trained["encoder.w"], torch.eye(3).double(), rtol=0, atol=1e-3)
@@ -238,8 +240,8 @@ def test_after_encoding(tasks: Tasks, rng: Generator) -> None:
 def test_flat_and_unflat_are_inverse() -> None:
     start = MetaParameters({"w.x": torch.ones(2)}, {"beta": torch.ones(3)}, {"in.w": torch.ones(4)})
     assert list(start.flatten()) == ["theta.w.x", "alpha.beta", "encoder.in.w"]
-    for each in (start, MetaParameters()):
-        assert MetaParameters.unflatten(each.flatten()) == each
+    for phi in (start, MetaParameters()):
+        assert MetaParameters.unflatten(phi.flatten()) == phi
 
 
 def test_stacked_tasks_keep_what_they_show_and_their_kinds() -> None:
@@ -281,7 +283,7 @@ def by_task(theta: Tensor, alpha: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("limit", [0.5, math.inf])
 def test_clipping_keeps_directions(limit: float, rng: Generator) -> None:
-    """And what is within the limit to the last digit; zeros stay zeros."""
+    """Gradients within the limit are unchanged to the last digit, and zeros stay zeros."""
     before = slopes(rng)
     raw, clipped = by_task(*before), pulled(*before, limit)
     norms = raw.norm(dim=1)
@@ -308,7 +310,7 @@ def test_meta_gradient_is_the_mean_of_clipped_ones(tasks: Tasks, rng: Generator)
     phi = MetaParameters({"x": torch.zeros(3).double()}, {"rate.x": torch.full((1, 3), 0.1).double()}).flatten()
 
     def gradient(subset: Tasks, clip: float) -> Tensor:
-        loss = over_tasks(after_learning(EXACT, sgd, steps=2, order=2, clip=clip), count=5)
+        loss = over_tasks(after_learning(EXACT_LOSS, sgd, steps=2, order=2, clip=clip), count=5)
         leaves = {key: value.clone().requires_grad_() for key, value in phi.items()}
         grads, _ = loss.gradient(leaves, loss.draw(subset, rng, 1.0).batch, {}, graph=False)
         return torch.cat([grad.flatten() for grad in grads.values()])
@@ -331,7 +333,7 @@ HOLDS = {
 }
 
 
-def whole() -> dict[str, Tensor]:
+def valid_tensors() -> dict[str, Tensor]:
     """Tensors as they must be, at the ends of their range."""
     return {"image": torch.zeros(3, 4, 5, dtype=torch.uint8), "map": torch.tensor([0.0, 1.0]).repeat(10).reshape(4, 5)}
 
@@ -346,12 +348,12 @@ def whole() -> dict[str, Tensor]:
         {"unknown": torch.ones(2, dtype=torch.int64)},
     ],
 )
-def test_nothing_is_wrong_with_what_is_as_it_must_be(further: dict[str, Tensor]) -> None:
-    assert problems_of(Task("a", whole() | further), HOLDS) == []
+def test_valid_tasks_have_no_problems(further: dict[str, Tensor]) -> None:
+    assert problems_of(Task("a", valid_tensors() | further), HOLDS) == []
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"image": None}, "tensor 'image' is missing"),
         ({"map": torch.ones(4, 6)}, "'map' is float32 [4, 6], expected float [h, w]"),  # h and w are the image's
@@ -365,8 +367,8 @@ def test_nothing_is_wrong_with_what_is_as_it_must_be(further: dict[str, Tensor])
         ({"map": torch.full((4, 5), 1.5)}, "'map' holds 1.5 to 1.5, expected 0 to 1"),
     ],
 )
-def test_what_is_wrong_is_one_line(wrong: dict[str, Tensor | None], said: str) -> None:
-    data = {key: value for key, value in (whole() | wrong).items() if value is not None}
+def test_each_problem_of_a_task_is_one_line(wrong: dict[str, Tensor | None], message: str) -> None:
+    data = {key: value for key, value in (valid_tensors() | wrong).items() if value is not None}
     (problem,) = problems_of(Task("a", data), HOLDS)
-    assert said in problem
+    assert message in problem
     assert problem.startswith("tensor '")

@@ -1,4 +1,4 @@
-"""Generators of pictures: that they tile, that tasks and pictures beside each other change nothing, how they begin."""
+"""Generators of pictures: pictures tile, and tasks and pictures beside each other are independent."""
 
 import functools
 import itertools
@@ -64,7 +64,7 @@ def out(theta: Params, name: str, x: Tensor) -> Tensor:
 
 
 def unet_by_hand(theta: Params, noise: Tensor) -> Tensor:
-    """One picture [C, H, W] by a U-Net of two levels."""
+    """Return one picture [C, H, W] by a U-Net of two levels, written out."""
     fine = layer(theta, "down0", noise)
     coarse = layer(theta, "down1", fine.unflatten(1, (-1, 2)).unflatten(3, (-1, 2)).mean((2, 4)))
     both = torch.cat([coarse.repeat_interleave(2, 1).repeat_interleave(2, 2), fine])
@@ -72,7 +72,7 @@ def unet_by_hand(theta: Params, noise: Tensor) -> Tensor:
 
 
 def pyramid_by_hand(theta: Params, noise: Tensor) -> Tensor:
-    """One picture [C, H, W] by a pyramid of one level."""
+    """Return one picture [C, H, W] by a pyramid of one level, written out."""
     return out(theta, "out0", layer(theta, "draw0", layer(theta, "join0", noise)))
 
 
@@ -81,29 +81,27 @@ def pyramid_by_hand(theta: Params, noise: Tensor) -> Tensor:
     [(UNET._replace(levels=2), unet_by_hand), (PYRAMID._replace(levels=1), pyramid_by_hand)],
     ids=["U-Net", "pyramid"],
 )
-def test_few_levels_written_out(
+def test_small_network_agrees_with_one_written_by_hand(
     network: UNet | Pyramid, by_hand: Callable[[Params, Tensor], Tensor], rng: Generator
 ) -> None:
     theta = {key: value + 0.1 for key, value in double(network.init(rng, 2)).items()}
     noise = torch.randn(2, 3, 2, 6, 8, generator=rng, dtype=torch.float64)
-    made = network(theta, noise)
+    result = network(theta, noise)
     for task, picture in itertools.product(range(2), range(3)):
-        own = {key: value[task] for key, value in theta.items()}
-        torch.testing.assert_close(made[task, picture], by_hand(own, noise[task, picture]))
+        task_theta = {key: value[task] for key, value in theta.items()}
+        torch.testing.assert_close(result[task, picture], by_hand(task_theta, noise[task, picture]))
 
 
 @pytest.mark.parametrize("levels", [1, 2, 3, 4])
-def test_what_they_make_moves_with_the_noise_and_round_the_edges(
-    network: UNet | Pyramid, levels: int, rng: Generator
-) -> None:
+def test_pictures_shift_with_their_noise_and_wrap_around(network: UNet | Pyramid, levels: int, rng: Generator) -> None:
     network = network._replace(levels=levels)
     theta, step = double(network.init(rng, 2)), 2 ** (levels - 1)
     noise = torch.randn(2, 2, 2, 4 * step, 6 * step, generator=rng, dtype=torch.float64)
-    made = network(theta, noise)
+    result = network(theta, noise)
     for shift in ((step, 0), (0, step), (-2 * step, 3 * step)):
-        torch.testing.assert_close(network(theta, noise.roll(shift, (-2, -1))), made.roll(shift, (-2, -1)))
+        torch.testing.assert_close(network(theta, noise.roll(shift, (-2, -1))), result.roll(shift, (-2, -1)))
     if levels > 1:  # the coarser grids have their places; a network of one level has none
-        assert (network(theta, noise.roll(1, -1)) - made.roll(1, -1)).abs().mean() > 0.05 * made.std()
+        assert (network(theta, noise.roll(1, -1)) - result.roll(1, -1)).abs().mean() > 0.05 * result.std()
 
 
 def test_tasks_and_pictures_are_independent(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:
@@ -136,8 +134,8 @@ def test_a_coarse_level_makes_what_the_finer_ones_correct(theta: Params, noise: 
 
 
 @pytest.mark.parametrize("network", [PYRAMID], indirect=True)
-def test_large_pictures_are_made_by_rows(theta: Params, monkeypatch: pytest.MonkeyPatch, rng: Generator) -> None:
-    """The same to rounding, also where the last rows are fewer."""
+def test_large_pictures_are_generated_by_rows(theta: Params, monkeypatch: pytest.MonkeyPatch, rng: Generator) -> None:
+    """Results agree to rounding, also where the last rows are fewer."""
     noise = torch.randn(3, 2, 2, 40, 24, generator=rng, dtype=torch.float64)
     with torch.no_grad():
         whole = PYRAMID(theta, noise)
@@ -149,27 +147,27 @@ def test_maps_above_are_convolved_as_if_enlarged(rng: Generator) -> None:
     """Values and gradients, for tasks beside each other."""
     draw = functools.partial(torch.randn, generator=rng, dtype=torch.float64)
     above, x, kernel = draw(2, 3 * 4, 5, 6), draw(2, 3 * 2, 10, 12), draw(3, 7, 6, 3, 3)
-    some = {"z": draw(3, 5), "a.kernel": kernel, "a.style": draw(3, 14, 5), "a.shift": draw(3, 14)}
-    leaves = [each.requires_grad_() for each in (above, x, kernel)]
+    parameters = {"z": draw(3, 5), "a.kernel": kernel, "a.style": draw(3, 14, 5), "a.shift": draw(3, 14)}
+    leaves = [tensor.requires_grad_() for tensor in (above, x, kernel)]
     joined = torch.cat([part.unflatten(1, (3, -1)) for part in (enlarge_periodic(above), x)], 2).flatten(1, 2)
-    expected, made = layers.apply_styled(some, "a", joined), layers.apply_styled(some, "a", x, above)
-    torch.testing.assert_close(made, expected)
-    pull = draw(*made.shape)
-    for one, other in zip(*(torch.autograd.grad(of, leaves, pull) for of in (made, expected)), strict=True):
-        torch.testing.assert_close(one, other)
+    expected, result = layers.apply_styled(parameters, "a", joined), layers.apply_styled(parameters, "a", x, above)
+    torch.testing.assert_close(result, expected)
+    pull = draw(*result.shape)
+    for first, other in zip(*(torch.autograd.grad(of, leaves, pull) for of in (result, expected)), strict=True):
+        torch.testing.assert_close(first, other)
 
 
 # Maps enlarged across their edges
 
 
-def test_enlarged(rng: Generator) -> None:
+def test_bilinear_enlargement_wraps_around(rng: Generator) -> None:
     """Means of neighbours by 3 to 1, also across the edges; the mean of the map stays."""
     x = torch.randn(1, 2, 4, 6, generator=rng, dtype=torch.float64)
-    made = enlarge_periodic(x)
+    result = enlarge_periodic(x)
     across = torch.stack([0.25 * x.roll(1, -1) + 0.75 * x, 0.75 * x + 0.25 * x.roll(-1, -1)], -1).flatten(-2)
     down = torch.stack([0.25 * across.roll(1, -2) + 0.75 * across, 0.75 * across + 0.25 * across.roll(-1, -2)], -2)
-    torch.testing.assert_close(made, down.flatten(-3, -2))
-    torch.testing.assert_close(made.mean((-1, -2)), x.mean((-1, -2)))
+    torch.testing.assert_close(result, down.flatten(-3, -2))
+    torch.testing.assert_close(result.mean((-1, -2)), x.mean((-1, -2)))
 
 
 # Fields with a code in every place
@@ -190,13 +188,13 @@ def places(count: int, field: LocalField = FIELD) -> Tensor:
 
 def test_a_code_without_variation_is_the_same_everywhere(rng: Generator) -> None:
     theta = blind(rng, 2) | {"z": torch.randn(2, 3, 1, 1, generator=rng).expand(-1, -1, 4, 8)}
-    made = FIELD(theta, places(2))
-    assert made.shape == (2, 3, 8, 16)
-    torch.testing.assert_close(made, made[..., :1, :1].expand_as(made))
+    result = FIELD(theta, places(2))
+    assert result.shape == (2, 3, 8, 16)
+    torch.testing.assert_close(result, result[..., :1, :1].expand_as(result))
 
 
-def test_a_large_field_is_made_by_rows(rng: Generator) -> None:
-    """The same to rounding, also where the last rows are fewer, and each row where it belongs."""
+def test_large_fields_are_evaluated_by_rows(rng: Generator) -> None:
+    """Results agree to rounding, in the order of the rows, also where the last rows are fewer."""
     field = FIELD._replace(height=21, width=16)
     theta, seen = double(field.init(rng, 2)), places(2, field).double()
     whole = field(theta, seen)
@@ -205,7 +203,7 @@ def test_a_large_field_is_made_by_rows(rng: Generator) -> None:
     torch.testing.assert_close(torch.cat(rows, -2), whole)
 
 
-def test_a_code_goes_on_at_the_other_edge_where_it_is_periodic(rng: Generator) -> None:
+def test_periodic_codes_wrap_around(rng: Generator) -> None:
     for periodic in (True, False):
         field = FIELD._replace(periodic=periodic)
         theta = blind(rng, 1, field)
@@ -225,11 +223,11 @@ def test_a_cell_of_the_code_reaches_its_neighbourhood_only(rng: Generator) -> No
 # A code on a finer grid
 
 
-def test_values_on_a_finer_grid(rng: Generator) -> None:
+def test_fields_are_evaluated_on_finer_grids(rng: Generator) -> None:
     """Linear between centres, also across the edges of a periodic grid; the same grid is left alone."""
     values = torch.randn(1, 2, 4, 8, generator=rng)
     assert regrid(values, 4, 8, periodic=True) is values
-    fine, turned = (regrid(each, 8, 16, periodic=True) for each in (values, values.roll(3, -1)))
+    fine, turned = (regrid(grid_values, 8, 16, periodic=True) for grid_values in (values, values.roll(3, -1)))
     torch.testing.assert_close(fine.roll(6, -1), turned)
     for periodic in (True, False):
         constant = regrid(torch.full((1, 2, 3, 5), 0.7), 12, 20, periodic=periodic)
@@ -294,7 +292,10 @@ def checkers(side: int, turned: float) -> Tensor:
 
 @pytest.mark.parametrize(("side", "turned"), [(29, 0.0), (29, 0.06), (13, 0.1)])
 def test_layouts_keep_the_order_of_a_checkerboard(side: int, turned: float) -> None:
-    """At their own size and at twice that: there a single quilt of blocks of any phase keeps 0.2 to 0.5."""
+    """Its own size and twice that are tested.
+
+    A single quilt of blocks of any phase keeps 0.2 to 0.5 at twice the size.
+    """
     exemplar = checkers(side, turned)
     lattice = find_lattice(exemplar)
     layout = quilt_layout(exemplar, (SIZE, SIZE))

@@ -1,4 +1,4 @@
-"""What the contract of applications and paradigms is tested on: each application, small."""
+"""Fixtures for the contract of applications and paradigms: each application with a small network and small tasks."""
 
 import functools
 
@@ -7,53 +7,57 @@ import pytest
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task, Tasks
 from metapp.paradigms.paradigm import Paradigm
-from tests.paradigms.small import KINDS, SMALL, fits_of, small_app, small_recipe
+from tests.paradigms.small import NETWORK_KINDS, SMALL_APPLICATIONS, paradigms_of, small_app, small_recipe
 
 
 @pytest.fixture(autouse=True)
-def eager(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiling takes longer than these tests."""
+def disable_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep torch from compiling, which takes longer than these tests."""
     monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")
 
 
-@pytest.fixture(scope="session", params=KINDS)
+@pytest.fixture(scope="session", params=NETWORK_KINDS)
 def app(request: pytest.FixtureRequest) -> App:
+    """Each application, and the second network of BRDFs, small."""
     app = small_app(request.param)
-    assert app.name in SMALL, f"{app.name}: no small tasks for its contract; add a line to SMALL."
+    assert app.name in SMALL_APPLICATIONS, f"{app.name}: no small tasks; add a line to SMALL_APPLICATIONS."
     return app
 
 
-@functools.cache  # a fixture is made anew for every test that names its application
-def sources_of(name: str) -> list[Task]:
-    return SMALL[name].tasks()
+@functools.cache  # fixtures are made again for every test that names its application
+def small_sources(name: str) -> list[Task]:
+    """Return an application's small tasks before it prepares them."""
+    return SMALL_APPLICATIONS[name].tasks()
 
 
 @functools.cache
-def tasks_of(name: str) -> Tasks:
-    return stack_tasks(small_app(name), sources_of(name))
+def small_tasks(name: str) -> Tasks:
+    """Return an application's small tasks, prepared and stacked."""
+    return stack_tasks(small_app(name), small_sources(name))
 
 
 @pytest.fixture(scope="session")
 def sources(app: App) -> list[Task]:
-    """What tasks are before an application prepares them."""
-    return sources_of(app.name)
+    """The application's small tasks before it prepares them."""
+    return small_sources(app.name)
 
 
 @pytest.fixture(scope="session")
 def tasks(request: pytest.FixtureRequest, app: App) -> Tasks:
+    """The application's small tasks, prepared and stacked."""
     if app.name == "illumination":
-        request.getfixturevalue("shared_scene")
-    return tasks_of(app.name)
+        request.getfixturevalue("shared_second_scene")
+    return small_tasks(app.name)
 
 
 @pytest.fixture(autouse=True)
-def judged(request: pytest.FixtureRequest) -> None:
-    """What errors of an application need beside its tasks."""
+def _second_scene_where_needed(request: pytest.FixtureRequest) -> None:
+    """Link the second scene's matrix into the cache of tests of illumination, whose errors need it."""
     if "app" in request.fixturenames and request.getfixturevalue("app").name == "illumination":
-        request.getfixturevalue("scene")
+        request.getfixturevalue("second_scene")
 
 
 @pytest.fixture
 def fits(app: App) -> dict[str, Paradigm]:
     """The five paradigms of the application, by name."""
-    return fits_of(app, small_recipe(app))
+    return paradigms_of(app, small_recipe(app))

@@ -1,4 +1,4 @@
-"""Tasks and recipes small enough for what every application and paradigm promises."""
+"""Small tasks, networks and recipes of every application, for tests of the contract of applications and paradigms."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -43,35 +43,41 @@ from metapp.registry import registry
 from tests.marked import long
 from tests.small_spheres import shrink_spheres
 
-COUNT = 12
-# an application that has a second network stands for two
-FEATURED = "brdf, features"
-KINDS = [*app_names(), FEATURED]
-OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {FEATURED: "ridge"}
-ONE_QUICK = ["brdf", *(long(kind) for kind in KINDS if kind != "brdf")]  # trainings of one application, of others long
+TASK_COUNT = 12
+# the second network of BRDFs is tested as if it were an application of its own
+FEATURE_NETWORK = "brdf, features"
+NETWORK_KINDS = [*app_names(), FEATURE_NETWORK]
+OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {FEATURE_NETWORK: "ridge"}
+KINDS_BUT_BRDF_LONG = [
+    "brdf",
+    *(long(kind) for kind in NETWORK_KINDS if kind != "brdf"),
+]  # trainings of other applications than BRDF take seconds
 
 
-class Small(NamedTuple):
-    """What makes an application small enough for its contract: small networks, and tasks."""
+class SmallApplication(NamedTuple):
+    """A function that makes an application's small tasks, and the application with a small network."""
 
     tasks: Callable[[], list[Task]]
     app: App
 
 
 def brdf_tasks() -> list[Task]:
+    """Make synthetic BRDFs of 512 samples."""
     with pytest.MonkeyPatch.context() as patch:
         shrink_spheres(patch)
-        return [make_brdf_task(each.name, each.evaluate, samples=512) for each in synthetic_materials("train", COUNT)]
+        materials = synthetic_materials("train", TASK_COUNT)
+        return [make_brdf_task(material.name, material.evaluate, samples=512) for material in materials]
 
 
 def picture_tasks() -> list[Task]:
-    return list(synthetic_tasks("train", COUNT, size=32))
+    """Make synthetic textures of 32 px."""
+    return list(synthetic_tasks("train", TASK_COUNT, size=32))
 
 
 def map_tasks() -> list[Task]:
-    """Maps of one lamp each, all around, and a photograph."""
-    generator, towards, tasks = rng(7), texel_directions(16, 32), []
-    for i in range(COUNT):
+    """Make environment maps of one lamp each, with photographs of spheres in them."""
+    generator, towards, tasks = seeded_generator(7), texel_directions(16, 32), []
+    for i in range(TASK_COUNT):
         lamp = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
         colour = 0.3 + torch.rand(3, 1, 1, generator=generator)
         light = 0.3 + colour * (6 * (torch.einsum("c,chw->hw", lamp, towards) - 0.6)).exp()
@@ -82,9 +88,9 @@ def map_tasks() -> list[Task]:
 
 
 def material_tasks() -> list[Task]:
-    """Smooth materials of two colours each, and how they look under a flash."""
-    generator, tasks = rng(7), []
-    for i in range(COUNT):
+    """Make smooth random material maps of 16 px, with flash photographs."""
+    generator, tasks = seeded_generator(7), []
+    for i in range(TASK_COUNT):
         coarse = torch.rand(1, 8, 3, 3, generator=generator)
         smooth = torch.nn.functional.interpolate(coarse, (16, 16), mode="bilinear")[0]
         normal = normal_from_height(3 * smooth[:1])
@@ -94,9 +100,9 @@ def material_tasks() -> list[Task]:
 
 
 def path_tasks() -> list[Task]:
-    """Samples of which half are on a lamp, and others come from where it is, and a picture of 8 px."""
-    generator, tasks = rng(7), []
-    for i in range(COUNT):
+    """Make samples of light paths that lie on a lamp or depend on where it is, with a picture of 8 px."""
+    generator, tasks = seeded_generator(7), []
+    for i in range(TASK_COUNT):
         lamp = 0.2 + 0.6 * torch.rand(2, generator=generator)
         samples = torch.rand(2048, 4, generator=generator)
         samples[:1024, :2] = lamp + 0.1 * (samples[:1024, :2] - 0.5)
@@ -109,35 +115,41 @@ def path_tasks() -> list[Task]:
 
 
 SMALL_OCTAVES = Octaves(16, 16, ("relu1_1",))
-SMALL: dict[str, Small] = {
-    "brdf": Small(brdf_tasks, Brdf(NBRDF_NETWORK)),
-    "illumination": Small(map_tasks, Illumination(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))),
-    "svbrdf_nonstationary": Small(material_tasks, FromMaps(field_of(16, hidden=8)._replace(code=3), encoder_width=2)),
-    "svbrdf_stationary": Small(
+SMALL_APPLICATIONS: dict[str, SmallApplication] = {
+    "brdf": SmallApplication(brdf_tasks, Brdf(NBRDF_NETWORK)),
+    "illumination": SmallApplication(
+        map_tasks, Illumination(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
+    ),
+    "svbrdf_nonstationary": SmallApplication(
+        material_tasks, FromMaps(field_of(16, hidden=8)._replace(code=3), encoder_width=2)
+    ),
+    "svbrdf_stationary": SmallApplication(
         picture_tasks, SvbrdfStationary(UNet(4, levels=2, noise=2, code=4, outputs=6), SMALL_OCTAVES)
     ),
-    "texture": Small(picture_tasks, Texture(UNet(4, levels=2, noise=2, code=4, outputs=3), SMALL_OCTAVES)),
-    "transport": Small(path_tasks, Transport(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6))),
+    "texture": SmallApplication(picture_tasks, Texture(UNet(4, levels=2, noise=2, code=4, outputs=3), SMALL_OCTAVES)),
+    "transport": SmallApplication(
+        path_tasks, Transport(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6))
+    ),
 }
 
 
 def small_app(kind: str) -> App:
-    """An application, or its second network, small."""
-    if kind == FEATURED:
+    """Return an application with a small network; FEATURE_NETWORK is the second network of BRDFs."""
+    if kind == FEATURE_NETWORK:
         return Brdf(Featured(width=8, features=5, code=3, encoder=8))
-    return app_of(kind, replace(recipes_of(kind)["quick"], app=SMALL[kind].app))
+    return app_of(kind, replace(recipes_of(kind)["quick"], app=SMALL_APPLICATIONS[kind].app))
 
 
 def small_recipe(app: App) -> Recipe:
-    """The quick recipe, with few samples, tasks and steps, and every rule that applies."""
+    """Return the quick recipe with few samples, tasks and steps, and with every rule that applies."""
     recipe = recipes_of(app.name)["quick"]
 
-    few: dict[str, Any] = {"steps": 6, "tasks": 3, "warmup": 0, "validate_every": 2, "validation_variants": 0}
+    few_steps: dict[str, Any] = {"steps": 6, "tasks": 3, "warmup": 0, "validate_every": 2, "validation_variants": 0}
 
-    def short(training: MetaTraining) -> MetaTraining:
+    def shorten(training: MetaTraining) -> MetaTraining:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
-        # a guard's shares are of trained rules
-        return replace(training, **few, rates=rates, tuned=False, app=None, guard=None)
+        # thresholds of a guard hold for trained rules alone
+        return replace(training, **few_steps, rates=rates, tuned=False, app=None, guard=None)
 
     return replace(
         recipe,
@@ -145,50 +157,51 @@ def small_recipe(app: App) -> Recipe:
         batch=min(64, recipe.batch),
         overfit_steps=20,
         finetune_steps=8,
-        general=replace(recipe.general, **few),
-        meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
+        general=replace(recipe.general, **few_steps),
+        meta={rule: shorten(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable_rules(app)},
         app=app,
         rule="ridge" if linear_parameter(app) else recipe.rule,
     )
 
 
-def applicable(app: App) -> list[str]:
-    """The named rules whose parts apply to an application."""
-    theta = {key: value[0] for key, value in app.init(rng(), 1).items()}
+def applicable_rules(app: App) -> list[str]:
+    """Return the names of the rules whose parts all apply to an application."""
+    theta = {key: value[0] for key, value in app.init(seeded_generator(), 1).items()}
     return [name for name in registry().rules if not any(part.refusal(app, theta) for part in rule_of(name).parts)]
 
 
-def rng(seed: int = 0) -> Generator:
+def seeded_generator(seed: int = 0) -> Generator:
+    """Return a new generator of torch with a seed."""
     return Generator().manual_seed(seed)
 
 
-def fits_of(app: App, recipe: Recipe, rule: str = "", steps: int | None = None) -> dict[str, Paradigm]:
-    """The five paradigms of an application, by name."""
+def paradigms_of(app: App, recipe: Recipe, rule: str = "", steps: int | None = None) -> dict[str, Paradigm]:
+    """Return the five paradigms of an application, by name."""
     return {name: paradigm_of(name).of(app, recipe, rule, steps) for name in PARADIGMS}
 
 
-def untrained(paradigm: Paradigm) -> MetaParameters:
-    """phi for every paradigm: a random encoder, a random theta_0 and its rule's initial hyperparameters."""
+def untrained_phi(paradigm: Paradigm) -> MetaParameters:
+    """Return phi with a random encoder, a random theta_0 and the initial hyperparameters of the paradigm's rule."""
     app = paradigm.app
-    theta = {key: value[0] for key, value in app.init(rng(1), 1).items()}
+    theta = {key: value[0] for key, value in app.init(seeded_generator(1), 1).items()}
     rule = paradigm.learned_rule if isinstance(paradigm, Meta) else rule_of(paradigm.recipe.rule)
     alpha = rule.initial_alpha(app, theta, paradigm.recipe.steps, Adam(5e-3, beta2=0.99))
-    return MetaParameters(theta, alpha, app.init_encoder(rng(2)))
+    return MetaParameters(theta, alpha, app.init_encoder(seeded_generator(2)))
 
 
-def result(preparation: Iterable[TrainState]) -> TrainState:
-    """The best state at the end of a preparation."""
+def best_state(preparation: Iterable[TrainState]) -> TrainState:
+    """Run a preparation to its end and return the best state."""
     return final_item(preparation)
 
 
-def prepared_for(paradigm: Paradigm) -> MetaParameters:
-    """What its preparation would leave, untrained."""
-    phi = untrained(paradigm)
+def untrained_preparation(paradigm: Paradigm) -> MetaParameters:
+    """Return the parts of phi that the preparation of a paradigm would train, untrained."""
+    phi = untrained_phi(paradigm)
     return phi._replace(encoder={}) if paradigm.name == "meta" else MetaParameters(encoder=phi.encoder)
 
 
-# each application with its own rule, and each other rule on the fastest application, instead of all with all
-PAIRS = [
+# each application with its own rule, and each other rule with BRDFs, the fastest, instead of all combinations
+KINDS_AND_RULES = [
     *OWN_RULES.items(),
-    *(("brdf", rule) for rule in applicable(Brdf(NBRDF_NETWORK)) if rule not in OWN_RULES.values()),
+    *(("brdf", rule) for rule in applicable_rules(Brdf(NBRDF_NETWORK)) if rule not in OWN_RULES.values()),
 ]

@@ -24,16 +24,16 @@ from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from tests.marked import long
 from tests.paradigms.small import (
-    KINDS,
+    KINDS_AND_RULES,
+    NETWORK_KINDS,
     OWN_RULES,
-    PAIRS,
-    SMALL,
-    fits_of,
-    prepared_for,
-    rng,
+    SMALL_APPLICATIONS,
+    paradigms_of,
+    seeded_generator,
     small_app,
     small_recipe,
-    untrained,
+    untrained_phi,
+    untrained_preparation,
 )
 
 # Fitting
@@ -42,30 +42,30 @@ SLOWEST = ("illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture
 
 
 @pytest.mark.parametrize("name", list(PARADIGMS))
-def test_a_paradigm_fits(name: str, app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
+def test_each_paradigm_fits_tasks(name: str, app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """Parameters of the same network, detached, finite, the same for the same seed; errors for every task."""
-    paradigm, few = fits[name], tasks.select([0, 5, 2])
-    prepared = prepared_for(paradigm)
-    theta = paradigm.fit(prepared, few, rng())
-    network = {key: tuple(value.shape) for key, value in app.init(rng(), 3).items()}
-    given = {key: tuple(value.shape) for key, value in app.task_parameters(few).items()} if paradigm.steps else {}
+    paradigm, few_tasks = fits[name], tasks.select([0, 5, 2])
+    prepared = untrained_preparation(paradigm)
+    theta = paradigm.fit(prepared, few_tasks, seeded_generator())
+    network = {key: tuple(value.shape) for key, value in app.init(seeded_generator(), 3).items()}
+    given = {key: tuple(value.shape) for key, value in app.task_parameters(few_tasks).items()} if paradigm.steps else {}
     assert {key: tuple(value.shape) for key, value in theta.items()} == network | given
     assert {value.dtype for value in theta.values()} == {torch.float32}
     assert not any(value.requires_grad for value in theta.values())
-    again = paradigm.fit(prepared, few, rng())
+    again = paradigm.fit(prepared, few_tasks, seeded_generator())
     torch.testing.assert_close(theta, again, rtol=0, atol=0)
-    other = paradigm.fit(prepared, few, rng(9))
+    other = paradigm.fit(prepared, few_tasks, seeded_generator(9))
     # without steps nothing need be random: an encoder may look at all there is
     if name == "overfit" or (paradigm.steps and not app.deterministic):
         assert not all(torch.equal(theta[key], other[key]) for key in theta)
     elif app.deterministic:
         assert all(torch.equal(theta[key], other[key]) for key in theta)
-    errors = app.errors(theta, few)
+    errors = app.errors(theta, few_tasks)
     assert {tuple(value.shape) for value in errors.values()} == {(3,)}
     assert torch.isfinite(errors["error"]).all()
 
 
-def test_the_five_paradigms(app: App, fits: dict[str, Paradigm]) -> None:
+def test_five_paradigms_differ_in_initialisation_rule_and_steps(app: App, fits: dict[str, Paradigm]) -> None:
     recipe = fits["meta"].recipe
 
     def names(paradigm: Paradigm) -> tuple[str, ...]:
@@ -78,43 +78,45 @@ def test_the_five_paradigms(app: App, fits: dict[str, Paradigm]) -> None:
         "quickft": (("general", "quickft"), recipe.steps),
         "meta": ((recipe.rule,), recipe.steps),
     }
-    assert {name: (names(each), each.steps) for name, each in fits.items()} == expected
-    assert {name: each.steps for name, each in fits_of(app, recipe, steps=7).items()} == {
+    assert {name: (names(paradigm), paradigm.steps) for name, paradigm in fits.items()} == expected
+    assert {name: paradigm.steps for name, paradigm in paradigms_of(app, recipe, steps=7).items()} == {
         name: 0 if name == "general" else 7 for name in expected
     }
 
 
-@pytest.mark.parametrize(("app", "rule"), [*PAIRS, ("brdf", "adam+curvature"), ("brdf", "sgd+loss")], indirect=["app"])
+@pytest.mark.parametrize(
+    ("app", "rule"), [*KINDS_AND_RULES, ("brdf", "adam+curvature"), ("brdf", "sgd+loss")], indirect=["app"]
+)
 def test_meta_fits_by_every_rule(rule: str, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     meta = Meta.of(fits["meta"].app, fits["meta"].recipe, rule)
-    start = prepared_for(meta)
-    theta = meta.fit(start, tasks.select([0, 1]), rng())
+    start = untrained_preparation(meta)
+    theta = meta.fit(start, tasks.select([0, 1]), seeded_generator())
     assert all(torch.isfinite(value).all() for value in theta.values())
     assert not all(torch.equal(theta[key][0], value) for key, value in start.theta.items())
-    longer = replace(meta, steps=meta.recipe.steps + 2).fit(start, tasks, rng())
+    longer = replace(meta, steps=meta.recipe.steps + 2).fit(start, tasks, seeded_generator())
     assert all(torch.isfinite(value).all() for value in longer.values())
 
 
-@pytest.mark.parametrize("app", [long(kind) if kind in SLOWEST else kind for kind in KINDS], indirect=True)
-def test_overfit_learns(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
-    few, overfit = tasks.select([0, 1, 2, 3]), replace(fits["overfit"], steps=300)
-    before = app.errors(app.init(rng(), 4), few)["error"]
-    after = app.errors(overfit.fit(MetaParameters(), few, rng()), few)["error"]
+@pytest.mark.parametrize("app", [long(kind) if kind in SLOWEST else kind for kind in NETWORK_KINDS], indirect=True)
+def test_overfit_lowers_the_error(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
+    few_tasks, overfit = tasks.select([0, 1, 2, 3]), replace(fits["overfit"], steps=300)
+    before = app.errors(app.init(seeded_generator(), 4), few_tasks)["error"]
+    after = app.errors(overfit.fit(MetaParameters(), few_tasks, seeded_generator()), few_tasks)["error"]
     assert (after < 0.7 * before).all()
     assert after.mean() < 0.5 * before.mean()
 
 
 def test_without_steps_a_fit_is_its_initialisation(fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """That is General's prediction, of Meta, too, where an encoder was trained through its steps, else theta_0."""
-    phi, none = untrained(fits["meta"]), {name: replace(each, steps=0) for name, each in fits.items()}
-    general = fits["general"].fit(phi, tasks, rng())
+    phi, none = untrained_phi(fits["meta"]), {name: replace(paradigm, steps=0) for name, paradigm in fits.items()}
+    general = fits["general"].fit(phi, tasks, seeded_generator())
     coded = phi._replace(theta={})
-    made = [(none[name].fit(coded, tasks, rng()), general) for name in ("finetune", "quickft", "meta")]
+    result = [(none[name].fit(coded, tasks, seeded_generator()), general) for name in ("finetune", "quickft", "meta")]
     theta_0 = {key: value.expand(len(tasks), *value.shape) for key, value in phi.theta.items()}
-    made.append((none["meta"].fit(phi._replace(encoder={}), tasks, rng()), theta_0))
-    for theta, expected in made:
+    result.append((none["meta"].fit(phi._replace(encoder={}), tasks, seeded_generator()), theta_0))
+    for theta, expected in result:
         assert all(torch.equal(theta[key], value) for key, value in expected.items())
-    moved = fits["meta"].fit(coded, tasks, rng())
+    moved = fits["meta"].fit(coded, tasks, seeded_generator())
     assert all(value.isfinite().all() for value in moved.values())
     assert not all(torch.equal(moved[key], value) for key, value in general.items())
 
@@ -124,21 +126,21 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
     name: str, app: App, fits: dict[str, Paradigm], tasks: Tasks
 ) -> None:
     """With a generator for each task, its fit does not depend on those beside it, to rounding."""
-    paradigm, rows = fits_of(app, fits[name].recipe, steps=3)[name], [4, 0, 7]
-    prepared, several, loss = prepared_for(paradigm), tasks.select(rows), task_loss(app, paradigm.recipe.batch)
-    together = final_item(paradigm.descend(prepared, several, tuple(rng(row) for row in rows)))
-    starts = paradigm.initialisation(prepared, several, tuple(rng(row) for row in rows))
-    drawn = loss.draw(several, tuple(rng(row) for row in rows), 0.0).batch
+    paradigm, rows = paradigms_of(app, fits[name].recipe, steps=3)[name], [4, 0, 7]
+    prepared, several, loss = untrained_preparation(paradigm), tasks.select(rows), task_loss(app, paradigm.recipe.batch)
+    together = final_item(paradigm.descend(prepared, several, tuple(seeded_generator(row) for row in rows)))
+    starts = paradigm.initialisation(prepared, several, tuple(seeded_generator(row) for row in rows))
+    drawn = loss.draw(several, tuple(seeded_generator(row) for row in rows), 0.0).batch
     assert (paradigm.guard is not None) == (name == "meta")  # only learned rules are guarded
     assert (None if together.guarded is None else together.guarded.shape) == ((3,) if name == "meta" else None)
     errors = app.errors(together.theta, several)["error"]
     for i, row in enumerate(rows):
         one = tasks.select([row])
-        for key, value in paradigm.initialisation(prepared, one, rng(row)).items():
+        for key, value in paradigm.initialisation(prepared, one, seeded_generator(row)).items():
             torch.testing.assert_close(starts[key][i : i + 1], value)
-        for key, value in loss.draw(one, rng(row), 0.0).batch.items():
+        for key, value in loss.draw(one, seeded_generator(row), 0.0).batch.items():
             assert torch.equal(drawn[key][i : i + 1], value)
-        alone = final_item(paradigm.descend(prepared, one, rng(row)))
+        alone = final_item(paradigm.descend(prepared, one, seeded_generator(row)))
         if together.guarded is not None:
             assert alone.guarded is not None
             assert bool(alone.guarded[0]) == bool(together.guarded[i])
@@ -148,20 +150,23 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
 
 def test_a_rule_that_fails_is_guarded(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """With absurd rates no task ends above its initialisation on what it sees, in any application."""
-    meta, few = fits["meta"], tasks.select([0, 1, 2])
+    meta, few_tasks = fits["meta"], tasks.select([0, 1, 2])
     assert isinstance(meta, Meta)
-    prepared, rule = prepared_for(meta), meta.learned_rule
+    prepared, rule = untrained_preparation(meta), meta.learned_rule
     alpha = rule.initial_alpha(app, prepared.theta, meta.recipe.steps, Adam(1e4))
-    found = final_item(meta.descend(prepared._replace(alpha=alpha), few, rng()))
+    found = final_item(meta.descend(prepared._replace(alpha=alpha), few_tasks, seeded_generator()))
     assert found.guarded is not None
     if not rule.has_part("solve"):  # which has no rates
         assert found.guarded.tolist() == [True] * 3
-    first, batch = meta.initialisation(prepared, few, rng()), app.sample(few, rng(), meta.recipe.batch)
+    first, batch = (
+        meta.initialisation(prepared, few_tasks, seeded_generator()),
+        app.sample(few_tasks, seeded_generator(), meta.recipe.batch),
+    )
     assert (app.loss(found.theta, batch, {}) <= app.loss(first, batch, {})).all()
     assert all(value.isfinite().all() for value in found.theta.values())
 
 
-def test_guards_are_of_named_rules_after_their_own_steps(app: App) -> None:
+def test_guard_thresholds_hold_for_named_rules_with_the_recipes_steps(app: App) -> None:
     recipe = recipes_of(app.name)["quick"]
     plain = Guard(recipe.quickft)
     for rule, training in recipe.meta.items():
@@ -179,40 +184,44 @@ def shapes(batch: Batch) -> dict[str, Any]:
     return {key: (value.shape, value.dtype) for key, value in batch.items()}
 
 
-def test_made_up_tasks_do_what_tasks_do(app: App, tasks: Tasks) -> None:
-    """As many, with names that say so, for the same network, of the same shapes; the tasks themselves stay."""
-    few, before = tasks.select([4, 1, 7]), {key: value.clone() for key, value in tasks.data.items()}
+def test_augmented_tasks_work_like_tasks(app: App, tasks: Tasks) -> None:
+    """There are as many, with names that tell, of equal shapes, for the same network.
+
+    The tasks themselves stay unchanged.
+    """
+    few_tasks, before = tasks.select([4, 1, 7]), {key: value.clone() for key, value in tasks.data.items()}
     batch = small_recipe(app).batch
-    made = app.augment(few, rng())
-    assert len(made) == len(made.names) == 3
-    assert not set(made.names) & set(tasks.names)
-    drawn = app.sample(made, rng(), batch)
-    assert shapes(drawn) == shapes(app.sample(few, rng(), batch))
-    assert shapes(app.condition(made, rng())) == shapes(app.condition(few, rng()))
-    theta = app.encode(app.init_encoder(rng()), app.condition(made, rng()))
+    variants = app.augment(few_tasks, seeded_generator())
+    assert len(variants) == len(variants.names) == 3
+    assert not set(variants.names) & set(tasks.names)
+    drawn = app.sample(variants, seeded_generator(), batch)
+    assert shapes(drawn) == shapes(app.sample(few_tasks, seeded_generator(), batch))
+    assert shapes(app.condition(variants, seeded_generator())) == shapes(app.condition(few_tasks, seeded_generator()))
+    theta = app.encode(app.init_encoder(seeded_generator()), app.condition(variants, seeded_generator()))
     assert app.loss(theta, drawn, {}).shape == (3,)
     assert app.loss(theta, drawn, {}).isfinite().all()
-    again, other = app.augment(few, rng()), app.augment(few, rng(1))
-    assert all(torch.equal(again.data[key], value) for key, value in made.data.items())
-    assert not all(torch.equal(other.data[key], value) for key, value in made.data.items())
-    app.augment(tasks, rng())
+    again, other = app.augment(few_tasks, seeded_generator()), app.augment(few_tasks, seeded_generator(1))
+    assert all(torch.equal(again.data[key], value) for key, value in variants.data.items())
+    assert not all(torch.equal(other.data[key], value) for key, value in variants.data.items())
+    app.augment(tasks, seeded_generator())
     assert all(torch.equal(tasks.data[key], value) for key, value in before.items())
 
 
 def test_augmentation_sees_the_tasks_of_its_view_alone(app: App, tasks: Tasks) -> None:
     """Those that validate must not get into training."""
     hidden = {key: value.clone() if value.stride(0) else value for key, value in tasks.data.items()}
-    for value in (each for each in hidden.values() if each.stride(0)):  # others are the same tensor for all tasks
+    for value in (tensor for tensor in hidden.values() if tensor.stride(0)):  # others are the same tensor for all tasks
         value[3:] = math.nan if value.is_floating_point() else 0
     for seed in range(3):
-        made, plain = (
-            app.augment(replace(tasks, data=data).select([0, 1, 2]), rng(seed)) for data in (hidden, tasks.data)
+        variants, plain = (
+            app.augment(replace(tasks, data=data).select([0, 1, 2]), seeded_generator(seed))
+            for data in (hidden, tasks.data)
         )
-        assert all(torch.equal(made.data[key], value) for key, value in plain.data.items())
+        assert all(torch.equal(variants.data[key], value) for key, value in plain.data.items())
 
 
 def test_an_application_is_plain_data(app: App) -> None:
-    """By every recipe: frozen, equal where its fields are, pickled; and what errors depend on is said."""
+    """Applications of every recipe are frozen, equal where their fields are, and can be pickled."""
     recipes = recipes_of(app.name)
     assert {"paper", "quick"} <= set(recipes)
     for recipe in recipes.values():
@@ -240,7 +249,7 @@ class Ops(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         name = func.overloadpacket.__name__
         masks = name in ("index", "index_put", "index_put_") and any(
-            each is not None and each.dtype == torch.bool for each in args[1]
+            index is not None and index.dtype == torch.bool for index in args[1]
         )
         if masks or name in ("_local_scalar_dense", "nonzero", "masked_select", "unique", "_unique2"):
             raise AssertionError(f"a step waits for {name}")
@@ -263,22 +272,22 @@ def reading_nothing(allowed: tuple[str, ...]) -> Iterator[None]:
         yield
 
 
-@pytest.mark.usefixtures("scene")
+@pytest.mark.usefixtures("second_scene")
 @pytest.mark.parametrize(
     ("kind", "protocol"),
-    [(kind, protocol) for kind in KINDS for protocol in (kind in app_names() and protocols_of(kind)) or [""]],
+    [(kind, protocol) for kind in NETWORK_KINDS for protocol in (kind in app_names() and protocols_of(kind)) or [""]],
 )
-def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """But for the check that the first loss is finite."""
+def test_steps_do_not_synchronise_with_the_device(kind: str, protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the check that the first loss is finite reads a value back."""
     app = replace(small_app(kind), protocol=protocol)
     meta = Meta.of(app, small_recipe(app), OWN_RULES[kind])
-    tasks = stack_tasks(app, SMALL[app.name].tasks()[:2])
-    prepared = prepared_for(meta)
+    tasks = stack_tasks(app, SMALL_APPLICATIONS[app.name].tasks()[:2])
+    prepared = untrained_preparation(meta)
     loss = meta.loss
 
     def fit(where: AbstractContextManager[None]) -> None:
-        theta = meta.initialisation(prepared, tasks, rng())
-        rule, draws = meta.rule(prepared, theta, STEPS), rng()
+        theta = meta.initialisation(prepared, tasks, seeded_generator())
+        rule, draws = meta.rule(prepared, theta, STEPS), seeded_generator()
         with where:
             final_item(check_finite_losses(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
 

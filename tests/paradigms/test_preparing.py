@@ -23,8 +23,17 @@ from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.phi_training import TrainState, split_validation, train_phi, validation_error
 from tests.marked import long
-from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, fits_of, prepared_for, result, rng, small_recipe
-from tests.quick import app_by
+from tests.paradigms.small import (
+    KINDS_AND_RULES,
+    KINDS_BUT_BRDF_LONG,
+    OWN_RULES,
+    best_state,
+    paradigms_of,
+    seeded_generator,
+    small_recipe,
+    untrained_preparation,
+)
+from tests.recipe_apps import app_by_recipe
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 
@@ -39,7 +48,7 @@ def test_split_keeps_tasks_apart(tasks: Tasks) -> None:
 
 
 def test_split_keeps_photos_of_one_thing_together() -> None:
-    """Whatever their order; and sorting spreads the validation tasks over families that take turns."""
+    """Their order does not count; validation tasks are spread over families that alternate."""
     names = tuple(f"{i:02d}-{photo}" for photo in range(3) for i in range(12))
     groups = tuple(name.split("-")[0] for name in names)
     fit, validate = split_validation(Tasks(names, {}, torch.arange(36), groups))
@@ -58,17 +67,17 @@ def test_trainings_follow_the_outer_loss(name: str, app: App, tasks: Tasks) -> N
             return 0 * self.loss(theta, batch, learned) + 7
 
     judged = Judged(NBRDF_NETWORK)
-    (preparation,) = fits_of(judged, small_recipe(judged))[name].preparations
-    phi = preparation.first_phi(None, tasks, rng())
+    (preparation,) = paradigms_of(judged, small_recipe(judged))[name].preparations
+    phi = preparation.first_phi(None, tasks, seeded_generator())
     loss = preparation.outer_loss(phi)
-    values = loss.value(phi.flatten(), loss.draw(tasks, rng(), 0.0).batch, {})
+    values = loss.value(phi.flatten(), loss.draw(tasks, seeded_generator(), 0.0).batch, {})
     assert torch.equal(values, torch.full_like(values, 7))
 
 
 @pytest.mark.parametrize("app", ["brdf"], indirect=True)
 def test_validation_counts_kinds_alike(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """One material of another kind counts as much as all others."""
-    general, start = fits["general"], MetaParameters(encoder=app.init_encoder(rng(0)))
+    general, start = fits["general"], MetaParameters(encoder=app.init_encoder(seeded_generator(0)))
     apart = [validation_error(general, start, tasks.select(rows)) for rows in ([0], range(1, len(tasks)))]
     kinds = torch.tensor([[i == 0] for i in range(len(tasks.names))])
     mixed = replace(tasks, data=tasks.data | {"kind": kinds})
@@ -80,7 +89,10 @@ def test_validation_counts_kinds_alike(app: App, fits: dict[str, Paradigm], task
 OTHERS = ("illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport")
 EVERY = pytest.mark.parametrize(
     ("app", "name"),
-    [*((app, "general") for app in OWN_RULES), *(long(*pair) if pair[0] in OTHERS else pair for pair in PAIRS)],
+    [
+        *((app, "general") for app in OWN_RULES),
+        *(long(*pair) if pair[0] in OTHERS else pair for pair in KINDS_AND_RULES),
+    ],
     indirect=["app"],
 )
 
@@ -92,7 +104,7 @@ def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
 
 
 def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> TrainState:
-    return result(train_phi(paradigm.preparations[-1], tasks, rng(3), **options))
+    return best_state(train_phi(paradigm.preparations[-1], tasks, seeded_generator(3), **options))
 
 
 @EVERY
@@ -117,9 +129,9 @@ def test_augmented_variants_of_validation_tasks_may_validate(app: App, tasks: Ta
     recipe = small_recipe(app)
     changed = replace(recipe.training(recipe.rule), steps=2, validation_variants=2, initialisation="random")
     meta = Meta.of(app, replace(recipe, meta={recipe.rule: changed}), recipe.rule)
-    *_, state = train_phi(meta.preparations[-1], tasks, rng())
+    *_, state = train_phi(meta.preparations[-1], tasks, seeded_generator())
     validation = split_validation(tasks)[1]
-    variants = app.augment(validation.select([*range(len(validation))] * 2), rng(0))
+    variants = app.augment(validation.select([*range(len(validation))] * 2), seeded_generator(0))
     assert state.validation == pytest.approx(validation_error(meta, state.phi, variants), rel=1e-6)
 
 
@@ -134,12 +146,12 @@ def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks) -
     assert all(torch.equal(prepared.phi.flatten()[key], value) for key, value in before.phi.flatten().items())
 
 
-@pytest.mark.parametrize("app", ONE_QUICK, indirect=True)
+@pytest.mark.parametrize("app", KINDS_BUT_BRDF_LONG, indirect=True)
 @pytest.mark.parametrize(("name", "steps", "rate"), [("general", 100, 2e-3), ("meta-curvature", 30, 2e-2)])
 def test_preparing_improves_what_it_is_prepared_for(
     name: str, steps: int, rate: float, trained: Paradigm, tasks: Tasks
 ) -> None:
-    """By a share of the error's size: errors may be negative."""
+    """The improvement is a share of the error's size, since errors may be negative."""
     longer = replace(trained.preparations[-1].outer_loop, steps=steps, rates={"": rate}, validate_every=10)
     changed: dict[str, Any] = {"general": longer} if name == "general" else {"meta": {name: longer}}
     prepared = look(replace(trained, recipe=replace(trained.recipe, **changed)), tasks)
@@ -154,11 +166,11 @@ def meta_by(meta: Paradigm, **settings: Any) -> Paradigm:
 
 
 def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
-    """At random where it is told to, and where there is no General."""
-    encoder = prepared_for(fits["general"])
-    predicted = fits["general"].fit(encoder, split_validation(tasks)[0], rng(3))
+    """It starts at random where a setting says so, and where there is no General."""
+    encoder = untrained_preparation(fits["general"])
+    predicted = fits["general"].fit(encoder, split_validation(tasks)[0], seeded_generator(3))
     mean = {key: value.mean(0) for key, value in predicted.items()}
-    random = {key: value[0] for key, value in app.init(rng(3), 1).items()}
+    random = {key: value[0] for key, value in app.init(seeded_generator(3), 1).items()}
     for start, given, expected in (("mean", encoder, mean), ("random", encoder, random), ("mean", None, random)):
         phi = look(meta_by(fits["meta"], initialisation=start), tasks, general=given, steps=0).phi
         assert not phi.encoder
@@ -169,10 +181,10 @@ def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[
                 assert torch.equal(phi.theta[key], value)
 
 
-@pytest.mark.parametrize("app", ONE_QUICK, indirect=True)
+@pytest.mark.parametrize("app", KINDS_BUT_BRDF_LONG, indirect=True)
 def test_meta_goes_on_from_general(fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """The encoder itself is then trained through the steps, beside the rule, and another checkpoint there is none."""
-    encoder, meta = prepared_for(fits["general"]), meta_by(fits["meta"], initialisation="encoder")
+    encoder, meta = untrained_preparation(fits["general"]), meta_by(fits["meta"], initialisation="encoder")
     first = look(meta, tasks, general=encoder, steps=0).phi
     assert not first.theta
     assert all(torch.equal(first.encoder[key], value) for key, value in encoder.encoder.items())
@@ -195,8 +207,8 @@ def test_training_never_sees_a_validation_task(trained: Paradigm, tasks: Tasks) 
     rows = split_validation(tasks)[1].rows
     spoilt = {}
     for key, value in tasks.data.items():
-        own = value.stride(0) != 0  # what all tasks share is no task's
-        spoilt[key] = value.float().index_fill(0, rows, math.nan) if own else value
+        has_task_axis = value.stride(0) != 0  # what all tasks share is no task's
+        spoilt[key] = value.float().index_fill(0, rows, math.nan) if has_task_axis else value
     prepared = look(trained, Tasks(tasks.names, spoilt, tasks.rows), steps=12, validate=lambda *_: 1.0)
     assert all(loss is not None and math.isfinite(loss) for _, loss, _ in prepared.curve[1:])
 
@@ -221,14 +233,14 @@ def bowl(adam: Adam) -> float:
         math.log(adam.eps / BEST.eps) / 10,
         adam.final - BEST.final,
     ]
-    return sum(each * each for each in away)
+    return sum(difference * difference for difference in away)
 
 
 class Search:
     """A search from an Adam on that is told errors in closed form, and what it looked at."""
 
     def __init__(self, first: Adam, error: Callable[[Adam], float] = bowl) -> None:
-        self.quickft = QuickFT.of(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first))
+        self.quickft = QuickFT.of(app_by_recipe("brdf"), replace(recipes_of("brdf")["quick"], quickft=first))
         self.looked: list[Adam] = []
 
         def told(paradigm: Paradigm, prepared: MetaParameters, tasks: Any) -> float:
@@ -237,8 +249,8 @@ class Search:
             return error(self.looked[-1])
 
         (*_, preparation) = self.quickft.preparations
-        self.path = list(train_phi(preparation, TASKS, rng(), general=GENERAL, validate=told))
-        self.tuned = result(self.path)
+        self.path = list(train_phi(preparation, TASKS, seeded_generator(), general=GENERAL, validate=told))
+        self.tuned = best_state(self.path)
         self.found = self.quickft.adam(self.tuned.phi)
 
 
@@ -246,7 +258,7 @@ class Search:
     "first", [Adam(1e-2), Adam(5e-2, 0.9, 0.99, 1e-8, 0.0), Adam(1.0, 0.3, 0.8), Adam(2e-3, 0.9, 0.999, 1e-3)]
 )
 def test_the_search_finds_the_best_adam(first: Adam) -> None:
-    """Also from a rate that is 25 times too small or 20 times too large; the rate to a third of its grid's step."""
+    """It does so from a rate 25 times too small or 20 times too large, to a third of the step of the grid of rates."""
     search = Search(first)
     found = search.found
     assert (found.beta1, found.beta2, found.final) == (BEST.beta1, BEST.beta2, BEST.final)
@@ -264,13 +276,13 @@ def test_the_search_goes_on_around_the_best_so_far() -> None:
     for i, now in enumerate(search.path, 1):
         assert (now.step, now.total, now.searched) == (i, len(looked), tuple(map(bowl, looked[:i])))
         assert f"rate {looked[i - 1].rate:.1e}, validation" in now.note
-        best, found = min(looked[:i], key=bowl), result([now])
+        best, found = min(looked[:i], key=bowl), best_state([now])
         assert search.quickft.adam(found.phi) == best == looked[found.best_step - 1]
         assert found.validation == found.curve[-1][2] == bowl(best)
-    for each in looked[1 : 1 + lines[0]]:
-        assert replace(each, rate=first.rate) == first
-    for each in looked[1 + sum(lines[:2]) : sum(lines)]:
-        assert (each.beta1, each.beta2) == (BEST.beta1, BEST.beta2)
+    for sighting in looked[1 : 1 + lines[0]]:
+        assert replace(sighting, rate=first.rate) == first
+    for sighting in looked[1 + sum(lines[:2]) : sum(lines)]:
+        assert (sighting.beta1, sighting.beta2) == (BEST.beta1, BEST.beta2)
     errors = [error for _, _, error in search.tuned.curve]
     assert errors == sorted(errors, reverse=True)
 
@@ -288,7 +300,7 @@ def test_the_best_recipe_is_kept_and_a_diverging_one_is_left() -> None:
 
 @pytest.mark.parametrize(("name", "count"), [("brdf", 30), ("texture", 8), ("svbrdf_stationary", 8)])
 def test_searches_use_all_validation_tasks_if_fits_are_cheap(name: str, count: int) -> None:
-    quickft = QuickFT.of(app_by(name), recipes_of(name)["quick"])
+    quickft = QuickFT.of(app_by_recipe(name), recipes_of(name)["quick"])
     names = tuple(f"{i:03d}" for i in range(240))
     looked: list[int] = []
 
@@ -297,7 +309,7 @@ def test_searches_use_all_validation_tasks_if_fits_are_cheap(name: str, count: i
         return 1.0
 
     data = Tasks(names, {}, torch.arange(240))
-    states = train_phi(quickft.preparations[-1], data, rng(), general=GENERAL, steps=3, validate=told)
+    states = train_phi(quickft.preparations[-1], data, seeded_generator(), general=GENERAL, steps=3, validate=told)
     assert len(list(states)) == 3
     assert looked == [count] * 3
 
@@ -308,20 +320,22 @@ def test_searches_use_all_validation_tasks_if_fits_are_cheap(name: str, count: i
 def test_a_rule_is_tuned_as_quickft_is(
     rule: str, outer: int, app: App, fits: dict[str, Paradigm], tasks: Tasks
 ) -> None:
-    """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
+    """The rule's Adam is searched on validation tasks, in the bases of the training tasks, before outer steps begin."""
     search = ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}])
     recipe = replace(fits["meta"].recipe, search=search)
     tuned = replace(recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
     meta = Meta.of(app, replace(recipe, meta={rule: tuned}), rule)
-    encoder = MetaParameters(encoder=app.init_encoder(rng()))
-    made = result(train_phi(meta.preparations[-1], tasks, rng(), general=encoder))
-    plain = rule_of(rule).initial_alpha(app, {key: v[0] for key, v in app.init(rng(), 1).items()}, 3, tuned.first)
-    assert made.phi.alpha.keys() == plain.keys()
-    assert not made.phi.theta
-    for name, value in made.phi.alpha.items():
+    encoder = MetaParameters(encoder=app.init_encoder(seeded_generator()))
+    result = best_state(train_phi(meta.preparations[-1], tasks, seeded_generator(), general=encoder))
+    plain = rule_of(rule).initial_alpha(
+        app, {key: v[0] for key, v in app.init(seeded_generator(), 1).items()}, 3, tuned.first
+    )
+    assert result.phi.alpha.keys() == plain.keys()
+    assert not result.phi.theta
+    for name, value in result.phi.alpha.items():
         if name.startswith(("out.", "in.")):
             torch.testing.assert_close(value @ value.mT, torch.eye(value.shape[-1])[None], atol=1e-4, rtol=0)
             assert value.shape[-1] == 1 or not torch.equal(value, plain[name])
     if not outer:
-        assert len(made.curve) >= 1
-        assert made.validation == min(error for _, _, error in made.curve)
+        assert len(result.curve) >= 1
+        assert result.validation == min(error for _, _, error in result.curve)

@@ -17,7 +17,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.names import protocols_of
 from metapp.paradigms.paradigm import Paradigm
 from metapp.storage.files import file_name
-from tests.paradigms.small import rng
+from tests.paradigms.small import seeded_generator
 
 pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
 
@@ -28,9 +28,9 @@ def presenter(app: App) -> Presenter[Any]:
 
 
 @pytest.fixture
-def fitted(fits: dict[str, Paradigm], tasks: Tasks) -> Params:
+def fitted_parameters(fits: dict[str, Paradigm], tasks: Tasks) -> Params:
     """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
-    theta = replace(fits["overfit"], steps=3).fit(MetaParameters(), tasks.select([0]), rng())
+    theta = replace(fits["overfit"], steps=3).fit(MetaParameters(), tasks.select([0]), seeded_generator())
     return {key: value[0] for key, value in theta.items()}
 
 
@@ -40,8 +40,10 @@ def test_an_application_has_the_protocol_that_it_is_made_for(app: App) -> None:
             assert app_of(app.name, recipe, protocol).protocol == protocol
 
 
-def test_what_tables_say(app: App, presenter: Presenter[Any], sources: list[Task]) -> None:
-    """One line each, and how much a fit may see."""
+def test_titles_and_measures_of_tables_are_single_lines(
+    app: App, presenter: Presenter[Any], sources: list[Task]
+) -> None:
+    """The amount of data that a fit may see is positive."""
     for line in (presenter.title, app.error_measure.text):
         assert line
         assert line == " ".join(line.split())
@@ -53,8 +55,10 @@ def test_what_tables_say(app: App, presenter: Presenter[Any], sources: list[Task
         assert visible.encoder_samples >= 0
 
 
-def test_pictures_of_a_fit_and_of_its_reference(presenter: Presenter[Any], fitted: Params, sources: list[Task]) -> None:
-    pictures = presenter.preview(fitted, sources[0])
+def test_pictures_of_a_fit_and_of_its_reference(
+    presenter: Presenter[Any], fitted_parameters: Params, sources: list[Task]
+) -> None:
+    pictures = presenter.preview(fitted_parameters, sources[0])
     assert list(pictures)[:2] == ["reference", "fit"]
     assert pictures["fit"].shape == pictures["reference"].shape
     for name, picture in pictures.items():
@@ -63,28 +67,30 @@ def test_pictures_of_a_fit_and_of_its_reference(presenter: Presenter[Any], fitte
         assert picture.dtype == torch.float32, name
         assert picture.isfinite().all(), name
         assert not picture.requires_grad, name
-    again = presenter.preview(fitted, sources[0])
+    again = presenter.preview(fitted_parameters, sources[0])
     assert all(torch.equal(again[name], picture) for name, picture in pictures.items())
-    other = presenter.preview(fitted, sources[1])
+    other = presenter.preview(fitted_parameters, sources[1])
     assert not torch.equal(other["reference"], pictures["reference"])
 
 
 def test_tiles_of_a_run_are_named_linear_pictures(
-    presenter: Presenter[Any], fitted: Params, sources: list[Task]
+    presenter: Presenter[Any], fitted_parameters: Params, sources: list[Task]
 ) -> None:
-    tiles = presenter.tiles(fitted, sources[0])
+    tiles = presenter.tiles(fitted_parameters, sources[0])
     assert {"reference", "photo", "map"} & tiles.keys()
     for name, tile in tiles.items():
         assert name.startswith("reference") <= (name == "reference" or name.removeprefix("reference ") in tiles)
         assert (tile.ndim, tile.shape[2] in (3, 4), tile.dtype) == (3, True, torch.float32), name
         assert tile.isfinite().all(), name
-    assert presenter.photo_comparison(fitted, sources[0]) is None
+    assert presenter.photo_comparison(fitted_parameters, sources[0]) is None
 
 
-def test_files_are_what_their_kind_says(presenter: Presenter[Any], fitted: Params, sources: list[Task]) -> None:
-    """With names for every file system, also those that do not tell upper from lower case."""
-    made = presenter.pictures(fitted, sources[0])
-    for name, (pixels, kind) in made.items():
+def test_files_are_what_their_kind_says(
+    presenter: Presenter[Any], fitted_parameters: Params, sources: list[Task]
+) -> None:
+    """Their names suit every file system, also those that ignore case."""
+    pictures = presenter.pictures(fitted_parameters, sources[0])
+    for name, (pixels, kind) in pictures.items():
         assert kind in PICTURE_KINDS, name
         assert pixels.ndim == 3, name
         assert pixels.shape[2] in {"srgb": (1, 3), "data": (1, 3), "height": (1,), "radiance": (3,)}[kind], name
@@ -95,14 +101,14 @@ def test_files_are_what_their_kind_says(presenter: Presenter[Any], fitted: Param
         assert name.replace("_", "").isalnum(), name
         assert name.isascii(), name
         assert name == file_name(name) == name.lower(), name
-    again = presenter.pictures(fitted, sources[0])
-    assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in made.items())
+    again = presenter.pictures(fitted_parameters, sources[0])
+    assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in pictures.items())
 
 
-def test_measures_of_pictures_are_said_where_there_are_any(
-    presenter: Presenter[Any], fitted: Params, sources: list[Task]
+def test_picture_measures_are_described_where_there_are_any(
+    presenter: Presenter[Any], fitted_parameters: Params, sources: list[Task]
 ) -> None:
-    measured = measure_pictures(presenter, {"meta": TimedFit(fitted, 0.1)}, sources[0])
+    measured = measure_pictures(presenter, {"meta": TimedFit(fitted_parameters, 0.1)}, sources[0])
     assert presenter.picture_measure or not measured
     for name, measures in measured.items():
         assert measures, name

@@ -13,8 +13,8 @@ from safetensors.torch import load_file
 
 from metapp.paradigms import ranks
 from tests import forks
-from tests.learning.parabolas import EXACT
-from tests.small_spheres import run_small
+from tests.learning.parabolas import EXACT_LOSS
+from tests.small_spheres import run_with_small_spheres
 
 
 def free_port() -> int:
@@ -27,40 +27,46 @@ def free_port() -> int:
 def materials(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of twelve synthetic materials."""
     folder = tmp_path_factory.mktemp("ranks") / "data"
-    run_small("data", "synth", "brdf", "--count", 12, "--out", folder)
+    run_with_small_spheres("data", "synth", "brdf", "--count", 12, "--out", folder)
     return folder
 
 
 @pytest.fixture
-def train(materials: Path, compiled: None) -> Callable[..., list[forks.Running]]:
+def train(materials: Path, compiled_in_cache: None) -> Callable[..., list[forks.ForkedProgram]]:
     """Start the ranks of one training on few small materials: train(ranks, folder, steps)."""
 
-    def start(count: int, out: Path, steps: int, **environment: str) -> list[forks.Running]:
+    def start(count: int, out: Path, steps: int, **environment: str) -> list[forks.ForkedProgram]:
         command = ["meta", "brdf", "--recipe", "quick", "--train", "--train-steps", str(steps)]
         command += ["--data", str(materials), "--out", str(out), "--quiet"]
         shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": str(count)}
         shared["LOCAL_WORLD_SIZE"] = str(count)
         started = []
         for rank in range(count):
-            said, own = out.with_name(f"{out.name}-{rank}"), {**shared, **environment, "RANK": str(rank)}
-            started.append(forks.start(forks.metapp, *command, said=said, more=own))
+            output, rank_environment = out.with_name(f"{out.name}-{rank}"), {**shared, **environment, "RANK": str(rank)}
+            started.append(
+                forks.start_in_fork(
+                    forks.run_metapp, *command, output_folder=output, extra_environment=rank_environment
+                )
+            )
         return started
 
     return start
 
 
-def trained(folder: Path) -> dict[str, Path]:
+def checkpoints_by_name(folder: Path) -> dict[str, Path]:
     return {path.stem: path for path in folder.rglob("checkpoints/*/*.safetensors")}
 
 
 @pytest.mark.long
-def test_two_ranks_train_what_one_does(train: Callable[..., list[forks.Running]], tmp_path: Path) -> None:
+def test_two_ranks_train_the_same_checkpoint_as_one(
+    train: Callable[..., list[forks.ForkedProgram]], tmp_path: Path
+) -> None:
     for count in (1, 2):
         for rank in train(count, tmp_path / str(count), 4):
-            code, said, errors = rank.end()
+            code, output, errors = rank.wait_for_output()
             assert code == 0, errors
-        assert (said, errors) == ("", "") or count == 1
-    one, two = trained(tmp_path / "1"), trained(tmp_path / "2")
+        assert (output, errors) == ("", "") or count == 1
+    one, two = checkpoints_by_name(tmp_path / "1"), checkpoints_by_name(tmp_path / "2")
     assert one.keys() == two.keys() == {"general", "meta-curvature"}
     for name, path in one.items():
         expected, actual = load_file(path), load_file(two[name])
@@ -74,23 +80,23 @@ def test_two_ranks_train_what_one_does(train: Callable[..., list[forks.Running]]
 
 
 @pytest.mark.long
-def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[forks.Running]], tmp_path: Path) -> None:
+def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[forks.ForkedProgram]], tmp_path: Path) -> None:
     first, second = train(2, tmp_path / "out", 10**6, METAPP_CHECKPOINT_SECONDS="0")
     until = time.monotonic() + 300
     while not list(tmp_path.rglob("*.training.safetensors")) and time.monotonic() < until:
         time.sleep(0.1)
     second.process.kill()
-    code, said, errors = first.end()
+    code, output, errors = first.wait_for_output()
     assert code == 1
-    assert said == ""
+    assert output == ""
     (line,) = errors.strip().splitlines()[-1:]
     assert line.startswith("error: rank 0 of 2: another rank has ended")
     assert "Traceback" not in errors
     assert list(tmp_path.rglob("*.training.safetensors"))
 
 
-def test_more_ranks_than_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_ranks_than_tasks_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WORLD_SIZE", "8")
-    loss = ranks.LossOverRanks(EXACT.draw, EXACT.value, shared=True)
+    loss = ranks.LossOverRanks(EXACT_LOSS.draw, EXACT_LOSS.value, shared=True)
     with pytest.raises(ValueError, match="8 ranks: an outer step has 4 tasks, expected at most as many ranks"):
         loss.gradient({"x": torch.zeros(4, 3)}, {"c": torch.zeros(4, 3)}, {}, graph=False)

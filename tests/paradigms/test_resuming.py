@@ -19,7 +19,7 @@ from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.phi_training import TrainState, train_phi
 from metapp.storage.checkpoint_files import load_training_state, save_checkpoint, save_training_state
 from tests.marked import long
-from tests.paradigms.small import OWN_RULES, rng, untrained
+from tests.paradigms.small import OWN_RULES, seeded_generator, untrained_phi
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 SETTINGS = {"steps": 12, "seed": 3}
@@ -44,10 +44,12 @@ def trained(kind: str, fits: dict[str, Paradigm]) -> Paradigm:
 
 def run(paradigm: Paradigm, tasks: Tasks, path: Path | None = None, most: float = math.inf) -> TrainState:
     """Train, from the training checkpoint `path` if there is one, and write that each time; `most` yields kill it."""
-    general = None if paradigm.name == "general" else MetaParameters(encoder=untrained(paradigm).encoder)
+    general = None if paradigm.name == "general" else MetaParameters(encoder=untrained_phi(paradigm).encoder)
     fields = load_training_state(path, SETTINGS) if path else None
     since = TrainState(**fields) if fields else None
-    for count, state in enumerate(train_phi(paradigm.preparations[-1], tasks, rng(3), general=general, since=since), 1):
+    for count, state in enumerate(
+        train_phi(paradigm.preparations[-1], tasks, seeded_generator(3), general=general, since=since), 1
+    ):
         if path:
             save_training_state(path, state._asdict(), SETTINGS)
         if count >= most:
@@ -71,19 +73,19 @@ OWN_KINDS = [long(app, f"{rule} tuned") for app, rule in OWN_RULES.items()]
 
 
 @pytest.mark.parametrize(("app", "kind"), KINDS + OWN_KINDS, indirect=["app"])
-def test_what_was_cut_off_ends_as_if_it_had_not_been(
+def test_interrupted_preparations_end_as_uninterrupted_ones(
     kind: str, trained: Paradigm, tasks: Tasks, tmp_path: Path
 ) -> None:
     expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")
     path, chance, cuts = tmp_path / "training.safetensors", random.Random(kind), 0
     while True:
         try:
-            made = run(trained, tasks, path, most=chance.randint(1, 3))
+            result = run(trained, tasks, path, most=chance.randint(1, 3))
             break
         except Cut:
             cuts += 1
     assert cuts > 1
-    assert as_file(made, tmp_path / "made.safetensors") == expected
+    assert as_file(result, tmp_path / "made.safetensors") == expected
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,7 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
 def test_ctrl_c_at_any_moment_loses_no_step(
     kind: str, trained: Paradigm, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the middle of an outer step or of a validation, as signals come; what is written is of between two."""
+    """Signals come in the middle of an outer step or a validation; the checkpoint holds a state between two steps."""
     expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "training.safetensors", random.Random(kind), [(False, -1)]
     of = type(trained.app)
@@ -116,12 +118,12 @@ def test_ctrl_c_at_any_moment_loses_no_step(
             patch.setattr(of, "augment", interrupting(augment))
             patch.setattr(of, "errors", interrupting(errors))
             try:
-                made = run(trained, tasks, path)
+                results = run(trained, tasks, path)
                 break
             except KeyboardInterrupt:
                 if fields := load_training_state(path, SETTINGS):
                     reached.append((bool(fields["moments"]), fields["step"]))
-    assert as_file(made, tmp_path / "made.safetensors") == expected
+    assert as_file(results, tmp_path / "made.safetensors") == expected
     assert len(reached) > 1  # it was cut off
     assert reached == sorted(reached)
 
@@ -175,8 +177,8 @@ def damaged(raw: bytes) -> list[bytes]:
 @ONE_APP
 def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
     raw = cut.read_bytes()
-    for each in damaged(raw):
-        cut.write_bytes(each)
+    for content in damaged(raw):
+        cut.write_bytes(content)
         with pytest.raises(ValueError, match="a damaged training checkpoint, put aside"):
             load_training_state(cut, SETTINGS)
     cut.write_bytes(raw)
@@ -198,7 +200,7 @@ def test_a_full_disk_ends_no_training(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
-        made = run(fits["general"], tasks, cut)
+        result = run(fits["general"], tasks, cut)
     assert f"{cut.parent}: No space left on device; {cut.name} was not written" in str(recwarn[0].message)
     assert cut.read_bytes() == before
-    assert as_file(made, cut.with_name("made")) == expected
+    assert as_file(result, cut.with_name("made")) == expected

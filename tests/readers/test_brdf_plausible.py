@@ -41,7 +41,7 @@ def network(rng: np.random.Generator) -> dict[str, np.ndarray]:
     return {part: rng.normal(0, 0.3, shape).astype(np.float32) for part, shape in NBRDF_ARRAY_SHAPES.items()}
 
 
-def swapped(seed: int) -> Evaluate:
+def byte_swapped_network(seed: int) -> Evaluate:
     """A network whose bytes were read in the other order."""
     weights = network(np.random.default_rng(seed))
     return lambda angles: evaluate_nbrdf({part: array.byteswap() for part, array in weights.items()}, angles)
@@ -56,7 +56,7 @@ def noise(seed: int) -> Evaluate:
     return lambda angles: evaluate_nbrdf(weights, angles)
 
 
-def shifted(seed: int) -> Evaluate:
+def shifted_network(seed: int) -> Evaluate:
     """A network whose numbers stand one place further, in files that begin with a value in the thousands."""
     weights = network(np.random.default_rng(seed))
     first = {part: np.concatenate([[3000.0], array.flatten()[:-1]]) for part, array in weights.items()}
@@ -79,9 +79,9 @@ SOUND = {
     "a random network": lambda angles: evaluate_nbrdf(network(np.random.default_rng(3)), angles).clamp_max(0.6),
 }
 DAMAGED = {
-    **{f"byte order {seed}": swapped(seed) for seed in range(4)},
+    **{f"byte order {seed}": byte_swapped_network(seed) for seed in range(4)},
     **{f"random bytes {seed}": noise(seed) for seed in range(4)},
-    **{f"shifted {seed}": shifted(seed) for seed in range(4)},
+    **{f"shifted {seed}": shifted_network(seed) for seed in range(4)},
     **{f"unscaled {alpha}": times(1500, microfacets(alpha, 0.04, 0.3)) for alpha in (0.05, 0.2, 0.8)},
     **{f"percent {alpha}": times(100, microfacets(alpha)) for alpha in (0.01, 0.1, 0.5)},
     "bytes of 8 bits": times(255, microfacets(0.3, 0.04, 0.3)),
@@ -89,7 +89,7 @@ DAMAGED = {
 }
 
 
-def said_of(evaluate: Evaluate) -> list[str]:
+def message_about(evaluate: Evaluate) -> list[str]:
     """Return what is said of a material: warnings, or the error that refuses it."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -97,16 +97,16 @@ def said_of(evaluate: Evaluate) -> list[str]:
             make_measured_task("x", evaluate, SAMPLES, "x")
         except ValueError as error:
             return [str(error)]
-    return [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
+    return [str(warning.message) for warning in caught if issubclass(warning.category, UserWarning)]
 
 
 @pytest.mark.parametrize("name", SOUND)
 def test_sound_materials_are_not_warned_of(name: str) -> None:
-    assert said_of(SOUND[name]) == []
+    assert message_about(SOUND[name]) == []
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_damaged_materials_are_said_in_a_line(name: str) -> None:
-    (line,) = said_of(DAMAGED[name])
+def test_damaged_materials_cause_a_warning_in_one_line(name: str) -> None:
+    (line,) = message_about(DAMAGED[name])
     assert line.startswith("x: ")
     assert "is it damaged, or in another unit?" in line or "NaN or infinite" in line

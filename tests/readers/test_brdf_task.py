@@ -122,7 +122,7 @@ def invalid_but(*bins: slice | int) -> np.ndarray:
         (invalid_but(0, 0), 100, r"x: [0-9,]+ valid samples in [0-9,]+ draws, expected 100; take fewer"),
     ],
 )
-def test_what_gives_no_samples_is_one_line(material: Any, samples: int, message: str) -> None:
+def test_materials_without_samples_are_refused_in_one_line(material: Any, samples: int, message: str) -> None:
     make = task_of_table if isinstance(material, np.ndarray) else make_brdf_task
     with pytest.raises(ValueError, match=message):
         make("x", material, samples=samples, source="x")
@@ -150,8 +150,8 @@ def test_conversions_and_fits_warn_once(metapp: Callable, tmp_path: Path, reflec
         assert "gold" in line
 
 
-def test_good_values_are_not_warned_of(tmp_path: Path, neural_fits: Callable[[int], Path]) -> None:
+def test_valid_values_cause_no_warning(tmp_path: Path, write_nbrdf_networks: Callable[[int], Path]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read_network(constant_network(tmp_path / "plaster", 0.25), samples=64)
-        read_network(neural_fits(1) / "m0", samples=64)
+        read_network(write_nbrdf_networks(1) / "m0", samples=64)

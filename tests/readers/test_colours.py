@@ -16,7 +16,7 @@ from data_tools.readers.environment_maps import read_map
 from data_tools.readers.square_photos import read_photo
 from metapp.appearance.colorimetry import import_colour_science
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from tests.pictures import planes, png_with, profile, write
+from tests.pictures import add_png_chunks, channels_first, icc_profile, write_image
 
 SIDE = 48
 SPACES = {  # and a power of their encoding
@@ -48,9 +48,9 @@ def light_of(name: str, values: np.ndarray) -> np.ndarray:
     return (values / ENDS[values.dtype.name]) ** SPACES[name][1] @ matrix.T
 
 
-def off(path: Path, light: np.ndarray) -> torch.Tensor:
-    """By how much a photograph differs from linear colours, levels of 255."""
-    return (read_photo(path, SIDE) - linear_to_srgb(planes(light).clamp(0, 1)) * 255).abs()
+def levels_off(path: Path, light: np.ndarray) -> torch.Tensor:
+    """Return by how many levels of 255 a photograph differs from linear colours."""
+    return (read_photo(path, SIDE) - linear_to_srgb(channels_first(light).clamp(0, 1)) * 255).abs()
 
 
 def icc(name: str, description: str = "any name") -> bytes:
@@ -58,47 +58,49 @@ def icc(name: str, description: str = "any name") -> bytes:
     colour, space = import_colour_science(), space_of(name)
     white, d50 = colour.xy_to_XYZ(space.whitepoint), np.array([0.9642, 1, 0.8249])
     adapted = colour.adaptation.matrix_chromatic_adaptation_VonKries(white, d50, "Bradford")
-    return profile(adapted @ space.matrix_RGB_to_XYZ, SPACES[name][1], description)
+    return icc_profile(adapted @ space.matrix_RGB_to_XYZ, SPACES[name][1], description)
 
 
 @pytest.mark.parametrize("name", SPACES)
 @pytest.mark.parametrize("kind", ENDS)
 def test_profiles_are_heeded_whatever_their_name(tmp_path: Path, name: str, kind: str) -> None:
     values = picture(kind)
-    path = write(tmp_path / "a.tif", values, ICCProfile=icc(name))
-    assert off(path, light_of(name, values)).mean() < 0.4
-    assert off(path, light_of(name, values)).max() < (3.5 if name == "ProPhoto" else 1.6)  # where it leaves Rec.709
+    path = write_image(tmp_path / "a.tif", values, ICCProfile=icc(name))
+    assert levels_off(path, light_of(name, values)).mean() < 0.4
+    assert levels_off(path, light_of(name, values)).max() < (
+        3.5 if name == "ProPhoto" else 1.6
+    )  # where it leaves Rec.709
     if kind == "uint8":
         Image.fromarray(values).save(tmp_path / "a.webp", icc_profile=icc(name), lossless=True)
-        assert off(tmp_path / "a.webp", light_of(name, values)).max() < 1.6
+        assert levels_off(tmp_path / "a.webp", light_of(name, values)).max() < 1.6
 
 
 def test_gray_profiles_are_heeded(tmp_path: Path) -> None:
     values = picture("uint8")[..., :1]
-    write(tmp_path / "a.png", values, ICCProfile=profile(np.eye(3), 1.5, kind=b"GRAY"))
-    assert off(tmp_path / "a.png", np.repeat((values / 255) ** 1.5, 3, -1)).max() < 1.1
+    write_image(tmp_path / "a.png", values, ICCProfile=icc_profile(np.eye(3), 1.5, kind=b"GRAY"))
+    assert levels_off(tmp_path / "a.png", np.repeat((values / 255) ** 1.5, 3, -1)).max() < 1.1
 
 
 def test_a_linear_profile_keeps_the_radiance_of_a_map(tmp_path: Path) -> None:
     light = np.random.default_rng(0).uniform(0.1, 90, (32, 64, 3)).astype(np.float32)
-    wide = write(tmp_path / "a.tif", light, ICCProfile=icc("linear Rec.2020"))
-    same = write(tmp_path / "a.exr", light_of("linear Rec.2020", light).astype(np.float32).clip(0))
+    wide = write_image(tmp_path / "a.tif", light, ICCProfile=icc("linear Rec.2020"))
+    same = write_image(tmp_path / "a.exr", light_of("linear Rec.2020", light).astype(np.float32).clip(0))
     assert torch.allclose(read_map(wide), read_map(same), rtol=2e-3, atol=0.05)
     with pytest.raises(ValueError, match=r"b\.tif: colours in 'my own', expected a linear space"):
-        read_map(write(tmp_path / "b.tif", light, ICCProfile=icc("P3", "my own")))
+        read_map(write_image(tmp_path / "b.tif", light, ICCProfile=icc("P3", "my own")))
 
 
 @pytest.mark.parametrize(("kind", "said"), [(b"CMYK", "'any ink'"), (b"", "'damaged'")])
-def test_of_a_profile_that_cannot_be_converted_there_is_a_warning(
+def test_profiles_that_cannot_be_converted_cause_a_warning(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: bytes, said: str
 ) -> None:
     values = picture("uint8")
-    stated = profile(np.eye(3), 2.2, "any ink", kind) if kind else b"no profile at all, only text" * 9
+    stated = icc_profile(np.eye(3), 2.2, "any ink", kind) if kind else b"no profile at all, only text" * 9
     Image.fromarray(values).save(tmp_path / "a.png", icc_profile=stated)
     with pytest.warns(
         UserWarning, match=rf"a\.png: colours by the profile {said}, which cannot be converted, are taken"
     ):
-        assert torch.equal(read_photo(tmp_path / "a.png", SIDE), planes(values))
+        assert torch.equal(read_photo(tmp_path / "a.png", SIDE), channels_first(values))
     with warnings.catch_warnings(action="always"):
         warnings.showwarning = lambda message, *_, **__: os.write(2, str(message).encode())
         read_photo(tmp_path / "a.png", SIDE)
@@ -111,17 +113,17 @@ def test_png_and_exif_state_colours_without_a_profile(tmp_path: Path) -> None:
     plain = path.read_bytes()
     for name, (_, power) in SPACES.items():
         xy = [*space_of(name).whitepoint, *space_of(name).primaries.ravel()]
-        numbers = struct.pack(">8I", *(round(1e5 * each) for each in xy))
-        path.write_bytes(png_with(plain, {b"gAMA": struct.pack(">I", round(1e5 / power)), b"cHRM": numbers}))
-        assert off(path, light_of(name, values)).max() < 1, name
-        path.write_bytes(png_with(plain, {b"sRGB": b"\0", b"cHRM": numbers}))
-        assert torch.equal(read_photo(path, SIDE), planes(values))
-    path.write_bytes(png_with(plain, {b"gAMA": struct.pack(">I", 100000)}))
-    assert off(path, values / 255).max() < 1
+        numbers = struct.pack(">8I", *(round(1e5 * coordinate) for coordinate in xy))
+        path.write_bytes(add_png_chunks(plain, {b"gAMA": struct.pack(">I", round(1e5 / power)), b"cHRM": numbers}))
+        assert levels_off(path, light_of(name, values)).max() < 1, name
+        path.write_bytes(add_png_chunks(plain, {b"sRGB": b"\0", b"cHRM": numbers}))
+        assert torch.equal(read_photo(path, SIDE), channels_first(values))
+    path.write_bytes(add_png_chunks(plain, {b"gAMA": struct.pack(">I", 100000)}))
+    assert levels_off(path, values / 255).max() < 1
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0xA005] = {1: "R03"}
     Image.fromarray(values).save(tmp_path / "a.jpg", quality=100, subsampling=0, exif=exif)
-    assert off(tmp_path / "a.jpg", light_of("Adobe RGB", values)).mean() < 1
+    assert levels_off(tmp_path / "a.jpg", light_of("Adobe RGB", values)).mean() < 1
 
 
 ROUND = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06)  # primaries of Rec.709
@@ -140,18 +142,18 @@ def test_primaries_that_cannot_be_state_nothing(tmp_path: Path, kind: str, recwa
     xy = NOTHING_STATED[kind]
     assert not states_primaries(xy)
     values = picture("float32")
-    assert off(write(tmp_path / "a.exr", values, chromaticities=xy), values).max() < 1
-    path = write(tmp_path / "a.hdr", values)
+    assert levels_off(write_image(tmp_path / "a.exr", values, chromaticities=xy), values).max() < 1
+    path = write_image(tmp_path / "a.hdr", values)
     rows = path.read_bytes()
     for text in (" ".join(f"{number:g}" for number in xy), "unknown", "0.64 0.33"):
         path.write_bytes(rows.replace(b"\n", f"\nPRIMARIES={text}\n".encode(), 1))
-        assert off(path, values).mean() < 1
+        assert levels_off(path, values).mean() < 1
     levels, path = picture("uint8"), tmp_path / "a.png"
     Image.fromarray(levels).save(path)
     whole = [round(1e5 * number) if np.isfinite(number) else 0 for number in (*xy[6:], *xy[:6])]
-    path.write_bytes(png_with(path.read_bytes(), {b"cHRM": struct.pack(">8I", *whole)}))
-    assert torch.equal(read_photo(path, SIDE), planes(levels))
-    assert not [each for each in recwarn if issubclass(each.category, UserWarning)]
+    path.write_bytes(add_png_chunks(path.read_bytes(), {b"cHRM": struct.pack(">8I", *whole)}))
+    assert torch.equal(read_photo(path, SIDE), channels_first(levels))
+    assert not [warning for warning in recwarn if issubclass(warning.category, UserWarning)]
 
 
 @pytest.mark.parametrize("name", SPACES)
@@ -169,10 +171,10 @@ def test_code_points_of_png_are_heeded(tmp_path: Path) -> None:
         "Rec.2020": colour.models.eotf_ST2084(values / 255) / 203,
     }
     for name, codes in {"P3": (12, 13, 0, 1), "Rec.2020": (9, 16, 0, 1)}.items():
-        path.write_bytes(png_with(plain, {b"cICP": bytes(codes)}))
+        path.write_bytes(add_png_chunks(plain, {b"cICP": bytes(codes)}))
         matrix = colour.matrix_RGB_to_RGB(space_of(name), colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
-        assert off(path, encoded[name] @ matrix.T).max() < 1.5, name
-    path.write_bytes(png_with(plain, {b"cICP": bytes((11, 18, 0, 1))}))
+        assert levels_off(path, encoded[name] @ matrix.T).max() < 1.5, name
+    path.write_bytes(add_png_chunks(plain, {b"cICP": bytes((11, 18, 0, 1))}))
     with pytest.warns(UserWarning, match=r"a\.png: colours of primaries 11 and transfer 18 .*cannot be conv"):
         read_photo(path, SIDE)
 
@@ -183,13 +185,13 @@ def test_hybrid_log_gamma_is_light_whose_white_is_three_quarters(
     tmp_path: Path, code: int, name: str, kind: str
 ) -> None:
     colour, values, path = import_colour_science(), picture(kind), tmp_path / "a.png"
-    write(path, values)
-    path.write_bytes(png_with(path.read_bytes(), {b"cICP": bytes((code, 18, 0, 1))}))
+    write_image(path, values)
+    path.write_bytes(add_png_chunks(path.read_bytes(), {b"cICP": bytes((code, 18, 0, 1))}))
     decode, rec709 = colour.models.oetf_inverse_BT2100_HLG, colour.RGB_COLOURSPACES["ITU-R BT.709"]
     light = decode(values / np.iinfo(values.dtype).max) / decode(0.75)
     matrix = np.eye(3) if code == 1 else colour.matrix_RGB_to_RGB(space_of(name), rec709, "Bradford")
     with pytest.warns(UserWarning, match=r"a\.png: HLG, whose signal of 75% is taken for white; "):
-        assert off(path, light @ matrix.T).max() < 1.5
+        assert levels_off(path, light @ matrix.T).max() < 1.5
 
 
 def test_primaries_of_floating_point_files_are_heeded(tmp_path: Path) -> None:
@@ -197,15 +199,15 @@ def test_primaries_of_floating_point_files_are_heeded(tmp_path: Path) -> None:
     space = space_of("linear Rec.2020")
     xy = (*space.primaries.ravel(), *space.whitepoint)
     light = light_of("linear Rec.2020", values)
-    assert off(write(tmp_path / "a.exr", values, chromaticities=tuple(xy)), light).max() < 1
-    path = write(tmp_path / "a.hdr", values)
-    head = " ".join(f"{each:.4f}" for each in xy)
+    assert levels_off(write_image(tmp_path / "a.exr", values, chromaticities=tuple(xy)), light).max() < 1
+    path = write_image(tmp_path / "a.hdr", values)
+    head = " ".join(f"{coordinate:.4f}" for coordinate in xy)
     rows = path.read_bytes()
     path.write_bytes(rows.replace(b"\n", f"\nPRIMARIES= {head}\n".encode(), 1))
-    assert off(path, light).mean() < 1
+    assert levels_off(path, light).mean() < 1
     for more, scale in {"EXPOSURE=4.0\nEXPOSURE= 0.5": 2, "EXPOSURE=2\nCOLORCORR=0.5 1 2": np.array([1, 2, 4])}.items():
         path.write_bytes(rows.replace(b"\n", f"\n{more}\n".encode(), 1))
-        assert off(path, values / scale).mean() < 1
+        assert levels_off(path, values / scale).mean() < 1
     path.write_bytes(rows.replace(b"\n", b"\nEXPOSURE=0\n", 1))
     with pytest.raises(ValueError, match=r"a\.hdr: .*expected positive numbers"):
         read_photo(path, SIDE)

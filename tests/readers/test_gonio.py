@@ -29,7 +29,7 @@ def material(angles: Tensor) -> Tensor:
     return (torch.exp(-4 * theta_h) + 0.05 * phi_d)[..., None] * torch.tensor([1.0, 0.6, 0.3], dtype=angles.dtype)
 
 
-def measured(file: Path) -> tuple[Tensor, Tensor]:
+def read_measurements(file: Path) -> tuple[Tensor, Tensor]:
     """Angles [N, 3] and reflectance of a file."""
     pairs = gonio.read_pairs(file)
     return directions_to_full_rusinkiewicz(pairs.wi, pairs.wo), pairs.reflectance
@@ -54,7 +54,7 @@ def write(tmp_path: Path, angles: Tensor) -> Callable[..., Path]:
         wi, wo = rusinkiewicz_to_directions(angles)
         turn = torch.rand(len(angles), dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * 6
         scale = 180 / math.pi if unit == "deg" else 1.0
-        parts = [part for each in (wi, wo) for part in spherical(each)]
+        parts = [part for vectors in (wi, wo) for part in spherical(vectors)]
         places = [(part + turn * (i % 2)) * scale for i, part in enumerate(parts)]
         rows = torch.cat([torch.stack(places, 1), material(angles)], 1)
         lines = [",".join(f"{value:.12g}" for value in row) for row in rows.tolist()]
@@ -66,8 +66,8 @@ def write(tmp_path: Path, angles: Tensor) -> Callable[..., Path]:
 
 
 @pytest.mark.parametrize("unit", ["deg", "rad"])
-def test_measurements_come_back(write: Callable[..., Path], angles: Tensor, unit: str) -> None:
-    found, reflectance = measured(write(unit))
+def test_measurements_read_back_as_written(write: Callable[..., Path], angles: Tensor, unit: str) -> None:
+    found, reflectance = read_measurements(write(unit))
     torch.testing.assert_close(found, angles, rtol=0, atol=1e-6)
     torch.testing.assert_close(reflectance, material(angles), rtol=1e-6, atol=1e-8)
 
@@ -89,7 +89,7 @@ def test_a_task_holds_each_measurement_once_and_its_picture(write: Callable[...,
 def test_columns_in_any_order_and_comments_and_more_columns(tmp_path: Path) -> None:
     text = "# made by hand\n b , g, r,theta_o_deg,phi_o_deg,theta_i_deg,phi_i_deg,temperature\n\n# no row\n"
     (tmp_path / "a.csv").write_text(text + "0.3,0.2,0.1,20,180,40,0,\n")
-    angles, reflectance = measured(tmp_path / "a.csv")
+    angles, reflectance = read_measurements(tmp_path / "a.csv")
     torch.testing.assert_close(reflectance, torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64))
     assert angles[0].tolist() == pytest.approx([math.radians(10), math.radians(30), 0], abs=1e-9)
 
@@ -123,7 +123,7 @@ def test_tables_as_spreadsheets_write_them(tmp_path: Path, dialect: str, encodin
     assert [source.facts["samples"] for source in gonio.find(tmp_path)[0]] == [2, 2]
 
 
-def test_noise_below_zero_is_cut_and_said_once(tmp_path: Path) -> None:
+def test_noise_below_zero_is_cut_with_one_warning(tmp_path: Path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("\n".join([HEAD, ROW, ROW.replace("0.2", "-1e-5").replace("30,180", "35,180")]))
     with pytest.warns(UserWarning, match=r"a\.csv: 1 of 6 values below 0, down to -1e-05 /sr, expected 0") as caught:
@@ -156,7 +156,7 @@ def test_a_damaged_table_has_no_facts(tmp_path: Path) -> None:
     assert source.facts == {"damaged": True}
 
 
-def test_few_measurements_are_all_seen(write: Callable[..., Path]) -> None:
+def test_fits_see_all_of_few_measurements(write: Callable[..., Path]) -> None:
     file = write()
     lines = file.read_text().splitlines()
     file.write_text("\n".join(lines[:22]))
@@ -167,7 +167,7 @@ def test_few_measurements_are_all_seen(write: Callable[..., Path]) -> None:
     assert len(angles.unique(dim=0)) == 20
 
 
-def test_what_a_plan_writes_is_read_back_when_it_is_filled_in(tmp_path: Path, angles: Tensor) -> None:
+def test_filled_in_plans_are_read(tmp_path: Path, angles: Tensor) -> None:
     wi, wo = rusinkiewicz_to_directions(angles[:30])
     file = tmp_path / "plan.csv"
     nothing = torch.zeros(0, 3).double()
@@ -197,9 +197,9 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
         np.testing.assert_allclose(matrix.sum(0), 1, atol=1e-12)
         red = 1 / (1 + np.exp(-(nanometres - 600) / 15))
         assert (red @ matrix) == pytest.approx([0.82, 0.06, 0.0], abs=0.08)
-    names = ",".join(f"{each}nm" for each in range(400, 701, 100))
+    names = ",".join(f"{wavelength}nm" for wavelength in range(400, 701, 100))
     (tmp_path / "a.csv").write_text(f"{HEAD[:-6]},{names}\n30,0,30,180,0.2,0.2,0.2,0.2\n")
-    _, reflectance = measured(tmp_path / "a.csv")
+    _, reflectance = read_measurements(tmp_path / "a.csv")
     torch.testing.assert_close(reflectance, torch.full((1, 3), 0.2, dtype=torch.float64))
     colour, nanometres = import_colour_science(), np.arange(360.0, 781, 5)
     values = 0.2 + 0.5 * np.exp(-(((nanometres - 530) / 60) ** 2))
@@ -239,7 +239,9 @@ def test_a_file_that_is_too_large_says_how_many_rows_to_keep(tmp_path: Path) -> 
         (b"\xff\xfe\x00", "no text in UTF-8 or UTF-16"),
     ],
 )
-def test_what_is_no_such_table_is_refused_in_one_line(tmp_path: Path, text: str | bytes, words: str) -> None:
+def test_files_that_are_no_goniometer_table_are_refused_in_one_line(
+    tmp_path: Path, text: str | bytes, words: str
+) -> None:
     file = tmp_path / "bad.csv"
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=words.replace("(", r"\(")) as caught:
@@ -252,12 +254,12 @@ def test_metapp_fits_and_converts_tables(metapp: Callable, write: Callable[..., 
     file = write()
     fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--quiet")
     assert fitted.code == 0
-    assert fitted.document["tasks"][0]["name"] == "paint-deg"
-    assert fitted.document["error"] < 3
+    assert fitted.json_document["tasks"][0]["name"] == "paint-deg"
+    assert fitted.json_document["error"] < 3
     assert metapp("data", "gonio", file, "--out", tmp_path / "set", "--split", "test").code == 0
     assert "no problems" in metapp("data", "check", tmp_path / "set").out
     again = metapp("meta", "brdf", "--recipe", "full", "--data", tmp_path / "set", "--out", tmp_path / "runs", "--json")
-    assert again.document["error"] == pytest.approx(fitted.document["error"])
+    assert again.json_document["error"] == pytest.approx(fitted.json_document["error"])
 
 
 def test_repeated_measurements_are_averaged_whatever_their_number_and_order() -> None:
@@ -276,7 +278,10 @@ def test_repeated_measurements_are_averaged_whatever_their_number_and_order() ->
 def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_path: Path) -> None:
     """No reference sphere, and no differences from one, in pictures, comparisons and pages."""
     assert metapp("examples", "--make", tmp_path).code == 0
-    runs = [metapp(paradigm, "brdf", tmp_path / "paint.csv", "--json").done["out"] for paradigm in ("meta", "quickft")]
+    runs = [
+        metapp(paradigm, "brdf", tmp_path / "paint.csv", "--json").json_result["out"]
+        for paradigm in ("meta", "quickft")
+    ]
     fit = api.fit("brdf", tmp_path / "paint.csv")
     pictures = fit.preview()
     assert list(pictures) == ["samples", "predicted", "fit"]
@@ -286,7 +291,7 @@ def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_p
         assert torch.equal(coverage, pictures["samples"][..., 3])
     samples, predicted = (pictures[name][..., :3].log1p() for name in ("samples", "predicted"))
     assert float((samples - predicted).abs().mean()) < 0.05 * float(samples.mean())
-    compared = metapp("compare", *runs, "--json").done
+    compared = metapp("compare", *runs, "--json").json_result
     assert all(run["measures"] == {} for run in compared["runs"])
     assert compared["picture"]
     view = load_reference("metapp.extensions.viewer.pages.brdf:make_brdf_view")

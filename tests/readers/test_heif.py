@@ -9,7 +9,7 @@ import torch
 from data_tools.readers import flash_photos, image_files
 from data_tools.readers.square_photos import find, read_photo
 from metapp.appearance.colour import linear_to_srgb
-from tests.pictures import P3_TO_SRGB, STORED, planes, profile
+from tests.pictures import P3_TO_SRGB, STORED_BY_ORIENTATION, channels_first, icc_profile
 
 pillow_heif = pytest.importorskip("pillow_heif", reason='pillow-heif is not installed: pip install "metapp[heic]"')
 from PIL import Image  # noqa: E402
@@ -34,23 +34,23 @@ def write(path: Path, values: np.ndarray, orientation: int = 1, focal: int = 0, 
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_pictures_are_upright(tmp_path: Path, orientation: int) -> None:
+def test_heif_pictures_are_upright(tmp_path: Path, orientation: int) -> None:
     upright = gradients()
-    path = write(tmp_path / "a.heic", np.ascontiguousarray(STORED[orientation](upright)), orientation)
+    path = write(tmp_path / "a.heic", np.ascontiguousarray(STORED_BY_ORIENTATION[orientation](upright)), orientation)
     found = read_photo(path, 48).float()
-    assert (found - planes(upright[24:72])).abs().mean() < 2
+    assert (found - channels_first(upright[24:72])).abs().mean() < 2
 
 
 def test_a_display_p3_profile_is_heeded(tmp_path: Path) -> None:
     values = gradients(64, 64)
     plain = read_photo(write(tmp_path / "a.heic", values), 64).double() / 255
-    wide = read_photo(write(tmp_path / "b.heic", values, icc=profile(P3_TO_XYZ, 2.2)), 64).double() / 255
+    wide = read_photo(write(tmp_path / "b.heic", values, icc=icc_profile(P3_TO_XYZ, 2.2)), 64).double() / 255
     expected = linear_to_srgb(torch.einsum("ij,jhw->ihw", P3_TO_SRGB, plain**2.2).clamp(0, 1))
     assert (wide - expected).abs().max() < 2 / 255
     assert (wide - plain).abs().max() > 3 / 255
 
 
-def test_a_damaged_or_small_one_is_one_line(tmp_path: Path) -> None:
+def test_damaged_or_small_pictures_are_refused_in_one_line(tmp_path: Path) -> None:
     path = write(tmp_path / "a.heic", gradients())
     path.write_bytes(path.read_bytes()[:600])
     with pytest.raises(ValueError, match=r"a\.heic: .*expected a whole one; copy or download it again\.$") as error:
@@ -71,11 +71,11 @@ def test_without_the_library_the_line_says_what_to_install(tmp_path: Path, monke
         find(tmp_path)
 
 
-def test_the_lens_is_read_from_it(tmp_path: Path) -> None:
+def test_lens_data_is_read_from_heif_files(tmp_path: Path) -> None:
     values = gradients(120, 120)
     path = write(tmp_path / "a.heic", values, focal=20)  # 75 degrees along a square's side
     share = np.tan(np.radians(22.5)) / (15.2967 / 20)  # half of 43.2666 / sqrt(2) mm
     side = round(120 * share)
-    cropped = planes(values[(120 - side) // 2 :, (120 - side) // 2 :][:side, :side])
+    cropped = channels_first(values[(120 - side) // 2 :, (120 - side) // 2 :][:side, :side])
     found = flash_photos.read_task(path, side).data["image"].float()
     assert (found - cropped).abs().mean() < 2

@@ -14,8 +14,8 @@ from data_tools.readers import environment_maps
 from data_tools.readers.environment_maps import find, read_map, read_task
 from metapp.appearance.latlong import mean_luminance, resample_maps, solid_angles
 from metapp.storage.image_writers import write_exr
-from tests.pictures import check_refused, planes, truncated, write
-from tests.sources import paths_of
+from tests.found_paths import find_paths
+from tests.pictures import assert_refused_in_one_line, channels_first, truncate_file, write_image
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
 REC709_D65 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
@@ -37,28 +37,28 @@ def ball(size: int = 64, seed: int = 0) -> np.ndarray:
 def test_a_map_of_the_right_size_is_read_as_it_is(tmp_path: Path) -> None:
     values = radiance()
     for name in ("a.exr", "a.tif", "A.EXR", "a.pfm"):
-        assert torch.equal(read_map(write(tmp_path / name, values)), planes(values)), name
-    upside_down = read_map(write(tmp_path / "turned.exr", values, Orientation=3))
-    assert torch.equal(upside_down, planes(values[::-1, ::-1]))
-    read = read_map(write(tmp_path / "a.hdr", values))
-    torch.testing.assert_close(read, planes(values), atol=4 / 128, rtol=0)  # 8 bits and a shared exponent
-    half = read_map(write(tmp_path / "half.exr", values, "half"))
-    torch.testing.assert_close(half, planes(values), rtol=1e-3, atol=0)
-    assert read_map(write(tmp_path / "b.tif", values, "double")).dtype == torch.float32
+        assert torch.equal(read_map(write_image(tmp_path / name, values)), channels_first(values)), name
+    upside_down = read_map(write_image(tmp_path / "turned.exr", values, Orientation=3))
+    assert torch.equal(upside_down, channels_first(values[::-1, ::-1]))
+    read = read_map(write_image(tmp_path / "a.hdr", values))
+    torch.testing.assert_close(read, channels_first(values), atol=4 / 128, rtol=0)  # 8 bits and a shared exponent
+    half = read_map(write_image(tmp_path / "half.exr", values, "half"))
+    torch.testing.assert_close(half, channels_first(values), rtol=1e-3, atol=0)
+    assert read_map(write_image(tmp_path / "b.tif", values, "double")).dtype == torch.float32
 
 
 @pytest.mark.parametrize("size", [(256, 512), (129, 257), (32, 64), (96, 191)])
 def test_other_sizes_keep_their_light(tmp_path: Path, size: tuple[int, int]) -> None:
     values = radiance(*size)
     values[size[0] // 3, 5] = 1e5
-    read = read_map(write(tmp_path / "a.exr", values))
+    read = read_map(write_image(tmp_path / "a.exr", values))
     assert read.shape == (3, 64, 128)
 
     def energy(maps: Tensor) -> Tensor:
         return (maps.double() * solid_angles(*maps.shape[-2:], dtype=torch.float64)).sum((-2, -1))
 
-    torch.testing.assert_close(energy(read), energy(planes(values)), rtol=1e-5, atol=0)
-    torch.testing.assert_close(read, resample_maps(planes(values), 64, 128))
+    torch.testing.assert_close(energy(read), energy(channels_first(values)), rtol=1e-5, atol=0)
+    torch.testing.assert_close(read, resample_maps(channels_first(values), 64, 128))
 
 
 LAYOUTS: dict[str, tuple[tuple[str, ...], list[int]]] = {
@@ -81,8 +81,8 @@ def test_channels_go_by_their_names(tmp_path: Path, layout: str) -> None:
     values = radiance(channels=len(names))
     for index, name in enumerate(names):
         values[..., index] *= 0.01 if name == "A" else 1 + index
-    read = read_map(write(tmp_path / "a.exr", values, names=names))
-    assert torch.equal(read, planes(values[..., order]))
+    read = read_map(write_image(tmp_path / "a.exr", values, names=names))
+    assert torch.equal(read, channels_first(values[..., order]))
 
 
 @pytest.mark.parametrize(("brightest", "form"), [(1e-7, "float"), (3.0, "half"), (65504.0, "half"), (1e6, "float")])
@@ -102,7 +102,7 @@ def test_colours_of_another_space_are_converted(tmp_path: Path, attributes: dict
     # Rec.709's red in ACEScg (AP1), from the published matrices of AP1 and Rec.709 with Bradford's adaptation.
     red_green = np.array([[0.61309732, 0.07019422, 0.02061560], [0.33952285, 0.91635557, 0.10956983]])
     values = np.tile(red_green[None].repeat(32, 1), (64, 2, 1)).astype(np.float32)
-    read = read_map(write(tmp_path / "a.exr", values, **attributes))
+    read = read_map(write_image(tmp_path / "a.exr", values, **attributes))
     expected = torch.eye(3)[:2].repeat_interleave(32, 0).repeat(2, 1).T[:, None].expand(3, 64, 128)
     torch.testing.assert_close(read, expected, atol=2e-3, rtol=0)
 
@@ -110,22 +110,24 @@ def test_colours_of_another_space_are_converted(tmp_path: Path, attributes: dict
 @pytest.mark.parametrize("space", ["ACES2065-1", "lin_rec2020_scene", "lin_p3d65_scene", "Linear AdobeRGB"])
 def test_white_stays_white_and_colours_change(tmp_path: Path, space: str) -> None:
     white = np.ones((64, 128, 3), np.float32)
-    read = read_map(write(tmp_path / "white.exr", white, oiio_ColorSpace=space))
+    read = read_map(write_image(tmp_path / "white.exr", white, oiio_ColorSpace=space))
     torch.testing.assert_close(read, torch.ones(3, 64, 128), atol=2e-3, rtol=0)
     values = radiance()
-    assert (read_map(write(tmp_path / "a.exr", values, oiio_ColorSpace=space)) - planes(values)).abs().max() > 0.3
+    assert (
+        read_map(write_image(tmp_path / "a.exr", values, oiio_ColorSpace=space)) - channels_first(values)
+    ).abs().max() > 0.3
 
 
 @pytest.mark.parametrize("stated", ["lin_rec709_scene", "linear", REC709_D65, REC709_D50])
 def test_colours_of_rec709_stay(tmp_path: Path, stated: str | tuple[float, ...]) -> None:
     values, key = radiance(), "oiio_ColorSpace" if isinstance(stated, str) else "chromaticities"
-    read = read_map(write(tmp_path / "a.exr", values, **{key: stated}))
-    torch.testing.assert_close(read, planes(values), rtol=1e-3, atol=1e-3)
+    read = read_map(write_image(tmp_path / "a.exr", values, **{key: stated}))
+    torch.testing.assert_close(read, channels_first(values), rtol=1e-3, atol=1e-3)
 
 
 def test_values_below_zero_become_zero(tmp_path: Path) -> None:
     green = np.tile(np.float32([0, 1, 0]), (64, 128, 1))
-    read = read_map(write(tmp_path / "a.exr", green, chromaticities=ACESCG))
+    read = read_map(write_image(tmp_path / "a.exr", green, chromaticities=ACESCG))
     assert read.min() == 0
     assert read[1].min() > 1
     read = read_map(with_values(-1, 20)(tmp_path))  # a trace
@@ -138,10 +140,10 @@ def test_values_below_zero_become_zero(tmp_path: Path) -> None:
 
 def test_a_map_becomes_a_task(tmp_path: Path) -> None:
     values = radiance(128, 256) * np.float32(37)
-    task = read_task(write(tmp_path / "my room.v2.exr", values))
+    task = read_task(write_image(tmp_path / "my room.v2.exr", values))
     assert task.name == "my room.v2"
     assert list(task.data) == list(environment_maps.UNITS) == ["map", "scale", "photos"]
-    assert [(each.dtype, each.shape) for each in task.data.values()] == [
+    assert [(tensor.dtype, tensor.shape) for tensor in task.data.values()] == [
         (torch.float32, (3, 64, 128)),
         (torch.float32, ()),
         (torch.uint8, (4, 3, 64, 64)),
@@ -149,10 +151,10 @@ def test_a_map_becomes_a_task(tmp_path: Path) -> None:
     assert mean_luminance(task.data["map"]).item() == pytest.approx(1, abs=1e-5)
     before = read_map(tmp_path / "my room.v2.exr")
     torch.testing.assert_close(task.data["map"] * task.data["scale"], before)
-    assert task.data["scale"].item() == pytest.approx(mean_luminance(planes(values)).item(), rel=1e-5)
+    assert task.data["scale"].item() == pytest.approx(mean_luminance(channels_first(values)).item(), rel=1e-5)
     values = radiance()
     first, again, other = (
-        read_task(write(tmp_path / name, values)).data["photos"] for name in ("a.exr", "sub/a.tif", "b.exr")
+        read_task(write_image(tmp_path / name, values)).data["photos"] for name in ("a.exr", "sub/a.tif", "b.exr")
     )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
@@ -161,19 +163,19 @@ def test_a_map_becomes_a_task(tmp_path: Path) -> None:
 # Files
 
 
-def test_what_is_recognised_and_found(tmp_path: Path) -> None:
+def test_environment_maps_are_recognised_and_found(tmp_path: Path) -> None:
     for name in ("b.exr", "sub/a.HDR"):
-        write(tmp_path / name, radiance(32, 64))
-    write(tmp_path / "b.png", ball(), "uint8")
+        write_image(tmp_path / name, radiance(32, 64))
+    write_image(tmp_path / "b.png", ball(), "uint8")
     (tmp_path / "notes.txt").write_text("about")
     for name in ("", "sub", "b.exr"):
         assert environment_maps.recognises(tmp_path / name)
     for name in ("notes.txt", "b.png"):
         assert not environment_maps.recognises(tmp_path / name)
-    found, skipped = paths_of(find, tmp_path)
+    found, skipped = find_paths(find, tmp_path)
     assert [file.name for file in found] == ["b.exr", "a.HDR"]
     assert [line.partition(": ")[0] for line in skipped] == [str(tmp_path / name) for name in ("b.png", "notes.txt")]
-    assert paths_of(find, tmp_path / "b.png") == ([tmp_path / "b.png"], [])  # reading it says what is wrong
+    assert find_paths(find, tmp_path / "b.png") == ([tmp_path / "b.png"], [])  # reading it says what is wrong
     (tmp_path / "b.exr").unlink()
     (tmp_path / "sub" / "a.HDR").unlink()
     with pytest.raises(ValueError, match="no map in this folder, expected an HDR map"):
@@ -187,43 +189,55 @@ def with_values(value: float, count: int = 1, kind: str = "float") -> Callable[[
     def make(folder: Path) -> Path:
         values = radiance()
         values.reshape(-1)[:count] = value
-        return write(folder / "a.exr", values, kind)
+        return write_image(folder / "a.exr", values, kind)
 
     return make
 
 
 def picture(name: str, height: int, width: int) -> Callable[[Path], Path]:
-    return lambda folder: write(folder / name, ball(width)[:height], "uint8")
+    return lambda folder: write_image(folder / name, ball(width)[:height], "uint8")
 
 
 def layout(*names: str) -> Callable[[Path], Path]:
-    return lambda folder: write(folder / "a.exr", radiance(channels=len(names)), names=names)
+    return lambda folder: write_image(folder / "a.exr", radiance(channels=len(names)), names=names)
 
 
 def stated(**attributes: Any) -> Callable[[Path], Path]:
-    return lambda folder: write(folder / "a.exr", radiance(), **attributes)
+    return lambda folder: write_image(folder / "a.exr", radiance(), **attributes)
 
 
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "square": (lambda folder: write(folder / "a.exr", radiance(64, 64)), "64x64 px, the shape of an angular map or a"),
-    "cross": (lambda folder: write(folder / "a.exr", radiance(96, 128)), "128x96 px, the shape of a cross of a cube m"),
-    "strip": (lambda folder: write(folder / "a.exr", radiance(64, 384)), "384x64 px, the shape of a strip of a cube "),
-    "no shape": (lambda folder: write(folder / "a.exr", radiance(64, 99)), "99x64 px, expected a lat-long map"),
+    "square": (
+        lambda folder: write_image(folder / "a.exr", radiance(64, 64)),
+        "64x64 px, the shape of an angular map or a",
+    ),
+    "cross": (
+        lambda folder: write_image(folder / "a.exr", radiance(96, 128)),
+        "128x96 px, the shape of a cross of a cube m",
+    ),
+    "strip": (
+        lambda folder: write_image(folder / "a.exr", radiance(64, 384)),
+        "384x64 px, the shape of a strip of a cube ",
+    ),
+    "no shape": (lambda folder: write_image(folder / "a.exr", radiance(64, 99)), "99x64 px, expected a lat-long map"),
     "tiny": (
-        lambda folder: write(folder / "a.exr", radiance(4, 8)),
+        lambda folder: write_image(folder / "a.exr", radiance(4, 8)),
         "8x4 px, expected 32 px or more on the short side",
     ),
     "nan": (with_values(float("nan"), 3), "a.exr: 3 values are NaN or infinite"),
     "negative": (with_values(-1, 200), "radiance down to -1 at a mean of 2"),
-    "black": (lambda folder: write(folder / "a.exr", 0 * radiance()), "a.exr: black all over"),
+    "black": (lambda folder: write_image(folder / "a.exr", 0 * radiance()), "a.exr: black all over"),
     "ldr": (picture("a.jpg", 64, 64), "is an input of fits"),
     "no blue": (layout("R", "G"), "channels R, G, expected R, G, B or a gray one"),
     "encoded": (stated(oiio_ColorSpace="sRGB"), "colours in 'srgb_rec709_scene', expected a linear space"),
-    "truncated exr": (lambda folder: truncated(write(folder / "a.exr", radiance())), "a.exr: damaged or incomplete ("),
+    "truncated exr": (
+        lambda folder: truncate_file(write_image(folder / "a.exr", radiance())),
+        "a.exr: damaged or incomplete (",
+    ),
 }
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_what_is_no_map_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+def test_files_that_are_no_map_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     make, message = BAD[kind]
-    check_refused(read_task, make(tmp_path), message)
+    assert_refused_in_one_line(read_task, make(tmp_path), message)

@@ -13,7 +13,7 @@ from data_tools.readers.flash_photos import read_task
 from data_tools.readers.image_files import pixels_of_pil, read_pixels
 from data_tools.readers.lenses import FILM_DIAGONAL_MM, ExifLens, lens_of_exif
 from data_tools.readers.square_photos import field_of_view_rad
-from tests.pictures import noise
+from tests.pictures import noise_image
 
 FILM, FOCAL, ACROSS, DOWN, UNIT, WIDTH, HEIGHT = 0xA405, 0x920A, 0xA20E, 0xA20F, 0xA210, 0xA002, 0xA003
 # A camera of APS-C with a lens of 18 mm, in px an inch
@@ -29,7 +29,7 @@ def photo(path: Path, tags: dict[int, Any]) -> Path:
     block = exif.get_ifd(0x8769)
     block.update(tags)
     exif[0x8769] = block
-    Image.fromarray(noise(300, 450)).save(path, exif=exif)
+    Image.fromarray(noise_image(300, 450)).save(path, exif=exif)
     return path
 
 
@@ -54,20 +54,20 @@ def test_the_sensor_tells_the_field_of_view(tmp_path: Path, suffix: str) -> None
     assert line == f"{path}: {sensor}; --fov sets another field of view."
 
 
-def test_a_focal_length_alone_is_said_to_be_of_no_use(tmp_path: Path) -> None:
+def test_focal_lengths_without_sensor_size_cause_a_line(tmp_path: Path) -> None:
     path = photo(tmp_path / "a.jpg", {FOCAL: IFDRational(18)})
     line = f"{path}: 18 mm on a sensor of unknown size, taken for 45 degrees along the shorter side; "
     assert side_and_lines(path) == (300, [f"{line}--fov sets another field of view."])
 
 
 @pytest.mark.parametrize("tags", [{}, {FILM: 28}, CAMERA | {FILM: 28}])
-def test_nothing_is_said_of_photos_that_state_it_or_nothing(tmp_path: Path, tags: dict[int, Any]) -> None:
+def test_photos_with_complete_or_no_lens_data_cause_no_line(tmp_path: Path, tags: dict[int, Any]) -> None:
     side, lines = side_and_lines(photo(tmp_path / "a.jpg", tags))
     assert lines == []
     assert (side < 300) == bool(tags)
 
 
-def test_nothing_is_said_where_the_user_states_it(tmp_path: Path) -> None:
+def test_no_line_is_printed_where_the_user_states_the_field_of_view(tmp_path: Path) -> None:
     assert side_and_lines(photo(tmp_path / "a.jpg", CAMERA), fov_rad=math.radians(45)) == (300, [])
 
 
@@ -76,7 +76,9 @@ def test_nothing_is_said_where_the_user_states_it(tmp_path: Path) -> None:
     [((450 / 3.6, 300 / 2.4), 3, (450, 300)), ((12.5, 12.5), 4, (450, 300)), ((12.5, 0.0), 4, (450, 300)),
      ((12.5 * 25.4, 12.5 * 25.4), 0, (300, 450))],
 )  # fmt: skip
-def test_units_of_the_sensor(resolution: tuple[float, float], unit: int, size: tuple[int, int]) -> None:
+def test_all_units_of_the_sensor_size_are_read(
+    resolution: tuple[float, float], unit: int, size: tuple[int, int]
+) -> None:
     assert lens_of_exif(0, 50, resolution, unit, size).focal_mm == pytest.approx(50)
 
 
@@ -86,6 +88,6 @@ def test_units_of_the_sensor(resolution: tuple[float, float], unit: int, size: t
      ((math.nan, math.nan), 2, (450, 300)), ((math.inf, math.inf), 2, (450, 300)), ((12.5, 12.5), 1, (450, 300)),
      ((12.5, 12.5), 4, (0, 0))],
 )  # fmt: skip
-def test_sensors_that_cannot_be_are_unknown(resolution: tuple[float, float], unit: int, size: tuple[int, int]) -> None:
+def test_impossible_sensor_sizes_are_ignored(resolution: tuple[float, float], unit: int, size: tuple[int, int]) -> None:
     assert lens_of_exif(0, 50, resolution, unit, size) == ExifLens(0.0, "50 mm on a sensor of unknown size")
     assert lens_of_exif(0, math.nan, resolution, unit, size) == ExifLens()

@@ -1,3 +1,5 @@
+"""The listing of folders: files are found by their endings at any depth, and foreign files are not opened."""
+
 import os
 from pathlib import Path
 
@@ -5,7 +7,7 @@ import pytest
 
 from data_tools.readers.listing import files_below, find_by_suffix, has_suffix
 from data_tools.readers.square_photos import find
-from tests.sources import paths_of
+from tests.found_paths import find_paths
 
 
 def test_files_of_a_folder_by_their_endings(tmp_path: Path) -> None:
@@ -40,6 +42,6 @@ def test_foreign_files_are_not_opened(tmp_path: Path, monkeypatch: pytest.Monkey
     )
     for name in ("a.jpg", "b.txt", "c.dat"):
         (tmp_path / name).touch()
-    files, skipped = paths_of(find, tmp_path)
+    files, skipped = find_paths(find, tmp_path)
     assert [file.name for file in files] == ["a.jpg"]
     assert len(skipped) == 2

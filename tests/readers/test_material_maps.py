@@ -14,8 +14,8 @@ from data_tools.readers.material_maps import entries, find, mixed_slope_correlat
 from data_tools.readers.svbrdf_task import render_flash_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import normal_from_height
-from tests.pictures import check_refused, write_planes
-from tests.sources import paths_of
+from tests.found_paths import find_paths
+from tests.pictures import assert_refused_in_one_line, write_planes
 
 UP = torch.tensor([0.5, 0.5, 1.0])
 
@@ -37,7 +37,7 @@ def folder(path: Path, **maps: Any) -> Path:
 
 def maps_of(path: Path, **options: Any) -> Tensor:
     """The maps of the one material of a folder, float32 [10, S, S]."""
-    (source,), _ = paths_of(material_maps.find, path)
+    (source,), _ = find_paths(material_maps.find, path)
     return read_task(source, 64, **options).data["maps"].float()
 
 
@@ -63,7 +63,7 @@ WORKED: dict[str, tuple[dict[str, Any], tuple[float, float, float]]] = {
 
 
 @pytest.mark.parametrize("kind", WORKED)
-def test_worked_values(tmp_path: Path, kind: str) -> None:
+def test_maps_agree_with_worked_values(tmp_path: Path, kind: str) -> None:
     maps, expected = WORKED[kind]
     assert values_of(folder(tmp_path, **maps)) == pytest.approx(expected, abs=1e-3)
 
@@ -79,7 +79,7 @@ def test_the_gloss_of_old_games_is_a_highlight(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("kind", "suffix"), [("uint16", "png"), ("uint8", "tga"), ("uint8", "jpg"), ("half", "exr"),
                                               ("float", "tif"), ("uint16", "tif")])  # fmt: skip
-def test_formats(tmp_path: Path, kind: str, suffix: str) -> None:
+def test_maps_are_read_in_all_formats(tmp_path: Path, kind: str, suffix: str) -> None:
     is_float = kind in ("half", "float")
     colour = torch.tensor([0.2, 0.4, 0.6])
     write(tmp_path / f"a_albedo.{suffix}", colour if is_float else linear_to_srgb(colour), kind)
@@ -104,7 +104,7 @@ def test_normals_of_floating_point_may_be_the_vectors(tmp_path: Path, normal: An
 
 
 def test_a_task_is_photographed_by_the_renderer(tmp_path: Path) -> None:
-    (source,), _ = paths_of(material_maps.find, folder(tmp_path))
+    (source,), _ = find_paths(material_maps.find, folder(tmp_path))
     task = read_task(source, 48)
     assert task.name == "rock"
     assert list(task.data) == list(material_maps.UNITS)
@@ -167,7 +167,7 @@ NAMES: dict[str, tuple[str, str, str | None]] = {  # name, mark, role
 }
 
 
-def test_the_role_is_in_the_name() -> None:
+def test_names_of_files_state_the_role_of_a_map() -> None:
     assert {stem: parse_map_name(stem) for stem in NAMES} == NAMES
 
 
@@ -178,7 +178,7 @@ PACKED = {  # a colour whose channels are 0.2, 0.6 and 1 (and alpha 0.7): roughn
 
 
 @pytest.mark.parametrize("word", PACKED)
-def test_packed_channels(tmp_path: Path, word: str) -> None:
+def test_packed_channels_are_read(tmp_path: Path, word: str) -> None:
     roughness, metallic = PACKED[word]
     folder(tmp_path, **{"roughness": None, word: [0.2, 0.6, 1.0, 0.7]})
     specular = 0.04 * (1 - metallic) + LINEAR_HALF * metallic
@@ -192,7 +192,7 @@ def test_packed_channels(tmp_path: Path, word: str) -> None:
         assert task.data["maps"][6, 5, 7].item() == pytest.approx(roughness, abs=2e-3)
 
 
-def test_variants_and_tiles_share_what_has_no_mark(tmp_path: Path) -> None:
+def test_variants_and_tiles_share_unmarked_maps(tmp_path: Path) -> None:
     for index in (1, 2):
         write(tmp_path / f"Bricks_COL_VAR{index}_1K.png", index / 4)
         for role, value in (("BaseColor", 0.5), ("Normal", UP), ("Roughness", index / 4)):
@@ -200,7 +200,7 @@ def test_variants_and_tiles_share_what_has_no_mark(tmp_path: Path) -> None:
     for role, value in (("NRM", UP), ("GLOSS", 0.5)):
         write(tmp_path / f"Bricks_{role}_1K.png", value)
     folder(tmp_path / "one", diffuse=None, albedo_1001=0.5)
-    tasks = {task.name: task.data["maps"][[3, 6], 5, 7] for task in map(read_task, paths_of(find, tmp_path)[0])}
+    tasks = {task.name: task.data["maps"][[3, 6], 5, 7] for task in map(read_task, find_paths(find, tmp_path)[0])}
     assert list(tasks) == ["Bricks_VAR1", "Bricks_VAR2", "hero_1001", "hero_1002", "rock"]
     assert tasks["Bricks_VAR1"][0] < tasks["Bricks_VAR2"][0]
     assert [tasks[f"hero_100{index}"][1].item() for index in (1, 2)] == pytest.approx([0.25, 0.5], abs=2e-3)
@@ -211,10 +211,10 @@ def test_files_of_unknown_roles_are_named_and_no_materials_or_photos(tmp_path: P
     unknown = ["rock.png", "rock_wibble.png", "rock_wibbleRoughness.png"]
     for name in (*unknown, "rocky.png", "rock_ao.png"):
         write(tmp_path / name, 0.5)
-    sources, skipped = paths_of(find, tmp_path)
+    sources, skipped = find_paths(find, tmp_path)
     assert [source.name for source in sources] == ["rock_diffuse.png"]
     assert [Path(line.partition(":")[0]).name for line in skipped] == [*unknown, "rocky.png"]
-    sources, skipped = paths_of(svbrdf_inputs.find, tmp_path)
+    sources, skipped = find_paths(svbrdf_inputs.find, tmp_path)
     assert [source.name for source in sources] == ["rock_diffuse.png", "rocky.png"]  # which is a photo
     assert [Path(line.partition(":")[0]).name for line in skipped] == unknown
     (tmp_path / "rock_roughness.png").unlink()
@@ -230,7 +230,7 @@ def test_a_folder_may_hold_several_materials(tmp_path: Path) -> None:
     for role in ("color", "normal", "gloss"):
         write(tmp_path / "deep" / "sand" / f"{role}.png", UP)
     write(tmp_path / "preview of all.png", UP)
-    sources, skipped = paths_of(find, tmp_path)
+    sources, skipped = find_paths(find, tmp_path)
     assert [source.name for source in sources] == ["rock_diffuse.png", "WoodBaseColor.png", "color.png"]
     (line,) = skipped
     assert "preview of all.png: no map under a usual name, expected names such as" in line
@@ -238,7 +238,7 @@ def test_a_folder_may_hold_several_materials(tmp_path: Path) -> None:
     assert not material_maps.recognises(tmp_path / "preview of all.png")
     assert [read_task(source, 32).name for source in sources] == ["rock", "Wood", "sand"]
     # any map names its material
-    assert paths_of(find, tmp_path / "box" / "WoodNormal.png") == ([sources[1]], [])
+    assert find_paths(find, tmp_path / "box" / "WoodNormal.png") == ([sources[1]], [])
 
 
 def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
@@ -248,7 +248,7 @@ def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
             write(path / "color.png", 0.5)
             write(path / "rough.png", 0.1 * index)
             write(path / "normal.png", torch.tensor([0.5 + 0.02 * index, 0.5, 1.0]))
-    groups = {entry.name: entry.group for entry in entries(paths_of(find, tmp_path)[0], [tmp_path], "auto").values()}
+    groups = {entry.name: entry.group for entry in entries(find_paths(find, tmp_path)[0], [tmp_path], "auto").values()}
     assert groups == {f"m{index}{variant}": f"m{index}a" for index in range(10) for variant in "ab"}
 
 
@@ -263,18 +263,18 @@ def bumps(size: int = 96, seed: int = 0) -> Tensor:
     return normal_from_height(height * 12, periodic=False) / 2 + 0.5
 
 
-def turned(stored: Tensor) -> Tensor:
+def flip_green(stored: Tensor) -> Tensor:
     return torch.stack([stored[0], 1 - stored[1], stored[2]])
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("size", [64, 200])
-def test_the_green_of_a_height_field_is_told(tmp_path: Path, seed: int, size: int) -> None:
+def test_direction_of_green_is_detected_from_a_height_field(tmp_path: Path, seed: int, size: int) -> None:
     stored = bumps(size, seed)
     assert mixed_slope_correlation(stored * 2 - 1) > 0.8
-    assert mixed_slope_correlation(turned(stored) * 2 - 1) < -0.8
+    assert mixed_slope_correlation(flip_green(stored) * 2 - 1) < -0.8
     up = maps_of(folder(tmp_path / "up", normal=stored))[:3]
-    down = maps_of(folder(tmp_path / "down", normal=turned(stored)))[:3]
+    down = maps_of(folder(tmp_path / "down", normal=flip_green(stored)))[:3]
     torch.testing.assert_close(up, down, atol=0.02, rtol=0)
     if size == 64:
         torch.testing.assert_close(up, stored * 2 - 1, atol=0.02, rtol=0)
@@ -287,7 +287,7 @@ def test_green_points_up_where_nothing_says_otherwise(tmp_path: Path) -> None:
     assert maps_of(folder(tmp_path, normal=ridges))[1].mean() > 0.2
 
 
-def test_green_goes_by_option_then_name(tmp_path: Path) -> None:
+def test_direction_of_green_follows_the_option_then_the_name(tmp_path: Path) -> None:
     stored = torch.tensor([0.5, 0.75, 0.9])
     for role, option, sign in (
         ("normal_gl", "auto", 1), ("normal_dx", "auto", -1), ("normal", "directx", -1),
@@ -295,7 +295,7 @@ def test_green_goes_by_option_then_name(tmp_path: Path) -> None:
     ):  # fmt: skip
         read = maps_of(folder(tmp_path / option / role, **{"normal": None, role: stored}), normals=option)
         assert read[1, 0, 0].item() == pytest.approx(0.53 * sign, abs=0.01), (role, option)
-    both = folder(tmp_path / "both", normal=None, nor_gl=stored, nor_dx=turned(stored[:, None, None]))
+    both = folder(tmp_path / "both", normal=None, nor_gl=stored, nor_dx=flip_green(stored[:, None, None]))
     assert maps_of(both)[1, 0, 0] > 0  # OpenGL counts
 
 
@@ -321,7 +321,7 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_what_is_no_material_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+def test_folders_that_are_no_material_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     make, message = BAD[kind]
     make(tmp_path / "in")
-    check_refused(maps_of, tmp_path / "in", message)
+    assert_refused_in_one_line(maps_of, tmp_path / "in", message)

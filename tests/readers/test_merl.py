@@ -1,3 +1,5 @@
+"""MERL tables: values and bins agree with worked values, tables read back as written, and damaged ones are refused."""
+
 import math
 import re
 import struct
@@ -20,7 +22,7 @@ from data_tools.readers.merl import (
     write_merl,
 )
 from metapp.appearance.geometry import is_above_horizon
-from tests.sources import paths_of
+from tests.found_paths import find_paths
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def merl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_read_known_values(merl_file: Path) -> None:
+def test_known_values_are_read(merl_file: Path) -> None:
     table = read_merl(merl_file)
     assert table.shape == (90, 90, 180, 3)
     assert table.dtype == np.float64
@@ -58,7 +60,7 @@ def planes_of(path: Path) -> np.ndarray:
     return np.fromfile(path, "<f8", offset=12).reshape(3, 90, 90, 180)
 
 
-def test_table_round_trip(merl_file: Path, tmp_path: Path) -> None:
+def test_tables_read_back_as_written(merl_file: Path, tmp_path: Path) -> None:
     copy = tmp_path / "new" / "copy.binary"
     write_merl(copy, read_merl(merl_file))
     assert list(copy.parent.iterdir()) == [copy]
@@ -114,7 +116,7 @@ def test_evaluate_ignores_invalid_entries() -> None:
     assert evaluate_merl(np.ones((90, 90, 180, 3)), torch.zeros(2, 4, 3)).shape == (2, 4, 3)
 
 
-def test_tabulate(tmp_path: Path) -> None:
+def test_brdfs_are_tabulated_at_bin_centres(tmp_path: Path) -> None:
     table = tabulate_merl(lambda angles: angles + 1)
     centres, above = merl_centres(), is_above_horizon(merl_centres()).numpy()
     np.testing.assert_array_equal(merl_valid_mask(table), above)
@@ -127,7 +129,7 @@ def test_tabulate(tmp_path: Path) -> None:
         write_merl(tmp_path / "a.binary", tabulate_merl(lambda angles: angles * math.nan))
 
 
-def test_what_is_no_table_is_one_line(merl_file: Path, tmp_path: Path) -> None:
+def test_files_that_are_no_table_are_refused_in_one_line(merl_file: Path, tmp_path: Path) -> None:
     whole, path = merl_file.read_bytes(), tmp_path / "gold.binary"
     assert len(whole) == FILE_BYTES
     expected = "expected 34,992,012 (12-byte header + 3x90x90x180 doubles)"
@@ -145,12 +147,12 @@ def test_what_is_no_table_is_one_line(merl_file: Path, tmp_path: Path) -> None:
             read_merl(path)
 
 
-def test_find(merl_file: Path, tmp_path: Path) -> None:
+def test_merl_files_are_found(merl_file: Path, tmp_path: Path) -> None:
     (tmp_path / "brdfs").mkdir()
     (tmp_path / "brdfs" / "b.binary").symlink_to(merl_file)
     (tmp_path / "readme.txt").write_text("about")
     (tmp_path / ".hidden").write_text("")
-    files, skipped = paths_of(find, tmp_path)
+    files, skipped = find_paths(find, tmp_path)
     assert files == [tmp_path / "brdfs" / "b.binary"]
     assert len(skipped) == 1
     assert "readme.txt: 5 bytes" in skipped[0]

@@ -1,3 +1,5 @@
+"""NBRDF networks as arrays and as Keras models: they are found, read and written unchanged, or refused."""
+
 import importlib.util
 import io
 import math
@@ -21,7 +23,7 @@ from data_tools.readers.nbrdf_files import (
     recognises,
     write_nbrdf,
 )
-from tests.sources import paths_of
+from tests.found_paths import find_paths
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
@@ -81,28 +83,28 @@ def test_evaluate_worked_value_and_gradients() -> None:
     assert all(tensor.grad is not None for tensor in tensors.values())
 
 
-def test_names_in_front(tmp_path: Path) -> None:
+def test_files_with_a_prefix_are_found_and_read(tmp_path: Path) -> None:
     make_network(tmp_path, "red_felt_", seed=3)
     np.testing.assert_array_equal(read_nbrdf(tmp_path)["fc3"], make_weights(3)["fc3"])
-    assert paths_of(find, tmp_path) == ([tmp_path / "red_felt"], [])
+    assert find_paths(find, tmp_path) == ([tmp_path / "red_felt"], [])
     make_network(tmp_path, "gold_", seed=4)
     with pytest.raises(ValueError, match=r"2 networks \(gold, red_felt\), expected one; name it: .*gold"):
         read_nbrdf(tmp_path)
-    assert paths_of(find, tmp_path)[0] == [tmp_path / "gold", tmp_path / "red_felt"]
+    assert find_paths(find, tmp_path)[0] == [tmp_path / "gold", tmp_path / "red_felt"]
     np.testing.assert_array_equal(read_nbrdf(tmp_path / "gold")["b1"], make_weights(4)["b1"])
-    assert paths_of(find, tmp_path / "gold")[0] == [tmp_path / "gold"]
+    assert find_paths(find, tmp_path / "gold")[0] == [tmp_path / "gold"]
     make_network(tmp_path, "", seed=5)
     np.testing.assert_array_equal(read_nbrdf(tmp_path)["b1"], make_weights(5)["b1"])
 
 
-def test_find(tmp_path: Path) -> None:
+def test_complete_networks_are_found(tmp_path: Path) -> None:
     for name in ("set/tin", "set/gold"):
         make_network(tmp_path / name)
     make_network(tmp_path / "set" / "broken")
     (tmp_path / "set" / "broken" / "b2.npy").unlink()
     make_network(tmp_path / "set" / ".hidden")
     (tmp_path / "set" / "notes.txt").write_text("")
-    found, skipped = paths_of(find, tmp_path)
+    found, skipped = find_paths(find, tmp_path)
     assert found == [tmp_path / "set" / "gold", tmp_path / "set" / "tin"]
     assert len(skipped) == 1
     assert "broken: no file for b2, expected fc1.npy" in skipped[0]
@@ -133,7 +135,7 @@ def keras(path: Path, seed: int = 0, drop: str = "") -> Path:
     return path
 
 
-def test_keras_models(tmp_path: Path) -> None:
+def test_keras_models_are_read(tmp_path: Path) -> None:
     path = keras(tmp_path / "set" / "gold.h5", 3)
     for part, array in read_nbrdf(path).items():
         np.testing.assert_array_equal(array, make_weights(3)[part])
@@ -141,23 +143,23 @@ def test_keras_models(tmp_path: Path) -> None:
     keras(tmp_path / "set" / "below" / "TIN.H5", 4)
     make_network(tmp_path / "set" / "zinc")
     (path.parent / "gold.json").write_text("{}")
-    found, skipped = paths_of(find, tmp_path)
+    found, skipped = find_paths(find, tmp_path)
     assert [place.name for place in found] == ["TIN.H5", "gold.h5", "zinc"]
     assert skipped == []
     assert recognises(path)
     assert recognises(path.parent)
-    assert paths_of(find, path) == ([path], [])
+    assert find_paths(find, path) == ([path], [])
     assert read_task(path, 64).name == "gold"
 
 
 @pytest.mark.parametrize(("drop", "message"), {"fc2": "dense layers (6, 21), (21, 3), expected (6, 21), (21, 21), ",
                                                "b2": "b2: shape (0,), expected (21,)"}.items())  # fmt: skip
-def test_keras_models_of_others(tmp_path: Path, drop: str, message: str) -> None:
+def test_keras_models_of_other_networks_are_refused(tmp_path: Path, drop: str, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
         read_nbrdf(keras(tmp_path / "a.h5", drop=drop))
 
 
-def test_what_is_no_keras_model_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_that_are_no_keras_model_are_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.h5"
     path.write_bytes(b"\x89HDF\r\n\x1a\n and no more")
     if importlib.util.find_spec("h5py"):
@@ -169,7 +171,7 @@ def test_what_is_no_keras_model_is_one_line(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(ValueError, match=r"1 networks in HDF5 \(a\.h5, \.\.\.\), which need h5py; pip install"):
         find(tmp_path)
     make_network(tmp_path / "tin")
-    found, (line,) = paths_of(find, tmp_path)
+    found, (line,) = find_paths(find, tmp_path)
     assert found == [tmp_path / "tin"]
     assert "which need h5py" in line
 
@@ -211,7 +213,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_what_is_no_array_is_one_line_and_never_unpickled(
+def test_files_that_are_no_array_are_refused_in_one_line_and_never_unpickled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -223,7 +225,7 @@ def test_what_is_no_array_is_one_line_and_never_unpickled(
     assert not Path("loaded").exists()
 
 
-def test_refuse_to_write(tmp_path: Path) -> None:
+def test_invalid_networks_are_not_written(tmp_path: Path) -> None:
     weights = make_weights()
     with pytest.raises(ValueError, match="weights b1, expected fc1, fc2"):
         write_nbrdf(tmp_path, {"b1": weights["b1"]})

@@ -13,13 +13,13 @@ from data_tools.readers import brdf_objects, environment_maps, flash_photos, squ
 from data_tools.readers.numbers import MAX_ARRAY_VALUES, array_of
 from metapp.extensions.capture.ball import ball_reader
 from metapp.learning.task import Task
-from tests.pictures import noise, write
+from tests.pictures import noise_image, write_image
 
 texture, flash_photo, material, light = (
     form.task_of_object for form in (square_photos, flash_photos, svbrdf_inputs, environment_maps)
 )
 SIDE = 48
-RGB = noise(SIDE, SIDE)
+RGB = noise_image(SIDE, SIDE)
 
 
 def same(task: Task, other: Task) -> bool:
@@ -47,7 +47,7 @@ PICTURES: dict[str, object] = {
 
 
 def test_a_picture_is_read_as_its_file_is(tmp_path: Path) -> None:
-    task = square_photos.read_task(write(tmp_path / "file.png", RGB))
+    task = square_photos.read_task(write_image(tmp_path / "file.png", RGB))
     for kind, source in PICTURES.items():
         assert same(read(texture, source), task), kind
 
@@ -70,10 +70,10 @@ def test_exif_of_a_picture_counts_as_that_of_its_file(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x112] = 6  # orientation
     exif.get_ifd(0x8769)[0xA405] = 20  # mm: wider than fits are
-    Image.fromarray(noise(60, 80)).save(tmp_path / "file.png", exif=exif)
+    Image.fromarray(noise_image(60, 80)).save(tmp_path / "file.png", exif=exif)
     task = flash_photos.read_task(tmp_path / "file.png")
     assert same(read(flash_photo, Image.open(tmp_path / "file.png")), task)
-    assert not same(read(flash_photo, noise(60, 80)), task)
+    assert not same(read(flash_photo, noise_image(60, 80)), task)
 
 
 def waves(side: int = SIDE, dtype: str = "float32") -> dict[str, np.ndarray]:
@@ -93,7 +93,7 @@ def waves(side: int = SIDE, dtype: str = "float32") -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
 def test_linear_maps_stay_what_they_are(turn: float) -> None:
-    """Whatever normals look like: that y points up is known, not guessed."""
+    """y of their normals points up by definition and is not guessed from their values."""
     given = waves()
     given["normal"][..., 1] *= turn
     maps = read(material, given, size=SIDE).data["maps"].float()
@@ -106,7 +106,7 @@ def test_maps_of_integers_are_read_as_their_files_are(tmp_path: Path) -> None:
     maps["normal"] = maps["normal"] * 0.5 + 0.5
     stored = {name: (values * 255 + 0.5).astype(np.uint8) for name, values in maps.items()}
     for name, values in stored.items():
-        write(tmp_path / "files" / f"object_{name}.png", np.atleast_3d(values))
+        write_image(tmp_path / "files" / f"object_{name}.png", np.atleast_3d(values))
     task = svbrdf_inputs.read_task(tmp_path / "files" / "object_diffuse.png")
     assert same(read(material, stored), task)
     pictures = {name: Image.fromarray(values) for name, values in stored.items()}
@@ -116,7 +116,7 @@ def test_maps_of_integers_are_read_as_their_files_are(tmp_path: Path) -> None:
 def test_the_photo_of_a_material_is_that_of_its_maps(tmp_path: Path) -> None:
     maps = read(material, waves(), size=SIDE).data
     photo = read(flash_photo, waves()).data["image"]
-    expected = flash_photos.read_task(write(tmp_path / "photo.png", maps["photo"].permute(1, 2, 0).numpy())).data[
+    expected = flash_photos.read_task(write_image(tmp_path / "photo.png", maps["photo"].permute(1, 2, 0).numpy())).data[
         "image"
     ]
     assert torch.equal(photo, expected)
@@ -128,7 +128,7 @@ LIGHT = np.random.default_rng(0).uniform(0.1, 20, (32, 64, 3)).astype(np.float32
 @pytest.mark.parametrize("source", [LIGHT, torch.from_numpy(LIGHT), LIGHT.astype(np.float64)])
 @pytest.mark.parametrize("observe", ["reference", "photo"])
 def test_a_map_of_light_is_read_as_its_file_is(source: object, observe: str, tmp_path: Path) -> None:
-    task = environment_maps.read_task(write(tmp_path / "object.exr", LIGHT))
+    task = environment_maps.read_task(write_image(tmp_path / "object.exr", LIGHT))
     assert same(read(light, source, observe), task)
 
 
@@ -136,7 +136,7 @@ def test_a_ball_in_memory_is_a_photo(tmp_path: Path) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     ball = (np.clip(1 - x * x - y * y, 0, None) ** 0.5)[..., None] * np.array([1, 0.8, 0.6])
     eight = (ball * 255 + 0.5).astype(np.uint8)
-    task = ball_reader.read_task(write(tmp_path / "object.png", eight))
+    task = ball_reader.read_task(write_image(tmp_path / "object.png", eight))
     assert task.data.keys() == {"photos"}
     assert same(read(light, eight, "reference"), task)
     assert same(read(light, eight / 255, "photo"), task)
@@ -182,7 +182,7 @@ UNIT = RGB / 255
         (light, UNIT, r"an array \[48, 48, 3\], expected linear radiance \[H, 2 H, 3\]"),
     ],
 )
-def test_what_is_none_is_refused_in_a_line(from_object: Callable, source: object, line: str) -> None:
+def test_objects_that_are_no_input_are_refused_in_one_line(from_object: Callable, source: object, line: str) -> None:
     with pytest.raises(ValueError, match=line) as caught:
         read(from_object, source, "reference")
     assert "\n" not in str(caught.value)

@@ -26,8 +26,17 @@ from data_tools.readers.svbrdf_inputs import read_task
 from data_tools.readers.svbrdf_task import correct_exposure, encode_srgb
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.storage.shards import ManifestEntry, split_auto
-from tests.pictures import STORED, check_refused, noise, planes, text, truncated, write, write_exr
-from tests.sources import paths_of
+from tests.found_paths import find_paths
+from tests.pictures import (
+    STORED_BY_ORIENTATION,
+    assert_refused_in_one_line,
+    channels_first,
+    noise_image,
+    truncate_file,
+    write_exr,
+    write_image,
+    write_text,
+)
 
 # 32 x 32 px, quality 60, as Photoshop stores inks: red over blue on the left, green on the right
 CMYK = base64.b64decode(
@@ -61,52 +70,61 @@ def png(path: Path, values: np.ndarray, colours: bytes = b"") -> Path:
 
 
 def test_bits_are_kept_as_far_as_formats_keep_them(tmp_path: Path) -> None:
-    values = noise(48, 48)
+    values = noise_image(48, 48)
     deep = values.astype(np.uint16) * 257
     stored = {"a.png": values, "a.tif": values, "a.bmp": values, "a.tga": values, "a.ppm": values}
     for name, content in (stored | {"deep.png": deep, "deep.tif": deep}).items():
-        image = read_photo(write(tmp_path / name, content), 48)
+        image = read_photo(write_image(tmp_path / name, content), 48)
         assert (image.dtype, image.is_contiguous()) == (torch.uint8, True), name
-        assert torch.equal(image, planes(values)), name
+        assert torch.equal(image, channels_first(values)), name
     values = smooth(64, 64)
     for suffix in ("jpg", "jp2", "webp"):
-        image = read_photo(write(tmp_path / f"a.{suffix}", values), 64)
-        assert (image.float() - planes(values).float()).abs().mean() < 2.5, suffix
+        image = read_photo(write_image(tmp_path / f"a.{suffix}", values), 64)
+        assert (image.float() - channels_first(values).float()).abs().mean() < 2.5, suffix
 
 
 @pytest.mark.parametrize(("suffix", "kind"), [("exr", "half"), ("exr", "float"), ("hdr", "float"), ("tif", "float")])
 def test_floats_are_linear_and_clamped(tmp_path: Path, suffix: str, kind: str) -> None:
     values = np.random.default_rng(0).random((48, 48, 3), dtype=np.float32) * 1.5 - 0.1 * (suffix != "hdr")
-    image = read_photo(write(tmp_path / f"a.{suffix}", values, kind), 48)
-    expected = linear_to_srgb(planes(values).clamp(0, 1)) * 255
+    image = read_photo(write_image(tmp_path / f"a.{suffix}", values, kind), 48)
+    expected = linear_to_srgb(channels_first(values).clamp(0, 1)) * 255
     difference = (image.float() - expected).abs()
     assert difference.mean() < 1 if suffix == "hdr" else difference.max() < 1  # RGBE shares an exponent
 
 
 def test_averages_are_over_exact_areas_in_linear_light(tmp_path: Path) -> None:
     values = np.random.default_rng(0).random((80, 80, 3), dtype=np.float32)
-    image = read_photo(write(tmp_path / "a.exr", values), 32)
+    image = read_photo(write_image(tmp_path / "a.exr", values), 32)
     # a pixel covers 2.5 x 2.5 of the file's: repeating these twice makes it 5 x 5
-    exact = planes(values).repeat_interleave(2, 1).repeat_interleave(2, 2).unfold(1, 5, 5).unfold(2, 5, 5).mean((3, 4))
+    exact = (
+        channels_first(values)
+        .repeat_interleave(2, 1)
+        .repeat_interleave(2, 2)
+        .unfold(1, 5, 5)
+        .unfold(2, 5, 5)
+        .mean((3, 4))
+    )
     assert (image - linear_to_srgb(exact) * 255).abs().max() < 0.51
     values = np.zeros((64, 64, 3), np.float32)
     values[:, ::2] = 1000.0
     values[:32] /= 2000.0
-    image = read_photo(write(tmp_path / "a.exr", values), 32)
+    image = read_photo(write_image(tmp_path / "a.exr", values), 32)
     assert image[0, 24, 5] == round(float(linear_to_srgb(torch.tensor(0.5))) * 255)
     assert image[0, 5, 5] == round(float(linear_to_srgb(torch.tensor(0.25))) * 255)
 
 
 def test_gray_and_layers_go_by_their_channels(tmp_path: Path) -> None:
-    values = noise(48, 48, 1)
+    values = noise_image(48, 48, 1)
     for name in ("a.png", "a.tif"):
-        assert torch.equal(read_photo(write(tmp_path / name, values), 48), planes(values).expand(3, -1, -1))
-    assert read_photo(write(tmp_path / "a.jpg", values), 48).unique(dim=0).shape[0] == 1
+        assert torch.equal(
+            read_photo(write_image(tmp_path / name, values), 48), channels_first(values).expand(3, -1, -1)
+        )
+    assert read_photo(write_image(tmp_path / "a.jpg", values), 48).unique(dim=0).shape[0] == 1
     values = values[..., 0].astype(np.float32)[..., None] / 255
-    assert read_photo(write(tmp_path / "a.exr", values), 48).unique(dim=0).shape[0] == 1
+    assert read_photo(write_image(tmp_path / "a.exr", values), 48).unique(dim=0).shape[0] == 1
     values = np.random.default_rng(0).random((48, 48, 4), dtype=np.float32)
-    write(tmp_path / "a.exr", values, names=("B", "G", "R", "Z"))
-    expected = linear_to_srgb(planes(values[..., 2::-1])) * 255
+    write_image(tmp_path / "a.exr", values, names=("B", "G", "R", "Z"))
+    expected = linear_to_srgb(channels_first(values[..., 2::-1])) * 255
     assert (read_photo(tmp_path / "a.exr", 48) - expected).abs().max() < 0.51
 
 
@@ -115,26 +133,29 @@ def test_inks_and_palettes_become_rgb(tmp_path: Path) -> None:
     image = read_photo(tmp_path / "a.jpg", 32).int()
     for (row, column), colour in {(8, 8): (255, 0, 0), (24, 8): (0, 0, 255), (8, 24): (40, 200, 80)}.items():
         assert (image[:, row, column] - torch.tensor(colour)).abs().max() <= 2
-    indices = noise(40, 40, 1) % 4
-    colours = noise(4, 1, 3, seed=1)
+    indices = noise_image(40, 40, 1) % 4
+    colours = noise_image(4, 1, 3, seed=1)
     image = read_photo(png(tmp_path / "a.png", indices, colours.tobytes()), 40)
-    assert torch.equal(image, planes(colours[indices[..., 0], 0]))
+    assert torch.equal(image, channels_first(colours[indices[..., 0], 0]))
 
 
 @pytest.mark.parametrize("name", ["straight.png", "straight.tif", "multiplied.exr"])
 def test_transparent_parts_get_the_mean_colour_of_the_rest(tmp_path: Path, name: str) -> None:
-    values = np.concatenate([noise(48, 48), np.full((48, 48, 1), 255, np.uint8)], axis=-1)
+    values = np.concatenate([noise_image(48, 48), np.full((48, 48, 1), 255, np.uint8)], axis=-1)
     values[24:, :, 3] = 0
     values[30:, :, :3] = (255, 0, 255)  # what is not seen does not count
     values[20:24, :, 3] = 51
-    colours, alpha = srgb_to_linear(planes(values[..., :3]).double() / 255), planes(values[..., 3:]).double() / 255
+    colours, alpha = (
+        srgb_to_linear(channels_first(values[..., :3]).double() / 255),
+        channels_first(values[..., 3:]).double() / 255,
+    )
     mean = (colours * alpha).sum((1, 2)) / alpha.sum()
     expected = linear_to_srgb(colours * alpha + (1 - alpha) * mean[:, None, None]) * 255
     if name.endswith("exr"):
         floats = torch.cat([colours * alpha, alpha]).permute(1, 2, 0).float().numpy()
-        write(tmp_path / name, floats, **{"oiio:UnassociatedAlpha": 0})
+        write_image(tmp_path / name, floats, **{"oiio:UnassociatedAlpha": 0})
     else:
-        write(tmp_path / name, values)
+        write_image(tmp_path / name, values)
     assert (read_photo(tmp_path / name, 48) - expected).abs().max() < 0.51
 
 
@@ -142,29 +163,29 @@ def test_transparent_parts_get_the_mean_colour_of_the_rest(tmp_path: Path, name:
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
 def test_pictures_are_turned_upright(tmp_path: Path, orientation: int, suffix: str) -> None:
     upright = smooth(96, 48)
-    stored = np.ascontiguousarray(STORED[orientation](upright))
-    image = read_photo(write(tmp_path / f"a.{suffix}", stored, Orientation=orientation), 48)
-    assert (image.float() - planes(upright[24:72]).float()).abs().mean() < 3
+    stored = np.ascontiguousarray(STORED_BY_ORIENTATION[orientation](upright))
+    image = read_photo(write_image(tmp_path / f"a.{suffix}", stored, Orientation=orientation), 48)
+    assert (image.float() - channels_first(upright[24:72]).float()).abs().mean() < 3
 
 
 def test_the_suffix_may_be_wrong_or_missing(tmp_path: Path) -> None:
-    values = noise(48, 48)
-    written = write(tmp_path / "a.png", values).read_bytes()
+    values = noise_image(48, 48)
+    written = write_image(tmp_path / "a.png", values).read_bytes()
     for name in ("b.jpg", "c", "d.photo"):
         (tmp_path / name).write_bytes(written)
         assert is_photo(tmp_path / name)
-        assert torch.equal(read_photo(tmp_path / name, 48), planes(values))
+        assert torch.equal(read_photo(tmp_path / name, 48), channels_first(values))
 
 
 # How it is scaled
 
 
 def test_the_central_square_counts(tmp_path: Path) -> None:
-    values = noise(50, 90)
-    assert torch.equal(read_photo(write(tmp_path / "a.png", values), 50), planes(values[:, 20:70]))
+    values = noise_image(50, 90)
+    assert torch.equal(read_photo(write_image(tmp_path / "a.png", values), 50), channels_first(values[:, 20:70]))
     values = np.ascontiguousarray(values.swapaxes(0, 1))
-    assert torch.equal(read_photo(write(tmp_path / "b.png", values), 50), planes(values[20:70]))
-    path = write(tmp_path / "a.jpg", smooth(300, 200))
+    assert torch.equal(read_photo(write_image(tmp_path / "b.png", values), 50), channels_first(values[20:70]))
+    path = write_image(tmp_path / "a.jpg", smooth(300, 200))
     assert torch.equal(read_photo(path), read_photo(path))
     assert read_photo(path).shape == (3, 256, 256)
 
@@ -177,38 +198,43 @@ def test_a_note_says_what_was_cut_and_scaled(reader: Any, tmp_path: Path) -> Non
         (300, 300, "300 x 300 px, scaled to 256 x 256"),
         (256, 256, ""),
     ):
-        assert reader.read_task(write(tmp_path / "train_1_a b.png", noise(height, width)))[::3] == ("train_1_a b", note)
+        assert reader.read_task(write_image(tmp_path / "train_1_a b.png", noise_image(height, width)))[::3] == (
+            "train_1_a b",
+            note,
+        )
 
 
 def test_smaller_pictures_are_interpolated_only_as_far_as_asked(tmp_path: Path) -> None:
-    image = read_photo(write(tmp_path / "a.png", smooth(40, 40)), 160).int()
+    image = read_photo(write_image(tmp_path / "a.png", smooth(40, 40)), 160).int()
     assert image.shape == (3, 160, 160)
     assert image.diff(dim=2)[0].unique().numel() <= 4  # no blocks
-    assert (image.float().mean((1, 2)) - planes(smooth(40, 40)).float().mean((1, 2))).abs().max() < 1
+    assert (image.float().mean((1, 2)) - channels_first(smooth(40, 40)).float().mean((1, 2))).abs().max() < 1
     for side, read in ((48, 64), (100, 100), (300, 128)):
         picture = np.arange(side * side * 3, dtype=np.uint32).reshape(side, side, 3) % 251
-        write(tmp_path / "a.png", picture.astype(np.uint8))
+        write_image(tmp_path / "a.png", picture.astype(np.uint8))
         assert read_photo(tmp_path / "a.png", 128, least=64).shape == (3, read, read)
 
 
 # What is refused, in one line
 
 
-def oversized(path: Path) -> None:
+def oversized_png(path: Path) -> None:
     """A PNG file of 2^28 + 2^14 px, without any of them."""
     png(path, np.empty((2**14 + 1, 2**14, 0), np.uint8))
 
 
 def halved(path: Path) -> None:
-    truncated(write(path, noise(99, 99).astype(np.float32) if path.suffix == ".exr" else noise(99, 99)))
+    truncate_file(
+        write_image(path, noise_image(99, 99).astype(np.float32) if path.suffix == ".exr" else noise_image(99, 99))
+    )
 
 
 def two_channels(path: Path) -> None:
-    write(path, noise(64, 64, 2), **{"oiio:UnassociatedAlpha": 0})
+    write_image(path, noise_image(64, 64, 2), **{"oiio:UnassociatedAlpha": 0})
 
 
 WORDS = "a texture, in words\n"
-FLOATS = noise(64, 64).astype(np.float32)
+FLOATS = noise_image(64, 64).astype(np.float32)
 WITH_NAN = np.where(np.arange(64 * 64 * 3).reshape(64, 64, 3) == 77, np.float32(np.nan), FLOATS / 300)
 Content = np.ndarray | str | Callable[[Path], object] | None
 BAD: dict[str, tuple[str, Content, str]] = {
@@ -217,21 +243,21 @@ BAD: dict[str, tuple[str, Content, str]] = {
     "text without suffix": ("a", "in words", "a: not an image (OpenImageIO could not find a format reader), expected"),
     "empty": ("a.png", "", "a.png: not an image ("),
     "truncated jpg": ("a.jpg", halved, "a.jpg: damaged or incomplete"),
-    "1x1": ("a.png", noise(1, 1), "1x1 px, expected 32 px or more on the short side"),
-    "oversized": ("a.png", oversized, "16384x16385 px, expected 268,435,456 px or fewer"),
-    "black": ("a.png", 0 * noise(64, 64), "one colour all over (standard deviation 0.0"),
+    "1x1": ("a.png", noise_image(1, 1), "1x1 px, expected 32 px or more on the short side"),
+    "oversized": ("a.png", oversized_png, "16384x16385 px, expected 268,435,456 px or fewer"),
+    "black": ("a.png", 0 * noise_image(64, 64), "one colour all over (standard deviation 0.0"),
     "glaring": ("a.exr", 2 + FLOATS, "values up to 257, most above 1, which is white, expected values in [0, 1];"),
     "NaN": ("a.exr", WITH_NAN, "holds NaN, expected finite values"),
-    "transparent": ("a.png", noise(64, 64, 4) * np.uint8([1, 1, 1, 0]), "transparent all"),
+    "transparent": ("a.png", noise_image(64, 64, 4) * np.uint8([1, 1, 1, 0]), "transparent all"),
     "deep": (
         "a.exr",
-        lambda path: write_exr(path, ("deep:R G B A", noise(48, 48, 4))),
+        lambda path: write_exr(path, ("deep:R G B A", noise_image(48, 48, 4))),
         "a deep image, expected one colour a pixel",
     ),
     "two channels": ("a.tif", two_channels, "channels "),
     "raw": (
         "a.dng",
-        lambda path: write(path.with_suffix(".tif"), noise(64, 64)).rename(path),
+        lambda path: write_image(path.with_suffix(".tif"), noise_image(64, 64)).rename(path),
         "raw values of a camera, expected an image file, such as JPEG, PNG, TIFF or EXR; develop it and export it "
         "as JPEG or PNG.",
     ),
@@ -240,39 +266,39 @@ BAD: dict[str, tuple[str, Content, str]] = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_what_cannot_be_used_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str) -> None:
+def test_unusable_files_are_refused_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str) -> None:
     name, content, message = BAD[kind]
     path = tmp_path / name
     if isinstance(content, np.ndarray):
-        write(path, content)
+        write_image(path, content)
     elif isinstance(content, str):
         path.write_text(content)
     elif content:
         content(path)
-    check_refused(lambda path: read_photo(path, 48), path, message)
+    assert_refused_in_one_line(lambda path: read_photo(path, 48), path, message)
     assert capfd.readouterr() == ("", "")  # image libraries write to the screen by themselves
 
 
 @pytest.mark.parametrize("name", [b"\xff.png", b"\xff"])
-def test_a_name_that_is_not_utf8_is_one_line(tmp_path: Path, name: bytes) -> None:
-    path = write(tmp_path / "a.png", noise(64, 64)).rename(tmp_path / os.fsdecode(name))
+def test_names_that_are_not_utf8_are_refused_in_one_line(tmp_path: Path, name: bytes) -> None:
+    path = write_image(tmp_path / "a.png", noise_image(64, 64)).rename(tmp_path / os.fsdecode(name))
     with pytest.raises(ValueError, match=r"^'[ -~]*': a name that is not UTF-8, expected one that is; rename it\.$"):
         read_photo(path, 48)
     assert is_photo(path) == (name != b"\xff")
 
 
 @pytest.mark.long
-def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
-    text(tmp_path / "bad.jpg")
-    text(tmp_path / "bad")
-    write(tmp_path / "good.png", noise(64, 64))
+def test_no_message_is_printed_when_python_ends(tmp_path: Path) -> None:
+    write_text(tmp_path / "bad.jpg")
+    write_text(tmp_path / "bad")
+    write_image(tmp_path / "good.png", noise_image(64, 64))
     lines = (
         "import sys\nfrom pathlib import Path\nfrom data_tools.readers.square_photos import find_images, read_photo\n"
     )
     lines += "for file in find_images(Path(sys.argv[1]))[0]:\n    try:\n        kept = read_photo(file)\n"
     lines += "    except ValueError as error:\n        last = error\n"
-    done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ("", "")
+    process = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
+    assert (process.stdout, process.stderr) == ("", "")
 
 
 # What is found
@@ -282,28 +308,28 @@ def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
     for name in ("b.JPG", "a.png", "deep/er/c.tiff", ".hidden/d.png", "deep/.e.png"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    write(tmp_path / "deep" / "picture.png", noise(32, 32)).rename(tmp_path / "deep" / "picture")
-    text(tmp_path / "notes.txt")
-    text(tmp_path / "metadata.json")
-    files, skipped = paths_of(find, tmp_path)
+    write_image(tmp_path / "deep" / "picture.png", noise_image(32, 32)).rename(tmp_path / "deep" / "picture")
+    write_text(tmp_path / "notes.txt")
+    write_text(tmp_path / "metadata.json")
+    files, skipped = find_paths(find, tmp_path)
     assert [str(file.relative_to(tmp_path)) for file in files] == ["a.png", "b.JPG", "deep/er/c.tiff", "deep/picture"]
     assert [line.split(":")[0].rpartition("/")[2] for line in skipped] == ["notes.txt"]
-    assert paths_of(find, tmp_path / "notes.txt") == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
+    assert find_paths(find, tmp_path / "notes.txt") == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
     for name, holds in {"": True, "deep/picture": True, "notes.txt": False, "nothing": False}.items():
         assert recognises(tmp_path / name) == holds, name
 
 
 def test_raw_and_heif_files_are_recognised_to_be_explained(tmp_path: Path) -> None:
     for name in ("a.dng", "b.CR2", "c.heic", "d.HEIF"):
-        assert is_photo(text(tmp_path / name))
+        assert is_photo(write_text(tmp_path / name))
         assert recognises(tmp_path / name)
     assert not is_photo(tmp_path / "none.heic")
     assert recognises(tmp_path)
     with pytest.raises(ValueError, match=r"a\.dng: raw values of a camera, .*; develop it and export it as JPEG .*\.$"):
         find(tmp_path)
-    jpg = write(tmp_path / "a.jpg", noise(48, 48))  # a camera may write both
-    renamed = write(tmp_path / "e.jpg", noise(48, 48)).rename(tmp_path / "e.heic")  # and a suffix be wrong
-    files, skipped = paths_of(find, tmp_path)
+    jpg = write_image(tmp_path / "a.jpg", noise_image(48, 48))  # a camera may write both
+    renamed = write_image(tmp_path / "e.jpg", noise_image(48, 48)).rename(tmp_path / "e.heic")  # and a suffix be wrong
+    files, skipped = find_paths(find, tmp_path)
     assert files == [jpg, renamed]
     raw, heif = "raw values of a camera", "a picture in HEIF or AVIF"
     whys = {"a.dng": raw, "b.CR2": raw, "c.heic": heif, "d.HEIF": heif}
@@ -311,7 +337,7 @@ def test_raw_and_heif_files_are_recognised_to_be_explained(tmp_path: Path) -> No
 
 
 def test_folders_without_images_and_bombs_are_refused(tmp_path: Path) -> None:
-    text(tmp_path / "notes.txt")
+    write_text(tmp_path / "notes.txt")
     assert not recognises(tmp_path)
     with pytest.raises(ValueError, match=r"no image in this folder, expected an image file"):
         find(tmp_path)
@@ -333,7 +359,7 @@ def touch(folder: Path, *names: str) -> None:
 
 def splits_of(folder: Path) -> dict[str, str]:
     """The split of each photograph of a folder, by the name of its task."""
-    found = flash_photos.entries(paths_of(flash_photos.find, folder)[0], [folder], "auto").values()
+    found = flash_photos.entries(find_paths(flash_photos.find, folder)[0], [folder], "auto").values()
     by_group = split_auto(sorted(entry.group for entry in found))
     return {entry.name: entry.split or by_group[entry.group] for entry in found}
 
@@ -380,7 +406,7 @@ def test_every_fifth_material_is_for_tests_whole(tmp_path: Path, layout: str) ->
 def test_stated_splits_hold_where_both_occur(tmp_path: Path) -> None:
     touch(tmp_path, "test_a_1.jpg", "test_a_2.jpg", "train_b_1.jpg", "test/c/1.jpg", "train/d.jpg", "metadata.json")
     assert splits_of(tmp_path) == {"a_1": "test", "a_2": "test", "b_1": "train", "c_1": "test", "d": "train"}
-    assert paths_of(flash_photos.find, tmp_path)[1] == []
+    assert find_paths(flash_photos.find, tmp_path)[1] == []
     touch(tmp_path, "e.jpg")  # one that says nothing: the rule decides on all
     assert {name for name, side in splits_of(tmp_path).items() if side == "test"} == {"e"}
 
@@ -399,7 +425,7 @@ def photo(path: Path, focal: int = 0, height: int = 96, width: int = 128) -> Pat
     """A ramp along both axes, so that every crop is another picture."""
     y, x = np.mgrid[:height, :width]
     attributes = {"Exif:FocalLengthIn35mmFilm": focal} if focal else {}
-    return write(path, np.uint8(np.stack([x + 40, 2 * y + 20, 100 + 0 * x], -1)), **attributes)
+    return write_image(path, np.uint8(np.stack([x + 40, 2 * y + 20, 100 + 0 * x], -1)), **attributes)
 
 
 def test_fields_of_view_of_known_lenses() -> None:
@@ -413,7 +439,7 @@ def test_fields_of_view_of_known_lenses() -> None:
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "tif", "png"])
-def test_of_a_wide_lens_fits_see_what_their_camera_does(tmp_path: Path, suffix: str) -> None:
+def test_photos_of_wide_lenses_are_cropped_to_the_fits_camera(tmp_path: Path, suffix: str) -> None:
     path = photo(tmp_path / f"a.{suffix}", focal=26)
     share = math.tan(math.radians(22.5)) / math.tan(field_of_view_rad(26, 96, 128) / 2)
     side = round(96 * share)
@@ -425,11 +451,11 @@ def test_of_a_wide_lens_fits_see_what_their_camera_does(tmp_path: Path, suffix: 
     assert torch.equal(svbrdf_inputs.read_task(path, side).data["photo"].float(), found)
 
 
-def test_fields_of_view_go_by_the_user_then_the_file(tmp_path: Path) -> None:
+def test_fields_of_view_follow_the_user_then_the_file(tmp_path: Path) -> None:
     wide, plain = photo(tmp_path / "a.png", focal=26), photo(tmp_path / "b.png")
-    said = [flash_photos.read_task(path, 64, math.radians(70)).data["image"] for path in (wide, plain)]
-    assert torch.equal(*said)
-    assert not torch.equal(said[0], flash_photos.read_task(wide, 64).data["image"])
+    output = [flash_photos.read_task(path, 64, math.radians(70)).data["image"] for path in (wide, plain)]
+    assert torch.equal(*output)
+    assert not torch.equal(output[0], flash_photos.read_task(wide, 64).data["image"])
     texture = photo(tmp_path / "c.png", focal=13)
     whole = square_photos.read_task(plain, 96).data["image"]
     assert torch.equal(flash_photos.read_task(plain, 96).data["image"], whole)
@@ -437,8 +463,8 @@ def test_fields_of_view_go_by_the_user_then_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("exif", [b"", b"Exif\0\0", b"Exif\0\0II*\0\xff\xff\xff\xff", b"nonsense" * 9])
-def test_damaged_exif_says_nothing(exif: bytes) -> None:
-    picture = Image.fromarray(noise(48, 48))
+def test_damaged_exif_is_ignored(exif: bytes) -> None:
+    picture = Image.fromarray(noise_image(48, 48))
     picture.info["exif"] = exif
     assert pixels_of_pil(picture, "a").focal_mm == 0
 
@@ -465,7 +491,7 @@ def test_a_photo_is_exposed_anew_but_where_it_clips(stops: float) -> None:
     torch.testing.assert_close(linear(found)[:, ~clips], RADIANCE[:, ~clips], atol=tolerance, rtol=0)
 
 
-def test_a_file_is_read_so(tmp_path: Path) -> None:
+def test_exposure_stops_are_applied_when_a_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "wall.png"
     pixels = encode_srgb(RADIANCE / 2).permute(1, 2, 0).contiguous().numpy()
     image = oiio.ImageBuf(pixels)

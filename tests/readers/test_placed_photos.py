@@ -43,15 +43,15 @@ def write(path: Path, seed: int, height: int = 48, width: int = 48) -> Path:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Three photos, written in another order than that of their names."""
-    made = tmp_path / "leaf"
-    made.mkdir()
+    result = tmp_path / "leaf"
+    result.mkdir()
     for name, seed in (("c.png", 3), ("a.png", 1), ("b.png", 2)):
-        write(made / name, seed)
-    (made / CAMERA_TEXT).write_text("0,0,16\n1,0,16\n2,0,16\n\n")
-    (made / LIGHT_TEXT).write_text("0,2,16\n-2,4,8\n0,0,16\n")
-    (made / SIZE_TEXT).write_text("8\n")
-    (made / "light_power.txt").write_text("1500,1500,1500\n")
-    return made
+        write(result / name, seed)
+    (result / CAMERA_TEXT).write_text("0,0,16\n1,0,16\n2,0,16\n\n")
+    (result / LIGHT_TEXT).write_text("0,2,16\n-2,4,8\n0,0,16\n")
+    (result / SIZE_TEXT).write_text("8\n")
+    (result / "light_power.txt").write_text("1500,1500,1500\n")
+    return result
 
 
 def test_a_folder_is_one_task_in_the_order_of_names(folder: Path) -> None:
@@ -76,26 +76,26 @@ def test_texts_that_windows_wrote_are_those_of_unix(folder: Path, encoding: str)
     assert torch.equal(photos.read_places(folder, 3), before)
 
 
-def found(path: Path) -> list[tuple[str, Path]]:
+def inputs_by_format(path: Path) -> list[tuple[str, Path]]:
     """What each format of the application finds in a path that it recognises."""
     modules = {name: form.load() for name, form in input_formats(APP).items()}
     readers = {name: module for name, module in modules.items() if module.recognises(path)}
     return [(name, source.path) for name, module in readers.items() for source in module.find(path)[0]]
 
 
-def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:
-    assert found(folder) == [("placed", folder)]
-    assert found(folder / "b.png") == [("svbrdf", folder / "b.png")]
-    assert found(folder.parent) == [("placed", folder)]
+def test_photos_in_folders_without_positions_are_single_inputs(folder: Path) -> None:
+    assert inputs_by_format(folder) == [("placed", folder)]
+    assert inputs_by_format(folder / "b.png") == [("svbrdf", folder / "b.png")]
+    assert inputs_by_format(folder.parent) == [("placed", folder)]
     plain = write(folder.parent / "wall.png", 4)
-    assert found(folder.parent) == [("placed", folder), ("svbrdf", plain)]
+    assert inputs_by_format(folder.parent) == [("placed", folder), ("svbrdf", plain)]
     for name in (CAMERA_TEXT, LIGHT_TEXT):
         (folder / name).unlink()
-    assert [name for name, _ in found(folder)] == ["svbrdf"] * 3
+    assert [name for name, _ in inputs_by_format(folder)] == ["svbrdf"] * 3
 
 
 @pytest.fixture(params=["", "no weights"])
-def lacking(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def missing_weights(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """What the recipe of one photo, `pretrained`, finds missing."""
     monkeypatch.setattr(
         "metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: request.param
@@ -104,8 +104,8 @@ def lacking(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     return lack
 
 
-def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: str) -> None:
-    one = "full" if lacking else "pretrained"
+def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, missing_weights: str) -> None:
+    one = "full" if missing_weights else "pretrained"
 
     def recipe(*inputs: Path, observe: str = "photo") -> str:
         return Run.from_options(fit_options(APP, "general", inputs, observe=observe)).options.recipe
@@ -115,7 +115,9 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path, lacking: s
     assert recipe() == recipe(folder, folder / "a.png", observe="reference") == "full"
 
 
-def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tmp_path: Path, lacking: str) -> None:
+def test_data_sets_and_tasks_of_several_photos_have_that_recipe(
+    folder: Path, tmp_path: Path, missing_weights: str
+) -> None:
     task = photos.read_task(folder)
     write_data_set(tmp_path / "set", APP, dict.fromkeys(task.data, "-"), [(task, "test", "")])
     options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
@@ -125,7 +127,7 @@ def test_data_sets_and_tasks_of_several_photos_have_that_recipe(folder: Path, tm
 
     assert recipe(*find_sources(options)) == recipe(source_of_tensors(APP, "leaf", task.data)) == "several"
     one = source_of_tensors(APP, "one", {"photo": task.data["photo"]})
-    assert recipe(one) == ("full" if lacking else "pretrained")
+    assert recipe(one) == ("full" if missing_weights else "pretrained")
 
 
 def test_a_folder_tells_how_many_photos_it_holds(folder: Path) -> None:
@@ -153,14 +155,14 @@ def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, m
     assert not (folder.parent / "runs").exists()
 
 
-def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
+def test_fits_name_the_recipe_that_inputs_choose(folder: Path, metapp: Callable) -> None:
     result = metapp("general", APP, folder, "--observe", "photo", "--out", folder.parent / "runs", "--json")
     assert result.code == 0, result.err
     assert f"{APP}: recipe several, since every input has several photos\n" in result.err
-    assert result.document["tasks"][0]["counts"] == {"photos": 3}
+    assert result.json_document["tasks"][0]["counts"] == {"photos": 3}
     assert re.search(r"^relief: mean tilt \d+\.\d degrees$", result.err, re.MULTILINE)
-    made = Path(result.document["out"]) / "leaf"
-    assert {f"photo_{i}.png" for i in (1, 2, 3)} <= {path.name for path in made.iterdir()}
+    output_folder = Path(result.json_document["out"]) / "leaf"
+    assert {f"photo_{i}.png" for i in (1, 2, 3)} <= {path.name for path in output_folder.iterdir()}
     refused = metapp("general", APP, folder, "--observe", "reference", "--out", folder.parent / "runs").error
     assert "leaf: a flash photo, expected a material's maps" in refused
     assert "leave --observe reference out" in refused
@@ -209,7 +211,7 @@ def test_bad_folders_are_refused_in_a_line(folder: Path, change: Callable[[Path]
 # Its checkpoints
 
 
-def test_its_general_ships_with_the_adam_and_the_rule_for_it() -> None:
+def test_general_of_several_photos_ships_with_its_adam_and_rule() -> None:
     folder = checkpoint_folder(APP, "several")
     names = ("gauss-newton-photo", "general-photo", "quickft-photo")
     assert sorted(path.stem for path in folder.glob("*.safetensors")) == list(names)
@@ -226,17 +228,17 @@ def test_its_general_ships_with_the_adam_and_the_rule_for_it() -> None:
 
 
 @pytest.mark.slow
-def test_five_photos_say_more_than_one_by_default() -> None:
-    """By what ships: one photo by the recipe that a user gets, five by that of folders with places."""
+def test_fits_of_five_photos_have_lower_errors_than_fits_of_one() -> None:
+    """Checkpoints that ship are compared: one photo by its default recipe, five by that of folders with positions."""
     tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
     errors = {}
     for recipe, paradigm in (("full", "meta"), ("several", "general"), ("several", "quickft"), ("several", "meta")):
         by = attach_checkpoint(Run.from_options(fit_options(APP, paradigm, observe="photo", recipe=recipe, quiet=True)))
         of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
         theta = [by.paradigm.fit(by.phi, stack_tasks(by.app, [task]), Generator()) for task in of]
-        found = [by.app.errors(each, stack_tasks(by.app, [t])) for each, t in zip(theta, of, strict=True)]
+        found = [by.app.errors(parameters, stack_tasks(by.app, [t])) for parameters, t in zip(theta, of, strict=True)]
         errors[recipe, paradigm] = {
-            key: sum(float(each[key]) for each in found) / len(found) for key in ("error", "normal")
+            key: sum(float(errors_of_task[key]) for errors_of_task in found) / len(found) for key in ("error", "normal")
         }
     meta = errors["several", "meta"]
     assert meta["error"] < 0.9 * errors["several", "general"]["error"]

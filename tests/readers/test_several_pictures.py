@@ -12,10 +12,10 @@ from PIL import Image
 from data_tools.readers import material_maps, square_photos
 from data_tools.readers.camera_raws import is_raw
 from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, IMAGE_SUFFIXES, read_pixels, shape_of
-from tests.pictures import noise, write
-from tests.sources import paths_of
+from tests.found_paths import find_paths
+from tests.pictures import noise_image, write_image
 
-PICTURE, PREVIEW = noise(60, 80, seed=1), noise(40, 48, seed=2)
+PICTURE, PREVIEW = noise_image(60, 80, seed=1), noise_image(40, 48, seed=2)
 
 
 def pages(path: Path, *values: np.ndarray) -> Path:
@@ -41,7 +41,7 @@ def test_the_largest_picture_of_a_tiff_counts_and_is_named(tmp_path: Path, order
     assert lines == [f"{path}: {len(order)} pictures, taken: number 2, 80x60 px, the largest."]
 
 
-def test_nothing_is_said_of_a_first_picture_and_its_previews(tmp_path: Path) -> None:
+def test_first_picture_with_previews_causes_no_line(tmp_path: Path) -> None:
     for count in (1, 2, 3):
         values, lines = read(pages(tmp_path / f"{count}.tif", PICTURE, *[PREVIEW] * (count - 1)))
         np.testing.assert_array_equal(values, PICTURE)
@@ -80,18 +80,18 @@ RAWS = ("mosaic", "mosaic after a preview", "mosaic below a preview", "DNG", "Ni
 
 @pytest.mark.parametrize("kind", RAWS)
 @pytest.mark.parametrize("name", ["DSC_1.TIF", "DSC_1.jpg", "DSC_1.nef"])
-def test_raws_are_told_by_content_whatever_their_name(tmp_path: Path, kind: str, name: str) -> None:
+def test_raw_files_are_recognised_by_content_whatever_their_name(tmp_path: Path, kind: str, name: str) -> None:
     (path := tmp_path / name).write_bytes(raw_of(kind))
     assert is_raw(path)
     with pytest.raises(ValueError, match=r"raw values of a camera, .*; develop it and export it as JPEG or PNG"):
         square_photos.read_task(path)
 
 
-def test_pictures_are_no_raws(tmp_path: Path) -> None:
+def test_pictures_are_not_taken_for_raw_files(tmp_path: Path) -> None:
     for suffix in (".tif", ".jpg", ".png", ".exr"):
         values = PICTURE.astype(np.float32) if suffix == ".exr" else PICTURE
-        assert not is_raw(write(tmp_path / f"a{suffix}", values))
-    assert not is_raw(write(tmp_path / "f.tif", PICTURE.astype(np.float32)))
+        assert not is_raw(write_image(tmp_path / f"a{suffix}", values))
+    assert not is_raw(write_image(tmp_path / "f.tif", PICTURE.astype(np.float32)))
     assert not is_raw(pages(tmp_path / "pages.tif", PREVIEW, PICTURE))
     loop = b"II*\0" + struct.pack("<I", 8) + tiff_directory(8, (0x0106, 3, 2))  # a directory after itself
     for content in (b"", b"II*\0", b"II*\0\xff\xff\xff\xff", loop, b"MM\0*" + bytes(4)):
@@ -107,20 +107,25 @@ AMBIGUOUS = {".z", ".int", ".sm", ".vsm", ".null", ".nul", ".term", ".zfile"}
 
 def test_folders_know_every_suffix_that_the_library_reads() -> None:
     kinds = [kind.partition(":") for kind in oiio.get_string_attribute("extension_list").split(";")]
-    suffixes = {f".{suffix}" for kind, _, some in kinds if kind not in ("ffmpeg", "openvdb", "raw", "ptex", "heif",
-                "dicom", "r3d") for suffix in some.split(",")}  # fmt: skip
+    no_pictures = ("ffmpeg", "openvdb", "raw", "ptex", "heif", "dicom", "r3d")
+    suffixes = {
+        f".{suffix}"
+        for kind, _, format_suffixes in kinds
+        if kind not in no_pictures
+        for suffix in format_suffixes.split(",")
+    }
     assert suffixes - AMBIGUOUS <= set(IMAGE_SUFFIXES) <= set(ALL_PICTURE_SUFFIXES)
 
 
 @pytest.mark.parametrize(("written", "suffix"), [("tif", "tx"), ("tga", "targa"), ("jp2", "j2k"), ("tif", "env"),
                                                 ("sgi", "rgb"), ("tga", "vda"), ("jpg", "jfi")])  # fmt: skip
-def test_what_is_read_by_name_is_found_in_folders(tmp_path: Path, written: str, suffix: str) -> None:
+def test_files_that_are_read_by_name_are_found_in_folders(tmp_path: Path, written: str, suffix: str) -> None:
     files = []
     for role in ("photo", "rock_diffuse", "rock_roughness"):
-        path = write(tmp_path / role / f"{role}.{written}", noise(64, 64))
+        path = write_image(tmp_path / role / f"{role}.{written}", noise_image(64, 64))
         files.append(path.rename(tmp_path / f"{role}.{suffix}"))
         path.parent.rmdir()
-    assert paths_of(square_photos.find, tmp_path) == (sorted(files), [])
+    assert find_paths(square_photos.find, tmp_path) == (sorted(files), [])
     assert square_photos.read_task(files[0]).data["image"].shape == (3, 256, 256)
     (material,), _ = material_maps.list_materials(tmp_path)
     assert material.name == "rock"

@@ -14,9 +14,9 @@ from data_tools.readers.strips import blended_materials, group_strips, split_str
 from data_tools.readers.svbrdf_task import encode_srgb, render_flash_photo
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, normal_from_height, pack_maps, unpack_maps
-from tests.pictures import check_refused
+from tests.found_paths import find_paths
+from tests.pictures import assert_refused_in_one_line
 from tests.pictures import write_planes as write
-from tests.sources import paths_of
 
 
 def material(size: int = 64) -> Tensor:
@@ -108,9 +108,13 @@ def test_predicted_maps_that_are_not_whole_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "7;a;b.png", example())
     folder = predictions(tmp_path / "predicted", "7", material(48))
     write(folder / "7_R.png", torch.rand(3, 40, 40))
-    for missing, said in (("", "48 x 48, 48 x 48, 40 x 40, 48 x 48 px"), ("R", "7_R.png: no such file"), ("N", "7_N")):
+    for missing, message in (
+        ("", "48 x 48, 48 x 48, 40 x 40, 48 x 48 px"),
+        ("R", "7_R.png: no such file"),
+        ("N", "7_N"),
+    ):
         (folder / f"7_{missing}.png").unlink(missing_ok=not missing)
-        check_refused(lambda place: strips.read_task(path, predicted=place), folder, said)
+        assert_refused_in_one_line(lambda place: strips.read_task(path, predicted=place), folder, message)
 
 
 @pytest.mark.parametrize(("side", "size", "wanted"), [(270, 2048, 270), (270, 264, 264), (64, 2048, 256), (64, 32, 32)])
@@ -143,16 +147,16 @@ BLENDS = {
 }  # fmt: skip
 
 
-def test_what_a_strip_is_made_of() -> None:
+def test_strip_names_state_components_and_presets() -> None:
     assert {name: blended_materials(Path("in") / f"{name}.png") for name in BLENDS} == BLENDS
 
 
-def named(*kinds: tuple[str, str], count: int = 1) -> list[Path]:
+def strip_paths(*kinds: tuple[str, str], count: int = 1) -> list[Path]:
     """Strips by materials and presets."""
     return [Path(f"{index:07d}_{i};{a};{b}.png") for i in range(count) for index, (a, b) in enumerate(kinds)]
 
 
-def sides_of(paths: list[Path], by: str) -> dict[str, set[str]]:
+def components_by_split(paths: list[Path], by: str) -> dict[str, set[str]]:
     """What the strips of each side are made of."""
     sides, parted = split_strips(paths)
     assert parted == by
@@ -166,45 +170,45 @@ def sides_of(paths: list[Path], by: str) -> dict[str, set[str]]:
 
 
 def test_of_many_components_every_fifth_is_for_tests_whole() -> None:
-    paths = named(*((f"a{i}Xb{i}", "0X0") for i in range(11)), ("a3Xb4", "0X1"), count=2)
+    paths = strip_paths(*((f"a{i}Xb{i}", "0X0") for i in range(11)), ("a3Xb4", "0X1"), count=2)
     random.Random(0).shuffle(paths)
-    found = sides_of(paths, "material")
+    found = components_by_split(paths, "material")
     assert len(split_strips(paths)[0]) == len(paths)
     # a3, b3, a4, b4 are one component, the largest and so the first in line
     assert found["test"] == {"a2", "b2", "a9", "b9"}
     assert set(group_strips(paths).values()) == {f"a{i}" for i in range(11)} - {"a4"}
 
 
-def test_components_that_are_few_are_cut_where_least_is_lost() -> None:
+def test_few_components_are_split_where_fewest_strips_are_lost() -> None:
     # A chain; parting a4Xa5 leaves 6 and 3 of 10.
-    paths = named(*((f"a{i}Xa{i + 1}", "0X0") for i in range(10)))
+    paths = strip_paths(*((f"a{i}Xa{i + 1}", "0X0") for i in range(10)))
     sides, _ = split_strips(paths)
-    found = sides_of(paths, "material")
+    found = components_by_split(paths, "material")
     assert len(sides) == len(paths) - 1
     assert 2 <= len(found["test"]) - 1 <= 4
     assert Counter(sides.values())["test"] >= 2
 
 
-def test_presets_are_parted_where_all_materials_are_blended() -> None:
-    paths = named(*((f"{a}X{b}", f"{i}X{i}") for a, b in ("ab", "bc", "ac") for i in range(5)), count=2)
-    found = sides_of(paths, "preset")
+def test_presets_are_split_where_all_materials_are_blended() -> None:
+    paths = strip_paths(*((f"{a}X{b}", f"{i}X{i}") for a, b in ("ab", "bc", "ac") for i in range(5)), count=2)
+    found = components_by_split(paths, "preset")
     assert len(split_strips(paths)[0]) == len(paths)
     assert found["test"] == {"a;0", "b;0", "c;0"}
     assert len(set(group_strips(paths).values())) == 15  # both strips of a blend are one group
 
 
-def test_what_cannot_be_parted_trains() -> None:
-    for paths in (named(("aXb", "0X0"), count=9), [Path("a.png")], named(("aXb", "0X0"), ("bXa", "0X0"))):
+def test_strips_that_cannot_be_split_are_training_tasks() -> None:
+    for paths in (strip_paths(("aXb", "0X0"), count=9), [Path("a.png")], strip_paths(("aXb", "0X0"), ("bXa", "0X0"))):
         assert split_strips(paths)[0] == dict.fromkeys(paths, "train")
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_split_parts_a_material_whatever_the_blends(seed: int) -> None:
+def test_no_split_has_a_material_on_both_sides(seed: int) -> None:
     rng = random.Random(seed)
     kinds = [(f"m{rng.randrange(20):02d}Xm{rng.randrange(20):02d}", f"{rng.randrange(3)}X0") for _ in range(60)]
-    paths = named(*kinds)
+    paths = strip_paths(*kinds)
     split = split_strips(paths)
-    sides_of(paths, split[1])
+    components_by_split(paths, split[1])
     assert split == split_strips(list(paths))
 
 
@@ -231,9 +235,9 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_what_is_no_strip_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+def test_files_that_are_no_strip_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     make, message = BAD[kind]
-    check_refused(strips.read_task, make(tmp_path), message)
+    assert_refused_in_one_line(strips.read_task, make(tmp_path), message)
 
 
 # What fits read
@@ -249,7 +253,7 @@ def test_fits_read_strips_maps_and_photographs(tmp_path: Path) -> None:
     write(tmp_path / "rock" / "rock_norm.png", maps[:3] / 2 + 0.5)
     write(tmp_path / "rock" / "rock_gloss.png", maps[6:7])
     assert svbrdf_inputs.recognises(tmp_path)
-    sources, skipped = paths_of(svbrdf_inputs.find, tmp_path)
+    sources, skipped = find_paths(svbrdf_inputs.find, tmp_path)
     assert skipped == []
     tasks = {source.name: svbrdf_inputs.read_task(source, 64) for source in sources}
     mapped = {name: ["maps", "photo"] for name in ("off by one.png", "rock.png", "strip.png")}

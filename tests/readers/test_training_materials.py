@@ -23,7 +23,9 @@ APP = "svbrdf_nonstationary"
         ({"roughness": None, "gloss": 0.4}, [1.0, 1.0, 1.0, 1.0]),
     ],
 )
-def test_what_a_set_lacks_is_known(metapp: Callable, tmp_path: Path, maps: dict, known: list[float]) -> None:
+def test_parts_that_a_set_lacks_are_marked_unknown(
+    metapp: Callable, tmp_path: Path, maps: dict, known: list[float]
+) -> None:
     given = folder(tmp_path / "rock", **maps)
     assert metapp("data", "materials", given, "--size", "32", "--split", "train", "--out", tmp_path / "set").code == 0
     (task,) = read_data_set(tmp_path / "set", "train")
@@ -41,13 +43,13 @@ def test_maps_that_are_smaller_are_repeated(metapp: Callable, tmp_path: Path, rn
     for side in (64, size):
         words = ("data", "materials", given, "--size", side, "--split", "train", "--out", tmp_path / f"{side}")
         assert metapp(*words).code == 0
-    own, made = (read_data_set(tmp_path / f"{side}", "train")[0].data for side in (64, size))
-    assert made["photo"].shape[-1] == made["maps"].shape[-1] == size
+    own, result = (read_data_set(tmp_path / f"{side}", "train")[0].data for side in (64, size))
+    assert result["photo"].shape[-1] == result["maps"].shape[-1] == size
     if size > 64:
-        assert torch.equal(made["maps"], own["maps"].repeat(1, 3, 3)[:, :size, :size])
+        assert torch.equal(result["maps"], own["maps"].repeat(1, 3, 3)[:, :size, :size])
     else:
         pooled = torch.nn.functional.avg_pool2d(own["maps"][3:6].float(), 2)
-        torch.testing.assert_close(made["maps"][3:6].float(), pooled, atol=0.02, rtol=0)
+        torch.testing.assert_close(result["maps"][3:6].float(), pooled, atol=0.02, rtol=0)
 
 
 def test_drawn_materials_stay_as_they_are(metapp: Callable, tmp_path: Path) -> None:
@@ -69,6 +71,6 @@ def test_drawn_materials_stay_as_they_are(metapp: Callable, tmp_path: Path) -> N
 
 def test_a_set_without_normals_is_refused(metapp: Callable, tmp_path: Path) -> None:
     given = folder(tmp_path / "rock", normal=None, roughness=None, specular=0.5)
-    done = metapp("data", "materials", given, "--out", tmp_path / "set")
-    assert done.code == 1
-    assert "no normal map" in " ".join(done.err.split())
+    result = metapp("data", "materials", given, "--out", tmp_path / "set")
+    assert result.code == 1
+    assert "no normal map" in " ".join(result.err.split())

@@ -51,21 +51,21 @@ def test_names_and_links_tell_the_version(tmp_path: Path) -> None:
 
 def test_a_library_without_a_version_in_its_name_is_asked(tmp_path: Path) -> None:
     try:
-        there = find_llvm()
+        found_library = find_llvm()
     except ValueError as error:
         pytest.skip(str(error))
     copy = tmp_path / "libLLVM.so"
     try:
-        os.link(there.resolve(), copy)
+        os.link(found_library.resolve(), copy)
     except OSError:
-        pytest.skip(f"{tmp_path} is on another disk than {there}")
-    assert llvm_version(copy) == llvm_version(there)
+        pytest.skip(f"{tmp_path} is on another disk than {found_library}")
+    assert llvm_version(copy) == llvm_version(found_library)
 
 
 def test_the_users_choice_comes_first_then_the_environments(environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = make(environment / "llvm" / "libLLVM.so.19.1")
+    environment_library = make(environment / "llvm" / "libLLVM.so.19.1")
     make(environment / "libLLVM-20.so")
-    assert find_llvm() == own
+    assert find_llvm() == environment_library
     chosen = make(environment.parent / "libLLVM-22.so")
     monkeypatch.setenv(LLVM_VARIABLE, str(chosen))
     assert find_llvm() == chosen
@@ -83,14 +83,14 @@ def test_old_libraries_are_passed_over_with_a_remedy(environment: Path, monkeypa
     assert find_llvm() == fit
 
 
-def printed(lines: str, *arguments: str, **environment: str) -> str:
+def output_of_process(lines: str, *arguments: str, **environment: str) -> str:
     """What another process prints."""
     root = Path(__file__).parents[2]
     command = [sys.executable, "-c", lines, *arguments]
-    done = subprocess.run(
+    process = subprocess.run(
         command, capture_output=True, text=True, check=True, cwd=root, env={**os.environ, **environment}, timeout=120
     )
-    return done.stdout.strip()
+    return process.stdout.strip()
 
 
 @pytest.mark.long
@@ -105,7 +105,7 @@ def test_a_mitsuba_with_an_old_library_is_refused() -> None:
     lines = "import mitsuba\nfrom metapp.rendering.variant import *\nimport os\ndel os.environ[LLVM_VARIABLE]\n"
     lines += f"os.environ[LLVM_VARIABLE] = {str(fit)!r}\n"
     lines += "try:\n    load_mitsuba()\nexcept ValueError as error:\n    print(error)"
-    assert "imported before with libLLVM" in printed(lines, **{LLVM_VARIABLE: str(old[0])})
+    assert "imported before with libLLVM" in output_of_process(lines, **{LLVM_VARIABLE: str(old[0])})
 
 
 @pytest.mark.long
@@ -114,10 +114,10 @@ def test_exr_files_work_with_one_thread_of_torch(tmp_path: Path) -> None:
     """Mitsuba waits for a thread of Dr.Jit's pool, which has one less than it is told."""
     lines = "import sys, numpy, torch\nfrom metapp.rendering.variant import load_mitsuba\ntorch.set_num_threads(1)\n"
     lines += "mi = load_mitsuba()\nmi.Bitmap(numpy.ones((64, 32, 3), 'float32')).write(sys.argv[1])\n"
-    assert printed(lines + "print(mi.Bitmap(sys.argv[1]).size())", str(tmp_path / "a.exr")) == "[32, 64]"
+    assert output_of_process(lines + "print(mi.Bitmap(sys.argv[1]).size())", str(tmp_path / "a.exr")) == "[32, 64]"
 
 
-def test_kernels_of_others_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_that_other_users_can_write_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / ".drjit"
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv(KERNELS_VARIABLE, "")

@@ -45,12 +45,12 @@ def cell_means(tracer: Tracer, count: int, dimensions: int) -> tuple[Tensor, Ten
 
 
 def mitsuba_means(scene: dict[str, Any], depth: int, runs: int = 16) -> tuple[Tensor, Tensor]:
-    """The same by Mitsuba's path integrator, without the tracer's code."""
+    """Return means and standard errors of cells of the film by Mitsuba's path integrator, without the tracer's code."""
     loaded = load_scene({**scene, "sensor": {**scene["sensor"], "film": box_film(CELLS, CELLS)}})
     mi = loaded.mitsuba
     path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 100})
     pictures = [mi.render(loaded.scene, integrator=path, spp=128, seed=seed).numpy() for seed in range(runs)]
-    values = torch.stack([colour_luminance(torch.from_numpy(each).reshape(-1, 3)) for each in pictures]).double()
+    values = torch.stack([colour_luminance(torch.from_numpy(picture).reshape(-1, 3)) for picture in pictures]).double()
     return values.mean(0).view(CELLS, CELLS), (values.std(0) / math.sqrt(runs)).view(CELLS, CELLS)
 
 
@@ -59,7 +59,7 @@ def mitsuba_means(scene: dict[str, Any], depth: int, runs: int = 16) -> tuple[Te
     ("seed", "depth", "dimensions", "next_event"),
     [(0, 6, 4, False), (4, 4, 6, False), long(2, 6, 4, True), long(4, 4, 6, True)],
 )
-def test_the_tracer_finds_what_mitsuba_does(seed: int, depth: int, dimensions: int, next_event: bool) -> None:
+def test_tracer_agrees_with_mitsuba(seed: int, depth: int, dimensions: int, next_event: bool) -> None:
     scene = random_scene(seed)
     ours, our_error = cell_means(Tracer(scene, depth, next_event=next_event), 2**20, dimensions)
     theirs, their_error = mitsuba_means(scene, depth)
@@ -71,7 +71,7 @@ def test_the_tracer_finds_what_mitsuba_does(seed: int, depth: int, dimensions: i
 
 
 @needs_mitsuba
-def test_all_is_as_bright_as_its_surroundings() -> None:
+def test_furnace_scene_is_as_bright_as_its_surroundings() -> None:
     # under an even sky a convex surface sends out its albedo, path by path
     scene = {
         "type": "scene",
@@ -148,7 +148,7 @@ RUNS, SIZE, SPP = 8, 8, 512
 
 
 def slope(film: Tensor) -> Tensor:
-    """Of the guide's density over each number, by the place on the film, [N, 1] in [0, 1)."""
+    """Return the slope of the guide's density over each number at places on the film, [N, 1] in [0, 1)."""
     return 0.95 * film[:, :1]
 
 
@@ -157,7 +157,7 @@ def density(film: Tensor, directions: Tensor) -> Tensor:
     return (1 + slope(film) * (2 * directions - 1)).prod(1)
 
 
-def sloped(dimensions: int = 2) -> Guide:
+def sloped_guide(dimensions: int = 2) -> Guide:
     """A guide that knows nothing of the scene, with a closed form."""
 
     def sample(film: Tensor) -> tuple[Tensor, Tensor]:
@@ -171,7 +171,7 @@ def sloped(dimensions: int = 2) -> Guide:
 
 
 def means(tracer: Tracer, guide: Guide | None, runs: int = RUNS) -> Tensor:
-    """Of the lower halves of several pictures, where the light itself is not seen, [runs]."""
+    """Return the means [runs] of the lower halves of several pictures, where the light itself is not seen."""
     pictures = [render_paths(tracer, SPP, SIZE, seed, guide)[:, SIZE // 2 :] for seed in range(runs)]
     return torch.stack([picture.mean() for picture in pictures]).double()
 
@@ -186,7 +186,7 @@ def deviation(first: Tensor, second: Tensor) -> float:
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_guided_picture_has_the_same_mean(seed: int) -> None:
     tracer = Tracer(random_scene(seed))
-    regular, guided = means(tracer, None), means(tracer, sloped(4 if seed == 4 else 2))
+    regular, guided = means(tracer, None), means(tracer, sloped_guide(4 if seed == 4 else 2))
     assert abs(deviation(regular, guided)) < 3
     error = (regular.var() + guided.var()).sqrt() / math.sqrt(RUNS)
     assert float(error / regular.mean()) < 0.04  # or the above would say little
@@ -210,7 +210,7 @@ def test_a_guide_away_from_light_biases_only_with_wrong_density() -> None:
 
 
 @needs_mitsuba
-def test_the_reference_is_what_pictures_tend_to() -> None:
+def test_pictures_converge_to_the_reference() -> None:
     tracer = Tracer(random_scene(3))
     ours = torch.stack([render_paths(tracer, 256, SIZE, seed) for seed in range(RUNS)]).double()
     theirs = torch.stack([render_reference(tracer, SIZE, 128, seed) for seed in range(RUNS)]).double()
@@ -227,12 +227,12 @@ def test_a_picture_depends_on_the_seed_alone() -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
-    first = render_paths(Tracer(scene), 4, 16, 7, sloped())
+    first = render_paths(Tracer(scene), 4, 16, 7, sloped_guide())
     assert torch.equal(torch.rand(3), expected)  # of others
     assert first.shape == (3, 16, 16)
     assert first.dtype is torch.float32
-    assert torch.equal(first, render_paths(Tracer(decode_scene(encode_scene(scene))), 4, 16, 7, sloped()))
-    assert not torch.equal(first, render_paths(Tracer(scene), 4, 16, 8, sloped()))
+    assert torch.equal(first, render_paths(Tracer(decode_scene(encode_scene(scene))), 4, 16, 7, sloped_guide()))
+    assert not torch.equal(first, render_paths(Tracer(scene), 4, 16, 8, sloped_guide()))
     for spp, size in ((0, 8), (1, 0)):
         with pytest.raises(ValueError, match="expected 1 or more of both"):
             render_paths(Tracer(scene), spp, size)
@@ -317,15 +317,17 @@ def test_samples_are_resampled_only_if_few_paths_meet_a_light() -> None:
 
 @needs_mitsuba
 @pytest.mark.parametrize("scene", [bulb(1), long(small_lamp(3, 2))], ids=["bulb", "small"])
-def test_pictures_are_those_of_the_reference(scene: Scene) -> None:
+def test_pictures_agree_with_the_reference_tracer(scene: Scene) -> None:
     tracer = Tracer(scene, next_event=True)
     guide = corner(16.0)
-    wanted = float(render_reference(tracer, 8, 8192)[:, 4:].mean())  # the lower half, without the lamp
-    for each in (None, guide):
-        shots = torch.stack([render_paths(tracer, 512, 8, seed, each)[:, 4:].mean() for seed in range(8)]).double()
+    expected = float(render_reference(tracer, 8, 8192)[:, 4:].mean())  # the lower half, without the lamp
+    for guide_of_run in (None, guide):
+        shots = torch.stack(
+            [render_paths(tracer, 512, 8, seed, guide_of_run)[:, 4:].mean() for seed in range(8)]
+        ).double()
         error = float(shots.std() / len(shots) ** 0.5)
-        assert abs(float(shots.mean()) - wanted) < 3.5 * error + 0.003 * wanted
-        assert error < 0.1 * wanted
+        assert abs(float(shots.mean()) - expected) < 3.5 * error + 0.003 * expected
+        assert error < 0.1 * expected
 
 
 @needs_mitsuba

@@ -21,12 +21,12 @@ from metapp.rendering.scenes.stored_text import TEXT_BLOCK_BYTES, decode_scene, 
 from tests.needs_mitsuba import needs_mitsuba
 
 
-def checked(most_values: int = MAX_SCENE_VALUES, **parts: Any) -> dict[str, Any]:
+def check_scene_of(most_values: int = MAX_SCENE_VALUES, **parts: Any) -> dict[str, Any]:
     """A scene of these, after its check."""
     return SceneChecker(SceneFiles(), most_values).check_object({"type": "scene", **parts})
 
 
-def nested(depth: int) -> dict[str, Any]:
+def nested_objects(depth: int) -> dict[str, Any]:
     scene: dict[str, Any] = {"type": "sphere"}
     for _ in range(depth - 1):
         scene = {"type": "twosided", "below": scene}
@@ -42,7 +42,7 @@ BAD: dict[str, tuple[dict[str, Any], ...]] = {
     "expected 1 to 255 characters, none of them a point":
         tuple({key: {"type": "sphere"}} for key in ("a" * 256, "", "a.b", "a\nb")),
     "expected up to 256 printable characters": ({"id": "n" * 257}, {"id": "a\tb"}),
-    f"{MAX_NESTED_LEVELS} deep, expected fewer": ({"below": nested(MAX_NESTED_LEVELS)},),
+    f"{MAX_NESTED_LEVELS} deep, expected fewer": ({"below": nested_objects(MAX_NESTED_LEVELS)},),
     "expected plain text, no path":
         tuple({"note": text} for text in ("x" * (MAX_VALUE_CHARACTERS + 1), "ö", "a\nb", "a/b", "a\\b", "a$b", "a..b")),
     "names the file 'x.png', expected none": ({"filename": "x.png"}, {"normal_filename": "x.png"}),
@@ -67,18 +67,18 @@ BAD: dict[str, tuple[dict[str, Any], ...]] = {
 
 @needs_mitsuba
 @pytest.mark.parametrize("message", BAD)
-def test_what_is_beyond_a_limit_is_refused(message: str) -> None:
+def test_scenes_beyond_a_limit_are_refused(message: str) -> None:
     for parts in BAD[message]:
         with pytest.raises(ValueError, match=message):
-            checked(**parts)
+            check_scene_of(**parts)
 
 
 @needs_mitsuba
 def test_the_number_of_values_is_limited() -> None:
-    assert len(checked(10, **{f"v{i}": i for i in range(9)})) == 10  # and its type
+    assert len(check_scene_of(10, **{f"v{i}": i for i in range(9)})) == 10  # and its type
     for parts in ({f"v{i}": i for i in range(10)}, {f"s{i}": {"type": "sphere", "radius": 1.0} for i in range(4)}):
         with pytest.raises(ValueError, match="more than 10 values"):
-            checked(10, **parts)
+            check_scene_of(10, **parts)
 
 
 def test_a_scene_is_what_its_text_says() -> None:

@@ -19,7 +19,7 @@ FINER = 8  # a texel becomes so many, squared, for Mitsuba's `envmap`, which wou
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cache_with_matrix(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A cache with the matrix of small maps."""
     skip_without_mitsuba()
     folder = tmp_path_factory.mktemp("matrix")
@@ -31,9 +31,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def matrix(built: Path, monkeypatch: pytest.MonkeyPatch) -> Tensor:
+def matrix(cache_with_matrix: Path, monkeypatch: pytest.MonkeyPatch) -> Tensor:
     """[64, 96, 16, 32]; `relight` finds it too."""
-    monkeypatch.setenv("METAPP_CACHE", str(built))
+    monkeypatch.setenv("METAPP_CACHE", str(cache_with_matrix))
     return transfer_matrix(ROWS, COLUMNS).view(geometry.PICTURE_HEIGHT_PX, geometry.PICTURE_WIDTH_PX, ROWS, COLUMNS)
 
 
@@ -76,7 +76,7 @@ def test_maps_of_any_size_give_the_same_picture(matrix: Tensor, rng: torch.Gener
         geometry.PICTURE_HEIGHT_PX,
         geometry.PICTURE_WIDTH_PX,
     )
-    torch.testing.assert_close(*(relight(each, height=ROWS, width=COLUMNS) for each in (maps, larger)))
+    torch.testing.assert_close(*(relight(lights, height=ROWS, width=COLUMNS) for lights in (maps, larger)))
 
 
 @pytest.mark.long
@@ -99,15 +99,15 @@ def test_pictures_agree_with_mitsubas_path_tracer(matrix: Tensor, illumination: 
 
 def test_the_matrix_is_built_once_and_again_if_damaged(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[int, int]] = []
-    made = torch.rand(6, 8)
-    monkeypatch.setattr(relighting, "_build_matrix", lambda height, width: calls.append((height, width)) or made)
+    result = torch.rand(6, 8)
+    monkeypatch.setattr(relighting, "_build_matrix", lambda height, width: calls.append((height, width)) or result)
     for size in ((2, 4), (2, 4), (4, 2)):
-        assert torch.equal(transfer_matrix(*size), made)
+        assert torch.equal(transfer_matrix(*size), result)
     assert calls == [(2, 4), (4, 2)]
     assert len(list(cache.iterdir())) == 2  # and no unfinished file
     (file,) = cache.glob("*-2x4-*")
     file.write_bytes(b"damaged")
-    assert torch.equal(transfer_matrix(2, 4), made)
+    assert torch.equal(transfer_matrix(2, 4), result)
     assert len(calls) == 3
 
 

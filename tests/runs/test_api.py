@@ -41,18 +41,18 @@ def lambertian(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
 def directions(count: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     wi, wo = rng.normal(size=(2, count, 3))
-    return tuple(np.abs(each) / np.linalg.norm(each, axis=1, keepdims=True) for each in (wi, wo))
+    return tuple(np.abs(vectors) / np.linalg.norm(vectors, axis=1, keepdims=True) for vectors in (wi, wo))
 
 
-def by_general(app: str, source: object, **options: str) -> api.Fit:
+def fit_by_general(app: str, source: object, **options: str) -> api.Fit:
     return api.fit(app, source, paradigm="general", recipe="quick", **options)
 
 
-def test_a_fit_is_that_of_the_command(metapp: Callable, network: Path, tmp_path: Path) -> None:
-    told = metapp("meta", "brdf", network, "--out", tmp_path, "--json", "--quiet").document
-    (folder,) = (task["folder"] for task in told["tasks"])
+def test_fits_in_python_equal_fits_by_the_command(metapp: Callable, network: Path, tmp_path: Path) -> None:
+    result = metapp("meta", "brdf", network, "--out", tmp_path, "--json", "--quiet").json_document
+    (folder,) = (task["folder"] for task in result["tasks"])
     fit, loaded = api.fit("brdf", network), api.load(folder)
-    assert (fit.name, fit.error) == (told["tasks"][0]["name"], told["error"])
+    assert (fit.name, fit.error) == (result["tasks"][0]["name"], result["error"])
     assert loaded.settings["checkpoint"] == fit.settings["checkpoint"]
     assert (loaded.errors, loaded.task.data.keys()) == (fit.errors, fit.task.data.keys())
     assert loaded.parameters.keys() == fit.parameters.keys()
@@ -64,8 +64,11 @@ def test_a_fit_is_that_of_the_command(metapp: Callable, network: Path, tmp_path:
 
 
 def test_a_saved_fit_is_loaded_again(network: Path, tmp_path: Path, general: api.Fit) -> None:
-    """With its figures, and its task where its input is in its place; from a file, or from files of a fit's folder."""
-    in_memory = by_general("brdf", lambertian)
+    """It has its figures, and its task if the input is in place.
+
+    It is loaded from a file or from files of a fit's folder.
+    """
+    in_memory = fit_by_general("brdf", lambertian)
     for fit, keys in ((general, general.task.data.keys()), (in_memory, set())):
         again = api.load(fit.save(tmp_path / "a.safetensors"))
         assert (again.name, again.errors, again.seconds, again.settings) == (
@@ -93,7 +96,7 @@ def damaged(theta: dict[str, torch.Tensor], how: str) -> dict[str, torch.Tensor]
         "integers": {key: value.long()},
         "missing": {},
     }
-    kept = {name: each for name, each in theta.items() if name != key or how not in others}
+    kept = {name: value for name, value in theta.items() if name != key or how not in others}
     return {**kept, **others[how]}
 
 
@@ -110,7 +113,7 @@ def damaged(theta: dict[str, torch.Tensor], how: str) -> dict[str, torch.Tensor]
 def test_parameters_of_another_network_are_refused(
     metapp: Callable, general: api.Fit, tmp_path: Path, how: str, problem: str
 ) -> None:
-    """In Python, and by all commands that read fits."""
+    """Python and all commands that read fits refuse them."""
     theta = damaged(general.parameters, how)
     (tmp_path / "a.safetensors").write_bytes(pack_fit(general.record, theta))
     folder = tmp_path / "run" / "a"
@@ -156,8 +159,8 @@ def test_a_fit_is_saved_exported_and_pickled(general: api.Fit, tmp_path: Path) -
 
 
 @pytest.mark.filterwarnings("ignore:.* times the light that comes in")  # random networks
-def test_several_tasks_are_a_list(neural_fits: Callable[[int], Path]) -> None:
-    folder = neural_fits(2)
+def test_several_tasks_are_a_list(write_nbrdf_networks: Callable[[int], Path]) -> None:
+    folder = write_nbrdf_networks(2)
     fits = api.fit_all("brdf", [folder])
     assert len(fits) == 2
     assert all(f"{fit.name}: error {fit.error:.3f}" in repr(fits) for fit in fits)
@@ -169,16 +172,19 @@ def test_several_tasks_are_a_list(neural_fits: Callable[[int], Path]) -> None:
 
 
 def test_the_traceback_of_bad_input_ends_at_the_call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for app, source, said in (("brdf", tmp_path / "none", "none: no such file or folder"), ("brfd", tmp_path, "brdf")):
-        with pytest.raises(ValueError, match=said) as short:
+    for app, source, message in (
+        ("brdf", tmp_path / "none", "none: no such file or folder"),
+        ("brfd", tmp_path, "brdf"),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
             api.fit(app, source)
         with monkeypatch.context() as patch:
             patch.setenv("METAPP_TRACEBACK", "1")
-            with pytest.raises(ValueError, match=said) as whole:
+            with pytest.raises(ValueError, match=message) as whole:
                 api.fit(app, source)
-        assert [entry.name for entry in short.traceback[1:]] == ["fit"]
+        assert [entry.name for entry in caught.traceback[1:]] == ["fit"]
         assert len(whole.traceback) > 4
-        assert short.value.__context__ is None
+        assert caught.value.__context__ is None
 
 
 def test_nothing_is_printed_and_threads_stay(network: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -192,8 +198,8 @@ def test_nothing_is_printed_and_threads_stay(network: Path, capfd: pytest.Captur
 
 def test_the_package_imports_at_once() -> None:
     lines = "import sys, metapp\nprint({'torch', 'numpy', 'typer', 'rich'} & sys.modules.keys(), metapp.__version__)"
-    done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("set()")
+    process = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=True)
+    assert process.stdout.startswith("set()")
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = api.nothing
 
@@ -208,15 +214,17 @@ def test_a_function_is_fitted() -> None:
     )
     with warnings.catch_warnings():  # of a function whose array is read-only
         warnings.simplefilter("error")
-        constant = by_general("brdf", lambda wi, wo: np.broadcast_to(np.float32([0.3, 0.2, 0.1]), wi.shape)[:, ::-1])
+        constant = fit_by_general(
+            "brdf", lambda wi, wo: np.broadcast_to(np.float32([0.3, 0.2, 0.1]), wi.shape)[:, ::-1]
+        )
     assert constant.task.data["reflectance"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
-    gray = by_general("brdf", lambda wi, wo: torch.full((len(wi),), 0.1))
+    gray = fit_by_general("brdf", lambda wi, wo: torch.full((len(wi),), 0.1))
     assert torch.equal(gray.task.data["reflectance"][:, 0], gray.task.data["reflectance"][:, 2])
 
 
 def test_a_bsdf_of_mitsuba_is_fitted() -> None:
     mi = load_mitsuba()
-    fit = by_general(
+    fit = fit_by_general(
         "brdf", mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}})
     )
     known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
@@ -231,7 +239,7 @@ def test_an_anisotropic_fit_knows_the_azimuth() -> None:
     fit = api.fit("brdf", brushed)
     wi, wo = directions(200)
     assert np.abs(fit(wi, wo) - brushed(wi, wo)).mean() < 0.02
-    turned = [each[:, [1, 0, 2]] for each in (wi, wo)]
+    turned = [vectors[:, [1, 0, 2]] for vectors in (wi, wo)]
     assert np.abs(fit(*turned) - brushed(wi, wo)).mean() > 0.05
 
 
@@ -240,7 +248,7 @@ def test_a_fit_evaluates_its_application_above_the_surface(general: api.Fit) -> 
     pair = rusinkiewicz_to_directions(angles.double())
     values = general(*pair)
     torch.testing.assert_close(values, general.app.reflectance(general.parameters, angles), rtol=1e-4, atol=1e-6)
-    again = general(*(each.numpy() for each in pair))
+    again = general(*(directions.numpy() for directions in pair))
     assert again.dtype == np.float32
     np.testing.assert_array_equal(again, values.numpy())
     up, down = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
@@ -276,8 +284,9 @@ REFUSED: tuple[tuple[str, object, dict[str, Any], str], ...] = (
     ("brdf", lambda wi, wo: wi[:, :2], {}, r"values \(\d+, 2\), expected"),
     ("brdf", lambda wi, wo: -np.abs(wi), {}, "reflectance of -1 /sr, expected 0 or more"),
     ("texture", np.zeros((40, 40, 3), np.uint8), {}, "^object: one colour all over"),
-    ("texture", pictures.noise(20, 20), {}, "^object: 20x20 px, expected 32 px or more"),
-    ("svbrdf_stationary", dict.fromkeys(("albedo", "normal"), pictures.noise(40, 40)), {}, "^object: no roughness"),
+    ("texture", pictures.noise_image(20, 20), {}, "^object: 20x20 px, expected 32 px or more"),
+    ("svbrdf_stationary", dict.fromkeys(("albedo", "normal"), pictures.noise_image(40, 40)), {},
+     "^object: no roughness"),
     ("transport", "<scene", {}, "^object: not readable as XML"),
     # names as they were given
     ("brdf", "s3://bucket/gold.binary", {}, ADDRESS),
@@ -293,12 +302,14 @@ REFUSED: tuple[tuple[str, object, dict[str, Any], str], ...] = (
 
 
 @pytest.mark.parametrize(("app", "source", "options", "line"), REFUSED)
-def test_what_cannot_be_fitted_is_refused_in_a_line(app: str, source: object, options: Any, line: str) -> None:
+def test_objects_that_cannot_be_fitted_are_refused_in_one_line(
+    app: str, source: object, options: Any, line: str
+) -> None:
     with pytest.raises(ValueError, match=line):
         api.fit(app, source, **({"recipe": "quick"} | options))
 
 
-def test_sources_are_all_paths_or_none() -> None:
+def test_sources_must_be_all_paths_or_all_objects() -> None:
     one = r"^\w+: one source, expected a list of them; take metapp\.fit for one"
     for source in ("a.png", Path("a.png"), lambertian, {"diffuse": 1}, 3, np.ones((3, 2)), torch.ones(3, 2)):
         with pytest.raises(ValueError, match=one):
@@ -319,34 +330,36 @@ def assert_same(fit: api.Fit, other: api.Fit) -> None:
     """Two fits saw the same and came to the same, bit by bit."""
     assert (fit.name, fit.error) == (other.name, other.error)
     assert fit.settings | {"data": ""} == other.settings | {"data": ""}  # of files by their paths
-    for made, known in ((fit.task.data, other.task.data), (fit.parameters, other.parameters)):
-        assert made.keys() == known.keys()
-        assert all(torch.equal(value, known[key]) for key, value in made.items())
+    for result, known in ((fit.task.data, other.task.data), (fit.parameters, other.parameters)):
+        assert result.keys() == known.keys()
+        assert all(torch.equal(value, known[key]) for key, value in result.items())
 
 
 def test_a_material_in_memory_is_that_of_its_files(tmp_path: Path) -> None:
-    maps = {name: pictures.noise(64, 64, seed=seed) for seed, name in enumerate(("diffuse", "specular", "roughness"))}
+    maps = {
+        name: pictures.noise_image(64, 64, seed=seed) for seed, name in enumerate(("diffuse", "specular", "roughness"))
+    }
     maps["normal"] = np.full_like(maps["diffuse"], (128, 128, 255))
     for name, values in maps.items():
-        pictures.write(tmp_path / "files" / f"object_{name}.png", values)
-    fit = by_general("svbrdf_nonstationary", maps)
-    assert_same(fit, by_general("svbrdf_nonstationary", tmp_path / "files"))
-    again = by_general("svbrdf_nonstationary", fit.maps)  # what a fit gives is what another takes
+        pictures.write_image(tmp_path / "files" / f"object_{name}.png", values)
+    fit = fit_by_general("svbrdf_nonstationary", maps)
+    assert_same(fit, fit_by_general("svbrdf_nonstationary", tmp_path / "files"))
+    again = fit_by_general("svbrdf_nonstationary", fit.maps)  # what a fit gives is what another takes
     for part, name in (slice(3), "normal"), (slice(3, 6), "diffuse"), (slice(6, 7), "roughness"):
         given = torch.from_numpy(np.atleast_3d(fit.maps[name])).permute(2, 0, 1)
         assert (again.task.data["maps"][part].float() - given).abs().max() < 2e-3, name
 
 
 def test_a_photo_in_memory_is_fitted_alone(tmp_path: Path) -> None:
-    pixels = pictures.noise(64, 64)
-    file = pictures.write(tmp_path / "object.png", pixels)
-    fit = by_general("svbrdf_nonstationary", pixels)
-    assert_same(fit, by_general("svbrdf_nonstationary", file))
-    darker = by_general("svbrdf_nonstationary", pixels, stops=1.0)
-    assert_same(darker, by_general("svbrdf_nonstationary", file, stops=1.0))
+    pixels = pictures.noise_image(64, 64)
+    file = pictures.write_image(tmp_path / "object.png", pixels)
+    fit = fit_by_general("svbrdf_nonstationary", pixels)
+    assert_same(fit, fit_by_general("svbrdf_nonstationary", file))
+    darker = fit_by_general("svbrdf_nonstationary", pixels, stops=1.0)
+    assert_same(darker, fit_by_general("svbrdf_nonstationary", file, stops=1.0))
     assert darker.task.data["photo"].float().mean() < 0.8 * fit.task.data["photo"].float().mean()
     with pytest.raises(ValueError, match="object: a flash photo, expected a material's maps"):
-        by_general("svbrdf_nonstationary", pixels, observe="reference")
+        fit_by_general("svbrdf_nonstationary", pixels, observe="reference")
     assert (fit.error, fit.picture().width) == (None, fit.picture().height * 2)  # a sheet without a reference
     with pytest.raises(ValueError, match="object: a fit of svbrdf_nonstationary, expected one of brdf"):
         fit(*directions(2))
@@ -369,15 +382,15 @@ def test_a_scene_in_memory_is_that_of_its_file(tmp_path: Path, monkeypatch: pyte
     for file in (tmp_path / "here" / "corner.obj", tmp_path / "corner.obj"):
         file.write_text(OBJ)
     (tmp_path / "here" / "object.xml").write_text(text)
-    fit = by_general("transport", tmp_path / "here" / "object.xml")
+    fit = fit_by_general("transport", tmp_path / "here" / "object.xml")
     monkeypatch.chdir(tmp_path / "here")
-    again = by_general("transport", text)
+    again = fit_by_general("transport", text)
     assert_same(again, fit)
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     with pytest.raises(ValueError, match=r"object: names the file 'corner.obj': file not found"):
-        by_general("transport", text)
-    assert by_general("transport", text, scene_root=str(tmp_path)).error == pytest.approx(fit.error, abs=1e-6)
+        fit_by_general("transport", text)
+    assert fit_by_general("transport", text, scene_root=str(tmp_path)).error == pytest.approx(fit.error, abs=1e-6)
 
 
 def pictures_in(html: str) -> list[Image.Image]:
@@ -385,7 +398,7 @@ def pictures_in(html: str) -> list[Image.Image]:
     return [Image.open(io.BytesIO(base64.b64decode(url))) for url in urls]
 
 
-@pytest.mark.usefixtures("compiled")
+@pytest.mark.usefixtures("compiled_in_cache")
 def test_a_fit_shows_itself(network: Path) -> None:
     fit = api.fit("brdf", network)
     html = fit._repr_html_()

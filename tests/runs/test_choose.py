@@ -1,4 +1,4 @@
-"""What inputs and options choose, application by application: recipe, protocol, and the lines that say why."""
+"""The recipe and protocol that inputs and options choose for each application, and the lines that give the reason."""
 
 import os
 import re
@@ -26,7 +26,7 @@ from metapp.runs.reporter import Reporter, use_reporter
 from metapp.runs.run import Run
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_data_set
-from tests.anisotropic import measured
+from tests.anisotropic import measure_with_noise
 from tests.pictures import write_planes
 
 MATERIALS, BALLS = "svbrdf_nonstationary", "illumination"
@@ -47,7 +47,7 @@ class Case(NamedTuple):
 
 
 def table(folder: Path, name: str, rows: int, *, anisotropic: bool) -> None:
-    pairs = measured(rows, anisotropic=anisotropic)
+    pairs = measure_with_noise(rows, anisotropic=anisotropic)
     gonio.write_pairs(folder / f"{name}.csv", pairs.wi[:0], pairs.wo[:0], pairs)
 
 
@@ -108,41 +108,41 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def of_inputs(app: str, recipe: str, why: str, what: str = "input") -> str:
+def reason_of(app: str, recipe: str, why: str, what: str = "input") -> str:
     return f"{app}: recipe {recipe}, since every {what} has {why}"
 
 
 def sees(protocol: str, app: str = MATERIALS, what: str = "input", why: str = "") -> str:
-    told = why or f"every {what} {'has one' if protocol == 'reference' else 'is a photo alone'}"
-    return f"{app}: fits see: {protocol}, since {told}"
+    reason = why or f"every {what} {'has one' if protocol == 'reference' else 'is a photo alone'}"
+    return f"{app}: fits see: {protocol}, since {reason}"
 
 
-PHOTO, ONE_PHOTO = sees("photo"), of_inputs(MATERIALS, "pretrained", "one flash photo")
+PHOTO, ONE_PHOTO = sees("photo"), reason_of(MATERIALS, "pretrained", "one flash photo")
 ONE = "1 of 2 inputs hold a photo alone"
 ONE_OF_TWO = sees("photo", why=ONE)
-SEVERAL = of_inputs(MATERIALS, "several", "several photos")
+SEVERAL = reason_of(MATERIALS, "several", "several photos")
 WORDS = {"few": FEW, "anisotropic": PHI_H, "pretrained": "one flash photo"}
 OTHER_COMMANDS = "and recipes for these differ; fit them by two commands, or all by --recipe "
 
 CASES = [
     # BRDFs: measurements that depend on phi_h, few ones, others
     Case("brdf"),
-    Case("brdf", "brushed.csv", recipe="anisotropic", reasons=(of_inputs("brdf", "anisotropic", PHI_H),)),
-    Case("brdf", "brushed.csv", {"paradigm": "overfit"}, "anisotropic", "", (of_inputs("brdf", "anisotropic", PHI_H),)),
+    Case("brdf", "brushed.csv", recipe="anisotropic", reasons=(reason_of("brdf", "anisotropic", PHI_H),)),
+    Case("brdf", "brushed.csv", {"paradigm": "overfit"}, "anisotropic", "", (reason_of("brdf", "anisotropic", PHI_H),)),
     Case("brdf", "brushed.csv", {"paradigm": "general"}),
     Case("brdf", "brushed.csv", {"paradigm": "finetune"}),
     Case("brdf", "brushed.csv", {"paradigm": "quickft"}),
     Case("brdf", "brushed.csv", {"recipe": "full"}),
-    Case("brdf", "brushed150.csv", recipe="anisotropic", reasons=(of_inputs("brdf", "anisotropic", PHI_H),)),
-    Case("brdf", "satin.bsdf brushed.csv", recipe="anisotropic", reasons=(of_inputs("brdf", "anisotropic", PHI_H),)),
+    Case("brdf", "brushed150.csv", recipe="anisotropic", reasons=(reason_of("brdf", "anisotropic", PHI_H),)),
+    Case("brdf", "satin.bsdf brushed.csv", recipe="anisotropic", reasons=(reason_of("brdf", "anisotropic", PHI_H),)),
     Case("brdf", "flat.bsdf"),
     Case("brdf", "plain.csv"),
     Case("brdf", "gold.binary plain.csv"),
-    Case("brdf", "paint.csv", recipe="few", reasons=(of_inputs("brdf", "few", FEW),)),
+    Case("brdf", "paint.csv", recipe="few", reasons=(reason_of("brdf", "few", FEW),)),
     Case("brdf", "paint.csv", {"quiet": True}, recipe="few"),
     Case("brdf", "paint.csv", {"paradigm": "overfit"}),
     Case("brdf", "paint.csv", {"recipe": "paper"}, recipe="paper"),
-    Case("brdf", "fews", recipe="few", reasons=(of_inputs("brdf", "few", FEW),)),
+    Case("brdf", "fews", recipe="few", reasons=(reason_of("brdf", "few", FEW),)),
     Case("brdf", "some", reasons=(f"brdf: recipe full, since 1 of 2 inputs have {FEW}",)),
     Case("brdf", "turned", {}, "anisotropic", reasons=(f"brdf: recipe anisotropic, since 1 of 2 inputs have {PHI_H}",)),
     Case("brdf", "turned", {"recipe": "anisotropic"}, "anisotropic"),
@@ -154,7 +154,7 @@ CASES = [
     Case("brdf", "plain.csv brushed.csv", {"paradigm": "general"}),
     Case("brdf", options={"data": "isotropic"}),
     Case("brdf", options={"data": "anisotropic"}, recipe="anisotropic",
-         reasons=(of_inputs("brdf", "anisotropic", PHI_H, "task of anisotropic"),)),
+         reasons=(reason_of("brdf", "anisotropic", PHI_H, "task of anisotropic"),)),
     Case("brdf", "plain.csv", {"data": "anisotropic"}),
     # applications of one kind of input
     Case("texture", "wall.png"),
@@ -192,11 +192,11 @@ CASES = [
     Case(MATERIALS, "wall.png", {"observe": "reference", "recipe": "pretrained"}, mistake="--recipe 'pretrained': exp"),
     Case(MATERIALS, "", {"data": "maps"}, "full", "reference", (sees("reference", what="task of maps"),)),
     Case(MATERIALS, "", {"data": "maps", "observe": "photo"}, "pretrained", "photo",
-         (of_inputs(MATERIALS, "pretrained", "one flash photo", "task of maps"),)),
+         (reason_of(MATERIALS, "pretrained", "one flash photo", "task of maps"),)),
     Case(MATERIALS, "", {"data": "shots"}, "pretrained", "photo",
-         (sees("photo", what="task of shots"), of_inputs(MATERIALS, "pretrained", "one flash photo", "task of shots"))),
+         (sees("photo", what="task of shots"), reason_of(MATERIALS, "pretrained", "one flash photo", "task of shots"))),
     Case(MATERIALS, "", {"data": "places"}, "several", "photo",
-         (sees("photo", what="task of places"), of_inputs(MATERIALS, "several", "several photos", "task of places"))),
+         (sees("photo", what="task of places"), reason_of(MATERIALS, "several", "several photos", "task of places"))),
     # environment maps, and photographs of balls
     Case(BALLS, protocol="reference"),
     Case(BALLS, "sky.exr", {}, "full", "reference", (sees("reference", BALLS),)),
@@ -209,8 +209,8 @@ CASES = [
 
 
 def name_of(case: Case) -> str:
-    told = [f"{key}={value}" for key, value in case.options.items()]
-    return " ".join(filter(None, (case.app, case.inputs, *told)))
+    words = [f"{key}={value}" for key, value in case.options.items()]
+    return " ".join(filter(None, (case.app, case.inputs, *words)))
 
 
 class Heard(Reporter):
@@ -231,7 +231,9 @@ def chosen(app: str, paths: Sequence[Path], **options: Any) -> tuple[str, str, t
 
 
 @pytest.mark.parametrize("case", CASES, ids=name_of)
-def test_inputs_and_options_choose(case: Case, inputs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inputs_and_options_choose_recipe_and_protocol(
+    case: Case, inputs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     options = dict(case.options)
     line = LACKING if options.pop("lacking", False) else ""
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: line)
@@ -276,7 +278,7 @@ def tasks_of(app: str, *objects: Any) -> list[Task]:
 
 
 def pairs(rows: int, *, anisotropic: bool = False) -> Any:
-    return tuple(measured(rows, anisotropic=anisotropic))
+    return tuple(measure_with_noise(rows, anisotropic=anisotropic))
 
 
 PIXELS = np.random.default_rng(0).random((48, 48, 3)).astype(np.float32)
@@ -297,14 +299,14 @@ OBJECTS: dict[str, tuple[str, Callable[[], list[Any]], str, str]] = {  # applica
 
 @pytest.mark.usefixtures("small_spheres")
 @pytest.mark.parametrize("name", OBJECTS)
-def test_objects_in_memory_choose(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_objects_in_memory_choose_recipe_and_protocol(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: "")
     app, objects, recipe, protocol = OBJECTS[name]
-    made = objects()
-    sources = [source_of_tensors(app, task.name, task.data) for task in tasks_of(app, *made)]
-    choice = choose_protocol_and_recipe(fit_options(app, "meta", made), sources)
+    result = objects()
+    sources = [source_of_tensors(app, task.name, task.data) for task in tasks_of(app, *result)]
+    choice = choose_protocol_and_recipe(fit_options(app, "meta", result), sources)
     assert (choice.recipe, choice.protocol) == (recipe, protocol)
-    reasons = [of_inputs(app, recipe, WORDS[recipe])] if recipe in WORDS else []
+    reasons = [reason_of(app, recipe, WORDS[recipe])] if recipe in WORDS else []
     assert list(choice.reasons)[1 if protocol else 0 :] == reasons
 
 

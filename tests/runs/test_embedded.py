@@ -29,7 +29,7 @@ from metapp.runs.outputs.run_records import find_fitted_tasks
 from metapp.runs.run import Run
 from metapp.storage.shards import list_data_set_problems, read_manifest
 from tests import forks
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 COUNTS = {"train": 3, "test": 2}
 MODULES = {"brdf": brdf, "texture": texture, "illumination": illumination}
@@ -58,7 +58,7 @@ def splits(monkeypatch: pytest.MonkeyPatch, small_spheres: None) -> list[str]:
 
 @pytest.mark.usefixtures("small_spheres")
 @pytest.mark.parametrize("app", MODULES)
-def test_test_tasks_drawn_alone_are_those_of_the_whole_set(
+def test_test_tasks_drawn_alone_equal_those_of_the_whole_set(
     app: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     splits = count_draws(monkeypatch, MODULES[app])
@@ -89,9 +89,9 @@ def test_a_table_draws_no_training_tasks(metapp: Callable, splits: list[str], tm
 
 @pytest.mark.usefixtures("splits")
 def test_the_whole_set_that_is_made_later_changes_no_label() -> None:
-    tasks, label = read_test_tasks(app_by("brdf"), None, quiet=True)
+    tasks, label = read_test_tasks(app_by_recipe("brdf"), None, quiet=True)
     whole = make_embedded_set("brdf", quiet=True)
-    later, label_later = read_test_tasks(app_by("brdf"), None, quiet=True)
+    later, label_later = read_test_tasks(app_by_recipe("brdf"), None, quiet=True)
     assert label_later == label != data_label(whole)
     assert [task.name for task in later] == [task.name for task in tasks]
     assert embedded_folders("brdf") == [make_embedded_test_set("brdf"), whole]
@@ -100,7 +100,7 @@ def test_the_whole_set_that_is_made_later_changes_no_label() -> None:
 def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
     whole = make_embedded_set("brdf", quiet=True)
     splits.clear()
-    tasks, label = read_test_tasks(app_by("brdf"), None, quiet=True)
+    tasks, label = read_test_tasks(app_by_recipe("brdf"), None, quiet=True)
     assert (len(tasks), label) == (COUNTS["test"], data_label(whole))
     assert splits == []
 
@@ -109,14 +109,14 @@ def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
 def test_fits_of_either_folder_find_their_tasks(metapp: Callable, tmp_path: Path) -> None:
     def tasks_of_record(document: dict[str, Any]) -> dict[str, Task]:
         records = [json.loads(Path(task["folder"], "record.json").read_text()) for task in document["tasks"]]
-        return find_fitted_tasks(records, app_by("brdf"), [], None)
+        return find_fitted_tasks(records, app_by_recipe("brdf"), [], None)
 
     words = ("general", "brdf", "-q", "--json", "--out")
     make_embedded_set("brdf", quiet=True)
-    of_whole = metapp(*words, tmp_path / "whole").done
+    of_whole = metapp(*words, tmp_path / "whole").json_result
     alone = embedded_folders("brdf")[0].with_name(f"{embedded_folders('brdf')[0].name}-test")
     embedded_folders("brdf")[0].rename(tmp_path / "aside")
-    of_tests = metapp(*words, tmp_path / "alone").done
+    of_tests = metapp(*words, tmp_path / "alone").json_result
     assert embedded_folders("brdf") == [alone]
     assert tasks_of_record(of_whole) == {}  # its set is not there
     (tmp_path / "aside").rename(str(alone).removesuffix("-test"))
@@ -134,7 +134,7 @@ def test_a_damaged_folder_of_test_tasks_is_made_again(splits: list[str]) -> None
 def test_baselines_that_learn_have_training_tasks_drawn_where_they_are_measured(splits: list[str]) -> None:
     plan = Run.from_options(fit_options("brdf", "general", quiet=True))
     learning, other = (
-        next(each for each in baselines_of(plan.app) if bool(each.learns) is kind) for kind in (True, False)
+        next(baseline for baseline in baselines_of(plan.app) if bool(baseline.learns) is kind) for kind in (True, False)
     )
     assert find_training_folder(plan, learning) is None
     assert find_training_folder(plan, other, make=True) is None
@@ -174,7 +174,7 @@ def make_tests(start: Path, others: int) -> None:
 def test_programs_that_make_the_same_test_tasks_at_once(cache: Path, tmp_path: Path) -> None:
     start = tmp_path / "start"
     start.mkdir()
-    programs = [forks.start(make_tests, start, 2, said=tmp_path / str(i)) for i in range(2)]
+    programs = [forks.start_in_fork(make_tests, start, 2, output_folder=tmp_path / str(i)) for i in range(2)]
     codes, labels, errors = zip(*[program.end(60) for program in programs], strict=True)
     assert codes == (0, 0), errors
     assert labels[0] == labels[1]

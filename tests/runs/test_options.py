@@ -1,4 +1,4 @@
-"""The options of fits: by which recipe they go where none is named, and what help shows of which application."""
+"""The options of fits: the default recipe, parsing and refusals, and which options help shows for which application."""
 
 import re
 from dataclasses import fields, replace
@@ -109,7 +109,7 @@ def test_options_that_fits_cannot_have_are_refused(app: str, options: dict[str, 
 
 
 @pytest.mark.parametrize("name", app_names())
-def test_an_application_has_what_its_entry_says(name: str) -> None:
+def test_applications_have_the_options_of_their_entries(name: str) -> None:
     protocols = protocols_of(name)
     assert all(recipes_of(name, protocol) for protocol in protocols or ("",))
     app = app_of(name, recipes_of(name)["quick"], (protocols or ("",))[0])

@@ -1,4 +1,4 @@
-"""Contact sheets: all pictures are there, in the shapes that they have."""
+"""Contact sheets: they hold all pictures, in the shapes that these have."""
 
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def test_the_reference_of_a_map_stands_below_it(tmp_path: Path) -> None:
     assert (left, below >= top + TILE_PX) == (same, True)
 
 
-def test_what_a_task_lacks_stays_blank(tmp_path: Path) -> None:
+def test_missing_pictures_of_a_task_stay_blank(tmp_path: Path) -> None:
     tasks = [Tiles({"general": plain("general")}, "a"), Tiles({"reference": plain("reference")}, "b", {"": "0.5"})]
     pixels = sheet(tasks, tmp_path / "sheet.png")
     assert len(places(pixels, "general")) == len(places(pixels, "reference")) == TILE_PX**2
@@ -70,7 +70,10 @@ def test_shapes_are_kept_and_long_names_cut(tmp_path: Path) -> None:
 
 
 def test_a_sheet_keeps_rows_of_before(tmp_path: Path) -> None:
-    """Those of fits that are still there and are not drawn anew, the newest first; of files that are no sheet none."""
+    """It keeps rows of fits that still exist and are not drawn again, newest first.
+
+    Of files that are no sheet it keeps none.
+    """
     red, green = (Tiles({"meta": plain(row)}, row) for row in ("reference", "meta"))
     for name in ("a", "b", "c", "gone"):
         (tmp_path / name).mkdir()

@@ -89,7 +89,7 @@ def test_a_file_is_fitted_shown_and_kept_within_another_default_device(tmp_path:
         torch.testing.assert_close(value, expected.parameters[key])
 
 
-def test_work_within_work_and_what_fails_have_their_threads() -> None:
+def test_nested_and_failing_work_restores_threads() -> None:
     with torch_defaults(single=False):
         with torch_defaults(single=True):
             assert torch.get_num_threads() == 1

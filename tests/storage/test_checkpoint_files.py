@@ -1,4 +1,4 @@
-"""Trained checkpoints on disk."""
+"""Checkpoint files: they read back as written, and take the encoder of the General that belongs to them."""
 
 import json
 from pathlib import Path
@@ -23,14 +23,14 @@ START = MetaParameters(
 )
 
 
-def test_checkpoint_round_trip(tmp_path: Path) -> None:
+def test_checkpoints_read_back_as_written(tmp_path: Path) -> None:
     path, info = (
         tmp_path / "\udcff" / "start.safetensors",
         {"app": "brdf", "training": {"steps": 3}, "curve": [1.5, None]},
     )
     save_checkpoint(path, START, info)
-    start, said = load_checkpoint(path)
-    assert said == {**info, "schema": CHECKPOINT_SCHEMA}
+    start, output = load_checkpoint(path)
+    assert output == {**info, "schema": CHECKPOINT_SCHEMA}
     for part, expected in zip(start, START, strict=True):
         torch.testing.assert_close(part, dict(expected), rtol=0, atol=0)  # of the same keys and types
     assert [file.name for file in path.parent.iterdir()] == ["start.safetensors"]
@@ -70,17 +70,17 @@ def test_a_checkpoint_takes_the_encoder_of_the_general_beside_it(tmp_path: Path)
 
 
 def test_a_checkpoint_takes_the_general_of_its_protocol(tmp_path: Path) -> None:
-    """Whatever else lies beside it, such as a training's own file."""
+    """Other files beside it, such as a training checkpoint, do not count."""
     encoder, other = {"w": torch.arange(3.0)}, {"w": torch.zeros(3)}
     (tmp_path / "general-photo.training.safetensors").write_bytes(b"no checkpoint")
-    for name, each in (("general", other), ("general-photo", encoder)):
-        save_checkpoint(tmp_path / f"{name}.safetensors", MetaParameters(encoder=each), {"app": "brdf"})
+    for name, saved_encoder in (("general", other), ("general-photo", encoder)):
+        save_checkpoint(tmp_path / f"{name}.safetensors", MetaParameters(encoder=saved_encoder), {"app": "brdf"})
     path = tmp_path / "meta-encoder-photo.safetensors"
     save_checkpoint(path, MetaParameters(alpha={"rate": torch.ones(1)}), {"general": tensor_digest(encoder)})
     assert torch.equal(load_checkpoint(path)[0].encoder["w"], encoder["w"])
 
 
-def test_digest(tmp_path: Path) -> None:
+def test_digests_change_with_content_and_not_with_key_order(tmp_path: Path) -> None:
     assert content_digest({"a": 1, "b": [2]}) == content_digest({"b": [2], "a": 1})
     assert content_digest({"a": 1}) != content_digest({"a": 2})
     assert len(content_digest({})) == 12

@@ -34,7 +34,7 @@ def test_a_text_has_line_ends_of_one_kind(tmp_path: Path) -> None:
     assert read_text(tmp_path / "a") == (tmp_path / "a").read_text() == "a\nb\nc\n"
 
 
-def test_what_is_replaced_is_kept_under_another_name(tmp_path: Path) -> None:
+def test_replaced_files_are_kept_under_another_name(tmp_path: Path) -> None:
     path, previous = tmp_path / "start", tmp_path / "previous"
     for text in ("one", "two", "three"):
         write_atomically(path, lambda partial, text=text: partial.write_text(text), previous)
@@ -74,7 +74,7 @@ def write_until(path: Path, previous: Path, calls: float) -> bool:
 
 @pytest.mark.parametrize("earlier", [{}, {"start": "old"}, {"start": "old", "previous": "older"}])
 def test_after_a_kill_at_any_call_the_next_run_mends_all(tmp_path: Path, earlier: dict[str, str]) -> None:
-    """The same command again leaves the same files as one that was never killed."""
+    """The command, run again, leaves the files that it leaves without a kill."""
     for calls in itertools.count():
         folder = tmp_path / str(calls)
         folder.mkdir()
@@ -123,14 +123,14 @@ def test_errors_about_other_things_stay_as_they_are(tmp_path: Path) -> None:
         write_atomically(tmp_path / "map.exr", fail)
 
 
-def test_what_dead_programs_left_is_removed(tmp_path: Path) -> None:
+def test_files_left_by_dead_programs_are_removed(tmp_path: Path) -> None:
     path = tmp_path / "start.safetensors"
     dead = 2**22 + 1  # above the largest process id of Linux
     left = tmp_path / f".partial-{dead}-start.safetensors"
     running = tmp_path / f".partial-{os.getppid()}-start.safetensors"
     other = tmp_path / f".partial-{dead}-other.safetensors"
-    for each in (left, running, other):
-        each.touch()
+    for folder in (left, running, other):
+        folder.touch()
     remove_partial(path)
     assert sorted(tmp_path.iterdir()) == sorted([running, other])
 
@@ -173,7 +173,7 @@ def record(name: str, source: str = "", **more: Any) -> dict[str, Any]:
 
 
 def names(run: Path) -> list[str]:
-    return [each["name"] for each in read_fit_records(run)]
+    return [record["name"] for record in read_fit_records(run)]
 
 
 def test_a_fit_is_a_folder(tmp_path: Path) -> None:
@@ -182,8 +182,8 @@ def test_a_fit_is_a_folder(tmp_path: Path) -> None:
     theta = {"w": torch.ones(2, 3, requires_grad=True).T}
     kept = fits.write(record("red felt/2", note="größe\u2028\nx"), theta, lambda at: (at / "a.png").write_text("a"))
     folder = tmp_path / "run" / file_name("red felt/2")
-    own = {"settings": {"steps": 10}, "folder": str(folder)}
-    assert kept == record("red felt/2", note="größe\u2028\nx") | own
+    run_settings = {"settings": {"steps": 10}, "folder": str(folder)}
+    assert kept == record("red felt/2", note="größe\u2028\nx") | run_settings
     assert read_fit_records(tmp_path / "run") == [kept]
     assert sorted(file.name for file in folder.iterdir()) == ["a.png", PARAMS, RECORD]
     assert torch.equal(load_file(folder / PARAMS)["w"], torch.ones(3, 2))
@@ -204,7 +204,7 @@ def test_the_record_is_last_and_a_failed_fit_leaves_nothing(tmp_path: Path) -> N
     write_fit(tmp_path, record("gold", error=7.0), THETA)
     with pytest.raises(OSError, match="No space left"):
         write_fit(tmp_path, record("gold"), THETA, draw)
-    assert [each["error"] for each in read_fit_records(tmp_path)] == [7.0]
+    assert [record["error"] for record in read_fit_records(tmp_path)] == [7.0]
 
 
 def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
@@ -212,8 +212,8 @@ def test_each_input_has_one_fit_whatever_its_name(tmp_path: Path) -> None:
     for source, error in (("/a/wall.jpg", 1.0), ("/b/wall.jpg", 2.0), ("/a/wall.jpg", 3.0), ("/b/wall.jpg", 4.0)):
         write_fit(tmp_path, record("wall", source, error=error, **nan), {"w": torch.tensor([error])})
     marked = name_with_digest("wall", "/b/wall.jpg")
-    assert {each["name"]: each["error"] for each in read_fit_records(tmp_path)} == {"wall": 3.0, marked: 4.0}
-    assert {each.name for each in tmp_path.iterdir()} == {"wall", marked}
+    assert {record["name"]: record["error"] for record in read_fit_records(tmp_path)} == {"wall": 3.0, marked: 4.0}
+    assert {folder.name for folder in tmp_path.iterdir()} == {"wall", marked}
     assert read_params(tmp_path / marked)["w"] == 4.0
     found = RunFolder(tmp_path, {}).earlier_record("wall", "/b/wall.jpg")
     assert found is not None
@@ -242,7 +242,7 @@ def test_a_name_of_any_kind_has_a_folder(tmp_path: Path, name: str) -> None:
     assert names(tmp_path) == [to_json_value(name)]
 
 
-def test_names_in_records_of_others_turn_no_text(tmp_path: Path) -> None:
+def test_names_in_records_cannot_reverse_text(tmp_path: Path) -> None:
     given = ["a\u202egnp.b", "z\u200bw", "\u0639\u0631\u0628\u064a", "e\u0301tude"]
     for i, name in enumerate(given):
         (tmp_path / f"{i}").mkdir()
@@ -274,11 +274,11 @@ def at_once(writer: Callable[[Path, int], None], run: Path, count: int = 10) -> 
     """Run `count` programs that write to a folder at the same time."""
     fork = multiprocessing.get_context("fork")
     writers = [fork.Process(target=writer, args=(run, number)) for number in range(count)]
-    for each in writers:
-        each.start()
-    for each in writers:
-        each.join()
-    assert [each.exitcode for each in writers] == [0] * count
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert [writer.exitcode for writer in writers] == [0] * count
 
 
 def write_four(run: Path, number: int) -> None:
@@ -294,10 +294,10 @@ def write_the_same(run: Path, number: int) -> None:
 def test_ten_programs_write_at_once_and_lose_nothing(tmp_path: Path) -> None:
     at_once(write_four, tmp_path)
     records = read_fit_records(tmp_path, NUMBER_ENTRIES)
-    assert {each["source"] for each in records} == {f"/{i}/{k}/x.jpg" for i in range(10) for k in range(4)}
-    assert len({each["name"] for each in records}) == len(records) == 40
-    for each in records:
-        assert torch.equal(read_params(each["folder"])["w"], THETA["w"])
+    assert {record["source"] for record in records} == {f"/{i}/{k}/x.jpg" for i in range(10) for k in range(4)}
+    assert len({record["name"] for record in records}) == len(records) == 40
+    for record in records:
+        assert torch.equal(read_params(record["folder"])["w"], THETA["w"])
 
 
 def test_ten_programs_write_the_same_inputs_at_once(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ FOLDERS: dict[str, tuple[PathKind, dict[str, str]]] = {
 }
 
 
-def written(folder: Path, files: dict[str, str]) -> Path:
+def write_files(folder: Path, files: dict[str, str]) -> Path:
     folder.mkdir()
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -54,27 +54,27 @@ def written(folder: Path, files: dict[str, str]) -> Path:
 
 
 @pytest.mark.parametrize("name", FOLDERS)
-def test_a_folder_is_one_thing(tmp_path: Path, name: str) -> None:
+def test_each_folder_has_one_kind(tmp_path: Path, name: str) -> None:
     kind, files = FOLDERS[name]
-    assert path_kind(written(tmp_path / "folder", files)) is kind
+    assert path_kind(write_files(tmp_path / "folder", files)) is kind
 
 
 @pytest.mark.parametrize("relative", [False, True])
-def test_pictures_that_show_results_are_told_by_their_place(
+def test_result_pictures_are_recognised_by_their_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, relative: bool
 ) -> None:
     monkeypatch.chdir(tmp_path)
     base = Path() if relative else tmp_path
     for above, is_ours in ({MANIFEST: SET}, True), ({CAMERA_TEXT: "0,0,1"}, True), ({"a.txt": ""}, False):
         place = f"{len(list(tmp_path.iterdir()))}"
-        written(tmp_path / place, above | {f"{DIAGNOSTIC_FOLDER}/00.png": ""})
+        write_files(tmp_path / place, above | {f"{DIAGNOSTIC_FOLDER}/00.png": ""})
         kinds = [path_kind(base / place / DIAGNOSTIC_FOLDER), path_kind(base / place / DIAGNOSTIC_FOLDER / "00.png")]
         assert kinds == ([PathKind.DIAGNOSTIC] * 2 if is_ours else [PathKind.FILES, PathKind.FILE])
-    written(tmp_path / "run", {f"gold/{RECORD}": FIT, "pictures.png": "", "gold/fit.png": ""})
+    write_files(tmp_path / "run", {f"gold/{RECORD}": FIT, "pictures.png": "", "gold/fit.png": ""})
     assert path_kind(base / "run/pictures.png") is PathKind.DIAGNOSTIC
     assert path_kind(base / "run/gold/fit.png") is PathKind.FILE  # which may be an input, where it is named
     assert path_kind(base / "none") is PathKind.NOTHING
-    written(tmp_path / "photos", {"leaf.failed.png": "", "failed.png": ""})
+    write_files(tmp_path / "photos", {"leaf.failed.png": "", "failed.png": ""})
     assert path_kind(base / "photos/leaf.failed.png") is PathKind.DIAGNOSTIC
     assert path_kind(base / "photos/failed.png") is PathKind.FILE
 
@@ -88,7 +88,7 @@ def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
         f"runs/texture/meta/bark/{RECORD}": FIT, "leaf.failed.png": "", "runs/texture/meta/bark/fit.png": "",
         "runs/texture/meta/bark/asset/bark_color.png": "",
     }  # fmt: skip
-    folder = written(tmp_path / "all", files | left)
+    folder = write_files(tmp_path / "all", files | left)
     found = [file.relative_to(folder).as_posix() for file in files_below(folder, (".png", ".json", ".exr"))]
     assert sorted(found) == taken
     for place in ("garden", "leaf/found", "runs/texture/meta", "runs/texture/meta/bark"):
@@ -110,7 +110,7 @@ def test_a_walk_takes_files_of_users_alone(tmp_path: Path) -> None:
 def test_a_refusal_says_what_it_is_and_which_command_takes_it(
     tmp_path: Path, name: str, words: str, command: str
 ) -> None:
-    folder = written(tmp_path / "folder", FOLDERS[name][1])
+    folder = write_files(tmp_path / "folder", FOLDERS[name][1])
     line = path_refusal(folder, "maps")
     assert line.startswith(f"{folder}: {words}; ")
     assert command.format(folder) in line

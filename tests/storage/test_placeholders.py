@@ -1,4 +1,4 @@
-"""Files that stand for another one are told from files that are themselves; texts of any encoding are read."""
+"""Placeholder files, such as Git LFS pointers, are refused by every reader; texts of any encoding are read."""
 
 import codecs
 import gzip
@@ -13,21 +13,21 @@ import pytest
 
 from data_tools.readers import environment_maps, merl, square_photos
 from metapp.storage.files import check_readable, open_text, placeholder_line, read_text
-from tests.pictures import noise, write
+from tests.pictures import noise_image, write_image
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 34992012\n"
 PAGE = b"<!DOCTYPE html>\n<html><head><title>Not found</title></head></html>"
 SERVER = b'<?xml version="1.0" encoding="UTF-8"?>\n<Error><Code>AccessDenied</Code></Error>'
 
 
-def zipped() -> bytes:
+def zip_archive() -> bytes:
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         archive.writestr("gold.binary", "x")
     return content.getvalue()
 
 
-def tarred() -> bytes:
+def tar_archive() -> bytes:
     content = io.BytesIO()
     with tarfile.open(fileobj=content, mode="w") as archive:
         archive.addfile(tarfile.TarInfo("gold.binary"))
@@ -42,9 +42,9 @@ STAND_INS = {
     "an HTML page, expected the file itself": b"\n<!-- a comment --> <html lang=en>",
     "an HTML page, expected the file itself;": codecs.BOM_UTF16_LE + PAGE.decode().encode("utf-16-le"),
     "an error message of a server": SERVER,
-    "a ZIP archive, expected what it holds; unpack it.": zipped(),
+    "a ZIP archive, expected what it holds; unpack it.": zip_archive(),
     "a gzip archive": gzip.compress(b"x"),
-    "a tar archive": tarred(),
+    "a tar archive": tar_archive(),
     "a 7z archive": b"7z\xbc\xaf\x27\x1c\x00\x04",
 }
 
@@ -77,8 +77,8 @@ def test_a_file_that_is_itself_is_no_placeholder(tmp_path: Path, content: bytes)
 
 def test_every_kind_of_image_is_itself(tmp_path: Path) -> None:
     for suffix in (".png", ".jpg", ".tif", ".exr", ".hdr", ".bmp", ".tga", ".webp", ".jp2"):
-        values = noise(40, 40).astype("float32") / 255 if suffix in (".exr", ".hdr") else noise(40, 40)
-        check_readable(write(tmp_path / f"a{suffix}", values))
+        values = noise_image(40, 40).astype("float32") / 255 if suffix in (".exr", ".hdr") else noise_image(40, 40)
+        check_readable(write_image(tmp_path / f"a{suffix}", values))
 
 
 def test_a_folder_of_pointers_names_the_first(tmp_path: Path) -> None:

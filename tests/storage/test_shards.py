@@ -48,7 +48,7 @@ def tamper_task(folder: Path, **changes: object) -> None:
     tamper(folder, tasks=[{**tasks[0], **changes}, *tasks[1:]])
 
 
-def test_round_trip_of_all_and_of_one_split(tmp_path: Path) -> None:
+def test_data_sets_read_back_whole_and_by_split(tmp_path: Path) -> None:
     folder = make_shard(tmp_path / "\udcff" / "data")
     tasks = read_data_set(folder, app="brdf")
     assert [task.name for task in tasks] == ["gold", "silver"]
@@ -122,7 +122,7 @@ def test_refused_tasks_leave_nothing(tmp_path: Path, task: Task, split: str, mes
     assert list(tmp_path.iterdir()) == []
 
 
-def test_refused_notes_and_empty_sets(tmp_path: Path) -> None:
+def test_invalid_notes_and_empty_sets_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="notes hold Object of type Tensor"):
         write_data_set(tmp_path, "brdf", UNITS, [], {"seed": torch.ones(1)})
     with pytest.raises(ValueError, match="0 tasks to write"):
@@ -173,7 +173,7 @@ def test_a_new_data_set_replaces_the_old_one(tmp_path: Path) -> None:
         make_shard(folder, app="texture")
 
 
-def test_missing_parts_files_for_folders_and_links_out(tmp_path: Path) -> None:
+def test_missing_parts_wrong_kinds_and_links_out_are_refused(tmp_path: Path) -> None:
     (tmp_path / "data").write_bytes(b"")
     with pytest.raises(ValueError, match="a file, expected a folder"):
         make_shard(tmp_path / "data")
@@ -218,7 +218,7 @@ def test_check_finds_tampering(tmp_path: Path) -> None:
         read_data_set(folder)
 
 
-def test_fingerprint_is_of_the_content(tmp_path: Path) -> None:
+def test_fingerprints_depend_on_content_alone(tmp_path: Path) -> None:
     first = fingerprint(make_shard(tmp_path / "a"))
     assert len(first) == 12
     assert fingerprint(make_shard(tmp_path / "b")) == first
@@ -273,7 +273,7 @@ def test_manifests_are_read_as_they_are(tmp_path: Path) -> None:
         *((content, "not readable as JSON") for content in (b"{", b"\xff\xfe", b"", b"[" * 100_000)),
     ],
 )
-def test_damaged_manifests(tmp_path: Path, changes: dict[str, object] | bytes, message: str) -> None:
+def test_damaged_manifests_are_refused(tmp_path: Path, changes: dict[str, object] | bytes, message: str) -> None:
     if isinstance(changes, bytes):
         (tmp_path / "manifest.json").write_bytes(changes)
     else:
@@ -286,7 +286,7 @@ def test_damaged_manifests(tmp_path: Path, changes: dict[str, object] | bytes, m
     "file", ["../gold.safetensors", "/etc/gold.safetensors", "a/gold.safetensors", "a\\gold.safetensors",
              "..", "C:gold.safetensors", "gold.pkl", ".safetensors", ""],
 )  # fmt: skip
-def test_paths_that_leave_the_folder(tmp_path: Path, file: str) -> None:
+def test_paths_that_leave_the_folder_are_refused(tmp_path: Path, file: str) -> None:
     write(tmp_path, tasks=[{**GOLD._asdict(), "file": file}, SILVER._asdict()])
     with pytest.raises(ValueError, match=r"expected the plain name of a \.safetensors file in the same folder"):
         read_manifest(tmp_path)

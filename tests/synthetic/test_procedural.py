@@ -45,9 +45,9 @@ def border_jump(field: Field, axis: int) -> float:
 
 def test_maps_have_their_shapes_and_ranges(draws: list[PeriodicMaps]) -> None:
     for maps in draws:
-        assert [each.shape for each in maps] == [(channels, SIZE, SIZE) for channels in (3, 1, 1, 1)]
-        assert all(each.dtype == np.float32 for each in maps)
-        assert all(np.isfinite(each).all() for each in maps)
+        assert [values.shape for values in maps] == [(channels, SIZE, SIZE) for channels in (3, 1, 1, 1)]
+        assert all(values.dtype == np.float32 for values in maps)
+        assert all(np.isfinite(values).all() for values in maps)
         for name, (low, high) in BOUNDS.items():
             values = getattr(maps, name)
             assert low <= values.min() + 1e-6, name
@@ -144,7 +144,7 @@ def mitsuba_room(
 
 
 def seen_in(light: Field, target: tuple[float, float, float]) -> Field:
-    """The same of a map."""
+    """Return the green radiance [16, 16] that an environment map shows, 80 degrees wide around a direction."""
     forward = np.array(target) / np.linalg.norm(target)
     right = np.cross(forward, [0, 1, 0.01])
     right /= np.linalg.norm(right)

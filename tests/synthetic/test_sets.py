@@ -59,7 +59,7 @@ def source_of(app: str) -> ModuleType:
 
 
 @functools.cache
-def drawn(app: str) -> Drawn:
+def drawn_set(app: str) -> Drawn:
     """The set of an application with images or maps."""
     source = source_of(app)
     sets = (source.synthetic_tasks("train", TRAIN[app]), source.synthetic_tasks("test", source.COUNTS["test"]))
@@ -122,16 +122,16 @@ def app(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def data(app: str) -> Drawn:
-    return drawn(app)
+    return drawn_set(app)
 
 
 @pytest.mark.long
-def test_counts_names_and_tensors(app: str, data: Drawn) -> None:
-    counts, some, tensors = SETS[app][:3]
+def test_sets_have_the_stated_counts_names_and_tensors(app: str, data: Drawn) -> None:
+    counts, known_names, tensors = SETS[app][:3]
     assert (data.source.COUNTS["train"], data.source.COUNTS["test"]) == counts
     names = [task.name for task in data.tasks]
     assert len(set(names)) == len(names) == len(data.train) + counts[1]
-    assert {place: names[place] for place in some} == some
+    assert {place: names[place] for place in known_names} == known_names
     families = FLAT_FAMILIES if app == "svbrdf_stationary" else data.source.FAMILIES
     for split in (names[: len(families)], names[len(data.train) :]):
         assert {name.split("-")[0] for name in split} == set(families) or len(split) < len(families)
@@ -143,12 +143,12 @@ def test_counts_names_and_tensors(app: str, data: Drawn) -> None:
 
 @pytest.mark.long
 def test_a_larger_set_begins_with_the_smaller_one(app: str, data: Drawn) -> None:
-    for one, two in zip(data.source.synthetic_tasks("train", 6), data.train, strict=False):
-        assert one.name == two.name
-        assert all(torch.equal(one.data[key], two.data[key]) for key in two.data)
+    for first, two in zip(data.source.synthetic_tasks("train", 6), data.train, strict=False):
+        assert first.name == two.name
+        assert all(torch.equal(first.data[key], two.data[key]) for key in two.data)
     key = next(iter(SETS[app].tensors))
-    for one, two in zip(data.source.synthetic_tasks("train", 8, seed=1), data.train, strict=False):
-        assert (one.data[key].float() - two.data[key].float()).abs().mean() > SETS[app].apart
+    for first, two in zip(data.source.synthetic_tasks("train", 8, seed=1), data.train, strict=False):
+        assert (first.data[key].float() - two.data[key].float()).abs().mean() > SETS[app].apart
 
 
 @pytest.mark.long
@@ -156,10 +156,10 @@ def test_draws_are_the_same_everywhere_and_no_two_are_alike(app: str, data: Draw
     """Whoever changes a draw changes the default data set, and with it all checkpoints and tables."""
     expected = SETS[app]
     tensors = torch.stack([task.data[next(iter(expected.tensors))] for task in data.tasks]).float()
-    own = tensors.mean((2, 3))
-    found = torch.stack([own.mean(0), own.std(0)])
-    wanted = torch.tensor([expected.means, expected.spread])
-    torch.testing.assert_close(found, wanted, atol=expected.tolerance, rtol=0)
+    means = tensors.mean((2, 3))
+    found = torch.stack([means.mean(0), means.std(0)])
+    expected_values = torch.tensor([expected.means, expected.spread])
+    torch.testing.assert_close(found, expected_values, atol=expected.tolerance, rtol=0)
     small = torch.nn.functional.avg_pool2d(tensors, 8).flatten(1)
     apart = torch.cdist(small, small, p=1).fill_diagonal_(float("inf")) / small.shape[1]
     assert apart.min() > expected.apart  # with that no test task is a training task
@@ -200,14 +200,14 @@ def test_an_application_without_example_inputs_is_one_line(tmp_path: Path) -> No
 
 @pytest.mark.long
 def test_maps_are_finite_lit_everywhere_and_of_mean_luminance_1() -> None:
-    tasks = drawn("illumination").tasks
+    tasks = drawn_set("illumination").tasks
     light = torch.stack([task.data["map"] for task in tasks])
     assert light.isfinite().all()
     assert light.min() >= 0
     assert (mean_luminance(light) - 1).abs().max() < 1e-4
     assert (luminance(light) > 0).float().mean() > 0.98
     # kcd/m^2: from lamplight to sunlight
-    scales = torch.stack([task.data["scale"] for task in drawn("illumination").train])
+    scales = torch.stack([task.data["scale"] for task in drawn_set("illumination").train])
     assert scales.min() > 1e-3
     assert scales.max() < 50
     assert scales.max() > 300 * scales.min()
@@ -224,7 +224,7 @@ def test_cameras_take_away_strong_casts() -> None:
 # The synthetic textures and flash photographs
 
 
-def test_another_size(tmp_path: Path) -> None:
+def test_tasks_have_the_size_asked_for(tmp_path: Path) -> None:
     large, again = (next(synthetic_tasks("train", 1, size=96)).data["image"] for _ in range(2))
     assert large.shape == (3, 96, 96)
     assert torch.equal(large, again)
@@ -240,7 +240,7 @@ def test_another_size(tmp_path: Path) -> None:
 # Under a flash
 
 
-def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
+def test_true_map_reproduces_the_photograph_up_to_exposure() -> None:
     """Maps of one value each: a photograph of those that the statistics tell is the one that they belong to."""
     size, one = 64, np.ones((1, 64, 64), np.float32)
     plain = PeriodicMaps(0.3 * np.repeat(one, 3, 0), 0.06 * one, 0.5 * one, 0 * one)
@@ -266,17 +266,17 @@ def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
 @pytest.fixture(scope="module")
 def maps() -> Maps:
     """Each [64, C, 128, 128]."""
-    return unpack_maps(torch.stack([task.data["maps"] for task in drawn("svbrdf_nonstationary").tasks]).float())
+    return unpack_maps(torch.stack([task.data["maps"] for task in drawn_set("svbrdf_nonstationary").tasks]).float())
 
 
 def metal(maps: Maps) -> Tensor:
-    """Where there is metal, [N, 128, 128]."""
+    """Return where maps are metal, [N, 128, 128]."""
     return maps.specular.mean(1) > 0.4
 
 
 @pytest.mark.long
 def test_maps_are_physical(maps: Maps) -> None:
-    assert all(each.isfinite().all() for each in maps)
+    assert all(values.isfinite().all() for values in maps)
     assert (maps.normal.norm(dim=1) - 1).abs().max() < 2e-3  # of 16 bits
     assert maps.normal[:, 2].min() > 0
     for name, (low, high) in {"roughness": (0.0999, 0.9505), "specular": (0.0199, 1), "diffuse": (0, 0.8505)}.items():
@@ -311,7 +311,7 @@ def spheres(scene: dict[str, Any]) -> list[tuple[np.ndarray, float]]:
 
 
 def corners(rectangle: dict[str, Any]) -> np.ndarray:
-    """Of a rectangle, [4, 3]."""
+    """Return the corners of a rectangle, [4, 3]."""
     matrix = np.array(rectangle["to_world"])
     return np.array([(matrix @ [x, y, 0, 1])[:3] for x, y in itertools.product((-1, 1), (-1, 1))])
 
@@ -353,7 +353,7 @@ def test_spheres_mirror_and_light_of_a_box_lie_where_they_should() -> None:
         check_mirror_and_light(scene)
 
 
-def test_a_seed_is_a_scene() -> None:
+def test_each_seed_gives_one_scene() -> None:
     assert random_scene(3) == SCENES[3]
     assert len({json.dumps(scene) for scene in SCENES}) == len(SCENES)
     with pytest.raises(ValueError, match="seed -1, expected 0 or more"):
@@ -366,8 +366,8 @@ def test_a_scene_as_xml_is_the_same_as_its_dictionary() -> None:
 
     points = torch.rand(4000, 4, generator=torch.Generator().manual_seed(0))
     carried = [
-        Tracer(each).trace_radiance(points, torch.Generator().manual_seed(0))
-        for each in (SCENES[3], {"xml": to_xml(SCENES[3])})
+        Tracer(scene).trace_radiance(points, torch.Generator().manual_seed(0))
+        for scene in (SCENES[3], {"xml": to_xml(SCENES[3])})
     ]
     assert carried[0].any()
     torch.testing.assert_close(*carried, rtol=1e-4, atol=1e-5)

@@ -32,14 +32,16 @@ def materials() -> list[SyntheticBrdf]:
     return synthetic_materials("train") + synthetic_materials("test")
 
 
-def test_counts_names_and_determinism(materials: list[SyntheticBrdf], random_angles: RandomAngles) -> None:
+def test_sets_have_stated_counts_and_names_and_equal_draws(
+    materials: list[SyntheticBrdf], random_angles: RandomAngles
+) -> None:
     names = [material.name for material in materials]
     assert len(names) == len(set(names)) == 100
     assert all(name == name.lower() and " " not in name for name in names)
     again, angles = synthetic_materials("train", 10), random_angles(100)
     assert [material.name for material in again] == names[:10]
-    for one, other in zip(again, materials, strict=False):
-        assert torch.equal(one.evaluate(angles), other.evaluate(angles))
+    for first, other in zip(again, materials, strict=False):
+        assert torch.equal(first.evaluate(angles), other.evaluate(angles))
     assert {name.split("-")[0] for name in names[:80]} == {name.split("-")[0] for name in names[80:]}
     colours = {(0.8, 0.02, 0.02): "red", (0.02, 0.02, 0.8): "blue", (0.9,) * 3: "white", (0.01,) * 3: "black"}
     assert {rgb: colour_name(rgb) for rgb in colours} == colours
@@ -57,12 +59,12 @@ def test_draws_are_the_same_on_every_machine(materials: list[SyntheticBrdf]) -> 
         found = materials[index].evaluate(angles)
         torch.testing.assert_close(found, torch.tensor(linear_rgb, dtype=torch.float64), rtol=1e-5, atol=0)
     grazing = torch.stack([angles, torch.tensor([0.8, 0.3, 2.0], dtype=torch.float64)])
-    means = torch.stack([each.evaluate(grazing).log1p() for each in materials]).mean(0)
+    means = torch.stack([material.evaluate(grazing).log1p() for material in materials]).mean(0)
     expected = torch.tensor([[0.5173, 0.4796, 0.4629], [0.0361, 0.0336, 0.0330]], dtype=torch.float64)
     torch.testing.assert_close(means, expected, rtol=0, atol=6e-5)
 
 
-def test_reciprocal_non_negative_and_dark_below_the_horizon(
+def test_materials_are_reciprocal_non_negative_and_dark_below_the_horizon(
     materials: list[SyntheticBrdf], random_angles: RandomAngles
 ) -> None:
     angles = random_angles(2000, above=False)

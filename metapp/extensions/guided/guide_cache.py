@@ -114,7 +114,7 @@ class GuideCache:
         bounces: for each entry the sums of outgoing luminance, of squared carried luminance, and of bounces.
         rows: the row of each entry in the table of histograms; row 0, which is uniform, is for entries without paths.
         words: the table of histograms, as words of the alias method.
-        expected: for each row the two numbers that :meth:`row_expectations` returns.
+        expected_luminances: for each row the two numbers that :meth:`row_expectations` returns.
         prior: a function that estimates the second moments of coarse voxels from their sums. The default,
             :func:`second_moments`, shrinks them towards the moments of coarser voxels.
     """

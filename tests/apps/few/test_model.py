@@ -80,7 +80,7 @@ def test_the_slope_is_that_of_finite_differences(where: Tensor) -> None:
 
 
 def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor) -> None:
-    """Of augmented rows, by a least-squares solver; and its covariance is the inverse of the normal equations."""
+    """A least-squares solver on augmented rows agrees; the covariance is the inverse of the normal equations."""
     batch = batch_of(theta, where)
     at = ridge_regression(theta, batch)
     seen = batch["target"].expm1() / where[:, 6:7]
@@ -91,8 +91,8 @@ def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor)
     for axis in range(3):
         root = weights.sqrt()
         rows = torch.cat([(features * root).T, torch.diag(torch.exp(-theta["deviation"][0, axis]))])
-        wanted = (logs[0, axis] - theta["last"][0, axis] @ features) * root
-        change = torch.linalg.lstsq(rows, torch.cat([wanted, torch.zeros(8).double()])[:, None]).solution[:, 0]
+        expected = (logs[0, axis] - theta["last"][0, axis] @ features) * root
+        change = torch.linalg.lstsq(rows, torch.cat([expected, torch.zeros(8).double()])[:, None]).solution[:, 0]
         gram = at.features[0] * at.weights[0] / where.shape[2] @ at.features[0].T + torch.diag(at.prior[0, axis])
         moment = at.features[0] * at.weights[0] / where.shape[2] @ at.residual[0, axis]
         torch.testing.assert_close(torch.linalg.solve(gram, moment), change)
@@ -105,7 +105,7 @@ def _like(theta: Params) -> Params:
     return theta | {key: theta[key] + change for key, change in changes.items()}
 
 
-def test_evidence_is_the_likelihood_of_samples(theta: Params, where: Tensor) -> None:
+def test_evidence_agrees_with_the_likelihood_of_samples(theta: Params, where: Tensor) -> None:
     """Differences between models are those of the normal distributions of the logarithms, written out."""
     batch, logs = batch_of(theta, where), []
     for model in (theta, _like(theta)):
@@ -116,18 +116,18 @@ def test_evidence_is_the_likelihood_of_samples(theta: Params, where: Tensor) -> 
         covariances = torch.einsum("fn,cf,fm->cnm", features, spread, features) + torch.diag(1 / weights)
         normal = torch.distributions.MultivariateNormal(torch.zeros_like(at), covariances)
         logs.append((log_evidence(model, batch)[0], normal.log_prob(at).sum()))
-    (first, wanted), (second, other) = logs
-    torch.testing.assert_close(first - second, wanted - other)
+    (first, expected), (second, other) = logs
+    torch.testing.assert_close(first - second, expected - other)
 
 
-def test_samples_say_which_kind_of_material_they_are_of(theta: Params, where: Tensor) -> None:
+def test_samples_select_the_kind_of_material(theta: Params, where: Tensor) -> None:
     rng, size = Generator().manual_seed(6), Few(width=12, features=7, kinds=3)
     encoder = {key: value.double() for key, value in size.init_encoder(rng).items()}
     encoder["encoder.last"] = 0.5 * torch.randn(3, 3, 8, generator=rng).double()
     encoder["encoder.deviation"] -= torch.tensor([0.0, 0.5, 1.0])[:, None, None].double()
     models = [size.select_kinds(encoder, torch.tensor([kind])) for kind in range(3)]
     batches = [batch_of(model, where) for model in models]
-    batch = {key: torch.cat([each[key] for each in batches]) for key in batches[0]}
+    batch = {key: torch.cat([single_batch[key] for single_batch in batches]) for key in batches[0]}
     found = size.encode(encoder, batch)
     assert torch.equal(found["last"], encoder["encoder.last"])
     assert found["w1"].shape == (3, 12, 15)
@@ -143,7 +143,7 @@ def test_deviations_are_those_of_materials_that_the_model_draws(theta: Params, w
     torch.testing.assert_close(posterior.log_deviation(where), logs.std(2).T, rtol=0.03, atol=1e-5)
 
 
-def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
+def test_more_samples_never_raise_the_uncertainty(theta: Params, where: Tensor) -> None:
     before = Posterior.from_samples(theta, where[:, :, :0]).log_deviation(where)
     for count in (1, 4, 16):
         after = Posterior.from_samples(theta, where[:, :, :count]).log_deviation(where)
@@ -151,10 +151,10 @@ def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
         before = after
 
 
-def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
-    one = {key: value[0] for key, value in theta.items()}
+def test_linear_layers_agree_with_the_network(theta: Params, where: Tensor) -> None:
+    single = {key: value[0] for key, value in theta.items()}
     x = isotropic_inputs(where)[0]
-    for weights, bias in (layers := APP.network.fold(one).layers)[:2]:
+    for weights, bias in (layers := APP.network.fold(single).layers)[:2]:
         x = torch.nn.functional.silu(weights @ x + bias[:, None])
     x = layers[2][0] @ x + layers[2][1][:, None]
     torch.testing.assert_close(
@@ -192,7 +192,7 @@ def test_training_draws_few_samples_of_each_material() -> None:
 # Plans
 
 
-def test_plans_keep_to_the_limits_of_the_instrument(theta: Params) -> None:
+def test_planned_directions_lie_within_the_limits_of_the_instrument(theta: Params) -> None:
     single = {key: value.float() for key, value in theta.items()}
     for limits in (
         InstrumentLimits(),
@@ -210,7 +210,7 @@ def test_plans_keep_to_the_limits_of_the_instrument(theta: Params) -> None:
 
 
 def test_planned_directions_tell_more_than_random_ones(theta: Params) -> None:
-    """And more follow on what was measured: the second half of a plan is not the first one again."""
+    """The second half of a plan follows on what was measured and differs from the first half."""
     single = {key: value.float() for key, value in theta.items()}
 
     def left(angles: Tensor) -> float:

@@ -11,7 +11,7 @@ import metapp as api
 from data_tools.readers import gonio
 from data_tools.readers.measured_pairs import MeasuredPairs
 from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK
-from tests.anisotropic import measured
+from tests.anisotropic import measure_with_noise
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -24,7 +24,9 @@ def table(file: Path, pairs: MeasuredPairs) -> Path:
 
 def test_up_to_a_thousand_samples_in_memory_are_all_fitted() -> None:
     rng = np.random.default_rng(0)
-    wi, wo = (np.abs(each) / np.linalg.norm(each, axis=1, keepdims=True) for each in rng.normal(size=(2, 1200, 3)))
+    wi, wo = (
+        np.abs(vectors) / np.linalg.norm(vectors, axis=1, keepdims=True) for vectors in rng.normal(size=(2, 1200, 3))
+    )
     known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
     values = known.expand(1200, 3).numpy()
     many, *some = (api.fit("brdf", (wi[:count], wo[:count], values[:count])) for count in (1200, 20, 4))
@@ -36,16 +38,16 @@ def test_up_to_a_thousand_samples_in_memory_are_all_fitted() -> None:
 
 def test_tables_that_depend_on_phi_h_choose_the_anisotropic_recipe(metapp: Callable, tmp_path: Path) -> None:
     file, plain = (table(tmp_path / f"{name}.csv", pairs) for name, pairs in (
-        ("brushed", measured(4000)), ("plain", measured(500, anisotropic=False))))  # fmt: skip
+        ("brushed", measure_with_noise(4000)), ("plain", measure_with_noise(500, anisotropic=False))))  # fmt: skip
     facts = {source.name: source.facts for source in gonio.find(tmp_path)[0]}
     assert facts == {"brushed": {"anisotropic": True, "samples": 4000}, "plain": {"anisotropic": False, "samples": 500}}
     fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json")
     assert "recipe anisotropic, since every input has reflectance that depends on phi_h" in fitted.err
     isotropic = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--recipe", "full")
-    assert fitted.done["error"] < 0.7 * isotropic.done["error"]
+    assert fitted.json_result["error"] < 0.7 * isotropic.done["error"]
     assert "fitted as isotropic: phi_h is left out" in isotropic.err
     general = metapp("general", "brdf", file, "--out", tmp_path / "runs", "--json")  # has no checkpoint for it
     assert "phi_h is left out" in general.err
-    assert general.done["error"] > fitted.done["error"]
+    assert general.json_result["error"] > fitted.done["error"]
     both = metapp("meta", "brdf", file, plain, "--out", tmp_path / "runs")
     assert "plain.csv has not, and recipes for these differ" in both.misuse.replace("\n", "")

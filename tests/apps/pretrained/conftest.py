@@ -1,4 +1,4 @@
-"""Made-up weights of VGG-16, and materials small enough to fit."""
+"""Fixtures for the recipe of one photo: random weights of VGG-16, a small network, and small materials."""
 
 import os
 from dataclasses import replace
@@ -20,13 +20,13 @@ from metapp.learning.task import Tasks
 from tests.apps.test_svbrdf_nonstationary import material
 
 APP = "svbrdf_nonstationary"
-SIDE = 32
+SIDE = 32  # px of the maps
 RECIPE = replace(PRETRAINED, app=FromFeatures(MeanField(*field_of(SIDE, 8))))
 
 
 @pytest.fixture(scope="module")
-def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Random weights of VGG-16 up to relu4_3."""
+def random_vgg_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of random weights of VGG-16 up to relu4_3."""
     rng, weights, inputs = Generator().manual_seed(2), {}, 3
     for i, outputs in enumerate([width for block in VGG_BLOCKS[:4] for width in block]):
         weights[f"conv{i}.weight"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * (2 / (9 * inputs)) ** 0.5
@@ -38,15 +38,16 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def weights(made_up: Path, cache: Path) -> None:
-    os.link(made_up, cache / made_up.name)
+def random_vgg_in_cache(random_vgg_file: Path, cache: Path) -> None:
+    """Link the random weights of VGG-16 into the test's cache."""
+    os.link(random_vgg_file, cache / random_vgg_file.name)
 
 
 @pytest.fixture
 def app() -> FromFeatures:
-    found = app_of(APP, RECIPE, "photo")
-    assert isinstance(found, FromFeatures)
-    return found
+    small_app = app_of(APP, RECIPE, "photo")
+    assert isinstance(small_app, FromFeatures)
+    return small_app
 
 
 @pytest.fixture

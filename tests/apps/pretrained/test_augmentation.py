@@ -16,7 +16,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import (
 
 
 def test_pieces_turn_normals_with_what_they_are_of(rng: Generator) -> None:
-    """Of planes of known heights: normals lean as the heights fall, in any direction, mirrored or not."""
+    """The normals of planes lean as their heights fall, in every direction, mirrored or not."""
     across, up = texel_positions(64, 64)
     slopes = torch.randn(12, 2, generator=rng)
     heights = slopes[:, 0, None, None] * across + slopes[:, 1, None, None] * up
@@ -73,7 +73,7 @@ def test_relief_beside_other_colours_keeps_what_is_known_of_it(rng: Generator) -
     assert 0.1 < float((mixed[:, 0, 0, 0] != maps[:, 0, 0, 0]).float().mean()) < 0.6
 
 
-def test_of_mixed_materials_what_is_known_of_both_counts(rng: Generator) -> None:
+def test_mixed_materials_keep_weights_of_maps_known_in_both(rng: Generator) -> None:
     """Maps that are as they were keep what is known of them; the others lie between two materials."""
     maps = torch.arange(1, 41.0)[:, None, None, None].expand(-1, 10, 8, 8)
     known = (torch.arange(40)[:, None] % torch.tensor([2, 3, 4, 5]) > 0).float()

@@ -1,4 +1,4 @@
-"""The roughness that a sharp highlight shows, and what General makes of it."""
+"""The roughness that a sharp highlight shows, and how General's prediction of it is corrected."""
 
 import pytest
 import torch
@@ -17,7 +17,7 @@ from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 
 @pytest.fixture(scope="module")
 def reader() -> Params:
-    """That of the checkpoint."""
+    """The parameters of the checkpoint's encoder."""
     file = shipped_checkpoint_path("svbrdf_nonstationary", "general-photo", "pretrained")
     return {key: value.float() for key, value in select_reader(load_checkpoint(file)[0].encoder).items()}
 
@@ -30,9 +30,9 @@ def marble(roughness: float, seed: int, aside: float = 0.0) -> Tensor:
     )
     veins = torch.exp(-((8 * coarse) ** 2))
     diffuse = 0.1 + torch.tensor([0.6, 0.45, 0.3])[:, None, None] * veins
-    one = torch.ones_like(veins)
-    up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * one
-    maps = Maps(diffuse, 0.04 * one.expand(-1, 3, -1, -1), roughness * one, up)
+    ones = torch.ones_like(veins)
+    up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
+    maps = Maps(diffuse, 0.04 * ones.expand(-1, 3, -1, -1), roughness * ones, up)
     return render_photo(maps, decode_flash(torch.tensor([[aside, 0.5 * aside, 0.0, 0.0]]))).clamp(0, 1)
 
 
@@ -41,7 +41,10 @@ def marble(roughness: float, seed: int, aside: float = 0.0) -> Tensor:
 def test_the_highlight_of_a_polished_pattern_is_sharp(
     reader: Params, roughness: float, most: float, aside: float
 ) -> None:
-    """Of ten patterns the median; sharp highlights show up to twice the roughness, as mixed materials would."""
+    """The median of ten patterns is tested.
+
+    Sharp highlights may show up to twice the roughness, as mixed materials would.
+    """
     photos = torch.cat([marble(roughness, seed, aside) for seed in range(10)])
     shown = predict_roughness(reader, describe_highlight(photos))
     assert 0.7 * roughness < float(shown.median()) < most
@@ -51,25 +54,27 @@ def test_the_highlight_of_a_polished_pattern_is_sharp(
 def test_rough_patterns_are_not_taken_for_polished_ones(reader: Params) -> None:
     shown = predict_roughness(reader, describe_highlight(torch.cat([marble(0.6, seed) for seed in range(10)])))
     assert float(shown.min()) > 0.3
-    torch.testing.assert_close(shifted(torch.full((10,), 0.6), shown), torch.full((10,), 0.6), atol=0.005, rtol=0)
+    torch.testing.assert_close(
+        shifted_roughness(torch.full((10,), 0.6), shown), torch.full((10,), 0.6), atol=0.005, rtol=0
+    )
 
 
-def shifted(roughness: Tensor, shown: Tensor, slope: float = 0.0) -> Tensor:
+def shifted_roughness(roughness: Tensor, shown: Tensor, slope: float = 0.0) -> Tensor:
     """The roughness [T] of even maps after the shift."""
-    one = torch.ones(len(roughness), 1, 2, 2)
-    normal = torch.nn.functional.normalize(torch.cat([slope * one, 0 * one, one], 1), dim=1)
-    maps = Maps(one.expand(-1, 3, -1, -1), one.expand(-1, 3, -1, -1), roughness[:, None, None, None] * one, normal)
+    ones = torch.ones(len(roughness), 1, 2, 2)
+    normal = torch.nn.functional.normalize(torch.cat([slope * ones, 0 * ones, ones], 1), dim=1)
+    maps = Maps(ones.expand(-1, 3, -1, -1), ones.expand(-1, 3, -1, -1), roughness[:, None, None, None] * ones, normal)
     raw = ((roughness - MIN_ROUGHNESS) / (1 - MIN_ROUGHNESS)).logit()
     return MIN_ROUGHNESS + (1 - MIN_ROUGHNESS) * torch.sigmoid(raw + roughness_shift(shown, maps))
 
 
 def test_roughness_moves_to_that_of_a_sharp_highlight_of_a_flat_surface_alone() -> None:
     mean, shown = torch.tensor([0.7, 0.7]), torch.tensor([0.08, 0.9])
-    torch.testing.assert_close(shifted(mean, shown), torch.tensor([0.08, 0.7]), atol=0.005, rtol=0)
-    torch.testing.assert_close(shifted(mean, shown, slope=0.1), mean, atol=0.005, rtol=0)
+    torch.testing.assert_close(shifted_roughness(mean, shown), torch.tensor([0.08, 0.7]), atol=0.005, rtol=0)
+    torch.testing.assert_close(shifted_roughness(mean, shown, slope=0.1), mean, atol=0.005, rtol=0)
 
 
-def test_untrained_readers_take_nothing_for_polished(rng: Generator) -> None:
+def test_untrained_encoders_take_no_material_for_polished(rng: Generator) -> None:
     shown = predict_roughness(init_decoder(rng, 5), describe_highlight(torch.rand(3, 3, 64, 64, generator=rng)))
     torch.testing.assert_close(shown, torch.ones(3))
 

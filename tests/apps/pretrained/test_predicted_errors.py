@@ -1,4 +1,4 @@
-"""The error that General predicts of its maps: a likelihood that has its maximum at the true scale."""
+"""The error that General predicts for its maps: its likelihood is greatest at the true scale."""
 
 import pytest
 import torch
@@ -29,7 +29,7 @@ def test_the_likelihood_is_greatest_at_the_scale_of_the_differences(rng: Generat
     torch.testing.assert_close(laplace_scales(theta), torch.full_like(laplace_scales(theta), 0.1), rtol=0.05, atol=0)
 
 
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_the_likelihood_moves_the_predicted_error_alone(
     app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -45,7 +45,7 @@ def test_the_likelihood_moves_the_predicted_error_alone(
         assert torch.equal(grad, other) == (key != "deviation"), key
 
 
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_steps_leave_the_predicted_error(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}

@@ -37,28 +37,33 @@ from metapp.storage.checkpoint_files import tensor_digest
 from tests.apps.pretrained.conftest import APP, RECIPE, SIDE
 
 
-def test_only_its_recipe_is_of_the_subclass() -> None:
+def test_pretrained_recipe_alone_uses_features() -> None:
     kinds = {name: type(app_of(APP, recipe, "photo")) for name, recipe in recipes_of(APP, "photo").items()}
     assert {name for name, kind in kinds.items() if kind is FromFeatures} == {"pretrained"}
     assert kinds["full"] is FromPhoto
 
 
-def test_without_the_weights_it_says_how_to_get_them(metapp: Callable, tmp_path: Path, cache: Path) -> None:
+def test_missing_weights_are_refused_with_the_command_that_gets_them(
+    metapp: Callable, tmp_path: Path, cache: Path
+) -> None:
     photo = ("general", APP, "--observe", "photo", "--train", "--train-steps", "1", "--out", tmp_path / "runs")
     assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
-    done = metapp(*photo, "--recipe", "pretrained", "--data", tmp_path / "set")
-    assert done.code == 1
-    assert "get them by metapp data vgg, or fit by --recipe full" in " ".join(done.err.split())
-    assert "Traceback" not in done.err
+    result = metapp(*photo, "--recipe", "pretrained", "--data", tmp_path / "set")
+    assert result.code == 1
+    assert "get them by metapp data vgg, or fit by --recipe full" in " ".join(result.err.split())
+    assert "Traceback" not in result.err
 
 
 @pytest.mark.parametrize("has", [True, False])
-def test_it_is_the_default_of_what_goes_on_from_general_where_weights_are(
+def test_pretrained_is_the_default_of_fits_from_general_where_weights_are(
     request: pytest.FixtureRequest, metapp: Callable, tmp_path: Path, has: bool
 ) -> None:
-    """Else the smaller network, which is said; other paradigms and protocols have no files for it."""
+    """Without weights fits take the smaller network and say so.
+
+    Other paradigms and protocols have no checkpoints for it.
+    """
     if has:
-        request.getfixturevalue("weights")
+        request.getfixturevalue("random_vgg_in_cache")
     assert metapp("data", "synth", APP, "--count", "8", "--size", "32", "--out", tmp_path / "set").code == 0
 
     def chosen(paradigm: str, **options: object) -> str:
@@ -70,10 +75,10 @@ def test_it_is_the_default_of_what_goes_on_from_general_where_weights_are(
     assert defaults == {"pretrained" if has else "full"}
     assert chosen("general", recipe="full") == chosen("finetune") == "full"
     assert chosen("general", observe="reference") == "full"
-    done = metapp("general", APP, "--observe", "photo", "--data", tmp_path / "set", "--out", tmp_path / "runs")
-    said = " ".join(done.err.split())
-    assert ("the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them" in said) != has
-    assert done.code == has  # these weights are not those that the checkpoint was trained with
+    result = metapp("general", APP, "--observe", "photo", "--data", tmp_path / "set", "--out", tmp_path / "runs")
+    output = " ".join(result.err.split())
+    assert ("the weights of VGG-16 are missing: maps by a smaller network; metapp data vgg gets them" in output) != has
+    assert result.code == has  # these weights are not those that the checkpoint was trained with
 
 
 # The outer loss, and a few outer steps
@@ -90,7 +95,7 @@ def losses(app: FromFeatures, maps: Maps, batch: Batch, monkeypatch: pytest.Monk
     return app.outer_loss(theta, batch, {})
 
 
-def test_what_is_made_up_counts_nothing(
+def test_unknown_maps_have_no_weight_in_the_loss(
     app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     batch = app.sample(app.augment(tasks, rng), rng, 1)
@@ -99,15 +104,15 @@ def test_what_is_made_up_counts_nothing(
     value = losses(app, Maps(*parts), batch, monkeypatch)
     value.sum().backward()
     moved = [part.grad.abs().amax((1, 2, 3)) > 0 for part in parts]  # type: ignore[union-attr]
-    diffuse, specular, roughness, normal = (each.tolist() for each in moved)
+    diffuse, specular, roughness, normal = (part_moved.tolist() for part_moved in moved)
     assert diffuse == normal == [True, True, True, False]
     assert specular == roughness == [True, False, False, False]
 
 
-def test_relief_that_a_photo_does_not_tell_is_best_left_out(
+def test_flat_normals_have_the_lowest_loss_where_relief_is_ambiguous(
     app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where slopes may as well go the other way, flat maps are better than either; where they are known, the truth."""
+    """Flat maps have a lower loss than slopes of either sign. Where slopes are known, true maps have the lowest."""
     batch = app.sample(app.augment(tasks, rng), rng, 1)
     truth = unpack_maps(batch["maps"])
     turned = truth._replace(normal=truth.normal * torch.tensor([-1.0, -1.0, 1.0])[:, None, None])
@@ -117,7 +122,7 @@ def test_relief_that_a_photo_does_not_tell_is_best_left_out(
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     training = replace(RECIPE.general, tasks=4, steps=12, warmup=0)
     (general,) = General.of(app, replace(RECIPE, general=training)).preparations
@@ -128,7 +133,7 @@ def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: 
     assert float(flat.normal[:, 2].mean()) > 0.99
     same = replace(loss, draw=lambda data, own, done: loss.draw(data, Generator().manual_seed(0), done))
     end = final_item(descend(phi.flatten(), outer_adam(training, phi.flatten()), tasks, same, steps=12, rng=rng)).theta
-    before, after = (float(loss.value(each, drawn, {}).mean()) for each in (phi.flatten(), end))
+    before, after = (float(loss.value(parameters, drawn, {}).mean()) for parameters in (phi.flatten(), end))
     assert after < 0.9 * before
     encoder = {key.removeprefix("encoder."): value for key, value in end.items()}
     assert set(app.errors(app.encode(encoder, app.condition(tasks, rng)), tasks)) >= {"error", "normal"}
@@ -137,7 +142,7 @@ def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: 
 # Both networks in one field, and steps by the photograph, which move one of them
 
 
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, rng: Generator) -> None:
     """Before their ranges are imposed, and at resolutions that the smaller one does not read."""
     encoder = app.init_encoder(rng)
@@ -145,12 +150,12 @@ def test_maps_are_the_mean_of_both_networks_but_for_normals(app: FromFeatures, r
     inputs = pixel_inputs(photo)
     theta = app.encode(encoder, {"photo": photo, "inputs": inputs, **describe_patch(photo)})
     size = {"height": 2 * SIDE, "width": 2 * SIDE, "rows": 2 * SIDE, "columns": 2 * SIDE}
-    own = LocalField(*app.network)._replace(**size)
+    small_network = LocalField(*app.network)._replace(**size)
     alone = {key.removeprefix("decoder."): value[None] for key, value in encoder.items() if key.startswith("decoder.")}
-    first = own(alone | {"z": theta["z"][:, : own.code]}, inputs)
+    first = small_network(alone | {"z": theta["z"][:, : small_network.code]}, inputs)
     full = full_encoder(torch.device("cpu"))
     beside = {key.removeprefix("decoder."): value[None] for key, value in full.items() if "decoder." in key}
-    second = FULL_APP.network._replace(**size)(beside | {"z": theta["z"][:, own.code :]}, inputs)
+    second = FULL_APP.network._replace(**size)(beside | {"z": theta["z"][:, small_network.code :]}, inputs)
     joined = app.network._replace(**size)(theta, inputs)
     torch.testing.assert_close(joined[:, :2], first[:, :2], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(joined[:, 2:], torch.lerp(first, second, FULL_SHARE)[:, 2:], atol=1e-4, rtol=1e-4)
@@ -163,9 +168,9 @@ def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures)
     size[0, 0] = HALVED_SLOPE
     raw[:, :2] *= size / raw[:, :2].norm(dim=1, keepdim=True)
     maps, as_read = app.maps_from(raw), decode_maps(raw)
-    for found, wanted in zip(maps[:3], as_read[:3], strict=True):
-        assert torch.equal(found, wanted)
-    slopes, read = (each.normal[:, :2] / each.normal[:, 2:] for each in (maps, as_read))
+    for found, expected in zip(maps[:3], as_read[:3], strict=True):
+        assert torch.equal(found, expected)
+    slopes, read = (maps_of_one.normal[:, :2] / maps_of_one.normal[:, 2:] for maps_of_one in (maps, as_read))
     torch.testing.assert_close(slopes[:, :, 0, 0].norm(dim=1), torch.full((2,), SLOPE_GAIN * HALVED_SLOPE / 2))
     ratio = slopes / read
     torch.testing.assert_close(ratio[:, 0], ratio[:, 1], rtol=1e-2, atol=1e-3)
@@ -177,45 +182,43 @@ def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures)
     assert flat.grad.isfinite().all()
 
 
-@pytest.mark.usefixtures("weights")
-def test_training_sees_what_the_network_makes_and_fits_what_is_made_of_it(
-    app: FromFeatures, tasks: Tasks, rng: Generator
-) -> None:
-    """Else training would undo it."""
+@pytest.mark.usefixtures("random_vgg_in_cache")
+def test_training_sees_raw_maps_and_fits_see_processed_ones(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
+    """Training on processed maps would undo the processing."""
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     photo = tasks.data["photo"]
     raw = app.network(theta, pixel_inputs(photo))
-    for maps, wanted in (
+    for maps, expected in (
         (app._evaluate_maps(theta, pixel_inputs(photo)), decode_maps(raw)),
         (app.maps_of(theta, photo), app.maps_from(raw)),
     ):
-        for found, other in zip(maps, wanted, strict=True):
+        for found, other in zip(maps, expected, strict=True):
             torch.testing.assert_close(found, other)
     assert not torch.equal(decode_maps(raw).normal, app.maps_from(raw).normal)
 
 
-@pytest.mark.usefixtures("weights")
-def test_a_step_by_a_photo_is_that_of_the_whole_field_but_for_what_is_held(
+@pytest.mark.usefixtures("random_vgg_in_cache")
+def test_photo_steps_equal_steps_of_the_whole_field_except_fixed_parts(
     app: FromFeatures, tasks: Tasks, rng: Generator
 ) -> None:
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
-    batch, own = app.sample(tasks, rng, 1), app.network.code
+    batch, code_channels = app.sample(tasks, rng, 1), app.network.code
     loss = app.loss(theta, batch, {})
     whole = FromPhoto.loss(app, theta, batch, {})
     torch.testing.assert_close(loss, whole)
     by_loss, by_whole = (
-        dict(zip(theta, torch.autograd.grad(each.sum(), [*theta.values()], allow_unused=True), strict=True))
-        for each in (loss, whole)
+        dict(zip(theta, torch.autograd.grad(inner_loss.sum(), [*theta.values()], allow_unused=True), strict=True))
+        for inner_loss in (loss, whole)
     )
-    torch.testing.assert_close(by_loss["z"][:, own:], by_whole["z"][:, own:])
+    torch.testing.assert_close(by_loss["z"][:, code_channels:], by_whole["z"][:, code_channels:])
     torch.testing.assert_close(by_loss["flash"], by_whole["flash"])
-    assert by_loss["z"][:, own:].abs().amax() > 0
-    assert (by_loss["z"][:, :own] == 0).all()
+    assert by_loss["z"][:, code_channels:].abs().amax() > 0
+    assert (by_loss["z"][:, :code_channels] == 0).all()
     assert all(by_loss[key] is None for key in theta if "." in key)
 
 
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     batch = app.sample(tasks, rng, 1)
@@ -236,7 +239,7 @@ def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng:
 DIGEST = "6bc8d907167d"  # the digest of General by "full" that the checkpoint's was trained beside
 
 
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> None:
     decoder = init_decoder(rng, 5)
     for side in (32, 64):
@@ -248,9 +251,9 @@ def test_the_same_parameters_read_photos_of_several_sizes(rng: Generator) -> Non
         read_photos(decoder, torch.rand(1, 3, 44, 44))
 
 
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_the_flash_is_where_full_sees_it_in_all_of_the_patch(rng: Generator) -> None:
-    """It is not in most windows."""
+    """The flash is predicted from the whole patch, since it lies outside most windows."""
     decoder, photos = init_decoder(rng, 5), torch.rand(2, 3, 32, 32, generator=rng) ** 2
     side = FULL_APP.network.height
     large = torch.nn.functional.interpolate(photos, (side, side), mode="bilinear")
@@ -273,20 +276,20 @@ def test_exposure_and_white_balance_are_inputs_of_their_own(rng: Generator) -> N
     torch.testing.assert_close((3 * change[:1] + change[1:]).exp(), gains.flatten())
 
 
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
     """Gloss is read off an overview, which says the same of a patch in any window and at any resolution."""
     side = 64
-    made = [draw_variants(torch.rand(2, 10, 128, 128, generator=rng), torch.ones(2, 4), side, rng) for _ in range(12)]
-    whole = [float(each["inputs"][:, -2:].std()) > 0.5 for each in made]
+    result = [draw_variants(torch.rand(2, 10, 128, 128, generator=rng), torch.ones(2, 4), side, rng) for _ in range(12)]
+    whole = [float(variants["inputs"][:, -2:].std()) > 0.5 for variants in result]
     assert set(whole) == {True, False}
-    for each, seen in zip(made, whole, strict=True):
-        assert each["overview"].shape == (2, 3, OVERVIEW_PX, OVERVIEW_PX)
-        assert each["photo"].shape[-1] == each["maps"].shape[-1] == each["inputs"].shape[-1] == side
+    for variants, seen in zip(result, whole, strict=True):
+        assert variants["overview"].shape == (2, 3, OVERVIEW_PX, OVERVIEW_PX)
+        assert variants["photo"].shape[-1] == variants["maps"].shape[-1] == variants["inputs"].shape[-1] == side
         if seen:
-            torch.testing.assert_close(pixel_inputs(each["photo"]), each["inputs"])
-            coarse = torch.nn.functional.avg_pool2d(each["overview"], OVERVIEW_PX)
-            torch.testing.assert_close(each["photo"].mean((2, 3), keepdim=True), coarse)
+            torch.testing.assert_close(pixel_inputs(variants["photo"]), variants["inputs"])
+            coarse = torch.nn.functional.avg_pool2d(variants["overview"], OVERVIEW_PX)
+            torch.testing.assert_close(variants["photo"].mean((2, 3), keepdim=True), coarse)
     fine = torch.rand(1, 3, 512, 512, generator=rng)
     smooth = torch.nn.functional.avg_pool2d(fine, 2)
     torch.testing.assert_close(*(describe_patch(photo)["overview"] for photo in (fine, smooth)))
@@ -296,11 +299,11 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
     window = (smooth[middle], texel_positions(256, 256)[None][middle])
     for parameters, same in ((untrained, True), (trained, False)):  # of another patch with the same mean
         turned = patch | {"overview": patch["overview"].flip(3)}
-        read, other = (read_photos(parameters, *window, each)["z"] for each in (patch, turned))
+        read, other = (read_photos(parameters, *window, patch_photo)["z"] for patch_photo in (patch, turned))
         assert torch.allclose(read, other, atol=1e-5) == same
 
 
-def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
+def test_guess_agrees_with_general_of_the_full_recipe(rng: Generator) -> None:
     """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was trained beside."""
     assert tensor_digest(full_encoder(torch.device("cpu"))) == DIGEST, "train pretrained beside this General, too"
     photo = torch.rand(1, 3, 256, 256, generator=rng)
@@ -316,7 +319,7 @@ def test_the_guess_is_what_general_by_full_says(rng: Generator) -> None:
     torch.testing.assert_close(describe_patch(twice)["guess"], guess)
 
 
-@pytest.mark.usefixtures("weights")
+@pytest.mark.usefixtures("random_vgg_in_cache")
 def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> None:
     untrained = init_decoder(rng, 5)
     trained = {key: value + (0.1 if ".guess.kernel" in key else 0) for key, value in untrained.items()}
@@ -324,5 +327,5 @@ def test_windows_are_read_beside_the_guess_of_their_patch(rng: Generator) -> Non
     patch = describe_patch(photo)
     for parameters, same in ((untrained, True), (trained, False)):
         changed = patch | {"guess": 1 - patch["guess"]}
-        read, other = (read_photos(parameters, photo, patch=each)["z"] for each in (patch, changed))
+        read, other = (read_photos(parameters, photo, patch=patch_photo)["z"] for patch_photo in (patch, changed))
         assert torch.allclose(read, other, atol=1e-5) == same

@@ -1,4 +1,4 @@
-"""The height of the surface over the plane by which photographs are registered."""
+"""The height of a surface above the plane by which photographs were registered: photographs are moved onto it."""
 
 import pytest
 import torch
@@ -23,11 +23,11 @@ def photographs(slope: float) -> tuple[Tensor, Tensor]:
     places[0, :2] = 0
     maps = maps._replace(normal=normal / normal.norm(dim=1, keepdim=True))
     gains = (places[:, 2] / camera_distance()) ** 2
-    each = [
+    photos = [
         render_maps(maps, texel_positions(SIDE, SIDE), place[None], place[None], intensity=gain)
         for place, gain in zip(places, gains, strict=True)
     ]
-    return torch.cat(each), places[:, None].repeat(1, 2, 1)
+    return torch.cat(photos), places[:, None].repeat(1, 2, 1)
 
 
 @pytest.mark.parametrize("texels", [1.0, 1.5])
@@ -43,7 +43,7 @@ def test_photographs_registered_below_the_surface_are_moved_onto_it(texels: floa
 
 
 @pytest.mark.parametrize("slope", [0.0, 1.0])
-def test_what_lies_on_the_plane_or_does_not_tell_stays(slope: float) -> None:
+def test_photographs_on_the_plane_or_with_too_little_data_stay_unchanged(slope: float) -> None:
     photos, places = photographs(slope)
     assert align_to_surface(photos, places) is photos
     for few, at in ((photos[..., ::2, ::2], places), (photos[:3], places[:3])):

@@ -66,15 +66,15 @@ def test_changes_are_those_of_dense_least_squares() -> None:
 
     def dense(flash: Tensor) -> Tensor:
         at = torch.cat([theta["maps"].flatten(), flash.flatten()])
-        rows, short = torch.func.jacfwd(logs)(at), logs(at) - (batch["photos"] + LIGHT_FLOOR).log().flatten()
-        weight = (short.square() + SETTINGS["smoothing"] ** 2).rsqrt()
+        rows, residuals = torch.func.jacfwd(logs)(at), logs(at) - (batch["photos"] + LIGHT_FLOOR).log().flatten()
+        weight = (residuals.square() + SETTINGS["smoothing"] ** 2).rsqrt()
         off = (theta["maps"] - theta["prior"].chunk(2, 1)[0]).flatten()
         pull = 3 * SETTINGS["prior"] / (1 + off.square()).sqrt()
         moved = torch.full((FLASH_NUMBERS, COUNT), 2 * SETTINGS["flash"])
         moved[3] = 1e-4
         moved = (SIDE * SIDE * moved).flatten()
         matrix = rows.T @ (weight[:, None] * rows) + torch.cat([pull + newton.TEXEL_DAMPING, moved]).diag()
-        moment = rows.T @ (weight * short) + torch.cat([pull * off, moved * flash.flatten()])
+        moment = rows.T @ (weight * residuals) + torch.cat([pull * off, moved * flash.flatten()])
         both: Tensor = torch.linalg.solve(matrix, moment)
         if flash is theta["flash"]:
             return both[-FLASH_NUMBERS * COUNT :].view_as(flash)
@@ -86,7 +86,7 @@ def test_changes_are_those_of_dense_least_squares() -> None:
     torch.testing.assert_close(found["maps"], dense(theta["flash"] - found["flash"]), rtol=1e-3, atol=1e-5)
 
 
-def test_exact_photographs_are_met_in_a_few_steps() -> None:
+def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
     theta, batch, true = problem(0.1)
     weak = settings({"smoothing": 0.02, "prior": 1e-9, "flash": 1e-2})
 

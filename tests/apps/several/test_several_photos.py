@@ -73,15 +73,15 @@ PLACES = torch.tensor([[0.0, 0, 2.4], [1.2, 0.3, 2.2], [-0.9, 0.9, 2.5], [-0.3, 
 
 
 def test_stereo_is_exact_on_lambertian_texels() -> None:
-    """But for the ridge, which draws slopes to 0 by the share that it states."""
+    """Slopes are exact but for the ridge, which draws them to 0 by the share that it states."""
     maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
     wi, squared = directions_to_point(places[:, :, 1], texel_positions(32, 32))
     white = wi[:, :, 2:] * places[:, :, 1, 2, None, None, None].square() / squared
     flash = torch.zeros(1, FLASH_NUMBERS, 5)
     brightness = render_photos(maps, decode_flashes(flash, places)).mean(2, keepdim=True) / white
     expected = maps.normal[:, :2] / maps.normal[:, 2:]
-    one = torch.ones_like(brightness)
-    level, slopes, _, unknown = reader.photometric_stereo(brightness, wi[:, :, :2] / wi[:, :, 2:], one, 0 * one)
+    ones = torch.ones_like(brightness)
+    level, slopes, _, unknown = reader.photometric_stereo(brightness, wi[:, :, :2] / wi[:, :, 2:], ones, 0 * ones)
     assert unknown.max() < 0.1
     bound = 0.4 * unknown.sum(1, keepdim=True) + 0.02  # and slopes above STEEPEST_SLOPE are less steep
     assert ((slopes - expected).abs() < bound).all()
@@ -96,7 +96,9 @@ def test_exposures_of_photographs_are_solved() -> None:
     maps, places = relief(32), PLACES[None, :, None].expand(1, 5, 2, 3)
     gains = torch.tensor([0.4, -0.3, 0.0, -0.4, 0.3])
     photos = 0.5 * render_photos(maps, decode_flashes(torch.zeros(1, FLASH_NUMBERS, 5), places))
-    plain, changed = (reader.read_photos(each, places) for each in (photos, photos * gains.exp()[:, None, None, None]))
+    plain, changed = (
+        reader.read_photos(measured, places) for measured in (photos, photos * gains.exp()[:, None, None, None])
+    )
     torch.testing.assert_close(changed.gains - plain.gains, gains[None], rtol=0, atol=0.01)
     torch.testing.assert_close(changed.maps[:, :2], plain.maps[:, :2], rtol=0, atol=0.03)
 

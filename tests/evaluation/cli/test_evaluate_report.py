@@ -19,8 +19,10 @@ def headings(text: str) -> list[str]:
 
 
 @pytest.mark.long
-def test_the_report_has_all_tables_and_links_to_all_figures(evaluate: Callable, done: Path, tmp_path: Path) -> None:
-    words = ("--out", done / "runs", "--no-run", "--quiet", "--json")
+def test_the_report_has_all_tables_and_links_to_all_figures(
+    evaluate: Callable, evaluated_folder: Path, tmp_path: Path
+) -> None:
+    words = ("--out", evaluated_folder / "runs", "--no-run", "--quiet", "--json")
     assert evaluate(*words, "--report", tmp_path / "report", "--figures", tmp_path / "figures").code == 0
     figures = {f"brdf-{name}.{form}" for name in FIGURE_FUNCTIONS for form in ("png", "pdf")}
     assert {file.name for file in (tmp_path / "figures").iterdir()} == figures
@@ -38,7 +40,7 @@ def test_the_report_has_all_tables_and_links_to_all_figures(evaluate: Callable, 
 
 
 def test_a_report_has_and_runs_the_table_that_is_asked_for(evaluate: Callable, tmp_path: Path) -> None:
-    """Of nothing it has the paper's figures."""
+    """Without any run, a report has the paper's figures."""
     assert evaluate("--no-run", "--which", "quickft", "--report", tmp_path / "none", "--quiet").code == 0
     text = (tmp_path / "none" / "index.md").read_text()
     assert "| brdf | meta | - | - | 0.720 |" in text

@@ -30,11 +30,11 @@ from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.runs.fit_options import fit_options
 from metapp.runs.run import Checkpoint, Run
-from tests.evaluation.cli.subjects import rows, subject_of
+from tests.evaluation.cli.evaluation_runs import evaluation_run_of, table_rows
 from tests.evaluation.test_notes import row
 
 
-def test_the_ablation_has_four_corners(subject: EvaluationRun) -> None:
+def test_the_ablation_has_four_corners(evaluation_run: EvaluationRun) -> None:
     """Two of them are rows of the results; rules with a network of their own have none."""
     planned = EvaluationRun(
         Run.from_options(fit_options("brdf", "general", recipe="quick", quiet=True)), is_measuring=False
@@ -43,8 +43,8 @@ def test_the_ablation_has_four_corners(subject: EvaluationRun) -> None:
     assert learned_rule_rows(planned) == [
         name for name in planned.runs if name.startswith("meta") and name != "meta:ridge"
     ]
-    ablation = {(row["start"], row["rule"]): row["error"] for row in rows(subject, "ablation")}
-    results = {row["paradigm"]: row["error"] for row in rows(subject, "results")}
+    ablation = {(row["start"], row["rule"]): row["error"] for row in table_rows(evaluation_run, "ablation")}
+    results = {row["paradigm"]: row["error"] for row in table_rows(evaluation_run, "results")}
     start = "meta (meta-curvature)"
     assert set(ablation) == {(a, b) for a in ("general", start) for b in ("adam", "meta-curvature")}
     assert ablation["general", "adam"] == results["quickft"]
@@ -52,45 +52,45 @@ def test_the_ablation_has_four_corners(subject: EvaluationRun) -> None:
     assert len(set(ablation.values())) == 4
 
 
-def test_what_is_combined_is_what_it_says(subject: EvaluationRun) -> None:
-    places = [Path(records[0]["folder"]).parent.name for _, _, records in combine_halves(subject, "meta")]
+def test_ablation_rows_combine_the_named_start_and_rule(evaluation_run: EvaluationRun) -> None:
+    places = [Path(records[0]["folder"]).parent.name for _, _, records in combine_halves(evaluation_run, "meta")]
     assert [place.split("-")[:2] for place in places] == [["ablation", "rule"], ["ablation", "start"]]
-    meta, general = (subject.runs[name].phi for name in ("meta", "general"))
-    tasks, recipe = stack_tasks(subject.app, subject.tasks), subject.run.recipe
-    start, rule = InitialisationAlone.of(subject.app, recipe), RuleAlone.of(subject.app, recipe)
+    meta, general = (evaluation_run.runs[name].phi for name in ("meta", "general"))
+    tasks, recipe = stack_tasks(evaluation_run.app, evaluation_run.tasks), evaluation_run.run.recipe
+    start, rule = InitialisationAlone.of(evaluation_run.app, recipe), RuleAlone.of(evaluation_run.app, recipe)
     rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
     ours = start.initialisation(meta, tasks, rngs[0])
     assert all(torch.equal(value[1], meta.theta[key]) for key, value in ours.items())
     theirs = rule.initialisation(general._replace(alpha=meta.alpha), tasks, rngs[1])
-    encoded = subject.runs["general"].paradigm.initialisation(general, tasks, rngs[2])
+    encoded = evaluation_run.runs["general"].paradigm.initialisation(general, tasks, rngs[2])
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
     assert start.steps == rule.steps == 10
 
 
-def test_an_initialisation_that_is_generals_is_not_fitted_twice(subject: EvaluationRun) -> None:
-    meta, encoder = subject.runs["meta"], subject.runs["general"].phi.encoder
-    assert not has_general_initialisation(subject, "meta")
-    own = Checkpoint(meta.phi._replace(theta={}, encoder=encoder), "", "")
-    subject.runs["meta"] = replace(meta, checkpoint=own)
-    assert has_general_initialisation(subject, "meta")
-    fits = [subject.records("meta"), subject.records("quickft")]
-    assert [records for _, _, records in combine_halves(subject, "meta")] == fits
-    assert any("General's own" in note for note in subject.table("ablation").notes)
+def test_an_initialisation_that_is_generals_is_not_fitted_twice(evaluation_run: EvaluationRun) -> None:
+    meta, encoder = evaluation_run.runs["meta"], evaluation_run.runs["general"].phi.encoder
+    assert not has_general_initialisation(evaluation_run, "meta")
+    own_checkpoint = Checkpoint(meta.phi._replace(theta={}, encoder=encoder), "", "")
+    evaluation_run.runs["meta"] = replace(meta, checkpoint=own_checkpoint)
+    assert has_general_initialisation(evaluation_run, "meta")
+    fits = [evaluation_run.records("meta"), evaluation_run.records("quickft")]
+    assert [records for _, _, records in combine_halves(evaluation_run, "meta")] == fits
+    assert any("General's own" in note for note in evaluation_run.table("ablation").notes)
 
 
-def test_a_trace_is_the_fit_itself(subject: EvaluationRun) -> None:
-    traces = trace_records(subject)
+def test_a_trace_is_the_fit_itself(evaluation_run: EvaluationRun) -> None:
+    traces = trace_records(evaluation_run)
     for name in CURVE_PARADIGMS:
         last = {record["name"]: record["curves"][name][-1] for record in traces}
-        errors = {record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.records(name)}
+        errors = {record["name"]: pytest.approx(record["error"], rel=1e-6) for record in evaluation_run.records(name)}
         assert {task: error for task, (_, error) in last.items()} == errors
-        assert {step for step, _ in last.values()} == {subject.runs[name].paradigm.steps}
-    assert [row["step"] for row in rows(subject, "convergence")[: len(STEP_SHARES)]] == [0, 2, 5, 8, 10]
+        assert {step for step, _ in last.values()} == {evaluation_run.runs[name].paradigm.steps}
+    assert [row["step"] for row in table_rows(evaluation_run, "convergence")[: len(STEP_SHARES)]] == [0, 2, 5, 8, 10]
 
 
-def test_storage_is_that_of_the_parameters(subject: EvaluationRun) -> None:
-    found = {row["paradigm"]: row for row in rows(subject, "storage")}
-    network = parameter_bytes(subject.app.init(torch.Generator(), 1))
+def test_storage_counts_the_parameters_of_a_fit(evaluation_run: EvaluationRun) -> None:
+    found = {row["paradigm"]: row for row in table_rows(evaluation_run, "storage")}
+    network = parameter_bytes(evaluation_run.app.init(torch.Generator(), 1))
     assert network == 4 * 675
     assert found["overfit"]["bytes_100"] == found["finetune"]["bytes_100"] == 100 * network
     assert found["overfit"]["factor"] == 1
@@ -100,32 +100,32 @@ def test_storage_is_that_of_the_parameters(subject: EvaluationRun) -> None:
     assert meta["bytes_1"] <= meta["pays_from"] * network < meta["bytes_1"] + network
 
 
-def test_the_papers_rule_stores_two_networks(subject: EvaluationRun) -> None:
+def test_the_papers_rule_stores_two_networks(evaluation_run: EvaluationRun) -> None:
     """An initialisation and a rate a weight: its compression factor is 2 / m, as the paper has it."""
-    app = subject.app
+    app = evaluation_run.app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     alpha = rule_of("meta-sgd").initial_alpha(app, theta, 10, Adam(0.1))
     found = checkpoint_bytes(Checkpoint(MetaParameters(theta, alpha), "", ""))
     assert found == paper_figures()["storage"]["meta_networks"] * parameter_bytes(theta)
 
 
-def test_samples_are_those_that_steps_draw(subject: EvaluationRun) -> None:
-    found = {row["paradigm"]: row for row in rows(subject, "samples")}
+def test_sample_counts_are_those_that_steps_draw(evaluation_run: EvaluationRun) -> None:
+    found = {row["paradigm"]: row for row in table_rows(evaluation_run, "samples")}
     assert {row["all"] for row in found.values()} == {128}  # half of 256; the rest is held out
     assert found["overfit"]["saved"] == 0
     assert found["overfit"]["all_bytes"] == 128 * 6 * 4
-    (task,) = [task for task in subject.tasks if task.name == "m0"]
+    (task,) = [task for task in evaluation_run.tasks if task.name == "m0"]
     many = {key: value.repeat(128, 1) if value.ndim == 2 else value for key, value in task.data.items()}
-    subject.tasks = [Task("m0", many)]
-    found = {row["paradigm"]: row for row in samples(subject).rows}
+    evaluation_run.tasks = [Task("m0", many)]
+    found = {row["paradigm"]: row for row in samples(evaluation_run).rows}
     assert found["meta"]["seen"] == paper_figures()["samples"]["brdf"]["seen"] == 10 * 512
     assert found["meta"]["saved"] == 1 - 5120 / 16384
     assert found["quickft"]["seen"] == 10 * 512 + 1024
     assert found["general"]["seen"] == 1024
 
 
-def test_measures_of_pictures(data: Path, done: Path, tmp_path: Path) -> None:
-    runs = shutil.copytree(done / "runs", tmp_path / "runs")
+def test_picture_table_has_the_registered_measures(data: Path, evaluated_folder: Path, tmp_path: Path) -> None:
+    runs = shutil.copytree(evaluated_folder / "runs", tmp_path / "runs")
 
     class Measured(BrdfPresenter):
         def picture_errors(self, fits: Mapping[str, TimedFit], task: Task) -> dict[str, dict[str, float]]:
@@ -138,9 +138,9 @@ def test_measures_of_pictures(data: Path, done: Path, tmp_path: Path) -> None:
 
     (kept,) = (runs / "brdf").glob("image-*")
     shutil.rmtree(kept)
-    subject = subject_of(data, runs)
+    subject = evaluation_run_of(data, runs)
     subject.presenter = Measured(subject.app)
-    by = {(row["paradigm"], row["measure"]): row for row in rows(subject, "image")}
+    by = {(row["paradigm"], row["measure"]): row for row in table_rows(subject, "image")}
     assert by["regular", "MAPE"]["error"] == 0.5
     assert by["regular", "SSIM"]["error"] is None
     meta = by["meta", "SSIM"]
@@ -150,10 +150,10 @@ def test_measures_of_pictures(data: Path, done: Path, tmp_path: Path) -> None:
     assert (by["regular", "MAPE"]["measured"], by["regular", "SSIM"]["measured"]) == (3, 0)
 
 
-def test_means_of_some_tasks_alone_say_so(subject: EvaluationRun) -> None:
+def test_means_over_some_tasks_are_marked(evaluation_run: EvaluationRun) -> None:
     found = [
         row(name, 0.3) | {"measure": "MAPE, equal time", "measured": count, "paper_share": None}
         for name, count in (("reference", 1), ("general", 8), ("overfit", 0), ("meta", 3))
     ]
-    notes = [note for note in image_notes(subject, found) if "others have none" in note]
+    notes = [note for note in image_notes(evaluation_run, found) if "others have none" in note]
     assert notes == ["meta, MAPE, equal time: mean of 3 of 8 tasks, the others have none"]

@@ -17,14 +17,14 @@ from metapp.learning.task import Task
 from metapp.runs.environment import find_device
 from metapp.runs.reporter import Bar, Reporter, use_reporter
 from metapp.storage.fit_folders import Record, RunFolder
-from tests.evaluation.cli.subjects import subject_of
-from tests.quick import app_by
+from tests.evaluation.cli.evaluation_runs import evaluation_run_of
+from tests.recipe_apps import app_by_recipe
 
 
 @pytest.fixture
 def empty(data: Path, tmp_path: Path) -> EvaluationRun:
     """Three materials of which nothing was measured yet."""
-    return subject_of(data, tmp_path / "runs")
+    return evaluation_run_of(data, tmp_path / "runs")
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def test_the_progress_counts_gradient_steps(measure: Callable, empty: Evaluation
     ]
 
 
-def test_a_row_is_said_as_soon_as_it_is_measured(measure: Callable, empty: EvaluationRun) -> None:
+def test_rows_are_printed_as_soon_as_they_are_measured(measure: Callable, empty: EvaluationRun) -> None:
     with use_reporter(heard := Heard()):
         measure("quiet")
         assert heard.lines == []
@@ -128,11 +128,11 @@ def test_fits_have_the_threads_of_their_application(measure: Callable, empty: Ev
         for single, kind in ((True, Brdf), (False, Threaded)):
             empty.app = kind(**vars(empty.app))
             measure(f"{single}", lambda _: counts.append(torch.get_num_threads()))
-        find_device("cpu", app_by("illumination"))  # looking for a device changes nothing
+        find_device("cpu", app_by_recipe("illumination"))  # looking for a device changes nothing
         assert [*counts[::3], torch.get_num_threads()] == [1, 2, 2]
     finally:
         torch.set_num_threads(before)
-    assert (app_by("illumination").single_threaded, app_by("texture").single_threaded) == (True, False)
+    assert (app_by_recipe("illumination").single_threaded, app_by_recipe("texture").single_threaded) == (True, False)
 
 
 def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,32 +9,32 @@ import pytest
 from metapp.cli.evaluation_output import MAX_NOTE_LINES, make_rich_table
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.registry import registry
-from tests.evaluation.cli.subjects import rows
+from tests.evaluation.cli.evaluation_runs import table_rows
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
 
 
-def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path) -> None:
+def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, evaluated_folder: Path) -> None:
     empty = evaluate("--which", "all", "--no-run", "--json")
     assert empty.code == 0, empty.err
-    assert all(row["error"] is None for row in empty.document["rows"])
+    assert all(row["error"] is None for row in empty.json_document["rows"])
     (line, remedy) = empty.err.splitlines()
     total = line.split()[3]
     assert line.startswith(f"brdf: {total} of {total} records missing: general, ")
     assert remedy == "the same command without --no-run measures them"
-    common = ("--out", done / "runs", "--no-run")
+    common = ("--out", evaluated_folder / "runs", "--no-run")
     full = evaluate(*common, "--which", "all", "--json")
     assert full.code == 0, full.err
     assert "missing" not in full.err
-    assert full.document["which"] == "all"
-    rows = full.document["rows"]
+    assert full.json_document["which"] == "all"
+    rows = full.json_document["rows"]
     assert {row["table"] for row in rows} == set(registry().tables)
     assert all(set(row) >= KEYS for row in rows)
     for row in (row for row in rows if row["table"] not in ("storage", "samples")):
         assert row["low"] <= row["error"] <= row["high"], row
         assert row["tasks"] == 3
     for name in registry().tables:
-        one = evaluate(*common, "--which", name, "--json").document
+        one = evaluate(*common, "--which", name, "--json").json_document
         assert one["which"] == name
         assert [row | {"table": name} for row in one["rows"]] == [row for row in rows if row["table"] == name]
     for form, mark in (("rich", "BRDF"), ("markdown", "| --- |"), ("latex", r"\bottomrule"), ("csv", "app,")):
@@ -43,9 +43,9 @@ def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path
         assert shown.out.count(mark) >= (1 if form == "csv" else len(registry().tables))
 
 
-def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: EvaluationRun) -> None:
-    found = {row["paradigm"]: row for row in rows(subject, "results")}
-    ours, theirs = ([record["error"] for record in subject.records(name)] for name in ("meta", "quickft"))
+def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(evaluation_run: EvaluationRun) -> None:
+    found = {row["paradigm"]: row for row in table_rows(evaluation_run, "results")}
+    ours, theirs = ([record["error"] for record in evaluation_run.records(name)] for name in ("meta", "quickft"))
     pair = found["meta"]["vs_quickft"]
     assert pair
     assert pair.low <= pair.value <= pair.high
@@ -53,33 +53,33 @@ def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: E
     assert pair[3:] == (sum(a < b for a, b in zip(ours, theirs, strict=True)), 3, 3, "ratio")
     assert found["quickft"]["vs_quickft"] is None
     assert found["quickft"]["vs_general"].value < 1
-    quickft = rows(subject, "quickft")[2]
+    quickft = table_rows(evaluation_run, "quickft")[2]
     assert quickft["vs_quickft"] == pair
     assert quickft["apart"] is None  # too few tasks
-    assert "too few to call a win" in " ".join(subject.table("quickft").findings)
+    assert "too few to call a win" in " ".join(evaluation_run.table("quickft").findings)
 
 
-def test_fits_that_carry_a_warning_are_counted(subject: EvaluationRun) -> None:
+def test_fits_that_carry_a_warning_are_counted(evaluation_run: EvaluationRun) -> None:
     warnings = {1: "the visible loss rose from 1 to 2", 2: "the visible loss rose from 1 to 2; blobs", 0: "keeps 0.1"}
-    for i, record in enumerate(subject.records("meta")):
+    for i, record in enumerate(evaluation_run.records("meta")):
         record |= {"threads": 1} | ({"warning": warnings[i]} if i in warnings else {})
     for name in ("results", "quickft", "ablation"):
-        found = rows(subject, name)
+        found = table_rows(evaluation_run, name)
         for kind in ("warnings", "doubtful"):
             assert [row[kind] for row in found] == [2 * (row["paradigm"] == "meta") for row in found]
-        notes = subject.table(name).notes
+        notes = evaluation_run.table(name).notes
         assert "meta: 2 of 3 fits ended above their initialisation's loss" in notes
         assert "meta: 2 of 3 fits look doubtful; the entry `warning` of their records says why" in notes
         assert not any("quickft: " in note and ("fits ended" in note or "doubtful" in note) for note in notes)
-    assert "threads: 1" in subject.table("quickft").notes
+    assert "threads: 1" in evaluation_run.table("quickft").notes
 
 
 @pytest.mark.parametrize("width", [60, 120, 200])
-def test_a_terminal_shows_as_many_columns_as_it_has_room_for(width: int, subject: EvaluationRun) -> None:
+def test_a_terminal_shows_as_many_columns_as_it_has_room_for(width: int, evaluation_run: EvaluationRun) -> None:
     from rich.console import Console
 
     for name in registry().tables:
-        table = subject.table(name)
+        table = evaluation_run.table(name)
         if not table.rows:
             continue
         console = Console(width=width)
@@ -94,8 +94,8 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(width: int, subject
             assert table.columns[0].text(row) in text, name
 
 
-def test_notes_are_numbered_below_all_tables(evaluate: Callable, done: Path) -> None:
-    common = ("--out", done / "runs", "--no-run")
+def test_notes_are_numbered_below_all_tables(evaluate: Callable, evaluated_folder: Path) -> None:
+    common = ("--out", evaluated_folder / "runs", "--no-run")
     lines = evaluate(*common, "--whole").out.splitlines()
     assert max(map(len, lines)) <= 100
     assert lines[0].startswith("BRDF, 3 unseen tasks: mean error x100, median seconds of inference [1, 2, ")
@@ -109,13 +109,13 @@ def test_notes_are_numbered_below_all_tables(evaluate: Callable, done: Path) -> 
 
 
 def test_tables_are_printed_before_pictures_are_drawn(
-    evaluate: Callable, done: Path, monkeypatch: pytest.MonkeyPatch
+    evaluate: Callable, evaluated_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def draw(*_: object) -> None:
         raise OSError("no pictures")
 
     monkeypatch.setattr(EvaluationRun, "draw_fits", draw)
-    result = evaluate("--out", done / "runs", "--no-run")
+    result = evaluate("--out", evaluated_folder / "runs", "--no-run")
     assert "error: no pictures" in result.err
     assert "[1] " in result.out
 
@@ -124,32 +124,34 @@ def test_fits_of_a_command_fill_the_table(evaluate: Callable, metapp: Callable, 
     words = ("--recipe", "quick", "--out", tmp_path / "runs", "--quiet")
     result = metapp("quickft", "brdf", "--data", data, *words)
     assert result.code == 0, result.err
-    rows = {row["paradigm"]: row for row in evaluate("--no-run", "--json").document["rows"]}
+    rows = {row["paradigm"]: row for row in evaluate("--no-run", "--json").json_document["rows"]}
     assert {name: row["tasks"] for name, row in rows.items() if row["tasks"]} == {"quickft": 3}
 
 
-def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(subject: EvaluationRun) -> None:
-    short = EvaluationRun(subject.run, is_measuring=True, whole=False, long_fit_tasks=2)
-    whole, few = ({row["paradigm"]: row for row in rows(one, "results")} for one in (subject, short))
+def test_long_rows_are_of_few_tasks_unless_all_are_asked_for(evaluation_run: EvaluationRun) -> None:
+    short_evaluation = EvaluationRun(evaluation_run.run, is_measuring=True, whole=False, long_fit_tasks=2)
+    whole, few = (
+        {row["paradigm"]: row for row in table_rows(one, "results")} for one in (evaluation_run, short_evaluation)
+    )
     assert [name for name in few if few[name]["few"]] == ["overfit"]  # of 40 steps; the others have 10 at most
     assert [row["tasks"] for row in few.values()] == [3 - (name == "overfit") for name in few]
     assert few["meta"]["error"] == whole["meta"]["error"]
-    names = [task.name for task in short.tasks_of("overfit")]
+    names = [task.name for task in short_evaluation.tasks_of("overfit")]
     for name, row in few.items():
-        errors = {record["name"]: record["error"] for record in subject.records(name)}
+        errors = {record["name"]: record["error"] for record in evaluation_run.records(name)}
         assert row["shared_error"] == pytest.approx(sum(errors[task] for task in names) / 2)
         assert whole[name]["shared_error"] == pytest.approx(whole[name]["error"])
     # the gap closed is of the tasks that all three have
     gap = (few["general"]["shared_error"] - few["meta"]["shared_error"]) / (
         few["general"]["shared_error"] - few["overfit"]["shared_error"]
     )
-    table = short.table("results")
+    table = short_evaluation.table("results")
     assert table.findings[1].startswith(f"gap closed {gap:.2f}* (paper 0.93), speed-up of Meta (meta-curvature) over")
     assert "*: on 2 evenly spaced tasks; --whole measures all" in table.notes
     assert [table.columns[1].text(row).endswith("*") for row in few.values()] == [row["few"] for row in few.values()]
-    assert not any("*" in note for note in subject.table("results").notes)
+    assert not any("*" in note for note in evaluation_run.table("results").notes)
     # what is measured for one table counts for the other
-    short.is_measuring = False
+    short_evaluation.is_measuring = False
     for name in ("image", "convergence", "baselines"):
-        assert short.table(name).rows
-    assert all(len(tasks) == len(records) for tasks, records in short.requested.values())
+        assert short_evaluation.table(name).rows
+    assert all(len(tasks) == len(records) for tasks, records in short_evaluation.requested.values())

@@ -7,7 +7,7 @@ import pytest
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.assets import usd
-from tests.surfaces import PROVENANCE, rock, stored
+from tests.surfaces import PROVENANCE, read_stored_values, rock_surface
 
 pxr = pytest.importorskip("pxr", reason='usd-core is not installed: pip install "metapp[export]"')
 from pxr import Usd, UsdShade, UsdValidation  # noqa: E402
@@ -15,7 +15,7 @@ from pxr import Usd, UsdShade, UsdValidation  # noqa: E402
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    usd.write_usd(rock(), tmp_path / "3 rock", PROVENANCE)
+    usd.write_usd(rock_surface(), tmp_path / "3 rock", PROVENANCE)
     return tmp_path / "3 rock"
 
 
@@ -24,10 +24,10 @@ def problems(folder: Path, suffix: str) -> list[str]:
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) > 20
     stage = Usd.Stage.Open(str(folder / f"{folder.name}.{suffix}"))
-    return [each.GetErrorAsString() for each in UsdValidation.ValidationContext(validators).Validate(stage)]
+    return [fault.GetErrorAsString() for fault in UsdValidation.ValidationContext(validators).Validate(stage)]
 
 
-def test_validators_accept_it_whole_and_find_what_is_missing(folder: Path) -> None:
+def test_validators_accept_the_whole_stage_and_find_a_missing_texture(folder: Path) -> None:
     assert {suffix: problems(folder, suffix) for suffix in ("usda", "usdz")} == {"usda": [], "usdz": []}
     names = zipfile.ZipFile(folder / f"{folder.name}.usdz").namelist()
     assert sum(name.endswith(".png") for name in names) == 5
@@ -36,21 +36,21 @@ def test_validators_accept_it_whole_and_find_what_is_missing(folder: Path) -> No
     assert problems(folder, "usda")
 
 
-def test_the_specular_workflow_holds_what_was_fitted(folder: Path) -> None:
+def test_specular_workflow_holds_the_fitted_maps(folder: Path) -> None:
     stage = Usd.Stage.Open(str(folder / f"{folder.name}.usda"))
     material = UsdShade.Material(stage.GetDefaultPrim().GetChild("Material"))
     shader = UsdShade.Shader(material.ComputeSurfaceSource()[0])
     assert shader.GetInput("useSpecularWorkflow").Get() == 1
-    maps = rock().maps
-    wanted = {
+    maps = rock_surface().maps
+    expected = {
         "diffuseColor": (linear_to_srgb(maps.diffuse), "sRGB"),
         "specularColor": (linear_to_srgb(maps.specular), "sRGB"),
         "roughness": (maps.roughness, "raw"),
         "normal": (maps.normal / 2 + 0.5, "raw"),
     }
-    for name, (values, space) in wanted.items():
+    for name, (values, space) in expected.items():
         texture = UsdShade.Shader(shader.GetInput(name).GetConnectedSource()[0].GetPrim())
         assert texture.GetInput("sourceColorSpace").Get() == space
         assert texture.GetInput("wrapS").Get() == "repeat"
         file = Path(texture.GetInput("file").Get().resolvedPath)
-        assert (stored(file) - values).abs().max() <= 0.5 / 255 + 1e-6
+        assert (read_stored_values(file) - values).abs().max() <= 0.5 / 255 + 1e-6

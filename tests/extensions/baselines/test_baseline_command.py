@@ -8,36 +8,36 @@ import OpenImageIO as oiio
 import pytest
 
 from metapp.storage.fit_folders import read_fit_records
-from tests.pictures import environment, photograph
+from tests.pictures import write_noise_map, write_noise_photo
 
 
 def test_a_method_makes_a_picture_and_a_record_of_a_file(metapp: Callable) -> None:
-    photograph(Path("wall.png"), 9, 80)
-    done = metapp("baseline", "texture", "wall.png", "--method", "quilting", "--recipe", "quick", "--json")
-    assert done.code == 0, done.err
-    out = Path(done.document["out"])
+    write_noise_photo(Path("wall.png"), 9, 80)
+    result = metapp("baseline", "texture", "wall.png", "--method", "quilting", "--recipe", "quick", "--json")
+    assert result.code == 0, result.err
+    out = Path(result.json_document["out"])
     (record,) = read_fit_records(out)
     assert record["name"] == "wall"
-    assert record["error"] == done.document["tasks"][0]["error"] > 0
+    assert record["error"] == result.json_document["tasks"][0]["error"] > 0
     assert record["seconds"] > 0
     spec = oiio.ImageBuf(str(out / "wall" / "texture.png")).spec()
     assert (spec.width, spec.height) == (64, 64)
-    assert "cannot" in done.err
+    assert "cannot" in result.err
 
 
 def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:
-    photograph(Path("cloth.png"), 9, 80)
-    done = metapp("baseline", "svbrdf_stationary", "cloth.png", "--method", "quilting", "--recipe", "quick", "--json")
-    assert done.code == 0, done.err
-    made = sorted(Path(done.document["out"], "cloth").glob("*.png"))
+    write_noise_photo(Path("cloth.png"), 9, 80)
+    result = metapp("baseline", "svbrdf_stationary", "cloth.png", "--method", "quilting", "--recipe", "quick", "--json")
+    assert result.code == 0, result.err
+    output_folder = sorted(Path(result.json_document["out"], "cloth").glob("*.png"))
     maps = {"diffuse", "specular", "roughness", "normal", "height"}
-    assert {file.stem for file in made} == maps | {f"lit_from_{name}" for name in ("left", "above", "aside")}
-    for file in made:
+    assert {file.stem for file in output_folder} == maps | {f"lit_from_{name}" for name in ("left", "above", "aside")}
+    for file in output_folder:
         spec = oiio.ImageBuf(str(file)).spec()
         assert (spec.width, spec.height) == (64, 64)
         encoding = "linear" if file.stem in ("roughness", "normal", "height") else "sRGB"
         assert spec.get_string_attribute("encoding") == encoding
-    assert "repeats" in done.err
+    assert "repeats" in result.err
     unknown = metapp("baseline", "svbrdf_stationary", "cloth.png", "--method", "gpdm")
     assert unknown.code == 2
     assert "expected nearest, quilting." in unknown.err
@@ -45,12 +45,12 @@ def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:
 
 def test_quilting_writes_files_that_tile_of_the_size_asked_for(metapp: Callable) -> None:
     """The columns at the edges of the picture go on in each other, as neighbouring columns do."""
-    photograph(Path("wall.png"), 9, 80)
+    write_noise_photo(Path("wall.png"), 9, 80)
     sized = ["--method", "quilting", "--recipe", "quick", "--size", "96x128", "--json"]
     for app, file in (("texture", "texture.png"), ("svbrdf_stationary", "diffuse.png")):
-        done = metapp("baseline", app, "wall.png", *sized)
-        assert done.code == 0, done.err
-        picture = oiio.ImageBuf(str(Path(done.document["out"], "wall", file))).get_pixels("float")[..., :3]
+        result = metapp("baseline", app, "wall.png", *sized)
+        assert result.code == 0, result.err
+        picture = oiio.ImageBuf(str(Path(result.json_document["out"], "wall", file))).get_pixels("float")[..., :3]
         assert picture.shape[:2] == (96, 128)
         for axis in (0, 1):
             steps = np.abs(np.diff(picture, axis=axis, append=picture.take([0], axis=axis))).mean((1 - axis, 2))
@@ -58,7 +58,7 @@ def test_quilting_writes_files_that_tile_of_the_size_asked_for(metapp: Callable)
 
 
 def test_a_method_that_writes_one_size_refuses_others(metapp: Callable) -> None:
-    photograph(Path("wall.png"), 9, 80)
+    write_noise_photo(Path("wall.png"), 9, 80)
     refused = metapp("baseline", "texture", "wall.png", "--method", "nearest", "--recipe", "quick", "--size", "128")
     assert (refused.code, "--size: nearest writes files of one size" in refused.err) == (2, True)
     assert "quilting" in refused.err
@@ -66,31 +66,33 @@ def test_a_method_that_writes_one_size_refuses_others(metapp: Callable) -> None:
     assert unknown.code == 2
 
 
-@pytest.mark.usefixtures("scene")
+@pytest.mark.usefixtures("second_scene")
 def test_harmonics_of_a_map_are_written_as_radiance(metapp: Callable) -> None:
-    environment(Path("hall.exr"))
+    write_noise_map(Path("hall.exr"))
     options = ["--method", "sh", "--observe", "reference", "--recipe", "quick", "--json"]
-    done = metapp("baseline", "illumination", "hall.exr", *options)
-    assert done.code == 0, done.err
-    made = Path(done.document["out"], "hall")
-    assert sorted(file.name for file in made.iterdir()) == ["map.exr", "map.png", "record.json", "relit.png"]
-    found, wanted = (oiio.ImageBuf(str(file)).get_pixels("float") for file in (made / "map.exr", Path("hall.exr")))
-    assert np.abs(found - wanted).mean() < 0.8 * np.abs(wanted - wanted.mean((0, 1))).mean()  # which is noise
+    result = metapp("baseline", "illumination", "hall.exr", *options)
+    assert result.code == 0, result.err
+    output_folder = Path(result.json_document["out"], "hall")
+    assert sorted(file.name for file in output_folder.iterdir()) == ["map.exr", "map.png", "record.json", "relit.png"]
+    found, expected = (
+        oiio.ImageBuf(str(file)).get_pixels("float") for file in (output_folder / "map.exr", Path("hall.exr"))
+    )
+    assert np.abs(found - expected).mean() < 0.8 * np.abs(expected - expected.mean((0, 1))).mean()  # which is noise
 
 
 def test_an_application_without_methods_says_so(metapp: Callable) -> None:
-    done = metapp("baseline", "transport", "--method", "nearest")
-    assert "--method nearest: not one of transport, expected another application" in done.misuse
+    result = metapp("baseline", "transport", "--method", "nearest")
+    assert "--method nearest: not one of transport, expected another application" in result.misuse
 
 
 @pytest.mark.long
 def test_a_method_reads_photos_at_the_detail_asked_for(metapp: Callable) -> None:
-    photograph(Path("wall.png"), 9, 520)
+    write_noise_photo(Path("wall.png"), 9, 520)
     sides = []
     for detail in ([], ["--detail", "512"]):
-        done = metapp("baseline", "texture", "wall.png", "--method", "quilting", *detail, "--json").done
-        spec = oiio.ImageBuf(str(Path(done["out"], "wall", "texture.png"))).spec()
-        sides.append((spec.width, "detail512" in done["out"]))
+        result = metapp("baseline", "texture", "wall.png", "--method", "quilting", *detail, "--json").json_result
+        spec = oiio.ImageBuf(str(Path(result["out"], "wall", "texture.png"))).spec()
+        sides.append((spec.width, "detail512" in result["out"]))
     assert sides == [(256, False), (512, True)]
     refused = metapp("baseline", "texture", "wall.png", "--detail", "300")
     assert (refused.code, "expected one of 256, 512" in refused.err) == (2, True)

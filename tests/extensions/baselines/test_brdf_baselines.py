@@ -59,8 +59,8 @@ def random_materials(count: int, rng: Generator, apart: bool = False) -> list[Ta
 
 def test_the_mapping_is_the_published_one_and_has_an_inverse(rng: Generator) -> None:
     """Nielsen et al. 2015: the log of (rho w + 0.001) / (rho_0 w + 0.001)."""
-    one = torch.ones(1, 1)
-    of = Components(one, torch.tensor([[0.5]]), torch.tensor([[0.2]]), one, one, one)
+    ones = torch.ones(1, 1)
+    of = Components(ones, torch.tensor([[0.5]]), torch.tensor([[0.2]]), ones, ones, ones)
     expected = [math.log(0.001 / 0.101), math.log(1.001 / 0.101)]
     assert of.log_relative_reflectance(torch.tensor([[0.0, 2.0]]))[0].tolist() == pytest.approx(expected)
     reflectance = torch.rand(50, 4, generator=rng) * 10
@@ -92,8 +92,8 @@ def test_samples_and_cosines_are_those_of_the_application(rng: Generator) -> Non
     rng = Generator().manual_seed(5)
     steps = [APP.sample(one, rng, 64) for _ in range(10)]
     rows, target = draw_seen_rows(one, Generator().manual_seed(5), 640)
-    assert torch.equal(torch.cat([each["where"][0] for each in steps], 1).T, task_places(one)[rows])
-    assert torch.equal(torch.cat([each["target"][0] for each in steps], 1).T, target)
+    assert torch.equal(torch.cat([batch["where"][0] for batch in steps], 1).T, task_places(one)[rows])
+    assert torch.equal(torch.cat([batch["target"][0] for batch in steps], 1).T, target)
     assert rows.max() < SAMPLES // 2
     task = random_materials(1, Generator().manual_seed(3))[0]
     prepared = APP.prepare(task)
@@ -115,9 +115,9 @@ def test_places_are_weighted_by_both_cosines(rng: Generator) -> None:
 @pytest.mark.parametrize("solves", [1, 2, 3])
 def test_coefficients_are_at_the_minimum_of_their_cost(rng: Generator, solves: int) -> None:
     """Squares of log-relative residuals, weighted by the slope of the table's error and by its size before."""
-    made = stack_tasks(APP, random_materials(12, rng))
-    where, target = made.data["where"][0].double(), made.data["target"].double()
-    materials = Tasks(made.names, {"where": where.expand(12, -1, -1), "target": target}, made.rows)
+    result = stack_tasks(APP, random_materials(12, rng))
+    where, target = result.data["where"][0].double(), result.data["target"].double()
+    materials = Tasks(result.names, {"where": where.expand(12, -1, -1), "target": target}, result.rows)
     rows, seen = draw_seen_rows(materials.select([10]), rng, 300)  # which is not in the span
     used, penalty = training_components(where, target[:8]).select_components(5).select_places(rows), 1e-3
     reflectance = (seen.expm1() / used.cos).requires_grad_()
@@ -151,8 +151,8 @@ def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> Non
         found = solve_weighted_ridge(
             axes, targets[:, channel], weights[:, channel], penalty / deviation.double().square()
         )
-        wanted = torch.linalg.lstsq(a, b, driver="gelsd").solution[:, 0]
-        torch.testing.assert_close(found.double(), wanted, atol=1e-5, rtol=1e-4)
+        expected = torch.linalg.lstsq(a, b, driver="gelsd").solution[:, 0]
+        torch.testing.assert_close(found.double(), expected, atol=1e-5, rtol=1e-4)
 
 
 def test_the_penalty_is_chosen_on_materials_that_components_do_not_know_and_bytes_are_counted(rng: Generator) -> None:
@@ -245,12 +245,12 @@ def test_lobes_fit_their_own_materials(at: ggx_lobes.Cosines, rng: Generator, al
     assert found[3].exp().item() == pytest.approx(alpha, rel=0.05)
 
 
-def test_two_lobes_fit_what_one_does_not(at: ggx_lobes.Cosines) -> None:
+def test_two_lobes_fit_materials_that_one_does_not(at: ggx_lobes.Cosines) -> None:
     wide, narrow = [math.log(0.4), 0.05, 0.9, 0.5, 0.4], [math.log(0.06), 0.04, 0.3, 0.3, 0.3]
     target = seen(torch.tensor([0.1, 0.2, 0.05, *wide, *narrow], dtype=torch.float64), at)
     errors = [
-        (seen(ggx_lobes.fit_ggx_lobes(*target, each), at)[1] - target[1]).abs().mean().item()
-        for each in (ONE, ggx_lobes.INITIAL_ALPHAS)
+        (seen(ggx_lobes.fit_ggx_lobes(*target, alphas), at)[1] - target[1]).abs().mean().item()
+        for alphas in (ONE, ggx_lobes.INITIAL_ALPHAS)
     ]
     assert errors[1] < 2e-4
     assert errors[1] < 0.1 * errors[0]

@@ -29,7 +29,7 @@ from metapp.runs.run import Run
 from metapp.storage.fit_folders import RunFolder, read_params
 from metapp.storage.shards import write_data_set
 from tests.marked import long
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 PLACED = [(name, protocol) for name in app_names() for protocol in protocols_of(name) or ("",)]
 WITHOUT_VARIABLE = (("svbrdf_nonstationary", "reference"), ("transport", ""))  # any
@@ -77,7 +77,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 
 
 @pytest.fixture
-def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], EvaluationRun]:
+def subject_of(data: Callable[[str], Path], tmp_path: Path, second_scene: Path) -> Callable[[str, str], EvaluationRun]:
     def make(name: str, protocol: str) -> EvaluationRun:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
         planned = Run.from_options(fit_options(name, "general", **of_app, device="cpu", quiet=True))
@@ -88,10 +88,12 @@ def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Call
     return make
 
 
-@pytest.mark.usefixtures("scene")
+@pytest.mark.usefixtures("second_scene")
 @pytest.mark.parametrize(("name", "protocol"), PLACED)
-def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, protocol: str, rng: Generator) -> None:
-    app = app_by(name, protocol=protocol)
+def test_answers_of_baselines_are_drawn_where_applications_have_pictures(
+    name: str, protocol: str, rng: Generator
+) -> None:
+    app = app_by_recipe(name, protocol=protocol)
     presenter = presenter_of(app)
     if name in ("brdf", "transport"):
         assert presenter.answer_pictures(None, Task("", {})) == {}
@@ -120,7 +122,7 @@ def rows_of(subject: EvaluationRun) -> dict[str, dict[str, Any]]:
     return {row["paradigm"]: row for row in subject.table("baselines").rows if row["baseline"]}
 
 
-@pytest.mark.parametrize(("name", "protocol"), [long(*each) if each[0] == "brdf" else each for each in PLACED])
+@pytest.mark.parametrize(("name", "protocol"), [long(*place) if place[0] == "brdf" else place for place in PLACED])
 def test_every_application_has_baselines_and_its_table_prints_them(
     name: str, protocol: str, subject_of: Callable[[str, str], EvaluationRun], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,7 +175,7 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
 @pytest.mark.parametrize(
     ("ours", "said"), [(0.9, "lower on 8 of 8"), (1.1, "a higher error than meta's: unwrap"), (1.0, "no win")]
 )
-def test_notes_say_who_is_ahead(
+def test_notes_name_the_method_with_the_lower_error(
     ours: float, said: str, subject_of: Callable[[str, str], EvaluationRun], tmp_path: Path, rng: Generator
 ) -> None:
     subject = subject_of("illumination", "photo")
@@ -259,17 +261,17 @@ def test_stored_answers_are_judged_where_all_tasks_hold_them(
 
 
 def test_no_fit_sees_what_another_method_predicts(rng: Generator) -> None:
-    app = app_by("svbrdf_nonstationary", protocol="photo")
+    app = app_by_recipe("svbrdf_nonstationary", protocol="photo")
     tasks = stack_tasks(app, [random_task(app.name, "t", rng, torch.zeros(0))])
     assert "predicted" in tasks.data
     assert "predicted" not in app.sample(tasks, rng, 1) | app.condition(tasks, rng)
 
 
-def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Path], rng: Generator) -> None:
-    """So that its error is 0, under every statistic that baselines compare."""
+def test_nearest_training_task_of_a_training_task_is_itself(data: Callable[[str], Path], rng: Generator) -> None:
+    """Its error is then 0, for every statistic that baselines compare."""
     angles = 0.6 * torch.rand(256, 3, generator=rng)
     for name, protocol in (("brdf", ""), ("texture", ""), ("svbrdf_stationary", "")):
-        app = app_by(name, protocol=protocol)
+        app = app_by_recipe(name, protocol=protocol)
         tasks = [random_task(name, f"t{i}", rng, angles) for i in range(5)]
         (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "nearest"]
         baseline.prepare(TrainingTasks(app, tasks), CostLimits(64, 1))
@@ -286,7 +288,9 @@ def test_the_methods_offered_are_those_of_all_protocols(name: str) -> None:
     assert list(registry().baselines.of(name)) == list(methods)
 
 
-def test_without_it_its_command_and_table_are_refused(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extension_its_command_and_table_are_refused(
+    metapp: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv(LEAVING_OUT, "baselines")
     assert "--which 'baselines': expected one of results" in metapp("evaluate", "--which", "baselines").misuse
     assert "baselines" not in registry().tables

@@ -24,7 +24,7 @@ from metapp.extensions.baselines.svbrdf_nonstationary import flat_maps
 from metapp.extensions.baselines.svbrdf_stationary import quilt_maps
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task, Tasks
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 
 def test_a_cut_is_the_path_of_least_cost() -> None:
@@ -46,14 +46,14 @@ def test_a_flat_matt_material_is_read_from_its_photo(rng: Generator) -> None:
     assert torch.equal(found.normal, flat)
 
 
-def test_what_a_mirror_shows_stays_and_what_is_behind_mirrors_it() -> None:
+def test_unseen_directions_repeat_the_seen_ones_mirrored() -> None:
     towards = texel_directions(32, 64)
     lamp = ((torch.einsum("c,chw->hw", torch.tensor([0.6, 0.0, 0.8]), towards) - 1) * 200).exp()
     light = 0.2 + 0.1 * towards[:1] + 40 * lamp * torch.tensor([1.0, 0.5, 0.25])[:, None, None]
     front = (towards[2] > 0).float()
-    made = fill_unseen({"seen": light[None], "certain": torch.stack([front, 0 * front])[None]})
-    torch.testing.assert_close(made[0][:, front > 0], light[:, front > 0])
-    torch.testing.assert_close(made, made.flip(-1).roll(32, -1))
+    result = fill_unseen({"seen": light[None], "certain": torch.stack([front, 0 * front])[None]})
+    torch.testing.assert_close(result[0][:, front > 0], light[:, front > 0])
+    torch.testing.assert_close(result, result.flip(-1).roll(32, -1))
 
 
 def test_a_glossy_sphere_is_refused(rng: Generator) -> None:
@@ -61,7 +61,7 @@ def test_a_glossy_sphere_is_refused(rng: Generator) -> None:
     data = {"seen": torch.zeros(1, 3, 8, 16), "certain": torch.zeros(1, 2, 8, 16)}
     tasks = Tasks(("garden",), data, torch.arange(1))
     with pytest.raises(ValueError, match="garden: a photo of a glossy sphere, expected a mirror ball's"):
-        UnwrappedBall(app_by("illumination", protocol="photo")).fit(tasks, rng, CostLimits(1, 1))
+        UnwrappedBall(app_by_recipe("illumination", protocol="photo")).fit(tasks, rng, CostLimits(1, 1))
 
 
 @pytest.fixture
@@ -88,16 +88,16 @@ def test_harmonics_are_those_of_weighted_least_squares(height: int, width: int, 
     root = np.sqrt(np.sin((np.arange(height) + 0.5) * (math.pi / height)))[:, None]
     for order in range(count_orders(height, width)):
         basis = basis_of(order, height, width)
-        a, b = ((root * each).reshape(len(each), -1).T for each in (basis, maps))
-        wanted = np.linalg.lstsq(a, b, rcond=None)[0].T
+        a, b = ((root * pictures).reshape(len(pictures), -1).T for pictures in (basis, maps))
+        expected = np.linalg.lstsq(a, b, rcond=None)[0].T
         found = to_harmonics(maps, order)
-        np.testing.assert_allclose(found, wanted, atol=1e-13)
-        made = from_harmonics(found, height, width)
-        np.testing.assert_allclose(made, np.tensordot(found, basis, 1), atol=1e-13)
+        np.testing.assert_allclose(found, expected, atol=1e-13)
+        result = from_harmonics(found, height, width)
+        np.testing.assert_allclose(result, np.tensordot(found, basis, 1), atol=1e-13)
 
 
 @pytest.mark.parametrize(("height", "width", "count"), [(8, 16, 8), (9, 12, 6), (4, 64, 4), (1, 1, 1)])
-def test_texels_tell_so_many_orders_apart(height: int, width: int, count: int) -> None:
+def test_number_of_texels_limits_the_orders_of_harmonics(height: int, width: int, count: int) -> None:
     assert count_orders(height, width) == count
     for order in (count - 1, count):
         columns = basis_of(order, height, width).reshape((order + 1) ** 2, -1)
@@ -108,17 +108,17 @@ def _task(radiance: np.ndarray) -> Tasks:
     return Tasks(("m",), {"map": torch.from_numpy(radiance).float()[None]}, torch.tensor([0]))
 
 
-def test_more_bytes_come_nearer_until_the_map_itself(numbers: np.random.Generator, rng: Generator) -> None:
+def test_errors_fall_with_more_bytes_to_the_map_itself(numbers: np.random.Generator, rng: Generator) -> None:
     radiance = np.exp(numbers.normal(size=(3, 16, 32)))
-    tasks, wanted = _task(radiance), torch.from_numpy(radiance).float()
+    tasks, expected = _task(radiance), torch.from_numpy(radiance).float()
     sizes = (1, 10, 100, 400, 10**6)
-    baseline = SphericalHarmonics(app_by("illumination"))
+    baseline = SphericalHarmonics(app_by_recipe("illumination"))
     fitted = [baseline.fit(tasks, rng, CostLimits(1, size)) for size in sizes]
-    errors = [(each.answer()[0] - wanted).square().mean().item() for each in fitted]  # type: ignore[index]
+    errors = [(harmonic_fit.answer()[0] - expected).square().mean().item() for harmonic_fit in fitted]  # type: ignore[index]
     assert errors[0] == errors[1] > errors[2] > errors[3] > errors[4]
-    assert [each.numbers for each in fitted] == [3, 3, 48, 192, 768]  # of orders 0, 0, 3, 7, 15
-    assert all(each.kept_bytes == 4 + 2 * each.numbers for each in fitted)
-    assert all(each.kept_bytes <= size for each, size in zip(fitted[1:], sizes[1:], strict=True))
+    assert [harmonic_fit.numbers for harmonic_fit in fitted] == [3, 3, 48, 192, 768]  # of orders 0, 0, 3, 7, 15
+    assert all(harmonic_fit.kept_bytes == 4 + 2 * harmonic_fit.numbers for harmonic_fit in fitted)
+    assert all(harmonic_fit.kept_bytes <= size for harmonic_fit, size in zip(fitted[1:], sizes[1:], strict=True))
 
 
 # Maps quilted of a flash photo of materials whose truth is known
@@ -130,15 +130,15 @@ DIFFUSE, F0, ROUGHNESS = (0.3, 0.2, 0.1), 0.04, 0.3
 
 @pytest.fixture(scope="module")
 def app() -> SvbrdfStationary:
-    return cast("SvbrdfStationary", app_by("svbrdf_stationary"))
+    return cast("SvbrdfStationary", app_by_recipe("svbrdf_stationary"))
 
 
 def material(pattern: Tensor | None = None) -> Maps:
     """Flat and even but for a pattern [SIZE, SIZE] that multiplies its diffuse colour."""
-    one = torch.ones(1, SIZE, SIZE)
+    ones = torch.ones(1, SIZE, SIZE)
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, SIZE, SIZE)
-    colour = torch.tensor(DIFFUSE)[:, None, None] * (one if pattern is None else pattern)
-    return Maps(colour, F0 * one, ROUGHNESS * one, up)
+    colour = torch.tensor(DIFFUSE)[:, None, None] * (ones if pattern is None else pattern)
+    return Maps(colour, F0 * ones, ROUGHNESS * ones, up)
 
 
 def task_of(app: SvbrdfStationary, maps: Maps) -> Task:

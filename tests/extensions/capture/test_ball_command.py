@@ -8,29 +8,29 @@ import torch
 
 from metapp.extensions.capture.ball.ball_geometry import Ball
 from metapp.storage.shards import list_data_set_problems, read_data_set
-from tests.extensions.capture.ball_photos import detailed, photograph, written
+from tests.extensions.capture.ball_photos import detailed_light, photograph_ball, write_linear_png
 
 
 @pytest.fixture
 def photo(tmp_path: Path) -> Path:
-    return written(tmp_path / "a.png", photograph(Ball(80, 75, 60), 150, 160, 0.02, detailed))
+    return write_linear_png(tmp_path / "a.png", photograph_ball(Ball(80, 75, 60), 150, 160, 0.02, detailed_light))
 
 
 @pytest.fixture
 def bracket(tmp_path: Path) -> list[Path]:
-    picture = photograph(Ball(80, 75, 60), 150, 160, 0.02, detailed)
+    picture = photograph_ball(Ball(80, 75, 60), 150, 160, 0.02, detailed_light)
     exposures = {"b": 0.5, "a": 1.0, "c": 2.0}
-    return [written(tmp_path / f"{name}.png", exposure * picture) for name, exposure in exposures.items()]
+    return [write_linear_png(tmp_path / f"{name}.png", exposure * picture) for name, exposure in exposures.items()]
 
 
-def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, bracket: list[Path], tmp_path: Path) -> None:
+def test_data_set_map_and_detected_ball_are_written(metapp: Callable, bracket: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "garden"
     options = ["--shutter", "1/40,1/20,1/10", "--ball", "80,75,60", "--rows", "32"]
-    done = metapp("data", "ball", *bracket, *options, "--out", out, "--json")
-    said = done.done
-    assert [photo["radius"] for photo in said["photos"]] == pytest.approx([60] * 3, abs=0.1)
-    assert said["power"] == pytest.approx(1, abs=0.02)
-    lines = done.err.splitlines()
+    result = metapp("data", "ball", *bracket, *options, "--out", out, "--json")
+    output = result.json_result
+    assert [photo["radius"] for photo in output["photos"]] == pytest.approx([60] * 3, abs=0.1)
+    assert output["power"] == pytest.approx(1, abs=0.02)
+    lines = result.err.splitlines()
     assert lines[0].startswith("b.png: ball at 80.0,75.0, radius 60.0 px, exposure 0.5, 0.")
     assert lines[3].startswith("camera's curve: sRGB's to the power of 1.00; ")
     assert list_data_set_problems(out) == []
@@ -41,7 +41,7 @@ def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, brack
     assert (task.data["photos"][..., 0, 0] == 0).all()
     assert task.data["seen"].shape == (3, 32, 64)
     assert task.data["certain"].shape == (2, 32, 64)
-    assert float(task.data["certain"][0].mean()) == pytest.approx(said["seen"])
+    assert float(task.data["certain"][0].mean()) == pytest.approx(output["seen"])
     assert (out / "garden.exr").is_file()
     assert sorted(file.name for file in (out / "found").iterdir()) == ["a.png", "b.png", "c.png"]
 
@@ -55,17 +55,19 @@ def test_a_data_set_a_map_and_what_was_found_are_written(metapp: Callable, brack
     ],
 )
 def test_bad_options_are_a_line(metapp: Callable, photo: Path, tmp_path: Path, options: list[str], line: str) -> None:
-    done = metapp("data", "ball", photo, "--out", tmp_path / "x", *options)
-    assert line in (done.refusal if done.code == 1 else done.misuse)
+    result = metapp("data", "ball", photo, "--out", tmp_path / "x", *options)
+    assert line in (result.refusal if result.code == 1 else result.misuse)
     assert not (tmp_path / "x").exists()
 
 
 @pytest.mark.long
 def test_fits_merge_photos_of_several_exposures(metapp: Callable, bracket: list[Path], tmp_path: Path) -> None:
     options = ["--observe", "photo", "--recipe", "quick", "--out", tmp_path / "runs", "--json", "--quiet"]
-    said = metapp("general", "illumination", *bracket, "--shutter", "1/40,1/20,1/10", *options).done
-    assert [task["name"] for task in said["tasks"]] == ["b"]
-    assert metapp("compare", said["out"], said["out"], "--json").done["picture"]  # the photos are found again
+    output = metapp("general", "illumination", *bracket, "--shutter", "1/40,1/20,1/10", *options).json_result
+    assert [task["name"] for task in output["tasks"]] == ["b"]
+    assert metapp("compare", output["out"], output["out"], "--json").json_result[
+        "picture"
+    ]  # the photos are found again
 
 
 @pytest.mark.parametrize(
@@ -77,6 +79,6 @@ def test_fits_merge_photos_of_several_exposures(metapp: Callable, bracket: list[
 def test_fits_refuse_exposures_that_do_not_fit_in_a_line(
     metapp: Callable, bracket: list[Path], tmp_path: Path, words: list[str], line: str
 ) -> None:
-    done = metapp("general", words[0], *bracket, *words[1:], "--out", tmp_path / "runs")
-    assert line in (done.error if done.code == 1 else done.misuse)
+    result = metapp("general", words[0], *bracket, *words[1:], "--out", tmp_path / "runs")
+    assert line in (result.error if result.code == 1 else result.misuse)
     assert not list(tmp_path.glob("runs/*/*"))

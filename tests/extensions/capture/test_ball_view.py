@@ -1,4 +1,4 @@
-"""Where a ball shows what: reflection, its inverse, the contour of a cone."""
+"""The geometry of a mirror ball: reflection, its inverse, and the contour of its cone."""
 
 import math
 
@@ -25,8 +25,8 @@ def test_a_direction_is_seen_where_it_is_mirrored(angle: float) -> None:
     assert (speed[~shown] == 0).all()
     np.testing.assert_allclose(disc_to_directions(place, angle)[:, speed > 1e-3], towards[:, speed > 1e-3], atol=1e-9)
     further, _ = directions_to_disc(np.array([[math.sin(0.5 + 1e-6)], [0], [math.cos(0.5 + 1e-6)]]), angle)
-    there, pace = directions_to_disc(np.array([[math.sin(0.5)], [0], [math.cos(0.5)]]), angle)
-    np.testing.assert_allclose((further - there)[0] / 1e-6, pace, rtol=1e-4)
+    position, pace = directions_to_disc(np.array([[math.sin(0.5)], [0], [math.cos(0.5)]]), angle)
+    np.testing.assert_allclose((further - position)[0] / 1e-6, pace, rtol=1e-4)
 
 
 @pytest.mark.parametrize("angle", ANGLES[1:])

@@ -1,4 +1,4 @@
-"""From photographs of a ball by hand to a map: registration, brackets."""
+"""Environment maps of hand-held and bracketed photographs of a ball: registration, exposures, response curves."""
 
 from pathlib import Path
 
@@ -17,7 +17,13 @@ from metapp.extensions.capture.ball.bracket import (
     read_exposures,
 )
 from metapp.extensions.capture.ball.capture import capture_light
-from tests.extensions.capture.ball_photos import busy, detailed, photograph, taken, written
+from tests.extensions.capture.ball_photos import (
+    background_of_boxes,
+    detailed_light,
+    photograph_ball,
+    pixels_of_linear,
+    write_linear_png,
+)
 
 TIMES = (1 / 20, 1 / 60, 1 / 240)
 SHUTTER = "1/20,1/60,1/240"
@@ -25,15 +31,15 @@ SHUTTER = "1/20,1/60,1/240"
 
 def test_hand_held_photographs_are_aligned() -> None:
     ball = Ball(150, 140, 100)
-    known = taken(photograph(ball, 280, 300, 0.1, detailed))
+    known = pixels_of_linear(photograph_ball(ball, 280, 300, 0.1, detailed_light))
     true = Ball(157, 135, 98)
-    other = taken(0.4 * photograph(true, 280, 300, 0.1, detailed))
+    other = pixels_of_linear(0.4 * photograph_ball(true, 280, 300, 0.1, detailed_light))
     _, found = align_balls([known, other], [ball, ball], [0, 1], 0)
     np.testing.assert_allclose(found[:3], true[:3], atol=0.3)
 
 
 def lamp_lit(towards: np.ndarray) -> np.ndarray:
-    return detailed(towards) * 0.6 + 20 * np.exp(60 * (towards[1] * 0.8 + towards[2] * 0.6 - 1))
+    return detailed_light(towards) * 0.6 + 20 * np.exp(60 * (towards[1] * 0.8 + towards[2] * 0.6 - 1))
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +49,8 @@ def brackets(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     paths = []
     for number, time in enumerate(TIMES):
         ball = Ball(80 + 2 * number, 75 - 2 * number, 60)
-        picture = time / TIMES[0] * photograph(ball, 150, 160, 0.02, lamp_lit)
-        paths.append(written(folder / f"{number}.png", picture))
+        picture = time / TIMES[0] * photograph_ball(ball, 150, 160, 0.02, lamp_lit)
+        paths.append(write_linear_png(folder / f"{number}.png", picture))
     return paths
 
 
@@ -63,22 +69,22 @@ def test_brackets_have_the_radiance_of_the_scene(brackets: list[Path]) -> None:
 
 
 def test_a_foreign_curve_is_recovered() -> None:
-    values = detailed(disc_to_directions(disc_places(160)))
-    there = np.hypot(*disc_places(160)) < 1
+    values = detailed_light(disc_to_directions(disc_places(160)))
+    inside_disc = np.hypot(*disc_places(160)) < 1
     times = np.array(TIMES) / TIMES[0]
     lights = [np.clip(values * time, 0, 1) ** 1.5 for time in times]
     lights = [np.round(linear_to_srgb(torch.from_numpy(light)).numpy() * 255) / 255 for light in lights]
     lights = [srgb_to_linear(torch.from_numpy(light)).numpy() for light in lights]
-    pictures = np.stack([[*light, there] for light in lights])
+    pictures = np.stack([[*light, inside_disc] for light in lights])
     radiance, _, residuals = merge_exposures(pictures, times, fit_curve_power(pictures, times))
     assert max(residuals) < 0.05
     assert max(merge_exposures(pictures, times, 1.0)[2]) > 0.15
-    bright = there & (values.min(0) > 0.1) & (values.max(0) < 0.9)
+    bright = inside_disc & (values.min(0) > 0.1) & (values.max(0) < 0.9)
     ratios = radiance[:, bright] / values[:, bright]
     assert np.abs(np.log(ratios / np.median(ratios))).mean() < 0.1
 
 
-def test_what_all_photographs_clip_is_a_lower_bound() -> None:
+def test_pixels_that_clip_in_all_photographs_are_lower_bounds() -> None:
     values = np.linspace(0.0, 4, 10000).reshape(1, 100, 100).repeat(3, 0)
     pictures = np.stack([[*np.clip(values * time, 0, 1), np.ones((100, 100))] for time in (1.0, 0.5)])
     radiance, is_clipped, _ = merge_exposures(pictures, np.array([1.0, 0.5]), 1.0)
@@ -97,7 +103,7 @@ def test_exposures_are_read() -> None:
             read_exposures(paths, text)
 
 
-def test_exif_says_exposure(tmp_path: Path) -> None:
+def test_exposures_are_read_from_exif(tmp_path: Path) -> None:
     from PIL import Image
     from PIL.TiffImagePlugin import IFDRational
 
@@ -110,8 +116,8 @@ def test_exif_says_exposure(tmp_path: Path) -> None:
     assert exif_exposure(path) == 0
 
 
-def test_no_ball_is_one_line(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.png", busy(200, 240, 0)[None].repeat(3, 0))
+def test_photographs_without_a_ball_are_refused_in_one_line(tmp_path: Path) -> None:
+    path = write_linear_png(tmp_path / "a.png", background_of_boxes(200, 240, 0)[None].repeat(3, 0))
     with pytest.raises(ValueError, match=r"a\.png: no ball found .* say where it is with --ball"):
         capture_light([path])
     found = capture_light([path], circle=(120, 100, 60))
@@ -126,6 +132,6 @@ def test_no_ball_is_one_line(tmp_path: Path) -> None:
         ("auto", r"0\.png: no exposure time in its EXIF, expected different ones; give them: --shutter"),
     ],
 )
-def test_exposures_that_cannot_be_are_a_line(brackets: list[Path], shutter: str, line: str) -> None:
+def test_impossible_exposures_are_refused_in_one_line(brackets: list[Path], shutter: str, line: str) -> None:
     with pytest.raises(ValueError, match=line):
         capture_light(brackets, shutter, circle=(80, 75, 60))

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from metapp.extensions.capture.ball.ball_geometry import Ball, PinholeLens
 from metapp.extensions.capture.ball.circle import MIN_BALL_SCORE, find_ball
-from tests.extensions.capture.ball_photos import busy, detailed, photograph
+from tests.extensions.capture.ball_photos import background_of_boxes, detailed_light, photograph_ball
 
 
 def gray(linear: np.ndarray) -> np.ndarray:
@@ -26,7 +26,7 @@ def gray(linear: np.ndarray) -> np.ndarray:
 def test_a_ball_is_found_before_a_busy_background(
     circle: tuple[float, float, float], noise: float, blur: float, tolerance: float
 ) -> None:
-    picture = photograph(Ball(*circle), 240, 300, busy(240, 300, 3), detailed)
+    picture = photograph_ball(Ball(*circle), 240, 300, background_of_boxes(240, 300, 3), detailed_light)
     picture = gaussian_filter(gray(picture), blur) + noise * np.random.default_rng(0).normal(size=(240, 300))
     found = find_ball(picture.clip(0, 1))
     assert found is not None
@@ -37,14 +37,14 @@ def test_a_ball_is_found_before_a_busy_background(
 def test_with_a_lens_the_contour_is_an_ellipse() -> None:
     lens = PinholeLens(240, 150, 120)
     ball = Ball(215, 150, 45, lens=lens)
-    found = find_ball(gray(photograph(ball, 240, 300, busy(240, 300, 1), detailed)), lens)
+    found = find_ball(gray(photograph_ball(ball, 240, 300, background_of_boxes(240, 300, 1), detailed_light)), lens)
     assert found is not None
     np.testing.assert_allclose(found[:3], ball[:3], atol=0.4)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_where_there_is_no_ball_none_is_found(seed: int) -> None:
-    found = find_ball(busy(200, 260, seed) ** (1 / 2.2))
+    found = find_ball(background_of_boxes(200, 260, seed) ** (1 / 2.2))
     assert found is None or found.score < MIN_BALL_SCORE
 
 

@@ -15,7 +15,7 @@ from metapp.extensions.capture.markers.sheet import (
     opening_of_markers,
 )
 from metapp.extensions.capture.markers.sheet_page import PAGES_CM, draw_marker_sheet, write_marker_sheet
-from tests.extensions.capture.marker_photos import PX_PER_CM, cv2, page  # skips where there is no OpenCV
+from tests.extensions.capture.marker_photos import PX_PER_CM, cv2, printed_page  # skips where there is no OpenCV
 
 POINT = 72 / 2.54  # a centimetre in the unit of PDF
 
@@ -28,8 +28,8 @@ def test_markers_lie_round_the_opening_apart_from_each_other(opening: int) -> No
         assert (abs(corners).max(-1) > opening / 2 + 0.4).all()  # of white paper, more than a cell
         sides = np.linalg.norm(corners - np.roll(corners, 1, 0), axis=-1)
         np.testing.assert_allclose(sides, sides[0])
-    for one, other in itertools.combinations(markers.values(), 2):
-        apart = np.maximum(one.min(0) - other.max(0), other.min(0) - one.max(0)).max()
+    for first, other in itertools.combinations(markers.values(), 2):
+        apart = np.maximum(first.min(0) - other.max(0), other.min(0) - first.max(0)).max()
         assert apart > 0.4
 
 
@@ -46,7 +46,7 @@ def test_a_marker_tells_its_sheet() -> None:
 
 @pytest.mark.parametrize(("opening", "paper"), [(4, "a4"), (10, "a4"), (13, "a4"), (13, "letter")])
 def test_what_is_drawn_is_where_the_layout_says(opening: int, paper: str) -> None:
-    values, centre = page(opening, paper)
+    values, centre = printed_page(opening, paper)
     gray = (values * 255).astype(np.uint8)
     found, numbers, _ = cv2.aruco.ArucoDetector(marker_dictionary()).detectMarkers(gray)
     markers = marker_corners_cm(opening)

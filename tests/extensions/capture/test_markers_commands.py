@@ -13,19 +13,19 @@ from data_tools.readers.listing import files_below
 from data_tools.readers.placed_photos import read_places
 from metapp.extensions.capture.markers.rectification import ONE_VIEW_SIDES, describe_single_view
 from metapp.storage.folders import PathKind, path_kind
-from tests.extensions.capture.marker_photos import take, tilted
-from tests.pictures import noise, text, write
+from tests.extensions.capture.marker_photos import tilted_camera, write_photograph
+from tests.pictures import noise_image, write_image, write_text
 
-CAMERAS = {"a": tilted(20, 30), "b": tilted(1, distance=26), "c": tilted(35, 200, roll=90)}
+CAMERAS = {"a": tilted_camera(20, 30), "b": tilted_camera(1, distance=26), "c": tilted_camera(35, 200, roll=90)}
 LEAF, FAILED = Path("leaf"), Path("leaf.failed.png")
 
 
 @pytest.fixture(scope="module")
-def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def photo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Photographs of CAMERAS, not to write to."""
     folder = tmp_path_factory.mktemp("taken")
     for name, camera in CAMERAS.items():
-        take(folder / f"{name}.jpg", camera)
+        write_photograph(folder / f"{name}.jpg", camera)
     return folder
 
 
@@ -34,15 +34,15 @@ def paths(taken: Path, names: str = "abc") -> list[Path]:
 
 
 def test_a_sheet_is_written(metapp: Callable) -> None:
-    done = metapp("data", "markers", "sheet", "--opening", 8, "--page", "letter", "--json")
-    assert done.done == {"path": "sheet.pdf", "opening_cm": 8, "page": "letter"}
+    result = metapp("data", "markers", "sheet", "--opening", 8, "--page", "letter", "--json")
+    assert result.json_result == {"path": "sheet.pdf", "opening_cm": 8, "page": "letter"}
     assert Path("sheet.pdf").read_bytes().startswith(b"%PDF")
-    assert done.err == "sheet.pdf: a sheet with an opening of 8 x 8 cm; print it at 100 % and measure its ruler\n"
+    assert result.err == "sheet.pdf: a sheet with an opening of 8 x 8 cm; print it at 100 % and measure its ruler\n"
 
 
-def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, taken: Path) -> None:
-    result = metapp("data", "rectify", *paths(taken), "--out", LEAF, "--flash", "1,0", "--json")
-    document = result.done
+def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, photo_folder: Path) -> None:
+    result = metapp("data", "rectify", *paths(photo_folder), "--out", LEAF, "--flash", "1,0", "--json")
+    document = result.json_result
     assert [Path(photo["source"]).name for photo in document["photos"]] == ["b.jpg", "a.jpg", "c.jpg"]
     assert [photo["file"] for photo in document["photos"]] == ["00.png", "01.png", "02.png"]
     assert document["skipped"] == []
@@ -58,27 +58,27 @@ def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, taken: P
     places = read_places(LEAF, 3)
     assert places is not None
     for number, name in enumerate("bac"):
-        camera = np.array(CAMERAS[name].place)
+        camera = np.array(CAMERAS[name].position)
         assert np.linalg.norm(places[:, 0][number].numpy() * 5 - camera) < 0.005 * np.linalg.norm(camera)
         assert np.linalg.norm((places[:, 1] - places[:, 0])[number] * 5) == pytest.approx(1, abs=1e-3)
-    fitted = metapp("general", "svbrdf_nonstationary", LEAF, "--observe", "photo", "--json").done
-    made = Path(fitted["out"], "leaf")
-    assert {"normal.png", "diffuse.png", "photo_3.png"} <= {file.name for file in made.iterdir()}
+    fitted = metapp("general", "svbrdf_nonstationary", LEAF, "--observe", "photo", "--json").json_result
+    output_folder = Path(fitted["out"], "leaf")
+    assert {"normal.png", "diffuse.png", "photo_3.png"} <= {file.name for file in output_folder.iterdir()}
 
 
-def test_photographs_that_do_not_serve_are_skipped_with_a_line_each(metapp: Callable, taken: Path) -> None:
+def test_photographs_that_do_not_serve_are_skipped_with_a_line_each(metapp: Callable, photo_folder: Path) -> None:
     photos = Path("photos")
-    shutil.copytree(taken, photos)
-    write(photos / "table.png", noise(300, 400))
-    text(photos / "damaged.jpg")
-    text(photos / "notes.txt")
+    shutil.copytree(photo_folder, photos)
+    write_image(photos / "table.png", noise_image(300, 400))
+    write_text(photos / "damaged.jpg")
+    write_text(photos / "notes.txt")
     result = metapp("data", "rectify", photos, "--out", LEAF, "--json")
-    assert len(result.done["photos"]) == 3
+    assert len(result.json_result["photos"]) == 3
     skipped = [line for line in result.err.splitlines() if line.startswith("warning: skipped: ")]
     assert [line.split(": ")[2] for line in skipped] == [
         str(photos / name) for name in ("notes.txt", "damaged.jpg", "table.png")
     ]
-    assert [f"warning: skipped: {line}" for line in result.document["skipped"]] == skipped
+    assert [f"warning: skipped: {line}" for line in result.json_document["skipped"]] == skipped
     assert "no marker found" in skipped[2]
 
 
@@ -95,20 +95,20 @@ def test_one_view_is_told_from_several(seed: int) -> None:
 
 
 def test_one_photograph_under_three_names_is_said_to_show_one_view(
-    metapp: Callable, taken: Path, tmp_path: Path
+    metapp: Callable, photo_folder: Path, tmp_path: Path
 ) -> None:
     for name in "abc":
-        shutil.copy(taken / "b.jpg", tmp_path / f"{name}.jpg")
+        shutil.copy(photo_folder / "b.jpg", tmp_path / f"{name}.jpg")
     result = metapp("data", "rectify", tmp_path, "--out", LEAF)
     assert "warning: leaf: all photos are taken from one place, within 0.00 sides" in result.err
-    assert "one place" not in metapp("data", "rectify", *paths(taken), "--out", "other").err
+    assert "one place" not in metapp("data", "rectify", *paths(photo_folder), "--out", "other").err
 
 
-def test_fewer_than_two_are_refused(metapp: Callable, taken: Path) -> None:
-    write(Path("table.png"), noise(300, 400))
+def test_fewer_than_two_are_refused(metapp: Callable, photo_folder: Path) -> None:
+    write_image(Path("table.png"), noise_image(300, 400))
     for inputs, line in (
-        (paths(taken, "a"), "1 of 1 photo can be used, expected two or more of one material; take more"),
-        ([*paths(taken, "a"), Path("table.png")], "1 of 2 photos can be used (table.png: no marker found"),
+        (paths(photo_folder, "a"), "1 of 1 photo can be used, expected two or more of one material; take more"),
+        ([*paths(photo_folder, "a"), Path("table.png")], "1 of 2 photos can be used (table.png: no marker found"),
         ([Path("none.jpg")], "none.jpg: no such file"),
     ):
         FAILED.unlink(missing_ok=True)
@@ -118,10 +118,10 @@ def test_fewer_than_two_are_refused(metapp: Callable, taken: Path) -> None:
     assert not LEAF.exists()
 
 
-def test_a_failure_leaves_a_picture_that_no_command_takes(metapp: Callable, taken: Path) -> None:
+def test_a_failure_leaves_a_picture_that_no_command_takes(metapp: Callable, photo_folder: Path) -> None:
     photos = Path("photos")
     photos.mkdir()
-    shutil.copy(taken / "a.jpg", photos)
+    shutil.copy(photo_folder / "a.jpg", photos)
     failed = photos / "leaf.failed.png"
     assert metapp("data", "rectify", photos, "--out", photos / "leaf").refusal.endswith(f"see {failed}.")
     assert sorted(file.name for file in photos.iterdir()) == ["a.jpg", failed.name]
@@ -132,37 +132,37 @@ def test_a_failure_leaves_a_picture_that_no_command_takes(metapp: Callable, take
     assert files_below(photos) == [photos / "a.jpg"]
     assert "made by metapp to show its results" in metapp("meta", "texture", failed).error
     assert "made by metapp to show its results" in metapp("data", "rectify", failed, "--out", "other").refusal
-    shutil.copy(taken / "b.jpg", photos)
+    shutil.copy(photo_folder / "b.jpg", photos)
     named = [photos / name for name in ("a.jpg", "b.jpg", failed.name)]  # as a shell names them
-    assert len(metapp("data", "rectify", *named, "--out", photos / "leaf", "--json").done["photos"]) == 2
+    assert len(metapp("data", "rectify", *named, "--out", photos / "leaf", "--json").json_result["photos"]) == 2
     assert not failed.exists()  # that of a command that failed earlier
 
 
-def test_skipped_photographs_are_shown_beside_what_was_found(metapp: Callable, taken: Path) -> None:
-    write(Path("table.png"), noise(300, 400))
-    assert metapp("data", "rectify", *paths(taken), Path("table.png"), "--out", LEAF).code == 0
+def test_skipped_photographs_are_shown_beside_what_was_found(metapp: Callable, photo_folder: Path) -> None:
+    write_image(Path("table.png"), noise_image(300, 400))
+    assert metapp("data", "rectify", *paths(photo_folder), Path("table.png"), "--out", LEAF).code == 0
     assert sorted(file.name for file in (LEAF / "found").iterdir()) == ["00.png", "01.png", "02.png", "skipped.png"]
 
 
-def test_a_folder_with_files_is_left_alone(metapp: Callable, taken: Path) -> None:
+def test_a_folder_with_files_is_left_alone(metapp: Callable, photo_folder: Path) -> None:
     LEAF.mkdir()
-    text(LEAF / "notes.txt")
-    refusal = metapp("data", "rectify", *paths(taken), "--out", LEAF).refusal
+    write_text(LEAF / "notes.txt")
+    refusal = metapp("data", "rectify", *paths(photo_folder), "--out", LEAF).refusal
     assert "leaf: holds files, expected a new or empty folder to write to; choose another one." in refusal
     assert [file.name for file in LEAF.iterdir()] == ["notes.txt"]
 
 
 def test_without_opencv_the_line_says_what_to_install(
-    metapp: Callable, taken: Path, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, photo_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
     line = 'OpenCV: not installed, expected here; install it: pip install "metapp[capture]".'
     assert line in metapp("data", "markers", "sheet.pdf").refusal
-    assert line in metapp("data", "rectify", *paths(taken), "--out", LEAF).refusal
+    assert line in metapp("data", "rectify", *paths(photo_folder), "--out", LEAF).refusal
     assert list(Path().iterdir()) == []
 
 
-def test_options_out_of_range(metapp: Callable, taken: Path) -> None:
+def test_options_out_of_range(metapp: Callable, photo_folder: Path) -> None:
     for words in ("--opening 3", "--opening 14", "--opening 7.5", "--page a3"):
         metapp("data", "markers", "sheet.pdf", *words.split()).misuse  # noqa: B018  (it looks by itself)
     for words, line in (
@@ -171,5 +171,5 @@ def test_options_out_of_range(metapp: Callable, taken: Path) -> None:
         ("--fov nan", "--fov"),
         ("--ruler 97", "--ruler 97.0: expected 5.0 to 20.0"),
     ):
-        assert line in metapp("data", "rectify", *paths(taken), "--out", LEAF, *words.split()).misuse
+        assert line in metapp("data", "rectify", *paths(photo_folder), "--out", LEAF, *words.split()).misuse
     assert list(Path().iterdir()) == []

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.extensions.capture.marker_photos import Camera, cv2, patch, photograph, take, tilted  # isort: skip
-
 from data_tools.readers import placed_photos
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.placed_photos import read_places
@@ -18,17 +16,25 @@ from data_tools.readers.square_photos import field_of_view_rad
 from metapp.extensions.capture.markers.rectified_photos import find_cameras, rectify_opening, write_rectified_photos
 from metapp.extensions.capture.markers.sighting import Camera as Found
 from metapp.extensions.capture.markers.sighting import common_focal_length_mm, find_sheet, solve_camera
-from tests.pictures import STORED, noise, write
+from tests.extensions.capture.marker_photos import (
+    Camera,
+    cv2,
+    patch_picture,
+    photograph,
+    tilted_camera,
+    write_photograph,
+)  # isort: skip
+from tests.pictures import STORED_BY_ORIENTATION, noise_image, write_image
 
 LOOK = {"vignette": 0.3, "noise": 0.01}
 CAMERAS = {
-    "above": tilted(0, distance=26),
-    "aside": tilted(20, 30, roll=10),
-    "turned": tilted(30, 120, distance=34, roll=-80),
-    "steep": tilted(40, 200, roll=90),
-    "far": tilted(40, 300, distance=45, focal_mm=52),
+    "above": tilted_camera(0, distance=26),
+    "aside": tilted_camera(20, 30, roll=10),
+    "turned": tilted_camera(30, 120, distance=34, roll=-80),
+    "steep": tilted_camera(40, 200, roll=90),
+    "far": tilted_camera(40, 300, distance=45, focal_mm=52),
     "off centre": Camera((6.0, -4.0, 30.0), aim=(3.0, 2.0), roll=170),
-    "upright": tilted(25, 60, distance=34, height=1600, width=1200),
+    "upright": tilted_camera(25, 60, distance=34, height=1600, width=1200),
 }
 
 
@@ -37,18 +43,18 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All of CAMERAS as JPEG, with noise, a vignette and the focal length in their EXIF."""
     folder = tmp_path_factory.mktemp("photos")
     for name, camera in CAMERAS.items():
-        take(folder / f"{name}.jpg", camera, **LOOK)
+        write_photograph(folder / f"{name}.jpg", camera, **LOOK)
     return folder
 
 
 def off_by(place_cm: Any, camera: Camera) -> float:
     """How far a place is from the camera's, as a share of its distance."""
-    return float(np.linalg.norm(place_cm - np.array(camera.place)) / np.linalg.norm(camera.place))
+    return float(np.linalg.norm(place_cm - np.array(camera.position)) / np.linalg.norm(camera.position))
 
 
 def expected(size: int, vignette: float, camera: Camera) -> np.ndarray:
     """The patch as a picture of so many px, darker towards the photograph's corners."""
-    picture = cv2.resize(patch(), (size, size), interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(patch_picture(), (size, size), interpolation=cv2.INTER_AREA)
     y, x = ((np.mgrid[:size, :size] + 0.5) / size - 0.5) * 10
     seen = np.einsum("ij,jhw->ihw", camera.projection_matrix(), np.stack([x, -y, np.ones_like(x)]))
     off = np.hypot(seen[0] / seen[2] - camera.width / 2, seen[1] / seen[2] - camera.height / 2)
@@ -88,8 +94,8 @@ def test_photographs_from_above_do_not_tell_the_focal_length(photos: Path) -> No
 
 @pytest.mark.long
 def test_distances_follow_from_a_given_field_of_view(tmp_path: Path) -> None:
-    cameras = [tilted(0, distance=26), tilted(5, 40)]
-    paths = [take(tmp_path / f"{i}.png", camera, focal=False) for i, camera in enumerate(cameras)]
+    cameras = [tilted_camera(0, distance=26), tilted_camera(5, 40)]
+    paths = [write_photograph(tmp_path / f"{i}.png", camera, focal=False) for i, camera in enumerate(cameras)]
     found, _, _ = find_cameras(paths, field_of_view_rad(26, 1200, 1600))
     for photo, camera in zip(found, cameras, strict=True):
         assert off_by(photo.place_cm, camera) < 0.002
@@ -98,9 +104,9 @@ def test_distances_follow_from_a_given_field_of_view(tmp_path: Path) -> None:
 
 
 def test_photographs_are_read_upright(tmp_path: Path) -> None:
-    camera = tilted(25, 60, distance=34, height=800, width=600)
+    camera = tilted_camera(25, 60, distance=34, height=800, width=600)
     upright = (photograph(camera) * 255 + 0.5).astype(np.uint8)
-    path = write(tmp_path / "a.png", STORED[6](upright), Orientation=6)
+    path = write_image(tmp_path / "a.png", STORED_BY_ORIENTATION[6](upright), Orientation=6)
     sighting = find_sheet(path)
     assert (sighting.height, sighting.width) == (800, 600)
     assert off_by(solve_camera(sighting, 26).place_cm, camera) < 0.005
@@ -109,7 +115,7 @@ def test_photographs_are_read_upright(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_colours_are_what_they_were(photos: Path, dtype: type) -> None:
+def test_rectifying_keeps_colours(photos: Path, dtype: type) -> None:
     """Every level of a uniform picture comes back, and of a fine pattern the mean of linear light."""
     sighting = find_sheet(photos / "steep.jpg")
     highest = np.iinfo(dtype).max
@@ -144,8 +150,8 @@ def test_the_folder_is_read_as_photographs_with_places(photos: Path, tmp_path: P
             assert off_by(task.data["places"][number, column].numpy() * 5, CAMERAS[name]) < 0.005
     pictures = [task.data["photo"], *task.data["others"]]
     for picture, name in zip(pictures, order, strict=True):
-        wanted = expected(256, LOOK["vignette"], CAMERAS[name])
-        assert np.sqrt(np.mean((picture.permute(1, 2, 0).numpy() / 255 - wanted) ** 2)) < 0.035
+        expected_values = expected(256, LOOK["vignette"], CAMERAS[name])
+        assert np.sqrt(np.mean((picture.permute(1, 2, 0).numpy() / 255 - expected_values) ** 2)) < 0.035
 
 
 def test_the_flash_is_beside_the_lens_in_the_photograph(photos: Path) -> None:
@@ -189,32 +195,38 @@ def hidden(path: Path, camera: Camera, *boxes: tuple[float, float, float, float]
             @ camera.projection_matrix().T
         )
         cv2.fillPoly(values, [(corners[:, :2] / corners[:, 2:]).round().astype(np.int32)], (110, 100, 90))
-    return write(path, values)
+    return write_image(path, values)
 
 
 def test_some_hidden_markers_do_no_harm(tmp_path: Path) -> None:
-    camera = tilted(25, 60, distance=30)
+    camera = tilted_camera(25, 60, distance=30)
     sighting = find_sheet(hidden(tmp_path / "a.png", camera, (-9, 9, 5.2, 9), (5.2, 9, 2, 3)))
     assert len(sighting.markers) == 7
     assert off_by(solve_camera(sighting, 26).place_cm, camera) < 0.005
 
 
 REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "nothing": (lambda path: write(path, noise(600, 800)), "no marker found, expected the markers of a sheet; photog"),
+    "nothing": (
+        lambda path: write_image(path, noise_image(600, 800)),
+        "no marker found, expected the markers of a sheet; photog",
+    ),
     "few": (
-        lambda path: hidden(path, tilted(20), (-9, 9, -5.2, 9)),
+        lambda path: hidden(path, tilted_camera(20), (-9, 9, -5.2, 9)),
         "markers, on one side of the opening alone or too few, expected 4 to 12 all round",
     ),
-    "bent": (lambda path: take(path, tilted(20), bend=0.35), "of a flat sheet in focus; lay it flat"),
+    "bent": (
+        lambda path: write_photograph(path, tilted_camera(20), bend=0.35),
+        "of a flat sheet in focus; lay it flat",
+    ),
     "cut off": (
-        lambda path: take(path, Camera((5.0, 0, 18.0), aim=(9.5, 0.0))),
+        lambda path: write_photograph(path, Camera((5.0, 0, 18.0), aim=(9.5, 0.0))),
         "the opening is not wholly in the pic",
     ),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_rectified_is_refused_in_a_line(tmp_path: Path, case: str) -> None:
+def test_photographs_that_cannot_be_rectified_are_refused_in_one_line(tmp_path: Path, case: str) -> None:
     make, line = REFUSED[case]
     with pytest.raises(ValueError, match=re.escape(line)) as caught:
         find_sheet(make(tmp_path / "a.png"))
@@ -224,7 +236,7 @@ def test_what_cannot_be_rectified_is_refused_in_a_line(tmp_path: Path, case: str
 
 def test_a_cropped_photograph_or_another_lens_is_refused(photos: Path, tmp_path: Path) -> None:
     values = read_pixels(photos / "steep.jpg").values[:, 250:]
-    cropped = write(tmp_path / "cropped.png", np.ascontiguousarray(values), Exif_FocalLengthIn35mmFilm=26)
+    cropped = write_image(tmp_path / "cropped.png", np.ascontiguousarray(values), Exif_FocalLengthIn35mmFilm=26)
     find_sheet(cropped)
     paths = [photos / "above.jpg", photos / "aside.jpg", cropped]
     cameras, _, (line,) = find_cameras(paths)

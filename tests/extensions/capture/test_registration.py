@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted  # isort: skip
+from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted_camera  # isort: skip
 
 from data_tools.readers.placed_photos import read_task
 from data_tools.readers.square_photos import field_of_view_rad
@@ -15,13 +15,13 @@ from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on
 from metapp.extensions.capture.markers.rectified_photos import find_cameras, show_views
 from metapp.extensions.capture.markers.registration import apply_homography, register_photos
 from metapp.extensions.capture.markers.sighting import Sighting, common_focal_length_mm, solve_camera
-from tests.pictures import write
+from tests.pictures import write_image
 
 VIEW = {"focal_mm": 26, "height": 320, "width": 360}
 CAMERAS = {
     "a": Camera((0.5, -0.4, 26.0), (0.4, 0.2), 3.0, **VIEW),
-    "b": tilted(24, 40, 24, roll=20, **VIEW),
-    "c": tilted(20, 160, 30, roll=-100, **VIEW),
+    "b": tilted_camera(24, 40, 24, roll=20, **VIEW),
+    "c": tilted_camera(20, 160, 30, roll=-100, **VIEW),
 }
 REMEDY = "print a frame of markers: metapp data markers sheet.pdf"
 
@@ -43,7 +43,9 @@ def take(path: Path, camera: Camera, values: np.ndarray) -> Path:
     )
     y, x = np.mgrid[-1 : 1 : camera.height * 1j, -1 : 1 : camera.width * 1j]
     seen = seen * (1 - 0.2 * (x**2 + y**2))[..., None] + np.random.default_rng(1).normal(0, 0.01, seen.shape)
-    return write(path, (seen.clip(0, 1) * 255).round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=camera.focal_mm)
+    return write_image(
+        path, (seen.clip(0, 1) * 255).round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=camera.focal_mm
+    )
 
 
 @pytest.fixture(scope="module")
@@ -87,14 +89,14 @@ def test_places_and_the_square_are_found(sightings: list[Sighting], focal: bool)
     right = (corners[0][1] - corners[0][0] + corners[0][2] - corners[0][3]) / 2
     axes = np.array([[*right, 0], [-right[1], right[0], 0], [0, 0, side]]) / side
     for camera in cameras:
-        place = np.array(CAMERAS[camera.sighting.path.stem].place) - [*corners[0].mean(0), 0]
+        place = np.array(CAMERAS[camera.sighting.path.stem].position) - [*corners[0].mean(0), 0]
         found = camera.place_cm * side
         assert np.linalg.norm(axes @ place - found) < (0.01 if focal else 0.03) * np.linalg.norm(place)
 
 
 def tilt_of(camera: Camera) -> float:
     """The angle in degrees between a camera's axis and the material's normal."""
-    forward = np.array([*camera.aim, 0.0]) - camera.place
+    forward = np.array([*camera.aim, 0.0]) - camera.position
     return float(np.degrees(np.arccos(-forward[2] / np.linalg.norm(forward))))
 
 
@@ -103,7 +105,7 @@ def tilt_of(camera: Camera) -> float:
 def test_the_straightest_photograph_is_the_reference(photos: Path, tmp_path: Path, order: str, source: str) -> None:
     paths = [photos / f"{name}.png" for name in order]
     if source != "exif":  # without a focal length
-        paths = [write(tmp_path / path.name, cv2.imread(str(path))[..., ::-1]) for path in paths]
+        paths = [write_image(tmp_path / path.name, cv2.imread(str(path))[..., ::-1]) for path in paths]
     fov_rad = field_of_view_rad(26, VIEW["height"], VIEW["width"]) if source == "fov" else 0.0
     cameras, focal_mm, skipped = find_cameras(paths, fov_rad)
     assert skipped == []
@@ -142,7 +144,9 @@ def test_of_squares_as_large_the_one_below_the_camera_is_taken() -> None:
 
 def test_a_photograph_that_fits_no_plane_with_the_others_leaves_these_as_they_are(photos: Path) -> None:
     whole = cv2.imread(str(take(Path("whole.png"), CAMERAS["b"], material(1))))
-    odd = write(Path("odd.png"), cv2.resize(whole, None, fx=1.4, fy=1.0)[..., ::-1], Exif_FocalLengthIn35mmFilm=26)
+    odd = write_image(
+        Path("odd.png"), cv2.resize(whole, None, fx=1.4, fy=1.0)[..., ::-1], Exif_FocalLengthIn35mmFilm=26
+    )
     paths = [photos / f"{name}.png" for name in CAMERAS]
     (expected, *_), (cameras, _, skipped) = find_cameras(paths), find_cameras([*paths, odd])
     assert [line.partition(":")[0] for line in skipped] == ["odd.png"]
@@ -158,10 +162,10 @@ def test_photographs_without_markers_become_a_folder_that_a_fit_reads(metapp: Ca
     assert f"warning: skipped: {other}: too few features in common with a.png, expected an overlap; {REMEDY}." in (
         result.err
     )
-    assert result.done["unit"] == "sides"
+    assert result.json_result["unit"] == "sides"
     reference = r"00.png: a.png, 1000 points, the reference, .* tilted by 1"
     assert re.search(rf"{reference}\n01.png: b.png, \d+ points, error 0.* tilted by 24\n", result.err)
-    assert [found["reference"] for found in result.document["photos"]] == [True, False]
+    assert [found["reference"] for found in result.json_document["photos"]] == [True, False]
     assert Path("leaf/found/01.png").exists()
     places = read_task(Path("leaf")).data["places"]
     assert places.shape == (2, 2, 3)
@@ -177,10 +181,10 @@ def test_a_flash_beside_the_lens_needs_the_sheet(metapp: Callable, photos: Path)
 
 def blank(path: Path, seed: int) -> Path:
     values = 128 + np.random.default_rng(seed).normal(0, 3, (300, 400, 3))
-    return write(path, values.round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=26)
+    return write_image(path, values.round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=26)
 
 
-def test_what_shares_nothing_is_refused_in_a_line(tmp_path: Path) -> None:
+def test_photographs_without_common_parts_are_refused_in_one_line(tmp_path: Path) -> None:
     for name, make in (
         ("wall", lambda path, seed: blank(path, seed)),
         ("unrelated", lambda path, seed: take(path, CAMERAS["a"], material(seed))),

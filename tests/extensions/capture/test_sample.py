@@ -11,7 +11,7 @@ from metapp.extensions.capture.markers.rectified_photos import find_cameras
 from metapp.extensions.capture.markers.sample import find_largest_square, find_sample, select_middle_region
 from tests.extensions.capture.marker_photos import cv2
 from tests.extensions.capture.test_registration import CAMERAS, material
-from tests.pictures import write
+from tests.pictures import write_image
 
 HALF_SIDE, THICKNESS = 9.0, 4.0  # cm, of the sample
 CENTRE = np.array([0.5, -0.4])  # cm, of the sample
@@ -36,7 +36,9 @@ def photograph(folder: Path, thickness: float, half_side: float = HALF_SIDE, fin
         seen = seen + np.random.default_rng(seed).normal(0, 0.01, seen.shape)
         path = folder / f"{name}.png"
         paths.append(
-            write(path, (seen.clip(0, 1) * 255).round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=camera.focal_mm)
+            write_image(
+                path, (seen.clip(0, 1) * 255).round().astype(np.uint8), Exif_FocalLengthIn35mmFilm=camera.focal_mm
+            )
         )
     return paths
 
@@ -78,7 +80,7 @@ def test_a_line_says_how_much_is_kept(metapp: Callable, monkeypatch: pytest.Monk
     ):
         monkeypatch.setattr(rectification, "find_sample", lambda *_, share=kept: (*found[:3], share))
         result = metapp("data", "rectify", *paths, "--out", name, "--json")
-        assert result.done["kept"] == kept
+        assert result.json_result["kept"] == kept
         assert line in result.err
         assert ("cut to" in result.err) == (0 < kept < 1)
         assert ("warning" in result.err) == (kept == 0)

@@ -1,4 +1,4 @@
-"""From a photograph of a ball to a map."""
+"""The environment map that is unwrapped from one photograph of a mirror ball: its values, clipping and uncertainty."""
 
 import math
 
@@ -18,16 +18,16 @@ from metapp.extensions.capture.ball.ball_geometry import (
 )
 from metapp.extensions.capture.ball.ball_picture import lens_of_photo
 from metapp.extensions.capture.ball.capture import unwrap_ball
-from tests.extensions.capture.ball_photos import light
+from tests.extensions.capture.ball_photos import smooth_light
 
 
 @pytest.mark.parametrize("angle", [FAR_CAMERA_ANGLE_RAD, 0.1, 0.4])
 def test_the_map_is_what_the_ball_mirrors(angle: float) -> None:
     places = disc_places(400)
     ball = Ball(0, 0, 200, PinholeLens(200 / math.tan(angle), 0, 0))
-    values = light(disc_to_directions(places, angle))
+    values = smooth_light(disc_to_directions(places, angle))
     seen, certain = unwrap_ball(values, np.zeros((400, 400), bool), np.ones((400, 400)), ball, 64)
-    true = torch.from_numpy(light(texel_directions(64, 128, dtype=torch.float64).numpy())).float()
+    true = torch.from_numpy(smooth_light(texel_directions(64, 128, dtype=torch.float64).numpy())).float()
     error = (seen - true).abs()
     assert error[:, certain[0] > 0.99].max() < 0.01
     assert error[:, certain[0] > 0].max() < 0.03
@@ -37,12 +37,12 @@ def test_the_map_is_what_the_ball_mirrors(angle: float) -> None:
     assert (certain[0] > 0.99).float().mean() > 0.8
 
 
-def test_what_clips_is_said_and_a_small_ball_is_less_certain() -> None:
+def test_clipping_is_reported_and_small_balls_are_less_certain() -> None:
     places = disc_places(200)
-    values = light(disc_to_directions(places))
+    values = smooth_light(disc_to_directions(places))
     clipped = values.max(0) > 0.75
     _, certain = unwrap_ball(values, clipped, np.ones((200, 200)), Ball(0, 0, 100), 64)
-    bright = torch.from_numpy(light(texel_directions(64, 128, dtype=torch.float64).numpy())).max(0).values
+    bright = torch.from_numpy(smooth_light(texel_directions(64, 128, dtype=torch.float64).numpy())).max(0).values
     assert (certain[1][bright > 0.78] > 0.9).all()
     assert (certain[1][bright < 0.72] == 0).all()
     assert (certain.sum(0) <= 1.00001).all()

@@ -1,4 +1,4 @@
-"""What `metapp doctor` says there is."""
+"""`metapp doctor`: it lists what is installed and what is missing."""
 
 from collections.abc import Callable
 from importlib import metadata
@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 
-def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
-    document = metapp("doctor", "--json").document
+def test_doctor_lists_what_is_installed(metapp: Callable, cache: Path) -> None:
+    document = metapp("doctor", "--json").json_document
     assert document["versions"]["torch"] == metadata.version("torch")
     assert document["cache"] == str(cache)
     assert document["checkpoints"]["texture full"] == "general, meta-axes, quickft"
@@ -18,9 +18,9 @@ def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
     assert "; texture full: general, meta-axes, quickft; " in out
 
 
-def test_doctor_misses_a_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_reports_a_missing_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(Path.cwd()))
     for _ in ("missing", "broken"):
-        assert metapp("doctor", "--json").document["compiler"].startswith("none that works")
+        assert metapp("doctor", "--json").json_document["compiler"].startswith("none that works")
         Path("g++").write_text("#!/bin/sh\nexit 1\n")
         Path("g++").chmod(0o755)

@@ -17,7 +17,7 @@ from tests.needs_mitsuba import skip_without_mitsuba
 def inputs(request: pytest.FixtureRequest, metapp: Callable, app: str) -> None:
     """The input files of an application, and what a user has after the first run."""
     if app == "illumination":
-        request.getfixturevalue("scene")
+        request.getfixturevalue("second_scene")
     assert metapp("examples", app, "--make", EXAMPLE_INPUTS_FOLDER).code == 0
 
 
@@ -33,8 +33,8 @@ def works(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         program, *words = shlex.split(line)
         assert program == "metapp"
         before = set(tmp_path.rglob("*"))
-        done = metapp(*words, "--quiet")
-        assert done.code == 0, done.err
+        result = metapp(*words, "--quiet")
+        assert result.code == 0, result.err
         assert any(path.is_file() for path in set(tmp_path.rglob("*")) - before)
 
     return run
@@ -50,10 +50,10 @@ def test_the_printed_script_makes_its_input_files_first(metapp: Callable, tmp_pa
         assert len(lines) == count
     metapp(*shlex.split(metapp("examples", "texture").out.splitlines()[1])[1:])
     assert [file.name for file in EXAMPLE_INPUTS_FOLDER.iterdir()] == ["bricks.png"]
-    made = metapp("examples", "illumination", "--make", tmp_path / "my files", "--json").document
-    assert len(made["commands"]) == 5
-    assert [Path(file).name for file in made["files"]] == ["courtyard.exr", "ball.png"]
-    assert shlex.split(made["commands"][0]["command"])[-1] == made["files"][0]
+    result = metapp("examples", "illumination", "--make", tmp_path / "my files", "--json").json_document
+    assert len(result["commands"]) == 5
+    assert [Path(file).name for file in result["files"]] == ["courtyard.exr", "ball.png"]
+    assert shlex.split(result["commands"][0]["command"])[-1] == result["files"][0]
 
 
 def test_an_application_that_is_nearly_right_is_suggested(metapp: Callable) -> None:
@@ -70,8 +70,8 @@ def test_the_first_command_of_an_application_works(works: Callable, app: str) ->
 @pytest.mark.slow
 @pytest.mark.usefixtures("inputs")
 @pytest.mark.parametrize("app", app_names())
-def test_the_other_commands_work(request: pytest.FixtureRequest, works: Callable, app: str) -> None:
+def test_other_commands_of_an_application_work(request: pytest.FixtureRequest, works: Callable, app: str) -> None:
     if app in VGG_APPS:
-        request.getfixturevalue("vgg")
+        request.getfixturevalue("vgg_weights")
     for line, _ in example_lines(app, EXAMPLE_INPUTS_FOLDER)[1:]:
         works(line)

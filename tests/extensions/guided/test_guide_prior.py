@@ -1,4 +1,4 @@
-"""Path guiding: the cache samples as densely as it says and learns where light comes from, and its prior helps."""
+"""The cache and the prior of path guiding: sampling follows the stated density, and light is learned."""
 
 from typing import Any
 
@@ -64,15 +64,15 @@ def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1
 def cache() -> Any:
     """One that has learned of weights in its first entries, of which the last few were hardly visited."""
     skip_without_mitsuba()
-    mi, made = load_mitsuba(), empty()
+    mi, result = load_mitsuba(), empty()
     sums = torch.zeros(CACHE_ENTRIES, HISTOGRAM_BINS, 2, dtype=torch.float64)
     sums[:7, :, 0], sums[:7, :, 1] = 1e3 * weights(7), 1e3
     sums[5:7] *= 1e-3
     bounces = torch.zeros(CACHE_ENTRIES, 3, dtype=torch.float64)
     bounces[:7, 2] = 10
-    made.sums, made.bounces = (mi.Float64(each.flatten().numpy()) for each in (sums, bounces))
-    assert made.update_histograms() == 6 + 5  # voxels of twice the side, whose axes are six, and entries of their own
-    return made
+    result.sums, result.bounces = (mi.Float64(statistic.flatten().numpy()) for statistic in (sums, bounces))
+    assert result.update_histograms() == 6 + 5  # voxels of twice the side, whose axes are six, and entries of their own
+    return result
 
 
 def test_entries_of_few_paths_share_the_row_of_those_around_them(cache: Any) -> None:
@@ -91,7 +91,7 @@ def test_entries_of_few_paths_share_the_row_of_those_around_them(cache: Any) -> 
     assert (beyond == 0).all()
 
 
-def test_of_nothing_nothing_is_learned(mi: Any) -> None:
+def test_guide_without_records_stays_uniform(mi: Any) -> None:
     nothing = empty()
     assert nothing.update_histograms() == 0
     assert (nothing.rows.numpy() == 0).all()
@@ -99,7 +99,7 @@ def test_of_nothing_nothing_is_learned(mi: Any) -> None:
 
 
 @pytest.mark.parametrize("entry", [4, 6, 1000])
-def test_directions_are_sampled_as_densely_as_it_says(mi: Any, cache: Any, entry: int) -> None:
+def test_sampled_directions_follow_the_stated_density(mi: Any, cache: Any, entry: int) -> None:
     count = 200_000
     rng = np.random.default_rng(0)
     point = mi.Point2f(rng.random((2, count), np.float32))
@@ -130,7 +130,7 @@ def test_entries_are_voxels_and_sides(mi: Any, cache: Any) -> None:
     points, normals = rng.uniform(-1.2, 1.2, (2, 3, 5000)).astype(np.float32)
     normals /= np.linalg.norm(normals, axis=0)
     location = cache.locate(mi.Point3f(points), mi.Vector3f(normals))
-    frame = np.stack([each.numpy() for each in (location.frame.s, location.frame.t, location.frame.n)])
+    frame = np.stack([axis.numpy() for axis in (location.frame.s, location.frame.t, location.frame.n)])
     assert np.allclose(np.einsum("ikn,jkn->ijn", frame, frame), np.eye(3)[..., None], atol=1e-5)
     assert np.allclose(np.linalg.det(frame.transpose(2, 0, 1)), 1, atol=1e-5)
     assert np.allclose(frame[2], normals, atol=1e-6)
@@ -237,10 +237,12 @@ def test_flat_scenes_have_voxels_too(mi: Any) -> None:
 
 def bounce(mi: Any, **more: Any) -> tuple[Any, ...]:
     usual = {"index": mi.UInt32(1), "density": 1.0, "throughput": 1.0, "radiance": 0.0, "unlit": 0.0}
-    return *(mi.Float(each) if isinstance(each, float | list) else each for each in (usual | more).values()), *6 * (0,)
+    return *(mi.Float(value) if isinstance(value, float | list) else value for value in (usual | more).values()), *6 * (
+        0,
+    )
 
 
-def learned(cache: Any) -> dict[int, tuple[float, float]]:
+def learned_entries(cache: Any) -> dict[int, tuple[float, float]]:
     """Squares and counts of the bins that have any, by entry * BINS + bin."""
     visited, squares, counts = cache.visited_sums()
     cells = [(int(entry) * HISTOGRAM_BINS + b, float(squares.flatten(1)[i, b]), float(counts.flatten(1)[i, b]))
@@ -258,7 +260,7 @@ def test_a_bounce_carries_what_its_path_gains_after_it(mi: Any) -> None:
     records.record_bounce(mi.UInt32(0), bounce(mi, index=index, density=[2.0, 4.0, 1.0], throughput=[0.5, 1.0, 1.0],
                                      radiance=[1.0, 0.25, 5.0]), mi.Bool(True))  # fmt: skip
     records.add_to_cache(cache, mi.Color3f(mi.Float([3.0, 1.25, 2.0])))
-    found = learned(cache)
+    found = learned_entries(cache)
     assert sorted(found) == sorted(cells)
     for cell, (square, count) in {0: (4.0**2 * 2, 1 / 2), cells[1]: (1.0**2 * 4, 1 / 4), 4: (0.0, 1.0)}.items():
         assert found[cell] == pytest.approx((square, count))  # of rounding that makes it darker, 0
@@ -272,10 +274,10 @@ def test_bounces_are_recorded_by_depth_as_far_as_there_is_room(mi: Any) -> None:
         index = mi.UInt32(np.array([1 + depth, 1 + 100 + depth], np.uint32))
         records.record_bounce(mi.UInt32(depth), bounce(mi, index=index), mi.Bool([True, depth % 2 == 0]))
     records.add_to_cache(cache, mi.Color3f(1.0, 1.0, 1.0))
-    assert sorted(learned(cache)) == [*range(MAX_RECORDED_BOUNCES), *range(100, 100 + MAX_RECORDED_BOUNCES, 2)]
+    assert sorted(learned_entries(cache)) == [*range(MAX_RECORDED_BOUNCES), *range(100, 100 + MAX_RECORDED_BOUNCES, 2)]
 
 
-def test_what_cannot_be_weighed_is_left_out(mi: Any) -> None:
+def test_records_without_finite_weight_are_left_out(mi: Any) -> None:
     """No bounce, a density of 0, radiance that is not finite."""
     from metapp.extensions.guided.guide_cache import BounceRecords
 
@@ -284,11 +286,11 @@ def test_what_cannot_be_weighed_is_left_out(mi: Any) -> None:
         mi.UInt32(0), bounce(mi, index=mi.UInt32([0, 6, 7, 8]), density=[1.0, 0.0, 1.0, 1.0]), mi.Bool(True)
     )
     records.add_to_cache(cache, mi.Color3f(mi.Float([1.0, 1.0, float("inf"), 1.0])))
-    assert sorted(learned(cache)) == [7]
+    assert sorted(learned_entries(cache)) == [7]
 
 
-def test_what_paths_are_expected_to_bring_is_the_mean_of_those_before(mi: Any) -> None:
-    """Of outgoing radiance with next-event estimation, the mean; of what is carried, the root mean square."""
+def test_expected_contribution_is_the_mean_of_earlier_paths(mi: Any) -> None:
+    """With next-event estimation it is the mean of outgoing radiance, else the root mean square of carried light."""
     import drjit as dr
 
     from metapp.extensions.guided.guide_cache import MIN_ROW_BOUNCES, BounceRecords

@@ -1,4 +1,4 @@
-"""The integrator metapp_guided_path: the mean of Mitsuba's path, less noise, and path itself where it cannot help."""
+"""The integrator metapp_guided_path: the mean of Mitsuba's path, less noise, and path where it cannot help."""
 
 import itertools
 import math
@@ -37,7 +37,7 @@ def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequ
         yield integrator
 
 
-def loaded(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
+def load_scene_with_film(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
     from metapp.rendering.scenes.rules import instantiate_scene
 
     scene["sensor"]["film"] |= {"width": size, "height": size}
@@ -71,20 +71,20 @@ def pictures(mi: Any, scene: Any, kind: str, spp: int = SPP, **more: Any) -> np.
     """Several pictures, [runs, rows, columns, 3], in double precision."""
     integrator = mi.load_dict({"type": kind, "max_depth": 5, **more})
     first = 100 if kind == "path" else 0
-    made = [mi.render(scene, integrator=integrator, spp=spp, seed=first + seed) for seed in range(RUNS)]
-    return np.stack([np.array(each, np.float64)[..., :3] for each in made])
+    result = [mi.render(scene, integrator=integrator, spp=spp, seed=first + seed) for seed in range(RUNS)]
+    return np.stack([np.array(rendering, np.float64)[..., :3] for rendering in result])
 
 
 def deviation(first: np.ndarray[Any, Any], second: np.ndarray[Any, Any]) -> float:
     """The difference of two means over runs, in standard errors."""
     means = first.mean((1, 2, 3)), second.mean((1, 2, 3))
-    error = math.sqrt(sum(each.var(ddof=1) for each in means) / RUNS)
+    error = math.sqrt(sum(mean_of_runs.var(ddof=1) for mean_of_runs in means) / RUNS)
     assert error < 0.03 * means[1].mean()  # or it would say little
     return float((means[0].mean() - means[1].mean()) / error)
 
 
-def test_the_mean_is_that_of_path_in_a_box(mi: Any) -> None:
-    scene = loaded(mi, random_scene(1))  # has glass and metal
+def test_mean_agrees_with_path_in_a_box(mi: Any) -> None:
+    scene = load_scene_with_film(mi, random_scene(1))  # has glass and metal
     guided = pictures(mi, scene, "metapp_guided_path")
     plain = pictures(mi, scene, "path")
     assert abs(deviation(guided[:, SIZE // 2 :], plain[:, SIZE // 2 :])) < 3
@@ -92,38 +92,38 @@ def test_the_mean_is_that_of_path_in_a_box(mi: Any) -> None:
 
 
 @pytest.mark.parametrize("lamp", [long(lamp) for lamp in LAMPS])
-def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp: str) -> None:
+def test_mean_agrees_with_path_for_all_materials_in_all_lights(mi: Any, lamp: str) -> None:
     scene = zoo()
     for other in set(LAMPS) - {lamp}:
         del scene[other]
-    scene = loaded(mi, scene)
+    scene = load_scene_with_film(mi, scene)
     assert abs(deviation(pictures(mi, scene, "metapp_guided_path"), pictures(mi, scene, "path"))) < 3
 
 
 @pytest.mark.long
-def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_guided_pictures_have_less_noise_than_path(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from metapp.extensions.guided.guide_cache import GuideCache
 
-    scene, noise = loaded(mi, random_scene(101), 64), []
+    scene, noise = load_scene_with_film(mi, random_scene(101), 64), []
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
     for learns in (True, False):
         if not learns:
             monkeypatch.setattr(GuideCache, "update_histograms", lambda cache: 0)
-        made = [np.array(mi.render(scene, integrator=integrator, spp=256, seed=seed)) for seed in (1, 2)]
-        noise.append(np.mean(np.abs(made[0] - made[1]) / (made[0] + made[1] + 1e-2)))
+        result = [np.array(mi.render(scene, integrator=integrator, spp=256, seed=seed)) for seed in (1, 2)]
+        noise.append(np.mean(np.abs(result[0] - result[1]) / (result[0] + result[1] + 1e-2)))
     assert noise[0] < 0.85 * noise[1]
 
 
 @pytest.mark.long
-def test_a_seed_says_what_a_picture_is(mi: Any) -> None:
-    scene = loaded(mi, random_scene(1))
+def test_pictures_depend_on_the_seed_alone(mi: Any) -> None:
+    scene = load_scene_with_film(mi, random_scene(1))
     guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
     first, again, other = (np.array(mi.render(scene, integrator=guided, spp=32, seed=seed)) for seed in (3, 3, 4))
     assert np.allclose(first, again, rtol=1e-5)
     assert not np.allclose(first, other, rtol=1e-2)
 
 
-def test_it_works_from_xml_in_films_of_any_size(mi: Any) -> None:
+def test_integrator_loads_from_xml_with_films_of_any_size(mi: Any) -> None:
     scene = mi.load_string("""<scene version="3.0.0">
       <integrator type="metapp_guided_path"><integer name="max_depth" value="4"/></integrator>
       <sensor type="perspective"><float name="fov" value="40"/>
@@ -153,7 +153,7 @@ FILMS = {
 
 
 @pytest.mark.parametrize("film", FILMS.values(), ids=FILMS)
-def test_films_are_those_of_path(mi: Any, film: str) -> None:
+def test_pictures_agree_with_path_in_films_of_all_kinds(mi: Any, film: str) -> None:
     scene = mi.load_string(f"""<scene version="3.0.0">
       <sensor type="perspective"><float name="fov" value="40"/>
         <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
@@ -162,14 +162,19 @@ def test_films_are_those_of_path(mi: Any, film: str) -> None:
       <emitter type="constant"/>
     </scene>""")
     kinds = {kind: mi.load_dict({"type": kind, "max_depth": 4}) for kind in ("metapp_guided_path", "path")}
-    guided, plain = (np.array(mi.render(scene, integrator=each, spp=400), np.float64) for each in kinds.values())
+    guided, plain = (
+        np.array(mi.render(scene, integrator=integrator, spp=400), np.float64) for integrator in kinds.values()
+    )
     assert guided.shape == plain.shape
     assert np.abs(guided - plain).mean() < 0.02
     assert np.abs(guided[0] - plain[0]).mean() < 0.02
 
 
-def test_a_default_device_of_the_program_is_not_the_guides(mi: Any) -> None:
-    scene, guided = loaded(mi, random_scene(1)), mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
+def test_guide_ignores_the_default_device_of_the_program(mi: Any) -> None:
+    scene, guided = (
+        load_scene_with_film(mi, random_scene(1)),
+        mi.load_dict({"type": "metapp_guided_path", "max_depth": 4}),
+    )
     expected = np.array(mi.render(scene, integrator=guided, spp=32))
     with torch.device("meta"):  # stands for CUDA
         assert np.allclose(np.array(mi.render(scene, integrator=guided, spp=32)), expected, rtol=1e-5)
@@ -178,7 +183,7 @@ def test_a_default_device_of_the_program_is_not_the_guides(mi: Any) -> None:
 def test_derivatives_are_refused(mi: Any) -> None:
     import drjit as dr
 
-    scene = loaded(mi, random_scene(1))
+    scene = load_scene_with_film(mi, random_scene(1))
     values = mi.traverse(scene)
     key = next(key for key in values.keys() if "reflectance" in key)  # noqa: SIM118  (no mapping)
     dr.enable_grad(values[key])
@@ -199,8 +204,8 @@ def test_derivatives_are_refused(mi: Any) -> None:
         ({}, 2, "512 paths .*, expected 2,048 or more"),
     ],
 )
-def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: Any, spp: int, why: str) -> None:
-    scene = loaded(mi, random_scene(1))
+def test_path_renders_with_one_warning_where_guiding_cannot_help(mi: Any, more: Any, spp: int, why: str) -> None:
+    scene = load_scene_with_film(mi, random_scene(1))
     guided, plain = (mi.load_dict({"type": kind, **more}) for kind in ("metapp_guided_path", "path"))
     with pytest.warns(UserWarning, match=f"metapp_guided_path: .*{why}.*; rendered by path"):
         found = mi.render(scene, integrator=guided, spp=spp, seed=1)
@@ -208,8 +213,8 @@ def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: An
     mi.render(scene, integrator=guided, spp=spp, seed=1)  # a second warning would be an error
 
 
-def test_within_another_integrator_it_is_path(mi: Any) -> None:
-    scene = loaded(mi, random_scene(1))
+def test_inside_another_integrator_path_renders(mi: Any) -> None:
+    scene = load_scene_with_film(mi, random_scene(1))
     both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": {"type": "metapp_guided_path", "max_depth": 4}})
     with pytest.warns(UserWarning, match="another integrator"):
         assert np.isfinite(np.array(mi.render(scene, integrator=both, spp=16))).all()
@@ -218,7 +223,7 @@ def test_within_another_integrator_it_is_path(mi: Any) -> None:
 @pytest.mark.parametrize(
     ("spp", "pixels"), [(4, 2**20), (7, 2**20), (16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)]
 )
-def test_the_parts_are_the_picture(spp: int, pixels: int) -> None:
+def test_parts_of_samples_double_and_sum_to_all(spp: int, pixels: int) -> None:
     from metapp.extensions.guided import guided_picture
 
     regular, *guided, last = guided_picture.split_samples(spp, pixels)
@@ -243,7 +248,7 @@ def test_the_guard_compares_errors_in_the_same_time(spread: float, bounces: floa
 
 
 @pytest.mark.parametrize("sides", [1, 2])
-def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
+def test_lambertian_shortcut_agrees_with_the_plugin(mi: Any, sides: int) -> None:
     import drjit as dr
 
     from metapp.extensions.guided.vertex import is_lambertian, lambertian_functions
@@ -252,7 +257,7 @@ def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
     bsdf = mi.load_dict(plain if sides == 1 else {"type": "twosided", "inside": plain})
     assert is_lambertian(bsdf)
     rng = np.random.default_rng(0)
-    wi, wo = (mi.Vector3f(each / np.linalg.norm(each, axis=0)) for each in rng.standard_normal((2, 3, 1000)))
+    wi, wo = (mi.Vector3f(vectors / np.linalg.norm(vectors, axis=0)) for vectors in rng.standard_normal((2, 3, 1000)))
     si = dr.zeros(mi.SurfaceInteraction3f, 1000)
     si.wi = wi
     value, density = lambertian_functions(bsdf, si, mi.Bool(True))(wo)
@@ -266,38 +271,38 @@ def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
 
 @pytest.mark.long
 def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) -> None:
-    scene = loaded(mi, random_scene(101), 128)
+    scene = load_scene_with_film(mi, random_scene(101), 128)
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
     noise = []
-    for each in (integrator, mi.load_dict({"type": "path", "max_depth": 5})):
-        made = [np.array(mi.render(scene, integrator=each, spp=3, seed=seed)).mean(-1) for seed in (1, 2, 3, 4)]
-        noise.append(np.mean(np.abs(made[0] + made[1] - made[2] - made[3]) / (sum(made) + 1e-2)))
+    for tested in (integrator, mi.load_dict({"type": "path", "max_depth": 5})):
+        result = [np.array(mi.render(scene, integrator=tested, spp=3, seed=seed)).mean(-1) for seed in (1, 2, 3, 4)]
+        noise.append(np.mean(np.abs(result[0] + result[1] - result[2] - result[3]) / (sum(result) + 1e-2)))
     assert list(integrator.spent) == ["survey", "guided samples", "learning"]
     assert noise[0] < 0.95 * noise[1]
 
 
 @pytest.mark.parametrize(("size", "surveys"), [(8, 0), (16, 1)])
-def test_pictures_of_few_paths_do_not_pay_for_a_survey(
+def test_pictures_of_few_paths_are_rendered_without_a_survey(
     mi: Any, monkeypatch: pytest.MonkeyPatch, size: int, surveys: int
 ) -> None:
     from metapp.extensions.guided import guided_picture
 
-    made, survey = [], guided_picture.survey
-    monkeypatch.setattr(guided_picture, "survey", lambda *arguments: made.append(survey(*arguments)) or made[-1])
+    result, survey = [], guided_picture.survey
+    monkeypatch.setattr(guided_picture, "survey", lambda *arguments: result.append(survey(*arguments)) or result[-1])
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
-    mi.render(loaded(mi, random_scene(101), size), integrator=integrator, spp=16)
-    assert len(made) == surveys
+    mi.render(load_scene_with_film(mi, random_scene(101), size), integrator=integrator, spp=16)
+    assert len(result) == surveys
     assert "guided samples" in integrator.spent
 
 
-def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_guard_drops_a_guide_that_does_not_reduce_errors(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from metapp.extensions.guided.guide_cache import GuideCache
     from metapp.extensions.guided.histogram import HISTOGRAM_BINS
 
     # whatever is learned, all paths but the fewest go one way
     one = torch.eye(HISTOGRAM_BINS, dtype=torch.float64)[5:6]
     monkeypatch.setattr(GuideCache, "update_histograms", lambda cache: cache._tabulate(one))
-    scene = loaded(mi, random_scene(2), 32)
+    scene = load_scene_with_film(mi, random_scene(2), 32)
     guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
     with pytest.warns(UserWarning, match="does not lower the noise enough"):
         mi.render(scene, integrator=guided, spp=SPP)

@@ -1,4 +1,4 @@
-"""Entries of the extension: the integrator, its row in tables of pictures, `--render`; and all without it."""
+"""Registry entries of path guiding: the integrator, its row in tables of pictures, and `--render`."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,7 +29,7 @@ def task_of(seed: int) -> Task:
 
 @pytest.mark.long
 @needs_mitsuba
-def test_the_integrator_has_a_row_in_the_table_of_pictures() -> None:
+def test_integrator_has_a_row_in_the_table_of_pictures() -> None:
     presenter, task = presenter_of(Transport(FLOW, picture=16, spp=64, reference_spp=64)), task_of(0)
     assert list(presenter.picture_errors({}, task)) == ["reference", REGULAR, REGULAR_NEE, "guided_path + NEE"]
 
@@ -46,9 +46,9 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     result = metapp("overfit", "transport", box, "--steps", "2", "--render", "24")
     assert result.code == 0, result.err
     (folder,) = Path("runs").rglob("overfit*/box")
-    made = [oiio.ImageBuf(str(folder / f"{name}.exr")).get_pixels() for name in ("guided_path", "regular_nee")]
-    assert {picture.shape for picture in made} == {(24, 24, 3)}
-    assert np.mean(made[0]) == pytest.approx(np.mean(made[1]), rel=0.2)
+    results = [oiio.ImageBuf(str(folder / f"{name}.exr")).get_pixels() for name in ("guided_path", "regular_nee")]
+    assert {picture.shape for picture in results} == {(24, 24, 3)}
+    assert np.mean(results[0]) == pytest.approx(np.mean(results[1]), rel=0.2)
     assert (folder / "guided_path.png").is_file()
     assert "guided_path: 64 samples a pixel in" in result.err
     assert "regular_nee: " in result.err

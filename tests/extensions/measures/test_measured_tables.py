@@ -16,12 +16,12 @@ from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE
 from tests.extensions.measures.test_measures import needs_weights
-from tests.paradigms.small import KINDS
+from tests.paradigms.small import NETWORK_KINDS
 
 # small tasks of transport have no scene: tests/cli/test_cli_transport.py measures its pictures
 pytestmark = [
     pytest.mark.usefixtures("small_spheres"),
-    pytest.mark.parametrize("app", [kind for kind in KINDS if kind != "transport"], indirect=True),
+    pytest.mark.parametrize("app", [kind for kind in NETWORK_KINDS if kind != "transport"], indirect=True),
 ]
 
 FLAT = {"LPIPS", "DISTS"}
@@ -59,8 +59,8 @@ def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> t
 
 
 @needs_weights
-def test_each_table_has_its_measures_and_says_what_is_missing(
-    app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch, cache: Path, drawn_weights: Path
+def test_each_table_has_its_measures_and_names_missing_ones(
+    app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch, cache: Path, random_vgg_file: Path
 ) -> None:
     further = FURTHER[app.name]
     measures, text = printed(app, sources, monkeypatch)
@@ -68,7 +68,7 @@ def test_each_table_has_its_measures_and_says_what_is_missing(
     assert not measures & FLAT
     for name in further & FLAT:
         assert f"\n- {name}: the weights of VGG-16 are missing: metapp data vgg" in text
-    (cache / "vgg16.safetensors").symlink_to(drawn_weights)
+    (cache / "vgg16.safetensors").symlink_to(random_vgg_file)
     measures, text = printed(app, sources, monkeypatch)
     assert measures >= further | OWN.get(app.name, set())
     for name in further:
@@ -76,8 +76,8 @@ def test_each_table_has_its_measures_and_says_what_is_missing(
         assert f"\n- {name}: " in text
 
 
-@pytest.mark.usefixtures("drawn")
-def test_without_the_extension_tables_have_the_rest(
+@pytest.mark.usefixtures("random_vgg_in_cache")
+def test_tables_have_all_other_columns_without_the_extension(
     app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(WITHOUT_VARIABLE, "measures")

@@ -35,17 +35,19 @@ def waves() -> PictureComparison:
 @pytest.mark.parametrize(
     ("weights", "lpips", "dists"), [("drawn", 0.13649404, 0.09918708), ("vgg", 0.36470923, 0.25178206)]
 )
-def test_numbers_of_the_authors_programs(
+def test_lpips_and_dists_agree_with_the_authors_programs(
     weights: str, lpips: float, dists: float, request: pytest.FixtureRequest
 ) -> None:
-    request.getfixturevalue(weights)
+    request.getfixturevalue({"drawn": "random_vgg_in_cache", "vgg": "vgg_weights"}[weights])
     assert perceptual.lpips(waves()) == pytest.approx(lpips, abs=2e-6)
     assert perceptual.dists(waves()) == pytest.approx(dists, abs=2e-6)
 
 
 @needs_weights
 @pytest.mark.parametrize("measure", PERCEPTUAL)
-def test_perceptual_distances(measure: Callable[[PictureComparison], float], drawn: None) -> None:
+def test_perceptual_distances_are_zero_for_equal_pictures_and_grow_with_differences(
+    measure: Callable[[PictureComparison], float], random_vgg_in_cache: None
+) -> None:
     """0 for equal pictures, the same both ways, the mean over pictures, more for more noise."""
     one, other, _ = waves()
     assert measure(PictureComparison(one, one)) == pytest.approx(0, abs=1e-6)
@@ -58,11 +60,11 @@ def test_perceptual_distances(measure: Callable[[PictureComparison], float], dra
 
 
 @needs_weights
-def test_lpips_has_a_least_size(drawn: None) -> None:
-    small = PictureComparison(*(each[..., :15, :40] for each in waves()[:2]))
+def test_lpips_is_nan_for_pictures_below_16_px(random_vgg_in_cache: None) -> None:
+    small = PictureComparison(*(picture[..., :15, :40] for picture in waves()[:2]))
     assert math.isnan(perceptual.lpips(small))
     assert math.isfinite(perceptual.dists(small))
-    assert math.isfinite(perceptual.lpips(PictureComparison(*(each[..., :16, :16] for each in waves()[:2]))))
+    assert math.isfinite(perceptual.lpips(PictureComparison(*(picture[..., :16, :16] for picture in waves()[:2]))))
 
 
 def lacks(app: str = "texture") -> dict[str, str]:
@@ -71,10 +73,12 @@ def lacks(app: str = "texture") -> dict[str, str]:
 
 
 @needs_weights
-def test_what_is_missing_is_said_in_a_line(cache: Path, drawn_weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_weights_are_named_in_one_line(
+    cache: Path, random_vgg_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert lacks() == dict.fromkeys(("LPIPS", "DISTS"), "the weights of VGG-16 are missing: metapp data vgg")
     assert registered_picture_errors("texture", waves()).keys() <= {"sliced Wasserstein", "order"}
-    (cache / "vgg16.safetensors").symlink_to(drawn_weights)
+    (cache / "vgg16.safetensors").symlink_to(random_vgg_file)
     assert lacks() == {}
     note = describe_picture_measures("texture")[0]["LPIPS"]
     assert "VGG-16 features (unknown weights " in note
@@ -92,7 +96,7 @@ def test_other_files_of_the_package_are_refused(name: str, monkeypatch: pytest.M
         perceptual.describe_weights()
 
 
-def test_psnr_is_its_definition(rng: Generator) -> None:
+def test_psnr_agrees_with_its_definition(rng: Generator) -> None:
     one = torch.rand(2, 3, 8, 9, generator=rng, dtype=torch.float64)
     for wrong in (0.1, 0.01):  # a tenth of the range has a hundredth of its square
         assert pixels.psnr(PictureComparison(one + wrong, one)) == pytest.approx(-20 * math.log10(wrong))
@@ -105,7 +109,7 @@ def test_psnr_is_its_definition(rng: Generator) -> None:
     assert pixels.psnr(PictureComparison(outside, one, mask)) == pytest.approx(20)
 
 
-def test_colour_differences_are_of_the_pixels_that_count() -> None:
+def test_colour_differences_count_unmasked_pixels_alone() -> None:
     gray = torch.full((1, 3, 4, 4), 0.5)
     mask = torch.zeros(4, 4, dtype=torch.bool)
     mask[0] = True
@@ -127,7 +131,7 @@ def test_sliced_wasserstein(rng: Generator) -> None:
     torch.testing.assert_close(found[1], 2 * single.abs().mean() / deviation)
 
 
-def test_measures_name_functions_of_applications_that_there_are() -> None:
+def test_registered_measures_name_existing_functions_and_applications() -> None:
     for name, entry in registry().measures.items():
         assert callable(entry.load().value), name
         assert entry.help, name

@@ -1,4 +1,4 @@
-"""Fits for the tests of Mitsuba's plugins."""
+"""Fits of BRDFs that tests of metapp's Mitsuba plugins load."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,25 +6,31 @@ from typing import Any
 
 import pytest
 
-SYNTHETIC = 10  # materials, two of them to be fitted
+MATERIAL_COUNT = 10  # synthetic materials, of which two are test tasks and are fitted
 
 
 @pytest.fixture(scope="session")
 def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Files of fits of a material that conserves energy, by network: nbrdf and featured."""
+    """Files of fits of a bright synthetic material, by network: nbrdf and featured."""
     import metapp
-    from tests.small_spheres import run_small
+    from tests.small_spheres import run_with_small_spheres
 
     folder = tmp_path_factory.mktemp("fits")
-    run_small("data", "synth", "brdf", "--count", SYNTHETIC, "--out", folder / "data")
+    run_with_small_spheres("data", "synth", "brdf", "--count", MATERIAL_COUNT, "--out", folder / "data")
     recipes = {"nbrdf": "quick", "featured": "full"}
-    made = {name: metapp.fit_all("brdf", data=folder / "data", recipe=recipe) for name, recipe in recipes.items()}
-    # the one that is bright everywhere: at the clamp at 0 there are no derivatives to compare
-    bright = [max(each, key=lambda fit: float(fit.task.data["reflectance"].median())) for each in made.values()]
-    return {name: fit.save(folder / f"{name}.safetensors") for name, fit in zip(made, bright, strict=True)}
+    fits_by_network = {
+        name: metapp.fit_all("brdf", data=folder / "data", recipe=recipe) for name, recipe in recipes.items()
+    }
+    # the material that is brightest in the median: where values are clamped at 0 there are no derivatives to compare
+    brightest = [
+        max(fits, key=lambda fit: float(fit.task.data["reflectance"].median())) for fits in fits_by_network.values()
+    ]
+    return {
+        name: fit.save(folder / f"{name}.safetensors") for name, fit in zip(fits_by_network, brightest, strict=True)
+    }
 
 
 @pytest.fixture
-def neural(mi: Any, fits: dict[str, Path]) -> Callable[..., Any]:
-    """Loads the plugin on the fit of a network, with further properties."""
+def load_neural_bsdf(mi: Any, fits: dict[str, Path]) -> Callable[..., Any]:
+    """Return a function that loads the plugin neural_brdf on the fit of a network, with further properties."""
     return lambda network, **more: mi.load_dict({"type": "neural_brdf", "filename": str(fits[network]), **more})

@@ -1,4 +1,4 @@
-"""BSDFs of fits in Mitsuba: its own tests of a BSDF, and our evaluation of the same network and maps."""
+"""Mitsuba plugins of fits: Mitsuba's own tests of a BSDF, and agreement with metapp's evaluation."""
 
 import math
 import os
@@ -26,7 +26,7 @@ from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.brdf_network import find_network
 from metapp.storage.files import read_tensors
 from tests import anisotropic
-from tests.bsdfs import assert_sampled_as_densely_as_it_says, directions, mirrored_pairs, seen_from
+from tests.bsdfs import assert_samples_follow_density, interactions_from, mirrored_pairs, random_directions
 from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -45,9 +45,9 @@ Neural = Callable[..., Any]
 
 
 @pytest.fixture
-def bsdf(mi: Any, neural: Neural, request: pytest.FixtureRequest) -> Any:
+def bsdf(mi: Any, load_neural_bsdf: Neural, request: pytest.FixtureRequest) -> Any:
     """A network or maps, by name."""
-    return neural(request.param) if request.param in NETWORKS else of_maps(mi, request.param)
+    return load_neural_bsdf(request.param) if request.param in NETWORKS else of_maps(mi, request.param)
 
 
 def of_maps(mi: Any, name: str) -> Any:
@@ -66,7 +66,7 @@ def tilted(degrees: float) -> list[float]:
 
 def angles_of(light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
     """Half and difference angles [N, 3] over the full circle of phi_d: which of the two is the light counts."""
-    return directions_to_full_rusinkiewicz(*(torch.from_numpy(each.T).double() for each in (light, viewer)))
+    return directions_to_full_rusinkiewicz(*(torch.from_numpy(vectors.T).double() for vectors in (light, viewer)))
 
 
 def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
@@ -76,9 +76,11 @@ def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("network", BOTH)
-def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
+def test_plugin_evaluates_as_metapp_does(
+    mi: Any, load_neural_bsdf: Neural, fits: dict[str, Path], network: str
+) -> None:
     light, viewer = mirrored_pairs(20_000)
-    bsdf, interaction = neural(network), seen_from(mi, viewer, light.shape[1])
+    bsdf, interaction = load_neural_bsdf(network), interactions_from(mi, viewer, light.shape[1])
     for mode, pair in ((mi.TransportMode.Radiance, (light, viewer)), (mi.TransportMode.Importance, (viewer, light))):
         expected = reflectance(fits[network], angles_of(*pair)) * light[2]
         found = np.array(bsdf.eval(mi.BSDFContext(mode), interaction, mi.Vector3f(light)))
@@ -90,15 +92,15 @@ def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str,
 
 
 @pytest.mark.long
-def test_weights_that_change_are_evaluated_from_memory_alike(mi: Any, neural: Neural) -> None:
-    light, viewer = directions(1000, 1), directions(1000, 2)
-    interaction, context = seen_from(mi, viewer, 1000), mi.BSDFContext()
+def test_changed_weights_are_evaluated_from_memory_as_from_file(mi: Any, load_neural_bsdf: Neural) -> None:
+    light, viewer = random_directions(1000, 1), random_directions(1000, 2)
+    interaction, context = interactions_from(mi, viewer, 1000), mi.BSDFContext()
     for network in NETWORKS:
-        bsdf = neural(network)
+        bsdf = load_neural_bsdf(network)
         constant = np.array(bsdf.eval(context, interaction, mi.Vector3f(light)))
         bsdf.parameters_changed([])
         np.testing.assert_allclose(np.array(bsdf.eval(context, interaction, mi.Vector3f(light))), constant, 1e-4, 1e-6)
-    small, numbers = neural("nbrdf").reflection.network, np.random.default_rng(0).random((6, 50))
+    small, numbers = load_neural_bsdf("nbrdf").reflection.network, np.random.default_rng(0).random((6, 50))
     inputs = [mi.Float(row) for row in numbers]
     np.testing.assert_allclose(
         np.array(small._apply_cooperative_vectors(inputs)), np.array(small._apply_gathered(inputs)), 1e-4, 1e-5
@@ -106,32 +108,34 @@ def test_weights_that_change_are_evaluated_from_memory_alike(mi: Any, neural: Ne
 
 
 @pytest.mark.parametrize(("bsdf", "other"), [("nbrdf", "Diffuse"), ("odd", "Null")], indirect=["bsdf"])
-def test_below_the_surface_there_is_nothing(mi: Any, bsdf: Any, other: str) -> None:
+def test_reflectance_is_zero_below_the_surface(mi: Any, bsdf: Any, other: str) -> None:
     context, up, down = mi.BSDFContext(), tilted(30), [0.6, 0, -0.8]
     for viewer, light in ((up, down), (down, up), (down, down)):
-        value, density = bsdf.eval_pdf(context, seen_from(mi, viewer, 1), mi.Vector3f(light))
+        value, density = bsdf.eval_pdf(context, interactions_from(mi, viewer, 1), mi.Vector3f(light))
         assert np.array(value).max() == 0
         assert density[0] == 0
     context.type_mask = int(getattr(mi.BSDFFlags, other))
-    assert bsdf.pdf(context, seen_from(mi, up, 1), mi.Vector3f(up))[0] == 0
+    assert bsdf.pdf(context, interactions_from(mi, up, 1), mi.Vector3f(up))[0] == 0
 
 
 @pytest.mark.parametrize("bsdf", [*BOTH, "plaster", "gold", "odd"], indirect=True)  # no lobe below the grid's cells
 @pytest.mark.parametrize("degrees", ANGLES)
-def test_directions_are_sampled_as_densely_as_it_says(
+def test_sampled_directions_follow_the_stated_density(
     mi: Any, bsdf: Any, degrees: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert_sampled_as_densely_as_it_says(mi, bsdf, tilted(degrees), samples=500_000, rings=32)
+    assert_samples_follow_density(mi, bsdf, tilted(degrees), samples=500_000, rings=32)
 
 
 @pytest.mark.parametrize("bsdf", [*BOTH, *MATERIALS], indirect=True)
 @pytest.mark.parametrize("degrees", ANGLES)
-def test_weights_of_samples(mi: Any, bsdf: Any, degrees: float, request: pytest.FixtureRequest) -> None:
+def test_sample_weights_are_values_over_densities(
+    mi: Any, bsdf: Any, degrees: float, request: pytest.FixtureRequest
+) -> None:
     """Value over density; little noise; and their mean, the albedo, is at most 1, of maps from above."""
     count = 40_000
     numbers = np.random.default_rng(5).random((3, count)).astype(np.float32)
-    context, interaction = mi.BSDFContext(), seen_from(mi, tilted(degrees), count)
+    context, interaction = mi.BSDFContext(), interactions_from(mi, tilted(degrees), count)
     drawn, weight = bsdf.sample(context, interaction, mi.Float(numbers[0]), mi.Point2f(numbers[1:]))
     value, density = bsdf.eval_pdf(context, interaction, drawn.wo)
     value, density, weight = np.array(value), np.array(density), np.array(weight)
@@ -148,34 +152,36 @@ def test_weights_of_samples(mi: Any, bsdf: Any, degrees: float, request: pytest.
         assert (weight.mean(1) > 0.8 * (diffuse * (1 - specular) + specular)).all()
 
 
-def test_it_works_inside_other_bsdfs_and_takes_a_tint(mi: Any, neural: Neural) -> None:
+def test_plugin_works_inside_other_bsdfs_and_takes_a_tint(mi: Any, load_neural_bsdf: Neural) -> None:
     half = {"type": "rgb", "value": [0.5, 0.25, 1.0]}
-    plain, tinted = neural("nbrdf"), neural("nbrdf", tint=half)
-    light, viewer = mi.Vector3f(directions(500, 1)), directions(500, 2)
-    context, interaction = mi.BSDFContext(), seen_from(mi, viewer, 500)
+    plain, tinted = load_neural_bsdf("nbrdf"), load_neural_bsdf("nbrdf", tint=half)
+    light, viewer = mi.Vector3f(random_directions(500, 1)), random_directions(500, 2)
+    context, interaction = mi.BSDFContext(), interactions_from(mi, viewer, 500)
     expected = np.array(plain.eval(context, interaction, light))
     coloured = np.array(tinted.eval(context, interaction, light))
     np.testing.assert_allclose(coloured, expected * [[0.5], [0.25], [1]], 1e-5)
     both = mi.load_dict({"type": "twosided", "inner": plain})
-    below = seen_from(mi, -viewer, 500)
+    below = interactions_from(mi, -viewer, 500)
     np.testing.assert_allclose(np.array(both.eval(context, below, -light)), expected, 1e-5, 1e-7)
 
 
 @pytest.mark.parametrize("network", BOTH)
-def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
-    """By autograd of the plain layers in double precision."""
+def test_gradients_agree_with_autograd_in_double_precision(
+    mi: Any, load_neural_bsdf: Neural, fits: dict[str, Path], network: str
+) -> None:
+    """The expected gradients are those of the plain layers."""
     import drjit as dr
 
-    light, viewer = directions(300, 1), directions(300, 2)
+    light, viewer = random_directions(300, 1), random_directions(300, 2)
     values = reflectance(fits[network], angles_of(light, viewer)).min(0)
     smooth = (values > 1e-4) & (np.minimum(light[2], viewer[2]) > 0.05)  # away from the clamp at 0
-    bsdf, light, viewer = neural(network), light[:, smooth], viewer[:, smooth]
+    bsdf, light, viewer = load_neural_bsdf(network), light[:, smooth], viewer[:, smooth]
     assert len(light[0]) > 100
     parameters = mi.traverse(bsdf)
     keys = [f"{part}{layer}" for layer in range(3) for part in ("weights", "bias")]
     for key in keys:
         dr.enable_grad(parameters[key])
-    value = bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, len(light[0])), mi.Vector3f(light))
+    value = bsdf.eval(mi.BSDFContext(), interactions_from(mi, viewer, len(light[0])), mi.Vector3f(light))
     dr.backward(dr.sum(value, axis=None))
     theta = read_tensors(fits[network])
     layers = [part for pair in find_network(theta).fold(theta).layers for part in pair]
@@ -202,7 +208,7 @@ def total(layers: list[Tensor], network: str, light: NDArray[np.float32], viewer
     return (torch.expm1(x).clamp_min(0) * torch.from_numpy(light[2])).sum()
 
 
-def test_xml_finds_files_beside_it(mi: Any, fits: dict[str, Path], tmp_path: Path) -> None:
+def test_scene_xml_finds_fits_beside_it(mi: Any, fits: dict[str, Path], tmp_path: Path) -> None:
     (tmp_path / "gold.safetensors").write_bytes(fits["nbrdf"].read_bytes())
     (tmp_path / "scene.xml").write_text(
         '<scene version="3.0.0"><shape type="sphere"><bsdf type="neural_brdf">'
@@ -212,13 +218,21 @@ def test_xml_finds_files_beside_it(mi: Any, fits: dict[str, Path], tmp_path: Pat
     assert str(bsdf).startswith(f'NeuralBrdf[filename = "{tmp_path / "gold.safetensors"}", layers = 6-21-21-3')
 
 
-def test_a_folder_of_arrays_is_the_same_network(mi: Any, neural: Neural, fits: dict[str, Path], tmp_path: Path) -> None:
+def test_a_folder_of_arrays_is_the_same_network(
+    mi: Any, load_neural_bsdf: Neural, fits: dict[str, Path], tmp_path: Path
+) -> None:
     from data_tools.readers import nbrdf_files
 
     nbrdf_files.export(Brdf(), read_tensors(fits["nbrdf"]), tmp_path / "gold")
     folder = mi.load_dict({"type": "neural_brdf", "filename": str(tmp_path / "gold")})
-    arguments = mi.BSDFContext(), seen_from(mi, directions(100, 1), 100), mi.Vector3f(directions(100, 2))
-    np.testing.assert_array_equal(np.array(folder.eval(*arguments)), np.array(neural("nbrdf").eval(*arguments)))
+    arguments = (
+        mi.BSDFContext(),
+        interactions_from(mi, random_directions(100, 1), 100),
+        mi.Vector3f(random_directions(100, 2)),
+    )
+    np.testing.assert_array_equal(
+        np.array(folder.eval(*arguments)), np.array(load_neural_bsdf("nbrdf").eval(*arguments))
+    )
 
 
 def test_files_that_are_no_fit_are_refused_in_one_line(mi: Any, fits: dict[str, Path], tmp_path: Path) -> None:
@@ -256,7 +270,7 @@ def said(lines: str, **environment: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("order", ["import metapp.mitsuba", "mi.set_variant('llvm_ad_rgb')"])
-def test_the_import_may_come_before_or_after_the_variant(fits: dict[str, Path], order: str) -> None:
+def test_plugins_may_be_imported_before_or_after_the_variant_is_set(fits: dict[str, Path], order: str) -> None:
     first, second = order, "mi.set_variant('llvm_ad_rgb')" if "import" in order else "import metapp.mitsuba"
     use = f"print(mi.load_dict({{'type': 'neural_brdf', 'filename': {str(fits['nbrdf'])!r}}}))"
     done = said("\n".join((first, second, "mi.set_variant('scalar_rgb')", "mi.set_variant('llvm_ad_rgb')", use)))
@@ -277,22 +291,22 @@ def test_other_plugins_are_registered_without_the_extension() -> None:
 
 
 @pytest.mark.parametrize("bsdf", MATERIALS, indirect=True)
-def test_maps_reflect_what_is_fitted(mi: Any, bsdf: Any, request: pytest.FixtureRequest) -> None:
-    light, viewer = directions(2048, 1), directions(2048, 2)
+def test_maps_reflect_as_the_fit_does(mi: Any, bsdf: Any, request: pytest.FixtureRequest) -> None:
+    light, viewer = random_directions(2048, 1), random_directions(2048, 2)
     parts = (*MATERIALS[request.node.callspec.params["bsdf"]], (0, 0, 1))
     maps = Maps(*(torch.tensor(part).double().reshape(-1, 1, 1) for part in parts))
     expected = evaluate_brdf(maps, *(torch.from_numpy(vectors).double()[:, None] for vectors in (light, viewer)))[:, 0]
-    found = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, 2048), mi.Vector3f(light)))
+    found = np.array(bsdf.eval(mi.BSDFContext(), interactions_from(mi, viewer, 2048), mi.Vector3f(light)))
     expected = expected * torch.from_numpy(light[2])
     # single precision: at the peak of a narrow lobe the half vector's rounding counts
     torch.testing.assert_close(torch.from_numpy(found), expected.float(), rtol=5e-4, atol=1e-5)
 
 
-def test_components_add_up(mi: Any) -> None:
+def test_components_sum_to_the_whole_bsdf(mi: Any) -> None:
     bsdf, interaction, light = (
         of_maps(mi, "odd"),
-        seen_from(mi, directions(256, 1), 256),
-        mi.Vector3f(directions(256, 2)),
+        interactions_from(mi, random_directions(256, 1), 256),
+        mi.Vector3f(random_directions(256, 2)),
     )
     parts = []
     for component in (0, 1):
@@ -305,7 +319,11 @@ def test_components_add_up(mi: Any) -> None:
 def test_maps_have_gradients(mi: Any) -> None:
     import drjit as dr
 
-    bsdf, interaction, light = of_maps(mi, "odd"), seen_from(mi, directions(32, 1), 32), mi.Vector3f(directions(32, 2))
+    bsdf, interaction, light = (
+        of_maps(mi, "odd"),
+        interactions_from(mi, random_directions(32, 1), 32),
+        mi.Vector3f(random_directions(32, 2)),
+    )
     params, key = mi.traverse(bsdf), "roughness.value"
 
     def total(roughness: float | None = None) -> Any:
@@ -326,16 +344,16 @@ def test_maps_have_gradients(mi: Any) -> None:
 
 @pytest.fixture
 def brushed(mi: Any, tmp_path: Path) -> Any:
-    save_file(anisotropic.fitted(), tmp_path / "fit.safetensors")
+    save_file(anisotropic.solve_for_brushed(), tmp_path / "fit.safetensors")
     return mi.load_dict({"type": "neural_brdf", "filename": str(tmp_path / "fit.safetensors")})
 
 
 @pytest.mark.long
 def test_an_anisotropic_fit_is_evaluated(mi: Any, brushed: Any) -> None:
-    wi, wo = (anisotropic.directions(5000, seed, 0.2) for seed in (3, 4))
-    interaction = seen_from(mi, wo.T.float().numpy(), len(wi))
+    wi, wo = (anisotropic.random_directions(5000, seed, 0.2) for seed in (3, 4))
+    interaction = interactions_from(mi, wo.T.float().numpy(), len(wi))
     found = np.array(brushed.eval(mi.BSDFContext(), interaction, mi.Vector3f(wi.T.float().numpy())))
-    theta = {key: value.double() for key, value in anisotropic.fitted().items()}
+    theta = {key: value.double() for key, value in anisotropic.solve_for_brushed().items()}
     expected = (anisotropic.APP.reflectance(theta, directions_to_four_angles(wi, wo)) * wi[:, 2:]).numpy().T
     assert (abs(found - expected) / (1 + abs(expected))).max() < 1e-4
     assert np.abs(expected).max() > 0.5
@@ -347,16 +365,16 @@ def test_an_anisotropic_fit_is_evaluated(mi: Any, brushed: Any) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("degrees", anisotropic.VIEWERS[1:])
-def test_an_anisotropic_fit_is_sampled_as_densely_as_it_says(
+@pytest.mark.parametrize("degrees", anisotropic.VIEWERS_DEGREES[1:])
+def test_anisotropic_samples_follow_the_stated_density(
     mi: Any, brushed: Any, degrees: tuple[float, float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And with less noise than a diffuse lobe would have."""
+    """Sample weights have less noise than those of a diffuse lobe."""
     monkeypatch.chdir(tmp_path)
-    viewer = anisotropic.viewer_at(degrees)
-    assert_sampled_as_densely_as_it_says(mi, brushed, viewer, samples=300_000, rings=16)
+    viewer = anisotropic.direction_at_degrees(degrees)
+    assert_samples_follow_density(mi, brushed, viewer, samples=300_000, rings=16)
     numbers = np.random.default_rng(5).random((3, 40_000)).astype(np.float32)
-    interaction = seen_from(mi, viewer, 40_000)
+    interaction = interactions_from(mi, viewer, 40_000)
     _, weight = brushed.sample(mi.BSDFContext(), interaction, mi.Float(numbers[0]), mi.Point2f(numbers[1:]))
     weight = np.array(weight)
     assert weight.std() < 1.5 * weight.mean()
@@ -400,7 +418,7 @@ def hemisphere(mi: Any, mixture: Any, viewer: Any) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("name", MIXTURES)
 @pytest.mark.parametrize("degrees", [0, 30, 69, 85])
-def test_the_density_integrates_to_1_and_is_that_of_samples(mi: Any, name: str, degrees: float) -> None:
+def test_density_integrates_to_1_and_is_that_of_samples(mi: Any, name: str, degrees: float) -> None:
     from metapp.extensions.mitsuba_bsdfs.mixture import MitsubaLobeMixture
 
     mixture, angle, count = MitsubaLobeMixture(MIXTURES[name]), math.radians(degrees), 200_000

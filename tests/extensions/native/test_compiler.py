@@ -41,8 +41,13 @@ def test_a_library_is_kept_in_a_folder_of_the_user_alone(cache: Path, source: Pa
 def codes(source: Path, cache: Path, count: int = 1, *, found: bool = True, **environment: str) -> list[int | None]:
     """Exit codes of processes that load the functions of a source; they fail where these are not as `found` says."""
     more = {"METAPP_CACHE": str(cache), **environment}
-    started = [forks.start(forks.compiles, source, found, said=cache / "said", more=more) for _ in range(count)]
-    return [each.end(120)[0] for each in started]
+    started = [
+        forks.start_in_fork(
+            forks.load_compiled_source, source, found, output_folder=cache / "said", extra_environment=more
+        )
+        for _ in range(count)
+    ]
+    return [program.wait_for_output(120)[0] for program in started]
 
 
 @needs_compiler
@@ -50,9 +55,9 @@ def test_compiled_once_by_many_processes(source: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     assert codes(source, cache, 3) == [0, 0, 0]
     (library,) = (cache / "native").glob("*.so")
-    made = library.stat().st_mtime_ns
+    result = library.stat().st_mtime_ns
     assert codes(source, cache, CC="/nonexistent/cc") == [0]  # nothing is compiled again
-    assert library.stat().st_mtime_ns == made
+    assert library.stat().st_mtime_ns == result
 
 
 @pytest.mark.parametrize("command", ["/nonexistent/cc", "false"])

@@ -127,7 +127,7 @@ def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, f
 
 @needs_compiler
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e30])
-def test_what_is_not_finite_is_said(bad: float) -> None:
+def test_values_that_are_not_finite_are_reported(bad: float) -> None:
     rng = Generator().manual_seed(2)
     theta = theta_of(rng)
     theta["b3"][1] = bad
@@ -138,10 +138,10 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
         learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, steps_of=fastest)
 
 
-def moved(rule: str, rng: Generator) -> Params:
+def move_parameters(rule: str, rng: Generator) -> Params:
     """A rule's hyperparameters, away from their first values."""
-    one = {key: value[0] for key, value in theta_of(rng, 1).items()}
-    alpha = rule_of(rule).initial_alpha(APP, one, STEPS, Adam(5e-3, beta2=0.99, eps=META_EPS))
+    single = {key: value[0] for key, value in theta_of(rng, 1).items()}
+    alpha = rule_of(rule).initial_alpha(APP, single, STEPS, Adam(5e-3, beta2=0.99, eps=META_EPS))
     return {key: value + 0.02 * torch.randn(value.shape, generator=rng) for key, value in alpha.items()}
 
 
@@ -151,7 +151,9 @@ def moved(rule: str, rng: Generator) -> Params:
 def test_meta_gradients_are_those_of_torch(rule: str, order: int) -> None:
     """Rounding moves samples over the kinks of ReLU, which Adam amplifies: by torch these are up to 2e-3 away."""
     rng = Generator().manual_seed(3)
-    phi = MetaParameters({key: value[0] for key, value in theta_of(rng, 1).items()}, moved(rule, rng)).flatten()
+    phi = MetaParameters(
+        {key: value[0] for key, value in theta_of(rng, 1).items()}, move_parameters(rule, rng)
+    ).flatten()
     batches, last = [batch_of(rng, 150) for _ in range(STEPS)], batch_of(rng, 150)
     in_c_of: list[bool] = []
 
@@ -185,7 +187,7 @@ def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
         "sgd": sgd({"rate": torch.tensor([0.05, 0.03])}),
         "sgd by task": sgd({"rate": torch.rand(1, tasks, generator=rng) / 10}),
         "adam": fixed_adam(Adam(1e-2, beta1=0.8, final=0.1), theta, STEPS),
-        **{name: rule_of(name).update_rule(expand_tasks(moved(name, rng), tasks, 1)) for name in IN_C},
+        **{name: rule_of(name).update_rule(expand_tasks(move_parameters(name, rng), tasks, 1)) for name in IN_C},
     }
 
 
@@ -199,25 +201,25 @@ def test_fits_are_those_of_torch(name: str, tasks: int, form: int) -> None:
     rule = rules_of(theta, rng)[name]
     assert c_steps.make_c_steps(rule, loss_of([]), theta, 1) is not None
     paths = [
-        descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=each)
-        for each in (fastest, torch_steps)
+        descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=step)
+        for step in (fastest, torch_steps)
     ]
-    for here, there in zip(*paths, strict=True):
+    for here, torch_state in zip(*paths, strict=True):
         assert here.theta.keys() == theta.keys()
-        for key, value in there.theta.items():
+        for key, value in torch_state.theta.items():
             assert here.theta[key].shape == value.shape
             assert away(here.theta[key], value.double()) < 100 * EPS, (here.step, key)
         if here.loss is not None:
-            assert there.loss is not None
-            assert away(here.loss, there.loss.double()) < 100 * EPS
+            assert torch_state.loss is not None
+            assert away(here.loss, torch_state.loss.double()) < 100 * EPS
 
 
 @needs_compiler
-def test_what_is_not_in_c_is_left_to_torch() -> None:
+def test_settings_that_c_lacks_are_left_to_torch() -> None:
     rng = Generator().manual_seed(5)
     theta, rule, loss = theta_of(rng), sgd({"rate": torch.ones(1)}), loss_of([])
     mean, basis = (
-        rule_of(name).update_rule(expand_tasks(moved(name, rng), TASKS, 1))
+        rule_of(name).update_rule(expand_tasks(move_parameters(name, rng), TASKS, 1))
         for name in ("meta-encoder+average", "meta-axes")
     )
     ridge = app_of("brdf", RECIPES["quick"], rule="ridge")
@@ -245,8 +247,8 @@ def test_fits_without_a_compiler(module: ModuleType, load: str, monkeypatch: pyt
     here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
     monkeypatch.setattr(module, load, lambda: None)
     assert c_steps.make_c_steps(rule, loss_of([]), theta, 1) is None
-    there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
-    for key, value in there.items():
+    torch_result = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
+    for key, value in torch_result.items():
         assert away(here[key], value.double()) < 100 * EPS
 
 
@@ -269,12 +271,12 @@ def test_steps_that_torch_compiles_are_those_of_torch(randn: Callable[..., Tenso
         assert_alike(*(value_and_grads(mean(2, steps_of), phi) for steps_of in (make_compiled_steps, torch_steps)))
 
 
-def test_compiling_is_said_once(randn: Callable[..., Tensor], monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
+def test_compiling_is_announced_once(randn: Callable[..., Tensor], monkeypatch: pytest.MonkeyPatch) -> None:
+    output: list[str] = []
 
     class Heard(Reporter):
         def say(self, message: str) -> None:
-            said.append(message)
+            output.append(message)
 
     monkeypatch.setattr(steps_module, "has_tool_chain", lambda: True)
     monkeypatch.setattr(torch, "compile", lambda function, **_: function)  # which takes a minute
@@ -283,15 +285,15 @@ def test_compiling_is_said_once(randn: Callable[..., Tensor], monkeypatch: pytes
     with use_reporter(Heard()):
         monkeypatch.setenv(NO_COMPILING_VARIABLE, "1")
         value_and_grads(mean(2, functools.partial(fastest, compiles=True)), phi)
-        assert not said
+        assert not output
         monkeypatch.delenv(NO_COMPILING_VARIABLE)
         for _ in range(2):
             value_and_grads(mean(2, functools.partial(fastest, compiles=True)), phi)
     steps_module._make_programs.cache_clear()
-    assert said == ["compiling steps of the rule by torch: a minute or two, the first time"]
+    assert output == ["compiling steps of the rule by torch: a minute or two, the first time"]
 
 
-def test_torch_compiles_where_nobody_else_can_write(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torch_compiles_into_a_folder_of_the_user_alone(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch, "compile", lambda function: function)
     monkeypatch.setattr(shutil, "which", lambda name: name)
     monkeypatch.setenv(TORCH_CACHE_VARIABLE, "")

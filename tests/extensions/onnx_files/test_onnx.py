@@ -1,4 +1,4 @@
-"""ONNX models: what onnxruntime makes of them is what Python does."""
+"""ONNX models of fits: onnxruntime computes what Python does."""
 
 import re
 from collections.abc import Callable
@@ -38,7 +38,7 @@ def theta_of(network: BrdfNetwork) -> Params:
 
 
 @pytest.mark.parametrize("name", ["nbrdf", long("featured"), long("anisotropic")])
-def test_reflectance_is_that_of_the_fit(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_onnx_reflectance_agrees_with_the_fit(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     theta = theta_of(NETWORKS[name])
     brdf_model.write_onnx(APP, theta, tmp_path / "paint")
     assert capfd.readouterr() == ("", "")
@@ -70,11 +70,11 @@ def test_large_weights_take_16_or_8_bits(largest: int, bits: int, apart: float, 
 
 
 @pytest.mark.long
-def test_maps_are_those_of_general(tmp_path: Path, metapp: Callable) -> None:
+def test_onnx_maps_agree_with_general(tmp_path: Path, metapp: Callable) -> None:
     """The one that ships, on random pixels, up to weights in half precision; the command says what it takes."""
-    done = metapp("export", "svbrdf_nonstationary", "onnx", "--json")
-    assert done.document == {"form": "onnx", "out": "onnx", "tasks": ["svbrdf_nonstationary"]}
-    assert re.search(r"onnx: [34]\.\d MB of ONNX, opset 18, takes photos of 256 x 256 px", done.err)
+    result = metapp("export", "svbrdf_nonstationary", "onnx", "--json")
+    assert result.json_document == {"form": "onnx", "out": "onnx", "tasks": ["svbrdf_nonstationary"]}
+    assert re.search(r"onnx: [34]\.\d MB of ONNX, opset 18, takes photos of 256 x 256 px", result.err)
     photo = torch.rand(1, 3, 256, 256, generator=Generator().manual_seed(5)) ** 2
     found = session(Path("onnx/svbrdf_nonstationary.onnx")).run(
         list(photographs.MODEL_OUTPUTS), {"photo": photo.numpy()}
@@ -97,7 +97,7 @@ def _maps(photo: Tensor) -> tuple[Tensor, ...]:
     return result
 
 
-def test_what_cannot_be_written_is_one_line(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fits_that_cannot_be_written_are_refused_in_one_line(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     general = shipped_checkpoint_path("svbrdf_nonstationary", "general-photo", "pretrained")
     assert "a checkpoint of General of photos, or the name of one that" in metapp("export", "texture", "onnx").error
     assert "General of several photos" in metapp("export", "svbrdf_nonstationary/several", "onnx").error

@@ -1,4 +1,4 @@
-"""The page that makes maps of photos in a browser: with a runtime of a few lines, and with the real one."""
+"""The web page that predicts maps of photos in a browser: with a stub of the runtime, and with the real one."""
 
 import io
 import tarfile
@@ -17,7 +17,7 @@ from data_tools.readers.square_photos import read_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.onnx_files import onnx_page as pages
 from metapp.extensions.onnx_files.onnx_page import write_page_folder
-from tests.browser import browsing
+from tests.browser import open_browser
 
 SIDE = 16
 # gives the photo, halved, as every map, and fails for one whose first value is 0
@@ -44,7 +44,7 @@ MODEL = bytes([4, 5])
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with browsing() as opened:
+    with open_browser() as opened:
         yield opened
 
 
@@ -65,8 +65,8 @@ class Opened:
 
     def says(self, words: str, seconds: int = 60) -> None:
         """Wait for words in its status line."""
-        wanted = "words => document.getElementById('said').textContent.includes(words)"
-        self.page.wait_for_function(wanted, arg=words, timeout=1000 * seconds)
+        expected = "words => document.getElementById('said').textContent.includes(words)"
+        self.page.wait_for_function(expected, arg=words, timeout=1000 * seconds)
         assert not [url for url in self.asked if not url.startswith(("file:", "data:", "blob:"))]
 
     def choose(self, path: Path) -> None:

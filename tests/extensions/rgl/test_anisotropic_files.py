@@ -17,8 +17,16 @@ from metapp.extensions.rgl.brdf_scene import write_brdf_scenes
 from metapp.extensions.rgl.rgl import write_rgl
 from metapp.extensions.rgl.tensor_file import write_tensor_file
 from tests import anisotropic
-from tests.anisotropic import APP, VIEWERS, brushed, brushed_directions, direction, directions, viewer_at
-from tests.bsdfs import seen_from
+from tests.anisotropic import (
+    APP,
+    VIEWERS_DEGREES,
+    brushed_reflectance,
+    brushed_reflectance_at_angles,
+    direction_at_angles,
+    direction_at_degrees,
+    random_directions,
+)
+from tests.bsdfs import interactions_from
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba
@@ -31,7 +39,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("files")
     paths = {name: folder / f"{name}.bsdf" for name in ("isotropic", "anisotropic", "database")}
     write_rgl(paths["isotropic"], glossy, "isotropic")
-    write_rgl(paths["anisotropic"], brushed, "anisotropic", azimuths=True)
+    write_rgl(paths["anisotropic"], brushed_reflectance_at_angles, "anisotropic", azimuths=True)
     write_as_the_database(paths["database"])
     return paths
 
@@ -56,8 +64,8 @@ def write_as_the_database(path: Path) -> None:
     phi, theta = np.linspace(-math.pi, 0, 17), np.linspace(0, math.radians(88), 24)
     line = (np.arange(RESOLUTION) / (RESOLUTION - 1)).astype(np.float32)
     v, u = np.meshgrid(line, line, indexing="ij")
-    half = direction(u**2 * math.pi / 2, (2 * v - 1) * math.pi)
-    viewers = direction(theta[None], phi[:, None])
+    half = direction_at_angles(u**2 * math.pi / 2, (2 * v - 1) * math.pi)
+    viewers = direction_at_angles(theta[None], phi[:, None])
     spread = (half[..., 0] / 0.6) ** 2 + (half[..., 1] / 0.4) ** 2 + half[..., 2] ** 2
     density = (1 / spread**2).astype(np.float32)  # any will do that the warp and the values share
     seen = np.einsum("vuc,ptc->ptvu", half, viewers).clip(0)
@@ -69,13 +77,13 @@ def write_as_the_database(path: Path) -> None:
     for i, j in np.ndindex(len(phi), len(theta)):
         at, _ = warp.sample(places, mi.Vector2f(float(phi[i]), float(theta[j])))
         at = np.array(at, dtype=np.float64)
-        normal = direction(at[0] ** 2 * math.pi / 2, (2 * at[1] - 1) * math.pi)
+        normal = direction_at_angles(at[0] ** 2 * math.pi / 2, (2 * at[1] - 1) * math.pi)
         viewer = viewers[i, j]
         light = 2 * (normal @ viewer)[:, None] * normal - viewer
         up = light[:, 2] > 1e-3
         safe = np.where(up[:, None], light, [0, 0, 1.0])
-        pair = (torch.from_numpy(np.broadcast_to(each, safe.shape).copy()) for each in (safe, viewer))
-        value = brushed_directions(*pair)
+        pair = (torch.from_numpy(np.broadcast_to(vectors, safe.shape).copy()) for vectors in (safe, viewer))
+        value = brushed_reflectance(*pair)
         distribution = bilinear(density, at)
         rgb[i, j] = (value.numpy() * (safe[:, 2] * up * 4 / distribution)[:, None]).T.reshape(3, RESOLUTION, RESOLUTION)
     write_tensor_file(
@@ -110,19 +118,22 @@ def bsdf(mi: Any, files: dict[str, Path], request: pytest.FixtureRequest) -> Any
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "least"), [("anisotropic", 0.02), ("database", 0.05)])
-def test_files_are_read_as_what_they_were_made_of(files: dict[str, Path], name: str, least: float) -> None:
+def test_files_read_back_as_the_material_they_were_made_of(files: dict[str, Path], name: str, least: float) -> None:
     assert rgl.is_anisotropic(files[name])
-    wi, wo = (directions(4000, seed, 0.2) for seed in (1, 2))
+    wi, wo = (random_directions(4000, seed, 0.2) for seed in (1, 2))
     angles = directions_to_four_angles(wi, wo)
-    found, expected = rgl.read_rgl(files[name])(angles), brushed(angles)
+    found, expected = rgl.read_rgl(files[name])(angles), brushed_reflectance_at_angles(angles)
     assert float((found - expected).abs().mean() / expected.mean()) < least
-    shares = [float((torch.log(found + 0.01) - torch.log(brushed(other) + 0.01)).abs().mean()) for other in (
-        angles, directions_to_four_angles(*(each * torch.tensor([1.0, -1.0, 1.0]) for each in (wi, wo))))]  # fmt: skip
-    assert shares[0] < 0.2 * shares[1]  # no mirror image
+    mirrored_angles = directions_to_four_angles(*(vectors * torch.tensor([1.0, -1.0, 1.0]) for vectors in (wi, wo)))
+    difference, difference_from_mirrored = (
+        float((torch.log(found + 0.01) - torch.log(brushed_reflectance_at_angles(compared) + 0.01)).abs().mean())
+        for compared in (angles, mirrored_angles)
+    )
+    assert difference < 0.2 * difference_from_mirrored  # the file does not hold the mirror image
 
 
 @pytest.mark.long
-def test_they_are_refused_where_there_is_no_azimuth(files: dict[str, Path]) -> None:
+def test_anisotropic_files_are_refused_where_isotropic_ones_are_expected(files: dict[str, Path]) -> None:
     with pytest.raises(ValueError, match=r"anisotropic.bsdf: anisotropic, expected an isotropic measurement") as caught:
         rgl.read_rgl(files["anisotropic"])(torch.zeros(5, 3))
     assert "\n" not in str(caught.value)
@@ -132,12 +143,15 @@ def test_they_are_refused_where_there_is_no_azimuth(files: dict[str, Path]) -> N
 
 @pytest.mark.long
 @pytest.mark.parametrize("bsdf", ["isotropic", "anisotropic", "database"], indirect=True)
-@pytest.mark.parametrize("degrees", VIEWERS)
+@pytest.mark.parametrize("degrees", VIEWERS_DEGREES)
 def test_drawn_directions_follow_the_values(mi: Any, bsdf: Any, degrees: tuple[float, float]) -> None:
-    """In 12 x 6 cells of azimuth and height; none is flipped in azimuth (pull request 1850 of Mitsuba 3)."""
-    count, viewer = 200_000, viewer_at(degrees)
+    """Draws are counted in 12 x 6 cells of azimuth and height.
+
+    No azimuth is flipped (pull request 1850 of Mitsuba 3).
+    """
+    count, viewer = 200_000, direction_at_degrees(degrees)
     numbers = np.random.default_rng(0).random((3, count)).astype(np.float32)
-    drawn, weight = bsdf.sample(mi.BSDFContext(), seen_from(mi, viewer, count), mi.Float(numbers[0]),
+    drawn, weight = bsdf.sample(mi.BSDFContext(), interactions_from(mi, viewer, count), mi.Float(numbers[0]),
                                 mi.Point2f(numbers[1:]))  # fmt: skip
     light, weight = np.array(drawn.wo), np.array(weight).mean(0)
     up = (light[2] > 0) & (np.array(drawn.pdf) > 0)
@@ -145,7 +159,9 @@ def test_drawn_directions_follow_the_values(mi: Any, bsdf: Any, degrees: tuple[f
     uniform = np.random.default_rng(1).random((2, 400_000)).astype(np.float32)
     radius, phi = np.sqrt(1 - uniform[0] ** 2), 2 * math.pi * uniform[1]
     every = np.stack([radius * np.cos(phi), radius * np.sin(phi), uniform[0]])
-    values = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, every.shape[1]), mi.Vector3f(every))).mean(0)
+    values = np.array(
+        bsdf.eval(mi.BSDFContext(), interactions_from(mi, viewer, every.shape[1]), mi.Vector3f(every))
+    ).mean(0)
     expected = cells(every, values) * 2 * math.pi / every.shape[1]
     assert abs(found - expected).sum() < 0.05 * expected.sum()
     assert abs(found - expected[::-1]).sum() > 0.2 * expected.sum() or degrees[1] in (0, 180)
@@ -161,11 +177,11 @@ def cells(light: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[n
 
 @pytest.mark.long
 def test_exports_of_a_fit_are_anisotropic(mi: Any, tmp_path: Path) -> None:
-    theta = anisotropic.fitted()
+    theta = anisotropic.solve_for_brushed()
     write_brdf_scenes(APP, theta, tmp_path / "brushed")
     (source,), _ = rgl.find(tmp_path / "brushed")
     assert source.facts == {"anisotropic": True}
-    angles = directions_to_four_angles(directions(3000, 1, 0.2), directions(3000, 2, 0.2)).float()
+    angles = directions_to_four_angles(random_directions(3000, 1, 0.2), random_directions(3000, 2, 0.2)).float()
     found, expected = rgl.read_rgl(tmp_path / "brushed" / "brushed.bsdf")(angles), APP.reflectance(theta, angles)
     assert float((found - expected).abs().mean() / expected.mean()) < 0.05
     for suffix in ("", "_builtin"):

@@ -19,7 +19,7 @@ from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.spectra import WAVELENGTHS_NM, primary_spectra
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
-from tests.bsdfs import directions, seen_from
+from tests.bsdfs import interactions_from, random_directions
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = [needs_mitsuba, pytest.mark.usefixtures("small_spheres")]
@@ -38,13 +38,13 @@ def glossy(angles: Tensor) -> Tensor:
 @pytest.fixture
 def pairs() -> Pairs:
     """Lights and viewers within 70 degrees of the normal, [3, N]."""
-    light, viewer = directions(6000, 1), directions(6000, 2)
+    light, viewer = random_directions(6000, 1), random_directions(6000, 2)
     near = np.minimum(light[2], viewer[2]) > math.cos(math.radians(70))
     return light[:, near][:, :1500], viewer[:, near][:, :1500]
 
 
 def angles_of(pairs: Pairs) -> Tensor:
-    light, viewer = (torch.from_numpy(each.T).double() for each in pairs)
+    light, viewer = (torch.from_numpy(vectors.T).double() for vectors in pairs)
     return directions_to_full_rusinkiewicz(light, viewer).float()
 
 
@@ -64,18 +64,20 @@ def evaluated(mi: Any, material: dict[str, str], pairs: Pairs) -> np.ndarray:
             interaction.wi = viewer[:, i]
             values[:, i] = bsdf.eval(mi.BSDFContext(), interaction, light[:, i])
     else:
-        values = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, viewer.shape[1]), mi.Vector3f(light)))
+        values = np.array(
+            bsdf.eval(mi.BSDFContext(), interactions_from(mi, viewer, viewer.shape[1]), mi.Vector3f(light))
+        )
     return (values / light[2]).T
 
 
-def integrated(mi: Any, file: str | Path, pairs: Pairs) -> np.ndarray:
+def integrate_spectrum(mi: Any, file: str | Path, pairs: Pairs) -> np.ndarray:
     """What `measured` evaluates at NANOMETRES in the variant llvm_ad_spectral, as linear RGB in D65, [N, 3]."""
     import drjit as dr
 
     mi.set_variant("llvm_ad_spectral")
     bsdf, (light, viewer), spectra = mi.load_dict(measured(file)), pairs, []
     for four in NANOMETRES.reshape(-1, 4):  # as many as Mitsuba evaluates at a time
-        interaction = seen_from(mi, viewer, viewer.shape[1])
+        interaction = interactions_from(mi, viewer, viewer.shape[1])
         interaction.wavelengths = mi.Spectrum(*map(float, four))
         dr.make_opaque(interaction.wavelengths)  # one kernel for all
         spectra.append(np.array(bsdf.eval(mi.BSDFContext(), interaction, mi.Vector3f(light))) / light[2])
@@ -90,7 +92,7 @@ def measured(file: str | Path) -> dict[str, str]:
 def test_an_rgl_file_becomes_a_merl_table(metapp: Callable, pairs: Pairs, spectral: bool) -> None:
     name = "paint_spec.bsdf" if spectral else "paint_rgb.bsdf"
     rgl.write_rgl(name, glossy, "paint", spectral=spectral)
-    assert metapp("export", name, "merl", "--json").done == {"form": "merl", "out": "merl", "tasks": ["paint"]}
+    assert metapp("export", name, "merl", "--json").json_result == {"form": "merl", "out": "merl", "tasks": ["paint"]}
     table, angles = read_merl("merl/paint.binary"), angles_of(pairs)
     assert difference(evaluate_merl(table, angles), rgl.read_rgl(Path(name))(angles)) < 0.005
     assert difference(evaluate_merl(table, angles), glossy(angles)) < 0.005
@@ -104,7 +106,7 @@ def test_an_rgl_file_becomes_a_merl_table(metapp: Callable, pairs: Pairs, spectr
 
 def goniometer(file: Path) -> Path:
     """A table of 3,000 pairs of directions."""
-    pairs = directions(3000, 4), directions(3000, 5)
+    pairs = random_directions(3000, 4), random_directions(3000, 5)
     places = [part for x, y, z in pairs for part in (np.arctan2(np.hypot(x, y), z), np.arctan2(y, x))]
     rows = np.column_stack([*map(np.degrees, places), glossy(angles_of(pairs)).numpy()])
     names = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
@@ -117,14 +119,14 @@ def test_samples_of_a_goniometer_load_as_measured_in_spectral_and_in_rgb_variant
 ) -> None:
     """Either file shows the fit, which is close to the samples; Mitsuba refuses the other one: hence two."""
     table, forms = goniometer(Path("paint.csv")), "bsdf,bsdf-spectral"
-    run = Path(metapp("meta", "brdf", table, "--export", forms, "--json", "-q").done["out"], "paint")
+    run = Path(metapp("meta", "brdf", table, "--export", forms, "--json", "-q").json_result["out"], "paint")
     rgb, spectral = measured(run / "bsdf" / "paint.bsdf"), measured(run / "bsdf-spectral" / "paint_spec.bsdf")
     fit = evaluated(mi, {"type": "neural_brdf", "filename": str(run / "params.safetensors")}, pairs)
     assert difference(fit, glossy(angles_of(pairs))) < 0.05
     assert difference(evaluated(mi, rgb, pairs), fit) < 0.005
     with pytest.raises(RuntimeError, match="require the use of a spectral variant"):
         mi.load_dict(spectral)
-    assert difference(integrated(mi, spectral["filename"], pairs), fit) < 0.005
+    assert difference(integrate_spectrum(mi, spectral["filename"], pairs), fit) < 0.005
     with pytest.raises(RuntimeError, match="require the use of a RGB variant"):
         mi.load_dict(rgb)
     mi.set_variant("scalar_spectral")
@@ -144,17 +146,19 @@ def test_a_spectral_rgl_file_is_converted_for_rgb_variants(metapp: Callable, mi:
     assert metapp("export", "felt_spec.bsdf", "bsdf", "--out", "rgb").code == 0
     found = evaluated(mi, measured("rgb/felt.bsdf"), pairs)
     assert found[:, 1].mean() > 1.2 * found[:, 0].mean() > 1.2 * found[:, 2].mean()
-    assert difference(integrated(mi, "felt_spec.bsdf", pairs), found) < 0.02
+    assert difference(integrate_spectrum(mi, "felt_spec.bsdf", pairs), found) < 0.02
     # and back: another spectrum of the same colour
     assert metapp("export", "rgb/felt.bsdf", "bsdf-spectral", "--out", "back").code == 0
-    assert difference(integrated(mi, "back/felt_spec.bsdf", pairs), found) < 0.005
+    assert difference(integrate_spectrum(mi, "back/felt_spec.bsdf", pairs), found) < 0.005
 
 
 @pytest.mark.parametrize("kind", ["bsdf", "bsdf-spectral"])
 def test_a_merl_table_becomes_an_rgl_file(metapp: Callable, mi: Any, pairs: Pairs, kind: str) -> None:
     write_merl("paint.binary", tabulate_merl(glossy))
-    (name,) = metapp("export", "paint.binary", kind, "--out", "rgl", "--json").done["tasks"]
-    show = integrated if kind == "bsdf-spectral" else lambda *what: evaluated(what[0], measured(what[1]), what[2])
+    (name,) = metapp("export", "paint.binary", kind, "--out", "rgl", "--json").json_result["tasks"]
+    show = (
+        integrate_spectrum if kind == "bsdf-spectral" else lambda *what: evaluated(what[0], measured(what[1]), what[2])
+    )
     found = show(mi, f"rgl/{name}.bsdf", pairs)
     assert difference(found, evaluate_merl(read_merl("paint.binary"), angles_of(pairs))) < 0.005
     assert difference(found, glossy(angles_of(pairs))) < 0.005
@@ -165,8 +169,8 @@ def test_networks_are_converted_and_not_with_other_files_of_the_folder_twice(met
     weights = {part: 0.1 * random.standard_normal(shape) for part, shape in NBRDF_ARRAY_SHAPES.items()}
     write_nbrdf("all/gold", weights)
     rgl.write_rgl("all/paint_rgb.bsdf", glossy, "paint")
-    assert sorted(metapp("export", "all", "merl", "--json").done["tasks"]) == ["gold", "paint"]
-    angles = angles_of((directions(500, 1), directions(500, 2)))
+    assert sorted(metapp("export", "all", "merl", "--json").json_result["tasks"]) == ["gold", "paint"]
+    angles = angles_of((random_directions(500, 1), random_directions(500, 2)))
     angles[:, 2] %= math.pi
     both = torch.stack(
         [evaluate_nbrdf(weights, angles), evaluate_nbrdf(weights, angles + torch.tensor([0, 0, math.pi]))]
@@ -175,7 +179,7 @@ def test_networks_are_converted_and_not_with_other_files_of_the_folder_twice(met
     assert float((found - both.mean(0)).abs().mean()) < 0.01 * float(both.mean())
 
 
-def test_what_cannot_be_converted_is_refused_in_one_line(metapp: Callable) -> None:
+def test_files_that_cannot_be_converted_are_refused_in_one_line(metapp: Callable) -> None:
     goniometer(Path("paint.csv"))
     rgl.write_rgl("paint_rgb.bsdf", glossy, "paint")
     rgl.write_rgl("turned.bsdf", lambda angles: glossy(angles[:, :3]), "turned", azimuths=True)

@@ -15,9 +15,9 @@ from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.rgl import rgl
 from metapp.extensions.rgl.rgl import write_rgl
 from metapp.extensions.rgl.tensor_file import read_tensor_file, write_tensor_file
-from tests.bsdfs import seen_from
+from tests.bsdfs import interactions_from
+from tests.found_paths import find_paths
 from tests.needs_mitsuba import needs_mitsuba
-from tests.sources import paths_of
 
 
 def glossy(angles: Tensor) -> Tensor:
@@ -40,7 +40,7 @@ def draws(mi: Any, bsdf: Any, degrees: tuple[float, float], count: int = 50_000)
     numbers = np.random.default_rng(1).random((5, count)).astype(np.float32)
     theta, phi = np.radians(degrees[0] + (degrees[1] - degrees[0]) * numbers[0]), 2 * np.pi * numbers[1]
     viewer = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-    interaction = seen_from(mi, viewer, count)
+    interaction = interactions_from(mi, viewer, count)
     drawn, weight = bsdf.sample(mi.BSDFContext(), interaction, mi.Float(numbers[2]), mi.Point2f(numbers[3:]))
     return interaction, drawn.wo, np.array(drawn.pdf), np.array(weight)
 
@@ -52,7 +52,7 @@ def test_mitsuba_evaluates_the_table_as_what_was_tabulated(mi: Any, file: Path, 
     bsdf = mi.load_dict({"type": "measured", "filename": str(file)})
     interaction, light, density, weight = draws(mi, bsdf, degrees)
     found = np.array(bsdf.eval(mi.BSDFContext(), interaction, light))
-    pair = (torch.from_numpy(np.array(each).T).double() for each in (light, interaction.wi))
+    pair = (torch.from_numpy(np.array(vectors).T).double() for vectors in (light, interaction.wi))
     up = (density > 0) & (np.array(light.z) > 0)
     expected = glossy(directions_to_full_rusinkiewicz(*pair)).numpy().T * np.array(light.z) * up
     density = np.where(up, density, 1)
@@ -64,7 +64,7 @@ def test_mitsuba_evaluates_the_table_as_what_was_tabulated(mi: Any, file: Path, 
 
 @needs_mitsuba
 @pytest.mark.usefixtures("small_spheres")
-def test_what_is_read_is_what_was_written(file: Path, random_angles: Callable[..., Tensor]) -> None:
+def test_tables_read_back_as_written(file: Path, random_angles: Callable[..., Tensor]) -> None:
     angles = random_angles(2000)
     angles = angles[torch.minimum(angle_cosines(angles).incident, angle_cosines(angles).outgoing) > 0.1]
     found, expected = rgl.read_rgl(file)(angles), glossy(angles)
@@ -72,7 +72,7 @@ def test_what_is_read_is_what_was_written(file: Path, random_angles: Callable[..
     assert float((found - expected).abs().mean() / expected.mean()) < 0.01
     task = rgl.read_task(file, samples=256)
     assert (task.name, task.data["reflectance"].shape) == ("glossy", (256, 3))
-    assert paths_of(rgl.find, file.parent) == ([file], [])
+    assert find_paths(rgl.find, file.parent) == ([file], [])
     assert rgl.recognises(file.parent)
 
 
@@ -182,7 +182,7 @@ def test_flat_spectra_are_gray_and_bands_have_the_colour_that_colour_science_giv
     assert rgl.read_task(tmp_path / "band_spec.bsdf", samples=64).name == "band_spec"
 
 
-def test_colours_that_are_there_come_before_spectra(file: Path, tmp_path: Path) -> None:
+def test_stored_colours_are_preferred_to_spectra(file: Path, tmp_path: Path) -> None:
     spectra = read_tensor_file(spectral(file, tmp_path / "spec.bsdf", np.ones(len(NANOMETRES))))
     write_tensor_file(tmp_path / "both.bsdf", spectra | read_tensor_file(file))
     angles = torch.tensor([[0.1, 0.4, 1.0], [0.6, 0.2, 2.0]])

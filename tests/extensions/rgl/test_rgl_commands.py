@@ -1,4 +1,4 @@
-"""The extension's exports of a run; and the core without it."""
+"""Exports of a run to RGL files, which Mitsuba loads, and the core without the extension."""
 
 import json
 import subprocess
@@ -18,9 +18,9 @@ NETWORKS = 1
 
 @pytest.mark.long
 @needs_mitsuba
-def test_scenes_load_and_show_the_same(metapp: Callable, fitted: Callable) -> None:
-    """In a process of its own, as a user's script; with the fit and with the table that Mitsuba knows."""
-    run = fitted("meta", "--rule", "meta-curvature")
+def test_scenes_load_and_show_the_same(metapp: Callable, fit_networks: Callable) -> None:
+    """A new process, as a user's script would, renders the fit and the table that Mitsuba knows."""
+    run = fit_networks("meta", "--rule", "meta-curvature")
     assert metapp("export", run, "mitsuba").code == 0
     lines = """
 import json, sys, numpy
@@ -30,13 +30,15 @@ scenes = (mitsuba.load_file(name) for name in sys.argv[1:])
 print(json.dumps([numpy.array(mitsuba.render(scene)).mean((0, 1)).tolist() for scene in scenes]))
 """
     scenes = [run / "m0" / "mitsuba" / "m0" / f"m0{suffix}.xml" for suffix in ("", "_builtin")]
-    done = subprocess.run([sys.executable, "-c", lines, *scenes], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    fit, table = json.loads(done.stdout)
+    process = subprocess.run([sys.executable, "-c", lines, *scenes], capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr
+    fit, table = json.loads(process.stdout)
     np.testing.assert_allclose(fit, table, rtol=0.01)
 
 
-def test_without_it_its_command_is_refused_and_others_stay(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extension_its_command_is_refused_and_others_work(
+    metapp: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     Path("a.bsdf").write_bytes(b"tensor_file")
     monkeypatch.setenv(WITHOUT_VARIABLE, "rgl")
     assert "No such command 'bsdf'" in metapp("data", "bsdf", "a.bsdf").misuse

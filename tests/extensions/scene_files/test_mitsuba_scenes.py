@@ -19,8 +19,8 @@ from metapp.rendering import variant as mitsuba_variant
 from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
 from metapp.rendering.scenes.stored_text import decode_scene
+from tests.found_paths import find_paths
 from tests.needs_mitsuba import needs_mitsuba
-from tests.sources import paths_of
 
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
 CAMERA = """<sensor type="perspective"><float name="fov" value="45"/>
@@ -51,8 +51,8 @@ def test_scene_files_are_recognised(tmp_path: Path) -> None:
     assert not recognises(write(tmp_path / "room.obj", ""))
     other = write(tmp_path / "box.json", "")
     write(tmp_path / "manifest.json", "")  # of a data set
-    assert paths_of(find, tmp_path) == ([other, scene], [])
-    assert paths_of(find, scene)[0] == [scene]
+    assert find_paths(find, tmp_path) == ([other, scene], [])
+    assert find_paths(find, scene)[0] == [scene]
     empty = tmp_path / "empty"
     empty.mkdir()
     assert not recognises(empty)
@@ -97,7 +97,7 @@ def test_file_names_start_from_the_scenes_folder(tmp_path: Path, monkeypatch: py
     assert read_task(folder / "room.json", samples=64, held=16).data["image"].max() > 0.5
 
 
-def textured(name: str) -> str:
+def textured_scene(name: str) -> str:
     file = f'<string name="filename" value="{name}"/>'
     return ball(f'<bsdf type="diffuse"><texture type="bitmap" name="reflectance">{file}</texture></bsdf>')
 
@@ -129,18 +129,18 @@ def test_names_of_files_as_windows_spells_them_are_found(tmp_path: Path) -> None
     Image.new("RGB", (4, 4), "red").save(tmp_path / "textures" / "wood.png")
     path, file = tmp_path / "room.xml", (tmp_path / "textures" / "wood.png").resolve()
     for name in (r"textures\wood.png", "Textures/Wood.PNG", r".\TEXTURES\wood.png", str(file).replace("wood", "Wood")):
-        assert f'"{file}"' in read_scene(write(path, xml(CAMERA, textured(name))))["xml"], name
+        assert f'"{file}"' in read_scene(write(path, xml(CAMERA, textured_scene(name))))["xml"], name
     include = write(tmp_path / "textures" / "camera.xml", xml(CAMERA))
     assert "perspective" in read_scene(write(path, xml(rf'<include filename="TEXTURES\{include.name}"/>')))["xml"]
     for name, problem in ((r"textures\none.png", "file not found"), (r"C:\wood.png", "name it without its drive")):
         with pytest.raises(ValueError, match=problem):
-            read_scene(write(path, xml(CAMERA, textured(name))))
+            read_scene(write(path, xml(CAMERA, textured_scene(name))))
     with pytest.raises(ValueError, match="outside the scene's folder"):
-        read_scene(write(include, xml(CAMERA, textured(rf"..\{file.parent.name}\..\Room.xml"))))
+        read_scene(write(include, xml(CAMERA, textured_scene(rf"..\{file.parent.name}\..\Room.xml"))))
     Image.new("RGB", (4, 4), "blue").save(tmp_path / "textures" / "WOOD.png")
     with pytest.raises(ValueError, match="file not found"):  # which of the two is not known
-        read_scene(write(path, xml(CAMERA, textured("textures/Wood.PNG"))))
-    assert f'"{file}"' in read_scene(write(path, xml(CAMERA, textured("textures/wood.png"))))["xml"]
+        read_scene(write(path, xml(CAMERA, textured_scene("textures/Wood.PNG"))))
+    assert f'"{file}"' in read_scene(write(path, xml(CAMERA, textured_scene("textures/wood.png"))))["xml"]
 
 
 @needs_mitsuba
@@ -266,28 +266,28 @@ def small_scene(transform: Any) -> dict[str, Any]:
 
 
 @needs_mitsuba
-def test_a_scene_is_its_dictionary(mitsuba: Any) -> None:
+def test_scene_dictionaries_in_memory_become_tasks(mitsuba: Any) -> None:
     matrix = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -5], [0, 0, 0, 1]])
     plain = json.loads(json.dumps(small_scene(matrix.tolist()), default=lambda value: value.tolist()))
     plain["ball"]["center"] = [0, 0.25, 0]
     for transform in (matrix, mitsuba.ScalarTransform4f(matrix), mitsuba.Transform4f(matrix.tolist())):
-        made = resolve_scene_in_memory(small_scene(transform), "object")
-        assert made == plain
+        result = resolve_scene_in_memory(small_scene(transform), "object")
+        assert result == plain
     for point in (mitsuba.ScalarPoint3f(1, 2, 3), mitsuba.Point3f(1, 2, 3)):
         around = {"type": "scene", "a": {"type": "sphere", "center": point}}
         assert resolve_scene_in_memory(around, "object")["a"]["center"] == [1, 2, 3]
 
 
 @needs_mitsuba
-def test_a_scene_of_mitsuba_is_one(mitsuba: Any) -> None:
-    made = resolve_scene_in_memory(mitsuba.cornell_box(), "object")
-    assert len(load_scene(made).scene.emitters()) == 1
+def test_loaded_mitsuba_scenes_are_taken_as_scenes(mitsuba: Any) -> None:
+    result = resolve_scene_in_memory(mitsuba.cornell_box(), "object")
+    assert len(load_scene(result).scene.emitters()) == 1
     loaded = mitsuba.load_dict({"type": "diffuse"})
     with pytest.raises(ValueError, match=r"object: \w+ as 'bsdf', expected numbers, text, a transform or a dictionary"):
         resolve_scene_in_memory({"type": "scene", "a": {"type": "sphere", "bsdf": loaded}}, "object")
 
 
-def test_a_scene_is_its_text(tmp_path: Path) -> None:
+def test_scene_texts_in_memory_become_tasks(tmp_path: Path) -> None:
     text = "<scene version='3.0.0'><shape type='sphere'/></scene>"
     (tmp_path / "file.xml").write_text(text)
     assert resolve_scene_in_memory(text, "object") == read_scene(tmp_path / "file.xml")
@@ -305,14 +305,14 @@ WITHIN["scene"] = WITHIN
         (WITHIN, "object: objects within each other, more than 64 deep, expected fewer"),
     ],
 )
-def test_what_is_no_scene_is_refused_in_a_line(source: object, line: str) -> None:
+def test_objects_that_are_no_scene_are_refused_in_one_line(source: object, line: str) -> None:
     with pytest.raises(ValueError, match=line) as caught:
         resolve_scene_in_memory(source, "object")
     assert "\n" not in str(caught.value)
 
 
 @needs_mitsuba
-def test_without_it_scenes_are_dictionaries_without_files(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extension_scenes_are_dictionaries_without_files(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(WITHOUT_VARIABLE, "scene_files")
     box = random_scene(0)
     assert len(load_scene(box).scene.emitters()) == 1

@@ -24,7 +24,7 @@ from metapp.rendering.paths.path_space import Tracer
 from metapp.rendering.scenes.loading import load_scene
 from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import needs_mitsuba
-from tests.scene_files import CORNERS, NAN, OBJ, ORDERS, ply, serialized, volume
+from tests.scene_files import CORNERS, NAN_CORNER, OBJ, PLY_FORMATS, ply_file, serialized_file, volume_file
 
 pytestmark = needs_mitsuba
 
@@ -62,7 +62,7 @@ def evil(tmp_path: Path) -> Callable[[Path, str], Path]:
     return put
 
 
-def test_the_library_would_run(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
+def test_hostile_library_runs_its_code_when_loaded(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
     mark = evil(tmp_path, "evil")
     assert not mark.exists()
     ctypes.CDLL(str(tmp_path / "plugins" / "evil.so"))
@@ -124,18 +124,18 @@ def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[
         "print(render_reference(Tracer(read_scene(Path('room.json'))), 4, 4).shape)"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", lines], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
-    assert "torch.Size([3, 4, 4])" in done.stdout
+    assert "torch.Size([3, 4, 4])" in process.stdout
     assert not mark.exists()
 
 
 def assert_one_line(error: ValueError, path: Path) -> None:
-    said = str(error).removeprefix(f"{path}: ")
-    assert said != str(error)
-    assert "\n" not in said
-    assert len(said) <= 300
+    output = str(error).removeprefix(f"{path}: ")
+    assert output != str(error)
+    assert "\n" not in output
+    assert len(output) <= 300
 
 
 NESTED = 50_000
@@ -248,18 +248,18 @@ def test_a_stored_scene_reads_no_files_but_those_of_scenes_read_before(tmp_path:
     assert len(load_scene(stored).scene.shapes()) == len(load_scene(random_scene(0)).scene.shapes()) + 1
 
 
-def test_what_is_handed_on_holds_no_more_than_was_checked(tmp_path: Path) -> None:
+def test_stored_xml_holds_only_checked_elements(tmp_path: Path) -> None:
     path = tmp_path / "room.xml"
     inside = '<default name="size" value="0.25"/><shape type="cube"><float name="r" value="$size"/></shape>'
     declared = '<?xml version="1.0" encoding="UTF-16"?>'  # Python's parser goes by the text, Mitsuba's might not
     path.write_text(xml(inside, '<!-- <shape type="evil"/> -->', "<![CDATA[<evil/>]]>", "<?evil?>", before=declared))
-    made = read_scene(path)["xml"]
-    assert made.isascii()
-    assert not [each for each in ("$", "evil", "<!", "<?", "default", "&") if each in made]
-    assert 'name="r" value="0.25"' in made
+    result = read_scene(path)["xml"]
+    assert result.isascii()
+    assert not [forbidden for forbidden in ("$", "evil", "<!", "<?", "default", "&") if forbidden in result]
+    assert 'name="r" value="0.25"' in result
     assert read_scene(path) == {"xml": read_scene(path)["xml"]}
-    path.write_text(made)
-    assert read_scene(path) == {"xml": made}
+    path.write_text(result)
+    assert read_scene(path) == {"xml": result}
 
 
 # Scenes in the style of Mitsuba's public ones
@@ -305,8 +305,8 @@ def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Call
     # but plugins never do
     mark = evil(data / "common", "cylinder")
     evil(data / "common", "evil")
-    own = preview('<path value="../data/common"/>', '<shape type="cylinder"/>')
-    Tracer(read_scene(write(scenes / "own.xml", own), [data]))
+    own_scene = preview('<path value="../data/common"/>', '<shape type="cylinder"/>')
+    Tracer(read_scene(write(scenes / "own.xml", own_scene), [data]))
     with pytest.raises(ValueError, match="a plugin 'evil'"):
         read_scene(write(scenes / "evil.xml", preview('<path value="../data/common"/>', ITSELF)), [data])
     assert not mark.exists()
@@ -319,16 +319,19 @@ PAST = ((0, 1, 2), (0, 2, 400_000))
 LIGHT = {"type": "area", "radiance": {"type": "rgb", "value": [1, 1, 1]}}
 
 MESHES: dict[str, tuple[bytes, str]] = {
-    **{f"{order}.ply": (ply(order, faces=PAST), "the process died|a face at vertex 400,000") for order in ORDERS},
-    "one.ply": (ply("ascii", faces=((0, 1, 4),)), "a face at vertex 4, expected 0 to 3"),
-    "few.ply": (ply("binary_little_endian", vertex=5), "could not parse|read 14 out of 26 bytes"),
-    "past.serialized": (serialized(faces=PAST), "the process died|a face at vertex 400,000"),
-    "bomb.serialized": (serialized(face=10_000_000), "no scene that Mitsuba can load: |the process died"),
-    "nan.serialized": (serialized(corners=(NAN, *CORNERS)), "'more.vertex_positions' holds NaN or infinite values"),
+    **{f"{form}.ply": (ply_file(form, faces=PAST), "the process died|a face at vertex 400,000")
+       for form in PLY_FORMATS},
+    "one.ply": (ply_file("ascii", faces=((0, 1, 4),)), "a face at vertex 4, expected 0 to 3"),
+    "few.ply": (ply_file("binary_little_endian", vertex=5), "could not parse|read 14 out of 26 bytes"),
+    "past.serialized": (serialized_file(faces=PAST), "the process died|a face at vertex 400,000"),
+    "bomb.serialized": (serialized_file(face=10_000_000), "no scene that Mitsuba can load: |the process died"),
+    "nan.serialized": (serialized_file(corners=(NAN_CORNER, *CORNERS)),
+                       "'more.vertex_positions' holds NaN or infinite values"),
     "past.obj": ((OBJ + "f 1 2 9\n").encode(), "reference to invalid vertex 9"),
-    "empty.sdfgrid": (volume((0, 0, 0)), "a grid of 0 x 0 x 0, 1 channels"),
-    "large.sdfgrid": (volume((1290, 1290, 1290)), "48 bytes, expected 1 or more along each axis and 8,586,756,048"),
-    "nan.sdfgrid": (volume((2, 2, 2), values=[np.nan] * 8), "'more.grid' holds NaN or infinite values"),
+    "empty.sdfgrid": (volume_file((0, 0, 0)), "a grid of 0 x 0 x 0, 1 channels"),
+    "large.sdfgrid": (volume_file((1290, 1290, 1290)),
+                      "48 bytes, expected 1 or more along each axis and 8,586,756,048"),
+    "nan.sdfgrid": (volume_file((2, 2, 2), values=[np.nan] * 8), "'more.grid' holds NaN or infinite values"),
 }  # fmt: skip
 
 READS = """
@@ -359,11 +362,11 @@ def write_scene(folder: Path, name: str, content: bytes, **more: Any) -> Path:
 def refusals(paths: list[Path]) -> dict[str, str]:
     """What reading them said, in a process that may die; "" of those after its death."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", READS, *map(str, paths)], env=environment, capture_output=True, text=True, check=False
     )
-    lines = dict(line.split("\t", 1) for line in done.stdout.splitlines())
-    return {path.name: lines.get(str(path), f"died with {done.returncode}") for path in paths}
+    lines = dict(line.split("\t", 1) for line in process.stdout.splitlines())
+    return {path.name: lines.get(str(path), f"died with {process.returncode}") for path in paths}
 
 
 @pytest.mark.long
@@ -377,9 +380,9 @@ def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
     }
     assert wrong == {}
     for path in paths:
-        said = found[path.name].removeprefix(f"{path}: ")
-        assert said != found[path.name]
-        assert len(said) <= 300
+        output = found[path.name].removeprefix(f"{path}: ")
+        assert output != found[path.name]
+        assert len(output) <= 300
 
 
 def png(width: int, height: int) -> bytes:
@@ -392,12 +395,16 @@ def png(width: int, height: int) -> bytes:
 @pytest.mark.parametrize(
     ("name", "content", "line"),
     [
-        ("a.vol", volume((2, 2, 2), 2**31 - 1), "2147483647 channels"),
-        ("a.vol", volume((1000, 1000, 1000), 6), "48 bytes, expected 1 or more along each axis and 24,000,000,048"),
+        ("a.vol", volume_file((2, 2, 2), 2**31 - 1), "2147483647 channels"),
+        (
+            "a.vol",
+            volume_file((1000, 1000, 1000), 6),
+            "48 bytes, expected 1 or more along each axis and 24,000,000,048",
+        ),
         ("a.png", png(20_000, 20_000), "20000x20000 px.*268,435,456 px or fewer"),
     ],
 )
-def test_textures_fit_their_files_and_the_rule_of_photographs(
+def test_texture_files_that_do_not_fit_their_plugin_are_refused(
     name: str, content: bytes, line: str, tmp_path: Path
 ) -> None:
     texture: dict[str, Any] = {"type": "bitmap", "filename": name}
@@ -409,7 +416,7 @@ def test_textures_fit_their_files_and_the_rule_of_photographs(
     with pytest.raises(ValueError, match=rf"^{path}: names the file '{name}', .*{line}"):
         read_scene(path)
     if name == "a.vol":
-        (tmp_path / name).write_bytes(volume((2, 2, 2), 3, values=np.ones(24)))
+        (tmp_path / name).write_bytes(volume_file((2, 2, 2), 3, values=np.ones(24)))
         assert load_scene(read_scene(path)).scene
 
 
@@ -421,7 +428,7 @@ def refused(message: str, call: Callable[..., Any], *words: Any) -> None:
         call(*words)
 
 
-def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path) -> None:
+def test_files_up_to_the_allowed_length_are_read_and_longer_ones_refused(tmp_path: Path) -> None:
     file, places = tmp_path / "x.xml", ScenePlaces((tmp_path,), (tmp_path,), most_bytes=10)
     for content, text in ((b"", ""), (b"x" * 10, "x" * 10), (b"\xef\xbb\xbfab", "ab")):  # without a byte order mark
         file.write_bytes(content)

@@ -1,4 +1,4 @@
-"""Shader code of BRDFs: what it computes, by whatever can run it."""
+"""Shader code of BRDFs: its values, run by compilers and GPUs that are installed, agree with the network."""
 
 import shutil
 import subprocess
@@ -15,11 +15,11 @@ from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.extensions.shaders import shader_files
 from metapp.learning.task import Params
-from tests.extensions.shaders.running import RUNS, Array
+from tests.extensions.shaders.shader_runners import RUNNERS, Array
 
 NAME = "red paint-2"
 APP = app_of("brdf", recipes_of("brdf")["quick"])
-LANGUAGES = sorted(RUNS)
+LANGUAGES = sorted(RUNNERS)
 
 
 @pytest.fixture(scope="module")
@@ -53,24 +53,26 @@ def hemisphere(count: int, seed: int) -> Array:
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
-def test_values_are_those_of_the_network(language: str, theta: Params, written: Path, tmp_path: Path) -> None:
+def test_shader_values_agree_with_the_network(language: str, theta: Params, written: Path, tmp_path: Path) -> None:
     light, viewer = hemisphere(10_000, 0), hemisphere(10_000, 1)
-    found = RUNS[language](code(written, language), shader_files.function_prefix(NAME), light, viewer, tmp_path)[:, :3]
+    found = RUNNERS[language](code(written, language), shader_files.function_prefix(NAME), light, viewer, tmp_path)[
+        :, :3
+    ]
     angles = directions_to_full_rusinkiewicz(torch.from_numpy(light).double(), torch.from_numpy(viewer).double())
     exact = NBRDF_NETWORK.evaluate({key: value.double() for key, value in theta.items()}, angles).numpy()
     np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-4 * exact.mean())
     below = light * np.float32([1, 1, -1])
-    nothing = RUNS[language](code(written, language), shader_files.function_prefix(NAME), below, viewer, tmp_path)
+    nothing = RUNNERS[language](code(written, language), shader_files.function_prefix(NAME), below, viewer, tmp_path)
     assert not nothing[:, :4].any()
 
 
 @pytest.mark.parametrize("angle", [0.0, 30.0, 69.0, 85.0])
-def test_samples_have_their_density(angle: float, written: Path, tmp_path: Path) -> None:
+def test_sampled_directions_follow_the_stated_density(angle: float, written: Path, tmp_path: Path) -> None:
     """The mean of any density over that of samples is 1, to a few standard errors."""
     theta, count = np.radians(angle), 400_000
     viewer = np.tile(np.float32([np.sin(theta), 0, np.cos(theta)]), (count, 1))
     numbers = np.random.default_rng(2).random((count, 3), dtype=np.float32)
-    run, name = RUNS["cpp"], shader_files.function_prefix(NAME)
+    run, name = RUNNERS["cpp"], shader_files.function_prefix(NAME)
     light = np.ascontiguousarray(run(code(written, "cpp"), name, numbers, viewer, tmp_path)[:, 4:])
     assert (light[:, 2] > 0).all()
     np.testing.assert_allclose(np.linalg.norm(light, axis=1), 1, atol=1e-4)
@@ -84,7 +86,7 @@ def test_samples_have_their_density(angle: float, written: Path, tmp_path: Path)
 
 
 def test_glsl_compiles(written: Path, tmp_path: Path) -> None:
-    """By the reference compiler."""
+    """The reference compiler accepts the code."""
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("no glslangValidator")
@@ -92,21 +94,24 @@ def test_glsl_compiles(written: Path, tmp_path: Path) -> None:
     subprocess.run([compiler, "-V", "-o", "a.spv", "a.comp"], cwd=tmp_path, check=True)
 
 
-def test_a_node_of_materialx(written: Path) -> None:
-    """Its implementations are there, with the functions that it names, and the document is valid."""
+def test_materialx_node_is_valid(written: Path) -> None:
+    """The files of its implementations have the functions that it names, and the document is valid."""
     document = written / NAME / f"{NAME}.mtlx"
     found = ET.parse(document).getroot().findall("implementation")
-    assert [each.attrib["target"] for each in found] == ["genglsl", "genosl"]
-    for each in found:
-        assert f"void {each.attrib['function']}(" in (document.parent / each.attrib["file"]).read_text()
+    assert [implementation.attrib["target"] for implementation in found] == ["genglsl", "genosl"]
+    for implementation in found:
+        assert (
+            f"void {implementation.attrib['function']}("
+            in (document.parent / implementation.attrib["file"]).read_text()
+        )
     mx = pytest.importorskip("MaterialX")
     read = mx.createDocument()
     mx.readFromXmlFile(read, str(document))
     libraries = mx.createDocument()
     mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), libraries)
     read.importLibrary(libraries)
-    valid, said = read.validate()
-    assert valid, said
+    valid, output = read.validate()
+    assert valid, output
 
 
 def test_names_are_identifiers() -> None:

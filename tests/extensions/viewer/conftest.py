@@ -1,4 +1,4 @@
-"""The browser that tests of pages share, and the page that each opens."""
+"""The browser that tests of a module share, and a function that opens pages in it."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,32 +8,35 @@ import pytest
 
 from metapp.extensions.viewer.view import View
 from metapp.extensions.viewer.viewer_page import FitGroup, write_page
-from tests.browser import Page, browsing
+from tests.browser import Page, open_browser
 
 
-def written(folder: Path, *fits: View | list[View]) -> Path:
-    """A page of groups: of one fit, `meta`, or of several side by side."""
-    several = [each if isinstance(each, list) else [each._replace(label="meta", caption="error 0.1")] for each in fits]
-    groups = [FitGroup(f"fit {i}", "Fits", each) for i, each in enumerate(several)]
+def write_view_page(folder: Path, *fits: View | list[View]) -> Path:
+    """Write a page of groups, each of one fit labelled `meta` or of several fits side by side; return its path."""
+    views_of_groups = [
+        group if isinstance(group, list) else [group._replace(label="meta", caption="error 0.1")] for group in fits
+    ]
+    groups = [FitGroup(f"fit {i}", "Fits", views) for i, views in enumerate(views_of_groups)]
     return write_page("metapp", groups, folder / "view.html")
 
 
 @pytest.fixture(scope="module")
-def opened() -> Iterator[Any]:
-    with browsing() as browser:
-        yield browser
+def browser() -> Iterator[Any]:
+    """A headless browser."""
+    with open_browser() as opened:
+        yield opened
 
 
 @pytest.fixture
-def open_page(opened: Any, tmp_path: Path) -> Iterator[Callable[..., Page]]:
-    """Opens such a page, on which there are no errors; none goes on drawing after its test."""
+def open_page(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Page]]:
+    """Return a function that opens a page of fits. Afterwards pages must have reported no errors; they are closed."""
     pages: list[Page] = []
 
-    def call(*fits: View | list[View], **more: Any) -> Page:
-        pages.append(Page(opened, written(tmp_path, *fits), **more))
+    def open_fits(*fits: View | list[View], **page_options: Any) -> Page:
+        pages.append(Page(browser, write_view_page(tmp_path, *fits), **page_options))
         return pages[-1]
 
-    yield call
-    for context in opened.contexts:
+    yield open_fits
+    for context in browser.contexts:
         context.close()
     assert not any(page.problems for page in pages)

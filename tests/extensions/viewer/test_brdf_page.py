@@ -1,4 +1,4 @@
-"""BRDFs on the page: what its shader evaluates is `fit(wi, wo)`, its pictures are metapp's."""
+"""BRDFs on pages of `metapp view`: the shader evaluates what `fit(wi, wo)` does, and pictures agree with metapp's."""
 
 import functools
 import math
@@ -23,8 +23,14 @@ from metapp.extensions.viewer.view import View, make_view
 from metapp.extensions.viewer.viewer_page import encode_array
 from metapp.learning.task import Params, Task
 from tests import anisotropic
-from tests.anisotropic import APP, TURN, brushed, fitted, interpolated
-from tests.browser import LEGEND, assert_alike, false_colours
+from tests.anisotropic import (
+    APP,
+    HIGHLIGHT_AZIMUTH_RAD,
+    brushed_reflectance_at_angles,
+    interpolate_as_shader,
+    solve_for_brushed,
+)
+from tests.browser import LEGEND_PX, assert_pictures_match, error_colours
 
 APPS = {
     "nbrdf": Brdf(),
@@ -78,7 +84,7 @@ def even(value: float) -> Params:
 def test_a_reference_has_the_smallest_grid_and_takes_less_than_a_megabyte_of_the_page() -> None:
     """Half of it where the fit is reciprocal, with azimuths where the material has some."""
     (reciprocal,) = views("nbrdf", task=material(), theta=even(0))
-    (brushed,) = views("anisotropic", task=anisotropic.task())
+    (brushed,) = views("anisotropic", task=anisotropic.brushed_task())
     shapes = (SAMPLE_GRID_CELLS[0] // 2, *SAMPLE_GRID_CELLS[1:], 4), (*AZIMUTHAL, 4)
     for shown, shape in zip((reciprocal, brushed), shapes, strict=True):
         grid = shown.arrays["residual"]
@@ -93,8 +99,8 @@ def pairs() -> tuple[Tensor, Tensor]:
     """Lights and viewers [N, 3], float64: random, along the surface, mirrored, in one plane, at the normal."""
     rng = Generator().manual_seed(2)
     wi, wo = torch.randn(2, COUNT, 3, generator=rng, dtype=torch.float64).unbind()
-    for each in (wi, wo):
-        each[:, 2] = each[:, 2].abs() + 1e-3
+    for vectors in (wi, wo):
+        vectors[:, 2] = vectors[:, 2].abs() + 1e-3
     wi[:512, 2] *= 0.01
     wo[256:768, 2] *= 0.01
     wo[768:1280] = wi[768:1280] * torch.tensor([-1, -1, 1]) + 0.01 * torch.randn(512, 3, generator=rng)
@@ -104,8 +110,8 @@ def pairs() -> tuple[Tensor, Tensor]:
     wi[1856:1920] = wi.new_tensor([0, 0, 1])
     wo[1888:1952] = wo.new_tensor([0, 0, 1])
     wo[1952:2016] = wi[1952:2016] * torch.tensor([-1, -1, 1])  # the half vector is the normal
-    for each in (wi, wo):
-        each[:, 2] = each[:, 2].abs() + 1e-3
+    for vectors in (wi, wo):
+        vectors[:, 2] = vectors[:, 2].abs() + 1e-3
     return normalize(wi, dim=1), normalize(wo, dim=1)
 
 
@@ -115,20 +121,20 @@ def error(found: Tensor, wanted: Tensor) -> float:
 
 
 @pytest.mark.long
-def test_the_shader_evaluates_what_python_does(open_page: Callable) -> None:
-    """To 1e-3 of each kind of network, all round phi_d; without a reference there is none of its own."""
+def test_shader_evaluates_as_python_does(open_page: Callable) -> None:
+    """Values agree to 1e-3 for each kind of network at every phi_d; without a reference the page has none."""
     page = open_page(views(*APPS))
     wi, wo = pairs()
     directions = torch.stack([wi, wo], 1).tolist()
     azimuth = torch.linalg.vector_norm((wi + wo)[:, :2], dim=1) > 1e-4  # else numbers of 32 bits hardly tell it
     for column, (name, app) in enumerate(APPS.items()):
-        wanted = app.reflectance(theta_of(name), directions_to_four_angles(wi, wo).float())
+        expected = app.reflectance(theta_of(name), directions_to_four_angles(wi, wo).float())
         for which in (0, 1):
             found = torch.tensor(page.page.evaluate(SHADER, [column, directions, which]))
-            told = azimuth | (not app.network.anisotropic)
-            assert error(found[told], wanted[told]) < 1e-3, name
+            comparable = azimuth | (not app.network.anisotropic)
+            assert error(found[comparable], expected[comparable]) < 1e-3, name
             assert found.isfinite().all()
-        assert float(wanted.amax()) > 0.1
+        assert float(expected.amax()) > 0.1
     exchanged = APPS["nbrdf"].reflectance(theta_of("nbrdf"), directions_to_four_angles(wo, wi).float())
     here = APPS["nbrdf"].reflectance(theta_of("nbrdf"), directions_to_four_angles(wi, wo).float())
     assert error(here, exchanged) > 0.01  # the network tells light from viewer, so a fold would be seen
@@ -143,14 +149,14 @@ def test_the_reference_is_the_material_whatever_the_fit(open_page: Callable) -> 
     angles = angles * torch.tensor([1.2, 1.2, math.tau], dtype=torch.float64)
     wi, wo = rusinkiewicz_to_directions(angles)
     above = (wi[:, 2] > 0.02) & (wo[:, 2] > 0.02)
-    wi, wo, wanted = wi[above], wo[above], torch.log1p(lobe(angles[above]))
+    wi, wo, expected = wi[above], wo[above], torch.log1p(lobe(angles[above]))
 
     def seen(column: int, which: int, *pair: Tensor) -> Tensor:
         found = page.page.evaluate(SHADER, [column, torch.stack(pair, 1).tolist(), which])
         return torch.tensor(found, dtype=torch.float64).log1p()
 
     for column in (0, 1):
-        assert all(float((seen(column, 1, *pair) - wanted).abs().mean()) < 4e-3 for pair in ((wi, wo), (wo, wi)))
+        assert all(float((seen(column, 1, *pair) - expected).abs().mean()) < 4e-3 for pair in ((wi, wo), (wo, wi)))
     reference, fit = (float((seen(0, which, wi, wo) - seen(0, which, wo, wi)).abs().mean()) for which in (1, 0))
     assert reference < 0.1 * fit
 
@@ -159,7 +165,7 @@ def test_the_reference_is_the_material_whatever_the_fit(open_page: Callable) -> 
 @pytest.mark.parametrize("name", ["anisotropic", "featured"])
 def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(open_page: Callable, name: str) -> None:
     """Whatever network fits it; also where slices of the grid meet, with light and viewer exchanged, at the normal."""
-    shown = views(name, task=anisotropic.task())
+    shown = views(name, task=anisotropic.brushed_task())
     page, app, theta = open_page(shown), APPS[name], theta_of(name)
     angles = 0.02 + torch.rand(600, 4, generator=Generator().manual_seed(3)) * torch.tensor([1.2, 1.2, 6.2, 6.2])
     turn = float(theta["turn"]) if "turn" in theta else 0.0
@@ -170,11 +176,11 @@ def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(open_page
     # at a network without phi_h, which need not be reciprocal, the reference begins folded
     folded = torch.stack([angles[:, 0], angles[:, 1], angles[:, 2] % math.pi], 1)
     base = app.reflectance(theta, angles if app.network.anisotropic else folded)
-    more = anisotropic.interpolated(shown[0].arrays["residual"], angles, turn)
-    wanted = torch.expm1(torch.log1p(base) + more).clamp_min(0)
+    more = anisotropic.interpolate_as_shader(shown[0].arrays["residual"], angles, turn)
+    expected = torch.expm1(torch.log1p(base) + more).clamp_min(0)
     for pair in ([wi, wo], [wo, wi]):
         found = torch.tensor(page.page.evaluate(SHADER, [0, torch.stack(pair, 1).tolist(), 1]))
-        torch.testing.assert_close(found, wanted, atol=2e-3, rtol=1e-2)
+        torch.testing.assert_close(found, expected, atol=2e-3, rtol=1e-2)
 
 
 @pytest.mark.long
@@ -185,7 +191,7 @@ def test_the_screen_shows_metapps_picture(open_page: Callable) -> None:
     assert "url(" in page.page.evaluate(still)
     controls = page.page.evaluate("(({ scrollWidth, clientWidth }) => [scrollWidth, clientWidth])(page.form)")
     assert controls[0] == controls[1] > 0
-    page.sized(96, 96)
+    page.resize(96, 96)
     page.set(view="picture", paper="white")
     pictures = presenter_of(APPS["nbrdf"]).preview(theta_of("nbrdf"), material())
     shown = {}
@@ -193,7 +199,7 @@ def test_the_screen_shows_metapps_picture(open_page: Callable) -> None:
         page.set(show=name)
         page.settle()
         shown[name] = page.screenshot()
-        assert_alike(shown[name], composite_to_srgb(pictures[name]))
+        assert_pictures_match(shown[name], composite_to_srgb(pictures[name]))
     assert not page.page.evaluate("metapp.viewer.element.classList.contains('waiting')")
     page.set(show="wipe", wipe=0.25)
     page.settle()
@@ -201,17 +207,17 @@ def test_the_screen_shows_metapps_picture(open_page: Callable) -> None:
     assert np.array_equal(wiped[:, :24], shown["reference"][:, :24])
     assert np.array_equal(wiped[:, 24:], shown["fit"][:, 24:])
     page.set(show="difference", scale=0.5)
-    page.sized(96, 96 + LEGEND)
+    page.resize(96, 96 + LEGEND_PX)
     page.settle()
     apart = np.abs(composite_to_srgb(pictures["fit"]) - composite_to_srgb(pictures["reference"])).mean(-1)
     inside = disc(96)
-    assert_alike(page.screenshot()[:96], false_colours(apart, 0.5), torch.from_numpy(inside))
+    assert_pictures_match(page.screenshot()[:96], error_colours(apart, 0.5), torch.from_numpy(inside))
     (numbers,) = page.page.evaluate("metapp.viewer.numbers")
     assert numbers["mean"] == pytest.approx(apart[inside].mean(), rel=0.03)
     assert numbers["rms"] == pytest.approx(np.sqrt((apart[inside] ** 2).mean()), rel=0.03)
     assert numbers["high"] == pytest.approx(np.quantile(apart[inside], 0.95), rel=0.05)
-    told = page.page.locator(".scale:not([hidden])").get_attribute("aria-label")
-    assert told.startswith("|fit \u2212 reference|: colours from 0 to 50 %; mean ")
+    label = page.page.locator(".scale:not([hidden])").get_attribute("aria-label")
+    assert label.startswith("|fit \u2212 reference|: colours from 0 to 50 %; mean ")
     assert f"mean {100 * numbers['mean']:.3g} %" in page.page.inner_text("footer")
 
 
@@ -222,12 +228,12 @@ def disc(size: int) -> np.ndarray:
 
 
 @pytest.mark.long
-def test_a_lamp_and_a_light_map_light_what_faces_them(open_page: Callable) -> None:
+def test_lamps_and_light_maps_light_surfaces_that_face_them(open_page: Callable) -> None:
     """A matte body of albedo a is a times as bright as a white map; the side away from a lamp is black."""
     task = make_brdf_task("matte", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3 / math.pi), samples=1024)
     (matte,) = views("nbrdf", task=task, theta=even(math.log1p(0.3 / math.pi)))
     page = open_page(matte._replace(shared=dict(matte.shared) | {"light": torch.ones(8, 16, 3).half()}))
-    page.sized(64, 64)
+    page.resize(64, 64)
     page.set(light="map", shape="plane", show="fit")
     page.page.evaluate("metapp.viewer.most = () => 64")
     page.settle()
@@ -270,22 +276,22 @@ MEANS = """(() => {
 
 @pytest.mark.long
 def test_the_first_look_under_a_light_map_is_as_bright_as_the_last(open_page: Callable) -> None:
-    """Of fit and reference, in each channel, relative to the brightest one."""
+    """Fit and reference agree in each channel, relative to the brightest one."""
     page = open_page(views("nbrdf", task=material()))
-    page.sized(96, 48)
+    page.resize(96, 48)
     page.set(light="map", shape="sphere")
     page.page.evaluate("metapp.viewer.most = () => 96")
     page.settle()
-    fit, reference, *last = (torch.tensor(each) for each in page.page.evaluate(MEANS))
+    fit, reference, *last = (torch.tensor(mean) for mean in page.page.evaluate(MEANS))
     for first, final in zip((fit, reference), last, strict=True):
         assert float((first - final).abs().max() / final.max()) < 0.06
 
 
 @pytest.mark.long
 def test_a_long_picture_comes_in_pieces_and_can_be_stopped_and_goes_on(open_page: Callable) -> None:
-    """Where a sample takes long the page is asked in between, many times."""
+    """Where a sample takes long, the page responds many times in between."""
     page = open_page(views("nbrdf"))
-    page.sized(96, 48)
+    page.resize(96, 48)
     page.page.evaluate(SLOW)
     page.set(light="lamp")
     before = page.page.evaluate("metapp.drawn")
@@ -331,7 +337,10 @@ def noise(seed: int = 0) -> Tensor:
 def test_the_grid_is_the_same_where_reflection_is(change: tuple[float, ...], at_normal: bool) -> None:
     angles = angles_above(2000, 0)
     angles[:, 0] *= not at_normal
-    one, other = (interpolated(noise(), each, TURN) for each in (angles, angles + angles.new_tensor(change)))
+    one, other = (
+        interpolate_as_shader(noise(), four_angles, HIGHLIGHT_AZIMUTH_RAD)
+        for four_angles in (angles, angles + angles.new_tensor(change))
+    )
     torch.testing.assert_close(one, other, atol=1e-3, rtol=0)
 
 
@@ -343,7 +352,7 @@ def test_the_grid_has_no_seam() -> None:
         path = start[:, None].repeat(1, 4000, 1)
         path[..., axis] += step * torch.arange(4000)
         path[..., :2] = path[..., :2].clamp_max(math.pi / 2)
-        values = interpolated(noise(), path.reshape(-1, 4), TURN).reshape(64, 4000, 3)
+        values = interpolate_as_shader(noise(), path.reshape(-1, 4), HIGHLIGHT_AZIMUTH_RAD).reshape(64, 4000, 3)
         steepest = 8 * max(AZIMUTHAL) * step  # cells a rad by the difference of neighbours
         assert float(values.diff(dim=1).abs().max()) < steepest
 
@@ -363,8 +372,8 @@ def shine(angles: Tensor) -> Tensor:
 @pytest.mark.parametrize("wrong", ["dark", "turned", "another", "isotropic", "isotropic material", ""])
 def test_a_fit_and_its_residual_are_the_material(wrong: str) -> None:
     """The reference comes from the samples: at angles that are none of them it is near the truth, whatever the fit."""
-    app, theta, truth = APP, dict(fitted()), brushed
-    task = anisotropic.task(65_536)
+    app, theta, truth = APP, dict(solve_for_brushed()), brushed_reflectance_at_angles
+    task = anisotropic.brushed_task(65_536)
     if wrong == "dark":
         theta["last"] = torch.zeros_like(theta["last"])
     elif wrong == "turned":
@@ -380,6 +389,6 @@ def test_a_fit_and_its_residual_are_the_material(wrong: str) -> None:
     if not app.network.anisotropic:
         angles[:, 2] %= math.pi  # as such networks, which need not be reciprocal, are shown
     fit = torch.log1p(app.reflectance(theta, angles))
-    reference = (fit + interpolated(grid, angles, float(theta.get("turn", 0.0)))).clamp_min(0)
-    lacks, left = (float((each - torch.log1p(truth(angles))).abs().mean()) for each in (fit, reference))
+    reference = (fit + interpolate_as_shader(grid, angles, float(theta.get("turn", 0.0)))).clamp_min(0)
+    lacks, left = (float((logarithms - torch.log1p(truth(angles))).abs().mean()) for logarithms in (fit, reference))
     assert left < (0.1 if wrong else 1.0) * lacks

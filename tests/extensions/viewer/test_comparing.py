@@ -1,4 +1,4 @@
-"""How pages are handled: what stands side by side, keys, handles, fingers; what is left of what cannot be drawn."""
+"""How pages of `metapp view` are used: views side by side, keys, handles, fingers, and views that cannot be drawn."""
 
 import base64
 import io
@@ -26,8 +26,8 @@ from metapp.extensions.viewer.viewer_page import (
     viewer_html,
     write_page,
 )
-from tests.browser import Page, assert_alike
-from tests.surfaces import rock
+from tests.browser import Page, assert_pictures_match
+from tests.surfaces import rock_surface
 
 PANES = "metapp.viewer.panes.map(({ part, width, height }) => [part, width, height])"
 HANDLES = "[...document.querySelectorAll('.lamp')].map((lamp) => [lamp.style.left, lamp.style.top])"
@@ -35,14 +35,14 @@ HANDLES = "[...document.querySelectorAll('.lamp')].map((lamp) => [lamp.style.lef
 
 def surface(*, photo: bool = False) -> View:
     """A rock, whose reference is itself, so that fit and reference are the same picture."""
-    fit = rock(32, tiles=False)
+    fit = rock_surface(32, tiles=False)
     above = torch.tensor([0.0, 0.0, 3.0])
     lit = [LitPicture(above, above, photo=torch.rand(3, 32, 32))] if photo else []
     return make_surface_view(Surface(fit.base, False, fit.maps), lit, reference=fit.maps)
 
 
 def pictures(name: str) -> View:
-    shown = {each: torch.rand(8, 8, 3) for each in ("reference", "fit")}
+    shown = {title: torch.rand(8, 8, 3) for title in ("reference", "fit")}
     return View("pictures", pictures=shown, facts={"name": name}, thumbnail=crop_thumbnail(shown["fit"]))
 
 
@@ -57,7 +57,7 @@ def test_thumbnails_are_small_squares() -> None:
 def test_a_page_opens_on_reference_and_fit_in_the_same_view(open_page: Callable) -> None:
     """Equal materials are equal pictures in both panes, under a lamp that a key moved, too; no wipe until asked for."""
     page = open_page(surface(), width=900, height=500)
-    page.sized(206, 100)
+    page.resize(206, 100)
     page.set(relief=0)
     page.settle()
     assert page.page.evaluate(PANES) == [["reference", 100, 100], ["fit", 100, 100]]
@@ -88,9 +88,9 @@ def test_keys_go_through_the_list_and_choose_what_is_compared(open_page: Callabl
     page = open_page(pictures("a"), pictures("b"), surface(), width=900, height=500, adapts=True)
     keys, index = page.page.keyboard, "metapp.index"
     assert page.page.locator("nav img").count() == 3
-    for key, wanted in (("ArrowDown", 1), ("ArrowDown", 2), ("ArrowDown", 2), ("Home", 0), ("ArrowRight", 1)):
+    for key, expected in (("ArrowDown", 1), ("ArrowDown", 2), ("ArrowDown", 2), ("Home", 0), ("ArrowRight", 1)):
         keys.press(key)
-        page.page.wait_for_function(f"{index} === {wanted}")
+        page.page.wait_for_function(f"{index} === {expected}")
     assert page.page.inner_text("h1") == "fit 1"
     keys.press("d")
     assert page.page.evaluate("metapp.settings.show") == "difference"
@@ -115,7 +115,7 @@ def test_keys_go_through_the_list_and_choose_what_is_compared(open_page: Callabl
     ids=["pictures", "surface"],
 )
 def test_narrow_pages_stack_panes_under_their_labels(open_page: Callable, view: View, names: list[str]) -> None:
-    """At once: also a photo and its fit."""
+    """They do so at once, also for a photo and its fit."""
     page = open_page(view, width=390, height=844, adapts=True)
     labels = page.page.locator(".label:not(.pointed):visible")
     assert labels.all_text_contents() == names
@@ -145,11 +145,11 @@ def page(open_page: Callable) -> Page:
     maps = {name: torch.rand(8, 16, 3).half() for name in ("map", "reference")}
     light = View("light", maps, facts={"scale": 1.0, "note": "", **SPHERES}, shared={"lobes": torch.ones(2, 32).half()})
     opened: Page = open_page(pictures, light, width=320, height=240)
-    opened.sized(64, 64)
+    opened.resize(64, 64)
     return opened
 
 
-def decoded(address: str) -> np.ndarray:
+def decode_in_browser(address: str) -> np.ndarray:
     """The pixels of a picture's address, [H, W, 3], of 255."""
     content = base64.b64decode(address.partition("base64,")[2])
     return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), np.float64)
@@ -189,13 +189,13 @@ def test_a_wipe_follows_its_handle(page: Page) -> None:
 @pytest.mark.parametrize("index", [PICTURES, LIGHT])
 def test_a_saved_picture_has_the_labels_and_lines_of_the_screen(page: Page, index: int) -> None:
     page.page.evaluate(f"metapp.open({index})")
-    page.sized(300, 160)
+    page.resize(300, 160)
     page.set(**({"view": "flat"} if index == LIGHT else {}), show="wipe", wipe=0.5)
     page.settle()
     label = page.page.locator(".view .label:visible").first
     assert label.inner_text() in ("reference | fit", "Reference | fit")
     seen = np.asarray(Image.open(io.BytesIO(page.page.locator("#stage").screenshot())).convert("RGB"), np.float64)
-    plain, saved = (decoded(page.page.evaluate(f"metapp.{name}()")) for name in ("png", "labelled"))
+    plain, saved = (decode_in_browser(page.page.evaluate(f"metapp.{name}()")) for name in ("png", "labelled"))
     box = label.bounding_box()
     assert box
     x, y, width, height = (round(box[key]) for key in ("x", "y", "width", "height"))
@@ -223,7 +223,7 @@ def test_two_fingers_zoom_a_panorama(page: Page) -> None:
 
 
 @pytest.mark.long
-def test_what_cannot_be_drawn_makes_room_for_the_reason(page: Page) -> None:
+def test_views_that_cannot_be_drawn_show_the_reason_instead(page: Page) -> None:
     page.page.evaluate("metapp.viewer.draw = () => { throw new Error('no memory'); }; metapp.set('show', 'one')")
     page.page.wait_for_selector(".problem:not([hidden])")
     assert page.page.inner_text(".problem") == "This view cannot be drawn: no memory"
@@ -252,7 +252,7 @@ def test_a_view_comes_back_after_the_browser_stopped_webgl(page: Page) -> None:
     page.settle()
     assert kinds(page) == ("light", 1)
     assert page.page.evaluate("metapp.settings.exposure") == 1.5
-    assert_alike(page.screenshot(), before)
+    assert_pictures_match(page.screenshot(), before)
 
 
 @pytest.mark.long
@@ -263,9 +263,9 @@ def test_another_light_map_is_read_or_refused(page: Page) -> None:
         await metapp.viewer.readLight(new File([Uint8Array.from(bytes)], "a.hdr"));
         return [metapp.viewer.light.size.x, document.querySelector(".said").textContent];
     }"""
-    width, said = page.page.evaluate(read, [*head.encode()][:20])
+    width, output = page.page.evaluate(read, [*head.encode()][:20])
     assert width == 16
-    assert said.startswith("a.hdr is no light map of Radiance (.hdr): ")
+    assert output.startswith("a.hdr is no light map of Radiance (.hdr): ")
     assert page.page.evaluate(read, [*head.encode(), *rows]) == [8, "Light map: a.hdr"]
     page.settle()
 
@@ -287,15 +287,15 @@ def read_data(text: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.uint8])
-def test_arrays_come_back(dtype: torch.dtype) -> None:
+def test_arrays_survive_encoding_in_the_page(dtype: torch.dtype) -> None:
     values = (100 * torch.rand(3, 5, 2)).to(dtype)
-    told = encode_array(values.transpose(0, 1))
-    read = np.frombuffer(zlib.decompress(base64.b64decode(told["data"])), told["type"]).reshape(told["shape"])
+    encoded = encode_array(values.transpose(0, 1))
+    read = np.frombuffer(zlib.decompress(base64.b64decode(encoded["data"])), encoded["type"]).reshape(encoded["shape"])
     assert np.array_equal(read, values.transpose(0, 1).numpy())
 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
-def test_pictures_come_back_to_half_a_step(channels: int) -> None:
+def test_pictures_survive_encoding_within_half_a_level(channels: int) -> None:
     pixels = torch.rand(6, 7, channels)
     address = display_png_url(pixels)
     image = Image.open(io.BytesIO(base64.b64decode(address.partition("base64,")[2])))
@@ -303,7 +303,7 @@ def test_pictures_come_back_to_half_a_step(channels: int) -> None:
     assert np.abs(read - pixels.numpy()).max() <= 0.5 / 255 + 1e-6
 
 
-def test_the_page_holds_everything_and_names_nothing_elsewhere() -> None:
+def test_page_is_self_contained_and_names_no_other_address() -> None:
     text = viewer_html(page_of(View("pictures")))
     for tag in re.findall(r"<(?:script|link|img|iframe)[^>]*>", text):
         assert "src=" not in tag
@@ -313,7 +313,7 @@ def test_the_page_holds_everything_and_names_nothing_elsewhere() -> None:
     assert {f"VIEWERS.{kind}" for kind in VIEWER_KINDS} <= set(re.findall(r"VIEWERS\.\w+", text))
 
 
-def test_no_text_of_a_user_ends_or_starts_an_element() -> None:
+def test_texts_of_users_are_escaped_in_the_page() -> None:
     name = "</script><script>alert(1)</script><!--"
     data = page_of(View("pictures", facts={"note": name}), name)
     text = viewer_html(data)
@@ -331,7 +331,7 @@ def test_a_page_is_written_whatever_its_names_are(tmp_path: Path) -> None:
     assert "<title>\\ud800</title>" in text
 
 
-def test_what_fits_share_stands_once() -> None:
+def test_data_that_fits_share_are_stored_once() -> None:
     shared = {"light": torch.rand(64, 128, 3)}
     one = View("pictures", shared=shared)
     data = page_document("metapp", [FitGroup(name, "BRDF", [one] * 3) for name in "ab"])

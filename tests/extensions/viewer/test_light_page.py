@@ -1,4 +1,4 @@
-"""Light maps on the page: what is kept of them, and its pictures, which are metapp's."""
+"""Environment maps on pages of `metapp view`: what is stored of them, and pictures, which agree with metapp's."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from metapp.extensions.viewer.pages import illumination as pages
 from metapp.extensions.viewer.view import make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
-from tests.browser import LEGEND, Page, assert_alike, false_colours
+from tests.browser import LEGEND_PX, Page, assert_pictures_match, error_colours
 
 ROWS = 64
 GAP = 6  # px between panes
@@ -59,20 +59,20 @@ class Fitted(Illumination):
 
 
 @pytest.fixture
-def fitted() -> Tensor:
+def fitted_map() -> Tensor:
     """The map that the fits have."""
     return LIGHT.clone()
 
 
 def shown(protocol: str) -> tuple[Illumination, Params]:
     app = Fitted(FIELD, protocol=protocol)
-    return app, {key: each[0] for key, each in app.init(Generator().manual_seed(0), 1).items()}
+    return app, {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
 
 
-def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted: Tensor) -> None:
+def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted_map: Tensor) -> None:
     app, theta = shown("reference")
     view = make_view(presenter_of(app), theta, task_of(lamps(2)))
-    scale, light = view.facts["scale"], fitted.permute(1, 2, 0)
+    scale, light = view.facts["scale"], fitted_map.permute(1, 2, 0)
     kept = view.arrays["map"].float() * scale
     torch.testing.assert_close(kept, light / light.mean(), rtol=1e-3, atol=1e-6)  # as tone-mapped PNGs
     reference = view.arrays["reference"].float() * scale
@@ -98,38 +98,38 @@ def test_suns_beyond_half_floats_are_kept() -> None:
     torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)
 
 
-def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor) -> None:
+def test_large_maps_are_averaged_and_the_page_says_so(fitted_map: Tensor) -> None:
     app, theta = shown("reference")
     view = pages.make_illumination_view(presenter_of(app), theta, task_of(lamps(2)), largest=(16, 32))
     small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]
-    torch.testing.assert_close(small, resample_maps(fitted / fitted.mean(), 16, 32), rtol=1e-3, atol=1e-6)
+    torch.testing.assert_close(small, resample_maps(fitted_map / fitted_map.mean(), 16, 32), rtol=1e-3, atol=1e-6)
     assert view.facts["note"] == (
         "The map has 64 x 128 texels; this page shows 16 x 32 texels. The reference is averaged to the 16 x 32 texels "
         "of the fit."
     )
 
 
-def test_a_mirror_is_shown_as_its_photo_was_exposed(fitted: Tensor) -> None:
+def test_a_mirror_is_shown_as_its_photo_was_exposed(fitted_map: Tensor) -> None:
     app, theta = shown("photo")
-    view = make_view(presenter_of(app), theta, task_of(fitted))
+    view = make_view(presenter_of(app), theta, task_of(fitted_map))
     inside = sphere_normals(64)[0][2] > 0.5
     assert (view.pictures["photo"] - view.pictures["ball"])[inside].abs().mean() < 0.005
     with pytest.raises(KeyError, match="photos"):
         make_view(presenter_of(app), theta, Task("lamps", {}))
 
 
-def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor) -> None:
+def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted_map: Tensor) -> None:
     app, theta = shown("photo")
-    task = task_of(fitted)
+    task = task_of(fitted_map)
     task = task._replace(data={"photos": task.data["photos"]})
     theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
     ball = make_view(presenter_of(app), theta, task).pictures["ball"].permute(2, 0, 1)
-    target = app.render_ball({key: each[None] for key, each in theta.items()}, fitted[None], LOSS_PHOTO_PX)[0]
+    target = app.render_ball({key: value[None] for key, value in theta.items()}, fitted_map[None], LOSS_PHOTO_PX)[0]
     inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // LOSS_PHOTO_PX)[0] > 0.999
     assert (avg_pool2d(ball, 64 // LOSS_PHOTO_PX) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
 
 
-def test_what_a_gloss_reflects_at_normal_incidence() -> None:
+def test_albedo_of_the_roughest_lobe_at_normal_incidence_is_1_minus_ln_2() -> None:
     """1 - ln 2 where alpha is 1, the integral of Smith's masking."""
     assert float(pages.lobe_albedos(1.0, 64)[-1]) == pytest.approx(1 - math.log(2), abs=0.005)
 
@@ -157,37 +157,37 @@ def coarse(picture: np.ndarray | Tensor) -> Tensor:
 
 
 @pytest.mark.long
-def test_the_flat_map_is_that_of_the_png(opened_on: Callable, fitted: Tensor, scene: Path) -> None:
+def test_flat_view_shows_the_map_as_the_png_does(opened_on: Callable, fitted_map: Tensor, second_scene: Path) -> None:
     page, (app, theta) = opened_on("reference", lamps(2)), shown("reference")
-    page.sized(2 * ROWS, ROWS)
+    page.resize(2 * ROWS, ROWS)
     page.set(view="flat", show="fit")
     page.settle()
     pixels = presenter_of(app).pictures(theta, task_of(lamps(2)))["map"].pixels
     toned = tone_map(pixels / pixels.mean())
-    assert_alike(page.screenshot(), toned)
+    assert_pictures_match(page.screenshot(), toned)
     page.set(exposure=2.0)
     page.settle()
-    assert_alike(page.screenshot(), tone_map(4 * pixels / pixels.mean()))
+    assert_pictures_match(page.screenshot(), tone_map(4 * pixels / pixels.mean()))
     page.set(exposure=0.0, show="wipe", wipe=0.25)
     page.settle()
     seen, reference = page.screenshot(), tone_map(lamps(2).permute(1, 2, 0) * 3 / pixels.mean())
-    assert_alike(seen[:, :32], reference[:, :32])
-    assert_alike(seen[:, 32:], toned[:, 32:])
-    page.sized(2 * ROWS, ROWS + LEGEND)
+    assert_pictures_match(seen[:, :32], reference[:, :32])
+    assert_pictures_match(seen[:, 32:], toned[:, 32:])
+    page.resize(2 * ROWS, ROWS + LEGEND_PX)
     page.set(show="difference", scale=0.3)
     page.settle()
     apart = (toned - reference).abs().mean(-1)
-    assert_alike(page.screenshot()[:ROWS], false_colours(apart.numpy(), 0.3))
+    assert_pictures_match(page.screenshot()[:ROWS], error_colours(apart.numpy(), 0.3))
     (numbers,) = page.page.evaluate("metapp.viewer.numbers")
     assert numbers["mean"] == pytest.approx(float(apart.mean()), rel=0.02)
 
 
 @pytest.mark.long
-def test_a_panorama_looks_where_it_is_turned(opened_on: Callable, fitted: Tensor) -> None:
+def test_a_panorama_looks_where_it_is_turned(opened_on: Callable, fitted_map: Tensor) -> None:
     """The middle of the view is the map's texel there, and the turn to the right goes right in the map."""
     page = opened_on("reference", lamps(2))
-    page.sized(64, 64)
-    toned = tone_map(fitted / fitted.mean())
+    page.resize(64, 64)
+    toned = tone_map(fitted_map / fitted_map.mean())
     page.set(view="around", show="fit")
     for heading, pitch in ((0, 0), (70, 40), (-150, -60)):
         page.set(heading=heading, pitch=pitch, field=30)
@@ -202,9 +202,9 @@ def test_a_panorama_looks_where_it_is_turned(opened_on: Callable, fitted: Tensor
     x = (torch.arange(64) + 0.5) / 32 - 1
     across = (0.5 + torch.atan(x * np.tan(np.pi / 6)) / (2 * np.pi)) * 2 * ROWS - 0.5
     low, share = across.floor().long(), across - across.floor()
-    middle = (fitted / fitted.mean())[:, 31:33].mean(1)
-    wanted = tone_map(torch.lerp(middle[:, low], middle[:, low + 1], share))
-    np.testing.assert_allclose(row, wanted.T.numpy(), atol=0.02)
+    middle = (fitted_map / fitted_map.mean())[:, 31:33].mean(1)
+    expected = tone_map(torch.lerp(middle[:, low], middle[:, low + 1], share))
+    np.testing.assert_allclose(row, expected.T.numpy(), atol=0.02)
     page.page.locator("#stage canvas").first.dispatch_event("wheel", {"deltaY": -300})
     assert page.page.evaluate("metapp.settings.field") < 60
     mouse = page.page.mouse
@@ -217,34 +217,36 @@ def test_a_panorama_looks_where_it_is_turned(opened_on: Callable, fitted: Tensor
 
 
 @pytest.mark.long
-def test_spheres_are_lit_as_in_metapps_pictures(opened_on: Callable, fitted: Tensor) -> None:
+def test_spheres_are_lit_as_in_metapps_pictures(opened_on: Callable, fitted_map: Tensor) -> None:
     page = opened_on("reference", lamps(2))
-    page.sized(64, 64)
+    page.resize(64, 64)
     page.page.evaluate("metapp.viewer.most = () => metapp.settings.shape === 'mirror' ? 16 : 64")
     inside = sphere_normals(64)[0][2] > 0.25
     pictures = {
-        "fit": render_spheres(fitted[None] / fitted.mean()),
-        "reference": render_spheres(lamps(2)[None] / fitted.mean()),
+        "fit": render_spheres(fitted_map[None] / fitted_map.mean()),
+        "reference": render_spheres(lamps(2)[None] / fitted_map.mean()),
     }
     for name in SPHERE_NAMES:
         page.set(view="picture", shape=name)
         for which, lit in pictures.items():
             page.set(show=which)
             page.settle()
-            seen, wanted = page.screenshot(), tone_map(lit[name][0].permute(1, 2, 0))
+            seen, expected = page.screenshot(), tone_map(lit[name][0].permute(1, 2, 0))
             if name == "mirror":
-                assert_alike(seen, wanted, inside)
+                assert_pictures_match(seen, expected, inside)
             else:  # noise, of which more frames would leave less, averages out
-                assert_alike(coarse(seen).numpy(), coarse(wanted), coarse(inside[..., None].float())[..., 0] > 0.999)
+                assert_pictures_match(
+                    coarse(seen).numpy(), coarse(expected), coarse(inside[..., None].float())[..., 0] > 0.999
+                )
 
 
 @pytest.mark.long
-def test_a_photo_stands_beside_the_fits_ball(opened_on: Callable, fitted: Tensor) -> None:
-    page = opened_on("photo", fitted)
-    page.sized(2 * 64 + GAP, 64)
+def test_a_photo_stands_beside_the_fits_ball(opened_on: Callable, fitted_map: Tensor) -> None:
+    page = opened_on("photo", fitted_map)
+    page.resize(2 * 64 + GAP, 64)
     page.set(view="ball")
     page.settle()
-    seen, photo = page.screenshot(), task_of(fitted).data["photos"][0].permute(1, 2, 0) / 255
+    seen, photo = page.screenshot(), task_of(fitted_map).data["photos"][0].permute(1, 2, 0) / 255
     inside = sphere_normals(64)[0][2] > 0.5
     # it fills 0.96 of its pane
     place = ((torch.arange(64) + 0.5 - 32) / 0.96 + 32).long().clamp(0, 63)

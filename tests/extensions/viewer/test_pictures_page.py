@@ -1,4 +1,4 @@
-"""Pictures on the page: they are metapp's, to the texel, and wipe, difference, tiles and errors are of them."""
+"""Pictures on pages of `metapp view`: they agree with metapp's to the texel, and so do the comparisons."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,8 +28,8 @@ from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
 from metapp.rendering.scenes.stored_text import encode_scene
 from metapp.runs.outputs.fit_files import write_pictures
-from tests.browser import LEGEND, Page, assert_alike, browsing, false_colours
-from tests.extensions.viewer.conftest import written
+from tests.browser import LEGEND_PX, Page, assert_pictures_match, error_colours, open_browser
+from tests.extensions.viewer.conftest import write_view_page
 from tests.needs_mitsuba import needs_mitsuba
 
 SIZE = 32
@@ -62,14 +62,14 @@ LIGHT = {"reference": light_of(0, 0.0), "noisy": light_of(1, 0.3), "noisier": li
 
 
 def lit() -> View:
-    """As views of scenes are: a reference, and two pictures."""
+    """Return a view as scenes have it: a reference and two pictures."""
     pictures = [{"title": name, "name": name} for name in LIGHT]
     facts = {"pictures": pictures, "reference": "reference", "notes": ["Rendered here."]}
     return View("pictures", {name: light.half() for name, light in LIGHT.items()}, {}, facts)
 
 
 def in_rows() -> View:
-    """As views of scenes are, with a part, a curve and an error map."""
+    """Return views as scenes have them, with a part, a curve and an error map."""
     region, chart = (
         [8, 12, 16, 12],
         {"x": "s", "y": "MAPE", "lines": [{"label": "noisy", "points": [[1, 1], [4, 0.5]]}]},
@@ -89,7 +89,7 @@ def in_rows() -> View:
 def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
     theta, task = theta_of(), exemplar_of()
     view = make_view(presenter_of(SHOWN), theta, task)
-    assert [(each["title"], each["tiles"]) for each in view.facts["pictures"]] == [
+    assert [(picture["title"], picture["tiles"]) for picture in view.facts["pictures"]] == [
         ("exemplar", "seams"),
         ("fit", "whole"),
         ("image quilting", "seams"),
@@ -102,7 +102,7 @@ def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
         tuple(texel) for texel in exemplar.reshape(-1, 3).tolist()
     }
     alone = make_view(presenter_of(SHOWN), theta, Task("bark", {}))
-    assert [each["title"] for each in alone.facts["pictures"]] == ["fit"]
+    assert [picture["title"] for picture in alone.facts["pictures"]] == ["fit"]
 
 
 @pytest.mark.long
@@ -114,11 +114,11 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
     task = Task("room", {"scene": encode_scene(random_scene(0))})
     theta = {key: value[0] for key, value in flow.init(Generator().manual_seed(0), 1).items()}
     view = pages.make_scene_view(flow, theta, task, effort)
-    shown = {each["title"]: each for each in view.facts["pictures"]}
+    shown = {picture["title"]: picture for picture in view.facts["pictures"]}
     names = ("reference", REGULAR, pages.GUIDED_LABEL)
     worst = [f"worst region x4, {name}" for name in names]
     assert list(shown) == [*names, *worst, "error by time", f"error, {REGULAR}", f"error, {pages.GUIDED_LABEL}"]
-    assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
+    assert {tuple(array.shape) for array in view.arrays.values()} == {(16, 16, 3)}
     light = {name: view.arrays[name].float().permute(2, 0, 1)[None] for name in names}
     assert float(light["reference"].mean()) == pytest.approx(1, rel=1e-3)
     for line in shown["error by time"]["chart"]["lines"]:
@@ -131,15 +131,18 @@ def test_a_scene_is_shown_in_equal_time_and_traced_once(monkeypatch: pytest.Monk
 
 
 def test_the_time_to_an_equal_error_is_between_measurements() -> None:
-    """On a log scale: errors go with the root of time, so a guide of half the error needs a quarter of it."""
+    """Times are interpolated on a log scale.
+
+    Errors go with the root of time, so a guide of half the error needs a quarter of it.
+    """
     seconds, one = torch.tensor([1.0, 4.0, 16.0]), torch.zeros(3, 4, 4)
     regular = pages.RenderingProgress(one, seconds, seconds**-0.5, torch.tensor(16))
     guided = pages.RenderingProgress(one, seconds, 0.75 * seconds**-0.5, torch.tensor(16))
-    said, level = pages.compare_at_equal_error(regular, guided)
+    output, level = pages.compare_at_equal_error(regular, guided)
     assert level == 0.25
-    assert said == "To a MAPE of 0.25: regular 16 s, guided by the fit 9 s, 0.56 of the time."
-    said, _ = pages.compare_at_equal_error(guided, regular)
-    assert said.endswith("1.8 times as long.")
+    assert output == "To a MAPE of 0.25: regular 16 s, guided by the fit 9 s, 0.56 of the time."
+    output, _ = pages.compare_at_equal_error(guided, regular)
+    assert output.endswith("1.8 times as long.")
 
 
 def test_the_worst_region_is_where_errors_are_greatest() -> None:
@@ -158,8 +161,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """A texture by two fits, and lights by one."""
     views = [make_view(presenter_of(SHOWN), theta_of(seed), exemplar_of()) for seed in (0, 1)]
     textures = [view._replace(label=f"seed {seed}", caption="error 0.1") for seed, view in enumerate(views)]
-    file = written(tmp_path_factory.mktemp("page"), textures[:1], textures, lit(), in_rows())
-    with browsing() as browser:
+    file = write_view_page(tmp_path_factory.mktemp("page"), textures[:1], textures, lit(), in_rows())
+    with open_browser() as browser:
         opened = Page(browser, file)
         yield opened
         assert opened.problems == []
@@ -171,14 +174,14 @@ FIRST = {"show": "all", "scale": 0.2, "exposure": 0, "tiles": 1, "seams": False,
 def seen(page: Page, group: int, size: tuple[int, int], **settings: Any) -> np.ndarray:
     """A group at a size, width and height in px; what settings do not name is as at first."""
     page.page.evaluate(f"metapp.open({group})")
-    page.sized(*size)
+    page.resize(*size)
     page.set(**(FIRST | settings))
     page.settle()
     return page.screenshot()
 
 
 def pixels_of(picture: Tensor) -> np.ndarray:
-    """As a PNG of 8 bits has them."""
+    """Return display values as a PNG of 8 bits stores them."""
     pixels: np.ndarray = (np.clip(picture.numpy(), 0, 1) * 255 + 0.5).astype(np.uint8) / 255
     return pixels
 
@@ -186,7 +189,7 @@ def pixels_of(picture: Tensor) -> np.ndarray:
 def assert_same_as_file(screen: np.ndarray, picture: Picture, folder: Path) -> None:
     write_pictures({"picture": picture}, folder)
     file = np.asarray(Image.open(folder / "picture.png").convert("RGB")) / 255
-    assert_alike(screen, file)
+    assert_pictures_match(screen, file)
 
 
 @pytest.mark.long
@@ -213,22 +216,22 @@ def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
 
 
 @pytest.mark.long
-def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
+def test_wipe_and_difference_compare_the_chosen_pictures(page: Page) -> None:
     pictures = {
-        name: pixels_of(each)
-        for name, each in make_view(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures.items()
+        name: pixels_of(picture)
+        for name, picture in make_view(presenter_of(SHOWN), theta_of(), exemplar_of()).pictures.items()
     }
     fit, exemplar = pictures["fit"], np.tile(pictures["exemplar"], (FILE_SIDE_TIMES, FILE_SIDE_TIMES, 1))
     pair = {"left": "fit", "right": "exemplar", "zoom": 0}
     screen = seen(page, 0, (WHOLE, WHOLE), show="wipe", wipe=0.25, **pair)
     cut = WHOLE // 4
     assert np.abs(screen - np.concatenate([fit[:, :cut], exemplar[:, cut:]], 1)).max() < 0.5 / 255
-    differs = seen(page, 0, (SIZE, SIZE + LEGEND), show="difference", scale=0.5, **pair)
+    differs = seen(page, 0, (SIZE, SIZE + LEGEND_PX), show="difference", scale=0.5, **pair)
     apart = np.abs(fit[:SIZE, :SIZE] - pictures["exemplar"]).mean(-1)
-    assert np.abs(differs[:SIZE] - false_colours(apart, 0.5)).max() < 1.01 / 255
-    told = page.page.locator(".scale:not([hidden])").get_attribute("aria-label")
-    assert told.startswith("|left \u2212 right| of display values: colours from 0 to 50 %; mean ")
-    assert f"mean {100 * apart.mean():.3g} %" in told
+    assert np.abs(differs[:SIZE] - error_colours(apart, 0.5)).max() < 1.01 / 255
+    label = page.page.locator(".scale:not([hidden])").get_attribute("aria-label")
+    assert label.startswith("|left \u2212 right| of display values: colours from 0 to 50 %; mean ")
+    assert f"mean {100 * apart.mean():.3g} %" in label
 
 
 @pytest.mark.long
@@ -254,11 +257,11 @@ def test_texels_are_squares_that_stay_under_the_pointer(page: Page) -> None:
 
 
 @pytest.mark.long
-def test_errors_are_those_of_metrics(page: Page) -> None:
+def test_errors_on_the_page_agree_with_metrics(page: Page) -> None:
     seen(page, 2, (200, 200), show="error")
     labels = page.page.locator(".label").all_text_contents()
     for name in ("noisy", "noisier"):
-        expected = float(mape(*(LIGHT[each].permute(2, 0, 1)[None] for each in (name, "reference"))))
+        expected = float(mape(*(LIGHT[title].permute(2, 0, 1)[None] for title in (name, "reference"))))
         assert f"{name}, MAPE {expected:.3g}" in labels
 
 
@@ -266,7 +269,7 @@ def test_errors_are_those_of_metrics(page: Page) -> None:
 def test_errors_parts_and_curves_stand_in_rows(page: Page) -> None:
     """The error map has its scale; the enlarged part is what the region holds."""
     page.page.evaluate("metapp.open(3)")
-    page.sized(400, 400 + 3 * LEGEND)
+    page.resize(400, 400 + 3 * LEGEND_PX)
     page.set(show="all", zoom=-6, most=1)
     page.settle()
     places = page.page.evaluate("metapp.viewer.panels.map(({ titles: [title], x, y }) => [title, x > 0, y > 0])")
@@ -277,8 +280,8 @@ def test_errors_parts_and_curves_stand_in_rows(page: Page) -> None:
         ["curve", True, True],
         ["error", True, True],  # in the middle of its row
     ]
-    told = page.page.locator(".scale:not([hidden])").evaluate_all("all => all.map((each) => each.ariaLabel)")
-    assert told == ["|picture \u2212 reference| / reference: colours from 0 to 100 %"]
+    label = page.page.locator(".scale:not([hidden])").evaluate_all("all => all.map((each) => each.ariaLabel)")
+    assert label == ["|picture \u2212 reference| / reference: colours from 0 to 100 %"]
     middle = "const { x, y, width, height } = metapp.viewer.panels[2], place = [x + width / 2, y + height / 2]"
     found = "const at = metapp.viewer.pick(place), i = 3 * (at.y * at.raster.width + at.x)"
     x, y, value = page.page.evaluate(f"(() => {{ {middle}; {found}; return [at.x, at.y, at.raster.radiance[i]]; }})()")
@@ -288,7 +291,7 @@ def test_errors_parts_and_curves_stand_in_rows(page: Page) -> None:
 
 
 @pytest.mark.long
-def test_fits_share_what_they_have_in_common_and_their_place(page: Page) -> None:
+def test_fits_side_by_side_share_the_exemplar_and_the_viewed_place(page: Page) -> None:
     seen(page, 1, (606, 406), zoom=1, x=5)
     labels = page.page.locator(".label:not(.pointed)").all_text_contents()
     assert labels == ["exemplar", "seed 0: fit", "image quilting", "seed 1: fit"]

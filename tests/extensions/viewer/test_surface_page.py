@@ -1,4 +1,4 @@
-"""Maps of flat materials on the page: they are the fit's, and its pictures are metapp's."""
+"""Material maps on pages of `metapp view`: they are the fit's, and pictures agree with metapp's."""
 
 import functools
 import math
@@ -33,8 +33,8 @@ from metapp.extensions.viewer.pages.flat import LitPicture, make_surface_view
 from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
-from tests.browser import assert_alike
-from tests.surfaces import rock
+from tests.browser import assert_pictures_match
+from tests.surfaces import rock_surface
 
 SIDE = 16  # of exemplars, and of fields; the maps of the first are four times as large
 STEP = 1 / 255
@@ -62,7 +62,7 @@ def nonstationary() -> tuple[SvbrdfNonstationary, Params, Task]:
         "maps": 0.2 * torch.randn(9, SIDE, SIDE, generator=seeded()),
         "flash": torch.randn(4, PHOTOS, generator=seeded(1)),
     }
-    maps = rock(64, tiles=False).maps
+    maps = rock_surface(64, tiles=False).maps
     assert maps is not None
     task = make_svbrdf_task("rock", pack_maps(maps))
     places = torch.tensor([[0.0, 0, 1], [0.3, 0.2, 1.1], [-0.4, 0.1, 0.9]]) * camera_distance()
@@ -112,7 +112,7 @@ def test_a_view_holds_the_maps_that_are_written() -> None:
 def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None:
     shown, theta, task = nonstationary()
     view, files = make_view(presenter_of(shown), theta, task), presenter_of(shown).pictures(theta, task)
-    truth = rock(64, tiles=False).maps
+    truth = rock_surface(64, tiles=False).maps
     assert truth is not None
     assert_same(maps_in(view, "reference"), truth)
     maps, lit = maps_in(view), view.facts["lit"]
@@ -135,23 +135,23 @@ def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None
 
 
 def test_heights_of_normals_do_not_drift_over_a_map() -> None:
-    """Of a dome with a wave the wave is left; heights that a fit has stay as they are."""
+    """The wave on a dome remains and the dome does not; heights that a fit has stay as they are."""
     y, x = torch.meshgrid(torch.linspace(-1, 1, 64), torch.linspace(-1, 1, 64), indexing="ij")
     wave = 0.004 * torch.sin(40 * x)
     slopes = torch.gradient(wave + 0.2 * (1 - x * x - 0.5 * y * y + 0.3 * x), spacing=2 / 63)
     normal = normalize(torch.stack([-slopes[1], slopes[0], torch.ones(64, 64)]), dim=0)
-    one = torch.ones(1, 64, 64)
-    maps = Maps(one.expand(3, -1, -1), one, one, normal)
+    ones = torch.ones(1, 64, 64)
+    maps = Maps(ones.expand(3, -1, -1), ones, ones, normal)
     view = make_surface_view(Surface(maps.diffuse, False, maps), [])
     heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"][..., 0])
     torch.testing.assert_close(heights[8:-8, 8:-8], (wave / 2)[8:-8, 8:-8], atol=1e-3, rtol=0)
-    known = make_surface_view(Surface(maps.diffuse, False, maps, one * torch.linspace(0, 6.4, 64)), [])
+    known = make_surface_view(Surface(maps.diffuse, False, maps, ones * torch.linspace(0, 6.4, 64)), [])
     assert np.ptp(known.facts["heights"]) == pytest.approx(0.1, abs=1e-6)
 
 
 def test_large_maps_are_reduced() -> None:
-    """To means of texels; heights stay as they are in widths of the texture."""
-    large = rock(128)
+    """Texels are averaged; heights in widths of the texture stay the same."""
+    large = rock_surface(128)
     view = make_surface_view(large, [], largest=64)
     assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])
     assert large.maps is not None
@@ -168,65 +168,65 @@ def test_large_maps_are_reduced() -> None:
 
 
 @pytest.mark.long
-def test_the_screen_shows_rocks_fit_and_reference(open_page: Callable) -> None:
+def test_screen_shows_fit_and_reference_of_the_rock_surface(open_page: Callable) -> None:
     """Of glossy metal and stone; the reference is the photograph under its flash, which lies aside, else true maps."""
-    fit, truth = rock(64), rock(64, tiles=False).maps
+    fit, truth = rock_surface(64), rock_surface(64, tiles=False).maps
     assert fit.maps is not None
     assert truth is not None
     light, eye = torch.tensor([0.3, -0.2, 2.0]), torch.tensor([-0.1, 0.4, 2.2])
     photo = torch.rand(3, 64, 64, generator=seeded())
     truth = truth._replace(roughness=0.5 * truth.roughness)
     page = open_page(make_surface_view(fit, [LitPicture(light, eye, 0.7, photo, 0.5)], falloff=2, reference=truth))
-    page.sized(64, 64)
+    page.resize(64, 64)
     page.set(view="picture", pictured="photo_1", show="reference")
     page.settle()
-    assert_alike(page.screenshot(), radiance_to_display(photo).movedim(0, -1).numpy())
+    assert_pictures_match(page.screenshot(), radiance_to_display(photo).movedim(0, -1).numpy())
     page.set(pictured="above")
     page.settle()
-    wanted = radiance_to_display(
+    expected = radiance_to_display(
         render_maps(truth, texel_positions(64, 64), *relighting_positions()["above"], falloff=2)
     )
-    assert_alike(page.screenshot(), wanted.movedim(0, -1).numpy())
+    assert_pictures_match(page.screenshot(), expected.movedim(0, -1).numpy())
     page.set(show="fit", map="normal")
     page.settle()
-    assert_alike(page.screenshot(), (fit.maps.normal / 2 + 0.5).movedim(0, -1).numpy())
+    assert_pictures_match(page.screenshot(), (fit.maps.normal / 2 + 0.5).movedim(0, -1).numpy())
     page.set(map="lit", pictured="photo_1")
-    page.sized(32, 32)  # a texel a pixel
+    page.resize(32, 32)  # a texel a pixel
     page.settle()
-    part = Maps(*(each[:, :32, :32] for each in fit.maps))
-    wanted = radiance_to_display(render_maps(part, texel_positions(32, 32), light, eye, intensity=0.7, falloff=2))
-    assert_alike(page.screenshot(), wanted.movedim(0, -1).numpy())
+    part = Maps(*(part[:, :32, :32] for part in fit.maps))
+    expected = radiance_to_display(render_maps(part, texel_positions(32, 32), light, eye, intensity=0.7, falloff=2))
+    assert_pictures_match(page.screenshot(), expected.movedim(0, -1).numpy())
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("tiles", [True, False])
 def test_copies_tile_or_are_mirrored(tiles: bool, open_page: Callable) -> None:
-    page = open_page(make_surface_view(rock(64, tiles=tiles), []))
-    page.sized(134, 134)  # where the plane is 100 px wide
+    page = open_page(make_surface_view(rock_surface(64, tiles=tiles), []))
+    page.resize(134, 134)  # where the plane is 100 px wide
     page.set(map="normal", repeats=2, relief=0)
     page.settle()
     plane = page.screenshot()[17:117, 17:117]
     copies = plane[:50, :50], plane[:50, 50:], plane[50:, :50]
-    first, right, below = (each[4:-4, 4:-4] for each in copies)
+    first, right, below = (picture[4:-4, 4:-4] for picture in copies)
     mirrored = (  # what leans to the right leans to the left in the mirror
         np.concatenate([1 - first[:, ::-1, :1], first[:, ::-1, 1:]], -1),
         np.concatenate([first[::-1, :, :1], 1 - first[::-1, :, 1:2], first[::-1, :, 2:]], -1),
     )
     for copy, in_mirror in zip((right, below), mirrored, strict=True):
-        apart = [float(np.abs(copy - each).mean()) for each in (first, in_mirror)]
+        apart = [float(np.abs(copy - tile).mean()) for tile in (first, in_mirror)]
         assert apart[tiles] > 4 * apart[not tiles]
 
 
 @pytest.mark.long
 def test_a_light_map_lights_tilted_normals(open_page: Callable) -> None:
     """A uniform map makes of a material what the hemisphere above the surface sends through it."""
-    one = torch.ones(1, 8, 8)
-    normal = normalize(torch.tensor([0.4, -0.2, 1.0]), dim=0)[:, None, None] * one
-    maps = Maps(0.4 * one.expand(3, -1, -1), 0.3 * one, 0.3 * one, normal)
-    view = make_surface_view(Surface(maps.diffuse, True, maps, one), [])
+    ones = torch.ones(1, 8, 8)
+    normal = normalize(torch.tensor([0.4, -0.2, 1.0]), dim=0)[:, None, None] * ones
+    maps = Maps(0.4 * ones.expand(3, -1, -1), 0.3 * ones, 0.3 * ones, normal)
+    view = make_surface_view(Surface(maps.diffuse, True, maps, ones), [])
     white = view._replace(shared={"light": torch.ones(8, 16, 3).half()})
     page = open_page(white)
-    page.sized(48, 48)
+    page.resize(48, 48)
     page.set(light="map", relief=0)
     page.page.evaluate("metapp.viewer.most = () => 96")
     page.settle()
@@ -241,7 +241,7 @@ def white_light(maps: Maps) -> Tensor:
     phi = (torch.arange(columns) + 0.5) * (math.tau / columns)
     radius = (1 - z * z).sqrt()[:, None]
     wi = torch.stack([radius * phi.cos(), radius * phi.sin(), z[:, None].expand(rows, columns)])
-    texel = Maps(*(each[:, :1, :1] for each in maps))
+    texel = Maps(*(part[:, :1, :1] for part in maps))
     wo = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     cosine = (wi * texel.normal).sum(0).clamp_min(0)
     return (evaluate_brdf(texel, wi, wo.expand_as(wi)) * cosine).sum((1, 2)) * (math.tau / (rows * columns))
@@ -250,15 +250,15 @@ def white_light(maps: Maps) -> Tensor:
 @pytest.mark.long
 def test_a_fitted_light_of_the_page_lights_materials(open_page: Callable) -> None:
     """The studio is white here, the fitted map red; the later of two choices counts."""
-    one = torch.ones(1, 8, 8)
-    up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * one
-    maps = Maps(0.4 * one.expand(3, -1, -1), 0.04 * one, 0.6 * one, up)
-    material = make_surface_view(Surface(maps.diffuse, True, maps, one), [])
+    ones = torch.ones(1, 8, 8)
+    up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
+    maps = Maps(0.4 * ones.expand(3, -1, -1), 0.04 * ones, 0.6 * ones, up)
+    material = make_surface_view(Surface(maps.diffuse, True, maps, ones), [])
     material = material._replace(shared={"light": torch.ones(8, 16, 3).half()})
     red = torch.tensor([1.0, 0.0, 0.0]).expand(8, 16, 3).half()
     light = View("light", {"map": red}, facts={"scale": 1.0, "note": ""})
     page = open_page(material, light)
-    page.sized(48, 48)
+    page.resize(48, 48)
     page.page.evaluate("metapp.viewer.most = () => 64")
     assert page.page.evaluate("metapp.viewer.environments()") == [["studio", "Studio"], ["1", "fit 1"]]
     colours = []
@@ -275,14 +275,14 @@ def test_a_fitted_light_of_the_page_lights_materials(open_page: Callable) -> Non
 
 
 @pytest.mark.long
-def test_what_stands_out_casts_a_shadow(open_page: Callable) -> None:
+def test_raised_parts_cast_shadows(open_page: Callable) -> None:
     """A ridge of height 0.1 under a lamp at 45 degrees on its left: the shadow is as long as the ridge is high."""
-    one, height = torch.ones(1, 256, 256), torch.zeros(1, 256, 256)
+    ones, height = torch.ones(1, 256, 256), torch.zeros(1, 256, 256)
     height[..., 118:138] = 0.1 * 256  # texels
-    flat = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * one
-    maps = Maps(0.5 * one.expand(3, -1, -1), 0.02 * one, 0.9 * one, flat)
+    flat = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
+    maps = Maps(0.5 * ones.expand(3, -1, -1), 0.02 * ones, 0.9 * ones, flat)
     page = open_page(make_surface_view(Surface(maps.diffuse, True, maps, height), []))
-    page.sized(268, 268)  # where the plane is 200 px wide
+    page.resize(268, 268)  # where the plane is 200 px wide
     far = "{ light: 'lamp', lamp: new THREE.Vector3(-1e3, 0, 1e3), power: Math.PI * 2e6 }"
     page.page.evaluate(f"metapp.viewer.lighting = () => ({far})")
     rows = {}

@@ -27,7 +27,7 @@ NETWORKS = 2
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def opened_addresses(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Addresses that the browser would open."""
     addresses: list[str] = []
     monkeypatch.setattr("webbrowser.open", addresses.append)
@@ -40,12 +40,14 @@ def groups_of(page: Path) -> list[dict[str, Any]]:
     return json.loads(found[1])["groups"]
 
 
-def test_runs_of_the_same_tasks_stand_side_by_side(metapp: Callable, fitted: Callable, opened: list[str]) -> None:
-    meta, quickft = fitted("meta"), fitted("quickft")
-    told = metapp("view", meta, quickft, "--json", "--out", "both.html").done
-    page = Path(told["page"])
-    assert (page, told["bytes"]) == (Path("both.html"), page.stat().st_size)
-    assert opened == [page.resolve().as_uri()]
+def test_runs_of_the_same_tasks_stand_side_by_side(
+    metapp: Callable, fit_networks: Callable, opened_addresses: list[str]
+) -> None:
+    meta, quickft = fit_networks("meta"), fit_networks("quickft")
+    result = metapp("view", meta, quickft, "--json", "--out", "both.html").json_result
+    page = Path(result["page"])
+    assert (page, result["bytes"]) == (Path("both.html"), page.stat().st_size)
+    assert opened_addresses == [page.resolve().as_uri()]
     groups = groups_of(page)
     assert [group["title"] for group in groups] == ["m0", "m1"]
     for group in groups:
@@ -54,34 +56,34 @@ def test_runs_of_the_same_tasks_stand_side_by_side(metapp: Callable, fitted: Cal
 
 
 def test_without_a_name_the_newest_run_is_shown(
-    metapp: Callable, fitted: Callable, opened: list[str], monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, fit_networks: Callable, opened_addresses: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = fitted("meta")
+    run = fit_networks("meta")
     top = next(folder for folder in run.resolve().parents if folder.name == "runs")
     monkeypatch.chdir(top.parent)
-    told = metapp("view", "--json").done
-    assert (top.parent / told["page"]).parent == run.resolve()
-    assert len(opened) == 1
+    result = metapp("view", "--json").json_result
+    assert (top.parent / result["page"]).parent == run.resolve()
+    assert len(opened_addresses) == 1
     monkeypatch.chdir(run)
     assert metapp("view").error.startswith("error: runs: no such folder, expected a run's folder")
 
 
-def test_a_page_of_one_task_is_small(metapp: Callable, fitted: Callable, opened: list[str]) -> None:
-    run = fitted("meta")
+def test_a_page_of_one_task_is_small(metapp: Callable, fit_networks: Callable, opened_addresses: list[str]) -> None:
+    run = fit_networks("meta")
     file = run / "m0"
-    told = metapp("view", file, "--no-open", "--json", "--out", "one.html").done
-    assert not opened
-    assert [group["title"] for group in groups_of(Path(told["page"]))] == ["m0"]
-    assert told["bytes"] < 3_000_000
-    named = metapp("view", run, "--task", "m0", "--no-open", "--json", "--out", "task.html").done
-    assert named["bytes"] == told["bytes"]
+    result = metapp("view", file, "--no-open", "--json", "--out", "one.html").json_result
+    assert not opened_addresses
+    assert [group["title"] for group in groups_of(Path(result["page"]))] == ["m0"]
+    assert result["bytes"] < 3_000_000
+    named = metapp("view", run, "--task", "m0", "--no-open", "--json", "--out", "task.html").json_result
+    assert named["bytes"] == result["bytes"]
     fewer = metapp("view", run, "--most", "1", "--no-open", "--out", "fewer.html")
     assert "view: 1 of 2 tasks; --most 2 shows all." in fewer.err
     assert len(groups_of(Path("fewer.html"))) == 1
 
 
-def test_each_input_that_has_not_changed_is_found(metapp: Callable, fitted: Callable, networks: Path) -> None:
-    """By its content, wherever it is."""
+def test_each_input_that_has_not_changed_is_found(metapp: Callable, fit_networks: Callable, networks: Path) -> None:
+    """Inputs are found by their content, wherever they are."""
 
     def referenced(*more: str) -> list[str]:
         """Titles of the groups whose fits have a reference."""
@@ -93,7 +95,7 @@ def test_each_input_that_has_not_changed_is_found(metapp: Callable, fitted: Call
         return found
 
     shutil.copytree(networks, "mine", copy_function=shutil.copyfile)
-    run = fitted("meta", inputs=Path("mine"))
+    run = fit_networks("meta", inputs=Path("mine"))
     Path("mine/m0").rename("m0")
     assert referenced() == ["m1"]
     assert referenced("--input", "m0") == ["m0"]
@@ -111,9 +113,9 @@ def test_each_input_that_has_not_changed_is_found(metapp: Callable, fitted: Call
 
 
 def test_one_task_reads_its_own_input_alone(
-    metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, fit_networks: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, read = fitted("meta"), list[str]()
+    run, read = fit_networks("meta"), list[str]()
     task = Input.read_task
     monkeypatch.setattr(Input, "read_task", lambda self: read.append(Path(self.place).name) or task(self))
     metapp("view", run, "--no-open", "--out", "p.html", "--task", "m1")
@@ -121,14 +123,14 @@ def test_one_task_reads_its_own_input_alone(
     assert read == ["m1", "m0"]
 
 
-def test_runs_that_differ_in_steps_alone_are_told_apart(metapp: Callable, fitted: Callable) -> None:
-    runs = [fitted("overfit", "--steps", steps, "--out", steps) for steps in ("2", "3")]
+def test_runs_that_differ_in_steps_alone_have_different_labels(metapp: Callable, fit_networks: Callable) -> None:
+    runs = [fit_networks("overfit", "--steps", steps, "--out", steps) for steps in ("2", "3")]
     assert metapp("view", *runs, "--no-open", "--most", "1", "--out", "p.html").code == 0
     assert [fit["label"] for fit in groups_of(Path("p.html"))[0]["fits"]] == ["overfit steps 2", "overfit steps 3"]
 
 
-def test_what_cannot_be_shown_is_refused_in_a_line(metapp: Callable, fitted: Callable) -> None:
-    run = fitted("meta")
+def test_arguments_that_name_no_fit_are_refused_in_one_line(metapp: Callable, fit_networks: Callable) -> None:
+    run = fit_networks("meta")
     Path("notes.txt").write_text("gold")
     Path("empty").mkdir()
     for words, line in (
@@ -141,19 +143,19 @@ def test_what_cannot_be_shown_is_refused_in_a_line(metapp: Callable, fitted: Cal
 
 
 @pytest.mark.long
-def test_one_input_of_an_application_is_made_fitted_and_shown(metapp: Callable, opened: list[str]) -> None:
-    told = metapp("try", "brdf", "--json").done
-    assert opened == [Path("try/try.html").resolve().as_uri()]
-    (fit,) = told["fits"]
+def test_one_input_of_an_application_is_made_fitted_and_shown(metapp: Callable, opened_addresses: list[str]) -> None:
+    result = metapp("try", "brdf", "--json").json_result
+    assert opened_addresses == [Path("try/try.html").resolve().as_uri()]
+    (fit,) = result["fits"]
     assert (fit["app"], fit["name"]) == ("brdf", "paint")
-    assert 0 < fit["seconds"] < fit["whole_seconds"] < told["seconds"]
-    assert [group["title"] for group in groups_of(Path(told["page"]))] == ["paint"]
+    assert 0 < fit["seconds"] < fit["whole_seconds"] < result["seconds"]
+    assert [group["title"] for group in groups_of(Path(result["page"]))] == ["paint"]
     assert "'brfd' is not an application" in metapp("try", "brfd").misuse
 
 
 @pytest.mark.long
-def test_what_cannot_be_fitted_is_left_out_of_all(
-    metapp: Callable, opened: list[str], monkeypatch: pytest.MonkeyPatch
+def test_applications_that_cannot_be_fitted_are_left_out_of_all(
+    metapp: Callable, opened_addresses: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def without(app: str, out: Path, recipe: str = "") -> tuple[Path, dict[str, Any]]:
         if app != "brdf":
@@ -161,9 +163,9 @@ def test_what_cannot_be_fitted_is_left_out_of_all(
         return fit_synthetic_input(app, out, recipe)
 
     monkeypatch.setattr("metapp.extensions.viewer.runs_page.fit_synthetic_input", without)
-    told = metapp("try")
-    assert told.code == 0
-    assert "warning: texture is left out: texture needs weights" in told.err
+    result = metapp("try")
+    assert result.code == 0
+    assert "warning: texture is left out: texture needs weights" in result.err
     assert [group["title"] for group in groups_of(Path("try/try.html"))] == ["paint"]
     assert metapp("try", "texture").refusal == "error: texture needs weights"
 
@@ -180,9 +182,9 @@ def view_of_some(presenter: Presenter[Brdf], theta: Params, task: Task) -> View:
 
 
 def test_fits_that_cannot_be_shown_are_left_out(
-    metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, fit_networks: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = fitted("meta")
+    run = fit_networks("meta")
     page = replace(registry().pages["brdf"], reference=f"{__name__}:view_of_some")
     monkeypatch.setitem(registry().pages.data, "brdf", page)
     result = metapp("view", run, "--no-open", "--out", "some.html")
@@ -197,12 +199,12 @@ def test_fits_that_cannot_be_shown_are_left_out(
 # Offers
 
 
-def test_without_it_fits_work_and_its_method_is_refused(
-    fitted: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
+def test_without_the_extension_fits_work_and_view_is_refused(
+    fit_networks: Callable, networks: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = fitted("meta")
+    run = fit_networks("meta")
     monkeypatch.setenv(WITHOUT_VARIABLE, "viewer")
-    assert fitted("meta") == run
+    assert fit_networks("meta") == run
     fit = api.fit("brdf", networks / "m0", recipe="quick")
     with pytest.raises(AttributeError, match="no attribute 'view'"):
         fit.view()

@@ -13,7 +13,7 @@ from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
 from metapp.names import app_names, protocols_of, rule_words
 from metapp.registry import registry
-from tests.quick import app_by
+from tests.recipe_apps import app_by_recipe
 
 
 def parts_of(name: str) -> list[str]:
@@ -32,14 +32,14 @@ def test_a_composition_has_the_parts_of_all_its_names() -> None:
 
 @pytest.mark.parametrize("parts", ["adam+curvature+average", "tied+betas+eps", "adam+loss", "sgd+basis"])
 def test_the_same_parts_are_the_same_rule(parts: str) -> None:
-    """In any order, however often: training and compiled steps are found by it."""
+    """Order and repetition do not count, since trainings and compiled steps are found by the rule."""
     for order in itertools.permutations(parts.split("+")):
         assert rule_of("+".join([*order, order[0]])) == rule_of(parts)
     assert rule_of("+".join(reversed(parts_of(parts)))) == rule_of(parts)
 
 
 def test_every_name_names_its_own_rule() -> None:
-    """And a composition that has a name goes by it."""
+    """A composition that has a name goes by that name."""
     assert rule_of("eps+pace+loss+betas+shared").name == "meta-encoder"
     assert rule_of("adam+loss+curvature").name == "meta-curvature"
     assert rule_of("betas+rates+average+curvature").name == "adam+curvature+average"
@@ -62,7 +62,7 @@ def test_every_name_names_its_own_rule() -> None:
         ("sgd+pace", "rule 'sgd+pace': pace has no effect alone, expected rates or shared beside it"),
     ],
 )
-def test_what_is_no_rule_is_refused_in_one_line(name: str, line: str) -> None:
+def test_names_that_are_no_rule_are_refused_in_one_line(name: str, line: str) -> None:
     with pytest.raises(ValueError, match=line.replace("+", r"\+")) as caught:
         rule_of(name)
     assert "\n" not in str(caught.value)
@@ -78,7 +78,7 @@ def test_what_is_no_rule_is_refused_in_one_line(name: str, line: str) -> None:
     ],
 )
 def test_a_part_that_does_not_apply_is_refused_by_name(app: str, rule: str, part: str) -> None:
-    of = app_by(app)
+    of = app_by_recipe(app)
     with pytest.raises(ValueError, match=f"its part {part}"):
         rule_of(rule).initial_alpha(of, one(of), 5, Adam(1e-3))
 
@@ -88,8 +88,8 @@ def test_all_rules_of_recipes_apply(name: str) -> None:
     for observe in protocols_of(name) or ("",):
         for recipe in recipes_of(name, observe).values():
             for rule in (*recipe.meta, recipe.rule):
-                own = app_of(name, recipe, observe, rule=rule)
-                rule_of(rule).check_app(own, one(own))
+                app_with_rule = app_of(name, recipe, observe, rule=rule)
+                rule_of(rule).check_app(app_with_rule, one(app_with_rule))
 
 
 def test_recipes_train_other_rules_as_their_default() -> None:

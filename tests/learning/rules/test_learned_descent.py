@@ -1,4 +1,4 @@
-"""The part "network": at first the rule it adds to, exact derivatives, and what its networks see of a grid."""
+"""The part `network` of update rules: untrained it changes nothing, derivatives are exact, and grids wrap around."""
 
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ from metapp.learning.rules.network import MEMORY_CHANNELS, StepNetwork
 from metapp.learning.rules.rule import StepInput
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
-from tests.learning.parabolas import unused
+from tests.learning.parabolas import refuse_to_draw
 
 TASKS, STEPS = 2, 3
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=6, layers=2)
@@ -34,7 +34,7 @@ def app() -> App:
     return small_app()
 
 
-def one(app: App) -> Params:
+def single_task_parameters(app: App) -> Params:
     return {key: value[0].double() for key, value in app.init(Generator().manual_seed(1), 1).items()}
 
 
@@ -43,13 +43,15 @@ def batches_for(app: illumination.Illumination, randn: Callable[..., Tensor], co
 
 
 @pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])
-def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, randn: Callable[..., Tensor]) -> None:
-    theta, batches = expand_tasks(one(app), TASKS, 0), batches_for(app, randn, STEPS)
+def test_untrained_network_part_leaves_the_rule_unchanged(
+    names: tuple[str, str], app: Any, randn: Callable[..., Tensor]
+) -> None:
+    theta, batches = expand_tasks(single_task_parameters(app), TASKS, 0), batches_for(app, randn, STEPS)
     moved = []
     for name in names:
-        alpha = rule_of(name).initial_alpha(app, one(app), STEPS, FIRST)
+        alpha = rule_of(name).initial_alpha(app, single_task_parameters(app), STEPS, FIRST)
         rule = rule_of(name).update_rule(expand_tasks(alpha, TASKS, 1))
-        moved.append(learn_differentiably(theta, rule, batches, Loss(unused, app.loss), order=1))
+        moved.append(learn_differentiably(theta, rule, batches, Loss(refuse_to_draw, app.loss), order=1))
     torch.testing.assert_close(*moved, rtol=0, atol=0)
     assert not torch.equal(moved[0]["z"], theta["z"])
 
@@ -91,5 +93,5 @@ def test_the_length_of_a_gradient_is_seen_by_itself(seen: dict[str, Tensor], ran
     alpha = network(randn, periodic=True)
     alpha["around.z.kernel0"][:, :, 9] = 0  # after value, gradient and direction
     moves = [move(alpha, seen | {"grad": seen["grad"] * factor})[0] for factor in (1.0, 1e-3, 1e4)]
-    for each in moves[1:]:
-        torch.testing.assert_close(each, moves[0])
+    for later_move in moves[1:]:
+        torch.testing.assert_close(later_move, moves[0])

@@ -16,7 +16,7 @@ from metapp.learning.recipe import Adam, MetaTraining
 from metapp.learning.rules import META_EPS, fixed_adam, half_cosine, outer_adam, sgd
 from metapp.learning.rules.parts import Average, Basis, Curvature, tail_averaging_weights
 from metapp.learning.task import Params
-from tests.paradigms.small import applicable
+from tests.paradigms.small import applicable_rules
 
 APP = Brdf()
 STEPS = 12
@@ -32,7 +32,7 @@ def run(rule: UpdateRule, theta: Params, grads: list[Params]) -> list[Params]:
 
 
 def assert_same(actual: list[Params], expected: list[Params]) -> None:
-    """But for rounding: rates and betas are float32."""
+    """Assert that results agree to the rounding of rates and betas, which are float32."""
     torch.testing.assert_close(actual, expected, rtol=1e-5, atol=1e-7)
 
 
@@ -81,7 +81,7 @@ def grads(theta: Params, rng: Generator) -> list[Params]:
 # Parts and named rules
 
 
-ON_MATRICES = applicable(APP)
+ON_MATRICES = applicable_rules(APP)
 
 FIRST = Adam(5e-3, 0.8, 0.99, eps=1e-3, final=0.1)
 BASIS = Basis()
@@ -98,7 +98,7 @@ def path_of(name: str, start: Params, single: list[Params], changes: Params | No
 
 @pytest.mark.parametrize("base", ["adam", "tied+betas+eps", "sgd"])
 def test_at_first_a_part_changes_nothing(base: str, start: Params, single: list[Params]) -> None:
-    """And the average of one step is its result."""
+    """The average of one step is its result."""
     for part in ("loss", "curvature", "basis"):
         assert_equal(path_of(f"{base}+{part}", start, single), path_of(base, start, single))
     assert_equal(path_of(f"{base}+average", start, single[:1]), path_of(base, start, single[:1]))
@@ -149,7 +149,7 @@ def test_curvature_is_of_axes_that_have_more_than_one_entry(start: Params) -> No
 
 
 def test_plain_descent_is_the_same_in_all_bases(start: Params, single: list[Params], rng: Generator) -> None:
-    """Where all weights have one rate: a turned gradient, turned back, is the gradient."""
+    """Where all weights have one rate, a gradient that is rotated and rotated back is unchanged."""
     bases = {
         key: torch.linalg.qr(torch.randn(value.shape, generator=rng).double()).Q
         for key, value in BASIS.initial(APP, start, 1, FIRST).items()
@@ -180,10 +180,10 @@ def test_bases_are_turned_to_the_axes_of_gradients(rng: Generator) -> None:
     for name in ("out.w", "in.w"):
         basis = turned[name][0]
         torch.testing.assert_close(basis @ basis.mT, torch.eye(len(basis)).double())
-    own = expand_tasks(turned, 50, 1)
-    inside = BASIS.gradients(at_step(own, 0), gradients)["w"]
+    task_theta = expand_tasks(turned, 50, 1)
+    inside = BASIS.gradients(at_step(task_theta, 0), gradients)["w"]
     assert ((inside.abs() > 1e-9).sum((1, 2)) <= 3).all()  # one entry a row and column
-    torch.testing.assert_close(BASIS.updates(at_step(own, 0), {"w": inside})["w"], gradients["w"])
+    torch.testing.assert_close(BASIS.updates(at_step(task_theta, 0), {"w": inside})["w"], gradients["w"])
 
 
 def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
@@ -200,15 +200,22 @@ def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
 @pytest.mark.parametrize("settings", [Adam(5e-3, beta2=0.99), Adam(2e-2, 0.6, 0.95, final=0.1), Adam(1e-3, final=0.0)])
 @pytest.mark.parametrize("rule", [name for name in ON_MATRICES if name != "meta-sgd"])
 def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, single: list[Params]) -> None:
-    own = dataclasses.replace(settings, eps=1e-3)
-    learned = rule_of(rule).update_rule(rule_of(rule).initial_alpha(APP, start, STEPS, own))
-    plain = fixed_adam(own if "eps" in learned.alpha else dataclasses.replace(own, eps=META_EPS), start, STEPS)
+    changed_settings = dataclasses.replace(settings, eps=1e-3)
+    learned = rule_of(rule).update_rule(rule_of(rule).initial_alpha(APP, start, STEPS, changed_settings))
+    plain = fixed_adam(
+        changed_settings if "eps" in learned.alpha else dataclasses.replace(changed_settings, eps=META_EPS),
+        start,
+        STEPS,
+    )
     until = -1 if "mean" in learned.alpha else None  # the last answer is a mean then
     assert_same(run(learned, start, single)[:until], run(plain, start, single)[:until])
 
 
 def test_tied_rates_are_adam_s_where_its_rates_are_alike(start: Params, single: list[Params], rng: Generator) -> None:
-    """With paces of 0 and the same rates at every step; a pace multiplies the rates of one tensor at one step."""
+    """They agree where paces are 0 and all steps have the same rates.
+
+    A pace multiplies the rates of one tensor at one step.
+    """
     tied = {
         key: value + torch.randn(value.shape, generator=rng).double() for key, value in log_rates(start, 5e-3).items()
     }
@@ -237,7 +244,9 @@ def test_tail_averaging_gives_the_mean_of_the_last_parameters(steps: int, start:
     path, averaged = (path_of(name, start, grads) for name in ("tied+betas", "tied+betas+average"))
     assert_same(averaged[:-1], path[:-1])
     last = path[-max(round(0.4 * steps), 1) :]
-    torch.testing.assert_close(averaged[-1], {key: torch.stack([each[key] for each in last]).mean(0) for key in start})
+    torch.testing.assert_close(
+        averaged[-1], {key: torch.stack([iterate[key] for iterate in last]).mean(0) for key in start}
+    )
 
 
 # Rules with nothing learned, against torch.optim
@@ -258,7 +267,7 @@ def copies(theta: Params) -> Params:
     return {key: value.clone().requires_grad_() for key, value in theta.items()}
 
 
-def test_half_cosine_warm_up() -> None:
+def test_rates_warm_up_and_fall_by_half_a_cosine() -> None:
     rates = half_cosine(2.0, 104, final=0.0, warmup=4)
     torch.testing.assert_close(rates[:5], torch.tensor([0.4, 0.8, 1.2, 1.6, 2.0]))
     torch.testing.assert_close(rates[54], torch.tensor(1.0))
@@ -270,7 +279,7 @@ def test_half_cosine_warm_up() -> None:
 @pytest.mark.parametrize(
     "settings", [Adam(1e-2), Adam(3e-3, 0.5, 0.9, 1e-3), Adam(1e-2, final=0.0), Adam(1e-2, 0.8, 0.99, 1e-8, 0.1)]
 )
-def test_fixed_adam_is_torch_adam(settings: Adam, theta: Params, grads: list[Params]) -> None:
+def test_fixed_adam_agrees_with_torch_adam(settings: Adam, theta: Params, grads: list[Params]) -> None:
     leaves = copies(theta)
     betas = (settings.beta1, settings.beta2)
     optimiser = torch.optim.Adam(leaves.values(), lr=settings.rate, betas=betas, eps=settings.eps)
@@ -281,7 +290,7 @@ def test_fixed_adam_is_torch_adam(settings: Adam, theta: Params, grads: list[Par
     )
 
 
-def test_outer_adam_is_torch_adam_with_l2(theta: Params, grads: list[Params]) -> None:
+def test_outer_adam_agrees_with_torch_adam_with_l2(theta: Params, grads: list[Params]) -> None:
     training = MetaTraining(STEPS, 1, {"": 1e-3, "w": 1e-2, "w3": 1e-4}, warmup=3, final=0.1, decay=0.3)
     leaves = copies(theta)
     rates = {"w1": 1e-2, "w2": 1e-2, "w3": 1e-4}

@@ -14,8 +14,8 @@ from metapp.learning.learn import expand_tasks, learn
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.solve import MAX_PENALTY, MIN_PENALTY, ROUNDING_FACTOR, NormalEquations, Solve
 from metapp.learning.task import Batch, LeastSquares, Params
-from tests.learning.parabolas import unused
-from tests.paradigms.small import FEATURED, small_app
+from tests.learning.parabolas import refuse_to_draw
+from tests.paradigms.small import FEATURE_NETWORK, small_app
 
 TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
 SOLVE = rule_of("solve")
@@ -33,7 +33,7 @@ def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
     return 0.5 * (of.weights[:, None] * of.residual.square()).mean(2).sum(1)
 
 
-LOSS = NormalEquations(unused, value, linear=linear)
+LOSS = NormalEquations(refuse_to_draw, value, linear=linear)
 
 
 @pytest.fixture
@@ -67,13 +67,13 @@ def ridge(theta: Params, batches: list[Batch], penalty: Tensor) -> Tensor:
         x, y, w = (torch.cat([batch[key][t] for batch in batches], -1) for key in ("x", "y", "weights"))
         x, root = theta["scale"][t][:, None] * x, (w / SAMPLES).sqrt()
         rows = torch.cat([(x * root).T, torch.diag(penalty.exp().sqrt())])
-        wanted = torch.cat([((y - theta["W"][t] @ x) * root).T, torch.zeros(FEATURES, OUTPUTS).double()])
-        solved.append(theta["W"][t] + torch.linalg.lstsq(rows, wanted).solution.T)
+        expected = torch.cat([((y - theta["W"][t] @ x) * root).T, torch.zeros(FEATURES, OUTPUTS).double()])
+        solved.append(theta["W"][t] + torch.linalg.lstsq(rows, expected).solution.T)
     return torch.stack(solved)
 
 
 def test_steps_add_up_to_ridge_regression_on_all_samples(theta: Params, batches: list[Batch]) -> None:
-    """And plain fits take the same steps."""
+    """Plain fits take the same steps."""
     alpha = alpha_of(theta)
     final = learn_differentiably(theta, SOLVE.update_rule(alpha), batches, LOSS, order=2)
     torch.testing.assert_close(final["W"], ridge(theta, batches, alpha["penalty.W"][0, 0, 0]))
@@ -126,7 +126,7 @@ def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, bat
 def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
     """Training cannot take them to where the solve is ill-conditioned."""
     for far, bound in ((-99.0, MIN_PENALTY), (99.0, MAX_PENALTY)):
-        alphas = (alpha_of(theta, penalties=(each, each)) for each in (far, math.log(bound)))
+        alphas = (alpha_of(theta, penalties=(log_penalty, log_penalty)) for log_penalty in (far, math.log(bound)))
         ends = [learn_differentiably(theta, SOLVE.update_rule(alpha), batches, LOSS, order=2)["W"] for alpha in alphas]
         torch.testing.assert_close(*ends)
 
@@ -147,8 +147,8 @@ def test_penalties_are_at_least_the_rounding_of_gram_matrices() -> None:
 
 def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
     one = {"last": theta["W"][0]}
-    alpha = Solve().initial(small_app(FEATURED), one, STEPS, Adam(1e-3))
-    assert {key: tuple(each.shape) for key, each in alpha.items()} == {
+    alpha = Solve().initial(small_app(FEATURE_NETWORK), one, STEPS, Adam(1e-3))
+    assert {key: tuple(tensor.shape) for key, tensor in alpha.items()} == {
         "penalty.last": (1, OUTPUTS, FEATURES),
         "keep.last": (STEPS,),
     }

@@ -1,6 +1,7 @@
-"""Runs shader code of a BRDF: C++ by the system's compiler, WGSL by wgpu, HLSL by slangpy, where they are.
+"""Functions that run shader code of a BRDF: C++ by the system's compiler, WGSL by wgpu, HLSL by slangpy.
 
-No compiler of OSL is at hand: OSL_AS_CPP has C++ read it, which says what it computes, not that OSL takes it.
+Tests are skipped where these are missing. There is no compiler of OSL: with the definitions OSL_AS_CPP its code is
+compiled as C++, which shows what it computes, but not that OSL accepts it.
 """
 
 import ctypes
@@ -82,8 +83,8 @@ void run(uint3 id: SV_DispatchThreadID) {
 """
 
 
-def by_cpp(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
-    """By the system's C++ compiler."""
+def run_cpp(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
+    """Run C++ code by the system's compiler; return values, densities and sampled directions, [N, 7]."""
     compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler")
@@ -97,13 +98,13 @@ def by_cpp(code: str, name: str, first: Array, second: Array, folder: Path) -> A
     return out
 
 
-def by_osl(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
-    """By the system's C++ compiler, by definitions of what OSL has."""
-    return by_cpp(f"{OSL_AS_CPP}{code}}}\n", name, first, second, folder)
+def run_osl_as_cpp(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
+    """Run OSL code as C++, with definitions of OSL's types and functions; return what `run_cpp` does."""
+    return run_cpp(f"{OSL_AS_CPP}{code}}}\n", name, first, second, folder)
 
 
-def by_wgpu(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
-    """By wgpu on whatever adapter there is, a device in software among them."""
+def run_wgsl(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
+    """Run WGSL code by wgpu on any adapter, also one in software; return what `run_cpp` does."""
     wgpu = pytest.importorskip("wgpu")
     from wgpu.utils.compute import compute_with_buffers
 
@@ -115,8 +116,8 @@ def by_wgpu(code: str, name: str, first: Array, second: Array, folder: Path) -> 
     return np.frombuffer(out[2], np.float32).reshape(-1, 7)
 
 
-def by_slang(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
-    """By slangpy on the CPU: the Slang compiler reads HLSL."""
+def run_hlsl(code: str, name: str, first: Array, second: Array, folder: Path) -> Array:
+    """Run HLSL code on the CPU by slangpy, whose Slang compiler reads HLSL; return what `run_cpp` does."""
     slangpy = pytest.importorskip("slangpy")
     device = slangpy.Device(type=slangpy.DeviceType.cpu, enable_hot_reload=False)
     module = device.load_module_from_source("code", code + SLANG_LOOP.replace("NAME", name))
@@ -132,4 +133,4 @@ def by_slang(code: str, name: str, first: Array, second: Array, folder: Path) ->
     return buffers[2].to_numpy().view(np.float32).reshape(-1, 7)
 
 
-RUNS = {"cpp": by_cpp, "osl": by_osl, "wgsl": by_wgpu, "hlsl": by_slang}
+RUNNERS = {"cpp": run_cpp, "osl": run_osl_as_cpp, "wgsl": run_wgsl, "hlsl": run_hlsl}

@@ -1,4 +1,4 @@
-"""What tests of `metapp evaluate` share: few steps, commands, and what a table is of."""
+"""Helpers for tests of `metapp evaluate`: short fits, commands in this process, and the runs that tables show."""
 
 import contextlib
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from tests.small_spheres import shrink_spheres
 
 @contextlib.contextmanager
 def few_steps() -> Iterator[None]:
-    """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
+    """Shorten Overfit, Finetune and the further steps after Meta, and have figures drawn with few pixels."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(RECIPES, "quick", replace(RECIPES["quick"], overfit_steps=40, finetune_steps=5))
         patch.setattr("metapp.evaluation.tables.convergence.FURTHER_STEPS", (2, 4))
@@ -27,21 +27,22 @@ def few_steps() -> Iterator[None]:
         yield
 
 
-def call(*arguments: str | Path) -> int:
-    """`metapp <arguments>`, where no test is to see what it prints."""
+def run_metapp(*arguments: str | Path) -> int:
+    """Run `metapp <arguments>` in this process and return the exit code, where no test reads what it prints."""
     from metapp.cli import console
     from metapp.cli.command_tree import app
 
-    return int(console.run_command(lambda: app([str(each) for each in arguments], standalone_mode=False)))
+    return int(console.run_command(lambda: app([str(argument) for argument in arguments], standalone_mode=False)))
 
 
-def subject_of(data: Path, runs: Path) -> EvaluationRun:
-    """A data set with all that has been run of it."""
+def evaluation_run_of(data: Path, runs: Path) -> EvaluationRun:
+    """Return the evaluation of a BRDF data set, with the runs that a folder holds."""
     planned = Run.from_options(
         fit_options("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True)
     )
     return EvaluationRun(planned, is_measuring=True)
 
 
-def rows(subject: EvaluationRun, name: str) -> list[dict[str, Any]]:
-    return subject.table(name).rows
+def table_rows(evaluation_run: EvaluationRun, name: str) -> list[dict[str, Any]]:
+    """Return the rows of a table by its name."""
+    return evaluation_run.table(name).rows

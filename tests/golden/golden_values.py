@@ -1,6 +1,6 @@
-"""The values themselves: errors and parameters of fits, rows of a table, tensors of tasks that are read from files.
+"""Functions that compute golden values: errors and parameters of fits, rows of a table, tensors of tasks from files.
 
-`python -m tests.golden` writes them anew, after a change that is meant to change them.
+`python -m tests.golden` writes the values again, after a change that is meant to change them.
 """
 
 import contextlib
@@ -22,24 +22,24 @@ from metapp.runs.api import fit_all
 
 PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
 APPS = ("brdf", "texture", "svbrdf_stationary", "svbrdf_nonstationary", "illumination", "transport")
-SIZES = {
+SIZE_OPTIONS = {
     "texture": ("--size", "128"),
     "svbrdf_stationary": ("--size", "128"),
     "svbrdf_nonstationary": ("--size", "64"),
     "illumination": ("--rows", "32"),
 }
-STEPS = {"overfit": 4, "finetune": 4}  # of Adam; the others take those of their checkpoints
+ADAM_STEPS = {"overfit": 4, "finetune": 4}  # the other paradigms take the steps of their checkpoints
 Values = dict[str, list[float]]
 
 
-def run(*words: object) -> None:
-    """A command that must succeed."""
+def run_metapp(*words: object) -> None:
+    """Run a `metapp` command, which must succeed."""
     code = console.run_command(lambda: commands([str(word) for word in words], standalone_mode=False))
     assert int(code) == 0, words
 
 
-def summary(tensor: Tensor) -> list[float]:
-    """Mean, root mean square, and a random projection of a tensor, in double precision."""
+def summarize(tensor: Tensor) -> list[float]:
+    """Return the mean, the root mean square, and the mean product with a cosine of a tensor, in double precision."""
     values = tensor.detach().double().flatten()
     if not len(values):
         return [0.0, 0.0, 0.0]
@@ -47,39 +47,41 @@ def summary(tensor: Tensor) -> list[float]:
     return [float(values.mean()), float(values.square().mean().sqrt()), float((values * waves).mean())]
 
 
-def fits(app: str, folder: Path) -> Values:
-    """Errors of two test tasks by all paradigms, and summaries of their parameters."""
+def measure_fits(app: str, folder: Path) -> Values:
+    """Fit an application's test tasks by all paradigms; return errors and summaries of parameters of the first two."""
     data = folder / app
-    run("data", "synth", app, "--count", 10, *SIZES.get(app, ()), "--out", data, "--quiet")
+    run_metapp("data", "synth", app, "--count", 10, *SIZE_OPTIONS.get(app, ()), "--out", data, "--quiet")
     values: Values = {}
     protocols = ("reference", "photo") if app in ("svbrdf_nonstationary", "illumination") else ("",)
     for observe in protocols:
         for paradigm in PARADIGMS:
             options = {"observe": observe} if observe else {}
-            made = fit_all(app, paradigm=paradigm, recipe="quick", data=data, steps=STEPS.get(paradigm), **options)
-            for fit in made[:2]:
+            found_fits = fit_all(
+                app, paradigm=paradigm, recipe="quick", data=data, steps=ADAM_STEPS.get(paradigm), **options
+            )
+            for fit in found_fits[:2]:
                 key = " ".join(filter(None, (app, observe, paradigm, fit.name)))
                 values[f"{key} error"] = [fit.error if fit.error is not None else -1.0]
                 whole = torch.cat([fit.parameters[name].flatten() for name in sorted(fit.parameters)])
-                values[f"{key} theta"] = summary(whole)
+                values[f"{key} theta"] = summarize(whole)
     return values
 
 
-def table(folder: Path) -> Values:
-    """The rows of a table that `metapp evaluate --json` prints."""
+def measure_table(folder: Path) -> Values:
+    """Return errors and task counts in the rows of a table that `metapp evaluate --json` prints."""
     data = folder / "table"
-    run("data", "synth", "brdf", "--count", 10, "--out", data, "--quiet")
+    run_metapp("data", "synth", "brdf", "--count", 10, "--out", data, "--quiet")
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         words = ("--data", data, "--out", folder / "runs", "--quiet", "--json")
-        run("evaluate", "brdf", "--which", "quickft", *words)
+        run_metapp("evaluate", "brdf", "--which", "quickft", *words)
     rows = json.loads(out.getvalue().splitlines()[-1])["rows"]
     return {f"table {row['paradigm']}": [row["error"], float(row["tasks"])] for row in rows}
 
 
-def files(folder: Path) -> Iterator[tuple[str, Path, dict[str, object]]]:
-    """A file of every kind that fits take: application, path, options."""
-    run("examples", "--make", folder)
+def write_input_files(folder: Path) -> Iterator[tuple[str, Path, dict[str, object]]]:
+    """Write a file of every kind that fits take; yield the application, the path and the options of its fit."""
+    run_metapp("examples", "--make", folder)
     names = {"brdf": "paint.csv", "texture": "bricks.png", "svbrdf_stationary": "leather.png"}
     yield from ((app, folder / name, {}) for app, name in names.items())
     yield "svbrdf_nonstationary", folder / "mosaic.png", {"observe": "photo"}
@@ -92,7 +94,7 @@ def files(folder: Path) -> Iterator[tuple[str, Path, dict[str, object]]]:
         yield "illumination", folder / f"courtyard{suffix}", {}
     oiio.ImageBuf(str(folder / "bricks.png")).write(str(folder / "sixteen.tif"), oiio.UINT16)
     yield "texture", folder / "sixteen.tif", {}
-    run("data", "synth", "brdf", "--count", 2, "--as", "merl", "--out", folder / "merl", "--quiet")
+    run_metapp("data", "synth", "brdf", "--count", 2, "--as", "merl", "--out", folder / "merl", "--quiet")
     table = sorted((folder / "merl").rglob("*.binary"))[0]
     yield "brdf", table, {}
     (folder / "network").mkdir()
@@ -100,10 +102,12 @@ def files(folder: Path) -> Iterator[tuple[str, Path, dict[str, object]]]:
         weights = 0.3 * np.cos(np.arange(np.prod(shape)) * (index + 1.0)).reshape(shape)
         np.save(folder / "network" / f"{part}.npy", weights.astype(np.float32))
     yield "brdf", folder / "network", {}
-    run("meta", "brdf", folder / "network", "--export", "bsdf", "--out", folder / "bsdf", "--quiet")
+    run_metapp("meta", "brdf", folder / "network", "--export", "bsdf", "--out", folder / "bsdf", "--quiet")
     (table,) = (folder / "bsdf").rglob("*.bsdf")
     yield "brdf", table, {}
-    run("meta", "svbrdf_stationary", folder / "leather.png", "--recipe", "quick", "--out", folder / "maps", "--quiet")
+    run_metapp(
+        "meta", "svbrdf_stationary", folder / "leather.png", "--recipe", "quick", "--out", folder / "maps", "--quiet"
+    )
     (maps,) = (folder / "maps").rglob("meta*/leather")
     yield "svbrdf_nonstationary", maps / "diffuse.png", {}
     placed = folder / "placed"
@@ -118,33 +122,33 @@ def files(folder: Path) -> Iterator[tuple[str, Path, dict[str, object]]]:
     yield "svbrdf_nonstationary", placed, {"observe": "photo"}
 
 
-def read(folder: Path) -> Values:
-    """Summaries of the tensors of tasks, by file."""
+def measure_tasks_of_files(folder: Path) -> Values:
+    """Return shapes and summaries of the tensors that tasks have after they are read from files."""
     values: Values = {}
-    for app, path, options in files(folder):
+    for app, path, options in write_input_files(folder):
         (fit,) = fit_all(app, [path], paradigm="overfit", steps=1, recipe="quick", **options)
         for name, tensor in sorted(fit.task.data.items()):
             values[f"file {app} {path.name} {name} shape"] = [*map(float, tensor.shape)]
-            values[f"file {app} {path.name} {name}"] = summary(tensor)
+            values[f"file {app} {path.name} {name}"] = summarize(tensor)
     return values
 
 
-def best(folder: Path) -> Values:
-    """Summaries of parameters, and errors, of the examples by the default recipe and Meta."""
-    run("examples", "--make", folder)
+def measure_default_fits(folder: Path) -> Values:
+    """Fit the example inputs by Meta and the default recipe; return summaries of parameters, and errors."""
+    run_metapp("examples", "--make", folder)
     names = {"brdf": "paint.csv", "texture": "bricks.png", "svbrdf_stationary": "leather.png"}
     names |= {"svbrdf_nonstationary": "mosaic.png", "illumination": "courtyard.exr", "transport": "box.xml"}
     values: Values = {}
     for app, name in names.items():
         (fit,) = fit_all(app, [folder / name], **({"observe": "photo"} if name == "mosaic.png" else {}))
         whole = torch.cat([fit.parameters[name].flatten() for name in sorted(fit.parameters)])
-        values[f"best {app} theta"] = [*summary(whole), -1.0 if fit.error is None else fit.error]
+        values[f"best {app} theta"] = [*summarize(whole), -1.0 if fit.error is None else fit.error]
     return values
 
 
 PARTS: dict[str, Callable[[Path], Values]] = {
-    **{app: lambda folder, app=app: fits(app, folder) for app in APPS},
-    "table": table,
-    "read": read,
-    "best": best,
+    **{app: lambda folder, app=app: measure_fits(app, folder) for app in APPS},
+    "table": measure_table,
+    "read": measure_tasks_of_files,
+    "best": measure_default_fits,
 }
