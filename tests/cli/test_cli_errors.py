@@ -67,7 +67,7 @@ def test_names_that_are_no_utf_8_are_text_in_json(metapp: Callable, network: Pat
     for name in ("m0", "m1"):
         shutil.copytree(network, place / (place.name + name))
     words = ("brdf", place, "--recipe", "quick", "--json", "--quiet")
-    runs = [metapp("meta", *words).json_result["out"], metapp("meta", *words, "--batch", "2").done["out"]]
+    runs = [metapp("meta", *words).json_result["out"], metapp("meta", *words, "--batch", "2").json_result["out"]]
     assert runs[0] == runs[1]
     texts = [json.dumps(json.loads(path.read_bytes())).encode() for path in Path("runs").rglob(RECORD)]
     texts += [metapp("compare", run, run, "--json").out.encode() for run in runs]

@@ -44,10 +44,10 @@ def test_tables_that_depend_on_phi_h_choose_the_anisotropic_recipe(metapp: Calla
     fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json")
     assert "recipe anisotropic, since every input has reflectance that depends on phi_h" in fitted.err
     isotropic = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--recipe", "full")
-    assert fitted.json_result["error"] < 0.7 * isotropic.done["error"]
+    assert fitted.json_result["error"] < 0.7 * isotropic.json_result["error"]
     assert "fitted as isotropic: phi_h is left out" in isotropic.err
     general = metapp("general", "brdf", file, "--out", tmp_path / "runs", "--json")  # has no checkpoint for it
     assert "phi_h is left out" in general.err
-    assert general.json_result["error"] > fitted.done["error"]
+    assert general.json_result["error"] > fitted.json_result["error"]
     both = metapp("meta", "brdf", file, plain, "--out", tmp_path / "runs")
     assert "plain.csv has not, and recipes for these differ" in both.misuse.replace("\n", "")
