@@ -31,7 +31,7 @@ from metapp.learning.task import Batch
 
 GROWTH_APP = Brdf()
 GROWTH_RULE = rule_of("meta-curvature")
-FIRST_ORDER_STEPS = RECIPES["quick"].meta["meta-curvature"].first
+FIRST_ORDER_STEPS = RECIPES["quick"].meta["meta-curvature"].initial_adam
 GROWTH_ROUNDS = 3  # measurements of a cost, of which the least counts
 
 

@@ -44,7 +44,7 @@ theta |= {f"b{i + 1}": torch.zeros(sizes[i + 1], 1) for i in range(3)}
 random = MetaParameters(theta, alpha={"rate": torch.full((STEPS,), 0.01)})  # a rate for each step, learned, too
 
 meta_loss = over_tasks(after_learning(loss, sgd, steps=STEPS, order=2, clip=10.0), count=25)
-adam = fixed_adam(Adam(5e-3, final=0.1), random.flatten(), OUTER_STEPS)
+adam = fixed_adam(Adam(5e-3, final_rate_share=0.1), random.flatten(), OUTER_STEPS)
 learned = learn(random.flatten(), adam, sinusoids(1000), meta_loss, steps=OUTER_STEPS, rng=rng)
 
 unseen = sinusoids(200)

@@ -145,14 +145,14 @@ def register(registry: Registry) -> None:
         "metapp.apps.brdf.recipes:RECIPES.anisotropic",
         help="reflectance that depends on phi_h",
         suits={"anisotropic": True},
-        mixed="anisotropic",  # its network can also fit isotropic materials
+        mixed_recipe="anisotropic",  # its network can also fit isotropic materials
         paradigms=("meta", "overfit"),
     )
     registry.recipes["brdf", "", "few"] = RecipeEntry(
         "metapp.apps.brdf.few.app:FEW_RECIPE",
         help="200 samples or fewer",
         suits={"samples": (1, 200)},  # with more samples the recipe "full" has lower errors
-        mixed="full",
+        mixed_recipe="full",
         paradigms=("meta",),
     )
     registry.recipes["svbrdf_nonstationary", "photo", "pretrained"] = RecipeEntry(
@@ -160,7 +160,7 @@ def register(registry: Registry) -> None:
         help="one flash photo",
         suits={"photos": 1},
         paradigms=("general", "quickft", "meta"),
-        lacks=f"{NONSTATIONARY_PACKAGE}.pretrained.encoder:describe_missing_weights",
+        describe_missing_file=f"{NONSTATIONARY_PACKAGE}.pretrained.encoder:describe_missing_weights",
     )
     registry.recipes["svbrdf_nonstationary", "photo", "several"] = RecipeEntry(
         f"{NONSTATIONARY_PACKAGE}.several.recipe:SEVERAL",

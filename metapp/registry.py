@@ -124,17 +124,17 @@ class RecipeEntry(Entry[Any]):
     Attributes:
         suits: facts of inputs, each with its value or range; the recipe is chosen for inputs that have all of them,
             unless the user names a recipe. {} if the recipe is only used where it is named.
-        mixed: the recipe that is chosen if a folder has inputs of which this recipe suits some but not all; "" if such
-            folders are refused.
+        mixed_recipe: the recipe that is chosen if a folder has inputs of which this recipe suits some but not all; ""
+            if such folders are refused.
         paradigms: the paradigms for which the recipe is chosen; () for all.
-        lacks: a reference to a function `lacks() -> str` that returns a line about a file that the recipe needs and
-            that is missing, or ""; "" if the recipe needs no file.
+        describe_missing_file: a reference to a function without arguments that returns a line about a file that the
+            recipe needs and that is missing, or ""; "" if the recipe needs no file.
     """
 
     suits: Mapping[str, FactRange] = field(default_factory=dict)
-    mixed: str = ""
+    mixed_recipe: str = ""
     paradigms: tuple[str, ...] = ()
-    lacks: str = ""
+    describe_missing_file: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -357,7 +357,7 @@ class Registry:
             TypeError: a command is not a function.
         """
         for _, _, entry in self.entries():
-            for name in ("reference", "options", "presenter", "lacks", "facts"):
+            for name in ("reference", "options", "presenter", "describe_missing_file", "facts"):
                 reference = getattr(entry, name, "")
                 if reference and importlib.util.find_spec(reference.partition(":")[0]) is None:
                     raise ImportError(f"{reference}: no such module")

@@ -83,7 +83,7 @@ def solve_for_brushed() -> Params:
     tasks = stack_tasks(APP, [brushed_task()])
     theta = APP.init(torch.Generator().manual_seed(0), 1)
     batch = APP.sample(tasks, torch.Generator().manual_seed(1), 4096)
-    theta["turn"] = find_axes(batch)
+    theta["axes_azimuth_rad"] = find_axes(batch)
     features = APP.network.linear_features(theta, batch["where"]).double()
     cos = batch["where"][:, 6:7]
     target = torch.log1p(torch.expm1(batch["target"]) / cos.clamp_min(0.05)).double()

@@ -311,14 +311,14 @@ def shorten_recipes(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 
 def _shorten_recipe(recipe: Recipe) -> Recipe:
-    few_steps: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
+    few_steps: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup_steps": 0}
     return replace(
         recipe,
         steps=3,
         overfit_steps=30,
         finetune_steps=5,
         general=replace(recipe.general, **few_steps),
-        meta={name: replace(training, **few_steps, tuned=False) for name, training in recipe.meta.items()},
+        meta={name: replace(training, **few_steps, searches_adam=False) for name, training in recipe.meta.items()},
     )
 
 

@@ -192,7 +192,7 @@ def test_entries_of_other_packages_that_cannot_be_loaded_are_left_out_with_a_war
 
 def test_all_entries_that_ship_can_be_loaded() -> None:
     for _, _, entry in registry().entries():
-        for name in ("reference", "options", "presenter", "lacks", "facts"):
+        for name in ("reference", "options", "presenter", "describe_missing_file", "facts"):
             if reference := getattr(entry, name, ""):
                 assert load_reference(reference) is not None
 

@@ -1,10 +1,11 @@
 """Readers and writers of files, one module a format.
 
 Read these first: `listing` finds files in folders, `input_source` says what a reader finds. `image_files` reads
-pictures, with `colours`, `lenses` and `camera_raws`; `arrays` and `numbers` read pictures and numbers in memory.
+pictures, which `opened_images` opens, with `colours`, `lenses` and `camera_raws`; `arrays` and `numbers` read pictures
+and numbers in memory.
 
 Readers of BRDFs make tasks by `brdf_task` or `measured_pairs`: `merl`, `nbrdf_files`, `gonio` and `brdf_objects`.
 Readers of photographs build on `square_photos`, which reads textures itself: `flash_photos`, and for non-stationary
-svBRDFs, whose tasks `svbrdf_task` makes, `svbrdf_inputs`, `strips`, `placed_photos`, `material_maps` with `map_names`
-and `normal_maps`, and `training_materials`. `environment_maps` reads light.
+svBRDFs, whose tasks `svbrdf_task` makes, `svbrdf_inputs`, `strips`, `placed_photos`, `material_maps` with
+`material_files`, `map_names` and `normal_maps`, and `training_materials`. `environment_maps` reads light.
 """

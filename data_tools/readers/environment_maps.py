@@ -18,17 +18,10 @@ from torch import Tensor
 from data_tools.random_streams import Rng, random_stream
 from data_tools.readers.arrays import picture_values, pixels_of
 from data_tools.readers.colours import LINEAR_SPACE, ColourSpace, Floats, is_linear, linear_rgb
-from data_tools.readers.image_files import (
-    ALL_PICTURE_SUFFIXES,
-    check_exists,
-    check_size,
-    is_readable_image,
-    open_largest_picture,
-    read_pixels,
-    shape_of,
-)
+from data_tools.readers.image_files import check_size, is_readable_image, read_pixels, shape_of
 from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.listing import files_of, find_files
+from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES, check_exists, open_largest_picture
 from data_tools.readers.square_photos import photo_fault
 from metapp.appearance.latlong import mean_luminance, resample_maps
 from metapp.appearance.photograph import photograph_spheres

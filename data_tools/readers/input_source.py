@@ -30,8 +30,8 @@ class Source:
         facts: what its reader found out while it looked, by name, such as the number of photos; recipes are chosen by
             them.
         content: what the reader has parsed already and takes back as `read_task(path, content=...)`; None for nothing.
-        given: the input, as the user gave it, that it was found in.
-        named: whether the user named it, so that it must be good; False for one among others in a folder.
+        given_path: the input, as the user gave it, that it was found in.
+        is_named: whether the user named it, so that it must be good; False for one among others in a folder.
 
     >>> Source("gold", Path("gold.binary")).facts
     {}
@@ -43,8 +43,8 @@ class Source:
     protocol: str = ""
     facts: Facts = field(default_factory=dict)
     content: object = field(default=None, repr=False, compare=False)
-    given: Path | None = None
-    named: bool = True
+    given_path: Path | None = None
+    is_named: bool = True
 
 
 Sources = tuple[list[Source], list[str]]  # what a path holds, and the line of each skipped file of a folder

@@ -1,37 +1,34 @@
 """Materials that are kept as separate maps in a folder, under the usual names, as tasks.
 
-A file is called after its material and its role, such as `rock_diff_4k.jpg`, `RockNormalGL.png` or just `normal.png` in
-a folder of the material's name; case and a size at the end do not count. Colours of integer files are sRGB, all other
-maps are data; floating-point normals may be -1..1, and z may be left out (see :mod:`normal_maps`). Files of packed
-channels, `rock_arm.png`, have several roles. Variants, `ROCK_COL_VAR1.jpg`, and tiles, `rock_normal.1001.png`, are
-materials that share the files without a mark.
+The module :mod:`data_tools.readers.material_files` tells by names which files are the maps of a material. Colours of
+integer files are sRGB, all other maps are data; floating-point normals may be -1..1, and z may be left out (see
+:mod:`normal_maps`).
 
 Roughness is 1 - gloss if there is no roughness map. With a metallic map m, diffuse = base (1 - m) and specular =
 0.04 (1 - m) + base m, and a specular map is ignored; but where a diffuse map lies beside the base colour, as in
 metapp's asset folders, diffuse and specular maps are taken. With neither metallic nor specular map, specular is 0.04.
 
-Old games keep a colour without any role in its name, `rock.png`, beside `rock_norm.png` and `rock_gloss.png`. Their
-gloss is the strength g of a highlight, in display values: the roughness is that of a GGX lobe of specular 0.04 whose
-peak is as bright, pi D F / 4 = g, so alpha^2 = 0.01 / g, at most 1.
+The gloss of old games' materials, whose colour has no role in its name, is the strength g of a highlight, in display
+values: the roughness is that of a GGX lobe of specular 0.04 whose peak is as bright, pi D F / 4 = g, so alpha^2 =
+0.01 / g, at most 1.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from typing_extensions import override
 
 from data_tools.readers import square_photos
 from data_tools.readers.arrays import check_pixels, check_range, is_pil, picture_values, pixels_of
 from data_tools.readers.colours import LINEAR_SPACE
-from data_tools.readers.image_files import IMAGE_SUFFIXES, Pixels, read_pixels, shape_of
+from data_tools.readers.image_files import Pixels, read_pixels, shape_of
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX, Source, Sources
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import (
@@ -41,7 +38,17 @@ from data_tools.readers.map_names import (
     PLAIN_COLOUR_ROLE,
     parse_map_name,
 )
+from data_tools.readers.material_files import (
+    EXPECTED_NAMES,
+    MaterialFiles,
+    choose_files,
+    list_materials,
+    material_of,
+    require_material,
+    unpack_channels,
+)
 from data_tools.readers.normal_maps import complete_normals
+from data_tools.readers.opened_images import IMAGE_SUFFIXES
 from data_tools.readers.square_photos import central_square, reading_side_px, resample_square
 from data_tools.readers.svbrdf_task import UNITS as UNITS
 from data_tools.readers.svbrdf_task import decode_unit_normals, make_svbrdf_task, task_name
@@ -49,7 +56,6 @@ from metapp.appearance.flash import Maps, pack_maps
 from metapp.appearance.surface import DIELECTRIC_F0, metallic_to_specular
 from metapp.learning.task import Task
 from metapp.storage.files import read_bytes
-from metapp.storage.folders import cached_lookup, list_folder
 from metapp.storage.shards import ManifestEntry
 
 # Correlation of mixed slopes from which on it is clear where green points: 1 for an exact height field, -1 for one
@@ -58,43 +64,6 @@ _MIN_CLEAR_CORRELATION = 0.2
 _MAX_LOG_RATIO_DIFFERENCE = 0.02  # difference of two maps' log(width / height)
 _MAX_LENGTH_ERROR = 0.1  # mean of |length - 1| of normals, which may be averages
 OR_MAPS_TEXT = " or maps (a dictionary of such)"  # continues errors about an object in memory
-_EXPECTED_NAMES = "expected names such as rock_diffuse.png, rock_normal.png, rock_roughness.png"
-
-
-class MaterialFiles(NamedTuple):
-    """The files of a material's maps.
-
-    Attributes:
-        folder: the folder that holds all of them.
-        name: the material's name in the files' names, "" for none; with a mark if it is one of several variants or
-            tiles.
-        files: the files by role; a file of packed channels has several roles.
-        unknown: other images whose names begin alike.
-    """
-
-    folder: Path
-    name: str
-    files: Mapping[str, tuple[Path, ...]]
-    unknown: tuple[Path, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """The material's own name, or its folder's."""
-        return self.name or self.folder.resolve().name
-
-    @property
-    def source(self) -> Path:
-        """The file that stands for the material: its colour, which variants do not share."""
-        return min(next((self.files[role] for role in COLOUR_ROLES if role in self.files), self.maps))
-
-    @property
-    def maps(self) -> list[Path]:
-        """The files of all maps, each once."""
-        return list(dict.fromkeys(file for files in self.files.values() for file in files))
-
-    @override
-    def __str__(self) -> str:
-        return str(self.folder / self.name)
 
 
 def recognises(path: Path) -> bool:
@@ -112,118 +81,21 @@ def find(path: Path) -> Sources:
     """
     images, skipped = square_photos.find_images(path)
     if not path.is_dir():
-        return [_make_source(_require_material(path))], []
+        return [_make_source(require_material(path))], []
     in_folders = [list_materials(folder) for folder in sorted({file.parent for file in images})]
     materials = [_make_source(material) for folder_materials, _ in in_folders for material in folder_materials]
     if not materials:
         names = ", ".join(file.name for file in images[:3])
-        raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED_NAMES}; rename them.")
+        raise ValueError(f"{path}: no maps in this folder ({names}), {EXPECTED_NAMES}; rename them.")
     unknown_files = [file for _, images in in_folders for file in images]
     return materials, skipped + [
-        f"{file}: no map under a usual name, {_EXPECTED_NAMES}; rename it." for file in unknown_files
+        f"{file}: no map under a usual name, {EXPECTED_NAMES}; rename it." for file in unknown_files
     ]
 
 
 def _make_source(material: MaterialFiles) -> Source:
     """Return a material as a source, at the file that stands for it."""
     return Source(material.title, material.source, content=material)
-
-
-def material_of(file: Path) -> MaterialFiles | None:
-    """Return the material that a map belongs to; None for a file that is no map."""
-    materials = list_materials(file.parent)[0]
-    return next((material for material in materials if file.name in [map_.name for map_ in material.maps]), None)
-
-
-def _require_material(file: Path) -> MaterialFiles:
-    """Return the material that a map belongs to, or raise ValueError for a file that is no map."""
-    if material := material_of(file):
-        return material
-    raise ValueError(f"{file}: no map under a usual name, {_EXPECTED_NAMES}; rename it, or name a folder.")
-
-
-@cached_lookup
-def list_materials(folder: Path) -> tuple[list[MaterialFiles], list[Path]]:
-    """Return the materials right in a folder, sorted by name, and the image files there whose role is unknown."""
-    files = (Path(entry.path) for entry in list_folder(str(folder)) if entry.is_file())
-    images = sorted(file for file in files if file.suffix.lower() in IMAGE_SUFFIXES)
-    name_parts = {file: parse_map_name(file.stem) for file in images if not file.name.startswith(".")}
-    names = {name.lower() for name, _, role in name_parts.values() if role}
-    groups: dict[str, dict[Path, tuple[str, str, str]]] = {}
-    files_without_role = []
-    for file, (name, mark, role) in name_parts.items():
-        if role is None or file.stem.lower() in names:  # rusty_metal beside rusty_metal_normal is no metal
-            files_without_role.append(file)
-        elif role:
-            groups.setdefault(name.lower(), {})[file] = name, mark, role
-    for key, group in list(groups.items()):
-        (name, _, _), *further_files = group.values()
-        if not further_files and any(beginning in groups for beginning in _name_beginnings(name) - {key}):
-            files_without_role += groups.pop(key)  # not a material of its own: its role has more words than are known
-    unknown_files = []
-    for file in files_without_role:
-        maps = groups.get(file.stem.lower())
-        if maps and not any(role in COLOUR_ROLES[:2] for _, _, role in maps.values()):
-            maps[file] = file.stem, "", PLAIN_COLOUR_ROLE
-        else:
-            unknown_files.append(file)
-    stems = {file.stem.lower(): file for file in unknown_files}
-    unknown_by_key: dict[str, set[Path]] = {key: set() for key in groups}
-    for file in unknown_files:
-        for key in _name_beginnings(file.stem) & groups.keys():
-            unknown_by_key[key].add(file)
-    for key, group in groups.items():
-        unknown_by_key[key] |= {
-            stems[beginning] for beginning in _name_beginnings(next(iter(group.values()))[0]) & stems.keys()
-        }
-    materials = [
-        MaterialFiles(folder, *variant, tuple(sorted(unknown_by_key[key])))
-        for key in sorted(groups)
-        for variant in _list_variants(folder, groups[key])
-    ]
-    return materials, sorted(unknown_files)
-
-
-def _name_beginnings(stem: str) -> set[str]:
-    """Return the names that a name may begin with, up to the start of one of its words, in small letters."""
-    return {stem[:end].rstrip("_-. ").lower() for end in range(len(stem) + 1) if not stem[end : end + 1].islower()}
-
-
-def _list_variants(
-    folder: Path, group: Mapping[Path, tuple[str, str, str]]
-) -> Iterator[tuple[str, dict[str, tuple[Path, ...]]]]:
-    """Yield the name and the files by role of each variant or tile of a material; they share the files without a mark.
-
-    Args:
-        folder: the folder of the material.
-        group: name, mark and role of each of its files.
-    """
-    by_role: dict[str, dict[str, tuple[Path, ...]]] = {}
-    for file, (_, mark, role) in group.items():
-        files_by_mark = by_role.setdefault(role, {})
-        files_by_mark[mark] = (*files_by_mark.get(mark, ()), file)
-    marks = sorted(
-        {
-            mark
-            for files_by_mark in by_role.values()
-            if len(files_by_mark) > 1 or "" not in files_by_mark
-            for mark in files_by_mark
-        }
-    )
-    name = next(iter(group.values()))[0]
-    for mark in marks or [""]:
-        files = {role: files_by_mark.get(mark, files_by_mark.get("")) for role, files_by_mark in by_role.items()}
-        variant_name = f"{name or folder.resolve().name}_{mark}" if mark and len(marks) > 1 else name
-        yield variant_name, _unpack_channels({role: role_files for role, role_files in files.items() if role_files})
-
-
-def _unpack_channels(files: dict[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
-    """Return files by role, with files of packed channels under each of their roles that has no file yet."""
-    for packed, channels in PACKED_CHANNEL_ROLES.items():
-        for file in files.pop(packed, ()):
-            for role in filter(None, channels):
-                files.setdefault(role, (file,))
-    return files
 
 
 def read_task(
@@ -249,7 +121,7 @@ def read_task(
         ValueError: a file cannot be read (see :func:`read_pixels`); a map is missing or there twice; maps have
             different shapes, hold NaN or are black; normals are none.
     """
-    return read_material(content or _require_material(source), size, normals, least, layer)
+    return read_material(content or require_material(source), size, normals, least, layer)
 
 
 def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = DEFAULT_PHOTO_PX, least: int = 0) -> Task:
@@ -276,7 +148,7 @@ def task_of_arrays(maps: Mapping[Any, object], name: str, size: int = DEFAULT_PH
             files[file := Path(f"{name}_{key}")] = pixels
             roles[role] = (*roles.get(role, ()), file)
     side = max(min(pixels.values.shape[:2]) for pixels in files.values())
-    material = MaterialFiles(Path(), name, _unpack_channels(roles))
+    material = MaterialFiles(Path(), name, unpack_channels(roles))
     return _make_task(material, lambda file, _: files[file], reading_side_px(side, size, least), "auto")
 
 
@@ -319,7 +191,7 @@ def read_material(
         least: the least side of the result, in px, to which smaller maps are enlarged; 0: maps are enlarged to `size`.
         layer: the layer of EXR files; see :func:`read_pixels`.
     """
-    side = max(min(shape_of(file)) for file in _choose_files(material).values())
+    side = max(min(shape_of(file)) for file in choose_files(material).values())
     size = reading_side_px(side, size, least)
 
     def pixels_of_map(file: Path, role: str) -> Pixels:
@@ -337,7 +209,7 @@ def _make_task(material: MaterialFiles, pixels_of_map: Callable[[Path, str], Pix
         size: the side of the result, in px.
         normals: where green points in normal maps; see :func:`read_task`.
     """
-    chosen = _choose_files(material)
+    chosen = choose_files(material)
     shapes: dict[str, tuple[int, int]] = {}
     maps = {role: _read_map(file, pixels_of_map(file, role), size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
@@ -387,49 +259,12 @@ def entries(sources: Sequence[Path], folders: object, split: str) -> dict[Path, 
     entry_by_source: dict[Path, ManifestEntry] = {}
     groups: dict[str, str] = {}
     for source in sources:
-        material = _require_material(source)
+        material = require_material(source)
         files = next((material.files[role] for role in NORMAL_ROLES if role in material.files), (material.source,))
         digest = hashlib.sha256(read_bytes(files[0])).hexdigest()
         group = groups.setdefault(digest, material.title)
         entry_by_source[source] = ManifestEntry(task_name(material.title), group=group)
     return entry_by_source
-
-
-def _choose_files(material: MaterialFiles) -> dict[str, Path]:
-    """Choose one file for each role that counts.
-
-    Raises:
-        ValueError: a role has no file or several.
-    """
-    roles = dict(material.files)
-    if {
-        *COLOUR_ROLES[:2],
-        "specular",
-    } <= roles.keys():  # the specular workflow is taken, and the metallic one beside it left
-        roles = {role: files for role, files in roles.items() if role not in ("base colour", "metallic")}
-    if diffuse := roles.pop("diffuse", ()):
-        roles["base colour"] = (*roles.get("base colour", ()), *diffuse)
-    names_found = ", ".join(sorted(file.name for file in material.maps))
-    unknown_names = ", ".join(file.name for file in material.unknown[:3])
-    remedy = f"; of {unknown_names} the role is unknown: rename it" if unknown_names else "; add it"
-    needed = {
-        "base colour": ("base colour", PLAIN_COLOUR_ROLE),
-        "normal": NORMAL_ROLES,
-        "roughness or gloss": ("roughness", "gloss"),
-        "": ("metallic", "specular"),
-    }
-    chosen = {}
-    for noun, candidates in needed.items():
-        role = next((role for role in candidates if role in roles), None)
-        if role is None and noun:
-            raise ValueError(f"{material}: no {noun} map ({names_found}), {_EXPECTED_NAMES}{remedy}.")
-        if role is None:
-            continue
-        if len(roles[role]) > 1:
-            names = " and ".join(file.name for file in roles[role][:2])
-            raise ValueError(f"{material}: {names} for {noun or role}, expected one of them; remove or rename others.")
-        chosen[role] = roles[role][0]
-    return chosen
 
 
 def _read_map(file: Path, pixels: Pixels, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:

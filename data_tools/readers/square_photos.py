@@ -16,19 +16,17 @@ from torch.nn import functional
 
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.colours import Floats
-from data_tools.readers.image_files import (
-    ALL_PICTURE_SUFFIXES,
-    EXPECTED_IMAGE,
-    IMAGE_SUFFIXES,
-    Pixels,
-    check_exists,
-    export_advice,
-    is_readable_image,
-    read_pixels,
-)
+from data_tools.readers.image_files import Pixels, is_readable_image, read_pixels
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX, Sources, sources_of_files
 from data_tools.readers.lenses import FILM_DIAGONAL_MM
 from data_tools.readers.listing import FoundFiles, files_below, find_files
+from data_tools.readers.opened_images import (
+    ALL_PICTURE_SUFFIXES,
+    EXPECTED_IMAGE,
+    IMAGE_SUFFIXES,
+    check_exists,
+    export_advice,
+)
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import CAMERA_FOV_RAD
 from metapp.appearance.surface import DESCRIPTION_FILE

@@ -21,9 +21,10 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.colours import LINEAR_SPACE, Floats, integers_to_unit_range
-from data_tools.readers.image_files import Pixels, is_heif, read_pixels, shape_of
+from data_tools.readers.image_files import Pixels, read_pixels, shape_of
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX
 from data_tools.readers.normal_maps import complete_normals
+from data_tools.readers.opened_images import is_heif
 from data_tools.readers.square_photos import central_square, reading_side_px, resample_square
 from data_tools.readers.square_photos import find as find
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS

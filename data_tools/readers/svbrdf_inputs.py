@@ -9,12 +9,13 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from data_tools.readers import material_maps, square_photos, strips
+from data_tools.readers import material_files, material_maps, square_photos, strips
 from data_tools.readers.arrays import pixels_of
-from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, check_exists, read_pixels
+from data_tools.readers.image_files import read_pixels
 from data_tools.readers.input_source import DAMAGED_FACT, DEFAULT_PHOTO_PX, PHOTO_COUNT_FACT, Source, Sources
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import is_unused_map
+from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES, check_exists
 from data_tools.readers.square_photos import flash_view, folders_with_places, task_of_square, to_square_photo
 from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.learning.task import Task
@@ -28,7 +29,7 @@ class FileRole(NamedTuple):
         strip: whether the file is a strip.
     """
 
-    material: material_maps.MaterialFiles | None = None
+    material: material_files.MaterialFiles | None = None
     strip: bool = False
 
 
@@ -53,12 +54,12 @@ def find(path: Path) -> Sources:
     files = [file for file in files if _is_elsewhere(file, placed)]
     source_of_file: dict[Path, Path | None] = {}
     title_by_unknown_file: dict[Path, str] = {}
-    materials: dict[Path, material_maps.MaterialFiles] = {}
+    materials: dict[Path, material_files.MaterialFiles] = {}
     by_folder: dict[Path, list[Path]] = {}
     for file in files:
         by_folder.setdefault(file.parent, []).append(file)
     for folder, folder_files in by_folder.items():
-        materials_here = [*filter(_is_material, material_maps.list_materials(folder)[0])]
+        materials_here = [*filter(_is_material, material_files.list_materials(folder)[0])]
         source_of_file.update(dict.fromkeys(filter(is_unused_map, folder_files if materials_here else ())))
         for material in materials_here:
             materials[material.source] = material
@@ -73,7 +74,7 @@ def find(path: Path) -> Sources:
     return [_make_source(file, materials.get(file)) for file in files_found], skipped
 
 
-def _make_source(file: Path, material: material_maps.MaterialFiles | None) -> Source:
+def _make_source(file: Path, material: material_files.MaterialFiles | None) -> Source:
     """Return a file as a source; of maps a photograph is rendered, of a strip it is cut out."""
     try:
         role = FileRole(material) if material else role_of(file)
@@ -91,7 +92,7 @@ def role_of(path: Path) -> FileRole:
     Raises:
         ValueError: the file is no image.
     """
-    material = material_maps.material_of(path)
+    material = material_files.material_of(path)
     return FileRole(material) if material and _is_material(material) else FileRole(strip=strips.is_strip(path))
 
 
@@ -159,6 +160,6 @@ def _is_elsewhere(file: Path, folders: Collection[Path]) -> bool:
     return not any(parent in folders for parent in file.parents)
 
 
-def _is_material(material: material_maps.MaterialFiles) -> bool:
+def _is_material(material: material_files.MaterialFiles) -> bool:
     """Tell whether a material has several maps: a lone one is a photograph that is only called like a map."""
     return len(material.files) > 1

@@ -17,7 +17,8 @@ import torch
 from data_tools.readers import material_maps
 from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.map_names import PLAIN_COLOUR_ROLE
-from data_tools.readers.material_maps import material_of, read_material
+from data_tools.readers.material_files import MaterialFiles, material_of
+from data_tools.readers.material_maps import read_material
 from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.apps import class_of
@@ -28,7 +29,7 @@ from metapp.storage.shards import ManifestEntry, read_data_set, read_manifest
 APP = "svbrdf_nonstationary"
 UNITS = {
     **OF_MAPS,
-    "known": "float32 [4], what the loss of diffuse, specular, roughness and normals counts; 0: the map is made up",
+    "map_weights": "float32 [4], weights of losses of diffuse, specular, roughness and normals; 0: the map is made up",
     "kind": "uint8 [1], 1 of real materials, 0 of drawn ones",
 }
 MISSING_ROUGHNESS = 0.6  # roughness of a material that lacks the map
@@ -60,9 +61,7 @@ def entries(sources: Sequence[Path], folders: Iterable[Path], split: str) -> dic
     )
 
 
-def read_task(
-    source: Path, size: int, normals: str, layer: str = "", content: material_maps.MaterialFiles | None = None
-) -> Task:
+def read_task(source: Path, size: int, normals: str, layer: str = "", content: MaterialFiles | None = None) -> Task:
     """Read the material that a map belongs to, with the weights of its maps.
 
     Args:
@@ -99,7 +98,7 @@ def read_task(
 
 def _add_weights(task: Task, weights: torch.Tensor, kind: int) -> Task:
     """Add to a task the weights of its map losses, [4], and its kind, 1 for real materials and 0 for drawn ones."""
-    return task._replace(data=task.data | {"known": weights, "kind": torch.tensor([kind], dtype=torch.uint8)})
+    return task._replace(data=task.data | {"map_weights": weights, "kind": torch.tensor([kind], dtype=torch.uint8)})
 
 
 def _read_drawn_task(source: Path, size: int) -> Task:

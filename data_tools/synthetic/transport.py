@@ -11,11 +11,12 @@ from data_tools.random_streams import random_stream
 from data_tools.synthetic.cornell import draw_scene
 from data_tools.synthetic.random_values import Split
 from data_tools.synthetic.stationary.families import split_draws
-from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, make_transport_task
+from data_tools.synthetic.transport_task import BESIDE, HELD_OUT, SAMPLES, UNITS, make_transport_task
 from metapp.learning.task import Task
 
-__all__ = ["BESIDE", "COUNTS", "UNITS", "cornell_tasks", "synthetic_tasks"]
+__all__ = ["BESIDE", "COUNTS", "UNITS", "VERSION", "cornell_tasks", "synthetic_tasks"]
 
+VERSION = 2  # of the set's tasks; 2 names the tensor of held-out samples `held_out`
 COUNTS: dict[Split, int] = {"train": 40, "test": 8}
 
 
@@ -25,7 +26,7 @@ def synthetic_tasks(
     seed: int = 0,
     *,
     samples: int = SAMPLES,
-    held: int = HELD,
+    held_out: int = HELD_OUT,
 ) -> Iterator[Task]:
     """Draw the Cornell boxes of one split, and yield each as a task.
 
@@ -34,7 +35,7 @@ def synthetic_tasks(
         count: how many. A larger set begins with the smaller one.
         seed: seed of all draws, >= 0.
         samples: number of samples of each scene that a fit sees.
-        held: number of samples of each scene for tests alone.
+        held_out: number of samples of each scene for tests alone.
 
     Returns:
         Tasks as `make_transport_task` makes them, named "box-000" and so on ("box-t000" in the test split).
@@ -45,10 +46,10 @@ def synthetic_tasks(
     for _, name, rng in split_draws("scenes", ["box"], COUNTS, split, count, seed):
         scene = draw_scene(rng)
         path_seed = int(rng.integers(2**63))
-        yield make_transport_task(name, scene, path_seed, samples=samples, held=held)
+        yield make_transport_task(name, scene, path_seed, samples=samples, held_out=held_out)
 
 
-def cornell_tasks(count: int, seed: int = 0, *, samples: int = SAMPLES, held: int = HELD) -> Iterator[Task]:
+def cornell_tasks(count: int, seed: int = 0, *, samples: int = SAMPLES, held_out: int = HELD_OUT) -> Iterator[Task]:
     """Draw the Cornell boxes of `metapp data cornell`, which are in no default set, and yield each as a task.
 
     Returns:
@@ -59,4 +60,4 @@ def cornell_tasks(count: int, seed: int = 0, *, samples: int = SAMPLES, held: in
         rng = random_stream(seed, len(COUNTS), 0, index)  # a stream that `split_draws` never draws from
         scene = draw_scene(rng)
         path_seed, name = int(rng.integers(2**63)), f"cornell-{seed}-{index:03d}"
-        yield make_transport_task(name, scene, path_seed, samples=samples, held=held)
+        yield make_transport_task(name, scene, path_seed, samples=samples, held_out=held_out)

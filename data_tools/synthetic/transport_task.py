@@ -15,11 +15,11 @@ from metapp.rendering.paths.resampling import draw_path_samples
 from metapp.rendering.scenes.rules import SceneDict
 from metapp.rendering.scenes.stored_text import encode_scene
 
-SAMPLES, HELD = 32_768, 8_192  # samples of a scene that a fit sees, and for tests alone
+SAMPLES, HELD_OUT = 32_768, 8_192  # samples of a scene that a fit sees, and for tests alone
 UNITS = {
     "samples": "primary sample space, in [0, 1) [N, 4]: film (x right, y down), then two numbers for the direction at "
     "the first surface that scatters; in proportion to the luminance carried",
-    "held": "as samples; for tests alone",
+    "held_out": "as samples; for tests alone",
     "image": "linear RGB radiance [3, 32, 32], rows from the top; noisy",
     "scene": "Mitsuba 3 scene as JSON text, UTF-8, blanks at its end",
     "next_event": "1 where paths had next-event estimation and samples were resampled and moved; else missing",
@@ -33,7 +33,7 @@ def make_transport_task(
     seed: int,
     *,
     samples: int = SAMPLES,
-    held: int = HELD,
+    held_out: int = HELD_OUT,
     batch_paths: int | None = None,
 ) -> Task:
     """Trace light paths of a scene, and return their samples and the rendered image as a task.
@@ -43,19 +43,19 @@ def make_transport_task(
         scene: scene dictionary, as `metapp.rendering.scenes.loading.load_scene` takes it.
         seed: seed of all draws.
         samples: N, number of samples that a fit sees.
-        held: M, number of samples for tests alone.
+        held_out: M, number of samples for tests alone.
         batch_paths: paths that are traced at a time; None for as many as :class:`Tracer` traces.
 
     Returns:
-        `samples` [N, 4], `held` [M, 4] and `image` [3, 32, 32], float32, and `scene`, uint8 [L]; where paths had
+        `samples` [N, 4], `held_out` [M, 4] and `image` [3, 32, 32], float32, and `scene`, uint8 [L]; where paths had
         next-event estimation also `next_event`, uint8 [1].
 
     Raises:
         ValueError: `load_scene` or `draw_path_samples` refuses the scene.
     """
     rng, tracer = Generator().manual_seed(seed), Tracer(scene, batch_paths=batch_paths)
-    points, image = draw_path_samples(tracer, samples + held, rng)
-    data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": encode_scene(scene)}
+    points, image = draw_path_samples(tracer, samples + held_out, rng)
+    data = {"samples": points[:samples], "held_out": points[samples:], "image": image, "scene": encode_scene(scene)}
     if tracer.next_event:
         data["next_event"] = torch.ones(1, dtype=torch.uint8)
     return Task(name, data)

@@ -49,17 +49,18 @@ class LobeMixture(NamedTuple):
     azimuth_rad: float = 0.0
 
 
-def fit_lobes(reflectance: Callable[[Tensor], Tensor], turn: float | None = None) -> LobeMixture:
+def fit_lobes(reflectance: Callable[[Tensor], Tensor], axes_azimuth_rad: float | None = None) -> LobeMixture:
     """Fit a mixture to a BRDF, greedily: the lobes that lower the variance most, one after the other.
 
     Args:
         reflectance: linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad; of an anisotropic
             BRDF also phi_h, [..., 4].
-        turn: azimuth of the axes of an anisotropic BRDF in rad; shares are then the same for all azimuths of a viewer.
+        axes_azimuth_rad: azimuth of the axes of an anisotropic BRDF; shares are then the same for all azimuths of a
+            viewer.
             None for an isotropic BRDF.
     """
-    candidates = ISOTROPIC_ALPHAS if turn is None else ANISOTROPIC_ALPHAS
-    angles, cosine, densities = _training_directions(turn)
+    candidates = ISOTROPIC_ALPHAS if axes_azimuth_rad is None else ANISOTROPIC_ALPHAS
+    angles, cosine, densities = _training_directions(axes_azimuth_rad)
     with torch.no_grad():
         mean_reflectance = reflectance(angles).double().mean(-1).numpy()
     # a network's values close to the horizon may be infinite; these must not decide alone
@@ -71,7 +72,7 @@ def fit_lobes(reflectance: Callable[[Tensor], Tensor], turn: float | None = None
     shares, _ = _fit_shares(target, sampling_density, densities[chosen])
     shares *= 1 - MIN_COSINE_SHARE
     shares[:, 0] += MIN_COSINE_SHARE
-    return LobeMixture(tuple(candidates[i - 1] for i in chosen[1:]), shares, turn or 0.0)
+    return LobeMixture(tuple(candidates[i - 1] for i in chosen[1:]), shares, axes_azimuth_rad or 0.0)
 
 
 def _fit_shares(target: Array, sampling_density: Array, lobes: Array) -> tuple[Array, float]:
@@ -107,18 +108,19 @@ def _isotropic_directions() -> tuple[Tensor, Array, Array]:
     return directions_to_rusinkiewicz(*pair), cosine, lobes
 
 
-def _training_directions(turn: float | None) -> tuple[Tensor, Array, Array]:
+def _training_directions(axes_azimuth_rad: float | None) -> tuple[Tensor, Array, Array]:
     """Return directions, the same for every isotropic BRDF, and for every anisotropic one but for the axes.
 
     Returns:
         Half and difference angles [NODES, S, 3 or 4], cosines of the light [NODES, S], 0 below the surface, and
         densities of the cosine and all candidates [1 + A, NODES, S].
     """
-    if turn is None:
+    if axes_azimuth_rad is None:
         return _isotropic_directions()
     (light, viewer), cosine, lobes = _draw_directions(ANISOTROPIC_ALPHAS, _ANISOTROPIC_DRAWS, math.tau)
     light, viewer = (
-        rotate_about_normal(direction, direction.new_full(direction.shape[:-1], turn)) for direction in (light, viewer)
+        rotate_about_normal(direction, direction.new_full(direction.shape[:-1], axes_azimuth_rad))
+        for direction in (light, viewer)
     )
     return directions_to_four_angles(light, viewer), cosine, lobes
 

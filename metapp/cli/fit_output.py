@@ -134,7 +134,7 @@ def _make_document(report: RunReport) -> Document:
         "guarded": count_guarded(records),
         "tasks": [{key: record[key] for key in record_keys if key in record} for record in records],
         "tasks_per_second": report.tasks_per_second,
-        "failures": [{"source": failure.source, "reason": failure.reason} for failure in report.failures],
+        "failures": [{"source": failure.place, "reason": failure.reason} for failure in report.failures],
         "out": str(report.folder.path),
     }
 

@@ -112,7 +112,7 @@ def draw_cornell_boxes(
     Raises:
         ValueError: Mitsuba cannot be used here, or the folder holds other data.
     """
-    tasks = transport.cornell_tasks(options.count, seed, samples=options.samples, held=options.held)
+    tasks = transport.cornell_tasks(options.count, seed, samples=options.samples, held_out=options.held_out)
     notes = {"made_by": "metapp data cornell", "seed": seed, "count": options.count, "split": options.split}
 
     def yield_boxes() -> Iterator[tuple[Task, str, str]]:

@@ -50,4 +50,4 @@ class CornellOptions(Converter):
 
     count: Annotated[int, Option("Number of scenes.", low=1, high=100_000)] = 10
     samples: Annotated[int, Option("Samples per scene that fits may see; the paper has 288,000.", low=1)] = 32_768
-    held: Annotated[int, Option("Held-out samples per scene, on which errors are measured.", "M", low=1)] = 8_192
+    held_out: Annotated[int, Option("Held-out samples per scene, on which errors are measured.", "M", low=1)] = 8_192

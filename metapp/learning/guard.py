@@ -68,9 +68,9 @@ def descend_with_guard(
         yield state
     first_loss, rule_loss = plain_loss(params), plain_loss(state.theta)
     best, lowest = _select_lower(state.theta, rule_loss, params, first_loss)
-    doubtful = ~(rule_loss <= guard.fall * first_loss)
-    if math.isfinite(guard.rise):
-        doubtful |= _find_rising(losses, guard.rise)
+    doubtful = ~(rule_loss <= guard.max_loss_share * first_loss)
+    if math.isfinite(guard.max_rise_factor):
+        doubtful |= _find_rising(losses, guard.max_rise_factor)
     if rows := doubtful.nonzero()[:, 0].tolist():
         theta = {key: value[rows] for key, value in best.items()}
         adam = fixed_adam(guard.adam, theta, steps)

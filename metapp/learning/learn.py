@@ -75,7 +75,7 @@ class DescentState(NamedTuple):
     Attributes:
         step: the number of steps that were taken.
         theta: the parameters, detached.
-        state: the state of the update rule, as its steps return it.
+        rule_state: the state of the update rule, as its steps return it.
         loss: the loss of each task before the last step, [T], detached; None before the first step.
         names: the names of the tasks that the last step saw.
         guarded: bool [T], True for tasks whose result is the guard's instead of the rule's (see
@@ -84,7 +84,7 @@ class DescentState(NamedTuple):
 
     step: int
     theta: Params
-    state: Params
+    rule_state: Params
     loss: Tensor | None = None
     names: tuple[str, ...] = ()
     guarded: Tensor | None = None
@@ -130,7 +130,7 @@ def descend(
     yield latest
     for i in range(latest.step, steps):
         names, batch = loss.draw(data, rng, i / steps)
-        theta, state, losses, _ = functions.step(at_step(functions.alpha, i), latest.theta, latest.state, batch)
+        theta, state, losses, _ = functions.step(at_step(functions.alpha, i), latest.theta, latest.rule_state, batch)
         latest = DescentState(i + 1, theta, state, losses, names)
         yield latest
 

@@ -24,14 +24,14 @@ class Adam:
         rate: the first learning rate.
         beta1, beta2: the decay factors of the first and the second moment.
         eps: the number that is added to the root of the second moment.
-        final: the last rate as a share of the first, to which the rate falls by half a cosine.
+        final_rate_share: the last rate as a share of the first, to which the rate falls by half a cosine.
     """
 
     rate: float
     beta1: float = 0.9
     beta2: float = 0.999
     eps: float = 1e-8
-    final: float = 1.0
+    final_rate_share: float = 1.0
 
 
 # a coordinate search in lines: all changes of a line are tried around the best Adam of the lines before; a rate is a
@@ -43,7 +43,10 @@ ADAM_SEARCH: AdamSearch = (
         {"beta1": beta1, "beta2": beta2}
         for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
     ],
-    [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
+    [
+        {"final_rate_share": share, "rate": factor}
+        for share, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))
+    ],
     [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
     [{"rate": 2 ** (eighth / 8)} for eighth in (-5, -3, -2, -1, 1, 2, 3, 5)],
 )
@@ -55,16 +58,16 @@ class Guard:
 
     Attributes:
         adam: the Adam that continues a doubtful fit for as many steps again, from its end or its initialisation.
-        fall: a fit is doubtful if its plain loss ends above this share of the loss of its initialisation; at most 1,
-            and 1 if losses may be negative.
-        rise: a fit is also doubtful if its loss, in the second half of its steps, exceeds this many times the lowest
-            loss before it; infinite if losses of different steps cannot be compared (other samples, learned loss
-            parameters).
+        max_loss_share: a fit is doubtful if its plain loss ends above this share of the loss of its initialisation; at
+            most 1, and 1 if losses may be negative.
+        max_rise_factor: a fit is also doubtful if its loss, in the second half of its steps, exceeds this many times
+            the lowest loss before it; infinite if losses of different steps cannot be compared (other samples, learned
+            loss parameters).
     """
 
     adam: Adam
-    fall: float = 1.0
-    rise: float = math.inf
+    max_loss_share: float = 1.0
+    max_rise_factor: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -75,10 +78,10 @@ class OuterLoop:
         steps: the number of outer steps.
         tasks: the number of tasks that an outer step sees.
         rates: learning rates of the outer Adam by the beginning of a parameter's name; "" is the rate of all others.
-        warmup: the number of outer steps of linear warm-up.
-        final: the last rate as a share of the first, reached by half a cosine.
-        hold: the share of the outer steps before the rate begins to fall.
-        decay: the weight decay (L2) of the outer Adam.
+        warmup_steps: the number of outer steps of linear warm-up.
+        final_rate_share: the last rate as a share of the first, reached by half a cosine.
+        hold_share: the share of the outer steps before the rate begins to fall.
+        weight_decay: the weight decay (L2) of the outer Adam.
         validate_every: the number of outer steps between two validations.
         augment: whether to train on augmented tasks.
         validation_variants: how many augmented variants of each validation task replace it, drawn once; 0 validates on
@@ -88,10 +91,10 @@ class OuterLoop:
     steps: int
     tasks: int
     rates: dict[str, float]
-    warmup: int = 0
-    final: float = 1.0
-    hold: float = 0.0
-    decay: float = 0.0
+    warmup_steps: int = 0
+    final_rate_share: float = 1.0
+    hold_share: float = 0.0
+    weight_decay: float = 0.0
     validate_every: int = 250
     augment: bool = True
     validation_variants: int = 0
@@ -105,8 +108,8 @@ class MetaTraining(OuterLoop):
     """The training of an initialisation and a rule, by an outer loop through the steps of fits.
 
     Attributes:
-        first: the Adam that a learned rule equals before training; SGD of its rate for meta-sgd.
-        tuned: whether that Adam is searched on validation tasks before the outer steps, as QuickFT's is.
+        initial_adam: the Adam that a learned rule equals before training; SGD of its rate for meta-sgd.
+        searches_adam: whether that Adam is searched on validation tasks before the outer steps, as QuickFT's is.
         order: the order of derivatives through the inner steps: 1 (FOMAML) or 2 (MAML).
         clip: the norm to which each task's outer gradient is scaled down before the mean over tasks is taken.
         initialisation: where fits begin before training. "random" is a random theta_0, "mean" the mean of General's
@@ -117,8 +120,8 @@ class MetaTraining(OuterLoop):
             their initialisation.
     """
 
-    first: Adam = Adam(5e-3, beta2=0.99)
-    tuned: bool = False
+    initial_adam: Adam = Adam(5e-3, beta2=0.99)
+    searches_adam: bool = False
     order: int = 0
     clip: float = float("inf")
     initialisation: Initialisation = "mean"
@@ -185,8 +188,8 @@ def paper_recipe(recipe: Recipe, app: App, **changes: Any) -> Recipe:
         steps=1_000_000,
         tasks=5,
         rates={"": 1e-4},
-        first=Adam(1e-3),
-        decay=1e-6,
+        initial_adam=Adam(1e-3),
+        weight_decay=1e-6,
         order=1,
         clip=10.0,
         initialisation="random",
@@ -205,4 +208,6 @@ def long_paper_recipe(published: Recipe, rate: float = 1e-3) -> Recipe:
         rate: the higher outer rate.
     """
     training = published.training("meta-sgd")
-    return replace(published, meta={"meta-sgd": replace(training, rates={"": rate}, hold=0.75, final=0.0)})
+    return replace(
+        published, meta={"meta-sgd": replace(training, rates={"": rate}, hold_share=0.75, final_rate_share=0.0)}
+    )

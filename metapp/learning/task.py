@@ -1,6 +1,6 @@
 """Tasks, the tensors that they must hold, and flat trees of parameters and samples.
 
-This is the vocabulary that all of learning shares. A task comes from any source; which files it is read from, and
+This is the vocabulary that all of learning shares. A task may come from anywhere; which files it is read from, and
 what its tensors mean, is known elsewhere.
 """
 

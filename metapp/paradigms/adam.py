@@ -21,7 +21,7 @@ from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.paradigm import Paradigm, Preparation
 
 # fields of `Adam` that QuickFT's checkpoints hold, each as a tensor of the field's name
-QUICKFT_ADAM_SETTINGS = ("rate", "beta1", "beta2", "eps", "final")
+QUICKFT_ADAM_SETTINGS = ("rate", "beta1", "beta2", "eps", "final_rate_share")
 
 
 class Overfit(Paradigm):

@@ -127,7 +127,7 @@ class MetaPreparation(Preparation):
     @override
     def first_adam(self) -> Adam | None:
         """The Adam that the rule equals before training; None if the recipe does not search it."""
-        return self.outer_loop.first if self.outer_loop.tuned else None
+        return self.outer_loop.initial_adam if self.outer_loop.searches_adam else None
 
     @override
     def first_phi(self, general: MetaParameters | None, tasks: Tasks, rng: Generator) -> MetaParameters:
@@ -144,14 +144,14 @@ class MetaPreparation(Preparation):
         elif general and kind == "mean":
             theta = {key: value.mean(0) for key, value in predict_parameters(app, general, tasks, rng).items()}
         random = {key: value[0] for key, value in app.init(rng, 1).items()}
-        alpha = self._adam_alpha(random, self.outer_loop.first)
+        alpha = self._adam_alpha(random, self.outer_loop.initial_adam)
         phi = MetaParameters({} if encoder else theta or random, alpha, encoder)
         return self._settle_alpha(phi, tasks, rng)
 
     @override
     def template(self, phi: MetaParameters) -> MetaParameters:
         """Return untrained hyperparameters, with an encoder if phi has one and a theta_0 otherwise."""
-        alpha, rng = self._adam_alpha(self._draw_theta(), self.outer_loop.first), Generator().manual_seed(0)
+        alpha, rng = self._adam_alpha(self._draw_theta(), self.outer_loop.initial_adam), Generator().manual_seed(0)
         if phi.encoder:
             return MetaParameters({}, alpha, self.paradigm.app.init_encoder(rng))
         return MetaParameters(self._draw_theta(), alpha)

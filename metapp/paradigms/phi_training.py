@@ -166,7 +166,7 @@ def _run_outer_loop(
             losses = torch.cat([losses.to(descent.loss), descent.loss.mean()[None]])
         state = state._replace(
             current=descent.theta,
-            moments=descent.state,
+            moments=descent.rule_state,
             rng=rng.get_state(),
             losses=losses,
             step=descent.step,

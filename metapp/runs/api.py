@@ -21,7 +21,7 @@ from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.environment import torch_defaults
 from metapp.runs.fit import Fit
 from metapp.runs.fit_options import FitOptions, fit_options
-from metapp.runs.fitting import BadInput, fit_sources
+from metapp.runs.fitting import BadInput, fit_inputs
 from metapp.runs.inputs.finding import source_of_tensors
 from metapp.runs.inputs.run_inputs import are_objects, find_inputs, rename_duplicates, task_digest
 from metapp.runs.outputs.run_records import find_fitted_tasks, read_fit_of_file, read_run_records
@@ -113,8 +113,8 @@ def fit_all(
         with torch_defaults(single=False):
             inputs = sources or []
             if not are_objects(inputs):
-                inputs = [Path(source) for source in inputs]
-            return _fit_inputs(fit_options(app, paradigm, inputs, quiet=True, **options))
+                inputs = [Path(place) for place in inputs]
+            return _fit_named_inputs(fit_options(app, paradigm, inputs, quiet=True, **options))
     except ValueError as error:
         if not os.environ.get("METAPP_TRACEBACK"):
             error.__traceback__ = None  # the message says what was given; frames of metapp would hide it
@@ -148,36 +148,36 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
         return Fit(run, task, record, parameters)
 
 
-def _fit_inputs(options: FitOptions) -> list[Fit]:
+def _fit_named_inputs(options: FitOptions) -> list[Fit]:
     """Fit the inputs that options name; a bad file that was found in a folder is left out with a warning."""
     run = Run.from_options(options)
     with torch_defaults(single=run.app.single_threaded):
-        sources, label = find_inputs(run)
+        inputs, label = find_inputs(run)
         if options.objects:
-            tasks = [source.read_task() for source in sources]
+            tasks = [run_input.read_task() for run_input in inputs]
             memory_sources = [source_of_tensors(options.app, task.name, task.data) for task in tasks]
             chosen_run = Run.from_options(
                 replace(options, observe=choose_protocol_and_recipe(options, memory_sources).protocol), memory_sources
             )
             if chosen_run.app.read_size != run.app.read_size:
-                sources, label = find_inputs(chosen_run)
+                inputs, label = find_inputs(chosen_run)
             run = chosen_run
         run = attach_checkpoint(run)
         fits, places, settings = [], [], run.settings(label)
-        for source, fit in fit_sources(run, sources):
+        for run_input, fit in fit_inputs(run, inputs):
             if isinstance(fit, Fit):
                 fit.record["settings"] = settings
                 if not options.objects:
-                    fit.record |= {"source": source.place, "content": task_digest(fit.task)}
-                    fit.record |= {"origin": run.input_places(source.given)}
+                    fit.record |= {"source": run_input.place, "content": task_digest(fit.task)}
+                    fit.record |= {"origin": run.input_places(run_input.given_paths)}
                 fits.append(fit)
-                places.append(source.place)
+                places.append(run_input.place)
             elif isinstance(fit, Exception):
-                if source.named or not isinstance(fit, BadInput):
+                if run_input.is_named or not isinstance(fit, BadInput):
                     raise fit
                 say(f"warning: skipped {fit}")
         if not fits:
-            raise ValueError(f"none of the {len(sources)} found could be read.")
+            raise ValueError(f"none of the {len(inputs)} found could be read.")
         for fit, task in zip(
             fits, rename_duplicates(zip(places, [fit.task for fit in fits], strict=True)), strict=True
         ):

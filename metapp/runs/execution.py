@@ -20,7 +20,7 @@ from metapp.paradigms import ranks
 from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fit import Fit
-from metapp.runs.fitting import FITTED_TIME_SHARE, BadInput, EarlierFit, fit_sources
+from metapp.runs.fitting import FITTED_TIME_SHARE, BadInput, EarlierFit, fit_inputs
 from metapp.runs.inputs.run_inputs import Input, find_inputs, task_digest
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, Tiles, add_to_sheet, tiles_of_fit
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open, render_outputs, write_pictures
@@ -42,13 +42,13 @@ class Failure(NamedTuple):
     """An input that was not fitted, or a file format that a fit could not be written in.
 
     Attributes:
-        source: the place of the input, or the path of the file that was not written.
-        reason: the error message, which names the source.
+        place: the place of the input, or the path of the file that was not written.
+        reason: the error message, which names the place.
         fails_run: whether the run counts as failed; a damaged file that was found in a folder does not count.
         is_fit_kept: whether the fit is kept, and only an export was not written.
     """
 
-    source: str
+    place: str
     reason: str
     fails_run: bool = True
     is_fit_kept: bool = False
@@ -133,74 +133,74 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
                     provide(replace(run, options=replace(run.options, quiet=True)))
             return None
         make_folder(run.options.out)
-        sources, label = find_inputs(run)
+        inputs, label = find_inputs(run)
         run = replace(run, checkpoint=provide(run).checkpoint)
         assert run.checkpoint is not None
         if not run.options.quiet:
-            count = f"{len(sources)} input{'s' * (len(sources) != 1)}"
+            count = f"{len(inputs)} input{'s' * (len(inputs) != 1)}"
             size = "; files of {:,} rows, {:,} columns".format(*run.presenter.size) if run.presenter.size else ""
             steps = f"{run.paradigm.steps} steps, from {run.checkpoint.source}"
             say(f"{full_name(run.app)} {run.paradigm.name}: {count}; {steps}{size}")
         begin, folder = time.perf_counter(), run.folder(label)
-        outcomes = list(keep_fits(run, folder, sources))
+        outcomes = list(keep_fits(run, folder, inputs))
         new_fits = sum(outcome.record is not None and not outcome.is_earlier for outcome in outcomes)
         tasks_per_second = new_fits / (time.perf_counter() - begin) if new_fits else None
         # outcomes come as inputs are done, in another order than the inputs where several are fitted side by side
-        order = {source.place: number for number, source in enumerate(sources)}
+        order = {run_input.place: number for number, run_input in enumerate(inputs)}
         outcomes.sort(key=lambda outcome: order[outcome.place])
         report = RunReport(run, folder, outcomes, tasks_per_second)
         if not report.records:
-            introduction = f"none of {len(sources)} inputs could be fitted; the first: " if len(sources) > 1 else ""
+            introduction = f"none of {len(inputs)} inputs could be fitted; the first: " if len(inputs) > 1 else ""
             raise ValueError(f"{introduction}{report.failures[0].reason}")
         _write_contact_sheet(report)
         return report
 
 
-def keep_fits(run: Run, folder: RunFolder, sources: Sequence[Input]) -> Iterator[Outcome]:
+def keep_fits(run: Run, folder: RunFolder, inputs: Sequence[Input]) -> Iterator[Outcome]:
     """Fit inputs, keep each fit in the folder of the run, and show progress.
 
     Args:
         run: a run with its checkpoint.
         folder: the folder of the run.
-        sources: the inputs to fit, one or more.
+        inputs: the inputs to fit, one or more.
 
     Yields:
         The outcome of each input, as soon as it is known.
     """
-    shown_count, input_count = 0, len(sources)
+    shown_count, input_count = 0, len(inputs)
     with progress(run.paradigm.name, input_count, long=input_count > 1, quiet=run.options.quiet) as bar:
-        bar.set_label(f"{Path(sources[0].place).name}: reading")
-        for source, fit in fit_sources(run, sources, folder, bar):
+        bar.set_label(f"{Path(inputs[0].place).name}: reading")
+        for run_input, fit in fit_inputs(run, inputs, folder, bar):
             if isinstance(fit, Exception):
                 if input_count == 1 and not isinstance(fit, FORESEEN_ERRORS):
                     raise fit
-                outcome = _report_failure(source, fit, bar)
+                outcome = _report_failure(run_input, fit, bar)
             else:
                 try:
-                    outcome = _keep_fit(folder, source, fit, bar, is_shown=shown_count < MAX_SHEET_ROWS)
+                    outcome = _keep_fit(folder, run_input, fit, bar, is_shown=shown_count < MAX_SHEET_ROWS)
                     shown_count += 1
                 except ValueError as error:
-                    outcome = _report_failure(source, error, bar)
+                    outcome = _report_failure(run_input, error, bar)
             yield outcome
 
 
-def _report_failure(source: Input, error: Exception, bar: Bar) -> Outcome:
+def _report_failure(run_input: Input, error: Exception, bar: Bar) -> Outcome:
     """Return the outcome of an input whose fit failed by an error, and show the failure in the progress.
 
     A bad input that the user did not name, but that was found in a folder, does not fail the run.
     """
-    bar.advance(f"failed: {Path(source.place).name}")
-    fails_run = source.named or not isinstance(error, BadInput)
-    reason = str(error_about_file(error, Path(source.place)))
-    return Outcome(source.place, failures=[Failure(source.place, reason, fails_run)])
+    bar.advance(f"failed: {Path(run_input.place).name}")
+    fails_run = run_input.is_named or not isinstance(error, BadInput)
+    reason = str(error_about_file(error, Path(run_input.place)))
+    return Outcome(run_input.place, failures=[Failure(run_input.place, reason, fails_run)])
 
 
-def _keep_fit(folder: RunFolder, source: Input, fit: Fit | EarlierFit, bar: Bar, *, is_shown: bool) -> Outcome:
+def _keep_fit(folder: RunFolder, run_input: Input, fit: Fit | EarlierFit, bar: Bar, *, is_shown: bool) -> Outcome:
     """Write the parameters, the pictures and the record of a fit, in this order, then its exports.
 
     Args:
         folder: the folder of the run.
-        source: the input that was fitted.
+        run_input: the input that was fitted.
         fit: a new fit, or an earlier one, whose files stay as they are.
         bar: the progress of the run.
         is_shown: whether the contact sheet of the run shows the fit.
@@ -209,7 +209,7 @@ def _keep_fit(folder: RunFolder, source: Input, fit: Fit | EarlierFit, bar: Bar,
     if isinstance(fit, EarlierFit):
         tiles = _draw_tiles(run, task, read_checked_params(fit.record, run.app), fit.record) if is_shown else None
         bar.advance(f"{task.name}: fitted before")
-        return Outcome(source.place, fit.record, is_earlier=True, tiles=tiles)
+        return Outcome(run_input.place, fit.record, is_earlier=True, tiles=tiles)
     bar.set_label(f"{fit.name}: pictures", FITTED_TIME_SHARE)
     remarks: list[str] = []
 
@@ -219,15 +219,15 @@ def _keep_fit(folder: RunFolder, source: Input, fit: Fit | EarlierFit, bar: Bar,
             write_pictures(run.presenter.pictures(fit.parameters, task) | renders, fit_folder)
             remarks.extend(f"{fit.name}: {line}" for line in lines)
 
-    origin = run.input_places(source.given)
-    record = fit.record | {"source": source.place, "content": task_digest(task), "origin": origin}
-    replaces_earlier = folder.earlier_record(task.name, source.place) is not None
+    origin = run.input_places(run_input.given_paths)
+    record = fit.record | {"source": run_input.place, "content": task_digest(task), "origin": origin}
+    replaces_earlier = folder.earlier_record(task.name, run_input.place) is not None
     record = folder.write(record, fit.parameters, draw)
     tiles = _draw_tiles(run, task, fit.parameters, record) if is_shown else None
     exports, failures = _write_exports(fit, record, bar)
     errors = [f"{key.replace('_', ' ')} {record[key]:.3f}" for key in ERROR_RECORD_KEYS if record.get(key) is not None]
     bar.advance(", ".join([record["name"], *errors[:1], f"{record['seconds']:.4f} s"]))
-    return Outcome(source.place, record, False, replaces_earlier, exports, remarks, failures, tiles)
+    return Outcome(run_input.place, record, False, replaces_earlier, exports, remarks, failures, tiles)
 
 
 def _write_exports(fit: Fit, record: Document, bar: Bar) -> tuple[list[tuple[str, Path]], list[Failure]]:

@@ -57,14 +57,14 @@ class EarlierFit(NamedTuple):
     record: Document
 
 
-def fit_sources(
-    run: Run, sources: Sequence[Input], folder: RunFolder | None = None, bar: Bar | None = None
+def fit_inputs(
+    run: Run, inputs: Sequence[Input], folder: RunFolder | None = None, bar: Bar | None = None
 ) -> Iterator[tuple[Input, Fit | EarlierFit | Exception]]:
     """Read and fit inputs, `--batch` of them side by side, and say the warnings of each fit.
 
     Args:
         run: a run with its checkpoint.
-        sources: the inputs to fit; each is read when its turn comes.
+        inputs: the inputs to fit; each is read when its turn comes.
         folder: the folder of the run; None if fits are not kept.
         bar: the progress, which shows the name of each task that was read.
 
@@ -80,16 +80,16 @@ def fit_sources(
             if not is_warm:
                 warm_up(run, group[0][1])
                 is_warm = True
-            for source, fit in _fit_group(run, group):
+            for run_input, fit in _fit_group(run, group):
                 if isinstance(fit, Fit):
                     _say_warnings(fit)
-                yield source, fit
+                yield run_input, fit
 
-    for source, result in _read_tasks(run, sources, folder, bar or Bar()):
+    for run_input, result in _read_tasks(run, inputs, folder, bar or Bar()):
         if isinstance(result, Task):
-            pending.append((source, result))
+            pending.append((run_input, result))
         else:
-            yield source, result
+            yield run_input, result
         if len(pending) == (run.options.batch or 1):
             yield from fit_pending()
             pending.clear()
@@ -97,7 +97,7 @@ def fit_sources(
 
 
 def _read_tasks(
-    run: Run, sources: Iterable[Input], folder: RunFolder | None, bar: Bar
+    run: Run, inputs: Iterable[Input], folder: RunFolder | None, bar: Bar
 ) -> Iterator[tuple[Input, Task | EarlierFit | Exception]]:
     """Read inputs one after the other, and say what was cut or scaled.
 
@@ -105,23 +105,23 @@ def _read_tasks(
         Each input with its task, with an earlier fit that --resume keeps, or with the error of a bad input.
     """
     note_count = 0
-    for source in sources:
+    for run_input in inputs:
         try:
-            task = source.read_task()
-            record = folder.earlier_record(task.name, source.place) if folder and run.options.resume else None
+            task = run_input.read_task()
+            record = folder.earlier_record(task.name, run_input.place) if folder and run.options.resume else None
             if folder and record and folder.matches(record, task_digest(task)):
-                yield source, EarlierFit(run, task, record)
+                yield run_input, EarlierFit(run, task, record)
             else:
                 bar.set_label(f"{task.name}: fitting", READ_TIME_SHARE)
                 check_task(run, task)
                 note_count += bool(task.note)
                 if task.note and note_count <= MAX_NOTED_INPUTS:
-                    say(f"{Path(source.place).name}: {task.note}")
+                    say(f"{Path(run_input.place).name}: {task.note}")
                 elif task.note and note_count == MAX_NOTED_INPUTS + 1:
                     say("further inputs are cut and scaled likewise")
-                yield source, task
+                yield run_input, task
         except (ValueError, OSError) as error:
-            yield source, BadInput(str(error_about_file(error, Path(source.place))))
+            yield run_input, BadInput(str(error_about_file(error, Path(run_input.place))))
 
 
 def _fit_group(run: Run, pairs: Sequence[tuple[Input, Task]]) -> Iterator[tuple[Input, Fit | Exception]]:
@@ -136,7 +136,7 @@ def _fit_group(run: Run, pairs: Sequence[tuple[Input, Task]]) -> Iterator[tuple[
     except FIT_ERRORS as error:
         failure = error.with_traceback(None)  # the frames of a traceback would hold the tensors of the batch
     if failure is None:
-        yield from zip([source for source, _ in pairs], fits, strict=True)
+        yield from zip([run_input for run_input, _ in pairs], fits, strict=True)
     elif len(pairs) == 1:
         yield pairs[0][0], failure
     else:
@@ -155,9 +155,9 @@ def _say_warnings(fit: Fit) -> None:
 def group_by_tensor_sizes(pairs: Iterable[tuple[Input, Task]]) -> list[list[tuple[Input, Task]]]:
     """Group tasks whose tensors have equal sizes, so that they can be fitted side by side."""
     groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Input, Task]]] = {}
-    for source, task in pairs:
+    for run_input, task in pairs:
         sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
-        groups.setdefault(sizes, []).append((source, task))
+        groups.setdefault(sizes, []).append((run_input, task))
     return list(groups.values())
 
 

@@ -26,14 +26,14 @@ class Choice(NamedTuple):
         recipe: the name of the recipe.
         protocol: the value of --observe, what fits see; "" where the application has one protocol only.
         reasons: the first lines that a run prints: what the inputs chose, and why.
-        missing: the line among the reasons about a missing file that a better recipe needs; "" for none.
+        missing_file_line: the line among the reasons about a missing file that a better recipe needs; "" for none.
     """
 
     app: str
     recipe: str
     protocol: str
     reasons: tuple[str, ...] = ()
-    missing: str = ""
+    missing_file_line: str = ""
 
 
 def choose_protocol_and_recipe(options: FitOptions, sources: Sequence[Source]) -> Choice:
@@ -96,8 +96,8 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
     """Choose the recipe that suits all sources, else the usual recipe.
 
     Inputs that a user names must be alike. A folder, such as one of a material database, may hold inputs that a recipe
-    suits beside others: then the recipe's `mixed` is chosen, or an error is raised if it has none. Damaged inputs do
-    not count.
+    suits beside others: then the recipe's `mixed_recipe` is chosen, or an error is raised if it has none. Damaged
+    inputs do not count.
 
     Args:
         options: the options of the fit.
@@ -120,10 +120,10 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
     if not name:
         return usual, "", ""
     entry, count, source_count = entries[name], recipe_by_source.count(name), len(sound_sources)
-    if count < source_count and entry.mixed and not any(source.named for source in sound_sources):
+    if count < source_count and entry.mixed_recipe and not any(source.is_named for source in sound_sources):
         return (
-            entry.mixed,
-            f"{app}: recipe {entry.mixed}, since {count} of {source_count} inputs have {entry.help}",
+            entry.mixed_recipe,
+            f"{app}: recipe {entry.mixed_recipe}, since {count} of {source_count} inputs have {entry.help}",
             "",
         )
     other_sources = (source for source, recipe in zip(sound_sources, recipe_by_source, strict=True) if recipe != name)
@@ -133,7 +133,7 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
             f"recipes for these differ; fit them by two commands, or all by --recipe {name} or --recipe "
             f"{FULL_RECIPE_NAME}."
         )
-    if entry.lacks and (missing := load_reference(entry.lacks)()):
+    if entry.describe_missing_file and (missing := load_reference(entry.describe_missing_file)()):
         return usual, "", f"{app}: {missing}"
     return name, f"{app}: recipe {name}, since every {_noun(options)} has {entry.help}", ""
 

@@ -91,7 +91,7 @@ class Run:
         paradigm_class = paradigm_of(options.paradigm)
         sources_found = tuple(find_sources(options) if sources is None else sources)
         choice = choose_protocol_and_recipe(options, sources_found)
-        for line in filter(None, [choice.missing] if options.quiet else choice.reasons):
+        for line in filter(None, [choice.missing_file_line] if options.quiet else choice.reasons):
             say(line)
         recipe_name = choice.recipe
         options = replace(options, observe="" if options.objects and not options.observe else choice.protocol)

@@ -117,38 +117,38 @@ def _write_record(record: Document, folder: Path, target: Path, digest_folder: P
     return json_record | {"folder": str(target)}
 
 
-def _find_record(folders: Iterable[Path], source: str) -> Document | None:
+def _find_record(folders: Iterable[Path], place: str) -> Document | None:
     """Return the record of a fit of an input that one of the folders holds; None if none does."""
     for folder in folders:
         try:
             record = read_fit_record(folder) if folder.is_dir() and not folder.is_symlink() else None
         except ValueError:
             continue
-        if record and record.get("source") == to_json_value(source):
+        if record and record.get("source") == to_json_value(place):
             return record
     return None
 
 
-def _candidate_folders(run_folder: Path, name: str, source: str) -> tuple[Path, Path]:
+def _candidate_folders(run_folder: Path, name: str, place: str) -> tuple[Path, Path]:
     """Return the two folders that a fit may lie in: by the name of its task, and by this name with a digest.
 
     Args:
         run_folder: the folder of the run.
         name: the name of the task.
-        source: the path of the input, of which the digest is made.
+        place: the path of the input, of which the digest is made.
     """
     plain_name = file_name(to_json_value(name))
-    digest = hashlib.sha256(to_json_value(source).encode()).hexdigest()[:6]
+    digest = hashlib.sha256(to_json_value(place).encode()).hexdigest()[:6]
     return run_folder / plain_name, run_folder / file_name(f"{plain_name}-{digest}")
 
 
-def name_with_digest(name: str, source: str) -> str:
+def name_with_digest(name: str, place: str) -> str:
     """Return the name of a task, as a file name, with a digest of its input, for a second input of this name.
 
     >>> name_with_digest("gold", "/brdfs/second/gold.binary")
     'gold-21ab9d'
     """
-    return _candidate_folders(Path(), name, source)[1].name
+    return _candidate_folders(Path(), name, place)[1].name
 
 
 def read_fit_record(folder: Path, entries: Collection[str] = ()) -> Document | None:
@@ -315,14 +315,14 @@ class RunFolder(NamedTuple):
         """Write a fit with the settings of the run; see :func:`write_fit`."""
         return write_fit(self.path, {**record, "settings": self.settings}, theta, draw)
 
-    def earlier_record(self, name: str, source: str) -> Document | None:
+    def earlier_record(self, name: str, place: str) -> Document | None:
         """Return the record of an earlier fit of an input, which may have other settings; None if there is none.
 
         Args:
             name: the name of the task.
-            source: the place of the input.
+            place: the place of the input.
         """
-        return _find_record(_candidate_folders(self.path, name, source), source)
+        return _find_record(_candidate_folders(self.path, name, place), place)
 
     def matches(self, record: Document, content: str | None = None) -> bool:
         """Test whether a record states the settings of this run, and the content of an input.

@@ -165,7 +165,7 @@ def room(seed: int, count: int = 4096) -> Task:
     points[~lit, 2:] = (near + 0.05 * torch.randn(2 * count, 2, generator=generator)).clamp(0, 0.9999)[~lit]
     film = (points[:, :2] * 8).long()
     image = torch.bincount(film[:, 1] * 8 + film[:, 0], minlength=64).float().reshape(8, 8) / (2 * count / 64)
-    data = {"samples": points[:count], "held": points[count:], "image": image.expand(3, 8, 8).clone()}
+    data = {"samples": points[:count], "held_out": points[count:], "image": image.expand(3, 8, 8).clone()}
     return Task(f"room-{seed}", data)
 
 
@@ -183,7 +183,7 @@ def test_errors_are_of_held_out_samples_and_add_up(app: Transport, tasks: Tasks)
     theta = {key: value.repeat(4, *[1] * (value.ndim - 1)).float() for key, value in bent_flow(FLOW).items()}
     errors = app.errors(theta, tasks)
     torch.testing.assert_close(errors["error"], errors["film"] + errors["directions"])
-    torch.testing.assert_close(errors["error"], app.loss(theta, {"points": tasks.data["held"].mT}, {}))
+    torch.testing.assert_close(errors["error"], app.loss(theta, {"points": tasks.data["held_out"].mT}, {}))
 
 
 def test_untrained_encoder_predicts_the_pictures_density(app: Transport, tasks: Tasks) -> None:

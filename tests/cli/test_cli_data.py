@@ -282,7 +282,7 @@ def test_small_tensors_are_converted_by_one_thread(
 # `metapp data synth` and `metapp data cornell`
 
 
-FEW_PATHS = ("--samples", "200", "--held", "50")
+FEW_PATHS = ("--samples", "200", "--held-out", "50")
 
 
 @pytest.mark.usefixtures("small_spheres")
@@ -317,7 +317,7 @@ def interrupt(*_: object) -> None:
 
 def few(split: Split, count: int, seed: int) -> Iterator[Task]:
     """The boxes of the embedded set, of few samples each."""
-    return synthetic_tasks(split, count, seed, samples=100, held=20)
+    return synthetic_tasks(split, count, seed, samples=100, held_out=20)
 
 
 # embedded sets, as entries of the registry name them: modules
@@ -364,7 +364,7 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
     tasks = read_data_set(Path("a"), app="transport")
     for task in tasks:
         assert task.data["samples"].shape == (200, 4)
-        assert task.data["held"].shape == (50, 4)
+        assert task.data["held_out"].shape == (50, 4)
         scene = json.loads(Path(f"a/{task.name}.json").read_text())
         assert scene == decode_scene(task.data["scene"])
     # fewer take the place of all, scenes included
@@ -386,5 +386,7 @@ def test_the_embedded_set_is_made_of_boxes(monkeypatch: pytest.MonkeyPatch) -> N
     assert list_data_set_problems(folder) == []
     assert (folder / "box-t000.json").is_file()
     first, _, test = read_data_set(folder)
-    others = [decode_scene(task.data["scene"]) for task in (first, test, next(cornell_tasks(1, samples=10, held=10)))]
+    others = [
+        decode_scene(task.data["scene"]) for task in (first, test, next(cornell_tasks(1, samples=10, held_out=10)))
+    ]
     assert all(others[i] != others[j] for i, j in ((0, 1), (0, 2), (1, 2)))

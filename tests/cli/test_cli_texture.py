@@ -53,7 +53,7 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     outputs = quick.app.network.outputs
     network = UNet(4, levels=2, noise=2, code=4, outputs=outputs)
     app = replace(quick.app, network=network, octaves=Octaves(16, 16, ("relu1_1", "relu2_1")))
-    shortened = {name: replace(training, steps=2, tasks=2, warmup=0) for name, training in quick.meta.items()}
+    shortened = {name: replace(training, steps=2, tasks=2, warmup_steps=0) for name, training in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2)
     search = ([{"rate": 0.5}], [{"beta1": 0.3}])
     quick = replace(quick, app=app, steps=3, overfit_steps=3, general=general, meta=shortened, search=search)

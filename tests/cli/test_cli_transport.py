@@ -29,7 +29,7 @@ from tests.recipe_apps import app_by_recipe
 @pytest.fixture(scope="module")
 def box() -> Task:
     """A Cornell box of few samples."""
-    return make_transport_task("box", random_scene(0), 0, samples=2048, held=512, batch_paths=2**16)
+    return make_transport_task("box", random_scene(0), 0, samples=2048, held_out=512, batch_paths=2**16)
 
 
 def uniform(app: Transport) -> Params:
@@ -123,7 +123,7 @@ def test_a_reference_knows_its_own_error(box: Task) -> None:
 @pytest.mark.long
 @pytest.mark.usefixtures("few_paths")
 def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_reader.read_task, "__defaults__", (512, 128, ()))  # samples, held, roots
+    monkeypatch.setattr(scene_reader.read_task, "__defaults__", (512, 128, ()))  # samples, held_out, roots
     box = {key: value for key, value in random_scene(0).items() if key != "light"}
     box["bulb"] = {"type": "point", "position": [0.0, 0.7, 0.0]}
     box["fog"] = {"type": "homogeneous"}  # which nothing refers to

@@ -123,7 +123,7 @@ def climb(step: int, factor: float) -> list[float]:
 def test_a_loss_that_rises_late_is_doubtful(
     step: int, factor: float, rise: float, acts: bool, start: Params, tasks: Tasks
 ) -> None:
-    found, alone = fit(at_steps(*climb(step, factor)), start, tasks, guard=Guard(ADAM, rise=rise))
+    found, alone = fit(at_steps(*climb(step, factor)), start, tasks, guard=Guard(ADAM, max_rise_factor=rise))
     expected = factor * 0.5 ** (STEPS - 1) * loss_of(start, tasks)
     torch.testing.assert_close(loss_of(alone, tasks), expected)
     if acts:

@@ -123,11 +123,13 @@ def test_a_descent_yields_its_initialisation_and_each_step(tasks: Tasks, rng: Ge
 
 
 def test_a_descent_goes_on_from_any_of_its_steps(tasks: Tasks) -> None:
-    start, rule = zeros(tasks), fixed_adam(Adam(0.1, final=0.0), zeros(tasks), 6)
+    start, rule = zeros(tasks), fixed_adam(Adam(0.1, final_rate_share=0.0), zeros(tasks), 6)
     expected = learn(start, rule, tasks, NOISY_LOSS, steps=6, rng=Generator().manual_seed(1))
     rng = Generator().manual_seed(1)
     middle = next(now for now in descend(start, rule, tasks, NOISY_LOSS, steps=6, rng=rng) if now.step == 4)
-    others = descend({}, rule, tasks, NOISY_LOSS, steps=6, rng=rng, since=DescentState(4, middle.theta, middle.state))
+    others = descend(
+        {}, rule, tasks, NOISY_LOSS, steps=6, rng=rng, since=DescentState(4, middle.theta, middle.rule_state)
+    )
     *_, final = others
     assert torch.equal(final.theta["x"], expected["x"])
 
@@ -219,7 +221,7 @@ def test_meta_is_learn_over_tasks_after_learning(phi: Params, tasks: Tasks, rng:
     """Alg. 3: on parabolas of one curvature the best start is the mean and the best rate the curvature's inverse."""
     lifted = over_tasks(after_learning(EXACT_LOSS, sgd, steps=3, order=2), count=5)
     start = float(lifted.value(phi, lifted.draw(tasks, rng, 1.0).batch, {}).mean())
-    trained = learn(phi, fixed_adam(Adam(0.1, final=0.0), phi, 200), tasks, lifted, steps=200, rng=rng)
+    trained = learn(phi, fixed_adam(Adam(0.1, final_rate_share=0.0), phi, 200), tasks, lifted, steps=200, rng=rng)
     assert float(lifted.value(trained, lifted.draw(tasks, rng, 1.0).batch, {}).mean()) < 1e-6 * start
     torch.testing.assert_close(float(trained["alpha.rate"]), 1.0, rtol=0, atol=0.1)
 
@@ -233,7 +235,7 @@ def test_after_encoding_is_the_loss_of_predicted_parameters(tasks: Tasks, rng: G
 
     loss = over_tasks(after_encoding(EXACT_LOSS, EncoderPrediction(condition, encode)), count=5)
     phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flatten()
-    trained = learn(phi, fixed_adam(Adam(0.05, final=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
+    trained = learn(phi, fixed_adam(Adam(0.05, final_rate_share=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
     torch.testing.assert_close(trained["encoder.w"], torch.eye(3).double(), rtol=0, atol=1e-3)
 
 

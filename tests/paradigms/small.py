@@ -110,7 +110,7 @@ def path_tasks() -> list[Task]:
         samples = samples.clamp(0, 0.999)[torch.randperm(2048, generator=generator)]
         row, column = ((8 * samples[:, k]).long() for k in (1, 0))
         image = torch.bincount(8 * row + column, minlength=64).reshape(1, 8, 8).expand(3, -1, -1) / 32
-        tasks.append(Task(f"room-{i}", {"samples": samples[:1536], "held": samples[1536:], "image": image.clone()}))
+        tasks.append(Task(f"room-{i}", {"samples": samples[:1536], "held_out": samples[1536:], "image": image.clone()}))
     return tasks
 
 
@@ -144,12 +144,18 @@ def small_recipe(app: App) -> Recipe:
     """Return the quick recipe with few samples, tasks and steps, and with every rule that applies."""
     recipe = recipes_of(app.name)["quick"]
 
-    few_steps: dict[str, Any] = {"steps": 6, "tasks": 3, "warmup": 0, "validate_every": 2, "validation_variants": 0}
+    few_steps: dict[str, Any] = {
+        "steps": 6,
+        "tasks": 3,
+        "warmup_steps": 0,
+        "validate_every": 2,
+        "validation_variants": 0,
+    }
 
     def shorten(training: MetaTraining) -> MetaTraining:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
         # thresholds of a guard hold for trained rules alone
-        return replace(training, **few_steps, rates=rates, tuned=False, app=None, guard=None)
+        return replace(training, **few_steps, rates=rates, searches_adam=False, app=None, guard=None)
 
     return replace(
         recipe,

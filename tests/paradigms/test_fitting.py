@@ -173,7 +173,7 @@ def test_guard_thresholds_hold_for_named_rules_with_the_recipes_steps(app: App) 
         meta = Meta.of(app, recipe, rule)
         assert meta.guard == (training.guard or plain)
         assert Meta.of(app, recipe, rule, recipe.steps + 1).guard == plain
-        assert 0 < meta.guard.fall <= 1
+        assert 0 < meta.guard.max_loss_share <= 1
     assert Meta.of(app, recipe, "sgd+loss").guard == plain
 
 

@@ -221,7 +221,7 @@ def test_training_never_sees_a_validation_task(trained: Paradigm, tasks: Tasks) 
 
 GENERAL = MetaParameters(encoder={"w": torch.ones(2)})
 TASKS = Tasks(tuple("abcd"), {}, torch.arange(4))
-BEST = Adam(rate=0.05, beta1=0.5, beta2=0.97, eps=1e-4, final=0.1)
+BEST = Adam(rate=0.05, beta1=0.5, beta2=0.97, eps=1e-4, final_rate_share=0.1)
 
 
 def bowl(adam: Adam) -> float:
@@ -231,7 +231,7 @@ def bowl(adam: Adam) -> float:
         3 * (adam.beta1 - BEST.beta1),
         10 * (adam.beta2 - BEST.beta2),
         math.log(adam.eps / BEST.eps) / 10,
-        adam.final - BEST.final,
+        adam.final_rate_share - BEST.final_rate_share,
     ]
     return sum(difference * difference for difference in away)
 
@@ -261,7 +261,7 @@ def test_the_search_finds_the_best_adam(first: Adam) -> None:
     """It does so from a rate 25 times too small or 20 times too large, to a third of the step of the grid of rates."""
     search = Search(first)
     found = search.found
-    assert (found.beta1, found.beta2, found.final) == (BEST.beta1, BEST.beta2, BEST.final)
+    assert (found.beta1, found.beta2, found.final_rate_share) == (BEST.beta1, BEST.beta2, BEST.final_rate_share)
     assert found.eps == pytest.approx(BEST.eps)
     assert abs(math.log2(found.rate / BEST.rate)) < 1 / 6
     assert search.tuned.validation == pytest.approx(bowl(found))
@@ -323,12 +323,12 @@ def test_a_rule_is_tuned_as_quickft_is(
     """The rule's Adam is searched on validation tasks, in the bases of the training tasks, before outer steps begin."""
     search = ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}])
     recipe = replace(fits["meta"].recipe, search=search)
-    tuned = replace(recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
+    tuned = replace(recipe.meta[rule], initialisation="encoder", searches_adam=True, steps=outer)
     meta = Meta.of(app, replace(recipe, meta={rule: tuned}), rule)
     encoder = MetaParameters(encoder=app.init_encoder(seeded_generator()))
     result = best_state(train_phi(meta.preparations[-1], tasks, seeded_generator(), general=encoder))
     plain = rule_of(rule).initial_alpha(
-        app, {key: v[0] for key, v in app.init(seeded_generator(), 1).items()}, 3, tuned.first
+        app, {key: v[0] for key, v in app.init(seeded_generator(), 1).items()}, 3, tuned.initial_adam
     )
     assert result.phi.alpha.keys() == plain.keys()
     assert not result.phi.theta

@@ -38,7 +38,7 @@ def trained(kind: str, fits: dict[str, Paradigm]) -> Paradigm:
         return replace(fits[kind], recipe=recipe)
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
     rule = rule if rule in recipe.meta else "meta-encoder"  # networks are for grids alone
-    settings = replace(recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
+    settings = replace(recipe.meta[rule], searches_adam=tuned, initialisation="encoder" if tuned else "mean")
     return Meta.of(fits["meta"].app, replace(recipe, meta={rule: settings}), rule)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import flash_photos, image_files
+from data_tools.readers import flash_photos, image_files, opened_images
 from data_tools.readers.square_photos import find, read_photo
 from metapp.appearance.colour import linear_to_srgb
 from tests.pictures import P3_TO_SRGB, STORED_BY_ORIENTATION, channels_first, icc_profile
@@ -62,7 +62,8 @@ def test_damaged_or_small_pictures_are_refused_in_one_line(tmp_path: Path) -> No
 
 def test_without_the_library_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "a.heic", gradients())
-    monkeypatch.setattr(image_files, "can_read_heif", lambda: False)
+    for module in (image_files, opened_images):
+        monkeypatch.setattr(module, "can_read_heif", lambda: False)
     with pytest.raises(
         ValueError, match=r'export it as JPEG or PNG, or read it as it is: pip install "metapp\[heic\]"'
     ):

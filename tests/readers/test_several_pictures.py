@@ -9,9 +9,10 @@ import OpenImageIO as oiio
 import pytest
 from PIL import Image
 
-from data_tools.readers import material_maps, square_photos
+from data_tools.readers import material_files, square_photos
 from data_tools.readers.camera_raws import is_raw
-from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, IMAGE_SUFFIXES, read_pixels, shape_of
+from data_tools.readers.image_files import read_pixels, shape_of
+from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES, IMAGE_SUFFIXES
 from tests.found_paths import find_paths
 from tests.pictures import noise_image, write_image
 
@@ -127,5 +128,5 @@ def test_files_that_are_read_by_name_are_found_in_folders(tmp_path: Path, writte
         path.parent.rmdir()
     assert find_paths(square_photos.find, tmp_path) == (sorted(files), [])
     assert square_photos.read_task(files[0]).data["image"].shape == (3, 256, 256)
-    (material,), _ = material_maps.list_materials(tmp_path)
+    (material,), _ = material_files.list_materials(tmp_path)
     assert material.name == "rock"

@@ -14,7 +14,7 @@ APP = "svbrdf_nonstationary"
 
 
 @pytest.mark.parametrize(
-    ("maps", "known"),
+    ("maps", "map_weights"),
     [
         ({}, [1.0, 1.0, 1.0, 1.0]),
         ({"specular": 0.5}, [1.0, 1.0, 1.0, 1.0]),
@@ -24,12 +24,12 @@ APP = "svbrdf_nonstationary"
     ],
 )
 def test_parts_that_a_set_lacks_are_marked_unknown(
-    metapp: Callable, tmp_path: Path, maps: dict, known: list[float]
+    metapp: Callable, tmp_path: Path, maps: dict, map_weights: list[float]
 ) -> None:
     given = folder(tmp_path / "rock", **maps)
     assert metapp("data", "materials", given, "--size", "32", "--split", "train", "--out", tmp_path / "set").code == 0
     (task,) = read_data_set(tmp_path / "set", "train")
-    torch.testing.assert_close(task.data["known"], torch.tensor(known))
+    torch.testing.assert_close(task.data["map_weights"], torch.tensor(map_weights))
     assert task.data["kind"].tolist() == [1]
     assert task.data["maps"].shape == (10, 32, 32)
     if "roughness" in maps and "gloss" not in maps:

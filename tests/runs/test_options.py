@@ -139,17 +139,17 @@ def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
     first.write_text("")
     link.symlink_to(first)
     planned = Run.from_options(fit_options("brdf", "general", inputs=[link], out=tmp_path, quiet=True))
-    (source,) = find_inputs(planned)[0]
-    assert planned.input_places(source.given) == {"inputs": [str(link)]}
-    assert source.place == str(first)
+    (run_input,) = find_inputs(planned)[0]
+    assert planned.input_places(run_input.given_paths) == {"inputs": [str(link)]}
+    assert run_input.place == str(first)
 
 
 def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
     for app, side in (("illumination", 128), ("texture", 256)):
         planned = Run.from_options(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
-        (source,) = find_inputs(planned)[0]
+        (run_input,) = find_inputs(planned)[0]
         assert planned.app.read_size in (0, side)
-        assert side in source.read_task().data["map" if app == "illumination" else "image"].shape
+        assert side in run_input.read_task().data["map" if app == "illumination" else "image"].shape
 
 
 NO_FIGURE = {

@@ -84,7 +84,7 @@ def plain(sky: Sky, albedo: float = 0.2) -> EnvironmentScene:
     finish = Finish(WHITE * np.float32(albedo))
     low = vector(-np.inf, -1.5, -np.inf)
     return EnvironmentScene(
-        low, np.full(3, np.inf, np.float32), [finish] * 6, open_ground(sky, finish.colour), closed=0.0
+        low, np.full(3, np.inf, np.float32), [finish] * 6, open_ground(sky, finish.colour), kept_light_share=0.0
     )
 
 

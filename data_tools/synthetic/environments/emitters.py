@@ -27,13 +27,13 @@ class Emitters(NamedTuple):
     """A group of K points, or of K directions, that send light.
 
     Attributes:
-        places: [K, 3] in m; if `far`, directions instead, each the mean of the directions that it stands for, hence
+        places: [K, 3] in m; if `is_far`, directions instead, each the mean of the directions that it stands for, hence
             shorter than 1.
         normals: [K, 3] of unit length; zeros for emitters that shine to all sides.
         power: [K, 3], radiance times area, or the irradiance by far ones, that reaches places below the emitter.
         power_up: [K, 3], the power that reaches places above the emitter: through a window these see the ground.
         areas: [K] in m^2.
-        far: whether all are directions.
+        is_far: whether all are directions.
     """
 
     places: Field
@@ -41,7 +41,7 @@ class Emitters(NamedTuple):
     power: Field
     power_up: Field
     areas: Field
-    far: bool = False
+    is_far: bool = False
 
 
 _Row = tuple[Field, Field, Field, Field, float]
@@ -82,7 +82,7 @@ def sky_emitters(backdrop: Backdrop) -> Emitters:
     weights = luminance(light) + np.float32(1e-12)
     places = ((rays * weights).reshape(cells).sum((2, 4)) / weights.reshape(cells[1:]).sum((1, 3))).reshape(3, -1).T
     power = (light * rays[1]).reshape(cells).sum((2, 4)).reshape(3, -1).T / places[:, 1:2]
-    return Emitters(places, np.zeros_like(places), power, power, np.ones(len(places), np.float32), far=True)
+    return Emitters(places, np.zeros_like(places), power, power, np.ones(len(places), np.float32), is_far=True)
 
 
 def _cut_rectangle(sizes: tuple[float, float], widest: float) -> list[tuple[float, float]]:

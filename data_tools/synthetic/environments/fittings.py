@@ -64,7 +64,7 @@ def draw_room(rng: Rng, sizes: tuple[Range, Range, Range], backdrop: Backdrop, r
 def _add_second_colour(rng: Rng, finish: Finish, patterns: tuple[str, ...], size: Range) -> Finish:
     """Give a finish a second, darker colour, in one of some patterns with a period from `size` in m."""
     other = finish.colour * np.float32(0.6)
-    return finish._replace(other=other, pattern=pick(rng, patterns), size=between(rng, *size))
+    return finish._replace(second_colour=other, pattern=pick(rng, patterns), size=between(rng, *size))
 
 
 def _draw_floor(rng: Rng, rough: bool) -> Finish:
@@ -268,4 +268,4 @@ def _draw_painted_finish(rng: Rng, colour: Field) -> Finish:
     other = colour * draw_near_white(rng, 0.5) * np.float32(log_between(rng, 0.1, 3))
     kind = pick(rng, ("plain", "plain", "patches", "patches", "stripes"))
     finish = Finish(np.clip(colour, 0.02, 0.85), np.clip(other, 0.02, 0.85), kind, log_between(rng, 0.8, 4))
-    return finish._replace(other=None) if kind == "plain" else finish
+    return finish._replace(second_colour=None) if kind == "plain" else finish

@@ -193,7 +193,7 @@ def emitter_irradiance(scene: EnvironmentScene, lights: list[Emitters], position
         for number, (emitter_place, axis, area) in enumerate(
             zip(light.places, light.normals, light.areas, strict=True)
         ):
-            if light.far:
+            if light.is_far:
                 directions = emitter_place[:, None] / np.linalg.norm(emitter_place)
                 share_below[number] = np.maximum(emitter_place @ normal, 0) * visibility(
                     scene, positions, directions, np.inf, 0.4
@@ -236,7 +236,7 @@ def _scattered_irradiance(
     weights = solid_angles(MAP_HEIGHT_PX, MAP_WIDTH_PX).expand(
         MAP_HEIGHT_PX, MAP_WIDTH_PX
     ).flatten().numpy() / np.float32(4 * math.pi)
-    reflected_share = scene.closed * (coarse(albedo) @ weights)
+    reflected_share = scene.kept_light_share * (coarse(albedo) @ weights)
     mean = (once_scattered * is_surface) @ weights / max(float(is_surface @ weights), 1e-3)
     total = direct + once_scattered + (mean * reflected_share / (1 - reflected_share))[:, None]
     return _spread_to_rays(total.reshape(3, MAP_HEIGHT_PX, MAP_WIDTH_PX), surface, hits.surface, supersampling)

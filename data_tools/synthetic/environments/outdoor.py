@@ -85,7 +85,7 @@ def forest(rng: Rng) -> EnvironmentScene:
     scene = draw_open_scene(rng, sky, ("dirt", "dirt", "dirt", "grass", "meadow", "snow"), ("woods",), (0.4, 1.0))
     add_trees(rng, scene, integer_between(rng, 9, 17), (4, 11), (2.5, 5.5))
     add_bushes(rng, scene, integer_between(rng, 0, 5), (2.5, 8))
-    scene.closed = 0.6
+    scene.kept_light_share = 0.6
     return scene
 
 

@@ -36,23 +36,23 @@ class Finish(NamedTuple):
 
     Attributes:
         colour: albedo [3].
-        other: albedo [3] that the pattern leads to; None for one colour.
+        second_colour: albedo [3] that the pattern leads to; None for one colour.
         pattern: name of one of `shared_noises()`, or "tiles", "chequers", "stripes" or "patches".
         size: one period of the pattern, m.
         gloss: share of light from straight ahead that is mirrored.
-        panes: height and width in m of the fields in which each facade window sits; None for no windows.
-        glazed: share of a field's height and width that its window takes.
-        lit: radiance [3] behind the windows that are lit, a third of them; black by day.
+        window_spacing_m: height and width of the fields in which each facade window sits; None for no windows.
+        window_share: share of a field's height and width that its window takes.
+        window_radiance: radiance [3] behind the windows that are lit, a third of them; black by day.
     """
 
     colour: Field
-    other: Field | None = None
+    second_colour: Field | None = None
     pattern: str = "rough"
     size: float = 4.0
     gloss: float = 0.0
-    panes: tuple[float, float] | None = None
-    glazed: tuple[float, float] = (0.6, 0.6)
-    lit: Field = BLACK
+    window_spacing_m: tuple[float, float] | None = None
+    window_share: tuple[float, float] = (0.6, 0.6)
+    window_radiance: Field = BLACK
 
 
 class Box(NamedTuple):
@@ -159,7 +159,7 @@ class EnvironmentScene:
         low, high: corners [3] of the room; infinite if it is open.
         sides: finishes of -x, +x, floor, ceiling, -z, +z.
         backdrop: the view beyond the open sides and the windows.
-        closed: how much of the scattered light the surroundings keep, 0 (open country) to 1 (a room).
+        kept_light_share: how much of the scattered light the surroundings keep, 0 (open country) to 1 (a room).
         boxes, crowns, lamps, windows: what is in the scene.
     """
 
@@ -167,7 +167,7 @@ class EnvironmentScene:
     high: Field
     sides: list[Finish]
     backdrop: Backdrop
-    closed: float = 1.0
+    kept_light_share: float = 1.0
     boxes: list[Box] = field(default_factory=list)
     crowns: list[Crown] = field(default_factory=list)
     lamps: list[Lamp] = field(default_factory=list)

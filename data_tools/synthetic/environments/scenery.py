@@ -63,7 +63,7 @@ def draw_open_scene(
     if skyline_kind != "none":
         backdrop = skyline(rng, sky, mean, skyline_kind, log_between(rng, *height), lit)
     low = vector(-np.inf, -between(rng, 1.2, 2.2), -np.inf)
-    return EnvironmentScene(low, np.full(3, np.inf, np.float32), [ground] * 6, backdrop, closed=0.3)
+    return EnvironmentScene(low, np.full(3, np.inf, np.float32), [ground] * 6, backdrop, kept_light_share=0.3)
 
 
 def _mix_colours(colours: _Colours, share: float) -> Field:
@@ -82,7 +82,9 @@ def draw_wall_finish(rng: Rng) -> Finish:
 def draw_facade_finish(rng: Rng, lit: Field = BLACK) -> Finish:
     """Draw the finish of a wall with rows of windows; `lit` is the radiance [3] of lit ones."""
     glazed = (between(rng, 0.4, 0.9), between(rng, 0.3, 0.95))
-    return draw_wall_finish(rng)._replace(panes=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)), glazed=glazed, lit=lit)
+    return draw_wall_finish(rng)._replace(
+        window_spacing_m=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)), window_share=glazed, window_radiance=lit
+    )
 
 
 def add_street_houses(rng: Rng, scene: EnvironmentScene, lit: Field) -> None:
@@ -101,7 +103,7 @@ def add_street_houses(rng: Rng, scene: EnvironmentScene, lit: Field) -> None:
             for number in range(-2, 3):
                 _add_tree(rng, scene, sign * (front - 2), number * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
     add_vehicles(rng, scene, integer_between(rng, 0, 6), (2.5, 20), along=True)
-    scene.closed = 0.7
+    scene.kept_light_share = 0.7
 
 
 def add_surrounding_houses(rng: Rng, scene: EnvironmentScene, distance: float, lit: Field) -> None:
@@ -127,12 +129,12 @@ def add_courtyard_walls(rng: Rng, scene: EnvironmentScene) -> None:
         if chance(rng, 0.15):
             continue
         distance, length = between(rng, 3, 11), between(rng, 6, 16)
-        finish = plain._replace(panes=(3.0, between(rng, 2, 4))) if chance(rng, 0.6) else plain
+        finish = plain._replace(window_spacing_m=(3.0, between(rng, 2, 4))) if chance(rng, 0.6) else plain
         low = vector(-length, bottom, -length)
         high = vector(length, bottom + height * between(rng, 0.6, 1.2), length)
         low[axis], high[axis] = sorted((sign * distance, sign * (distance + 5)))
         scene.boxes.append(Box(low, high, finish))
-    scene.closed = 0.8
+    scene.kept_light_share = 0.8
 
 
 def add_porch(rng: Rng, scene: EnvironmentScene) -> None:
@@ -186,7 +188,7 @@ def add_garden_walls(rng: Rng, scene: EnvironmentScene, count: int) -> None:
         finish = draw_wall_finish(rng) if chance(rng, 0.7) else _HEDGE
         if chance(rng, 0.4):
             pattern, size = pick(rng, ("stripes", "patches")), log_between(rng, 0.6, 6)
-            finish = finish._replace(other=finish.colour * np.float32(0.2), pattern=pattern, size=size)
+            finish = finish._replace(second_colour=finish.colour * np.float32(0.2), pattern=pattern, size=size)
         scene.add_box(EYE_CLEARANCE_M, Box(low, high, finish))
 
 

@@ -43,7 +43,7 @@ def surface_properties(scene: EnvironmentScene, hits: Hits, rays: Field) -> tupl
             finish = finishes[number]
             albedo[:, members], panes, lit = _finish_properties(finish, hits, rays, members)
             gloss[members] = np.where(panes, _PANE_GLOSS, np.float32(finish.gloss))
-            glow[:, members] = finish.lit[:, None] * lit
+            glow[:, members] = finish.window_radiance[:, None] * lit
         elif lamp < 0:
             turn = np.arctan2(rays[2, members], rays[0, members]) * np.float32(2 / math.pi)
             leaves = look_up_noise("rough", turn + scene.crowns[crown].radius, 2 * rays[1, members])
@@ -59,19 +59,19 @@ def _finish_properties(finish: Finish, hits: Hits, rays: Field, members: Ids) ->
     axis, columns = np.abs(normal).argmax(0), np.arange(len(members))
     across, along = (positions[np.array(PLANE_AXES)[axis, direction], columns] for direction in (0, 1))
     albedo = np.repeat(finish.colour[:, None], len(members), 1)
-    if finish.other is not None:
+    if finish.second_colour is not None:
         facing = np.maximum(np.abs((rays[:, members] * normal).sum(0)), np.float32(0.1))
         footprint = hits.distance[members] / facing * np.float32(_TEXEL_RAD / 0.12 / finish.size)
         weight = 0.5 + (_pattern_weight(finish, across, along) - 0.5) / (1 + footprint**2)  # finer patterns fade
-        albedo += (finish.other - finish.colour)[:, None] * weight
-    if finish.panes is None:
+        albedo += (finish.second_colour - finish.colour)[:, None] * weight
+    if finish.window_spacing_m is None:
         no_windows = np.zeros(len(members), np.bool_)
         return albedo, no_windows, no_windows
-    row, column = along / np.float32(finish.panes[0]), across / np.float32(finish.panes[1])
+    row, column = along / np.float32(finish.window_spacing_m[0]), across / np.float32(finish.window_spacing_m[1])
     pane_offset = np.maximum(
         *(
             np.abs(position % 1 - 0.5) / (share / 2)
-            for position, share in zip((row, column), finish.glazed, strict=True)
+            for position, share in zip((row, column), finish.window_share, strict=True)
         )
     )
     panes = (pane_offset < 1) & (axis != 1)

@@ -20,7 +20,7 @@ REFLECTANCE_FLOOR = 0.01  # f cos theta_i in 1/sr, below which a sample says lit
 TWOFOLD_SHARE = 0.3
 
 
-def anisotropic_inputs(where: Tensor, turn: Tensor) -> Tensor:
+def anisotropic_inputs(where: Tensor, axes_azimuth_rad: Tensor) -> Tensor:
     """Return the input of a network of anisotropic BRDFs, [T, ANISOTROPIC_INPUTS, N].
 
     Inputs are functions of both cosines, of theta_h, of the half vector's projections along and across the axes, and of
@@ -28,10 +28,10 @@ def anisotropic_inputs(where: Tensor, turn: Tensor) -> Tensor:
 
     Args:
         where: half vector, difference vector in the half vector's frame and cos theta_i, [T, 7, N].
-        turn: azimuth of the material's axes in rad, [T, 1].
+        axes_azimuth_rad: azimuth of the material's axes, [T, 1].
     """
     half_x, half_y, half_z, x, y, z, cos_in = where.unbind(1)
-    cosine, sine = turn.cos(), turn.sin()
+    cosine, sine = axes_azimuth_rad.cos(), axes_azimuth_rad.sin()
     half_x, half_y = cosine * half_x + sine * half_y, cosine * half_y - sine * half_x
     half_sine_squared = half_x * half_x + half_y * half_y
     half_sine = half_sine_squared.clamp_min(1e-12).sqrt()
@@ -80,8 +80,8 @@ def find_axes(samples: Batch) -> Tensor:
     coefficients = torch.linalg.solve(gram + ridge * identity, columns.mT @ log_reflectance)[..., 0]
     cos2, sin2, cos4, sin4 = coefficients[:, -4:].unbind(1)
     is_twofold = torch.hypot(cos2, sin2) >= TWOFOLD_SHARE * torch.hypot(cos4, sin4)
-    turn = torch.where(is_twofold, torch.atan2(sin2, cos2) / 2, torch.atan2(sin4, cos4) / 4)
-    return turn[:, None].to(samples["where"])
+    axes_azimuth_rad = torch.where(is_twofold, torch.atan2(sin2, cos2) / 2, torch.atan2(sin4, cos4) / 4)
+    return axes_azimuth_rad[:, None].to(samples["where"])
 
 
 def fixed_azimuths(count: int) -> Tensor:

@@ -29,7 +29,7 @@ ISOTROPIC_INPUTS = 15  # numbers that the network reads of a pair of directions
 AZIMUTH_ONSET_RAD2 = 0.01  # theta_h^2 in rad^2 around which inputs that depend on phi_d grow from 0
 # added to the squares of vectors and of cosines whose roots are inputs, which so have a slope of 0 where signs change
 VECTOR_SMOOTHING, COSINE_SMOOTHING = 1e-4, 1e-6
-TURN_KEY = "turn"  # a parameter that each anisotropic material has: the azimuth of its axes in rad
+AXES_AZIMUTH_KEY = "axes_azimuth_rad"  # a parameter that each anisotropic material has
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Featured(BrdfNetwork):
     @property
     @override
     def unshared_parameters(self) -> tuple[str, ...]:
-        return ("z", "last", TURN_KEY) if self.anisotropic else ("z", "last")
+        return ("z", "last", AXES_AZIMUTH_KEY) if self.anisotropic else ("z", "last")
 
     @property
     @override
@@ -79,7 +79,7 @@ class Featured(BrdfNetwork):
             theta[name] = noise * 0.1 / math.sqrt(self.code)
         theta["z"] = torch.zeros(count, self.code, 1, device=rng.device)
         if self.anisotropic:
-            theta[TURN_KEY] = torch.zeros(count, 1, device=rng.device)
+            theta[AXES_AZIMUTH_KEY] = torch.zeros(count, 1, device=rng.device)
         return theta | {"last": torch.zeros(count, 3, self.features + 1, device=rng.device)}
 
     @override
@@ -92,14 +92,18 @@ class Featured(BrdfNetwork):
     @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """Predict a code and a last layer from samples, find axes if there are any, and add the shared weights."""
-        axes = {TURN_KEY: anisotropic.find_axes(condition)} if self.anisotropic else {}
+        axes = {AXES_AZIMUTH_KEY: anisotropic.find_axes(condition)} if self.anisotropic else {}
         samples = torch.cat([self._make_inputs(axes, condition["where"]), condition["target"]], 1).transpose(1, 2)
         code, last = read_set(select_reader(encoder), samples).split([self.code, 3 * (self.features + 1)], 1)
         return add_decoder(axes | {"z": code[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
 
     def _make_inputs(self, theta: Params, where: Tensor) -> Tensor:
         """Return the network's input, [T, inputs, N], at `where` [T, 7, N]."""
-        return anisotropic.anisotropic_inputs(where, theta[TURN_KEY]) if self.anisotropic else isotropic_inputs(where)
+        return (
+            anisotropic.anisotropic_inputs(where, theta[AXES_AZIMUTH_KEY])
+            if self.anisotropic
+            else isotropic_inputs(where)
+        )
 
     @override
     def linear_features(self, theta: Params, where: Tensor) -> Tensor:
@@ -149,7 +153,7 @@ class Featured(BrdfNetwork):
         last, constant = theta["last"][:, :-1], theta["last"][:, -1]
         layers.append((last @ theta["w3"], (last @ theta["b3"]).flatten() + constant))
         if self.anisotropic:
-            return PlainLayers(layers, "anisotropic", float(theta[TURN_KEY]))
+            return PlainLayers(layers, "anisotropic", float(theta[AXES_AZIMUTH_KEY]))
         return PlainLayers(layers, "featured")
 
 

@@ -18,8 +18,8 @@ LEARNED = MetaTraining(
     steps=20_000,
     tasks=4,
     rates={"": 1e-3, "alpha.": 1e-2, "alpha.left": 1e-3, "alpha.right": 1e-3},
-    warmup=200,
-    final=0.01,
+    warmup_steps=200,
+    final_rate_share=0.01,
     order=2,
     clip=4e-3,
 )
@@ -28,8 +28,8 @@ RIDGE_TRAINING = MetaTraining(
     steps=10_000,
     tasks=4,
     rates={"": 2e-3, "alpha.": 1e-2},
-    warmup=200,
-    final=0.01,
+    warmup_steps=200,
+    final_rate_share=0.01,
     order=2,
     clip=1e-2,
     validate_every=500,
@@ -38,23 +38,25 @@ RIDGE_TRAINING = MetaTraining(
     app=Brdf(Featured()),
 )
 # a fit is doubtful if its final over its initial loss is above twice the largest such ratio of a validation material
-GUARD = Guard(Adam(1e-2, beta1=0.5, beta2=0.9, final=0.1), fall=0.13)
+GUARD = Guard(Adam(1e-2, beta1=0.5, beta2=0.9, final_rate_share=0.1), max_loss_share=0.13)
 
 QUICK = Recipe(
     steps=10,
     batch=512,
     overfit_steps=20_000,
-    overfit=Adam(1e-2, final=0.0),
+    overfit=Adam(1e-2, final_rate_share=0.0),
     finetune_steps=2_000,
-    finetune=Adam(4e-3, final=0.0),
-    quickft=Adam(5e-3, final=0.1),
-    general=OuterLoop(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
+    finetune=Adam(4e-3, final_rate_share=0.0),
+    quickft=Adam(5e-3, final_rate_share=0.1),
+    general=OuterLoop(
+        steps=12_000, tasks=8, rates={"": 1e-3}, warmup_steps=200, final_rate_share=0.0, validate_every=500
+    ),
     meta={
         # ten signed gradients from one initialisation for all materials do not reach far enough
         "meta-sgd": replace(
             LEARNED,
             steps=10_000,
-            first=Adam(0.1),
+            initial_adam=Adam(0.1),
             rates={"": 3e-3, "encoder.": 3e-4},
             initialisation="encoder",
             augment=False,
@@ -72,7 +74,7 @@ FULL = replace(QUICK, rule="ridge")
 ANISOTROPIC_APP = Brdf(Featured(features=96, code=16, anisotropic=True))
 ANISOTROPIC = replace(
     FULL,
-    meta={"ridge": replace(RIDGE_TRAINING, steps=4_000, warmup=50, validate_every=100, app=ANISOTROPIC_APP)},
+    meta={"ridge": replace(RIDGE_TRAINING, steps=4_000, warmup_steps=50, validate_every=100, app=ANISOTROPIC_APP)},
     app=ANISOTROPIC_APP,
 )
 
@@ -81,7 +83,7 @@ ANISOTROPIC = replace(
 # low rate of Sztrajman et al., too: at 1e-2 a quarter of the fits of training materials ends at black.
 PAPER = replace(
     paper_recipe(replace(QUICK, quickft=Adam(5e-3)), Brdf(Nbrdf(bound=0.05)), tasks=1, order=2, augment=False),
-    overfit=Adam(5e-4, final=0.0),
+    overfit=Adam(5e-4, final_rate_share=0.0),
     overfit_steps=100_000,
     finetune_steps=10_000,
 )

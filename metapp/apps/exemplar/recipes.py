@@ -32,32 +32,32 @@ def generator_recipe(
         searched: the Adam that the search for the rule "meta-basis" begins with.
         general: how General is trained.
     """
-    gradient_adam = Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3)
+    gradient_adam = Adam(3.7e-3, beta1=0.7, beta2=0.99, final_rate_share=0.3)
     learned_rule = MetaTraining(
         steps=300,
         tasks=tasks,
         rates={"": 1e-3, "alpha.": 1e-2},
-        first=gradient_adam,
-        warmup=20,
-        final=0.01,
+        initial_adam=gradient_adam,
+        warmup_steps=20,
+        final_rate_share=0.01,
         order=1,
         clip=1e-2,
         validate_every=100,
     )
     searched_rule = MetaTraining(
-        steps=0, tasks=0, rates={"": 0.0}, first=searched, tuned=True, initialisation="encoder"
+        steps=0, tasks=0, rates={"": 0.0}, initial_adam=searched, searches_adam=True, initialisation="encoder"
     )
     return Recipe(
         steps=steps,
         batch=1,
         overfit_steps=1000,
-        overfit=Adam(5e-3, beta2=0.99, final=0.0),
+        overfit=Adam(5e-3, beta2=0.99, final_rate_share=0.0),
         finetune_steps=100,
-        finetune=Adam(5e-3, beta2=0.99, final=0.0),
+        finetune=Adam(5e-3, beta2=0.99, final_rate_share=0.0),
         quickft=gradient_adam,
         general=general,
         meta={
-            "meta-sgd": replace(learned_rule, first=Adam(0.1)),
+            "meta-sgd": replace(learned_rule, initial_adam=Adam(0.1)),
             "meta-encoder": replace(learned_rule, initialisation="encoder", rates={"": rate, "alpha.": 3e-3}),
             "meta-basis": searched_rule,
         },
@@ -74,7 +74,14 @@ def general_training(steps: int, tasks: int, validate_every: int = 250) -> Outer
         tasks: the number of tasks of an outer step.
         validate_every: the number of outer steps between validations.
     """
-    return OuterLoop(steps=steps, tasks=tasks, rates=GENERAL_RATES, warmup=50, final=0.0, validate_every=validate_every)
+    return OuterLoop(
+        steps=steps,
+        tasks=tasks,
+        rates=GENERAL_RATES,
+        warmup_steps=50,
+        final_rate_share=0.0,
+        validate_every=validate_every,
+    )
 
 
 def pyramid_recipe(quick: Recipe, *, steps: int, searched: Adam, tasks: int) -> Recipe:
@@ -88,7 +95,7 @@ def pyramid_recipe(quick: Recipe, *, steps: int, searched: Adam, tasks: int) -> 
         searched: the Adam of QuickFT, with which the search for the rule "meta-axes" begins, too.
         tasks: the number of tasks of an outer step of General's training.
     """
-    app, searched_rule = quick.app, replace(quick.meta["meta-basis"], first=searched)
+    app, searched_rule = quick.app, replace(quick.meta["meta-basis"], initial_adam=searched)
     assert isinstance(app, ExemplarApp)
     taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
     network = Pyramid(16, outputs=app.network.outputs, layout=3)

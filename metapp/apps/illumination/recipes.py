@@ -17,26 +17,30 @@ LEARNED = MetaTraining(
     steps=1500,
     tasks=8,
     rates={"": 1e-4, "alpha.": 5e-3, "alpha.around.": 5e-4},
-    first=Adam(1.2e-2, beta1=0.6, beta2=0.98, eps=1e-4, final=0.1),
-    warmup=50,
-    final=0.01,
+    initial_adam=Adam(1.2e-2, beta1=0.6, beta2=0.98, eps=1e-4, final_rate_share=0.1),
+    warmup_steps=50,
+    final_rate_share=0.01,
     order=2,
     clip=1.0,
     validate_every=100,
     initialisation="encoder",
     # a fit is doubtful if its final over its initial loss is twice as large as for any validation map, or if late steps
     # double its loss: they are too long for the radiance of a sun, and overshoot it
-    guard=Guard(Adam(2e-3, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.5, rise=2.0),
+    guard=Guard(
+        Adam(2e-3, beta1=0.5, beta2=0.9, eps=1e-6, final_rate_share=0.1), max_loss_share=0.5, max_rise_factor=2.0
+    ),
 )
 QUICK = Recipe(
     steps=15,
     batch=1,
     overfit_steps=3000,
-    overfit=Adam(1e-2, final=0.0),
+    overfit=Adam(1e-2, final_rate_share=0.0),
     finetune_steps=300,
-    finetune=Adam(1e-2, final=0.0),
-    quickft=Adam(1e-2, beta1=0.6, beta2=0.98, final=0.1),
-    general=OuterLoop(steps=9000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
+    finetune=Adam(1e-2, final_rate_share=0.0),
+    quickft=Adam(1e-2, beta1=0.6, beta2=0.98, final_rate_share=0.1),
+    general=OuterLoop(
+        steps=9000, tasks=16, rates={"": 1e-3}, warmup_steps=100, final_rate_share=0.0, validate_every=500
+    ),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
     app=Illumination(LocalField(32, 64)),
@@ -46,15 +50,15 @@ PHOTO_TRAINING = replace(
     LEARNED,
     steps=3000,
     rates={"": 1e-4, "alpha.": 1e-2},
-    first=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
-    warmup=20,
+    initial_adam=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final_rate_share=0.1),
+    warmup_steps=20,
     guard=None,  # a lower loss of a photograph need not be a better map
 )
 PHOTO = replace(
     QUICK,
-    overfit=Adam(1e-3, final=0.0),
-    finetune=Adam(1e-4, final=0.0),
-    quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    overfit=Adam(1e-3, final_rate_share=0.0),
+    finetune=Adam(1e-4, final_rate_share=0.0),
+    quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final_rate_share=0.1),
     meta={"meta-encoder": PHOTO_TRAINING},
     rule="meta-encoder",
 )

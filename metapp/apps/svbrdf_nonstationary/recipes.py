@@ -16,37 +16,41 @@ LEARNED = MetaTraining(
     steps=600,
     tasks=4,
     rates={"": 5e-5, "alpha.": 5e-3, "alpha.within.": 5e-4},
-    first=Adam(3e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.1),
-    warmup=10,
-    final=0.01,
+    initial_adam=Adam(3e-3, beta1=0.5, beta2=0.8, eps=1e-6, final_rate_share=0.1),
+    warmup_steps=10,
+    final_rate_share=0.01,
     order=2,
     clip=1.0,
     validate_every=50,
     initialisation="encoder",
-    guard=Guard(Adam(6e-4, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.4, rise=2.0),
+    guard=Guard(
+        Adam(6e-4, beta1=0.5, beta2=0.9, eps=1e-6, final_rate_share=0.1), max_loss_share=0.4, max_rise_factor=2.0
+    ),
 )
 QUICK = Recipe(
     steps=15,
     batch=1,
     overfit_steps=1000,
-    overfit=Adam(3e-3, beta2=0.99, final=0.0),
+    overfit=Adam(3e-3, beta2=0.99, final_rate_share=0.0),
     finetune_steps=100,
-    finetune=Adam(3e-3, final=0.0),
-    quickft=Adam(3e-3, beta1=0.6, beta2=0.98, final=0.1),
-    general=OuterLoop(steps=24_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
+    finetune=Adam(3e-3, final_rate_share=0.0),
+    quickft=Adam(3e-3, beta1=0.6, beta2=0.98, final_rate_share=0.1),
+    general=OuterLoop(
+        steps=24_000, tasks=8, rates={"": 1e-3}, warmup_steps=100, final_rate_share=0.0, validate_every=1000
+    ),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
     app=FromMaps(field_of(64, 32)),
 )
 # A photograph says little that General has not read from it: steps are small, and training through them is short.
 GENTLE = replace(
-    LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25, guard=None
+    LEARNED, steps=50, tasks=8, initial_adam=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25, guard=None
 )
 PHOTO = replace(
     QUICK,
     app=FromPhoto(field_of(64, 32)),
-    finetune=Adam(1e-4, final=0.0),
-    quickft=GENTLE.first,
+    finetune=Adam(1e-4, final_rate_share=0.0),
+    quickft=GENTLE.initial_adam,
     meta={"meta-encoder": GENTLE},
     rule="meta-encoder",
 )
@@ -72,6 +76,10 @@ SEARCHED = Adam(6e-4, beta1=0.8, beta2=0.8, eps=1e-3)
 RECIPES["photo"]["full"] = replace(
     RECIPES["photo"]["full"],
     quickft=SEARCHED,
-    general=OuterLoop(steps=12_000, tasks=4, rates={"": 5e-4}, warmup=50, final=0.0, validate_every=1000),
-    meta={"meta-encoder": replace(GENTLE, steps=0, tasks=0, rates={"": 0.0}, first=SEARCHED, tuned=True)},
+    general=OuterLoop(
+        steps=12_000, tasks=4, rates={"": 5e-4}, warmup_steps=50, final_rate_share=0.0, validate_every=1000
+    ),
+    meta={
+        "meta-encoder": replace(GENTLE, steps=0, tasks=0, rates={"": 0.0}, initial_adam=SEARCHED, searches_adam=True)
+    },
 )

@@ -30,11 +30,12 @@ QUICK = generator_recipe(
     outputs=6,
     tasks=3,
     rate=3e-4,
-    searched=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3),
+    searched=Adam(3e-3, beta1=0.5, beta2=0.97, final_rate_share=0.3),
     general=general_training(2500, 6),
 )
 FULL = _set_prior(
-    pyramid_recipe(QUICK, steps=14, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3), PRIOR_WEIGHT
+    pyramid_recipe(QUICK, steps=14, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final_rate_share=0.3), tasks=3),
+    PRIOR_WEIGHT,
 )
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, 3 tasks an outer step
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3")

@@ -19,10 +19,10 @@ QUICK = generator_recipe(
     outputs=3,
     tasks=4,
     rate=1e-4,
-    searched=Adam(5e-3, beta1=0.5, beta2=0.99, final=0.6),
+    searched=Adam(5e-3, beta1=0.5, beta2=0.99, final_rate_share=0.6),
     general=general_training(4000, 8),
 )
-FULL = pyramid_recipe(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4)
+FULL = pyramid_recipe(QUICK, steps=10, searched=Adam(6.2e-3, beta1=0.5, beta2=0.97, final_rate_share=0.1), tasks=4)
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, 5 tasks an outer step
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")
 PUBLISHED_APP = Texture(UNet(32), Octaves(192, 256, TAPS))

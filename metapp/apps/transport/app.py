@@ -54,7 +54,7 @@ class Transport(App):
     )
     tensors: ClassVar = {
         "samples": TensorSpec(("N", 4), low=0.0, high=1.0),
-        "held": TensorSpec(("M", 4), low=0.0, high=1.0, optional=True),
+        "held_out": TensorSpec(("M", 4), low=0.0, high=1.0, optional=True),
         "image": TensorSpec((3, 32, 32), low=0.0),
         "scene": TensorSpec(("L",), "uint8", optional=True),
         "next_event": TensorSpec((1,), "uint8", optional=True),
@@ -65,10 +65,10 @@ class Transport(App):
         """Prepare the samples and the picture of a scene.
 
         Returns:
-            `samples` [N, 4] and, if there are any, held-out samples `held` [M, 4], all in primary sample space; `image`
-            [3, 32, 32], linear.
+            `samples` [N, 4] and, if there are any, held-out samples `held_out` [M, 4], all in primary sample space;
+            `image` [3, 32, 32], linear.
         """
-        return {key: task.data[key].float() for key in ("samples", "held", "image") if key in task.data}
+        return {key: task.data[key].float() for key in ("samples", "held_out", "image") if key in task.data}
 
     @override
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
@@ -122,9 +122,9 @@ class Transport(App):
     @override
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        if "held" not in tasks.data:
+        if "held_out" not in tasks.data:
             return {}
-        return self.errors_of(self.network.log_density(theta, tasks.data["held"][tasks.rows].mT), tasks)
+        return self.errors_of(self.network.log_density(theta, tasks.data["held_out"][tasks.rows].mT), tasks)
 
     def errors_of(self, answer: tuple[Tensor, Tensor], tasks: Tasks) -> dict[str, Tensor]:
         """Measure the likelihood of held-out samples; {} if the tasks have none.
@@ -136,7 +136,7 @@ class Transport(App):
         Returns:
             `error` [T], the mean negative log-likelihood, and its parts `film` and `directions`.
         """
-        if "held" not in tasks.data:
+        if "held_out" not in tasks.data:
             return {}
         film, directions = answer
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}

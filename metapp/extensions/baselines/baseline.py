@@ -55,7 +55,7 @@ class BaselineFit(NamedTuple):
     Attributes:
         answer: a function that makes the answer that :func:`judge_answer` takes; it is not timed, as the evaluation of
             a network is not timed either.
-        numbers: how many numbers are kept for the task.
+        kept_numbers: how many numbers are kept for the task.
         kept_bytes: how many bytes these numbers take.
         picture: a picture to show beside the application's fits, linear RGB [H, W, 3]; None if the answer is no
             picture.
@@ -64,7 +64,7 @@ class BaselineFit(NamedTuple):
     """
 
     answer: Callable[[], object]
-    numbers: int
+    kept_numbers: int
     kept_bytes: int
     picture: Tensor | None = None
     answer_at_size: Callable[[tuple[int, int] | None], object] | None = None
@@ -84,9 +84,9 @@ class Baseline(ABC):
         learns: whether the method is prepared on training tasks.
         stored_tensor: the name of the task's tensor that holds the answers of a method that was run elsewhere, and so
             has no time; "" for methods that make their answers.
-        shared: how many bytes all tasks share, without which no fit can be made or evaluated; None if that is not
+        shared_bytes: how many bytes all tasks share, without which no fit can be made or evaluated; None if that is not
             known.
-        sizes: whether files can have a size that the user asks for (`--size`).
+        is_resizable: whether files can have a size that the user asks for (`--size`).
         chosen: the settings that were chosen on validation tasks.
     """
 
@@ -95,8 +95,8 @@ class Baseline(ABC):
     cannot: str
     learns = False
     stored_tensor = ""
-    shared: int | None = 0
-    sizes = False
+    shared_bytes: int | None = 0
+    is_resizable = False
 
     def __init__(self, app: App) -> None:
         self.app = app

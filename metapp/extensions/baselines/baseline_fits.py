@@ -143,9 +143,9 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
                 "error": None,
                 **{key: scales.get(key, 1.0) * value for key, value in errors.items() if math.isfinite(value)},
                 **({} if baseline.stored_tensor else {"seconds": seconds, "threads": torch.get_num_threads()}),
-                "numbers": fit.numbers,
+                "numbers": fit.kept_numbers,
                 "kept_bytes": fit.kept_bytes,
-                "shared": baseline.shared,
+                "shared": baseline.shared_bytes,
                 "chosen": baseline.chosen,
             }
             answer_at_size = fit.answer_at_size or functools.partial(_return_judged_answer, answer)

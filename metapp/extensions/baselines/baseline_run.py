@@ -69,8 +69,8 @@ def run_baseline(options: FitOptions, method: str) -> BaselineRun:
         ValueError: inputs are bad, or a method that learns from training tasks has none.
     """
     run = Run.from_options(options)
-    baseline, (sources, label) = _find_baseline(run, method), find_inputs(run)
-    tasks = read_tasks(sources)
+    baseline, (inputs, label) = _find_baseline(run, method), find_inputs(run)
+    tasks = read_tasks(inputs)
     if baseline.learns and find_training_folder(run, baseline, make=True) is None:
         raise ValueError(f"{run.app.name} {method}: no training tasks to learn from; give a data set with --data.")
     path = run.path(label, f"baseline-{method}")
@@ -97,8 +97,8 @@ def _find_baseline(run: Run, method: str) -> Baseline:
         names = ", ".join(methods) or f"another application: {run.app.name} has no method"
         hint = did_you_mean(method, methods)
         raise BadOption(f"--method {method}: not one of {run.app.name}, expected {names}.{hint}")
-    if run.presenter.size and not methods[method].sizes:
-        resizable_names = ", ".join(name for name, candidate in methods.items() if candidate.sizes) or "none"
+    if run.presenter.size and not methods[method].is_resizable:
+        resizable_names = ", ".join(name for name, candidate in methods.items() if candidate.is_resizable) or "none"
         raise BadOption(
             f"--size: {method} writes files of one size, expected a method that makes others: {resizable_names}."
         )

@@ -164,7 +164,7 @@ class Pca(Baseline):
 
         self.penalty, self.solves = min(itertools.product(CANDIDATE_PENALTIES, CANDIDATE_SOLVES), key=validation_error)
         self.components = all_components.select_components(self.count)
-        self.shared = tensor_bytes(self.components.mean, self.components.axes, self.components.reference)
+        self.shared_bytes = tensor_bytes(self.components.mean, self.components.axes, self.components.reference)
         self.chosen = {"penalty": self.penalty, "solves": self.solves}
 
     @override
@@ -226,7 +226,7 @@ class NearestMaterial(Baseline):
     @override
     def prepare(self, training: TrainingTasks, allowed: CostLimits) -> None:
         self.targets, self.where = training.prepared_tasks.data["target"], training.prepared_tasks.data["where"]
-        self.shared = tensor_bytes(self.where[0], self.targets)
+        self.shared_bytes = tensor_bytes(self.where[0], self.targets)
 
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:

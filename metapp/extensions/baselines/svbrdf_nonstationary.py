@@ -45,7 +45,7 @@ class PredictedMaps(Baseline):
     title = "the maps that another method predicts of the photo, as `metapp data strips --predicted` reads them"
     cannot = "be made of another photo here, as its network is not at hand"
     stored_tensor = "predicted"
-    shared = None
+    shared_bytes = None
 
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:

@@ -94,7 +94,7 @@ class QuiltedMaterial(Baseline):
         "make anything but pieces of the photo, which it repeats, nor tell what a highlight hides or how gloss varies: "
         "roughness is constant, F0 goes with brightness, colours below the highlight are a guess"
     )
-    sizes = True
+    is_resizable = True
 
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:

@@ -52,7 +52,7 @@ class NearestExemplar(Baseline):
         data = training.prepared_tasks.data
         self.grams = {name: data[name] for name in sorted(data) if name.startswith("gram")}
         self.pictures = self.app.octaves.take_exemplar(data["image"].float() / 255)
-        self.shared = tensor_bytes(data["image"], *self.grams.values())
+        self.shared_bytes = tensor_bytes(data["image"], *self.grams.values())
 
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
@@ -71,7 +71,7 @@ class Quilting(Baseline):
     name = "quilting"
     title = "image quilting (Efros & Freeman 2001), blocks of a quarter of the exemplar"
     cannot = "make anything that is no copy of pieces of the exemplar, which it holds"
-    sizes = True
+    is_resizable = True
 
     @override
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:

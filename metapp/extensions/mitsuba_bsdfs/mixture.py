@@ -22,12 +22,12 @@ class MitsubaLobeMixture:
 
     Attributes:
         alphas: GGX roughness of each GGX lobe along the two axes of the material.
-        turn: azimuth of the material's axes in rad.
+        axes_azimuth_rad: azimuth of the material's axes.
         shares: share of each lobe, the cosine first, at each node of the viewer's angle.
     """
 
     def __init__(self, lobes: LobeMixture) -> None:
-        self.alphas, self.turn = lobes.alphas, lobes.azimuth_rad
+        self.alphas, self.axes_azimuth_rad = lobes.alphas, lobes.azimuth_rad
         self.shares = [mi.Float(column) for column in lobes.shares.astype(np.float32).T]
 
     def lobe_shares(self, viewer: mt.Vector3) -> list[mt.Float]:
@@ -53,7 +53,7 @@ class MitsubaLobeMixture:
             cumulative_share += share
         light = mi.reflect(viewer, sample_visible_normal(viewer, alpha, point))
         light = mi.Vector3f(light.x, light.y, dr.abs(light.z))
-        light = turn_about_normal(light, self.turn) if self.turn else light
+        light = turn_about_normal(light, self.axes_azimuth_rad) if self.axes_azimuth_rad else light
         return dr.select(number < shares[0], mi.warp.square_to_cosine_hemisphere(point), light)
 
     def density(self, viewer: mt.Vector3, light: mt.Vector3) -> mt.Float:
@@ -67,7 +67,7 @@ class MitsubaLobeMixture:
         return density
 
     def _into_axes(self, direction: mt.Vector3) -> mt.Vector3:
-        return turn_about_normal(direction, -self.turn) if self.turn else direction
+        return turn_about_normal(direction, -self.axes_azimuth_rad) if self.axes_azimuth_rad else direction
 
 
 def turn_about_normal(direction: mt.Vector3, angle_rad: float) -> mt.Vector3:

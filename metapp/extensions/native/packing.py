@@ -124,7 +124,7 @@ def pack_hyperparameters(step: RuleStep, alpha: Params, parameter_order: Paramet
         return _pack_parts(parts, alpha, parameter_order) if parts <= C_RULE_PARTS else None
     if step is sgd_step:
         return _pack_rates(alpha, parameter_order)
-    if isinstance(step, AdamStep) and not step.decay:
+    if isinstance(step, AdamStep) and not step.weight_decay:
         beta1, beta2 = (_add_task_axis(alpha[name], 0) for name in ("beta1", "beta2"))
         adam = torch.stack([beta1, beta2, torch.full_like(beta1, step.eps)], -1)
         return _pack_rates(alpha, parameter_order) | {"adam": adam}

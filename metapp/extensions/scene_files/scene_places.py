@@ -18,13 +18,8 @@ from pathlib import Path
 import OpenImageIO as oiio
 from typing_extensions import override
 
-from data_tools.readers.image_files import (
-    check_memory,
-    check_size,
-    last_oiio_error,
-    shorten_oiio_error,
-    silence_libraries,
-)
+from data_tools.readers.image_files import check_size
+from data_tools.readers.opened_images import check_memory, last_oiio_error, shorten_oiio_error, silence_libraries
 from metapp.rendering.scenes.rules import SceneFiles, to_snake_case
 from metapp.storage.files import open_regular, open_text, placeholder_line
 

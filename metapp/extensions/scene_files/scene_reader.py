@@ -15,7 +15,7 @@ import numpy as np
 
 from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.listing import files_below
-from data_tools.synthetic.transport_task import BESIDE, HELD, SAMPLES, UNITS, make_transport_task
+from data_tools.synthetic.transport_task import BESIDE, HELD_OUT, SAMPLES, UNITS, make_transport_task
 from metapp.extensions.scene_files.scene_places import ScenePlaces, read_scene_text
 from metapp.extensions.scene_files.trial_loading import try_scene
 from metapp.extensions.scene_files.xml import explain_version, locate_reason, resolve_xml
@@ -54,7 +54,7 @@ def find(path: Path) -> Sources:
     return sources_of_files((scenes, []))
 
 
-def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Iterable[Path] = ()) -> Task:
+def read_task(path: Path, samples: int = SAMPLES, held_out: int = HELD_OUT, roots: Iterable[Path] = ()) -> Task:
     """Read a scene file and trace its paths, as a task that is named by the file's stem.
 
     Random numbers are drawn by the name: two files of one name give the same draws.
@@ -62,7 +62,7 @@ def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Itera
     Args:
         path: the scene file.
         samples: number of samples that fits see.
-        held: number of samples that tests alone see.
+        held_out: number of samples that tests alone see.
         roots: folders that its data files may come from, beside its own folder.
 
     Returns:
@@ -73,7 +73,7 @@ def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, roots: Itera
     """
     load_mitsuba()  # before the scene is read: an error of Mitsuba itself is no fault of the scene
     scene = read_scene(path, roots)
-    return _trace_task(path.stem, scene, str(path), samples=samples, held=held)
+    return _trace_task(path.stem, scene, str(path), samples=samples, held_out=held_out)
 
 
 def task_of_object(source: object, name: str, *, roots: Iterable[Path] = (), **_: object) -> Task:

@@ -174,8 +174,8 @@ def fit_synthetic_input(app: str, out: Path, recipe: str = "") -> tuple[Path, Do
         ValueError: the folder cannot be written to; there is no such recipe, or no checkpoint.
     """
     begin = time.perf_counter()
-    source = write_example(app, out / INPUTS_FOLDER)[0]
-    report = execute_run(Run.from_options(fit_options(app, inputs=[source], recipe=recipe, out=out, quiet=True)))
+    example_file = write_example(app, out / INPUTS_FOLDER)[0]
+    report = execute_run(Run.from_options(fit_options(app, inputs=[example_file], recipe=recipe, out=out, quiet=True)))
     assert report is not None  # only ranks of a distributed run have none
     (record,) = report.records
     figures = {key: record[key] for key in ("name", "error", "seconds")}

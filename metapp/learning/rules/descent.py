@@ -17,24 +17,26 @@ from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.task import Params
 
 
-def half_cosine(first: float, steps: int, final: float = 1.0, warmup: int = 0, hold: float = 0.0) -> Tensor:
-    """Compute rates [steps]: linear warm-up to `first`, a constant part, then half a cosine down to `first * final`.
+def half_cosine(
+    highest_rate: float, steps: int, final_rate_share: float = 1.0, warmup_steps: int = 0, hold_share: float = 0.0
+) -> Tensor:
+    """Compute rates [steps]: linear warm-up to the highest, a constant part, then half a cosine down to a share of it.
 
     Args:
-        first: the highest rate.
+        highest_rate: the rate after the warm-up.
         steps: the number of steps.
-        final: the last rate as a share of the first.
-        warmup: the number of steps of linear warm-up.
-        hold: the share of the steps before the rate begins to fall.
+        final_rate_share: the last rate as a share of the highest.
+        warmup_steps: the number of steps of linear warm-up.
+        hold_share: the share of the steps before the rate begins to fall.
 
-    >>> half_cosine(1.0, 3, final=0.0)
+    >>> half_cosine(1.0, 3, final_rate_share=0.0)
     tensor([1.0000, 0.7500, 0.2500])
     """
     step = torch.arange(max(steps, 1), dtype=torch.float32)
-    decay_start = max(warmup, round(hold * steps))
+    decay_start = max(warmup_steps, round(hold_share * steps))
     progress = ((step - decay_start) / max(steps - decay_start, 1)).clamp(0, 1)
-    rates = final + (1 - final) * 0.5 * (1 + torch.cos(math.pi * progress))
-    return first * rates * ((step + 1) / (warmup + 1)).clamp(max=1)
+    rates = final_rate_share + (1 - final_rate_share) * 0.5 * (1 + torch.cos(math.pi * progress))
+    return highest_rate * rates * ((step + 1) / (warmup_steps + 1)).clamp(max=1)
 
 
 def fixed_adam(settings: Adam, theta: Params, steps: int) -> UpdateRule:
@@ -49,7 +51,7 @@ def fixed_adam(settings: Adam, theta: Params, steps: int) -> UpdateRule:
     tensor([0.1000, 0.1000])
     """
     device = next(iter(theta.values())).device
-    rate = half_cosine(settings.rate, steps, settings.final).to(device)
+    rate = half_cosine(settings.rate, steps, settings.final_rate_share).to(device)
     alpha = {"rate": rate, "beta1": _constant(settings.beta1, device), "beta2": _constant(settings.beta2, device)}
     return UpdateRule(alpha, adam_state, AdamStep(settings.eps))
 
@@ -65,9 +67,15 @@ def outer_adam(training: OuterLoop, params: Params) -> UpdateRule:
     alpha = {"beta1": _constant(0.9, device), "beta2": _constant(0.999, device)}
     for key in params:
         prefix = max((part for part in training.rates if key.startswith(part)), key=len)
-        rates = half_cosine(training.rates[prefix], training.steps, training.final, training.warmup, training.hold)
+        rates = half_cosine(
+            training.rates[prefix],
+            training.steps,
+            training.final_rate_share,
+            training.warmup_steps,
+            training.hold_share,
+        )
         alpha[f"rate.{key}"] = rates.to(device)
-    return UpdateRule(alpha, adam_state, AdamStep(1e-8, training.decay))
+    return UpdateRule(alpha, adam_state, AdamStep(1e-8, training.weight_decay))
 
 
 def _constant(value: float, device: torch.device) -> Tensor:
@@ -154,7 +162,7 @@ class AdamStep:
 
     Attributes:
         eps: the number that is added to the root of the second moment.
-        decay: weight decay (L2), which is added to the gradient.
+        weight_decay: weight decay (L2), which is added to the gradient.
 
     >>> theta, settings = {"x": torch.zeros(1)}, {"beta1": torch.tensor(0.9), "beta2": torch.tensor(0.999)}
     >>> AdamStep(1e-8)({"rate": torch.tensor(0.1), **settings}, theta, {"x": torch.tensor([5.0])}, adam_state(theta))[0]
@@ -162,12 +170,12 @@ class AdamStep:
     """
 
     eps: float
-    decay: float = 0.0
+    weight_decay: float = 0.0
 
     def __call__(self, alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
         """Take a step; arguments and results are described at :class:`metapp.learning.adjoint.UpdateRule`."""
-        if self.decay:
-            grads = {key: grad + self.decay * theta[key] for key, grad in grads.items()}
+        if self.weight_decay:
+            grads = {key: grad + self.weight_decay * theta[key] for key, grad in grads.items()}
         directions, state = adam_directions(alpha["beta1"], alpha["beta2"], self.eps, grads, state)
         return {
             key: theta[key] - _rate_of(alpha, key, direction) * direction for key, direction in directions.items()

@@ -45,10 +45,10 @@ class StepNetwork(Part):
         return "" if on_grid else "no parameter lies on a grid, which has three axes"
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Draw random inner layers; last layers are 0, so that a network adds nothing and leaves its memory empty.
 
-        The network's moves are measured in the rate of `first`, the length of the rule's own steps.
+        The network's moves are measured in the rate of `adam`, the length of the rule's own steps.
         """
         alpha: Params = {}
         rng = Generator().manual_seed(0)
@@ -65,7 +65,7 @@ class StepNetwork(Part):
                     f"{name}.place": torch.zeros(1, HIDDEN_CHANNELS, *value.shape[1:]),
                     f"{name}.kernel2": torch.zeros(1, channels + MEMORY_CHANNELS, HIDDEN_CHANNELS, 3, 3),
                     f"{name}.shift2": torch.zeros(steps, channels + MEMORY_CHANNELS, 1, 1),
-                    f"{name}.unit": torch.full((1,), math.log(first.rate)),
+                    f"{name}.unit": torch.full((1,), math.log(adam.rate)),
                 }
         return alpha
 

@@ -31,9 +31,9 @@ class SignedRates(Part):
     is_rate = True
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Return the rate of `first` for all weights."""
-        return {f"rate.{key}": torch.full_like(value, first.rate)[None] for key, value in theta.items()}
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
+        """Return the rate of `adam` for all weights."""
+        return {f"rate.{key}": torch.full_like(value, adam.rate)[None] for key, value in theta.items()}
 
     @override
     def updates(self, alpha: Params, updates: Params) -> Params:
@@ -52,9 +52,9 @@ class Rates(Part):
     is_rate = True
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Return the half cosine of `first` for all weights."""
-        rates = half_cosine(first.rate, steps, first.final).log()
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
+        """Return the half cosine of `adam` for all weights."""
+        rates = half_cosine(adam.rate, steps, adam.final_rate_share).log()
         return {f"rate.{key}": append_axes(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
 
     @override
@@ -72,9 +72,9 @@ class SharedRates(Rates):
     name = "shared"
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Return the first rate of `first` for all weights."""
-        return {key: value[:1] for key, value in super().initial(app, theta, steps, first).items()}
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
+        """Return the first rate of `adam` for all weights."""
+        return {key: value[:1] for key, value in super().initial(app, theta, steps, adam).items()}
 
 
 class Paces(Part):
@@ -87,9 +87,9 @@ class Paces(Part):
     needs_one_of = (Rates.name, SharedRates.name)
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Return the half cosine of `first`, relative to its first rate."""
-        paces = half_cosine(1.0, steps, first.final).log()
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
+        """Return the half cosine of `adam`, relative to its first rate."""
+        paces = half_cosine(1.0, steps, adam.final_rate_share).log()
         return {f"pace.{key}": paces.clone() for key in theta}
 
 
@@ -105,9 +105,9 @@ class Betas(Part):
     name = "betas"
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Return the decay factors of `first` for all steps."""
-        betas = {"beta1": first.beta1, "beta2": first.beta2}
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
+        """Return the decay factors of `adam` for all steps."""
+        betas = {"beta1": adam.beta1, "beta2": adam.beta2}
         return {name: torch.full((steps,), math.log(beta / (1 - beta))) for name, beta in betas.items()}
 
     @override
@@ -130,9 +130,9 @@ class Eps(Part):
     needs_one_of = (Betas.name,)
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Return the eps of `first`."""
-        return {"eps": torch.tensor([math.log(first.eps)], dtype=torch.float64)}
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
+        """Return the eps of `adam`."""
+        return {"eps": torch.tensor([math.log(adam.eps)], dtype=torch.float64)}
 
 
 class LossParameters(Part):
@@ -145,7 +145,7 @@ class LossParameters(Part):
     name = "loss"
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return the initial values that the application gives its loss parameters."""
         return {f"loss.{key}": value for key, value in app.loss_parameters(steps).items()}
 
@@ -164,7 +164,7 @@ class Curvature(Part):
         return "" if any(_matrix_sizes(value) for value in theta.values()) else "no parameter has two axes"
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return identity matrices for all axes of more than one entry."""
         return {
             f"{side}.{key}": torch.eye(size).repeat(steps, 1, 1)
@@ -207,7 +207,7 @@ class Average(Part):
         return "its fits see nothing random that would scatter the parameters" if app.deterministic else ""
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return weights that average the last TAIL_SHARE of the steps."""
         return tail_averaging_weights(steps)
 
@@ -255,14 +255,14 @@ class Basis(Part):
     """
 
     name = "basis"
-    settled = ("out.", "in.")
+    settled_prefixes = ("out.", "in.")
 
     @override
     def refusal(self, app: App, theta: Params) -> str:
         return "" if any(value.ndim > 1 for value in theta.values()) else "no parameter has two axes"
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return identity matrices, until :meth:`settle` replaces them."""
         return {
             f"{axis}.{key}": torch.eye(size)[None]

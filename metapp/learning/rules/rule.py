@@ -50,14 +50,14 @@ class Part:
         name: the name in compositions such as "adam+curvature", which is also the key in the registry.
         is_rate: whether the part decides how far parameters move; a rule has exactly one such part.
         needs_one_of: names of parts of which a rule with this part must have at least one; () if it needs none.
-        settled: beginnings of the names of hyperparameters that are computed from gradients of training tasks, before
-            the outer loop and before any search of an Adam.
+        settled_prefixes: beginnings of the names of hyperparameters that are computed from gradients of training tasks,
+            before the outer loop and before any search of an Adam.
     """
 
     name: str
     is_rate: bool = False
     needs_one_of: tuple[str, ...] = ()
-    settled: tuple[str, ...] = ()
+    settled_prefixes: tuple[str, ...] = ()
 
     def refusal(self, app: App, theta: Params) -> str:
         """Return why the part does not apply to an application; "" if it does.
@@ -68,14 +68,14 @@ class Part:
         """
         return ""
 
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
-        """Return hyperparameters [K, ...] before training, equal to the settings of `first` where it has such settings.
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
+        """Return hyperparameters [K, ...] before training, equal to the settings of `adam` where it has such settings.
 
         Args:
             app: the application.
             theta: parameters of one task.
             steps: the number of steps of a fit. K is this number, or 1 for hyperparameters that all steps share.
-            first: settings of a plain Adam.
+            adam: settings of a plain Adam.
         """
         return {}
 
@@ -196,24 +196,24 @@ class LearnedRule:
                     "without it."
                 )
 
-    def initial_alpha(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial_alpha(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return the hyperparameters [K, ...] before training.
 
-        With them the rule is the plain Adam `first`, or SGD of its rate. Two things differ: a rule without the part
+        With them the rule is the plain Adam `adam`, or SGD of its rate. Two things differ: a rule without the part
         "eps" has an eps of META_EPS, and the part "average" replaces the last parameters by their mean.
 
         Args:
             app: the application.
             theta: parameters of one task.
             steps: the number of steps of a fit.
-            first: settings of a plain Adam.
+            adam: settings of a plain Adam.
 
         Raises:
             ValueError: a part does not apply to the application.
         """
         self.check_app(app, theta)
         example = next(iter(theta.values()))
-        parts = (part.initial(app, theta, steps, first) for part in self.parts)
+        parts = (part.initial(app, theta, steps, adam) for part in self.parts)
         return {key: value.to(example) for initial in parts for key, value in initial.items()}
 
     def update_rule(self, alpha: Params) -> UpdateRule:
@@ -257,7 +257,7 @@ class LearnedRule:
     @property
     def settled(self) -> tuple[str, ...]:
         """Beginnings of the names of hyperparameters that are computed from gradients of training tasks."""
-        return tuple(prefix for part in self.parts for prefix in part.settled)
+        return tuple(prefix for part in self.parts for prefix in part.settled_prefixes)
 
     def gather(self, alpha: Params, grads: Params) -> Params:
         """Return statistics of one step's gradients on training tasks. See :meth:`Part.gather`."""

@@ -81,7 +81,7 @@ class Solve(Part):
         return "" if linear_parameter(app) else "its network is not linear in any parameter of one task"
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return penalties of INITIAL_PENALTY for all features, and steps that keep nearly all earlier equations."""
         name = linear_parameter(app)
         return {

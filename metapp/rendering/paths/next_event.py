@@ -35,26 +35,27 @@ class _Paths:
         rng: random streams, one a path.
         ray: the ray to the next surface.
         depth: edges so far.
-        used: surfaces so far that scatter.
+        scattering_count: number of surfaces so far that scatter.
         radiance: radiance so far, linear RGB.
         direct: light on the first surface that scatters, of emitters that no direction meets.
         throughput: share of the next surface's light that reaches the film, linear RGB.
         origin: the surface that the ray leaves, by a direction of `density` per solid angle.
         density: density of the ray's direction.
-        weighted: whether emitters were sampled at `origin`, too, so that light which the ray meets counts by a weight.
+        is_emitter_weighted: whether emitters were sampled at `origin`, too, so that light which the ray meets counts by
+            a weight.
         active: whether the path goes on.
     """
 
     rng: mt.RandomStreams
     ray: mt.Ray
     depth: mt.UInt32
-    used: mt.UInt32
+    scattering_count: mt.UInt32
     radiance: mt.Color
     direct: mt.Color
     throughput: mt.Color
     origin: mt.Interaction
     density: mt.Float
-    weighted: mt.Mask
+    is_emitter_weighted: mt.Mask
     active: mt.Mask
 
 
@@ -95,24 +96,26 @@ def trace_paths(
             emitter, emitted = scene.sample_emitter_direction(si, emitter_numbers, True, scatters)
         lobe_number, direction_numbers = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
         for number, direction in enumerate(directions):
-            direction_numbers = dr.select(paths.used == number, direction, direction_numbers)
+            direction_numbers = dr.select(paths.scattering_count == number, direction, direction_numbers)
         if next_event:
             to_emitter = si.to_local(emitter.d)
             value, density, sample, weight = bsdf.eval_pdf_sample(
                 context, si, to_emitter, lobe_number, direction_numbers, active
             )
             emitter_weight = dr.select(emitter.delta, 1, mis_weight(emitter.pdf, density))
-            is_lit = scatters & (emitter.pdf != 0) & (emitter.delta | (paths.used >= first_sampled))
+            is_lit = scatters & (emitter.pdf != 0) & (emitter.delta | (paths.scattering_count >= first_sampled))
             light = dr.select(is_lit, paths.throughput * value * emitted * emitter_weight, 0)
-            paths.direct += dr.select(paths.used == 0, light, 0)
-            paths.radiance += dr.select(paths.used == 0, 0, light)
-            paths.weighted = (
-                scatters & (paths.used >= first_sampled) & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+            paths.direct += dr.select(paths.scattering_count == 0, light, 0)
+            paths.radiance += dr.select(paths.scattering_count == 0, 0, light)
+            paths.is_emitter_weighted = (
+                scatters
+                & (paths.scattering_count >= first_sampled)
+                & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
             )
             paths.origin, paths.density = si, sample.pdf
         else:
             sample, weight = bsdf.sample(context, si, lobe_number, direction_numbers, active)
-        paths.used += dr.select(scatters, mi.UInt32(1), mi.UInt32(0))
+        paths.scattering_count += dr.select(scatters, mi.UInt32(1), mi.UInt32(0))
         paths.throughput *= weight
         paths.active = active & (dr.max(paths.throughput) > 0)
         paths.ray = si.spawn_ray(si.to_world(sample.wo))
@@ -133,5 +136,5 @@ def _weighted_emission(scene: mt.Scene, si: mt.Interaction, paths: _Paths, next_
     if not next_event:
         return light
     direction_sample = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
-    density = scene.pdf_emitter_direction(paths.origin, direction_sample, paths.active & paths.weighted)
-    return light * dr.select(paths.weighted, mis_weight(paths.density, density), 1)
+    density = scene.pdf_emitter_direction(paths.origin, direction_sample, paths.active & paths.is_emitter_weighted)
+    return light * dr.select(paths.is_emitter_weighted, mis_weight(paths.density, density), 1)

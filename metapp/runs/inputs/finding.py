@@ -149,8 +149,8 @@ def _find_in_path(app: str, path: Path) -> Iterator[Source]:
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
         for source in sources:
-            named = len(sources) == 1 or source.path == path
-            yield replace(source, format=name, given=path, named=named)
+            is_named = len(sources) == 1 or source.path == path
+            yield replace(source, format=name, given_path=path, is_named=is_named)
 
 
 def _input_refusal(app: str, path: Path, expected: str) -> str:

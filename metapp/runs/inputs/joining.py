@@ -18,14 +18,14 @@ from metapp.storage.shards import read_data_set, read_manifest, write_data_set
 
 
 def join_data_sets(
-    sources: Sequence[Path], folder: Path, *, alike: bool = False, overwrite: bool = False, quiet: bool = False
+    data_folders: Sequence[Path], folder: Path, *, alike: bool = False, overwrite: bool = False, quiet: bool = False
 ) -> ConversionResult:
     """Write the tasks of several data sets as one data set.
 
     Training tasks stay training tasks, test tasks stay test tasks. Tensors that not all tasks have are left out.
 
     Args:
-        sources: the folders of data sets of one application.
+        data_folders: the folders of data sets of one application.
         folder: the folder to write to.
         alike: whether training draws equally many tasks from each data set, however many it has.
         overwrite: whether a data set that is in `folder` is replaced.
@@ -38,14 +38,15 @@ def join_data_sets(
         ValueError: the folder is one of the data sets, a data set cannot be read or is of another application, two
             tasks have one name, or tensors of one name have different shapes.
     """
-    if folder.resolve() in [source.resolve() for source in sources]:
+    if folder.resolve() in [data_folder.resolve() for data_folder in data_folders]:
         raise ValueError(
             f"{folder}: one of the data sets to read, expected another folder to write to; choose another --out."
         )
-    manifests = [read_manifest(source) for source in sources]
+    manifests = [read_manifest(data_folder) for data_folder in data_folders]
     app = class_of(name := manifests[0].app)
     tasks_by_name = [
-        {task.name: task for task in read_data_set(source, app=name, holds=app.tensors)} for source in sources
+        {task.name: task for task in read_data_set(data_folder, app=name, holds=app.tensors)}
+        for data_folder in data_folders
     ]
     all_data = [task.data for tasks in tasks_by_name for task in tasks.values()]
     shapes = {key: value.shape for key, value in all_data[0].items() if all(key in data for data in all_data)}
@@ -55,7 +56,7 @@ def join_data_sets(
     joined_tasks = [
         _select_tensors(tasks_by_name[kind][entry.name], shapes, kind if alike else None) for kind, entry in entries
     ]
-    notes = {"made_by": "metapp data join", "of": [source.name for source in sources]}
+    notes = {"made_by": "metapp data join", "of": [data_folder.name for data_folder in data_folders]}
 
     def read_tasks() -> Iterator[tuple[Task, str, str]]:
         with progress(name, len(entries), quiet=quiet) as bar:

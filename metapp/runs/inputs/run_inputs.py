@@ -36,14 +36,15 @@ class Input(NamedTuple):
     Attributes:
         place: the path of the input as text, or the name of its task in a data set; records name the input by it.
         read: the function that reads the task; it raises ValueError or OSError if the input is damaged.
-        named: whether the user named the input, so that it must be good; False for a file that was found in a folder.
-        given: the paths, as the user gave them, that the input was found in.
+        is_named: whether the user named the input, so that it must be good; False for a file that was found in a
+            folder.
+        given_paths: the paths, as the user gave them, that the input was found in.
     """
 
     place: str
     read: Callable[[], Task]
-    named: bool = False
-    given: Sequence[Path] = ()
+    is_named: bool = False
+    given_paths: Sequence[Path] = ()
 
     def read_task(self) -> Task:
         """Read the task of this input, with a name that can be printed.
@@ -132,8 +133,8 @@ def _input_of_source(source: Source, arguments: Mapping[str, object]) -> Input:
     read = functools.partial(
         _read_file, bind_reader_arguments(read_task, {**arguments, "content": source.content}), source.path
     )
-    given = [source.given] if source.given else []
-    return Input(to_json_value(str(absolute_place(source.path))), read, source.named, given)
+    given_paths = [source.given_path] if source.given_path else []
+    return Input(to_json_value(str(absolute_place(source.path))), read, source.is_named, given_paths)
 
 
 def inputs_of_tasks(tasks: Sequence[Task]) -> list[Input]:
@@ -141,23 +142,23 @@ def inputs_of_tasks(tasks: Sequence[Task]) -> list[Input]:
     return [Input(task.name, task._replace) for task in tasks]
 
 
-def read_tasks(sources: Sequence[Input]) -> list[Task]:
+def read_tasks(inputs: Sequence[Input]) -> list[Task]:
     """Read the tasks of inputs; a damaged file that was found in a folder is left out with a warning.
 
     Raises:
         ValueError: an input that the user named is damaged, or nothing is left.
     """
     tasks_by_place = []
-    for source in sources:
+    for run_input in inputs:
         try:
-            tasks_by_place.append((source.place, source.read_task()))
+            tasks_by_place.append((run_input.place, run_input.read_task()))
         except (ValueError, OSError) as error:
-            if source.named:
-                raise error_about_file(error, Path(source.place)) from None
-            say(f"warning: skipped {error_about_file(error, Path(source.place))}")
+            if run_input.is_named:
+                raise error_about_file(error, Path(run_input.place)) from None
+            say(f"warning: skipped {error_about_file(error, Path(run_input.place))}")
     if not tasks_by_place:
         raise ValueError(
-            f"{len(sources)} inputs were found, none can be read, expected one or more; see the warnings above."
+            f"{len(inputs)} inputs were found, none can be read, expected one or more; see the warnings above."
         )
     return rename_duplicates(tasks_by_place)
 
@@ -220,16 +221,16 @@ def task_digest(task: Task) -> str:
     return digest.hexdigest()[:12]
 
 
-def are_objects(sources: Sequence[object]) -> bool:
-    """Test whether sources are objects in memory, not paths; a text is a path unless it is an XML document.
+def are_objects(inputs: Sequence[object]) -> bool:
+    """Test whether inputs are objects in memory, not paths; a text is a path unless it is an XML document.
 
     Raises:
         ValueError: some are paths, others are not.
     """
-    count = sum(not _is_path(source) for source in sources)
-    if 0 < count < len(sources):
+    count = sum(not _is_path(run_input) for run_input in inputs)
+    if 0 < count < len(inputs):
         raise ValueError(
-            f"{count} of {len(sources)} inputs are objects in memory, expected all or none; fit paths by another call."
+            f"{count} of {len(inputs)} inputs are objects in memory, expected all or none; fit paths by another call."
         )
     return count > 0
 
@@ -252,12 +253,12 @@ def inputs_of_objects(app: str, objects: Sequence[object], arguments: Mapping[st
             "alone; save it to one."
         )
     task_of_object, names = entry.load(), _object_names(objects)
-    tasks = [task_of_object(source, name, **arguments) for source, name in zip(objects, names, strict=True)]
+    tasks = [task_of_object(user_object, name, **arguments) for user_object, name in zip(objects, names, strict=True)]
     return [Input(str(number), task._replace, True) for number, task in enumerate(tasks)]
 
 
-def _is_path(source: object) -> bool:
-    return isinstance(source, PathLike) or (isinstance(source, str) and not source.lstrip().startswith("<"))
+def _is_path(user_input: object) -> bool:
+    return isinstance(user_input, PathLike) or (isinstance(user_input, str) and not user_input.lstrip().startswith("<"))
 
 
 def _object_names(objects: Sequence[object]) -> list[str]:
@@ -265,7 +266,7 @@ def _object_names(objects: Sequence[object]) -> list[str]:
 
     Several objects without a name are numbered.
     """
-    names = [_object_name(source) for source in objects]
+    names = [_object_name(user_object) for user_object in objects]
     nameless_count = sum(not name for name in names)
     numbers = iter(range(1, nameless_count + 1))
     return [
@@ -273,8 +274,8 @@ def _object_names(objects: Sequence[object]) -> list[str]:
     ]
 
 
-def _object_name(source: object) -> str:
+def _object_name(user_object: object) -> str:
     """Return the name of a function, or the stem of the file of a picture; "" if the object has neither."""
-    place = getattr(source, "filename", "")
+    place = getattr(user_object, "filename", "")
     name = Path(place).stem if isinstance(place, str | PathLike) else ""
-    return str(getattr(source, "__name__", name)).strip("<>")
+    return str(getattr(user_object, "__name__", name)).strip("<>")

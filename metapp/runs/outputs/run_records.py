@@ -199,21 +199,21 @@ def _find_tasks_of_group(
     return {task.name: task for task in tasks} if present_label == label else {}
 
 
-def _read_unchanged_tasks(records: list[Document], sources: list[Input]) -> dict[str, Task]:
+def _read_unchanged_tasks(records: list[Document], inputs: list[Input]) -> dict[str, Task]:
     """Read the tasks of records from files that have not changed since, even if they were moved.
 
     Args:
         records: the records of the fits.
-        sources: the files to read; a file whose name no record has is not read.
+        inputs: the inputs to read; a file whose name no record has is not read.
 
     Returns:
         Tasks by the name in their record.
     """
     names, tasks_by_digest = {Path(record.get("source", "")).name for record in records}, {}
-    for source in sources:
-        if Path(source.place).name in names:
+    for run_input in inputs:
+        if Path(run_input.place).name in names:
             with contextlib.suppress(ValueError, OSError):  # a file that was damaged since is not found
-                task = source.read_task()
+                task = run_input.read_task()
                 tasks_by_digest[task_digest(task)] = task
     pairs = [(record["name"], tasks_by_digest.get(record.get("content", ""))) for record in records]
     return {name: task._replace(name=name) for name, task in pairs if task}

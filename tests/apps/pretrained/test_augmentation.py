@@ -66,8 +66,8 @@ def test_windows_come_from_everywhere_and_know_where(rng: Generator) -> None:
 
 def test_relief_beside_other_colours_keeps_what_is_known_of_it(rng: Generator) -> None:
     maps = torch.arange(40.0)[:, None, None, None].expand(-1, 10, 2, 2)
-    known = torch.arange(40.0)[:, None].expand(-1, 4)
-    mixed, of_mixed = exchange_relief(maps, known, rng)
+    map_weights = torch.arange(40.0)[:, None].expand(-1, 4)
+    mixed, of_mixed = exchange_relief(maps, map_weights, rng)
     assert torch.equal(mixed[:, 3:], maps[:, 3:])
     assert torch.equal(mixed[:, 0, 0, 0], of_mixed[:, 3])
     assert 0.1 < float((mixed[:, 0, 0, 0] != maps[:, 0, 0, 0]).float().mean()) < 0.6
@@ -76,12 +76,12 @@ def test_relief_beside_other_colours_keeps_what_is_known_of_it(rng: Generator) -
 def test_mixed_materials_keep_weights_of_maps_known_in_both(rng: Generator) -> None:
     """Maps that are as they were keep what is known of them; the others lie between two materials."""
     maps = torch.arange(1, 41.0)[:, None, None, None].expand(-1, 10, 8, 8)
-    known = (torch.arange(40)[:, None] % torch.tensor([2, 3, 4, 5]) > 0).float()
-    both, of_both = blend_materials(maps, known, rng)
+    map_weights = (torch.arange(40)[:, None] % torch.tensor([2, 3, 4, 5]) > 0).float()
+    both, of_both = blend_materials(maps, map_weights, rng)
     alone = (both[:, 3] == maps[:, 3]).flatten(1).all(1)
     assert 0.3 < float(alone.float().mean()) < 0.7
-    assert torch.equal(of_both[alone], known[alone])
-    assert torch.equal(of_both[~alone], torch.minimum(known, known.roll(1, 0))[~alone])
+    assert torch.equal(of_both[alone], map_weights[alone])
+    assert torch.equal(of_both[~alone], torch.minimum(map_weights, map_weights.roll(1, 0))[~alone])
     low, high = torch.minimum(maps, maps.roll(1, 0)), torch.maximum(maps, maps.roll(1, 0))
     assert ((both >= low - 1e-4) & (both <= high + 1e-4))[:, 3:].all()
     torch.testing.assert_close(both[:, :3].norm(dim=1), torch.ones(40, 8, 8))

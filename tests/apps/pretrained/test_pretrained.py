@@ -99,7 +99,7 @@ def test_unknown_maps_have_no_weight_in_the_loss(
     app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     batch = app.sample(app.augment(tasks, rng), rng, 1)
-    batch["known"] = torch.tensor([[1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.5], [0.0] * 4])
+    batch["map_weights"] = torch.tensor([[1.0, 1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.5], [0.0] * 4])
     parts = [part.clone().requires_grad_() for part in unpack_maps(0.9 * batch["maps"] + 0.01)]
     value = losses(app, Maps(*parts), batch, monkeypatch)
     value.sum().backward()
@@ -124,7 +124,7 @@ def test_flat_normals_have_the_lowest_loss_where_relief_is_ambiguous(
 @pytest.mark.long
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
-    training = replace(RECIPE.general, tasks=4, steps=12, warmup=0)
+    training = replace(RECIPE.general, tasks=4, steps=12, warmup_steps=0)
     (general,) = General.of(app, replace(RECIPE, general=training)).preparations
     phi = general.first_phi(None, tasks, rng)
     loss = general.outer_loss(phi)

@@ -166,14 +166,14 @@ def test_the_penalty_is_chosen_on_materials_that_components_do_not_know_and_byte
         errors[setting] = mean_error(pca_of(where, components, *setting), validation, allowed)
     penalty, solves = min(errors, key=errors.__getitem__)
     assert pca.chosen == {"penalty": penalty, "solves": solves}
-    assert pca.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
+    assert pca.shared_bytes == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
     one = training.prepared_tasks.select([2])
     fitted = pca.fit(one, Generator().manual_seed(0), allowed)
-    assert (fitted.numbers, fitted.kept_bytes) == (24, 96)
+    assert (fitted.kept_numbers, fitted.kept_bytes) == (24, 96)
     assert APP.errors_of(fitted.answer(), one)["error"].item() < 0.01
     (named,) = [baseline for baseline in baselines(APP) if baseline.name == "pca_20"]
     named.prepare(training, allowed)
-    assert named.fit(one, rng, allowed).numbers == 30  # all that vary by more than rounding
+    assert named.fit(one, rng, allowed).kept_numbers == 30  # all that vary by more than rounding
 
 
 def pca_of(where: Tensor, components: Components, penalty: float, solves: int) -> Pca:

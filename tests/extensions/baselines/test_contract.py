@@ -57,7 +57,7 @@ def random_task(app: str, name: str, rng: Generator, angles: Tensor) -> Task:
         maps = torch.cat([normal, 0.1 + 0.8 * uniform(7, 64, 64)])
         return Task(name, {"maps": maps, "predicted": maps.flip(-1), "photo": picture(3, 64, 64)})
     if app == "transport":
-        return Task(name, {"samples": uniform(512, 4), "held": uniform(64, 4), "image": uniform(3, 32, 32)})
+        return Task(name, {"samples": uniform(512, 4), "held_out": uniform(64, 4), "image": uniform(3, 32, 32)})
     return Task(name, {"image": picture(3, 64, 64)})
 
 
@@ -278,7 +278,7 @@ def test_nearest_training_task_of_a_training_task_is_itself(data: Callable[[str]
         fitted = baseline.fit(stack_tasks(app, tasks[3:4]), rng, CostLimits(64, 1))
         with torch.no_grad():
             assert app.errors_of(fitted.answer(), stack_tasks(app, tasks[3:4]))["error"].item() < 1e-5
-        assert (fitted.numbers, fitted.kept_bytes) == (1, 4)
+        assert (fitted.kept_numbers, fitted.kept_bytes) == (1, 4)
 
 
 @pytest.mark.parametrize("name", app_names())

@@ -13,7 +13,12 @@ from data_tools.readers import placed_photos
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.placed_photos import read_places
 from data_tools.readers.square_photos import field_of_view_rad
-from metapp.extensions.capture.markers.rectified_photos import find_cameras, rectify_opening, write_rectified_photos
+from metapp.extensions.capture.markers.rectified_photos import (
+    CameraSearch,
+    find_cameras,
+    rectify_opening,
+    write_rectified_photos,
+)
 from metapp.extensions.capture.markers.sighting import Camera as Found
 from metapp.extensions.capture.markers.sighting import common_focal_length_mm, find_sheet, solve_camera
 from tests.extensions.capture.marker_photos import (
@@ -96,11 +101,11 @@ def test_photographs_from_above_do_not_tell_the_focal_length(photos: Path) -> No
 def test_distances_follow_from_a_given_field_of_view(tmp_path: Path) -> None:
     cameras = [tilted_camera(0, distance=26), tilted_camera(5, 40)]
     paths = [write_photograph(tmp_path / f"{i}.png", camera, focal=False) for i, camera in enumerate(cameras)]
-    found, _, _ = find_cameras(paths, field_of_view_rad(26, 1200, 1600))
+    found, _, _ = find_cameras(CameraSearch(paths, field_of_view_rad(26, 1200, 1600)))
     for photo, camera in zip(found, cameras, strict=True):
         assert off_by(photo.place_cm, camera) < 0.002
     with pytest.raises(ValueError, match="--fov"):
-        find_cameras(paths)
+        find_cameras(CameraSearch(paths))
 
 
 def test_photographs_are_read_upright(tmp_path: Path) -> None:
@@ -131,7 +136,7 @@ def test_rectifying_keeps_colours(photos: Path, dtype: type) -> None:
 
 
 def written(folder: Path, paths: list[Path], size: int, **settings: Any) -> list[Found]:
-    cameras, _, _ = find_cameras(paths, **settings)
+    cameras, _, _ = find_cameras(CameraSearch(paths, **settings))
     write_rectified_photos(cameras, [camera.place_cm for camera in cameras], size, folder)
     return cameras
 
@@ -156,7 +161,7 @@ def test_the_folder_is_read_as_photographs_with_places(photos: Path, tmp_path: P
 
 def test_the_flash_is_beside_the_lens_in_the_photograph(photos: Path) -> None:
     paths = [photos / "aside.jpg", photos / "turned.jpg"]
-    found, _, _ = find_cameras(paths)
+    found, _, _ = find_cameras(CameraSearch(paths))
     for photo in found:
         light_cm = photo.offset_place_cm(1.5, -0.5)
         seen = photo.axes @ (light_cm - photo.place_cm)  # right, down, forward
@@ -180,7 +185,7 @@ def test_a_page_that_was_printed_smaller_is_all_smaller(photos: Path, tmp_path: 
     assert placed[0].sighting.opening_cm == pytest.approx(9.7)
     for photo in placed:
         assert off_by(photo.place_cm / 0.97, CAMERAS[photo.sighting.path.stem]) < 0.003
-    before, _, _ = find_cameras(paths)
+    before, _, _ = find_cameras(CameraSearch(paths))
     places = read_places(tmp_path / "leaf", 2)
     assert places is not None
     np.testing.assert_allclose(places[:, 0] * 5, np.stack([photo.place_cm for photo in before]), atol=1e-3)
@@ -239,9 +244,9 @@ def test_a_cropped_photograph_or_another_lens_is_refused(photos: Path, tmp_path:
     cropped = write_image(tmp_path / "cropped.png", np.ascontiguousarray(values), Exif_FocalLengthIn35mmFilm=26)
     find_sheet(cropped)
     paths = [photos / "above.jpg", photos / "aside.jpg", cropped]
-    cameras, _, (line,) = find_cameras(paths)
+    cameras, _, (line,) = find_cameras(CameraSearch(paths))
     assert len(cameras) == 2
     assert line.startswith(f"{cropped}: points are ")
     assert "from where a lens of 26 mm sees them" in line
     with pytest.raises(ValueError, match=r"1 of 2 photos can be used \(.* mm sees them\), expected two or more"):
-        find_cameras([photos / "above.jpg", cropped])
+        find_cameras(CameraSearch([photos / "above.jpg", cropped]))

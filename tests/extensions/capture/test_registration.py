@@ -12,7 +12,7 @@ from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted
 from data_tools.readers.placed_photos import read_task
 from data_tools.readers.square_photos import field_of_view_rad
 from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
-from metapp.extensions.capture.markers.rectified_photos import find_cameras, show_views
+from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras, show_views
 from metapp.extensions.capture.markers.registration import apply_homography, register_photos
 from metapp.extensions.capture.markers.sighting import Sighting, common_focal_length_mm, solve_camera
 from tests.pictures import write_image
@@ -61,7 +61,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def sightings(photos: Path) -> list[Sighting]:
     """What all of them share with the first."""
     steps: list[str] = []
-    registration = register_photos([photos / f"{name}.png" for name in CAMERAS], begin=steps.append)
+    registration = register_photos([photos / f"{name}.png" for name in CAMERAS], report_stage=steps.append)
     assert registration.unmatched_lines() == []
     assert [step for step in steps if "finding features" in step] == [
         f"{name}.png: finding features" for name in CAMERAS
@@ -107,7 +107,7 @@ def test_the_straightest_photograph_is_the_reference(photos: Path, tmp_path: Pat
     if source != "exif":  # without a focal length
         paths = [write_image(tmp_path / path.name, cv2.imread(str(path))[..., ::-1]) for path in paths]
     fov_rad = field_of_view_rad(26, VIEW["height"], VIEW["width"]) if source == "fov" else 0.0
-    cameras, focal_mm, skipped = find_cameras(paths, fov_rad)
+    cameras, focal_mm, skipped = find_cameras(CameraSearch(paths, fov_rad))
     assert skipped == []
     assert focal_mm == (pytest.approx(26, rel=0.02) if source == "matches" else 0.0)
     assert [camera.sighting.path.stem for camera in cameras if camera.sighting.is_reference] == ["a"]
@@ -148,7 +148,7 @@ def test_a_photograph_that_fits_no_plane_with_the_others_leaves_these_as_they_ar
         Path("odd.png"), cv2.resize(whole, None, fx=1.4, fy=1.0)[..., ::-1], Exif_FocalLengthIn35mmFilm=26
     )
     paths = [photos / f"{name}.png" for name in CAMERAS]
-    (expected, *_), (cameras, _, skipped) = find_cameras(paths), find_cameras([*paths, odd])
+    (expected, *_), (cameras, _, skipped) = find_cameras(CameraSearch(paths)), find_cameras(CameraSearch([*paths, odd]))
     assert [line.partition(":")[0] for line in skipped] == ["odd.png"]
     assert "px from where a lens of" in skipped[0]
     np.testing.assert_allclose([camera.place_cm for camera in cameras], [camera.place_cm for camera in expected])
@@ -192,7 +192,7 @@ def test_photographs_without_common_parts_are_refused_in_one_line(tmp_path: Path
         paths = [make(tmp_path / f"{name}{seed}.png", seed) for seed in (3, 4)]
         line = f"{paths[0]}: none of 2 photos has features in common with another one; {REMEDY}."
         with pytest.raises(ValueError, match=line.partition("(")[0].replace(".", r"\.")):
-            find_cameras(paths)
+            find_cameras(CameraSearch(paths))
 
 
 def test_matches_in_vain_are_drawn(metapp: Callable) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from metapp.extensions.capture.markers import rectification, sample
-from metapp.extensions.capture.markers.rectified_photos import find_cameras
+from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras
 from metapp.extensions.capture.markers.sample import find_largest_square, find_sample, select_middle_region
 from tests.extensions.capture.marker_photos import cv2
 from tests.extensions.capture.test_registration import CAMERAS, material
@@ -46,7 +46,7 @@ def photograph(folder: Path, thickness: float, half_side: float = HALF_SIDE, fin
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple:
     """What is found in photographs of a sample above a table."""
-    return find_sample(photograph(tmp_path_factory.mktemp("photos"), THICKNESS))
+    return find_sample(CameraSearch(photograph(tmp_path_factory.mktemp("photos"), THICKNESS)))
 
 
 def test_the_square_lies_on_a_sample_above_a_table(found: tuple) -> None:
@@ -90,26 +90,27 @@ def test_a_line_says_how_much_is_kept(metapp: Callable, monkeypatch: pytest.Monk
 def test_photographs_that_show_one_plane_are_registered_once(tmp_path: Path, look: dict) -> None:
     registered: list[tuple] = []
 
-    def once(*args: object) -> tuple:
-        registered.append(find_cameras(*args))
+    def once(search: CameraSearch) -> tuple:
+        registered.append(find_cameras(search))
         return registered[-1]
 
-    result = find_sample(photograph(tmp_path, **{"thickness": THICKNESS} | look), register=once)
+    paths = photograph(tmp_path, **{"thickness": THICKNESS} | look)
+    result = find_sample(CameraSearch(paths), register=once)
     assert result == (*registered[0], 1.0)
     assert len(result[0]) == len(CAMERAS)
 
 
 def test_photographs_stay_as_they_are_where_no_sample_is_found(monkeypatch: pytest.MonkeyPatch, found: tuple) -> None:
-    def register(paths: object, *_: object, parts: dict | None = None) -> tuple:
+    def register(search: CameraSearch, parts: dict | None = None) -> tuple:
         if parts:
             raise ValueError("too few features")
         return found[:3]
 
     everywhere = np.ones((192, 192), bool)
     monkeypatch.setattr(sample, "compare_on_planes", lambda _: sample.Agreement(~everywhere, everywhere, 3))
-    paths = [camera.sighting.path for camera in found[0]]
-    assert find_sample(paths, register=register) == (*found[:3], 0.0)
-    assert find_sample(paths, register=lambda *_, **__: found[:3]) == (*found[:3], 0.0)  # registered, but of no plane
+    search = CameraSearch([camera.sighting.path for camera in found[0]])
+    assert find_sample(search, register=register) == (*found[:3], 0.0)
+    assert find_sample(search, register=lambda *_, **__: found[:3]) == (*found[:3], 0.0)  # registered, but of no plane
 
 
 def test_the_largest_square_is_turned_as_the_part_is() -> None:

@@ -186,7 +186,7 @@ def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
     return {
         "sgd": sgd({"rate": torch.tensor([0.05, 0.03])}),
         "sgd by task": sgd({"rate": torch.rand(1, tasks, generator=rng) / 10}),
-        "adam": fixed_adam(Adam(1e-2, beta1=0.8, final=0.1), theta, STEPS),
+        "adam": fixed_adam(Adam(1e-2, beta1=0.8, final_rate_share=0.1), theta, STEPS),
         **{name: rule_of(name).update_rule(expand_tasks(move_parameters(name, rng), tasks, 1)) for name in IN_C},
     }
 

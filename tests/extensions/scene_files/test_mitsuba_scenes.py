@@ -68,14 +68,14 @@ pytestmark = pytest.mark.usefixtures("few_paths")
 @needs_mitsuba
 def test_a_dictionary_is_the_task_it_came_from(tmp_path: Path) -> None:
     scene = random_scene(5)
-    task = read_task(write(tmp_path / "five.json", scene), samples=300, held=100)
+    task = read_task(write(tmp_path / "five.json", scene), samples=300, held_out=100)
     assert task.name == "five"
     assert decode_scene(task.data["scene"]) == scene
-    shapes = {"samples": (300, 4), "held": (100, 4), "image": (3, 32, 32), "scene": (8192,)}
+    shapes = {"samples": (300, 4), "held_out": (100, 4), "image": (3, 32, 32), "scene": (8192,)}
     assert {key: tuple(value.shape) for key, value in task.data.items()} == shapes
-    again = read_task(write(tmp_path / "five.json", scene), samples=300, held=100)
+    again = read_task(write(tmp_path / "five.json", scene), samples=300, held_out=100)
     assert all(torch.equal(task.data[key], again.data[key]) for key in task.data)
-    assert not torch.equal(task.data["samples"][:100], task.data["held"])
+    assert not torch.equal(task.data["samples"][:100], task.data["held_out"])
 
 
 @needs_mitsuba
@@ -86,15 +86,15 @@ def test_file_names_start_from_the_scenes_folder(tmp_path: Path, monkeypatch: py
     write(folder / "camera.xml", xml(CAMERA))
     lamp = f'<shape type="obj"><string name="filename" value="parts/lamp.obj"/>{LAMP}</shape>'
     write(folder / "room.xml", xml('<include filename="camera.xml"/>', ROOM, lamp))
-    task = read_task(folder / "room.xml", samples=64, held=16)
+    task = read_task(folder / "room.xml", samples=64, held_out=16)
     monkeypatch.chdir(tmp_path)
-    elsewhere = read_task(write(tmp_path / "room.json", decode_scene(task.data["scene"])), samples=64, held=16)
+    elsewhere = read_task(write(tmp_path / "room.json", decode_scene(task.data["scene"])), samples=64, held_out=16)
     assert all(torch.equal(task.data[key], elsewhere.data[key]) for key in task.data)
     # and in a dictionary
     sensor = random_scene(0)["sensor"]
     part = {"type": "obj", "filename": "parts/lamp.obj", "emitter": {"type": "area"}}
     write(folder / "room.json", {"type": "scene", "sensor": sensor, "lamp": part})
-    assert read_task(folder / "room.json", samples=64, held=16).data["image"].max() > 0.5
+    assert read_task(folder / "room.json", samples=64, held_out=16).data["image"].max() > 0.5
 
 
 def textured_scene(name: str) -> str:
@@ -166,7 +166,7 @@ def test_what_mitsuba_cannot_load_is_named_by_the_line_of_the_users_file(tmp_pat
 @needs_mitsuba
 def test_an_environment_is_a_light(tmp_path: Path) -> None:
     sky = '<emitter type="constant"><rgb name="radiance" value="0.5 0.5 0.5"/></emitter>'
-    task = read_task(write(tmp_path / "sky.xml", xml(CAMERA, ball(""), sky)), samples=500, held=500)
+    task = read_task(write(tmp_path / "sky.xml", xml(CAMERA, ball(""), sky)), samples=500, held_out=500)
     edge, middle = task.data["image"][:, 0], task.data["image"][:, 16, 16]
     torch.testing.assert_close(edge, torch.full_like(edge, 0.5))
     torch.testing.assert_close(middle, torch.full_like(middle, 0.25))  # Mitsuba's default reflects half
@@ -199,9 +199,9 @@ AIM = '<transform name="to_world"><lookat origin="2, 2, 2" target="0, 0, 0" up="
 def test_lights_that_no_path_meets_by_chance_are_sampled(tmp_path: Path, kind: str, inside: str) -> None:
     floor = '<shape type="disk"><transform name="to_world"><scale value="3"/></transform></shape>'
     lamp = f'<emitter type="{kind}">{inside}</emitter>'
-    task = read_task(write(tmp_path / "lamp.xml", xml(CAMERA, floor, ball(""), lamp)), samples=300, held=100)
+    task = read_task(write(tmp_path / "lamp.xml", xml(CAMERA, floor, ball(""), lamp)), samples=300, held_out=100)
     assert task.data["next_event"].tolist() == [1]
-    assert (len(task.data["samples"]), len(task.data["held"])) == (300, 100)
+    assert (len(task.data["samples"]), len(task.data["held_out"])) == (300, 100)
     assert not problems_of(task, Transport.tensors)
     assert task.data["image"].max() > 0
 
@@ -216,7 +216,7 @@ def test_an_older_scene_is_read_where_mitsuba_knows_its_elements_and_plugins(tmp
     before = write(tmp_path / "old" / "box.xml", old(CAMERA, ROOM, ball()))
     assert "toWorld" in before.read_text()
     new = write(tmp_path / "box.xml", xml(CAMERA, ROOM, ball()))
-    one, other = (read_task(path, samples=64, held=16).data["image"] for path in (before, new))
+    one, other = (read_task(path, samples=64, held_out=16).data["image"] for path in (before, new))
     assert torch.equal(one, other)
 
 
@@ -332,11 +332,11 @@ def test_our_exported_scenes_are_read_while_their_fit_lies_beside(tmp_path: Path
     bsdf = '<bsdf type="neural_brdf"><string name="filename" value="paint.safetensors"/></bsdf>'
     lamp = f'<shape type="sphere"><point name="center" x="0" y="3" z="0"/>{LAMP}</shape>'
     scene = write(tmp_path / "paint.xml", xml(CAMERA, ball(bsdf), lamp))
-    task = read_task(scene, samples=64, held=16)
+    task = read_task(scene, samples=64, held_out=16)
     assert torch.isfinite(task.data["samples"]).all()
     (tmp_path / "paint.safetensors").write_bytes(b"no fit")
     with pytest.raises(ValueError, match=r"paint\.xml: no scene .* expected the \.safetensors file of a BRDF fit"):
-        read_task(scene, samples=64, held=16)
+        read_task(scene, samples=64, held_out=16)
     (tmp_path / "paint.safetensors").unlink()
     with pytest.raises(ValueError, match=r"file not found; put it in the scene's folder\.$"):
         read_scene(scene)

@@ -101,7 +101,7 @@ def test_no_scene_runs_a_library(name: str, tmp_path: Path, evil: Callable[[Path
     path = tmp_path / name
     path.write_text(CODE[name])
     with pytest.raises(ValueError, match=r".") as caught:
-        read_task(path, samples=64, held=16)
+        read_task(path, samples=64, held_out=16)
     assert_one_line(caught.value, path)
     assert not mark.exists()
     stored = {"xml": CODE[name]} if name.endswith("xml") else json.loads(CODE[name])
@@ -228,7 +228,7 @@ def test_bad_scenes_are_refused_at_once(name: str, tmp_path: Path, capfd: pytest
     path.write_text(content)
     begin = time.perf_counter()
     with pytest.raises(ValueError, match=expected) as caught:
-        read_task(path, samples=64, held=16)
+        read_task(path, samples=64, held_out=16)
     assert_one_line(caught.value, path)
     assert time.perf_counter() - begin < 20  # hangs are without end
     assert capfd.readouterr() == ("", "")
@@ -296,7 +296,7 @@ def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Call
     named = write(scenes / "named.xml", preview('<path value="../data/common"/>'))
     with pytest.raises(ValueError, match=r"the <path> '\.\./data/common' outside.*: --scene-root .*/data/common$"):
         read_scene(named)
-    assert read_task(named, samples=64, held=16, roots=[data]).data["image"].max() > 0.5
+    assert read_task(named, samples=64, held_out=16, roots=[data]).data["image"].max() > 0.5
     plain = write(scenes / "plain.xml", preview())
     with pytest.raises(ValueError, match=r"names the file 'textures/sky\.exr': file not found"):
         read_scene(plain)
@@ -339,7 +339,7 @@ import sys, pathlib
 from metapp.extensions.scene_files.scene_reader import read_task
 for name in sys.argv[1:]:
     try:
-        read_task(pathlib.Path(name), samples=8, held=8)
+        read_task(pathlib.Path(name), samples=8, held_out=8)
         print(f"{name}\\tread", flush=True)
     except ValueError as error:
         print(f"{name}\\t{error}", flush=True)

@@ -58,7 +58,7 @@ def theta_of(name: str) -> Params:
     """A material by a network with random weights, that reflects everywhere."""
     app, rng = APPS[name], Generator().manual_seed(1)
     theta = {key: value[0].clone() for key, value in app.init(rng, 1).items()}
-    for key in {"last", "z", "turn"} & set(theta):
+    for key in {"last", "z", "axes_azimuth_rad"} & set(theta):
         theta[key] = 0.2 * torch.randn(theta[key].shape, generator=rng)
     if "last" in theta:
         theta["last"][:, -1] = -1.5 if name == "few" else 0.4
@@ -168,7 +168,7 @@ def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(open_page
     shown = views(name, task=anisotropic.brushed_task())
     page, app, theta = open_page(shown), APPS[name], theta_of(name)
     angles = 0.02 + torch.rand(600, 4, generator=Generator().manual_seed(3)) * torch.tensor([1.2, 1.2, 6.2, 6.2])
-    turn = float(theta["turn"]) if "turn" in theta else 0.0
+    turn = float(theta["axes_azimuth_rad"]) if "axes_azimuth_rad" in theta else 0.0
     angles[:100, 2] = (turn - angles[:100, 3]) % math.pi + 1e-3 * torch.linspace(-1, 1, 100)
     angles[100:150, 0] = 1e-4
     wi, wo = rusinkiewicz_to_directions(angles[is_above_horizon(angles)].double())
@@ -377,7 +377,7 @@ def test_a_fit_and_its_residual_are_the_material(wrong: str) -> None:
     if wrong == "dark":
         theta["last"] = torch.zeros_like(theta["last"])
     elif wrong == "turned":
-        theta["turn"] = theta["turn"] + 1.0
+        theta["axes_azimuth_rad"] = theta["axes_azimuth_rad"] + 1.0
     elif wrong == "another":
         theta["last"] = theta["last"][[2, 0, 1]] * 0.5 + 0.02
     elif wrong == "isotropic":
@@ -389,6 +389,6 @@ def test_a_fit_and_its_residual_are_the_material(wrong: str) -> None:
     if not app.network.anisotropic:
         angles[:, 2] %= math.pi  # as such networks, which need not be reciprocal, are shown
     fit = torch.log1p(app.reflectance(theta, angles))
-    reference = (fit + interpolate_as_shader(grid, angles, float(theta.get("turn", 0.0)))).clamp_min(0)
+    reference = (fit + interpolate_as_shader(grid, angles, float(theta.get("axes_azimuth_rad", 0.0)))).clamp_min(0)
     lacks, left = (float((logarithms - torch.log1p(truth(angles))).abs().mean()) for logarithms in (fit, reference))
     assert left < (0.1 if wrong else 1.0) * lacks

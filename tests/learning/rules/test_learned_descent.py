@@ -22,7 +22,7 @@ from tests.learning.parabolas import refuse_to_draw
 
 TASKS, STEPS = 2, 3
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=6, layers=2)
-FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final=0.1)
+FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final_rate_share=0.1)
 
 
 def small_app() -> illumination.Illumination:

@@ -83,7 +83,7 @@ def grads(theta: Params, rng: Generator) -> list[Params]:
 
 ON_MATRICES = applicable_rules(APP)
 
-FIRST = Adam(5e-3, 0.8, 0.99, eps=1e-3, final=0.1)
+FIRST = Adam(5e-3, 0.8, 0.99, eps=1e-3, final_rate_share=0.1)
 BASIS = Basis()
 
 
@@ -197,7 +197,9 @@ def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
 # Named rules
 
 
-@pytest.mark.parametrize("settings", [Adam(5e-3, beta2=0.99), Adam(2e-2, 0.6, 0.95, final=0.1), Adam(1e-3, final=0.0)])
+@pytest.mark.parametrize(
+    "settings", [Adam(5e-3, beta2=0.99), Adam(2e-2, 0.6, 0.95, final_rate_share=0.1), Adam(1e-3, final_rate_share=0.0)]
+)
 @pytest.mark.parametrize("rule", [name for name in ON_MATRICES if name != "meta-sgd"])
 def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, single: list[Params]) -> None:
     changed_settings = dataclasses.replace(settings, eps=1e-3)
@@ -268,22 +270,23 @@ def copies(theta: Params) -> Params:
 
 
 def test_rates_warm_up_and_fall_by_half_a_cosine() -> None:
-    rates = half_cosine(2.0, 104, final=0.0, warmup=4)
+    rates = half_cosine(2.0, 104, final_rate_share=0.0, warmup_steps=4)
     torch.testing.assert_close(rates[:5], torch.tensor([0.4, 0.8, 1.2, 1.6, 2.0]))
     torch.testing.assert_close(rates[54], torch.tensor(1.0))
     assert (rates > 0).all()
     assert half_cosine(1.0, 0).shape == (1,)
-    assert torch.isfinite(half_cosine(1.0, 2, warmup=10)).all()
+    assert torch.isfinite(half_cosine(1.0, 2, warmup_steps=10)).all()
 
 
 @pytest.mark.parametrize(
-    "settings", [Adam(1e-2), Adam(3e-3, 0.5, 0.9, 1e-3), Adam(1e-2, final=0.0), Adam(1e-2, 0.8, 0.99, 1e-8, 0.1)]
+    "settings",
+    [Adam(1e-2), Adam(3e-3, 0.5, 0.9, 1e-3), Adam(1e-2, final_rate_share=0.0), Adam(1e-2, 0.8, 0.99, 1e-8, 0.1)],
 )
 def test_fixed_adam_agrees_with_torch_adam(settings: Adam, theta: Params, grads: list[Params]) -> None:
     leaves = copies(theta)
     betas = (settings.beta1, settings.beta2)
     optimiser = torch.optim.Adam(leaves.values(), lr=settings.rate, betas=betas, eps=settings.eps)
-    low = settings.rate * settings.final
+    low = settings.rate * settings.final_rate_share
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, STEPS, eta_min=low)
     assert_same(
         run(fixed_adam(settings, theta, STEPS), theta, grads), run_torch(optimiser, leaves, grads, schedule.step)
@@ -291,11 +294,13 @@ def test_fixed_adam_agrees_with_torch_adam(settings: Adam, theta: Params, grads:
 
 
 def test_outer_adam_agrees_with_torch_adam_with_l2(theta: Params, grads: list[Params]) -> None:
-    training = MetaTraining(STEPS, 1, {"": 1e-3, "w": 1e-2, "w3": 1e-4}, warmup=3, final=0.1, decay=0.3)
+    training = MetaTraining(
+        STEPS, 1, {"": 1e-3, "w": 1e-2, "w3": 1e-4}, warmup_steps=3, final_rate_share=0.1, weight_decay=0.3
+    )
     leaves = copies(theta)
     rates = {"w1": 1e-2, "w2": 1e-2, "w3": 1e-4}
     groups = [{"params": [leaf], "lr": rates.get(key, 1e-3)} for key, leaf in leaves.items()]
-    optimiser = torch.optim.Adam(groups, weight_decay=training.decay)
+    optimiser = torch.optim.Adam(groups, weight_decay=training.weight_decay)
     schedule = torch.optim.lr_scheduler.LambdaLR(
         optimiser, lambda i: float(half_cosine(1.0, STEPS, 0.1, 3)[min(i, 11)])
     )

@@ -89,8 +89,8 @@ class MeanField(LocalField):
 class FromFeatures(FromPhoto):
     """The application whose fits of one photograph begin at General's maps by features of VGG-16.
 
-    General draws no relief that a photograph does not show. Beside `maps` a training task may hold `known` [4], weights
-    of the loss of the maps in the order of PARTS, 0 where a map is made up.
+    General draws no relief that a photograph does not show. Beside `maps` a training task may hold `map_weights` [4],
+    weights of the loss of the maps in the order of PARTS, 0 where a map is made up.
     """
 
     network: MeanField = field()
@@ -106,9 +106,9 @@ class FromFeatures(FromPhoto):
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Add the weights of the losses of maps, `known` [4]: those that the task states, else ones."""
-        known = task.data.get("known", torch.ones(len(PARTS)))
-        return super().prepare(task) | {"known": known.float()}
+        """Add the weights of the losses of maps, `map_weights` [4]: those that the task states, else ones."""
+        map_weights = task.data.get("map_weights", torch.ones(len(PARTS)))
+        return super().prepare(task) | {"map_weights": map_weights.float()}
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
@@ -124,8 +124,8 @@ class FromFeatures(FromPhoto):
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Draw windows of half the field's side of augmented materials, photographed anew."""
-        fine, known = (tasks.data[key][tasks.rows].float() for key in ("fine", "known"))
-        return tasks.make_variants(draw_variants(fine, known, self.network.height // 2, rng))
+        fine, map_weights = (tasks.data[key][tasks.rows].float() for key in ("fine", "map_weights"))
+        return tasks.make_variants(draw_variants(fine, map_weights, self.network.height // 2, rng))
 
     @override
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
@@ -192,23 +192,23 @@ class FromFeatures(FromPhoto):
         conditional mean, which is flat where the photograph does not tell.
         """
         inputs = batch["inputs"] if "inputs" in batch else pixel_inputs(batch["photo"])
-        known, target = batch["known"], unpack_maps(batch["maps"])
+        map_weights, target = batch["map_weights"], unpack_maps(batch["maps"])
         batch = batch | {"place": inputs[:, -2:]}
         maps = self._evaluate_maps(theta, inputs)
         differences = map_differences(maps, target)
         scale = laplace_scales(theta)[:, -1:].detach()
         squared = differences[-1].square() / scale.repeat_interleave(4, -1).repeat_interleave(4, -2)
         errors = torch.stack([difference.abs().mean((1, 2, 3)) for difference in (*differences[:-1], squared)], 1)
-        map_loss = (errors * known * errors.new_tensor(PART_WEIGHTS)).sum(1)
-        blot_loss = known[:, 0] * blots(differences[0], batch["photo"])
-        is_known = known[:, 1:3, None, None, None] > 0  # pictures do not count where maps are made up
+        map_loss = (errors * map_weights * errors.new_tensor(PART_WEIGHTS)).sum(1)
+        blot_loss = map_weights[:, 0] * blots(differences[0], batch["photo"])
+        is_known = map_weights[:, 1:3, None, None, None] > 0  # pictures do not count where maps are made up
         specular = torch.where(is_known[:, 0], maps.specular, target.specular)
         roughness = torch.where(is_known[:, 1], maps.roughness, target.roughness)
         # pictures are of the true normals: the median of a highlight lies at a slope even where the mean slope is 0
         shown_maps = Maps(maps.diffuse, specular, roughness, target.normal)
         pictures = self.radiance_difference(shown_maps, target, batch["pairs"], batch["place"])
-        loss = known[:, 3] * (pictures + PHOTO_WEIGHT * self.photo_difference(theta, shown_maps, batch, {}))
-        likelihood = negative_log_likelihood(differences, theta) * known.amin(1)
+        loss = map_weights[:, 3] * (pictures + PHOTO_WEIGHT * self.photo_difference(theta, shown_maps, batch, {}))
+        likelihood = negative_log_likelihood(differences, theta) * map_weights.amin(1)
         return loss + MAPS_WEIGHT * map_loss + BLOTS_WEIGHT * blot_loss + LIKELIHOOD_WEIGHT * likelihood
 
     def _evaluate_maps(self, theta: Params, inputs: Tensor) -> Maps:

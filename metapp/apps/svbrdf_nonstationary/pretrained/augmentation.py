@@ -1,7 +1,7 @@
 """Data augmentation of whole materials: patches of any scale, relief beside other colours, photographed anew.
 
 Beside packed maps [T, 10, S, S] go weights of the loss of diffuse colour, specular colour, roughness and normals,
-`known` [T, 4]: 0 where a training set lacks that map.
+`map_weights` [T, 4]: 0 where a training set lacks that map.
 """
 
 from __future__ import annotations
@@ -57,39 +57,39 @@ def flatten_relief(maps: Tensor, rng: Generator) -> Tensor:
     return torch.cat([normalise(torch.cat([slopes, torch.ones_like(slopes[:, :1])], 1)), maps[:, 3:]], 1)
 
 
-def exchange_relief(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
+def exchange_relief(maps: Tensor, map_weights: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
     """Give some materials [T, 10, S, S] the normals of the one before, with the weights [T, 4] of these normals."""
     uniform, _ = draws_per_material(len(maps), rng)
     is_exchanged = uniform(1, 1, 1) < EXCHANGED_SHARE
     normal = torch.where(is_exchanged, maps[:, :3].roll(1, 0), maps[:, :3])
-    weight = torch.where(is_exchanged[:, :, 0, 0], known[:, 3:].roll(1, 0), known[:, 3:])
-    return torch.cat([normal, maps[:, 3:]], 1), torch.cat([known[:, :3], weight], 1)
+    weight = torch.where(is_exchanged[:, :, 0, 0], map_weights[:, 3:].roll(1, 0), map_weights[:, 3:])
+    return torch.cat([normal, maps[:, 3:]], 1), torch.cat([map_weights[:, :3], weight], 1)
 
 
-def blend_materials(maps: Tensor, known: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
+def blend_materials(maps: Tensor, map_weights: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
     """Mix half of the materials [T, 10, S, S] with the one before; weights [T, 4] are the lower ones of both."""
     mixed = mix_materials(maps, rng)
     is_unmixed = (mixed[:, 3:] == maps[:, 3:]).flatten(1).all(1, keepdim=True)
-    return mixed, torch.where(is_unmixed, known, torch.minimum(known, known.roll(1, 0)))
+    return mixed, torch.where(is_unmixed, map_weights, torch.minimum(map_weights, map_weights.roll(1, 0)))
 
 
-def draw_variants(fine: Tensor, known: Tensor, side: int, rng: Generator) -> Batch:
+def draw_variants(fine: Tensor, map_weights: Tensor, side: int, rng: Generator) -> Batch:
     """Draw a training batch: windows of photographs of augmented materials.
 
     Args:
         fine: packed maps [T, 10, S, S].
-        known: weights of the loss of their maps, [T, 4].
+        map_weights: weights of the loss of their maps, [T, 4].
         side: of the windows, in px; photographs have twice the side.
         rng: draws all random numbers.
 
     Returns:
         `photo` [T, 3, side, side], linear; what `describe_patch` knows of the whole patch; `inputs` of the field,
-        [T, PIXEL_INPUTS, side, side]; `maps` [T, 10, side, side]; `known` [T, 4].
+        [T, PIXEL_INPUTS, side, side]; `maps` [T, 10, side, side]; `map_weights` [T, 4].
     """
     texels_per_pixel = 2 if draw_chance(FINER_SHARE, rng) else 1
     maps = change_some(restyle, crop_pieces(fine, texels_per_pixel * 2 * side, rng), RESTYLED_SHARES[0], rng)
-    maps, known = blend_materials(recolour(maps, rng), known, rng)
-    maps, known = exchange_relief(change_some(restyle, maps, RESTYLED_SHARES[1], rng), known, rng)
+    maps, map_weights = blend_materials(recolour(maps, rng), map_weights, rng)
+    maps, map_weights = exchange_relief(change_some(restyle, maps, RESTYLED_SHARES[1], rng), map_weights, rng)
     maps = change_some(flatten_relief, maps, FLATTENED_SHARE, rng)
     photo, maps = avg_pool2d(draw_photos(maps, rng), texels_per_pixel), pool_maps(maps, (2 * side, 2 * side))
     patch = describe_patch(photo)
@@ -100,7 +100,7 @@ def draw_variants(fine: Tensor, known: Tensor, side: int, rng: Generator) -> Bat
         pictures = torch.cat([photo, pixel_inputs(photo), maps], 1)
         channels = (3, PIXEL_INPUTS, maps.shape[1])
         photo, inputs, maps = crop_windows(pictures, side, rng).split(channels, 1)
-    return {"photo": photo, "inputs": inputs, "maps": maps, "known": known} | patch
+    return {"photo": photo, "inputs": inputs, "maps": maps, "map_weights": map_weights} | patch
 
 
 def draw_chance(share: float, rng: Generator) -> bool:

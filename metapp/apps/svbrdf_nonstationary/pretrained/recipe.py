@@ -13,11 +13,13 @@ from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 from metapp.learning.recipe import OuterLoop
 
 FULL = RECIPES["photo"]["full"]
-SEARCHED = replace(FULL.quickft, rate=8e-3, final=0.1)
+SEARCHED = replace(FULL.quickft, rate=8e-3, final_rate_share=0.1)
 PRETRAINED = replace(
     FULL,
     app=FromFeatures(MeanField(*field_of(256, 32))),
     quickft=SEARCHED,
-    meta={"meta-encoder": replace(FULL.meta["meta-encoder"], first=SEARCHED)},
-    general=OuterLoop(steps=8_000, tasks=4, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
+    meta={"meta-encoder": replace(FULL.meta["meta-encoder"], initial_adam=SEARCHED)},
+    general=OuterLoop(
+        steps=8_000, tasks=4, rates={"": 1e-3}, warmup_steps=100, final_rate_share=0.0, validate_every=1000
+    ),
 )

@@ -74,7 +74,7 @@ class Newton(Part):
         return "" if isinstance(app, SeveralPhotos) else "its fits are not maps under flashes of several photographs"
 
     @override
-    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+    def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return logs of lengths, `length` [steps], that are 0, so that steps are whole."""
         return {"length": torch.zeros(steps)}
 

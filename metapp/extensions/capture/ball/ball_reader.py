@@ -10,9 +10,10 @@ from pathlib import Path
 
 from data_tools.readers import environment_maps, square_photos
 from data_tools.readers.colours import integers_to_unit_range
-from data_tools.readers.image_files import ALL_PICTURE_SUFFIXES, Pixels, read_pixels
+from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.listing import files_of
+from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES
 from data_tools.readers.square_photos import is_photo, to_square_photo
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task

@@ -16,7 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 from data_tools.readers.colours import Floats
-from data_tools.readers.image_files import Pixels, is_heif, open_largest_picture
+from data_tools.readers.image_files import Pixels
+from data_tools.readers.opened_images import is_heif, open_largest_picture
 from metapp.appearance.colour import linear_to_srgb
 from metapp.apps.illumination.mirror import CLIPPED_DISPLAY_VALUE
 from metapp.extensions.capture.ball.ball_geometry import Ball, disc_places

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from data_tools.readers.square_photos import find_images
 from metapp.extensions.capture.markers.found_outlines import FoundOutlines
 from metapp.extensions.capture.markers.marker_options import RectifyOptions
-from metapp.extensions.capture.markers.rectified_photos import write_rectified_photos
+from metapp.extensions.capture.markers.rectified_photos import CameraSearch, write_rectified_photos
 from metapp.extensions.capture.markers.sample import find_sample
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera
@@ -93,10 +93,15 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     found_outlines, failed_picture = FoundOutlines(), _failed_picture_path(folder)
     try:
         with progress("photos", len(names), quiet=quiet) as bar:
-            fov_rad, done, begin = math.radians(options.fov), bar.advance, bar.set_label
-            cameras, focal_mm, skipped, kept_share = find_sample(
-                names, fov_rad, options.ruler, done, begin, found_outlines.keep_outlines
+            search = CameraSearch(
+                names,
+                math.radians(options.fov),
+                options.ruler,
+                report_photo=bar.advance,
+                report_stage=bar.set_label,
+                keep_outlines=found_outlines.keep_outlines,
             )
+            cameras, focal_mm, skipped, kept_share = find_sample(search)
     except ValueError as error:
         is_drawn = _draw_found(found_outlines, names, str(error), failed_picture, quiet=quiet)
         raise ValueError(f"{str(error).removesuffix('.')}; see {failed_picture}." if is_drawn else str(error)) from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -45,25 +46,35 @@ MIN_TILT_GAIN_DEGREES = 1.0  # by which a photo must be straighter than the refe
 MAX_SHOWN_VIEW_SIDES = 10  # how far outside a photo, in its sides, the view of another one is still drawn
 
 
+@dataclass(frozen=True)
+class CameraSearch:
+    """A search for the cameras of photographs: what is known of them, and what is called while it goes on.
+
+    Attributes:
+        paths: the photographs, of one marker sheet or of one material.
+        fov_rad: the field of view of the camera along the photographs' shorter side; 0 if it is not known: EXIF gives
+            it, else the value that fits best is taken.
+        ruler_cm: the measured length of the ruler on the printed sheet.
+        report_photo: called with the name of each photograph that was searched for the sheet.
+        report_stage: called with what is done next, in words, once all photographs have been searched for the sheet.
+        keep_outlines: called with what is found in photographs, for a picture of photographs that do not serve.
+    """
+
+    paths: Sequence[Path]
+    fov_rad: float = 0.0
+    ruler_cm: float = RULER_CM
+    report_photo: Callable[[str], object] = str
+    report_stage: Callable[[str], object] = str
+    keep_outlines: KeepOutlines = ignore_outlines
+
+
 def find_cameras(
-    paths: Sequence[Path],
-    fov_rad: float = 0.0,
-    ruler_cm: float = RULER_CM,
-    done: Callable[[str], object] = str,
-    begin: Callable[[str], object] = str,
-    show: KeepOutlines = ignore_outlines,
-    parts: Mapping[Path, Floats] = MappingProxyType({}),
+    search: CameraSearch, parts: Mapping[Path, Floats] = MappingProxyType({})
 ) -> tuple[list[Camera], float, list[str]]:
     """Find the sheet and the camera in photographs; without any marker, register the material's own features.
 
     Args:
-        paths: the photographs, of one sheet or of one material.
-        fov_rad: the field of view of the camera along the photographs' shorter side; 0 if it is not known: EXIF gives
-            it, else the value that fits best is taken.
-        ruler_cm: the measured length of the printed ruler.
-        done: called with the name of each photograph that was searched.
-        begin: called with what is done next, in words, once all photographs have been searched.
-        show: called with what is found in photographs, for a picture of photographs that do not serve.
+        search: the photographs, what is known of them, and what is called on the way.
         parts: the parts of photographs that :func:`register_photos` takes.
 
     Returns:
@@ -74,34 +85,32 @@ def find_cameras(
         ValueError: fewer than two photographs can be used, they show sheets of several sizes, no focal length is known
             and none can be found, or OpenCV is not installed.
     """
-    sightings, unmarked, skipped = _find_sheets(paths, fov_rad, ruler_cm, done, show)
+    sightings, unmarked, skipped = _find_sheets(search)
     if not sightings and len(unmarked) > 1:
-        registration = register_photos(list(unmarked), fov_rad, parts, begin, show)
+        registration = register_photos(list(unmarked), search.fov_rad, parts, search.report_stage, search.keep_outlines)
         kept_lines = [line for line in skipped if line not in unmarked.values()]
-        cameras, found_mm, misfits = _fit_cameras(registration.sightings(), begin, show)
+        cameras, found_mm, misfits = _fit_cameras(registration.sightings(), search)
         straightest = min(cameras, key=lambda camera: camera.tilt_degrees)
         if straightest.tilt_degrees < cameras[0].tilt_degrees - MIN_TILT_GAIN_DEGREES:
-            registration = change_reference(registration, straightest.sighting.path, begin)
+            registration = change_reference(registration, straightest.sighting.path, search.report_stage)
             sightings_with_focal = [
                 sighting._replace(focal_mm=sighting.focal_mm or found_mm) for sighting in registration.sightings()
             ]
-            cameras, _, misfits = _fit_cameras(sightings_with_focal, begin, show)
+            cameras, _, misfits = _fit_cameras(sightings_with_focal, search)
         skipped = [*kept_lines, *registration.unmatched_lines(), *misfits]
     else:
-        cameras, found_mm, misfits = _fit_cameras(sightings, begin, show)
+        cameras, found_mm, misfits = _fit_cameras(sightings, search)
         skipped += misfits
     if len(cameras) < 2:
         reason = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
-            f"{len(cameras)} of {len(paths)} photo{'s' * (len(paths) != 1)} can be used{reason}, expected two or more "
-            "of one material; take more from other places, with the whole sheet in view."
+            f"{len(cameras)} of {len(search.paths)} photo{'s' * (len(search.paths) != 1)} can be used{reason}, "
+            "expected two or more of one material; take more from other places, with the whole sheet in view."
         )
     return sorted(cameras, key=lambda camera: camera.view_angle_degrees), found_mm, skipped
 
 
-def _fit_cameras(
-    sightings: Sequence[Sighting], begin: Callable[[str], object], show: KeepOutlines
-) -> tuple[list[Camera], float, list[str]]:
+def _fit_cameras(sightings: Sequence[Sighting], search: CameraSearch) -> tuple[list[Camera], float, list[str]]:
     """Find the cameras of photographs, in their order, and leave out photographs that do not fit.
 
     Returns:
@@ -110,8 +119,8 @@ def _fit_cameras(
     """
     skipped: list[str] = []
     for sighting in [] if not sightings or sightings[0].shows_sheet else sightings:
-        show(sighting.path, f"{len(sighting.markers)} points shared", sighting.markers, "lime")
-    begin("positions of the cameras")
+        search.keep_outlines(sighting.path, f"{len(sighting.markers)} points shared", sighting.markers, "lime")
+    search.report_stage("positions of the cameras")
     while True:  # without the worst photo, plane and square are found again by the others
         is_plane = len(sightings) > 1 and not sightings[0].shows_sheet
         cameras_of, without_focal = (
@@ -123,7 +132,7 @@ def _fit_cameras(
         )
         cameras = cameras_of(sightings, found_mm)
         if is_plane:
-            show_views(cameras, show)
+            show_views(cameras, search.keep_outlines)
             cameras = cameras_on_square(cameras)
         worst = max(filter(_describe_misfit, cameras), key=lambda camera: camera.error_px, default=None)
         if worst is None:
@@ -132,7 +141,7 @@ def _fit_cameras(
         sightings = [sighting for sighting in sightings if sighting.path != worst.sighting.path]
 
 
-def show_views(cameras: Sequence[Camera], show: KeepOutlines) -> None:
+def show_views(cameras: Sequence[Camera], keep_outlines: KeepOutlines) -> None:
     """Show in the first photograph, the reference, which part of the plane each of the others sees."""
     first, outlines = cameras[0].sighting, []
     for sighting, *_ in cameras[1:]:
@@ -140,12 +149,10 @@ def show_views(cameras: Sequence[Camera], show: KeepOutlines) -> None:
         outline = apply_homography(to_first, WHOLE_PHOTO_CORNERS * [sighting.width - 1, sighting.height - 1])
         if np.abs(outline).max() < MAX_SHOWN_VIEW_SIDES * (first.width + first.height):
             outlines.append(outline)
-    show(first.path, "views of the other photos", np.reshape(outlines, (-1, 4, 2)), "cyan")
+    keep_outlines(first.path, "views of the other photos", np.reshape(outlines, (-1, 4, 2)), "cyan")
 
 
-def _find_sheets(
-    paths: Sequence[Path], fov_rad: float, ruler_cm: float, done: Callable[[str], object], show: KeepOutlines
-) -> tuple[list[Sighting], dict[Path, str], list[str]]:
+def _find_sheets(search: CameraSearch) -> tuple[list[Sighting], dict[Path, str], list[str]]:
     """Find the sheet in photographs, which must show one sheet.
 
     Returns:
@@ -155,14 +162,14 @@ def _find_sheets(
     import_opencv()
     sightings: list[Sighting] = []
     unmarked, skipped = {}, []
-    for path in paths:
+    for path in search.paths:
         try:
-            sightings.append(find_sheet(path, fov_rad, ruler_cm, show))
+            sightings.append(find_sheet(path, search.fov_rad, search.ruler_cm, search.keep_outlines))
         except (ValueError, OSError) as error:
             skipped.append(str(error))
             if isinstance(error, NoMarkersError):
                 unmarked[path] = str(error)
-        done(path.name)
+        search.report_photo(path.name)
     for sighting in sightings[1:]:
         if sighting.opening_cm != sightings[0].opening_cm:
             raise ValueError(
@@ -189,7 +196,7 @@ def write_rectified_photos(
     lights_cm: Sequence[Floats],
     size: int,
     folder: Path,
-    done: Callable[[str], object] = str,
+    report_picture: Callable[[str], object] = str,
 ) -> None:
     """Write pictures 00.png, ..., pictures of the markers in each photograph, and texts of the places.
 
@@ -198,7 +205,7 @@ def write_rectified_photos(
         lights_cm: the places of the flashes, [3] each.
         size: the side of the pictures, in px.
         folder: the folder, made if missing; the texts, by which readers recognise it, are written last.
-        done: called with the name of each picture that was written.
+        report_picture: called with the name of each picture that was written.
 
     Raises:
         OSError: a file cannot be written.
@@ -212,7 +219,7 @@ def write_rectified_photos(
         write_outlines(
             pixels, [(points + 0.5, colour) for points, colour in outlines], folder / DIAGNOSTIC_FOLDER / name
         )
-        done(name)
+        report_picture(name)
     sizes, places = np.array([cameras[0].sighting.opening_cm]), np.stack([camera.place_cm for camera in cameras])
     for name, rows in ((SIZE_TEXT, sizes), (LIGHT_TEXT, np.stack(lights_cm)), (CAMERA_TEXT, places)):
         write_atomically(folder / name, functools.partial(np.savetxt, X=rows, fmt="%.4f", delimiter=","))

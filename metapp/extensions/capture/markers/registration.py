@@ -111,8 +111,8 @@ def register_photos(
     paths: Sequence[Path],
     fov_rad: float = 0.0,
     parts: Mapping[Path, Floats] = MappingProxyType({}),
-    begin: Callable[[str], object] = str,
-    show: KeepOutlines = ignore_outlines,
+    report_stage: Callable[[str], object] = str,
+    keep_outlines: KeepOutlines = ignore_outlines,
 ) -> Registration:
     """Find points that photographs of one material share with a reference, the first photograph that another one fits.
 
@@ -121,15 +121,15 @@ def register_photos(
         fov_rad: the field of view of their camera along the shorter side; 0 if EXIF is to give it, if it does.
         parts: for some photographs the corners [4, 2] of a convex part, in fractions of width and height from the upper
             left: others are registered on them, and judged, by that part alone.
-        begin: called with what is done next, in words, before each step that takes a second or more.
-        show: called with the features that look alike, for each photograph that does not fit.
+        report_stage: called with what is done next, in words, before each step that takes a second or more.
+        keep_outlines: called with the features that look alike, for each photograph that does not fit.
 
     Raises:
         ValueError: no two photographs fit, or one cannot be read.
     """
     views = []
     for path in paths:
-        begin(f"{path.name}: finding features")
+        report_stage(f"{path.name}: finding features")
         views.append(_make_view(path, fov_rad)._replace(part_corners=parts.get(path, WHOLE_PHOTO_CORNERS)))
     for reference_index, reference in enumerate(views[:-1]):
         fine_features = _select_features(_find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES), reference)
@@ -138,7 +138,7 @@ def register_photos(
             *range(reference_index + 1, len(views))
         ] * 2:  # tried twice: a photo that fits no earlier one may fit one that is placed later
             if other not in matches:
-                begin(f"{views[other].sighting.path.name}: comparing with {reference.sighting.path.name}")
+                report_stage(f"{views[other].sighting.path.name}: comparing with {reference.sighting.path.name}")
             for index in [] if other in matches else list(matches):
                 guesses = [matches[index][0] @ guess for guess in _guess_homographies(views[other], views[index])]
                 match = _find_match(views[other], reference, fine_features, guesses)
@@ -147,21 +147,23 @@ def register_photos(
                     break
         if len(matches) > 1:
             unmatched = [view for index, view in enumerate(views) if index not in matches]
-            _show_matches(unmatched, reference, begin, show)
+            _show_matches(unmatched, reference, report_stage, keep_outlines)
             return Registration(views, reference_index, matches)
-    _show_matches(views, views[0], begin, show)
+    _show_matches(views, views[0], report_stage, keep_outlines)
     raise ValueError(
         f"{paths[0]}: none of {len(paths)} photos has features in common with another one; {PRINT_MARKERS_ADVICE}."
     )
 
 
-def change_reference(registration: Registration, path: Path, begin: Callable[[str], object] = str) -> Registration:
+def change_reference(
+    registration: Registration, path: Path, report_stage: Callable[[str], object] = str
+) -> Registration:
     """Place photographs on another one of them, starting from the homographies that were found before.
 
     Args:
         registration: the registration of the photographs.
         path: the photograph to place the others on, one that fits.
-        begin: called with what is done next, in words, before each step that takes a second or more.
+        report_stage: called with what is done next, in words, before each step that takes a second or more.
 
     Returns:
         The registration on that photograph; the one that was given if fewer photographs fit the new reference.
@@ -173,7 +175,7 @@ def change_reference(registration: Registration, path: Path, begin: Callable[[st
     matches: dict[int, PhotoMatch] = {reference_index: IDENTITY_MATCH}
     for index, view in enumerate(views):
         if index != reference_index:
-            begin(f"{view.sighting.path.name}: comparing with {path.name}, the straightest")
+            report_stage(f"{view.sighting.path.name}: comparing with {path.name}, the straightest")
             earlier_match = registration.matches.get(index)
             match = _find_match(
                 view,
@@ -291,15 +293,15 @@ def _guess_homographies(view: PhotoView, other: PhotoView) -> Iterable[Floats]:
 
 
 def _show_matches(
-    views: Sequence[PhotoView], reference: PhotoView, begin: Callable[[str], object], show: KeepOutlines
+    views: Sequence[PhotoView], reference: PhotoView, report_stage: Callable[[str], object], keep_outlines: KeepOutlines
 ) -> None:
     """Show the features of photographs that do not fit a reference: all, those with a match, and those in one plane."""
-    for view in views if show is not ignore_outlines else []:
+    for view in views if keep_outlines is not ignore_outlines else []:
         path, longer_px = view.sighting.path, max(view.sighting.height, view.sighting.width)
-        begin(f"{path.name}: drawing what was found")
+        report_stage(f"{path.name}: drawing what was found")
         feature_places = view.features[0].astype(np.float64)
         shown_rows = np.random.default_rng(0).permutation(len(feature_places))[:_MAX_KEPT_MATCHES]
-        show(
+        keep_outlines(
             path,
             f"{len(feature_places)} features",
             diamond_outlines(view.to_photo_px(feature_places[shown_rows]), longer_px),
@@ -310,9 +312,9 @@ def _show_matches(
             _, is_inlier = _fit_homography(places, reference_places, 3.0)
             name = reference.sighting.path.name
             match_text = f"{len(places)} of them with a like one in {name}"
-            show(path, match_text, diamond_outlines(view.to_photo_px(places), longer_px), "red")
+            keep_outlines(path, match_text, diamond_outlines(view.to_photo_px(places), longer_px), "red")
             plane_text = f"{is_inlier.sum()} of these agree with one plane"
-            show(path, plane_text, diamond_outlines(view.to_photo_px(places[is_inlier]), longer_px), "lime")
+            keep_outlines(path, plane_text, diamond_outlines(view.to_photo_px(places[is_inlier]), longer_px), "lime")
 
 
 def _find_match(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.hand_photos import display_values, import_opencv
-from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
+from metapp.extensions.capture.markers.found_outlines import ignore_outlines
 from metapp.extensions.capture.markers.plane import cameras_on_part
-from metapp.extensions.capture.markers.rectified_photos import find_cameras
+from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras
 from metapp.extensions.capture.markers.registration import WHOLE_PHOTO_CORNERS
-from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
+from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera, Sighting
 
 MIDDLE_CORNERS = (WHOLE_PHOTO_CORNERS + 0.5) / 2  # the part of a photograph where the sample lies, as people aim at it
@@ -64,26 +64,15 @@ class Agreement(NamedTuple):
 
 
 def find_sample(
-    paths: Sequence[Path],
-    fov_rad: float = 0.0,
-    ruler_cm: float = RULER_CM,
-    done: Callable[[str], object] = str,
-    begin: Callable[[str], object] = str,
-    show: KeepOutlines = ignore_outlines,
-    register: Callable[..., tuple[list[Camera], float, list[str]]] = find_cameras,
+    search: CameraSearch, register: Callable[..., tuple[list[Camera], float, list[str]]] = find_cameras
 ) -> tuple[list[Camera], float, list[str], float]:
     """Find the cameras of photographs above the marker sheet's opening, or above the largest square on the sample.
 
     Photographs without markers that show a table are registered once more, by the sample alone.
 
     Args:
-        paths: the photographs.
-        fov_rad: the field of view that :func:`find_cameras` takes.
-        ruler_cm: the measured length of the printed ruler.
-        done: called with the name of each photograph that was searched.
-        begin: called with what is done next, in words.
-        show: called with what is found in photographs, for a picture of photographs that do not serve.
-        register: finds the cameras, as :func:`find_cameras` does.
+        search: the photographs, what is known of them, and what is called on the way.
+        register: a function that finds the cameras, as :func:`find_cameras` does.
 
     Returns:
         Cameras, focal length and lines about photographs left out, as :func:`find_cameras` returns them; and the share
@@ -92,19 +81,18 @@ def find_sample(
     Raises:
         ValueError: :func:`find_cameras` finds no cameras.
     """
-    found = register(paths, fov_rad, ruler_cm, done, begin, show)
-    begin("comparing photos on planes of several heights")
+    found = register(search)
+    search.report_stage("comparing photos on planes of several heights")
     if found[0][0].sighting.shows_sheet or not compare_on_planes(found[0]).shows_table:
         return *found, 1.0
     result = *found, 0.0
-    parts = dict.fromkeys(paths, MIDDLE_CORNERS)
-    paths = sorted(
-        paths,
-        key=lambda path: path not in [camera.sighting.path for camera in found[0] if camera.sighting.is_reference],
-    )
+    parts = dict.fromkeys(search.paths, MIDDLE_CORNERS)
+    reference_paths = [camera.sighting.path for camera in found[0] if camera.sighting.is_reference]
+    paths = sorted(search.paths, key=lambda path: path not in reference_paths)  # the reference first
+    search_of_sample = replace(search, paths=paths, report_photo=str, keep_outlines=ignore_outlines)
     for _ in range(2):  # first by the middle, then by all of the sample, which is more exact
         try:
-            cameras, focal_mm, skipped = register(paths, fov_rad, ruler_cm, str, begin, parts=parts)
+            cameras, focal_mm, skipped = register(search_of_sample, parts=parts)
         except ValueError:  # too few features there
             break
         *middle, side, turn_rad = find_largest_square(select_middle_region(compare_on_planes(cameras).sample))

@@ -126,7 +126,7 @@ CamerasOf = Callable[[Sequence[Sighting], float], list[Camera]]
 
 
 def find_sheet(
-    path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM, show: KeepOutlines = ignore_outlines
+    path: Path, fov_rad: float = 0.0, ruler_cm: float = RULER_CM, keep_outlines: KeepOutlines = ignore_outlines
 ) -> Sighting:
     """Find the sheet in a photograph.
 
@@ -134,7 +134,7 @@ def find_sheet(
         path: the photograph.
         fov_rad: the field of view of its camera along the shorter side; 0 if EXIF is to give it, if it does.
         ruler_cm: the measured length of the printed ruler.
-        show: called with what is found, as far as the search gets.
+        keep_outlines: called with what is found, as far as the search gets.
 
     Raises:
         ValueError: the photograph cannot be read, shows no sheet, or fewer than MIN_SEEN_MARKERS of its markers, the
@@ -152,19 +152,19 @@ def find_sheet(
     numbers = np.ravel(numbers).tolist() if found else []
     opening = opening_of_markers(numbers)
     if opening is None:
-        show(path, f"{len(others)} outlines looked at, no marker", np.reshape(others, (-1, 4, 2)), "orange")
+        keep_outlines(path, f"{len(others)} outlines looked at, no marker", np.reshape(others, (-1, 4, 2)), "orange")
         raise NoMarkersError(f"{path}: no marker found, expected the markers of a sheet; {_REMEDY}.")
     on_sheet, scale = marker_corners_cm(opening), ruler_cm / RULER_CM
     markers = {number: px[0].astype(float) for number, px in zip(numbers, found, strict=True) if number in on_sheet}
     points_cm = scale * np.concatenate([on_sheet[number] for number in markers])
     marker_corners = np.stack(list(markers.values()))
-    show(path, f"{len(marker_corners)} marker{'s' * (len(marker_corners) != 1)}", marker_corners, "lime")
+    keep_outlines(path, f"{len(marker_corners)} marker{'s' * (len(marker_corners) != 1)}", marker_corners, "lime")
     points_px, side = marker_corners.reshape(-1, 2), scale * opening
     _, mask = cv2.findHomography(points_px, points_cm, cv2.RANSAC, 2 * MAX_MARKER_ERROR_SIDES * side)
     is_in_plane = np.zeros(len(points_cm), bool) if mask is None else mask[:, 0].astype(bool)
     if not is_in_plane.all():
         outlier_text = f"{(~is_in_plane).sum()} of {len(is_in_plane)} corners in no plane with the others"
-        show(path, outlier_text, diamond_outlines(points_px[~is_in_plane], max(height, width)), "red")
+        keep_outlines(path, outlier_text, diamond_outlines(points_px[~is_in_plane], max(height, width)), "red")
     if is_in_plane.mean() < 0.75:
         raise ValueError(
             f"{path}: {is_in_plane.sum()} of {len(is_in_plane)} corners of markers lie in one plane, expected nearly "
@@ -179,7 +179,7 @@ def find_sheet(
         path, height, width, focal_length_mm(pixels, fov_rad), side, marker_corners, points_cm, points_px, to_px
     )
     corners = sighting.corners_px()
-    show(path, "the opening", corners[None], "magenta")
+    keep_outlines(path, "the opening", corners[None], "magenta")
     if (corners < -0.5).any() or (corners > np.array([width, height]) - 0.5).any():
         raise ValueError(f"{path}: the opening is not wholly in the picture, expected all of it; {_REMEDY}.")
     return sighting

@@ -27,18 +27,18 @@ ROUNDING_STEPS_PER_UNIT = 1024  # rounded to 1/1024, a grid deflates to a third 
 MAX_RESIDUAL_SAMPLES = 1 << 18  # the first of a task, whose samples are in random order
 
 
-def fit_residual_grid(angles: Tensor, values: Tensor, turn: float) -> Tensor:
+def fit_residual_grid(angles: Tensor, values: Tensor, axes_azimuth_rad: float) -> Tensor:
     """Fit a grid that interpolates smoothly between values: a penalised least-squares spline.
 
     Args:
         angles: theta_h, theta_d, phi_d and phi_h of the samples, [N, 4] in rad.
         values: values of three channels at the samples, [N, 3].
-        turn: azimuth of the material's axes in rad.
+        axes_azimuth_rad: azimuth of the material's axes.
 
     Returns:
         The grid, [*RESIDUAL_GRID_CELLS, 4], float16; the fourth channel is 0, since textures have four.
     """
-    interpolation = interpolation_matrix(angles, turn)
+    interpolation = interpolation_matrix(angles, axes_azimuth_rad)
     transposed = interpolation.T.tocsr()
     normal_matrix = transposed @ interpolation + penalty_matrix()
     right_sides = transposed @ values.float().numpy()
@@ -94,18 +94,18 @@ def reachable_cells() -> Tensor:
     )
 
 
-def interpolation_matrix(angles: Tensor, turn: float) -> sparse.csr_array:
+def interpolation_matrix(angles: Tensor, axes_azimuth_rad: float) -> sparse.csr_array:
     """Return the matrix that interpolates a flat grid at samples, as the shader does.
 
     Args:
         angles: theta_h, theta_d, phi_d and phi_h of the samples, [N, 4] in rad.
-        turn: azimuth of the material's axes in rad.
+        axes_azimuth_rad: azimuth of the material's axes.
 
     Returns:
         The sparse matrix, [N, cells].
     """
     theta_h, theta_d, phi_d, phi_h = angles.float().unbind(1)
-    azimuth = phi_h - turn
+    azimuth = phi_h - axes_azimuth_rad
     # samples that are uniform in theta_h and phi_h are uniform on the disc; cells are smaller towards grazing angles
     radius = (theta_h / (math.pi / 2)).sqrt()
     grazing = (1 - theta_d / (math.pi / 2)).clamp_min(0).sqrt()

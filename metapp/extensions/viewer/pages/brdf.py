@@ -88,23 +88,23 @@ def _pad_to_fours(weights: Tensor) -> Tensor:
     return torch.nn.functional.pad(weights.float(), (0, columns, 0, rows))
 
 
-def _fit_residual(evaluate: Callable[[Tensor], Tensor], turn: float | None, task: Task) -> Tensor:
+def _fit_residual(evaluate: Callable[[Tensor], Tensor], axes_azimuth_rad: float | None, task: Task) -> Tensor:
     """Return the difference of log(1 + f) of samples and fit, on a grid.
 
     The grid has phi_h as a coordinate if the samples or the fit depend on it.
 
     Args:
         evaluate: reflectance of the fit at angles.
-        turn: azimuth of the material's axes in rad; None if the fit is isotropic.
+        axes_azimuth_rad: azimuth of the material's axes; None if the fit is isotropic.
         task: the task, with `angles` [N, 3], `reflectance` [N, 3] and maybe `phi_h` [N].
     """
     columns, values = task.data["angles"].float().split(1, 1), torch.log1p(task.data["reflectance"].float())
     columns = (*columns[:2], columns[2] % math.pi)
-    if "phi_h" in task.data or turn is not None:
+    if "phi_h" in task.data or axes_azimuth_rad is not None:
         phi_h = task.data.get("phi_h", anisotropic.fixed_azimuths(len(values)))
         angles = torch.cat([*columns, phi_h.float()[:, None]], 1)[: anisotropic_residual.MAX_RESIDUAL_SAMPLES]
         residuals = values[: len(angles)] - torch.log1p(evaluate(angles))
-        return anisotropic_residual.fit_residual_grid(angles, residuals, turn or 0.0)
+        return anisotropic_residual.fit_residual_grid(angles, residuals, axes_azimuth_rad or 0.0)
     angles = torch.cat(columns, 1)
     exchanged = angles + angles.new_tensor([0, 0, math.pi])  # samples are reciprocal, but a fit need not be
     angles, values = torch.cat([angles, exchanged]), torch.cat([values, values])
