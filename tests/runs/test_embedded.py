@@ -175,7 +175,7 @@ def test_programs_that_make_the_same_test_tasks_at_once(cache: Path, tmp_path: P
     start = tmp_path / "start"
     start.mkdir()
     programs = [forks.start_in_fork(make_tests, start, 2, output_folder=tmp_path / str(i)) for i in range(2)]
-    codes, labels, errors = zip(*[program.end(60) for program in programs], strict=True)
+    codes, labels, errors = zip(*[program.wait_for_output(60) for program in programs], strict=True)
     assert codes == (0, 0), errors
     assert labels[0] == labels[1]
     (folder,) = (cache / "data").iterdir()  # nothing is left over
