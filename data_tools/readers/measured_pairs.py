@@ -1,6 +1,8 @@
 """BRDF tasks made of reflectance that was measured at pairs of directions, such as by a goniometer.
 
-Measurements are neither interpolated nor rendered as a picture. Only repeated ones are changed: they are averaged.
+Measurements are neither interpolated nor rendered as a picture. Only repeated ones are changed: they are averaged. Of
+an anisotropic material these are measurements of equal theta_h, theta_d, phi_d and phi_h; of an isotropic one they may
+differ in phi_h, the azimuth of the half vector, on which its reflectance does not depend.
 """
 
 from __future__ import annotations
@@ -16,16 +18,16 @@ from data_tools.readers import brdf_task
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
 
-MIN_PAIRS = 4  # number of different pairs of directions that a task needs
-MAX_PAIRS_ALL_SEEN = 1000  # of at most so many different pairs, none is held out
+MIN_PAIRS = 4  # least number of samples of a task, after repeated measurements were averaged
+MAX_PAIRS_ALL_SEEN = 1000  # largest number of samples of which none is held out: fits see all, and errors use all
 MAX_REFLECTANCE_PER_SR = 1e9  # a BRDF's largest value; larger ones are a mistake
 MAX_THETA_RAD = math.radians(89.999)  # angle from the normal; measurements closer to the surface are left out
-# The test that tells whether reflectance depends on phi_h, the azimuth of the half vector
-AZIMUTH_TEST_PAIRS = 1_024  # number of measurements that are compared with their neighbours
+# The test whether reflectance depends on phi_h, the azimuth of the half vector
+AZIMUTH_TEST_PAIRS = 1_024  # number of measurements, at most, that are compared with their neighbours
 AZIMUTH_TEST_NEIGHBOURS = 8  # number of neighbours that each of them is compared with
 MIN_AZIMUTH_EXPLAINED_SHARE = 0.1  # share of the squared differences of neighbours that phi_h must explain
-MIN_AZIMUTH_TEST_PAIRS = 64  # of fewer measurements the material counts as isotropic
-MIN_HALF_THETA_RAD = math.radians(3)  # half vectors closer to the normal have no meaningful azimuth
+MIN_AZIMUTH_TEST_PAIRS = 64  # number of measurements below which a material counts as isotropic without a test
+MIN_HALF_THETA_RAD = math.radians(3)  # angle from the normal below which a half vector has no meaningful azimuth
 
 
 class MeasuredPairs(NamedTuple):
@@ -50,10 +52,12 @@ class MeasuredPairs(NamedTuple):
 def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> Task:
     """Make a BRDF task of measurements, all of which must lie above the surface.
 
-    Measurements of equal angles, to 1e-5 rad, are averaged first: otherwise a fit could see a sample that is held out.
-    The samples of the task are the measurements in random order. Fits see the first half of the samples, and the second
-    half is held out; if there are at most MAX_PAIRS_ALL_SEEN measurements, each half holds all of them. The task has no
-    picture of a sphere: it would have to be interpolated and so could not serve as a reference.
+    First :func:`depends_on_azimuth` decides whether the material is anisotropic. If it is not, phi_h is dropped. Then
+    measurements of equal angles, to 1e-5 rad, are averaged into one sample: otherwise a fit could see a sample that is
+    held out. The task holds the N samples in random order: fits see the first half, and the second half is held out. If
+    there are at most MAX_PAIRS_ALL_SEEN samples, the task holds all of them twice, so that fits see all, and errors are
+    measured on what fits have seen. The task has no picture of a sphere: it would have to be interpolated and so could
+    not serve as a reference.
 
     Args:
         name: the name of the task.
@@ -61,17 +65,18 @@ def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> T
         source: the file that errors name; "" for the task's name.
 
     Returns:
-        A task with float32 tensors: `angles` [N, 3] in rad, `reflectance` [N, 3] in 1/sr, linear RGB; and `phi_h` [N]
-        in rad if :func:`depends_on_azimuth` holds.
+        A task with float32 tensors: `angles` (theta_h, theta_d and phi_d) in rad and `reflectance` in 1/sr, linear RGB,
+        [N, 3] each, or [2 N, 3] if all samples are held twice; of an anisotropic material also `phi_h` in rad, [N] or
+        [2 N].
 
     Raises:
-        ValueError: there are too few measurements.
+        ValueError: there are fewer than MIN_PAIRS samples.
     """
     angles = directions_to_four_angles(pairs.wi, pairs.wo)
     is_anisotropic = depends_on_azimuth(angles, pairs.reflectance)
     angles, reflectance = angles if is_anisotropic else angles[:, :3], pairs.reflectance
     if len(angles):
-        angles, reflectance = _merge_duplicates(angles, reflectance)
+        angles, reflectance = _average_duplicates(angles, reflectance)
     if len(angles) < MIN_PAIRS:
         found = f"different pairs of directions: {len(angles)} of {len(pairs.wi)}"
         raise ValueError(f"{source or name}: {found}, expected {MIN_PAIRS} or more; measure more.")
@@ -87,9 +92,9 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
 
     Neighbours are measurements whose other three angles nearly agree. If reflectance depends on phi_h, the difference
     of the log reflectance of neighbours follows from their phi_h. So these differences are fitted by least squares, as
-    linear combinations of the differences of cos and sin of phi_h and of 2 phi_h; noise cannot be fitted so.
-    Reflectance depends on phi_h if the fit explains more than MIN_AZIMUTH_EXPLAINED_SHARE of the squared differences.
-    Measurements that all have one azimuth count as isotropic.
+    linear combinations of the differences of cos and sin of phi_h and of 2 phi_h. Reflectance depends on phi_h if the
+    fit explains more than MIN_AZIMUTH_EXPLAINED_SHARE of the squared differences. Of pure noise a fit of four numbers
+    explains a small share, which is subtracted before. Measurements that all have one azimuth count as isotropic.
 
     Args:
         angles: theta_h, theta_d, phi_d and phi_h in rad, [N, 4].
@@ -100,7 +105,7 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
     if len(angles) < MIN_AZIMUTH_TEST_PAIRS:
         return False
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))[:AZIMUTH_TEST_PAIRS]
-    points = _comparison_points(angles[:, :3])
+    points = _embed_angles(angles[:, :3])
     neighbours = [
         torch.cdist(part, points).topk(1 + AZIMUTH_TEST_NEIGHBOURS, largest=False).indices
         for part in points[order].split(512)
@@ -113,41 +118,51 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
     ridge = 1e-9 * len(harmonic_differences) * torch.eye(4, dtype=torch.float64)
     matrix = harmonic_differences.T @ harmonic_differences + ridge
     right_side = harmonic_differences.T @ log_differences
-    # Four fitted numbers explain a share of pure noise, too, which is subtracted.
+    # Of pure noise, four fitted numbers explain about 4 / (number of measurements) of the squared differences.
     explained_squares = float(right_side @ torch.linalg.solve(matrix, right_side)) - 4 * total_squares / len(order)
     return total_squares > 0 and explained_squares > MIN_AZIMUTH_EXPLAINED_SHARE * total_squares
 
 
-def _merge_duplicates(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
-    """Average measurements of equal angles, to 1e-5 rad.
+def _average_duplicates(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
+    """Average the measurements whose angles are equal after they are rounded to 1e-5 rad.
 
     Args:
         angles: angles in rad, [N, 3 or 4].
         reflectance: reflectance in 1/sr, [N, 3].
 
     Returns:
-        Distinct angles and their reflectance, ordered by the first angle, then by the next ones.
+        M <= N angles, [M, 3 or 4], each the mean of the angles that were equal, and their mean reflectance, [M, 3]. The
+        order is by the first angle, then by the next ones.
     """
     rounded_angles = (angles * 1e5).round().long()
     rounded_angles -= rounded_angles.amin(0)
-    # Each row of angles becomes one integer, its key, which sorts like the row: ten times as fast as unique rows.
+    # Each row of angles becomes one integer, its key, which sorts like the row: ten times as fast as `torch.unique` of
+    # rows. After each column the keys are replaced by their ranks, so that they stay small.
     row_keys = rounded_angles[:, 0]
     for column in rounded_angles.T[1:]:
         row_keys = torch.unique(row_keys, return_inverse=True)[1] * (column.max() + 1) + column
     _, inverse, count = torch.unique(row_keys, return_inverse=True, return_counts=True)
 
-    def mean(values: Tensor) -> Tensor:
+    def average_rows(values: Tensor) -> Tensor:
         total = torch.zeros(len(count), values.shape[1], dtype=values.dtype).index_add(0, inverse, values)
         result: Tensor = total / count[:, None]
         return result
 
-    return mean(angles), mean(reflectance)
+    return average_rows(angles), average_rows(reflectance)
 
 
-def _comparison_points(angles: Tensor) -> Tensor:
-    """Map angles [N, 3] in rad to points [N, 4] that are the nearer, the more alike reflectance is at the angles.
+def _embed_angles(angles: Tensor) -> Tensor:
+    """Embed angles in a space in which the nearest neighbours are those of which reflectance is most alike.
 
-    The root of theta_h spreads small angles, where highlights make reflectance change fast.
+    Distances in the three angles would not do. The root of theta_h spreads small angles, where highlights make
+    reflectance change fast. The other two angles are polar coordinates, in which phi_d counts the less, the smaller
+    theta_d is.
+
+    Args:
+        angles: theta_h, theta_d and phi_d in rad, [N, 3].
+
+    Returns:
+        Points [N, 4] for Euclidean distances, float64.
     """
     theta_h, theta_d, phi_d = angles.double().unbind(-1)
     doubled_phi_d = 2 * phi_d  # by reciprocity reflectance is equal at phi_d and phi_d + pi

@@ -1,7 +1,7 @@
-"""The only place where a protocol and a recipe are chosen from options and inputs, with the reason.
+"""The choice of a fit's protocol and recipe by its options and inputs, and the lines that give the reasons.
 
-Inputs are looked at only by their protocols and facts (number of photos, of samples and so on), which the readers of
-formats state; no file is opened here.
+Nothing else chooses them. An input counts by nothing but its protocol and its facts, such as its number of photos or of
+samples, which the reader of its format has found out; no file is opened here.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ class Choice(NamedTuple):
         app: the name of the application.
         recipe: the name of the recipe.
         protocol: the value of --observe, what fits see; "" where the application has one protocol only.
-        reasons: the first lines that a run prints: what the inputs chose, and why.
-        missing_file_line: the line among the reasons about a missing file that a better recipe needs; "" for none.
+        reasons: lines that a run prints first: which protocol and recipe it takes because of its inputs, and why.
+        missing_file_line: the one of these lines that says which file is missing for the recipe that suits the inputs;
+            "" if no file is.
     """
 
     app: str
@@ -37,16 +38,19 @@ class Choice(NamedTuple):
 
 
 def choose_protocol_and_recipe(options: FitOptions, sources: Sequence[Source]) -> Choice:
-    """Choose the protocol that all sources of a fit allow, and the first recipe that suits all of them.
+    """Choose the protocol and the recipe of a fit, each by the options or else by the sources.
 
-    Options that name a protocol or a recipe are followed, and no reason is given for it.
+    A protocol or a recipe that an option names is taken, without a reason. Otherwise the protocol is one that all
+    sources allow. The recipe is the one that suits all sources, or the usual recipe if no recipe is meant for inputs
+    like any of them; if sources differ, a recipe for mixed inputs is chosen, or an error is raised. The exact cases are
+    those of :func:`_choose_recipe`.
 
     Args:
         options: the options of the fit.
         sources: its inputs, or its data set as a single source; () for the embedded set.
 
     Raises:
-        BadOption: a recipe suits some of the inputs that the user named, but not all of them.
+        BadOption: no recipe is named, and a recipe suits some of the sources, but not all of them.
     """
     protocol, recipe, protocol_reason, recipe_reason, missing = options.observe, options.recipe, "", "", ""
     if not protocol and (protocols := protocols_of(options.app)):
@@ -58,10 +62,11 @@ def choose_protocol_and_recipe(options: FitOptions, sources: Sequence[Source]) -
 
 
 def facts_match(suits: Mapping[str, FactRange], facts: Facts) -> bool:
-    """Test whether the facts of a source have the values that a recipe suits.
+    """Test whether a recipe suits a source: whether the source has all facts that the recipe names, and in range.
 
     Args:
-        suits: the values of facts that the recipe suits, or ranges (lowest, highest) of them; {} suits nothing.
+        suits: the facts that the recipe names, each with its value or its range (lowest, highest), both included; {}
+            suits no source.
         facts: the facts of the source, by name.
 
     >>> facts_match({"samples": (1, 200)}, {"samples": 20, "anisotropic": False}), facts_match({}, {"samples": 20})
@@ -72,7 +77,10 @@ def facts_match(suits: Mapping[str, FactRange], facts: Facts) -> bool:
 
 
 def _choose_protocol(options: FitOptions, sources: Sequence[Source], protocols: Sequence[str]) -> tuple[str, str]:
-    """Choose the first protocol that all sources allow.
+    """Choose the protocol that sees the most of what all sources hold.
+
+    A source states the protocol that sees the most of it, and also allows all protocols that see less. So the choice is
+    the stated protocol that sees least: beside photos, maps are fitted with "photo", as their tasks have a photo, too.
 
     Args:
         options: the options of the fit.
@@ -82,22 +90,28 @@ def _choose_protocol(options: FitOptions, sources: Sequence[Source], protocols: 
     Returns:
         The protocol, and the line that gives the reason, "" if there are no sources.
     """
-    allowed = [source.protocol or protocols[0] for source in sources]
-    if not allowed:
+    best_protocols = [source.protocol or protocols[0] for source in sources]
+    if not best_protocols:
         return protocols[0], ""
-    chosen = max(allowed, key=protocols.index)
-    reason = f"{allowed.count(chosen)} of {len(allowed)} inputs hold a {chosen} alone"
-    if {*allowed} == {chosen}:
-        reason = f"every {_noun(options)} {'has one' if chosen == protocols[0] else f'is a {chosen} alone'}"
+    chosen = max(best_protocols, key=protocols.index)
+    reason = f"{best_protocols.count(chosen)} of {len(best_protocols)} inputs hold a {chosen} alone"
+    if {*best_protocols} == {chosen}:
+        reason = f"every {_source_noun(options)} {'has one' if chosen == protocols[0] else f'is a {chosen} alone'}"
     return chosen, f"{options.app}: fits see: {chosen}, since {reason}"
 
 
 def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str) -> tuple[str, str, str]:
-    """Choose the recipe that suits all sources, else the usual recipe.
+    """Choose the recipe that suits all sources.
 
-    Inputs that a user names must be alike. A folder, such as one of a material database, may hold inputs that a recipe
-    suits beside others: then the recipe's `mixed_recipe` is chosen, or an error is raised if it has none. Damaged
-    inputs do not count.
+    Each source takes the first recipe of the registry that may be chosen by inputs and that suits it; damaged sources
+    do not count. Then there are these cases:
+
+    - No source takes a recipe: the usual recipe is chosen, without a reason.
+    - All sources take one recipe: this one is chosen, or the usual recipe if a file that it needs is missing.
+    - Sources differ: some take one recipe, others take another or none. Of the recipes that they take, the first of the
+      registry decides. If its entry has a `mixed_recipe`, and all sources were found beside others in folders, such as
+      folders of a material database, that recipe is chosen. If the entry has none, or the user named a source itself,
+      an error is raised.
 
     Args:
         options: the options of the fit.
@@ -105,18 +119,21 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
         protocol: the protocol of the fit.
 
     Returns:
-        The name of the recipe, the line that gives the reason, and a line about a missing file that a better recipe
-        needs; "" where there is no such line.
+        The name of the recipe, the line that gives the reason, and a line about a missing file that the recipe that
+        suits all sources needs; "" where there is no such line.
+
+    Raises:
+        BadOption: the sources differ, and no `mixed_recipe` can be chosen.
     """
     app, usual = options.app, usual_recipe(options.app)
     entries = recipe_entries(app, protocol)
-    offered = {name: entry for name, entry in entries.items() if _is_offered(options, name, entry)}
+    choosable = {name: entry for name, entry in entries.items() if _can_be_chosen(options, name, entry)}
     sound_sources = [source for source in sources if not source.facts.get(DAMAGED_FACT)]
     recipe_by_source = [
-        next((name for name in offered if facts_match(offered[name].suits, source.facts)), "")
+        next((name for name in choosable if facts_match(choosable[name].suits, source.facts)), "")
         for source in sound_sources
     ]
-    name = next((name for name in offered if name in recipe_by_source), "")
+    name = next((name for name in choosable if name in recipe_by_source), "")
     if not name:
         return usual, "", ""
     entry, count, source_count = entries[name], recipe_by_source.count(name), len(sound_sources)
@@ -135,15 +152,19 @@ def _choose_recipe(options: FitOptions, sources: Sequence[Source], protocol: str
         )
     if entry.describe_missing_file and (missing := load_reference(entry.describe_missing_file)()):
         return usual, "", f"{app}: {missing}"
-    return name, f"{app}: recipe {name}, since every {_noun(options)} has {entry.help}", ""
+    return name, f"{app}: recipe {name}, since every {_source_noun(options)} has {entry.help}", ""
 
 
-def _is_offered(options: FitOptions, name: str, entry: RecipeEntry) -> bool:
-    """Test whether inputs may choose a recipe: it says what it suits, takes the paradigm, and its checkpoints ship."""
+def _can_be_chosen(options: FitOptions, name: str, entry: RecipeEntry) -> bool:
+    """Test whether a recipe may be chosen by the inputs of a fit.
+
+    It may if its entry says which inputs it suits, if it is meant for the fit's paradigm, and if it needs no training,
+    since its checkpoints ship.
+    """
     has_paradigm = not entry.paradigms or options.paradigm in entry.paradigms
     return bool(entry.suits) and has_paradigm and has_shipped_recipe(options.app, name)
 
 
-def _noun(options: FitOptions) -> str:
-    """Return what reasons call one of the sources."""
+def _source_noun(options: FitOptions) -> str:
+    """Return the noun for a source in the line of a reason: "input", or "task of DATA" where a data set is fitted."""
     return "input" if options.inputs else f"task of {options.data}"

@@ -269,7 +269,7 @@ def test_repeated_measurements_are_averaged_whatever_their_number_and_order() ->
     rows = torch.randint(500, (2000,), generator=rng)
     values = torch.rand(2000, 3, generator=rng, dtype=torch.float64)
     for columns in (3, 4):
-        distinct, means = measured_pairs._merge_duplicates(angles[rows, :columns], values)
+        distinct, means = measured_pairs._average_duplicates(angles[rows, :columns], values)
         expected, inverse = torch.unique((angles[rows, :columns] * 1e5).round(), dim=0, return_inverse=True)
         torch.testing.assert_close((distinct * 1e5).round(), expected)
         torch.testing.assert_close(means[7], values[inverse == 7].mean(0))

@@ -1,8 +1,8 @@
 """Non-stationary svBRDFs from several flash photographs of one place: the application and its random photographs.
 
-A batch holds N linear photographs of each task, `photos` [T, N, 3, H, W], and the measured positions of camera and
-flash of each photograph, `places` [T, N, 2, 3], in half sides of the patch. A task that has a single photograph and no
-places was photographed from straight above.
+A batch holds N linear photographs of each task, `photos` [T, N, 3, H, W], and measured positions, `places`
+[T, N, 2, 3]: of each photograph first the camera's position, then the flash's, in half sides of the patch. A task with
+a single photograph needs no places: it counts as photographed from straight above, with the flash beside the lens.
 """
 
 from __future__ import annotations
@@ -47,17 +47,25 @@ LIGHT_FLOOR = 0.03  # radiance, 1 is white, that is added before logs
 ROUNDING = 0.02  # log radiance: |differences| of photographs and renderings are rounded off below
 PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of a texel
 FLASH_WEIGHT = 0.02  # weight of the squared displacements of flashes from their measured positions
-LIKELIHOOD_WEIGHT = 0.05  # weight in the outer loss of the likelihood of the scales that General predicts
-INITIAL_ROUGHNESSES = (0.15, 0.25, 0.35, 0.5, 0.7)  # candidates for the roughness that Overfit begins with
-SEARCH_PX = 64  # side of the photographs by which these candidates are compared
-TILTED_SHARE = 0.6  # share of augmented materials that are photographed from all sides; the others from above
-UNEQUAL_EXPOSURE_SHARE = 0.3  # share of augmented materials whose photographs differ in exposure
-EXPOSURE_LOG_DEVIATION = 0.35  # standard deviation of the natural log of exposures that differ
-MAX_TILT_RAD = math.radians(36)  # largest angle of a camera with the patch's normal
+# Weight in the outer loss of a negative log likelihood: of the errors of General's maps, given the scales it predicts
+LIKELIHOOD_WEIGHT = 0.05
+# Initial maps by photometric stereo, from which Overfit begins
+INITIAL_ROUGHNESSES = (0.15, 0.25, 0.35, 0.5, 0.7)  # candidates for the one roughness of the surface
+INITIAL_MAPS_PX = 64  # largest side of the photographs that stereo reads; its maps are enlarged afterwards
+# Random photographs of augmented materials
+TILTED_SHARE = 0.6  # share of materials around which the camera is moved, tilted towards them; else it is held above
+MAX_TILT_RAD = math.radians(36)  # largest angle of the direction to the camera with the patch's normal
+MAX_PLACE_ERROR_FACTOR = 1.5  # largest errors of measured places, over the errors that `held_places` draws
+UNEQUAL_EXPOSURE_SHARE = 0.3  # share of materials whose photographs differ in exposure
+# Natural logs of exposures: mean and standard deviation where they differ, and standard deviation where they do not
+UNEQUAL_EXPOSURE_LOG_MEAN, UNEQUAL_EXPOSURE_LOG_DEVIATION, EQUAL_EXPOSURE_LOG_DEVIATION = -0.15, 0.35, 0.06
+MAX_DISPLAY_NOISE = 0.01  # largest standard deviation of the noise of a material's photographs, in display values
 
 
 class Texels(NamedTuple):
-    """The network of fits whose parameters are the maps themselves: nine unbounded numbers for each texel.
+    """A substitute for a network, for fits whose parameters are the maps themselves.
+
+    The maps are stored as nine unbounded numbers for each texel, which :func:`decode_maps` turns into maps.
 
     Attributes:
         height, width: the size of the maps in texels.
@@ -89,14 +97,16 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Add all photographs and their places.
+        """Prepare one material: what every non-stationary svBRDF has, all its photographs, and their places.
 
         Returns:
-            Also `photos` [N, 3, H, W], linear photographs aligned to the height of the surface, see
-            :func:`align_to_surface`, and `places` [N, 2, 3].
+            The tensors that :meth:`SvbrdfNonstationary.prepare` returns; `photos` [N, 3, H, W], all linear photographs,
+            averaged over areas to the size of the maps and then moved from the plane on which they are registered onto
+            the surface, see :func:`align_to_surface`; and `places` [N, 2, 3], the positions of camera and flash in half
+            sides of the patch.
 
         Raises:
-            ValueError: the numbers of places and photographs differ.
+            ValueError: there are not as many places as photographs.
         """
         photos = torch.stack([task.data["photo"], *task.data.get("others", ())])
         places = _task_places(task)
@@ -112,17 +122,21 @@ class SeveralPhotos(SvbrdfNonstationary):
     def task_parameters(self, tasks: Tasks) -> Params:
         """Return initial maps and flashes, by photometric stereo in closed form.
 
-        The whole surface gets one roughness, by which stereo does not solve: of INITIAL_ROUGHNESSES the one with the
-        lowest loss.
+        Stereo finds slopes and diffuse colour, not the roughness. So the whole surface of a task gets one roughness: of
+        INITIAL_ROUGHNESSES the one with the lowest loss. All this is done on photographs of at most INITIAL_MAPS_PX a
+        side; then the maps are enlarged to the size of fits.
+
+        Returns:
+            `maps` [T, 9, H, W] and `flash` [T, FLASH_NUMBERS, N], unbounded numbers both.
         """
         batch, network = self.condition(tasks, Generator()), self.network
-        size = (min(SEARCH_PX, network.height), min(SEARCH_PX, network.width))
+        size = (min(INITIAL_MAPS_PX, network.height), min(INITIAL_MAPS_PX, network.width))
         batch["photos"] = _pool_photos(batch["photos"], size)
         slopes, diffuse, roughness_numbers, specular = reader.read_photos(**batch).maps.split(CHANNELS, 1)
         candidates, losses = [], []
         for roughness in INITIAL_ROUGHNESSES:
-            number = math.log((roughness - MIN_ROUGHNESS) / (1 - roughness))
-            maps = torch.cat([slopes, diffuse, torch.full_like(roughness_numbers, number), specular], 1)
+            roughness_number = math.log((roughness - MIN_ROUGHNESS) / (1 - roughness))  # the inverse of `decode_maps`
+            maps = torch.cat([slopes, diffuse, torch.full_like(roughness_numbers, roughness_number), specular], 1)
             candidates.append({"maps": maps, "flash": estimate_flashes(decode_maps(maps), batch)})
             losses.append(self.loss(candidates[-1], batch, {}))
         best = torch.stack(losses).argmin(0), torch.arange(len(tasks), device=tasks.rows.device)
@@ -131,10 +145,17 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
-        """Return the maps at the size of a photograph.
+        """Return the fitted maps, enlarged to the size of photographs if these have another size than the maps.
 
-        Enlarged maps are smooth: the detail of the photograph that is finer than the fitted maps is multiplied onto the
-        diffuse colour.
+        Enlarged maps are smooth. So the diffuse colour is multiplied by the detail of the photograph that is finer than
+        the fitted maps: its ratio to its own geometric mean over each texel of the maps, smoothly enlarged.
+
+        Args:
+            theta: fits [T, ...].
+            photo: one linear photograph of each task, [T, 3, h, w], in [0, 1].
+
+        Returns:
+            The maps, [T, C, h, w].
         """
         size = photo.shape[-2:]
         if size == theta["maps"].shape[-2:]:
@@ -169,11 +190,14 @@ class SeveralPhotos(SvbrdfNonstationary):
         return loss * (photos.shape[-2] * photos.shape[-1])
 
     def settings(self, learned: Params, like: Tensor) -> Params:
-        """Return the loss parameters [T, ...]: those that a rule has learned, or their initial values.
+        """Return all loss parameters, with a leading axis of tasks: learned values, else the initial ones.
 
         Args:
-            learned: the loss parameters that a rule has learned; {} for none.
+            learned: the loss parameters that a rule has learned for the current step, [T, ...]; {} for none.
             like: a tensor [T, ...] that gives initial values their number of tasks, dtype and device.
+
+        Returns:
+            `smoothing` [T], `prior` [T, 9] and `flash` [T]; see :meth:`loss_parameters`.
         """
         return learned or {
             key: value.expand(len(like), *value.shape[1:]).to(like) for key, value in self.loss_parameters(1).items()
@@ -181,7 +205,9 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def loss_parameters(self, steps: int) -> Params:
-        """Return the logs of initial values of the loss parameters.
+        """Return initial values of the loss parameters, which are logs, with a leading axis of steps.
+
+        A rule learns other values for each step. The initial values are equal at all steps.
 
         Returns:
             `smoothing` [steps], the log of ROUNDING; `prior` [steps, 9], the log of PRIOR_WEIGHT for each number of a
@@ -196,10 +222,13 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Return the difference of maps, above all normals, and of their log radiance under random lights, [T].
+        """Return differences between fitted and true maps, weighted, and a term that trains General's prior: sums [T].
 
-        A last term trains the scales of General's prior: the negative log likelihood of the errors of its maps under
-        Laplace distributions of these scales.
+        The differences are mean absolute ones: of log radiance under random lights, normals, slopes, diffuse and
+        specular colour, and roughness. The difference of normals counts a second time in relation to how tilted the
+        true normals are, so that low relief counts, too. The last term trains nothing but the scales that General
+        predicts with its maps: the negative log likelihood of the errors of these maps, if each error has a Laplace
+        distribution of the predicted scale.
         """
         maps, target = decode_maps(theta["maps"]), unpack_maps(batch["maps"])
         differences = map_differences(maps, target)
@@ -220,7 +249,7 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        """Return all photographs and their places."""
+        """Return `photos` [T, N, 3, H, W] and `places` [T, N, 2, 3], from which General predicts maps."""
         return {key: tasks.data[key][tasks.rows] for key in ("photos", "places")}
 
     @override
@@ -256,20 +285,34 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
+        """Return one flash for each photograph of a task, in the order of the photographs.
+
+        Args:
+            theta: the parameters of one fit, without a task axis.
+            task: the task of the fit, which states the measured positions.
+
+        Returns:
+            N flashes without a task axis: `place` [3], `gain` [1] and `eye` [3].
+        """
         places = _task_places(task)[None]
         flash = decode_flashes(theta["flash"][None], places)
         return [Flash(*(part[0, number] for part in flash)) for number in range(places.shape[1])]
 
 
 def decode_flashes(flash: Tensor, places: Tensor) -> Flash:
-    """Return the flashes that unbounded numbers stand for, with axes [T, N, ...].
+    """Return the flashes, and the cameras beside them, that unbounded numbers stand for.
 
-    Zeros stand for a flash at its measured position, in whose light a white patch right below it has radiance 1. In a
-    hand-held device the flash sits beside the lens: the shift and the height that the numbers state move both.
+    Of the numbers of a flash the first two shift it in x and y, the third is a log factor of its height, the fourth a
+    log gain; FLASH_SHIFT, FLASH_LOG_HEIGHT and FLASH_LOG_GAIN are their units. In a hand-held device the flash sits
+    beside the lens, so shift and factor move the camera, too. Zeros stand for a flash at its measured position, in
+    whose light a white patch right below it has radiance 1, whatever the height.
 
     Args:
         flash: the numbers, [T, FLASH_NUMBERS, N].
         places: measured positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
+
+    Returns:
+        Flashes with two leading axes, tasks and photographs: `place` [T, N, 3], `gain` [T, N, 1] and `eye` [T, N, 3].
     """
     shift, height_factor, gain = flash.mT.split((2, 1, 1), -1)
     height_factor = torch.exp(FLASH_LOG_HEIGHT * height_factor)
@@ -289,7 +332,7 @@ def render_photos(maps: Maps, flashes: Flash) -> Tensor:
 
 @torch.no_grad()
 def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
-    """Return the numbers of flashes at their measured positions whose gains fit the photographs, [T, FLASH_NUMBERS, N].
+    """Estimate how bright each flash is, given the maps, and leave it at its measured position.
 
     The log gain of a flash is the median over texels of the difference of the log photograph from the log rendering of
     the maps, where clipped values count as no difference.
@@ -297,6 +340,10 @@ def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
     Args:
         maps: the maps [T, C, H, W].
         batch: `photos` and `places`.
+
+    Returns:
+        Unbounded numbers [T, FLASH_NUMBERS, N] that stand for the flashes, see :func:`decode_flashes`: all are 0 but
+        the last of each flash, its gain.
     """
     places, photos = batch["places"], batch["photos"]
     zeros = places.new_zeros(len(places), FLASH_NUMBERS, places.shape[1])
@@ -306,11 +353,14 @@ def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
 
 
 def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Render random photographs of materials, as people take them by hand.
+    """Draw random camera positions and exposures, and render photographs of materials, as people take them by hand.
 
-    The camera is held over the patch, or is moved around it and tilted towards it. Measured places have Gaussian errors
-    of up to 3 % of the camera's height. The exposures of a material nearly agree, or differ for a share of
-    UNEQUAL_EXPOSURE_SHARE.
+    Camera and flash are at one place. For a share of TILTED_SHARE of the materials the camera is moved around the patch
+    and tilted towards it, except for the first photograph, which is taken from nearly straight above; else it is held
+    above the patch, see :func:`held_places`. Errors of measured places are Gaussian. Their standard deviation is drawn
+    anew for each material, up to 3 % of the height at which a camera is held. For a share of UNEQUAL_EXPOSURE_SHARE of
+    the materials the exposures of photographs differ; else they nearly agree. Photographs have Gaussian noise in
+    display values, whose standard deviation, too, is drawn for each material.
 
     Args:
         maps: packed maps [T, 10, S, S].
@@ -318,8 +368,8 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
         rng: draws all random numbers.
 
     Returns:
-        Photographs [T, count, 3, S, S], linear values that were rounded to 8 bits of sRGB, and measured places
-        [T, count, 2, 3].
+        Photographs [T, count, 3, S, S], linear values in [0, 1] that were rounded to 8 bits of sRGB, and measured
+        positions of camera and flash, [T, count, 2, 3], in half sides of the patch.
     """
     uniform, normal = draws_per_material(len(maps), rng)
     places_above, offsets = held_places(len(maps), count, rng)
@@ -329,22 +379,28 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
     distance = camera_distance() * (0.75 + 0.5 * uniform(count, 1)) * (1 + uniform(1, 1))
     tilted_places = distance * torch.cat([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), tilt.cos()], -1)
     true_places = torch.where(uniform(1, 1) < TILTED_SHARE, tilted_places, places_above)
-    measured_places = true_places + 1.5 * uniform(1, 1) * offsets
+    measured_places = true_places + MAX_PLACE_ERROR_FACTOR * uniform(1, 1) * offsets
     log_exposure = torch.where(
-        uniform(1) < UNEQUAL_EXPOSURE_SHARE, EXPOSURE_LOG_DEVIATION * normal(count) - 0.15, 0.06 * normal(count)
+        uniform(1) < UNEQUAL_EXPOSURE_SHARE,
+        UNEQUAL_EXPOSURE_LOG_DEVIATION * normal(count) + UNEQUAL_EXPOSURE_LOG_MEAN,
+        EQUAL_EXPOSURE_LOG_DEVIATION * normal(count),
     )
     flash = torch.cat(
         [log_exposure.new_zeros(len(maps), FLASH_NUMBERS - 1, count), log_exposure[:, None] / FLASH_LOG_GAIN], 1
     )
     positions = true_places[:, :, None].expand(-1, -1, 2, -1)
     display = linear_to_srgb(render_photos(unpack_maps(maps), decode_flashes(flash, positions)).clamp(0, 1))
-    display = display + 0.01 * uniform(1, 1, 1, 1) * torch.randn(display.shape, generator=rng, device=rng.device)
+    noise_deviation = MAX_DISPLAY_NOISE * uniform(1, 1, 1, 1)
+    display = display + noise_deviation * torch.randn(display.shape, generator=rng, device=rng.device)
     photos = srgb_to_linear((display.clamp(0, 1) * 255).round() / 255)
     return photos, measured_places[:, :, None].expand(-1, -1, 2, -1)
 
 
 def _task_places(task: Task) -> Tensor:
-    """Return the positions of camera and flash, [N, 2, 3]; a task without places has one photo from straight above."""
+    """Return the positions of camera and flash of a task's photographs, [N, 2, 3], in half sides of the patch.
+
+    A task without places counts as one photograph from straight above.
+    """
     return task.data.get("places", camera_position().expand(1, 2, 3)).float()
 
 
@@ -371,4 +427,6 @@ def _encode_maps(maps: Maps) -> Tensor:
     diffuse, specular = (maps.diffuse.clamp(1e-4, 1) ** (1 / 2.2), maps.specular.clamp(1e-4, 1).sqrt())
     slopes = maps.normal[:, :2] / maps.normal[:, 2:].clamp_min(0.1)
     roughness = encode_roughness(maps.roughness)
-    return torch.cat([slopes, logit(diffuse.clamp(0.02, 0.98)), roughness, logit(specular.clamp(0.02, 0.98)) + 2], 1)
+    # `decode_maps` subtracts 2 from the numbers of the specular colour, so that 0 stands for a dielectric.
+    specular_numbers = logit(specular.clamp(0.02, 0.98)) + 2
+    return torch.cat([slopes, logit(diffuse.clamp(0.02, 0.98)), roughness, specular_numbers], 1)
