@@ -49,9 +49,11 @@ def make_row(
         evaluation: the application under a protocol, with its tasks and records.
         name: the name of the row's method, such as a paradigm.
         records: records of tasks; their entry `error` may hold another measure than the application's error.
-        entries: further entries; an entry of the same name as one that is made here replaces it.
-        compared_rows: names of rows of the results. Errors are compared with theirs on the same tasks, in an entry
-            `vs_<name>` for each, which is None for the row itself.
+        entries: further entries. They replace figures of records that have the same names, such as `tasks`; but not the
+            application's conditions, nor the entries `vs_<name>`.
+        compared_rows: names of rows of the results. For each there is an entry `vs_<name>`, the comparison of errors
+            with that row's on the same tasks. It is None if the row would be compared with itself, or if
+            :func:`compare_errors` returns no comparison, as when there is no common task.
     """
     app, groups = evaluation.app, evaluation.groups
     # A warning is a list of clauses. If one says that the loss rose, it is the first; all others doubt the fit.
@@ -102,12 +104,23 @@ def errors_by_task(records: Sequence[Record]) -> ErrorsByTask:
 
 
 def comparison_notes(rows: Sequence[Row], compared_row: str = "quickft") -> list[str]:
-    """Return notes on rows that are compared with another row: comparisons, threads, fits that went wrong."""
+    """Return the notes below a table whose rows are compared with another row.
+
+    They explain the comparisons, state the threads, and count fits that went wrong.
+    """
     return [*paired_columns_note(rows, compared_row), *_threads_note(rows), *fit_remarks(rows)]
 
 
 def paired_columns_note(rows: Sequence[Row], compared_row: str = "quickft") -> list[str]:
-    """Return a note that explains the columns which compare rows with another row."""
+    """Return a note for each kind of comparison, ratio or difference, in the column of comparisons with another row.
+
+    The note says what the column shows, and which values mean a lower error. A table of one application has one kind.
+    [] if no row is compared.
+
+    Args:
+        rows: rows with the entry `vs_<compared_row>`.
+        compared_row: the name of the row that they are compared with.
+    """
     kinds = {comparison.kind: comparison.equal_value for row in rows if (comparison := row[f"vs_{compared_row}"])}
     return [
         f"vs {compared_row}: {kind} of mean errors, 95 % interval by paired bootstrap; "
@@ -123,7 +136,11 @@ def comparison_text(comparison: PairedComparison, compared_row: str) -> str:
 
 
 def describe_winner(row: Row, compared_row: str = "quickft") -> list[str]:
-    """Return a sentence on which method has the lower error, or that there is no win; [] without a comparison."""
+    """Return a line that compares a row's method with another one by their errors; [] if the row has no comparison.
+
+    The line ends in a verdict: one of the two methods wins, or there is no win as the methods differ no more than by
+    chance, or there are too few different tasks to call a win.
+    """
     comparison: PairedComparison | None = row[f"vs_{compared_row}"]
     if comparison is None:
         return []
@@ -137,7 +154,10 @@ def describe_winner(row: Row, compared_row: str = "quickft") -> list[str]:
 
 
 def fit_remarks(rows: Sequence[Row]) -> list[str]:
-    """Return a line for each row with fits that end above their initialisation's loss, are doubtful, or guarded."""
+    """Return remarks on rows with fits that ended above their initialisation's loss, look doubtful, or were guarded.
+
+    Each of the three remarks is a line for each row that it applies to. Lines with one remark come together.
+    """
     remarks = (
         ("warnings", "{} of {} fits ended above their initialisation's loss"),
         ("doubtful", "{} of {} fits look doubtful; the entry `warning` of their records says why"),

@@ -31,10 +31,12 @@ from metapp.storage.files import error_about_file
 from metapp.storage.fit_folders import RunFolder, summary
 from metapp.storage.parameters import read_checked_params
 
-ERROR_RECORD_KEYS = ("error", "photo_error")  # entries of a record; progress shows the first one that has a value
-DRAWN_TIME_SHARE = 0.9  # about the share of an input's time that has passed when its pictures are drawn
-# Errors of inputs and of fits that a run reports in a line. Any other error may be a mistake in the code: a run of one
-# input raises it, with its traceback; a run of several inputs reports it, too, and fits the others.
+# Entries of a record that hold errors of a fit; progress shows the first of them that is not None
+ERROR_RECORD_KEYS = ("error", "photo_error")
+DRAWN_TIME_SHARE = 0.9  # about the share of an input's time that has passed once its pictures are drawn and written
+# Errors that may happen without a mistake in the code. An input that cannot be fitted by one of these is reported in a
+# line, whether the run has one input or several. A RuntimeError of a fit may be a mistake: a run of one input raises
+# it, while a run of several inputs reports it in a line and fits the others. Other errors of a fit end any run.
 FORESEEN_ERRORS = (ValueError, OSError, FloatingPointError, MemoryError)
 
 
@@ -85,8 +87,9 @@ class RunReport(NamedTuple):
         run: the run, with its checkpoint.
         folder: the folder of the run.
         outcomes: one outcome for each input, in the order of the inputs.
-        tasks_per_second: the number of new fits per second of the whole run, in which inputs are read and fitted, and
-            fits drawn and written; None if there was no new fit.
+        tasks_per_second: the number of new fits, divided by the seconds in which all inputs were read and fitted, and
+            fits drawn, written and exported; None if there was no new fit. What comes before the first input, such as
+            a training, does not count, nor does the writing of the contact sheet.
     """
 
     run: Run
@@ -124,7 +127,9 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
 
     Raises:
         ValueError: inputs are bad, there is no checkpoint, a folder cannot be written to, or nothing could be fitted.
+        OSError: a file of a fit cannot be written, for example to a full disk.
         FloatingPointError: training is not finite.
+        Exception: an error that ends the fits, see :func:`keep_fits`.
     """
     with torch_defaults(single=run.app.single_threaded):
         if ranks.rank_number() > 0:
@@ -165,7 +170,14 @@ def keep_fits(run: Run, folder: RunFolder, inputs: Sequence[Input]) -> Iterator[
         inputs: the inputs to fit, one or more.
 
     Yields:
-        The outcome of each input, as soon as it is known.
+        The outcome of each input, as soon as it is known. If an input cannot be read or fitted by an error that
+        :func:`fit_inputs` returns, or its fit cannot be drawn or written by a ValueError, the outcome says so, and the
+        other inputs are fitted.
+
+    Raises:
+        OSError: a file of a fit cannot be written, for example to a full disk; other fits could not be written, either.
+        Exception: any other error that is no outcome: an error of a run of one input that is none of FORESEEN_ERRORS,
+            an error that :func:`fit_inputs` raises, or an error other than ValueError by which pictures are not drawn.
     """
     shown_count, input_count = 0, len(inputs)
     with progress(run.paradigm.name, input_count, long=input_count > 1, quiet=run.options.quiet) as bar:
@@ -198,12 +210,23 @@ def _report_failure(run_input: Input, error: Exception, bar: Bar) -> Outcome:
 def _keep_fit(folder: RunFolder, run_input: Input, fit: Fit | EarlierFit, bar: Bar, *, is_shown: bool) -> Outcome:
     """Write the parameters, the pictures and the record of a fit, in this order, then its exports.
 
+    The record gets entries about the input: its place as `source`, a digest of the task's values as `content`, and as
+    `origin` the paths by which a later command finds it again.
+
     Args:
         folder: the folder of the run.
         run_input: the input that was fitted.
-        fit: a new fit, or an earlier one, whose files stay as they are.
+        fit: a new fit, or an earlier one, whose files stay as they are: nothing is written.
         bar: the progress of the run.
-        is_shown: whether the contact sheet of the run shows the fit.
+        is_shown: whether the contact sheet of the run shows the fit, so that its pictures are drawn for it, too.
+
+    Returns:
+        The outcome of the input, with the record as it is kept, which also states the folder and the settings. Exports
+        that could not be written are among its failures.
+
+    Raises:
+        ValueError: the parameters of an earlier fit are damaged, or the fit cannot be drawn or written.
+        OSError: a file of the fit cannot be written, for example to a full disk.
     """
     run, task = fit.run, fit.task
     if isinstance(fit, EarlierFit):
@@ -239,7 +262,7 @@ def _write_exports(fit: Fit, record: Document, bar: Bar) -> tuple[list[tuple[str
         bar: the progress of the run.
 
     Returns:
-        Pairs of a format and the file that a user opens, and the formats that could not be written.
+        The exports, pairs of a format and the file that a user opens; and the failures of other formats.
     """
     exports, failures = [], []
     for form in fit.run.options.exports:
@@ -263,7 +286,11 @@ def _draw_tiles(run: Run, task: Task, theta: Params, record: Document) -> Tiles:
 
 
 def _write_contact_sheet(report: RunReport) -> None:
-    """Write `pictures.png` of a run: its first fits beside their photos or references, then fits of earlier runs."""
+    """Write the contact sheet `pictures.png` of a run into its folder.
+
+    The sheet shows those MAX_SHEET_ROWS fits of the run that were done first, in the order of their inputs, each beside
+    its photo or reference. If there are fewer, rows of fits follow that the sheet of an earlier run shows.
+    """
     app, records = report.run.app, report.records
     mean = summary(records)["error"]
     title = f"{report.run.presenter.title}, {report.run.paradigm.name}"

@@ -49,10 +49,10 @@ from metapp.rendering.second_scene import relighting
 
 RADIANCE_FLOOR = 0.01  # radiance in a map of mean luminance 1, below which its log is flat
 REFLECTED_RADIANCE_FLOOR = 0.02  # radiance that a white surface reflects under such a map, below which its log is flat
-# Weights in the outer loss, where diffuse surfaces have weight 1
-TEXELS_WEIGHT = 0.3  # of the radiance of texels
-MIRRORING_WEIGHT = 0.3  # of glossy surfaces
-LOGS_WEIGHT = 0.2  # of the logs of all surfaces
+# Weights of terms of the outer loss, in which the radiance that diffuse surfaces reflect has weight 1
+TEXELS_WEIGHT = 0.3  # of the log radiance of texels
+GLOSSY_WEIGHT = 0.3  # of the radiance that glossy surfaces reflect
+LOGS_WEIGHT = 0.2  # of the log radiance that all surfaces reflect
 PHOTO_WEIGHT = 0.3  # of the photograph
 # A texel's weight in the inner loss is its solid angle times (1 + LIGHT_WEIGHT * radiance), where radiance is 1 on
 # average: bright texels count more, so that few steps find suns.
@@ -62,7 +62,7 @@ BODY_GAIN = (
     100  # factor of these numbers, so that few steps at a network's rate find them; else the map would absorb them
 )
 BODY_ROUGHNESSES = (0.25, 0.42, 0.7)  # roughnesses of the lobes that a sphere's gloss is mixed of
-DEFAULT_READ_ROWS = 64  # rows to which files of maps are read, for networks of as many or fewer
+DEFAULT_READ_ROWS = 64  # rows to which readers resample files of maps unless they are given another number
 LOSS_PHOTO_PX = 32  # side of the photograph in the loss
 
 
@@ -101,6 +101,10 @@ class Illumination(CodedApp):
     @property
     @override
     def read_size(self) -> int:
+        """The number of rows to which maps are read: the network's if it has more than DEFAULT_READ_ROWS.
+
+        For other networks it is 0, so that readers take their default, DEFAULT_READ_ROWS rows.
+        """
         return self.network.height if self.network.height > DEFAULT_READ_ROWS else 0
 
     @override
@@ -109,7 +113,7 @@ class Illumination(CodedApp):
 
         Returns:
             `photo` uint8 [3, S, S]; the tensors of :meth:`describe_maps` without a task axis, if the map is known; and
-            under the protocol "photo" the light in a mirror, see :meth:`prepare_mirror`.
+            under the protocol "photo" also `seen` and `certain`, the light in a mirror: see :meth:`prepare_mirror`.
 
         Raises:
             ValueError: the task has no map, though fits see it.
@@ -122,14 +126,19 @@ class Illumination(CodedApp):
         if self.protocol == "reference":
             raise ValueError(
                 f"{task.name}: a photo, expected an HDR map, .exr or .hdr; leave --observe reference out if it shows a "
-                "ball; of a surface take texture or an svBRDF."
+                "ball; if it shows a surface, take the application texture, svbrdf_stationary or svbrdf_nonstationary."
             )
         return prepared
 
     def prepare_mirror(self, task: Task) -> dict[str, Tensor]:
-        """Return the light in a task's mirror, `seen` [3, H, W] and `certain` [2, H, W]; {} if fits see the map.
+        """Return the light in the mirror ball of a task's photograph, at the size of the network.
 
-        Both are 0 where the photograph shows another sphere.
+        Returns:
+            `seen`, the linear radiance of the texels that the ball mirrors, [3, H, W]; and `certain` [2, H, W] in
+            [0, 1]: the share of each texel that is seen, and the share that is seen but clips in all photographs of
+            the ball, so that `seen` is a lower bound of its radiance. A task without light in a mirror, such as one
+            whose photograph shows another sphere, gets zeros for both. {} under the protocol "reference", where fits
+            see the map itself.
         """
         height, width = self.network.height, self.network.width
         if self.protocol != "photo":
@@ -146,8 +155,8 @@ class Illumination(CodedApp):
 
         Returns:
             `map`, the radiance maps [T, 3, H, W]; `sent`, the radiance that S surfaces reflect under each map,
-            [T, 3, S], see :meth:`_reflected_radiance`; and under the protocol "reference" `suns`, the suns of each map,
-            [T, SUN_COUNT, SUN_NUMBERS].
+            [T, 3, S], see :meth:`_reflected_radiance`; and under the protocol "reference" `suns`, the brightest small
+            lights of each map, [T, SUN_COUNT, SUN_NUMBERS].
         """
         maps = resample_maps(maps, self.network.height, self.network.width)
         suns = {"suns": find_suns(maps)} if self.protocol == "reference" else {}
@@ -156,8 +165,9 @@ class Illumination(CodedApp):
     def _reflected_radiance(self, maps: Tensor) -> Tensor:
         """Return the radiance [T, 3, S] that S white surfaces reflect under radiance maps [T, 3, H, W].
 
-        First come FACING_SURFACES diffuse surfaces, which face directions all around, then MIRRORING_SURFACES glossy
-        ones, which mirror directions all around.
+        First come FACING_SURFACES diffuse surfaces, whose normals are spread evenly over all directions. Then come
+        MIRRORING_SURFACES glossy surfaces, which are rough; the directions around which they gather light for a viewer
+        at +z are spread evenly, too.
         """
         transfer = surface_transfer(self.network.height, self.network.width, maps.device).to(maps)
         return maps.flatten(2) @ transfer.T
@@ -167,7 +177,11 @@ class Illumination(CodedApp):
         return super().init(rng, count) | {"body": torch.zeros(count, BODY_NUMBERS, device=rng.device)}
 
     def radiance_maps(self, theta: Params) -> Tensor:
-        """Return the fitted maps as the network and its suns have them, linear radiance [T, 3, H, W]."""
+        """Return the maps that the network computes, with the suns among a fit's parameters, if there are any, added.
+
+        They are linear radiance [T, 3, H, W]; neither is their luminance normalised, nor is the light in a mirror
+        filled in, as in :meth:`answer`.
+        """
         network, z = self.network, theta["z"]
         directions = texel_directions(network.height, network.width, dtype=z.dtype, device=z.device)
         maps = network(theta, directions.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
@@ -175,7 +189,10 @@ class Illumination(CodedApp):
 
     @override
     def task_parameters(self, tasks: Tasks) -> Params:
-        """Return the suns of the tasks' maps, if fits see the maps."""
+        """Return the suns of the true maps, found in closed form, which steps leave as they are.
+
+        Under the protocol "photo", where fits do not see the maps, there are none: {}.
+        """
         return split_suns(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
 
     def resize(self, height: int, width: int) -> Illumination:
@@ -185,7 +202,7 @@ class Illumination(CodedApp):
     def answer(self, theta: Params, data: Batch) -> Tensor:
         """Return the radiance maps [T, 3, H, W] that errors and pictures use, of mean luminance 1.
 
-        Directions that a mirror shows are taken from it.
+        Where a task's photograph shows a mirror, the directions that are seen in it get the radiance seen there.
 
         Args:
             theta: fits [T, ...].
@@ -209,7 +226,7 @@ class Illumination(CodedApp):
         """
         maps = self.radiance_maps(theta)
         if self.protocol == "photo":
-            return self._photo_protocol_loss(theta, maps, batch, learned)
+            return self._photo_loss(theta, maps, batch, learned)
         light_weight = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT_WEIGHT
         differences, log_differences = self._compare_reflected_radiance(maps, batch["sent"], learned)
         reflected_loss = (differences + log_differences).mean((1, 2))
@@ -217,21 +234,24 @@ class Illumination(CodedApp):
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Return the difference of each answer from the true map, whether fits see that map or a photograph, [T].
+        """Return the difference of each fit from the true map and from the photograph, under both protocols, [T].
 
-        The radiance that diffuse surfaces reflect has weight 1; the other terms are multiplied by MIRRORING_WEIGHT,
-        LOGS_WEIGHT, TEXELS_WEIGHT and PHOTO_WEIGHT.
+        It is a weighted sum: the radiance that diffuse surfaces reflect has weight 1, what glossy ones reflect
+        GLOSSY_WEIGHT, the logs of both LOGS_WEIGHT, the log radiance of texels TEXELS_WEIGHT and the photograph
+        PHOTO_WEIGHT. All terms but the last are of the maps that :meth:`answer` returns.
         """
         maps, answers = self.radiance_maps(theta), self.answer(theta, batch)
         differences, log_differences = self._compare_reflected_radiance(answers, batch["sent"], {})
         texel_loss = _texel_loss(answers, batch["map"], {}, 0.0)
-        photo_loss = self._photo_protocol_loss(theta, maps, batch, {})
+        # The photograph is compared with the maps as they are fitted: answers contain the light in a mirror itself, and
+        # their luminance is normalised, though the fitted camera's exposure belongs to the unit of the fitted maps.
+        photo_loss = self._photo_loss(theta, maps, batch, {})
         diffuse_loss, glossy_loss = (
             part.mean((1, 2)) for part in differences.split((FACING_SURFACES, MIRRORING_SURFACES), 2)
         )
         result: Tensor = (
             diffuse_loss
-            + MIRRORING_WEIGHT * glossy_loss
+            + GLOSSY_WEIGHT * glossy_loss
             + LOGS_WEIGHT * log_differences.mean((1, 2))
             + TEXELS_WEIGHT * texel_loss
             + PHOTO_WEIGHT * photo_loss
@@ -253,11 +273,19 @@ class Illumination(CodedApp):
         log_difference = (reflected + REFLECTED_RADIANCE_FLOOR).log() - (target + REFLECTED_RADIANCE_FLOOR).log()
         return smooth_absolute(reflected - target, learned), smooth_absolute(log_difference, learned)
 
-    def _photo_protocol_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
-        """Return the difference of each fit from its photograph, [T].
+    def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
+        """Return the difference of each fit from the photograph of its task, [T].
 
-        Where a task holds the light in a mirror, the map is compared with that light; elsewhere the photograph is
-        rendered from the map and compared in display values.
+        For a task whose photograph shows a mirror, the fitted map is compared with the light in the mirror. For every
+        other task a photograph is rendered from the fitted map, sphere and camera, and display values are compared.
+        Without `seen` in the batch, as under the protocol "reference" and for augmented tasks, all photographs are
+        rendered.
+
+        Args:
+            theta: fits [T, ...].
+            maps: maps of :meth:`radiance_maps`, [T, 3, H, W].
+            batch: tensors of :meth:`prepare`, with a task axis.
+            learned: loss parameters that a rule has learned; {} for none.
         """
         display_loss = self._display_loss(theta, maps, batch, learned)
         if "seen" not in batch:
@@ -300,6 +328,8 @@ class Illumination(CodedApp):
         code, numbers = ball_encoder.read_ball_photos(
             reader, photos.to(next(iter(reader.values()))) / 255, *self.encoder_size
         )
+        # The network multiplies z by its gain, and `render_ball` multiplies these numbers by BODY_GAIN: so the encoder
+        # predicts code and numbers as they are used.
         return {"z": code / self.network.gain, "body": numbers / BODY_GAIN}
 
     @override
@@ -362,11 +392,14 @@ def decode_body(numbers: Tensor) -> tuple[SphereMaterials, CameraCurves]:
 
 @functools.lru_cache(maxsize=4)
 def _find_inner_pixels(side: int, device: torch.device) -> Tensor:
-    """Return the indices, row by row, of pixels that show the sphere alone in a photograph of LOSS_PHOTO_PX a side.
+    """Find the pixels of a reduced photograph, LOSS_PHOTO_PX a side, that lie wholly inside the sphere's outline.
 
     Args:
         side: side in px of the photograph before it is reduced.
         device: device of the indices.
+
+    Returns:
+        Their indices [P] into all pixels of the reduced photograph, which are counted row by row from the top.
     """
     is_inside = avg_pool2d(sphere_normals(side)[1].float()[None], side // LOSS_PHOTO_PX)[0] > 0.999
     return is_inside.flatten().nonzero()[:, 0].to(device)

@@ -290,7 +290,7 @@ def test_records_without_finite_weight_are_left_out(mi: Any) -> None:
 
 
 def test_expected_contribution_is_the_mean_of_earlier_paths(mi: Any) -> None:
-    """With next-event estimation it is the mean of outgoing radiance, else the root mean square of carried light."""
+    """It is the mean outgoing luminance with the sampled emitter, and the root mean square of continuations without."""
     import drjit as dr
 
     from metapp.extensions.guided.guide_cache import MIN_ROW_BOUNCES, BounceRecords
@@ -311,6 +311,6 @@ def test_expected_contribution_is_the_mean_of_earlier_paths(mi: Any) -> None:
     cache.update_histograms()
     rows = dr.gather(mi.UInt32, cache.rows, mi.UInt32([0, 7, 11]))
     found = cache.row_expectations(rows, mi.Bool(True)).numpy()
-    outgoing, carried = ((lit + after) / throughput)[:40], (after / throughput)[:40]
-    assert found[:, 0] == pytest.approx([outgoing.mean(), np.sqrt((carried**2).mean())], rel=1e-4)
+    outgoing, continuation = ((lit + after) / throughput)[:40], (after / throughput)[:40]
+    assert found[:, 0] == pytest.approx([outgoing.mean(), np.sqrt((continuation**2).mean())], rel=1e-4)
     assert (found[:, 1:] == 0).all()

@@ -32,7 +32,7 @@ from metapp.learning.task import Batch, Params
 
 TEXEL_NUMBERS = sum(CHANNELS)
 SHAPE_CHANNELS = 0, 1, ROUGHNESS_CHANNEL  # a texel's slopes and roughness, on which all three colour channels depend
-FLASH_STRIDE = 4  # flashes are solved on every fourth row and column
+FLASH_STRIDE = 4  # flashes are solved from the texels of every fourth row and column alone
 TEXEL_DAMPING = 0.03  # added to the diagonal of a texel's normal equations (Levenberg), beside the prior's weights
 # Weight of a flash's gain in the normal equations: the loss has none, and without it they could be singular.
 GAIN_WEIGHT = 1e-4
@@ -44,18 +44,21 @@ DIFFERENCE_STEP = 1e-3  # step of central differences, in the numbers of texels 
 
 @dataclass(frozen=True)
 class GaussNewton(Loss):
-    """A loss of several photographs whose steps see Gauss-Newton's change in place of a gradient.
+    """A loss of fits to several photographs that gives update rules a Gauss-Newton step in place of its gradient.
+
+    An update rule subtracts this step, times a learned length, as it would subtract a gradient times a rate.
 
     Attributes:
-        settings: a function of learned loss parameters and of a tensor [T, ...], which returns all loss parameters,
-            [T, ...]; see :meth:`SeveralPhotos.settings`.
+        settings: a function that returns all loss parameters [T, ...]: those that a rule has learned, its first
+            argument, or initial values if that is {}. Its second argument is a tensor [T, ...] of the fits; see
+            :meth:`SeveralPhotos.settings`.
     """
 
     settings: Callable[[Params, Tensor], Params] = field(kw_only=True)
 
     @override
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """Return the change of maps and flashes in place of a gradient, and the losses [T]."""
+        """Return the Gauss-Newton step of `maps` and `flash` in place of a gradient, and the loss of each task, [T]."""
         with torch.set_grad_enabled(graph):
             change = gauss_newton_change(theta, batch, self.settings(learned, theta["maps"]))
         with torch.no_grad():
@@ -64,29 +67,33 @@ class GaussNewton(Loss):
 
 
 class Newton(Part):
-    """The part of a rule that takes Gauss-Newton steps times a learned length, whose logs are `length` [steps]."""
+    """The part of a rule that takes Gauss-Newton steps, each times a learned length.
+
+    Its hyperparameter `length` [steps] holds the natural logs of the lengths, one for each step of a fit.
+    """
 
     name = "newton"
     is_rate = True
 
     @override
     def refusal(self, app: App, theta: Params) -> str:
+        """Return "" for :class:`SeveralPhotos`, the only application that the part applies to, else why it does not."""
         return "" if isinstance(app, SeveralPhotos) else "its fits are not maps under flashes of several photographs"
 
     @override
     def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
-        """Return logs of lengths, `length` [steps], that are 0, so that steps are whole."""
+        """Return `length` [steps], zeros: they are logs, so that each step has length 1, a whole Gauss-Newton step."""
         return {"length": torch.zeros(steps)}
 
     @override
     def loss(self, app: App, loss: Loss) -> Loss:
-        """Return the loss whose gradient is the Gauss-Newton step."""
+        """Return the given loss as one that gives steps Gauss-Newton's step in place of its gradient."""
         assert isinstance(app, SeveralPhotos)
         return GaussNewton(loss.draw, loss.value, loss.shared, settings=app.settings)
 
     @override
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Multiply changes by the learned lengths."""
+        """Multiply the changes [T, ...] by the length of this step, whose log is `length` [T] in `alpha`."""
         return {key: append_axes(torch.exp(alpha["length"]), change) * change for key, change in updates.items()}
 
 
@@ -95,15 +102,22 @@ def gauss_newton_change(
 ) -> Params:
     """Return the Gauss-Newton step of `maps` [T, 9, H, W] and `flash` [T, 4, N], which is to be subtracted.
 
-    The loss is not of squares but of rounded |differences|, so each step solves a reweighted least-squares problem. Its
-    gradient is the gradient of :meth:`SeveralPhotos.loss` times 3 N, for N photographs: at each texel the loss takes
-    the mean of 3 N differences, and least squares take their sum.
+    The step of the flashes is solved first, from the texels of every FLASH_STRIDE-th row and column; then the step of
+    each texel, under the flashes after their step.
+
+    The loss of a difference d between log rendering and log photograph is no square: it is the absolute difference,
+    smoothed near 0, sqrt(d^2 + s^2) - s. So each step solves a least-squares problem in which d^2 has the weight
+    1 / sqrt(d^2 + s^2), by the present d (iteratively reweighted least squares). The right side of a texel's normal
+    equations is the gradient of :meth:`SeveralPhotos.loss` times 3 N, for N photographs with three colour channels
+    each: at each texel the loss takes the mean of 3 N differences, and least squares take their sum.
 
     Args:
-        theta: `maps`, `flash` and `prior`.
-        batch: `photos` and `places`.
-        settings: all loss parameters, [T, ...].
-        max_texel_change: the largest change of each of the nine numbers of a texel.
+        theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N] and `prior` [T, 18, H, W].
+        batch: linear photographs, `photos` [T, N, 3, H, W], and measured positions of camera and flash, `places`
+            [T, N, 2, 3].
+        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash` [T].
+        max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
+            bound * tanh(c / bound).
     """
     maps, flash, prior, photos = theta["maps"], theta["flash"], theta["prior"], batch["photos"]
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
@@ -114,7 +128,8 @@ def gauss_newton_change(
     flash_change = _solve_flashes(
         coarse_maps, flash, coarse_photos, batch["places"], coarse_prior, coarse_texels, settings
     )
-    jacobian, weight, residual = _linearise(maps, flash - flash_change, photos, batch["places"], texels, settings)
+    moved_flash = flash - flash_change
+    jacobian, weight, residual = _linearise(maps, moved_flash, photos, batch["places"], texels, settings)
     matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
     change = _solve(matrix, right_side[..., None])[..., 0].unflatten(1, maps.shape[-2:]).permute(0, 3, 1, 2)
     max_change = maps.new_tensor(max_texel_change)[:, None, None]
@@ -124,10 +139,22 @@ def gauss_newton_change(
 def _linearise(
     maps: Tensor, flash: Tensor, photos: Tensor, places: Tensor, texels: Tensor, settings: Params
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Linearise log radiance in the numbers of P texels, for N photographs with three colour channels each.
+    """Linearise the log renderings of P texels in their nine numbers, for N photographs with three channels each.
+
+    Args:
+        maps: the unbounded numbers of the texels, [T, 9, h, w].
+        flash: the unbounded numbers of the flashes, [T, 4, N].
+        photos: linear photographs of the texels, [T, N, 3, h, w].
+        places: measured positions of camera and flash, [T, N, 2, 3].
+        texels: positions of the texels in the patch, [2, h, w].
+        settings: all loss parameters, [T, ...].
 
     Returns:
-        The Jacobian [T, P, 3N, 9], and the weights and residuals of least squares, [T, P, 3N].
+        The derivatives of the log renderings by the numbers of each texel, [T, P, 3N, 9].
+        The weights of the squared residuals, [T, P, 3N]: 1 / sqrt(residual^2 + smoothing^2), so that weight times
+        residual is the derivative of the smoothed absolute residual; 0 where a clipped photograph agrees with a
+        rendering that is brighter.
+        The residuals, [T, P, 3N]: log rendering minus log photograph, above 0 where the rendering is too bright.
     """
     # Each channel of a colour depends on one number alone, so that one pair of evaluations differentiates all of them.
     (diffuse, specular), increased, decreased = (
@@ -151,8 +178,8 @@ def _linearise(
     jacobian = torch.cat([by_slope_x, by_slope_y, by_diffuse, by_roughness, by_specular], 2) / radiance[:, :, None]
     jacobian = jacobian.permute(0, 4, 5, 1, 3, 2).reshape(len(maps), -1, 3 * photos.shape[1], TEXEL_NUMBERS)
     residual = radiance.log() - (photos + LIGHT_FLOOR).log()
-    rounding = append_axes(settings["smoothing"].exp(), residual)
-    weight = (residual.square() + rounding * rounding).rsqrt()
+    smoothing = append_axes(settings["smoothing"].exp(), residual)
+    weight = (residual.square() + smoothing * smoothing).rsqrt()
     # Where a photograph clips, it is a lower bound of radiance: brighter renderings agree with it.
     weight = torch.where((photos > CLIPPED_LINEAR_VALUE) & (residual > 0), 0, weight)
     weight, residual = (values.flatten(1, 2).flatten(2).mT.contiguous() for values in (weight, residual))
@@ -166,8 +193,12 @@ def _render_lobes(maps: Tensor, flash: Tensor, places: Tensor, texels: Tensor) -
     colour 1; :func:`_combine_lobes` gives them their colours.
     """
     flashes, material = decode_flashes(flash, places), decode_maps(maps)
-    white = maps.new_tensor([1.0, 0.0])[:, None, None]
-    surface = Maps(white, white.flip(0), material.roughness[:, None], material.normal[:, None])
+    # One rendering makes both lobes, as two "colour channels": in the first the diffuse colour is 1 and the specular
+    # colour 0, in the second it is the other way round. The first has no gloss, since Fresnel's reflectance is then
+    # (1 - cos)^5, with the cosine of half the angle between flash and camera: nearly 0.
+    diffuse_colour = maps.new_tensor([1.0, 0.0])[:, None, None]
+    specular_colour = diffuse_colour.flip(0)
+    surface = Maps(diffuse_colour, specular_colour, material.roughness[:, None], material.normal[:, None])
     return render_maps(surface, texels, flashes.place, flashes.eye, intensity=flashes.gain)
 
 
@@ -175,8 +206,8 @@ def _combine_lobes(lobes: Tensor, diffuse: Tensor, specular: Tensor) -> Tensor:
     """Return the radiance [T, N, 3, h, w] of a surface from its lobes and colours.
 
     Args:
-        lobes: the lobes of :func:`_render_lobes`, or their derivatives by something that moves no colour,
-            [T, N, 2, h, w].
+        lobes: the radiance of both lobes that :func:`_render_lobes` returns, [T, N, 2, h, w], or its derivatives by a
+            number on which the colours do not depend, such as a slope.
         diffuse: the diffuse colour, [T, 3, h, w].
         specular: the specular colour, [T, 3, h, w].
     """
@@ -204,16 +235,19 @@ def _build_normal_equations(
     """Return the matrix [T, P, 9, 9] and the right side [T, P, 9] of the normal equations of each texel.
 
     Args:
-        jacobian, weight, residual: the linearised photographs that :func:`_linearise` returns.
+        jacobian, weight, residual: the linearised renderings that :func:`_linearise` returns.
         maps: the unbounded numbers of P texels, [T, 9, h, w].
-        prior: the numbers that the prior expects, and the logs of the scales by which they may be off, [T, 18, h, w].
+        prior: at each texel the nine numbers that the prior expects, then the natural logs of nine scales,
+            [T, 18, h, w]. The prior's loss divides the difference of a number from the expected one by its scale.
         settings: all loss parameters, [T, ...].
     """
     mean, log_scale = prior.chunk(2, 1)
     precision = torch.exp(-2 * log_scale)
     displacement = maps - mean
-    reweighting = (1 + displacement.square() * precision).sqrt()  # the prior's loss is of rounded |displacements|, too
-    # The loss divides residuals by 3 N and the prior by N, for N photographs; residuals are a plain sum here.
+    # The prior's loss of a displacement d with scale s is sqrt(1 + (d / s)^2) - 1, no square either: it is reweighted.
+    reweighting = (1 + displacement.square() * precision).sqrt()
+    # The loss divides residuals by 3 N and the prior by N, for N photographs; residuals are a plain sum here, so that
+    # the prior counts three times.
     prior_weight = 3 * settings["prior"].exp()[:, :, None, None] * precision / reweighting
     prior_weight, displacement = (values.flatten(2).mT for values in (prior_weight, displacement))
     weighted = (jacobian * weight[..., None]).mT
@@ -224,7 +258,21 @@ def _build_normal_equations(
 def _solve_flashes(
     maps: Tensor, flash: Tensor, photos: Tensor, places: Tensor, prior: Tensor, texels: Tensor, settings: Params
 ) -> Tensor:
-    """Return the Gauss-Newton step of flashes, [T, 4, N], by the Schur complement: numbers of texels are eliminated."""
+    """Return the Gauss-Newton step of the flashes, [T, 4, N], clamped to MAX_FLASH_CHANGE either way.
+
+    The normal equations of flashes and texels together are reduced to the flashes' by a Schur complement, which
+    eliminates the numbers of all texels.
+
+    Args:
+        maps: the unbounded numbers of P texels, [T, 9, h, w]. The caller passes those of every FLASH_STRIDE-th row and
+            column, since few texels suffice for 4 N numbers.
+        flash: the unbounded numbers of the flashes, [T, 4, N].
+        photos: linear photographs of these texels, [T, N, 3, h, w].
+        places: measured positions of camera and flash, [T, N, 2, 3].
+        prior: the prior at these texels, [T, 18, h, w].
+        texels: positions of these texels in the patch, [2, h, w].
+        settings: all loss parameters, [T, ...].
+    """
     count = photos.shape[1]
     jacobian, weight, residual = _linearise(maps, flash, photos, places, texels, settings)
     matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
@@ -241,11 +289,12 @@ def _solve_flashes(
     eliminated = _solve(matrix, torch.cat([coupling, right_side[..., None]], -1))
     flash_matrix = (weighted @ flash_jacobian - coupling.mT @ eliminated[..., :-1]).sum(1)
     flash_right_side = ((weighted @ residual[..., None])[..., 0] - (coupling.mT @ eliminated[..., -1:])[..., 0]).sum(1)
-    # Flashes have a prior, too, which draws each number to 0, the measured flash. At a texel the loss has the mean of
-    # squares over the three numbers of a position and N photographs: times 3 N, its gradient is 2 * weight * number.
+    # Flashes have a prior, too, which draws each number to 0, the measured flash. The loss, a sum over texels, has for
+    # each texel a weight times the mean of squares over the three numbers of a position and N photographs: times 3 N,
+    # its gradient is 2 * weight * number.
     is_position = torch.arange(FLASH_NUMBERS, device=maps.device) < FLASH_NUMBERS - 1
-    texel_weight = torch.where(is_position, 2 * settings["flash"].exp()[:, None], GAIN_WEIGHT)
-    prior_weight = residual.shape[1] * texel_weight.repeat(1, count)
+    flash_weight_per_texel = torch.where(is_position, 2 * settings["flash"].exp()[:, None], GAIN_WEIGHT)
+    prior_weight = residual.shape[1] * flash_weight_per_texel.repeat(1, count)
     flash_matrix = flash_matrix + torch.diag_embed(prior_weight)
     flash_right_side = flash_right_side + prior_weight * flash.mT.flatten(1)
     change = torch.linalg.solve(flash_matrix.double(), flash_right_side.double())
