@@ -41,6 +41,27 @@ def quilt(
 ) -> FloatImage:
     """Make a picture [h, w, C] of blocks of an exemplar [H, W, C], each cut from its neighbours where both agree most.
 
+    See :func:`quilt_pixel_numbers` for the arguments.
+    """
+    numbers = quilt_pixel_numbers(
+        exemplar, size, rng, block=block, overlap=overlap, tiles=tiles, frequencies=frequencies
+    )
+    result: FloatImage = exemplar.reshape(-1, exemplar.shape[2])[numbers]
+    return result
+
+
+def quilt_pixel_numbers(
+    exemplar: FloatImage,
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    block: int,
+    overlap: int,
+    tiles: bool = False,
+    frequencies: FloatImage | None = None,
+) -> NDArray[np.intp]:
+    """Return the number of the exemplar's px, counted row by row, for each px [h, w] of a quilt.
+
     Args:
         exemplar: at least as high and wide as a block.
         size: h and w in px.
@@ -72,7 +93,7 @@ def quilt(
             exemplar_px[np.ix_(rows, columns)] = np.where(
                 _patch_mask(known_pixels, pixels[patch], overlaps, occupied), patch, present
             )
-    return colours[exemplar_px[:height, :width]]
+    return exemplar_px[:height, :width]
 
 
 OccupiedSides = tuple[bool, bool, bool, bool]

@@ -34,7 +34,7 @@ def baselines(registry: Registry) -> None:
         "illumination": ("sh", "unwrap"),
         "svbrdf_nonstationary": ("flat", "predicted"),
         "svbrdf_stationary": ("nearest", "quilting"),
-        "texture": ("nearest", "quilting"),
+        "texture": ("nearest", "quilting", "blending"),
     }
     for app, names in methods.items():
         for name in names:

@@ -43,6 +43,12 @@ class UNet(NamedTuple):
         return False
 
     @property
+    def side_step(self) -> int:
+        """The number of px of which sides of pictures are multiples, so that all levels have whole sides."""
+        result: int = 2 ** (self.levels - 1)
+        return result
+
+    @property
     def output_shift(self) -> str:
         """The name of the parameter [T, outputs] that is added to each texel of the output."""
         return "out.shift"
@@ -127,6 +133,12 @@ class Pyramid(NamedTuple):
     def has_layout(self) -> bool:
         """Whether it reads a layout beside noise."""
         return self.layout > 0
+
+    @property
+    def side_step(self) -> int:
+        """The number of px of which sides of pictures are multiples, so that all levels have whole sides."""
+        result: int = 2 ** (self.levels - 1)
+        return result
 
     @property
     def output_shift(self) -> str:

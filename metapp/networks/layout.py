@@ -99,9 +99,25 @@ def stretch_to_tile(exemplar: Tensor, size: Sequence[int]) -> tuple[Tensor, Tens
         The stretched picture without the margin that stretching leaves empty, or the picture as it is; the frequencies
         of its lattice, [0 to 2, 2] (y, x) in cycles per texel, none if it was not stretched.
     """
+    change, frequencies = find_stretch(exemplar, size)
+    return (exemplar if change is None else apply_stretch(exemplar, change)), frequencies
+
+
+def find_stretch(exemplar: Tensor, size: Sequence[int]) -> tuple[Tensor | None, Tensor]:
+    """Find the least stretch of a picture that lets its lattice repeat with the sides of a tile.
+
+    Args:
+        exemplar: the picture, [3, H, W].
+        size: height and width of the tile, in texels of the picture.
+
+    Returns:
+        The matrix [2, 2] from (x, y) in the stretched picture to (x, y) in the picture, about their centres, and the
+        frequencies of the stretched picture's lattice; see :func:`stretch_to_tile`. None and no frequencies if the
+        picture stays as it is.
+    """
     lattice = find_lattice(exemplar)
     vectors = lattice.vectors.clone()
-    unstretched = exemplar, vectors[:0]
+    unstretched = None, vectors[:0]
     if lattice.score < MIN_STRETCH_SCORE:
         return unstretched
     texels = torch.tensor(size, dtype=vectors.dtype)
@@ -116,15 +132,20 @@ def stretch_to_tile(exemplar: Tensor, size: Sequence[int]) -> tuple[Tensor, Tens
     change = torch.linalg.solve(frequencies, whole_frequencies)
     if float((change - torch.eye(2, dtype=change.dtype)).abs().max()) > MAX_STRETCH:
         return unstretched
-    change = change.flip(0, 1).to(exemplar)  # affine_grid wants (x, y)
+    directions = 1 if one_direction else 2
+    return change.flip(0, 1).to(exemplar), whole_frequencies[:directions]  # affine_grid wants (x, y)
+
+
+def apply_stretch(exemplar: Tensor, change: Tensor) -> Tensor:
+    """Stretch a picture [C, H, W] by a matrix of :func:`find_stretch`, without the margin that this leaves empty."""
     grid = affine_grid(torch.cat([change, change.new_zeros(2, 1)], 1)[None], [1, *exemplar.shape], align_corners=False)
     stretched = grid_sample(exemplar[None], grid, align_corners=False)[0]
     excess = float(change.abs().sum(1).max()) - 1
     # a multiple of 4, so that the layout's texels stay whole
     margin = 4 * math.ceil(max(excess, 0.0) * max(exemplar.shape[1:]) / 8)
     height, width = exemplar.shape[1:]
-    directions = 1 if one_direction else 2
-    return stretched[:, margin : height - margin, margin : width - margin], whole_frequencies[:directions]
+    result: Tensor = stretched[:, margin : height - margin, margin : width - margin]
+    return result
 
 
 def move_layouts(layout: Tensor, noise: Tensor, times: float) -> Tensor:

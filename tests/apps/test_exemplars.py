@@ -17,7 +17,7 @@ from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
 from metapp.apps.exemplar.exemplar_statistics import SOFTNESS_WEIGHT
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import MIN_ORDER_SHARE, ExemplarPresenter
-from metapp.apps.texture.app import Texture
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
@@ -34,15 +34,15 @@ SHARE = 0.6  # of the steps at half the size
 
 
 def tiny(name: str) -> Recipe:
-    """The recipe full with a small network, of two octaves."""
-    full, side = recipes_of(name)["full"], {"texture": 32, "svbrdf_stationary": 64}[name]
+    """Return the recipe full with a small network, of two octaves."""
+    full, side = recipes_of(name)["full"], 64
     network = Pyramid(4, 3, code=8, outputs=full.app.network.outputs, layout=3)
     return replace(full, app=type(full.app)(network, Octaves(side, side, TAPS, count=2, shares=(SHARE,))))
 
 
-@pytest.fixture(scope="module", params=["texture", "svbrdf_stationary"])
-def app(request: pytest.FixtureRequest) -> ExemplarApp:
-    return app_of(request.param, tiny(request.param))  # type: ignore[return-value]
+@pytest.fixture(scope="module")
+def app() -> ExemplarApp:
+    return app_of("svbrdf_stationary", tiny("svbrdf_stationary"))  # type: ignore[return-value]
 
 
 def shown(app: App) -> ExemplarPresenter[Any]:
@@ -53,9 +53,6 @@ def shown(app: App) -> ExemplarPresenter[Any]:
 
 def warnings_of(app: App, theta: Params, tasks: Tasks) -> list[list[str]]:
     return shown(app).quality_warnings(theta, tasks)
-
-
-TEXTURE, MATERIAL = (pytest.mark.parametrize("app", [name], indirect=True) for name in ("texture", "svbrdf_stationary"))
 
 
 @pytest.fixture(scope="module")
@@ -135,16 +132,9 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
     assert len(broken) == 1
     assert broken[0].startswith("breaks lines of the photo such as joints, cracks or threads (0.40 as strong, ")
     assert f"`metapp baseline {app.name} INPUT --method quilting --size {size}` copies them" in broken[0]
-    assert ["shows seams" in clause for clause in seams] == ([True] if app.name == "texture" else [])
+    assert not seams
     assert not unknown
-    assert not any(";" in clause for clause in (*broken, *seams))  # which parts clauses in records
-
-
-@TEXTURE
-def test_lines_are_those_of_a_texture_as_large_as_files_are_quilted_for(app: ExemplarApp, tasks: Tasks) -> None:
-    theta = app.init(Generator().manual_seed(0), 3)
-    result = torch.zeros(3, 3, *app.octaves.octave_size())
-    assert shown(app).pictures_for_lines(theta, result).shape == (3, 3, 2 * app.octaves.height, 2 * app.octaves.width)
+    assert not any(";" in clause for clause in broken)  # which parts clauses in records
 
 
 def test_fits_see_a_crop_of_the_finest_octave_alone(app: ExemplarApp) -> None:
@@ -199,11 +189,10 @@ def test_a_coarse_loss_leaves_the_finest_level_alone(app: ExemplarApp, tasks: Ta
     assert moved[1] - moved[0] == {"join0", "draw0", "out0"}
 
 
-@TEXTURE
 def test_descents_go_from_coarse_to_fine(app: ExemplarApp, tasks: Tasks) -> None:
     rng, seen = Generator().manual_seed(0), []
 
-    class Watched(Texture):
+    class Watched(SvbrdfStationary):
         def sample(self, tasks: Tasks, rng: Generator, count: int) -> dict[str, Tensor]:
             batch = super().sample(tasks, rng, count)
             seen.append(batch["noise"].shape[-1])
@@ -212,15 +201,14 @@ def test_descents_go_from_coarse_to_fine(app: ExemplarApp, tasks: Tasks) -> None
     watched = Watched(**{field.name: getattr(app, field.name) for field in fields(app)})
     theta, rule = watched.init(rng, 3), sgd(dict.fromkeys(("rate",), torch.zeros(1)))
     learn(theta, rule, tasks, task_loss(watched, 1), steps=5, rng=rng)
-    assert seen == [16, 16, 16, 32, 32]
+    assert seen == [32, 32, 32, 64, 64]
     seen.clear()
     lifted = over_tasks(task_loss(watched, 1), count=2, augment=watched.augment)
     lifted.draw(tasks, rng, 0.0)
     lifted.draw(tasks, rng, 0.9)
-    assert seen == [16, 32]
+    assert seen == [32, 64]
 
 
-@MATERIAL
 def test_relief_keeps_its_slopes(app: Any) -> None:
     """Half as many texels a side, half as many texels of height."""
     rng = Generator().manual_seed(0)

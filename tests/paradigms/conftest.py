@@ -31,9 +31,9 @@ def small_sources(name: str) -> list[Task]:
 
 
 @functools.cache
-def small_tasks(name: str) -> Tasks:
+def small_tasks(app: App) -> Tasks:
     """Return an application's small tasks, prepared and stacked."""
-    return stack_tasks(small_app(name), small_sources(name))
+    return stack_tasks(app, small_sources(app.name))
 
 
 @pytest.fixture(scope="session")
@@ -47,7 +47,7 @@ def tasks(request: pytest.FixtureRequest, app: App) -> Tasks:
     """The application's small tasks, prepared and stacked."""
     if app.name == "illumination":
         request.getfixturevalue("shared_second_scene")
-    return small_tasks(app.name)
+    return small_tasks(app)
 
 
 @pytest.fixture(autouse=True)

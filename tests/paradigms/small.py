@@ -24,6 +24,7 @@ from metapp.apps.illumination.app import Illumination
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, field_of
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.texture.app import Texture
+from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.learned_rules import rule_of
@@ -35,6 +36,7 @@ from metapp.learning.task import Task
 from metapp.names import app_names
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
+from metapp.networks.quilted import LightGrid
 from metapp.paradigms import PARADIGMS, paradigm_of
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
@@ -44,14 +46,22 @@ from tests.marked import long
 from tests.small_spheres import shrink_spheres
 
 TASK_COUNT = 12
-# the second network of BRDFs is tested as if it were an application of its own
-FEATURE_NETWORK = "brdf, features"
-NETWORK_KINDS = [*app_names(), FEATURE_NETWORK]
-OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {FEATURE_NETWORK: "ridge"}
+# the second network of BRDFs, and that of textures, are tested as if they were applications of their own
+FEATURE_NETWORK, QUILTED_TEXTURE = "brdf, features", "texture, quilted"
+NETWORK_KINDS = [*app_names(), FEATURE_NETWORK, QUILTED_TEXTURE]
+OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {
+    FEATURE_NETWORK: "ridge",
+    QUILTED_TEXTURE: "meta-encoder",
+}
 KINDS_BUT_BRDF_LONG = [
     "brdf",
     *(long(kind) for kind in NETWORK_KINDS if kind != "brdf"),
 ]  # trainings of other applications than BRDF take seconds
+# quilts have low errors before any training, which improves them little
+GENERATING_KINDS_BUT_BRDF_LONG = [
+    "brdf",
+    *(long(kind) for kind in NETWORK_KINDS if kind not in ("brdf", QUILTED_TEXTURE)),
+]
 
 
 class SmallApplication(NamedTuple):
@@ -134,9 +144,11 @@ SMALL_APPLICATIONS: dict[str, SmallApplication] = {
 
 
 def small_app(kind: str) -> App:
-    """Return an application with a small network; FEATURE_NETWORK is the second network of BRDFs."""
+    """Return an application with a small network; BRDFs and textures have a second one each."""
     if kind == FEATURE_NETWORK:
         return Brdf(Featured(width=8, features=5, code=3, encoder=8))
+    if kind == QUILTED_TEXTURE:
+        return QuiltedTexture(LightGrid(4, 4), SMALL_OCTAVES, candidates=1)
     return app_of(kind, replace(recipes_of(kind)["quick"], app=SMALL_APPLICATIONS[kind].app))
 
 

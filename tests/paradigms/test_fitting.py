@@ -27,6 +27,7 @@ from tests.paradigms.small import (
     KINDS_AND_RULES,
     NETWORK_KINDS,
     OWN_RULES,
+    QUILTED_TEXTURE,
     SMALL_APPLICATIONS,
     paradigms_of,
     seeded_generator,
@@ -48,8 +49,10 @@ def test_each_paradigm_fits_tasks(name: str, app: App, fits: dict[str, Paradigm]
     prepared = untrained_preparation(paradigm)
     theta = paradigm.fit(prepared, few_tasks, seeded_generator())
     network = {key: tuple(value.shape) for key, value in app.init(seeded_generator(), 3).items()}
-    given = {key: tuple(value.shape) for key, value in app.task_parameters(few_tasks).items()} if paradigm.steps else {}
-    assert {key: tuple(value.shape) for key, value in theta.items()} == network | given
+    given = {key: tuple(value.shape) for key, value in app.task_parameters(few_tasks).items()}
+    shapes = {key: tuple(value.shape) for key, value in theta.items()}
+    # an encoder's prediction may have the parameters that tasks determine, which steps need
+    assert shapes == network | given or (not paradigm.steps and shapes == network)
     assert {value.dtype for value in theta.values()} == {torch.float32}
     assert not any(value.requires_grad for value in theta.values())
     again = paradigm.fit(prepared, few_tasks, seeded_generator())
@@ -97,7 +100,12 @@ def test_meta_fits_by_every_rule(rule: str, fits: dict[str, Paradigm], tasks: Ta
     assert all(torch.isfinite(value).all() for value in longer.values())
 
 
-@pytest.mark.parametrize("app", [long(kind) if kind in SLOWEST else kind for kind in NETWORK_KINDS], indirect=True)
+# quilts have low errors before the first step; tests/apps/test_quilted_texture.py says what steps change
+@pytest.mark.parametrize(
+    "app",
+    [long(kind) if kind in SLOWEST else kind for kind in NETWORK_KINDS if kind != QUILTED_TEXTURE],
+    indirect=True,
+)
 def test_overfit_lowers_the_error(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     few_tasks, overfit = tasks.select([0, 1, 2, 3]), replace(fits["overfit"], steps=300)
     before = app.errors(app.init(seeded_generator(), 4), few_tasks)["error"]

@@ -24,6 +24,7 @@ from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.phi_training import TrainState, split_validation, train_phi, validation_error
 from tests.marked import long
 from tests.paradigms.small import (
+    GENERATING_KINDS_BUT_BRDF_LONG,
     KINDS_AND_RULES,
     KINDS_BUT_BRDF_LONG,
     OWN_RULES,
@@ -146,7 +147,7 @@ def test_a_start_that_only_gets_worse_is_kept(trained: Paradigm, tasks: Tasks) -
     assert all(torch.equal(prepared.phi.flatten()[key], value) for key, value in before.phi.flatten().items())
 
 
-@pytest.mark.parametrize("app", KINDS_BUT_BRDF_LONG, indirect=True)
+@pytest.mark.parametrize("app", GENERATING_KINDS_BUT_BRDF_LONG, indirect=True)
 @pytest.mark.parametrize(("name", "steps", "rate"), [("general", 100, 2e-3), ("meta-curvature", 30, 2e-2)])
 def test_preparing_improves_what_it_is_prepared_for(
     name: str, steps: int, rate: float, trained: Paradigm, tasks: Tasks

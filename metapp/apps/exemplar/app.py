@@ -105,9 +105,9 @@ class ExemplarApp(App):
         if octaves.finer and image.shape[-1] < (side := octaves.width):
             raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
         exemplar = octaves.take_exemplar(image[None].float() / 255)
-        return {"image": image} | {key: value[0] for key, value in self._make_targets(exemplar).items()}
+        return {"image": image} | {key: value[0] for key, value in self.make_targets(exemplar).items()}
 
-    def _make_targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+    def make_targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
         """Return all that fits compare pictures with, by name, [B, ...] each.
 
         These are the statistics of exemplars, and if the network reads layouts, `layout` [B, 3, h, w], coarse pictures
@@ -195,7 +195,7 @@ class ExemplarApp(App):
         channels = draw_uniform(rng, count, 3).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        return tasks.make_variants(self._make_targets(images, octave) | self.permute_data(tasks, channels[..., 0, 0]))
+        return tasks.make_variants(self.make_targets(images, octave) | self.permute_data(tasks, channels[..., 0, 0]))
 
     def permute_data(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """Return further data of exemplars whose channels are permuted; here there are none.

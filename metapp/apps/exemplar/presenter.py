@@ -26,6 +26,7 @@ from metapp.learning.task import Params, Task, Tasks
 MIN_ORDER_SHARE = 0.5  # share of an exemplar's order below which a picture has lost it; quilting keeps 0.68 to 1.0
 SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
 FILE_SIDE_TIMES = 4  # side of a picture in files over its side in training
+MIN_FILE_PX = 16  # shortest side of pictures in files
 LARGEST_PX = 4096  # longest side of pictures in files
 
 GeneratingApp = TypeVar("GeneratingApp", bound=ExemplarApp)
@@ -46,9 +47,11 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
 
     @override
     def size_refusal(self, height: int, width: int) -> str:
-        step = 2 ** (self.app.network.levels - 1)
-        is_possible = all(2 * step <= side <= LARGEST_PX and side % step == 0 for side in (height, width))
-        return "" if is_possible else f"expects multiples of {step} from {2 * step} to {LARGEST_PX}"
+        step = self.app.network.side_step
+        smallest = max(MIN_FILE_PX, 2 * step)
+        is_possible = all(smallest <= side <= LARGEST_PX and side % step == 0 for side in (height, width))
+        multiples = f"multiples of {step} from " if step > 1 else ""
+        return "" if is_possible else f"expects {multiples}{smallest} to {LARGEST_PX}"
 
     @property
     def picture_size(self) -> tuple[int, int]:
@@ -97,37 +100,29 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
             collapsed_fit_warnings(picture, exemplar) for exemplar, picture in zip(*pictures, strict=True)
         ]
         exemplars, evenly_lit = (statistics.even_light(photos, data) for photos in pictures)
-        line_pictures = self.pictures_for_lines(theta, evenly_lit)
-        comparisons = zip(collapse_warnings, exemplars, evenly_lit, line_pictures, strict=True)
+        comparisons = zip(collapse_warnings, exemplars, evenly_lit, strict=True)
         return [clauses or self._find_lost(*comparison) for clauses, *comparison in comparisons]
 
-    def _find_lost(self, exemplar: Tensor, picture: Tensor, line_picture: Tensor) -> list[str]:
+    def _find_lost(self, exemplar: Tensor, picture: Tensor) -> list[str]:
         """Return a clause on structure of an exemplar that is lost, or none.
 
         Args:
             exemplar: the exemplar, [3, H, W], evenly lit.
-            picture: the fit's picture of that size, evenly lit; regular structure is compared with it.
-            line_picture: the picture, maybe of another size, that lines are compared with.
+            picture: the fit's picture of that size, evenly lit.
         """
-        size = "x".join(map(str, self.picture_size))
-        remedy = f"`metapp baseline {self.app.name} INPUT --method quilting --size {size}` copies"
         if (share := kept_order_share(find_lattice(exemplar), picture)) < MIN_ORDER_SHARE:
-            return [f"keeps {share:.2f} of the photo's regular structure ({remedy} it)"]
-        lines = compare_lines(exemplar, line_picture)
+            return [f"keeps {share:.2f} of the photo's regular structure ({self.remedy_for('it')})"]
+        lines = compare_lines(exemplar, picture)
         if lines.fine_ratio < self.min_line_strength:
             figures = f"{lines.fine_ratio:.2f} as strong, expected {self.min_line_strength:g} or more"
-            return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {remedy} them)"]
+            remedy = self.remedy_for("them")
+            return [f"breaks lines of the photo such as joints, cracks or threads ({figures}, {remedy})"]
         if self.shows_seams and lines.long_ratio > SEAM_STRENGTH_RATIO:
-            return [
-                f"shows seams, lines {lines.long_ratio:.1f} times as strong as the photo's ({remedy} it, with fewer)"
-            ]
+            strength = f"{lines.long_ratio:.1f} times as strong as the photo's"
+            return [f"shows seams, lines {strength} ({self.remedy_for('its structure')})"]
         return []
 
-    def pictures_for_lines(self, theta: Params, pictures: Tensor) -> Tensor:
-        """Return the pictures [T, 3, h, w] whose lines are compared with the exemplars'; here `pictures` themselves.
-
-        Args:
-            theta: fits [T, ...].
-            pictures: the fits' pictures at the exemplar's size, [T, 3, H, W], evenly lit.
-        """
-        return pictures
+    def remedy_for(self, lost: str) -> str:
+        """Return what a user can do where a fit has lost something of the photo, which `lost` names in the sentence."""
+        size = "x".join(map(str, self.picture_size))
+        return f"`metapp baseline {self.app.name} INPUT --method quilting --size {size}` copies {lost}"

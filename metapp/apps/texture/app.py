@@ -15,11 +15,9 @@ from typing_extensions import override
 from metapp.appearance.features import gram, statistics_distance
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw
 from metapp.apps.exemplar.exemplar_statistics import Statistics
-from metapp.apps.exemplar.octaves import Crop
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.random_tensors import draw_uniform
 from metapp.learning.task import Batch, Params, Tasks, TensorSpec
-from metapp.networks.layout import layout_deviation
 
 MIN_CROP_SHARE = 0.5  # shortest side of random crops over the side of the exemplar
 
@@ -39,18 +37,17 @@ class GramStatistics(Statistics):
         }
 
     def targets(self, tasks: Tasks) -> Batch:
-        """Return what pictures are compared with in fits: Gram matrices and detail of the exemplars, [T, ...] each."""
-        return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith(("gram", "detail"))}
+        """Return what pictures are compared with in fits: Gram matrices of the exemplars, [T, C, C] each."""
+        return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith("gram")}
 
-    def gram_distance(self, pictures: Tensor, batch: Batch, crop: Crop | None = None) -> Tensor:
+    def gram_distance(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Return the relative L1 distance of pictures' Gram matrices from the exemplars', [T].
 
         Args:
             pictures: pictures [T, B, 3, H, W] of an octave's size, sRGB in [0, 1].
             batch: what :meth:`targets` returns.
-            crop: takes the part of pictures that the finest octave is computed of; None for all.
         """
-        maps = self.compute_features(pictures.flatten(0, 1), self.octaves.find_octave(batch), crop)
+        maps = self.compute_features(pictures.flatten(0, 1), self.octaves.find_octave(batch))
         grams = [gram(features).unflatten(0, pictures.shape[:2]) for features in maps]
         return statistics_distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
 
@@ -86,19 +83,9 @@ class Texture(ExemplarApp):
 
     @override
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Return the relative L1 distance of Gram matrices, [T], plus deviations from the layout and of fine detail."""
-        statistics, octave, noise = self.statistics, self.octaves.find_octave(batch), batch["noise"]
-        images = self.generate(theta, noise, octave)
-        loss = statistics.gram_distance(images, batch, self._take_strip)
-        loss = loss + layout_deviation(theta, noise, images, self.octaves.layout_ratio(octave))
-        return loss + statistics.softness_loss(images, batch)
-
-    def _take_strip(self, images: Tensor) -> Tensor:
-        """Take as many rows as the coarsest octave has from images [B, 3, H, W].
-
-        They are other ones of the texture at each step, since noise is drawn anew and layouts are moved.
-        """
-        return images[..., : self.octaves.octave_size(self.octaves.count - 1)[0], :]
+        """Return the relative L1 distance of Gram matrices, [T]."""
+        pictures = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
+        return self.statistics.gram_distance(pictures, batch)
 
     @override
     def crop(self, image: Tensor, rng: Generator) -> Tensor:

@@ -1,9 +1,9 @@
 """Baselines: methods without a network, fitted to the data that fits see and judged by the same errors.
 
 Read `baseline` first, the contract of a method. `brdf`, `illumination`, `svbrdf_nonstationary`, `svbrdf_stationary` and
-`texture` have the methods of one application each, and `components`, `ggx_lobes` and `harmonics` the mathematics of
-some. `baseline_fits` fits methods to tasks; `baseline_run` with `baseline_command`, and `baselines_table`, are the
-command and the table.
+`texture` have the methods of one application each, and `blending`, `components`, `ggx_lobes` and `harmonics` the
+mathematics of some. `baseline_fits` fits methods to tasks; `baseline_run` with `baseline_command`, and
+`baselines_table`, are the command and the table.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Baselines of textures: the nearest training texture, and image quilting (Efros & Freeman 2001).
+"""Baselines of textures: the nearest training texture, image quilting (Efros & Freeman 2001), and blending.
 
-The quilting of one picture is in `metapp.appearance.quilting`; here it becomes a method that is fitted and judged.
+The quilting of one picture is in `metapp.appearance.quilting`, the blending of one (Heitz & Neyret 2018) in `blending`
+beside this module; here they become methods that are fitted and judged. Where fits of textures are pieces of the
+photograph itself, both methods write files at the scale and resolution of the photograph, too.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from metapp.appearance.features import statistics_distance
 from metapp.appearance.order import remove_quadratic_trend
 from metapp.appearance.quilting import choose_block_size, quilt
 from metapp.apps.exemplar.app import JUDGED_PICTURES, ExemplarApp
+from metapp.apps.texture.quilted import QuiltedTexture, count_tile_cells, quilt_places
 from metapp.extensions.baselines.baseline import (
     INDEX_NUMBERS_AND_BYTES,
     Baseline,
@@ -23,16 +26,18 @@ from metapp.extensions.baselines.baseline import (
     TrainingTasks,
     tensor_bytes,
 )
+from metapp.extensions.baselines.blending import blend_tile
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 from metapp.networks.layout import stretch_to_tile
+from metapp.networks.quilted import fetch_pieces
 
 COMPARISON_BLOCK_TASKS = 8  # training tasks whose Gram matrices are compared at once
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Return the baselines of textures."""
-    return NearestExemplar(app), Quilting(app)
+    return NearestExemplar(app), Quilting(app), Blending(app)
 
 
 class NearestExemplar(Baseline):
@@ -66,7 +71,10 @@ class NearestExemplar(Baseline):
 
 
 class Quilting(Baseline):
-    """Image quilting; a fit stores the exemplar, a byte for each number. Files tile; judged pictures need not."""
+    """Image quilting; a fit stores the exemplar, a byte for each number. Files tile; judged pictures need not.
+
+    Files have the scale of the exemplar or, where fits are pieces of the photograph itself, of the photograph.
+    """
 
     name = "quilting"
     title = "image quilting (Efros & Freeman 2001), blocks of a quarter of the exemplar"
@@ -77,17 +85,53 @@ class Quilting(Baseline):
     def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
         app = self.app
         assert isinstance(app, ExemplarApp)
-        exemplar = app.octaves.take_exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
+        image = tasks.data["image"][tasks.rows]
+        exemplar = app.octaves.take_exemplar(image.float() / 255)[0]
         size = exemplar.shape[1], exemplar.shape[2]
         pictures, exemplar_numbers = quilt_pictures(exemplar, size, rng), exemplar.numel()
 
         def answer_at_size(asked_size: tuple[int, int] | None) -> Tensor:
+            if isinstance(app, QuiltedTexture):
+                return quilt_photo(app.take_even_photo(image[0]), exemplar, asked_size, rng)[None, None]
             return quilt_tile(exemplar, asked_size or size, rng)[None, None]
 
         return BaselineFit(
             lambda: pictures,
             exemplar_numbers,
             exemplar_numbers,
+            picture=srgb_to_linear_picture(pictures[0, 0]),
+            answer_at_size=answer_at_size,
+        )
+
+
+class Blending(Baseline):
+    """Histogram-preserving blending; a fit stores the exemplar, a byte for each number. All pictures tile.
+
+    Files have the scale of the exemplar or, where fits are pieces of the photograph itself, of the photograph.
+    """
+
+    name = "blending"
+    title = "histogram-preserving blending of random patches of the exemplar (Heitz & Neyret 2018)"
+    cannot = "keep structure: bricks and threads dissolve, and only the colours and the grain of the exemplar stay"
+    is_resizable = True
+
+    @override
+    def fit(self, tasks: Tasks, rng: Generator, allowed: CostLimits) -> BaselineFit:
+        app = self.app
+        assert isinstance(app, ExemplarApp)
+        image = tasks.data["image"][tasks.rows]
+        exemplar = app.octaves.take_exemplar(image.float() / 255)[0]
+        even, size = remove_quadratic_trend(exemplar).clamp(0, 1), (exemplar.shape[1], exemplar.shape[2])
+        pictures = torch.stack([blend_tile(even, size, rng) for _ in range(JUDGED_PICTURES)])[None]
+
+        def answer_at_size(asked_size: tuple[int, int] | None) -> Tensor:
+            source = app.take_even_photo(image[0]) if isinstance(app, QuiltedTexture) else even
+            return blend_tile(source, asked_size or (source.shape[1], source.shape[2]), rng)[None, None]
+
+        return BaselineFit(
+            lambda: pictures,
+            exemplar.numel(),
+            exemplar.numel(),
             picture=srgb_to_linear_picture(pictures[0, 0]),
             answer_at_size=answer_at_size,
         )
@@ -116,6 +160,32 @@ def quilt_tile(exemplar: Tensor, size: tuple[int, int], rng: Generator) -> Tenso
     return quilt_pictures(source, size, rng, tiles=True, count=1, frequencies=frequencies)[0, 0]
 
 
+def quilt_photo(photo: Tensor, exemplar: Tensor, size: tuple[int, int] | None, rng: Generator) -> Tensor:
+    """Quilt a picture that tiles from blocks of a photograph, at the photograph's own scale and resolution.
+
+    Blocks are chosen in the exemplar, the small copy of the photograph, as :func:`quilt_tile` chooses them, and fetched
+    from the photograph.
+
+    Args:
+        photo: the photograph, [3, S, S'], sRGB in [0, 1], evenly lit.
+        exemplar: the copy, [3, H, W], sRGB in [0, 1].
+        size: the height and width of the picture in px; None for the photograph's.
+        rng: chooses among blocks that agree about as well.
+
+    Returns:
+        The picture, [3, *size], sRGB in [0, 1].
+    """
+    photo_size, cells = (photo.shape[1], photo.shape[2]), (exemplar.shape[1], exemplar.shape[2])
+    size = size or photo_size
+    tile_cells = count_tile_cells(size, photo_size, cells)
+    block = min(min(cells) // 4, min(tile_cells) // 2)  # a block of a tile must not meet itself
+    blocks = block, max(1, round(block / 6))
+    places = quilt_places(
+        remove_quadratic_trend(exemplar), tile_cells, blocks, make_numpy_generator(rng), stretches=True
+    )
+    return fetch_pieces(photo, places, size, cells).clamp(0, 1)
+
+
 def quilt_pictures(
     exemplar: Tensor,
     size: tuple[int, int],
@@ -139,7 +209,7 @@ def quilt_pictures(
     Returns:
         The pictures, [1, count, C, *size].
     """
-    numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
+    numbers = make_numpy_generator(rng)
     picture = exemplar.permute(1, 2, 0).numpy()
     block = min(choose_block_size(picture)[0], min(size) // 2)  # a block of a tile must not meet itself
     overlap = max(1, round(block / 6))
@@ -149,3 +219,8 @@ def quilt_pictures(
         for _ in range(count)
     ]
     return torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2)[None]
+
+
+def make_numpy_generator(rng: Generator) -> np.random.Generator:
+    """Make a generator of NumPy whose seed is drawn from a generator of torch."""
+    return np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))

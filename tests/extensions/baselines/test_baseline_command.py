@@ -43,18 +43,26 @@ def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:
     assert "expected nearest, quilting." in unknown.err
 
 
-def test_quilting_writes_files_that_tile_of_the_size_asked_for(metapp: Callable) -> None:
+@pytest.mark.parametrize(
+    ("app", "method", "file"),
+    [
+        ("texture", "quilting", "texture.png"),
+        ("texture", "blending", "texture.png"),
+        ("svbrdf_stationary", "quilting", "diffuse.png"),
+    ],
+)
+def test_methods_write_files_that_tile_of_the_size_asked_for(
+    app: str, method: str, file: str, metapp: Callable
+) -> None:
     """The columns at the edges of the picture go on in each other, as neighbouring columns do."""
     write_noise_photo(Path("wall.png"), 9, 80)
-    sized = ["--method", "quilting", "--recipe", "quick", "--size", "96x128", "--json"]
-    for app, file in (("texture", "texture.png"), ("svbrdf_stationary", "diffuse.png")):
-        result = metapp("baseline", app, "wall.png", *sized)
-        assert result.code == 0, result.err
-        picture = oiio.ImageBuf(str(Path(result.json_document["out"], "wall", file))).get_pixels("float")[..., :3]
-        assert picture.shape[:2] == (96, 128)
-        for axis in (0, 1):
-            steps = np.abs(np.diff(picture, axis=axis, append=picture.take([0], axis=axis))).mean((1 - axis, 2))
-            assert steps[-1] < 1.5 * steps[:-1].max()
+    result = metapp("baseline", app, "wall.png", "--method", method, "--recipe", "quick", "--size", "96x128", "--json")
+    assert result.code == 0, result.err
+    picture = oiio.ImageBuf(str(Path(result.json_document["out"], "wall", file))).get_pixels("float")[..., :3]
+    assert picture.shape[:2] == (96, 128)
+    for axis in (0, 1):
+        steps = np.abs(np.diff(picture, axis=axis, append=picture.take([0], axis=axis))).mean((1 - axis, 2))
+        assert steps[-1] < 1.5 * steps[:-1].max()
 
 
 def test_a_method_that_writes_one_size_refuses_others(metapp: Callable) -> None:
@@ -86,13 +94,35 @@ def test_an_application_without_methods_says_so(metapp: Callable) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("method", ["quilting", "blending"])
+@pytest.mark.parametrize("size", ["", "300x640"])
+def test_files_have_the_scale_and_resolution_of_the_photo(method: str, size: str, metapp: Callable) -> None:
+    """Without a size, files have the photograph's; the grain of its px is as strong as there."""
+    write_noise_photo(Path("wall.png"), 9, 512)
+    options = ["--size", size] if size else []
+    result = metapp("baseline", "texture", "wall.png", "--method", method, *options, "--json").json_result
+    picture, photo = (
+        oiio.ImageBuf(str(path)).get_pixels("float")[..., :3]
+        for path in (Path(result["out"], "wall", "texture.png"), Path("wall.png"))
+    )
+    assert picture.shape[:2] == ((300, 640) if size else (512, 512))
+    for axis in (0, 1):
+        changes = [float(np.abs(np.diff(values, axis=axis)).mean()) for values in (picture, photo)]
+        assert changes[0] == pytest.approx(changes[1], rel=0.1)
+    judged = metapp("baseline", "texture", "wall.png", "--method", method, "--json").json_result
+    assert result["tasks"][0]["error"] == judged["tasks"][0]["error"]  # of pictures of the exemplar's size
+
+
+@pytest.mark.long
 def test_a_method_reads_photos_at_the_detail_asked_for(metapp: Callable) -> None:
+    """Exemplars are finer; files have the size of the photograph at any detail."""
     write_noise_photo(Path("wall.png"), 9, 520)
-    sides = []
+    numbers = []
     for detail in ([], ["--detail", "512"]):
         result = metapp("baseline", "texture", "wall.png", "--method", "quilting", *detail, "--json").json_result
         spec = oiio.ImageBuf(str(Path(result["out"], "wall", "texture.png"))).spec()
-        sides.append((spec.width, "detail512" in result["out"]))
-    assert sides == [(256, False), (512, True)]
+        assert (spec.width, "detail512" in result["out"]) == (520, bool(detail))
+        numbers.append(result["tasks"][0]["numbers"])
+    assert numbers == [3 * 256**2, 3 * 512**2]
     refused = metapp("baseline", "texture", "wall.png", "--detail", "300")
     assert (refused.code, "expected one of 256, 512" in refused.err) == (2, True)

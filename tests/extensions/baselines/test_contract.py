@@ -146,8 +146,8 @@ def test_every_application_has_baselines_and_its_table_prints_them(
         console.print(make_rich_table(table))
     text = " ".join(shown.get().split())
     assert not any("no training tasks" in note for note in table.notes)
-    drawn = ["nearest", "quilting"] if name in ("texture", "svbrdf_stationary") else []
-    assert list(table.fits)[1:] == drawn or not table.fits
+    drawn = {"svbrdf_stationary": ["nearest", "quilting"], "texture": ["nearest", "quilting", "blending"]}
+    assert list(table.fits)[1:] == drawn.get(name, []) or not table.fits
     for baseline in offered:
         assert baseline.name in text
         assert any(baseline.cannot in note for note in table.notes)
@@ -164,7 +164,7 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
     subject.requested["meta"] = subject.tasks, records
     assert subject.draw_fits("baselines", {}) is None
     table = subject.table("baselines")
-    assert list(table.fits) == ["meta", "nearest", "quilting"]
+    assert list(table.fits) == ["meta", "nearest", "quilting", "blending"]
     drawn = subject.draw_fits("baselines", table.fits)
     assert drawn == subject.run.options.out / "texture" / f"baselines-{subject.label}-quick.png"
     assert drawn.read_bytes().startswith(b"\x89PNG")

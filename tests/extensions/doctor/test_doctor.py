@@ -11,11 +11,11 @@ def test_doctor_lists_what_is_installed(metapp: Callable, cache: Path) -> None:
     document = metapp("doctor", "--json").json_document
     assert document["versions"]["torch"] == metadata.version("torch")
     assert document["cache"] == str(cache)
-    assert document["checkpoints"]["texture full"] == "general, meta-axes, quickft"
+    assert document["checkpoints"]["texture full"] == "general, meta-encoder, quickft"
     assert "brdf full" not in document["checkpoints"]  # of the quick recipe's size, in its folder
     out = metapp("doctor").out
     assert out.startswith("versions")
-    assert "; texture full: general, meta-axes, quickft; " in out
+    assert "; texture full: general, meta-encoder, quickft; " in out
 
 
 def test_doctor_reports_a_missing_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:

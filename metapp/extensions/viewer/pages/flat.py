@@ -25,7 +25,7 @@ from metapp.appearance.flash import (
     texel_positions,
     unpack_maps,
 )
-from metapp.appearance.quilting import choose_block_size, quilt
+from metapp.appearance.quilting import choose_block_size, quilt_pixel_numbers
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
 from metapp.apps.svbrdf_nonstationary.presenter import SvbrdfNonstationaryPresenter
@@ -34,8 +34,11 @@ from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
 from metapp.apps.texture.presenter import TexturePresenter
 from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, crop_thumbnail, reference_light_map
 from metapp.learning.task import Params, Task
+from metapp.networks.quilted import fetch_pieces
 
-QUILTED_SIDE_RATIO = 2  # side of the quilted texture over the exemplar's; 4 would take six times as long
+QUILTED_SIDE_RATIO = 2  # side of the quilted texture over a small exemplar's; 4 would take six times as long
+MAX_QUILTED_SIDE_PX = 256  # of exemplars in which pieces are chosen
+MAX_TEXTURE_SIDE_PX = 1024  # of textures on a page
 MAX_SURFACE_SIDE_TEXELS = 1024  # of maps on a page
 MAX_PHOTO_SIDE_PX = 512  # of photographs on a page
 
@@ -107,21 +110,42 @@ def make_texture_view(presenter: TexturePresenter, theta: Params, task: Task) ->
         theta: the parameters of the fit, without a task axis.
         task: the task that was fitted, without data if they are not at hand.
     """
-    app = presenter.app
     fit = presenter.pictures(theta, task)["texture"].pixels
     pictures, tiles = {"fit": fit}, {"exemplar": "seams", "fit": "whole", "image quilting": "seams"}
     if "image" in task.data:
-        photo = task.data["image"][None].float() / 255
-        exemplar = pictures["exemplar"] = app.octaves.take_exemplar(photo)[0].permute(1, 2, 0)
-        pixels = exemplar.numpy()
-        size = QUILTED_SIDE_RATIO * exemplar.shape[0], QUILTED_SIDE_RATIO * exemplar.shape[1]
-        block, overlap = choose_block_size(pixels)
-        rng = np.random.default_rng(0)  # so that a page that is made again shows the same texture
-        quilted = quilt(pixels, size, rng, block=block, overlap=overlap)
-        pictures["image quilting"] = torch.from_numpy(quilted)
+        exemplar = presenter.exemplar_at_file_scale(task)
+        if (times := exemplar.shape[-1] / MAX_TEXTURE_SIDE_PX) > 1:
+            fit, exemplar = (_reduce_picture(picture, times) for picture in (fit.permute(2, 0, 1), exemplar))
+            fit = fit.permute(1, 2, 0)
+        pictures = {"fit": fit, "exemplar": exemplar.permute(1, 2, 0), "image quilting": _quilt_exemplar(exemplar)}
     rows = [{"title": name, "name": name, "tiles": tiling} for name, tiling in tiles.items() if name in pictures]
     facts = {"pictures": rows, "compared": [rows[0]["title"], "fit"]}
     return View("pictures", pictures=pictures, facts=facts, thumbnail=crop_thumbnail(fit))
+
+
+def _reduce_picture(picture: Tensor, times: float) -> Tensor:
+    """Reduce the sides of a picture [C, H, W] by a factor, not only a whole one."""
+    return adaptive_avg_pool2d(picture, (round(picture.shape[1] / times), round(picture.shape[2] / times)))
+
+
+def _quilt_exemplar(exemplar: Tensor) -> Tensor:
+    """Quilt a picture [h, w, 3] of an exemplar [3, H, W]; a page that is made again shows the same one.
+
+    Pieces are chosen in a copy of the exemplar of MAX_QUILTED_SIDE_PX, and fetched from the exemplar itself. Of a small
+    exemplar the picture has QUILTED_SIDE_RATIO times the sides.
+    """
+    side = exemplar.shape[-1]
+    small = _reduce_picture(exemplar, max(1.0, side / MAX_QUILTED_SIDE_PX))
+    height, width = small.shape[1:]
+    ratio = QUILTED_SIDE_RATIO if side <= MAX_QUILTED_SIDE_PX else 1
+    pixels = small.permute(1, 2, 0).numpy()
+    block, overlap = choose_block_size(pixels)
+    cells = ratio * height, ratio * width
+    numbers = quilt_pixel_numbers(pixels, cells, np.random.default_rng(0), block=block, overlap=overlap)
+    rows, columns = torch.from_numpy(numbers // width), torch.from_numpy(numbers % width)
+    places = torch.stack([(rows + 0.5) / height, (columns + 0.5) / width])
+    size = ratio * exemplar.shape[1], ratio * exemplar.shape[2]
+    return fetch_pieces(exemplar, places, size, (height, width)).clamp(0, 1).permute(1, 2, 0)
 
 
 def make_surface_view(

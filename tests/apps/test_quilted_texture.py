@@ -1,0 +1,189 @@
+"""Textures of pieces of a photograph: where a fit begins, what steps change, and what files hold."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d
+
+from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison, compare_lines
+from metapp.appearance.order import find_lattice, kept_order_share, remove_quadratic_trend
+from metapp.apps import recipe_of
+from metapp.apps.exemplar.octaves import Octaves
+from metapp.apps.texture.presenter import MIN_LINE_STRENGTH, TexturePresenter
+from metapp.apps.texture.quilted import QuiltedTexture, order_penalty, quilt_places
+from metapp.learning.app import stack_tasks
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Params, Task, Tasks
+from metapp.networks.quilted import LightGrid
+from metapp.paradigms.adam import Overfit
+
+APP = QuiltedTexture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=4)
+
+
+def pavement(side: int) -> Tensor:
+    """Draw stones of several colours in courses, of which eight fill the height, with noise, uint8 [3, side, side]."""
+    at = torch.arange(side) * 64 // side
+    rng = Generator().manual_seed(1)
+    colours = torch.randint(90, 200, (8, 8), generator=rng)
+    stones = colours[at[:, None] // 8, (at[None] + 4 * (at[:, None] // 8 % 2)) // 8 % 8]
+    joints = (at[:, None] % 8 == 0) | ((at[None] + 4 * (at[:, None] // 8 % 2)) % 8 == 0)
+    picture = torch.where(joints, 30, stones).expand(3, -1, -1)
+    return (picture + torch.randint(-20, 20, (3, side, side), generator=rng)).clamp(0, 255).to(torch.uint8)
+
+
+@pytest.fixture(scope="module")
+def task() -> Task:
+    return Task("pavement", {"image": pavement(192)})
+
+
+@pytest.fixture(scope="module")
+def tasks(task: Task) -> Tasks:
+    return stack_tasks(APP, [task])
+
+
+@pytest.fixture(scope="module")
+def theta(tasks: Tasks) -> Params:
+    recipe = replace(recipe_of("texture", "full"), app=APP)
+    return Overfit.of(APP, recipe, steps=8).fit(MetaParameters(), tasks, Generator().manual_seed(0))
+
+
+def test_fits_begin_with_the_error_of_the_quilt_and_lower_it(tasks: Tasks, theta: Params) -> None:
+    first = APP.init(Generator().manual_seed(0), 1) | APP.task_parameters(tasks)
+    quilt = APP.statistics.errors(first["quilt"][:, None].clamp(0, 1), tasks)["error"]
+    begun, ended = (float(APP.errors(parameters, tasks)["error"]) for parameters in (first, theta))
+    assert begun == pytest.approx(float(quilt), rel=0.3)  # of pictures that are moved, whose borders differ
+    assert ended < 0.95 * begun
+
+
+def test_no_step_changes_the_quilt(tasks: Tasks, theta: Params) -> None:
+    for name, value in APP.task_parameters(tasks).items():
+        assert torch.equal(theta[name], value)
+    change = (APP.network(theta, theta["quilt"]) - theta["quilt"].clamp(0, 1)).square().mean().sqrt()
+    assert 0.001 < float(change) < 0.04
+
+
+def test_pieces_are_copies_of_the_exemplar_and_tile(task: Task, tasks: Tasks) -> None:
+    """All values of a quilt stand in the exemplar, and edges of the tile continue at the opposite ones."""
+    even = remove_quadratic_trend(APP.octaves.take_exemplar(task.data["image"][None].float() / 255)[0])
+    places = quilt_places(even, APP.cells, (16, 5), np.random.default_rng(4), stretches=False)
+    rows, columns = ((places * 64 - 0.5).round().long()).unbind()
+    assert 0 <= int(min(rows.min(), columns.min())) <= int(max(rows.max(), columns.max())) < 64
+    picture = even[:, rows, columns]
+    inside, across = (picture.diff(dim=1).abs().mean(), (picture[:, 0] - picture[:, -1]).abs().mean())
+    assert float(across) < 1.5 * float(inside)
+
+
+def test_the_best_candidate_is_taken(task: Task) -> None:
+    """Of four quilts the chosen one has the least error at half the size, with the penalty on lost order."""
+    exemplar = APP.octaves.take_exemplar(task.data["image"][None].float() / 255)
+    lattice = find_lattice(remove_quadratic_trend(exemplar[0]))
+    small_targets = APP.statistics.describe(avg_pool2d(exemplar, 2), 1)
+    errors = []
+    for candidates in (1, 4):
+        quilts = replace(APP, candidates=candidates).make_targets(exemplar)["quilt"]
+        distance = APP.statistics.gram_distance(avg_pool2d(quilts, 2)[:, None], small_targets)
+        errors.append(float(distance) + order_penalty(lattice, quilts[0]))
+    assert errors[1] <= errors[0]
+
+
+def test_order_is_kept(task: Task, theta: Params) -> None:
+    exemplar = APP.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
+    lattice = find_lattice(remove_quadratic_trend(exemplar))
+    assert kept_order_share(lattice, APP.network(theta, theta["quilt"])[0]) > 0.8
+
+
+@pytest.mark.parametrize("candidate", [0, 1, 2])
+def test_lost_order_costs(candidate: int) -> None:
+    exemplar = pavement(64).float() / 255
+    lattice = find_lattice(exemplar)
+    assert order_penalty(lattice, exemplar) == 0
+    scattered = exemplar.flatten(1)[:, torch.randperm(64 * 64, generator=Generator().manual_seed(candidate))]
+    assert order_penalty(lattice, scattered.unflatten(1, (64, 64))) > 0.15
+
+
+def test_files_have_the_resolution_of_the_photograph(task: Task, theta: Params) -> None:
+    """A file has the photograph's size; reduced to the size of fits, it is the picture that was fitted."""
+    batch = {key: value[:1] for key, value in theta.items()}
+    tile = APP.draw_tile(batch, task, None)
+    assert tile.shape == (3, 192, 192)
+    small = avg_pool2d(tile[None], 3)[0]
+    fitted = APP.network(theta, theta["quilt"])[0]
+    assert float((small - fitted).abs().mean()) < 0.03
+    detail = [float(picture.diff(dim=2).abs().mean()) for picture in (tile, task.data["image"].float() / 255)]
+    assert 0.85 < detail[0] / detail[1] < 1.15  # as sharp as the photograph
+
+
+@pytest.mark.parametrize("size", [(256, 128), (384, 384), (100, 300)])
+def test_other_sizes_have_structures_of_equal_size(task: Task, theta: Params, size: tuple[int, int]) -> None:
+    presenter = TexturePresenter(APP, size)
+    picture = presenter.pictures({key: value[0] for key, value in theta.items()}, task)["texture"].pixels
+    assert tuple(picture.shape) == (*size, 3)
+    detail = [
+        float(values.diff(dim=-1).abs().mean()) for values in (picture.movedim(-1, 0), task.data["image"].float() / 255)
+    ]
+    assert 0.7 < detail[0] / detail[1] < 1.3
+    columns = picture.diff(dim=1).abs().mean((0, 2))
+    assert float((picture[:, 0] - picture[:, -1]).abs().mean()) < 1.2 * float(columns.max())  # where joints stand
+
+
+def test_augmented_exemplars_have_quilts_of_their_own(tasks: Tasks) -> None:
+    augmented = APP.augment(tasks.select([0, 0]), Generator().manual_seed(0))
+    assert augmented.data["quilt"].shape == (2, 3, 64, 64)
+    assert not torch.equal(augmented.data["quilt"][0], augmented.data["quilt"][1])
+
+
+# What is said of fits that lost structure
+
+
+def test_lost_structure_is_said_with_a_remedy(tasks: Tasks, theta: Params, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is said of the fit itself; of scattered px, of broken lines and of seams one clause each."""
+    presenter = TexturePresenter(APP)
+    comparisons = iter(
+        [
+            LineComparison(1.0, 1.0),
+            LineComparison(0.834, 1.0),
+            LineComparison(1.0, SEAM_STRENGTH_RATIO + 0.3),
+        ]
+    )
+    monkeypatch.setattr("metapp.apps.exemplar.presenter.compare_lines", lambda *_: next(comparisons))
+    assert presenter.quality_warnings(theta, tasks) == [[]]
+    order = torch.randperm(64 * 64, generator=Generator().manual_seed(0))
+    scattered = theta | {"quilt": theta["quilt"].flatten(2)[..., order].unflatten(2, (64, 64))}
+    ((clause,),) = presenter.quality_warnings(scattered, tasks)
+    assert re.fullmatch(
+        r"keeps 0\.\d\d of the photo's regular structure \(a photo that shows it more often helps\)", clause
+    )
+    ((broken,),), ((seams,),) = (presenter.quality_warnings(theta, tasks) for _ in range(2))
+    assert broken.startswith("breaks lines of the photo such as joints, cracks or threads (0.83 as strong, ")
+    assert seams.startswith("shows seams, lines 1.8 times as strong")
+
+
+def test_lines_of_torn_pictures_are_weak_and_those_of_fits_are_not(task: Task) -> None:
+    photo = pavement(256).float() / 255
+    rng = Generator().manual_seed(3)
+    torn = photo.clone()
+    for row in range(0, 256, 16):
+        for column in range(0, 256, 16):
+            y, x = torch.randint(0, 240, (2,), generator=rng).tolist()
+            torn[:, row : row + 16, column : column + 16] = photo[:, y : y + 16, x : x + 16]
+    moved = photo.roll((64, 64), (1, 2))
+    assert compare_lines(photo, torn).fine_ratio < MIN_LINE_STRENGTH < compare_lines(photo, moved).fine_ratio
+
+
+def test_textures_without_the_photograph_have_the_size_of_the_quilt(theta: Params) -> None:
+    batch = {key: value[:1] for key, value in theta.items()}
+    assert APP.draw_tile(batch, Task("gone", {}), None).shape == (3, 64, 64)
+
+
+def test_a_finer_detail_has_structures_of_equal_size(task: Task) -> None:
+    """At twice the resolution quilts have as many cells, and structures are twice as large in texels."""
+    fine = replace(APP, octaves=replace(APP.octaves, height=128, width=128, finer=1), candidates=2)
+    targets = stack_tasks(fine, [task]).data
+    assert targets["places"].shape == (1, 2, 64, 64)
+    assert targets["quilt"].shape == (1, 3, 128, 128)
+    steps = (targets["places"][0, 0].diff(dim=0) * 64)[:, 32]
+    assert float(steps.median()) == pytest.approx(1, abs=0.1)
