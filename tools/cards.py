@@ -4,7 +4,7 @@ FOLDER holds exemplars of the embedded data sets as pictures (`metapp data synth
 ball2.jpg (`metapp.appearance.photograph.render_mirror_spheres` of a map of `metapp data synth illumination --rows 256`,
 on grey, each a third as bright as the one before), and the runs of
 
-    metapp meta texture bricks.png
+    metapp meta texture bricks.png --size 512
     metapp meta svbrdf_stationary rust.png leather.png --export blender
     metapp meta svbrdf_nonstationary sign.png
     metapp meta transport --data boxes --render 256       (metapp data cornell --count 2 --split test --out boxes)

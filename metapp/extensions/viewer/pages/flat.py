@@ -36,7 +36,7 @@ from metapp.extensions.viewer.view import MAX_THUMBNAIL_PX, View, crop_thumbnail
 from metapp.learning.task import Params, Task
 from metapp.networks.quilted import fetch_pieces
 
-QUILTED_SIDE_RATIO = 2  # side of the quilted texture over a small exemplar's; 4 would take six times as long
+QUILTED_SIDE_RATIO = 2  # side of the quilted texture over the exemplar's beside a larger fit; 4 takes six times as long
 MAX_QUILTED_SIDE_PX = 256  # of exemplars in which pieces are chosen
 MAX_TEXTURE_SIDE_PX = 1024  # of textures on a page
 MAX_SURFACE_SIDE_TEXELS = 1024  # of maps on a page
@@ -117,7 +117,12 @@ def make_texture_view(presenter: TexturePresenter, theta: Params, task: Task) ->
         if (times := exemplar.shape[-1] / MAX_TEXTURE_SIDE_PX) > 1:
             fit, exemplar = (_reduce_picture(picture, times) for picture in (fit.permute(2, 0, 1), exemplar))
             fit = fit.permute(1, 2, 0)
-        pictures = {"fit": fit, "exemplar": exemplar.permute(1, 2, 0), "image quilting": _quilt_exemplar(exemplar)}
+        ratio = QUILTED_SIDE_RATIO if fit.shape[0] > exemplar.shape[1] else 1
+        pictures = {
+            "fit": fit,
+            "exemplar": exemplar.permute(1, 2, 0),
+            "image quilting": _quilt_exemplar(exemplar, ratio),
+        }
     rows = [{"title": name, "name": name, "tiles": tiling} for name, tiling in tiles.items() if name in pictures]
     facts = {"pictures": rows, "compared": [rows[0]["title"], "fit"]}
     return View("pictures", pictures=pictures, facts=facts, thumbnail=crop_thumbnail(fit))
@@ -128,16 +133,21 @@ def _reduce_picture(picture: Tensor, times: float) -> Tensor:
     return adaptive_avg_pool2d(picture, (round(picture.shape[1] / times), round(picture.shape[2] / times)))
 
 
-def _quilt_exemplar(exemplar: Tensor) -> Tensor:
-    """Quilt a picture [h, w, 3] of an exemplar [3, H, W]; a page that is made again shows the same one.
+def _quilt_exemplar(exemplar: Tensor, ratio: int) -> Tensor:
+    """Quilt a picture of `ratio` times the sides of an exemplar; a page that is made again shows the same one.
 
-    Pieces are chosen in a copy of the exemplar of MAX_QUILTED_SIDE_PX, and fetched from the exemplar itself. Of a small
-    exemplar the picture has QUILTED_SIDE_RATIO times the sides.
+    Pieces are chosen in a copy of the exemplar of MAX_QUILTED_SIDE_PX, and fetched from the exemplar itself.
+
+    Args:
+        exemplar: display values [3, H, W].
+        ratio: a whole number.
+
+    Returns:
+        Display values [ratio H, ratio W, 3].
     """
     side = exemplar.shape[-1]
     small = _reduce_picture(exemplar, max(1.0, side / MAX_QUILTED_SIDE_PX))
     height, width = small.shape[1:]
-    ratio = QUILTED_SIDE_RATIO if side <= MAX_QUILTED_SIDE_PX else 1
     pixels = small.permute(1, 2, 0).numpy()
     block, overlap = choose_block_size(pixels)
     cells = ratio * height, ratio * width
