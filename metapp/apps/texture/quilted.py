@@ -6,6 +6,7 @@ photograph at the photograph's own resolution, so that structures are as large a
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -161,7 +162,7 @@ class QuiltedTexture(Texture):
             theta: a fit, with a task axis of length 1.
             task: the task that was fitted.
             size: height and width in px, for which the tile is quilted once more; None for the photograph's. If the
-                task holds no photograph, the tile has the size of the quilt in the fit.
+                task holds no photograph, the tile has the size of the quilt in the fit, and a warning says so.
 
         Returns:
             The texture [3, *size], sRGB in [0, 1].
@@ -171,6 +172,12 @@ class QuiltedTexture(Texture):
             photo = self.take_even_photo(task.data["image"])
             photo_size = photo.shape[1], photo.shape[2]
             quilt = fetch_pieces(photo, theta["places"][0], photo_size, self.cells)[None]
+        else:
+            warnings.warn(
+                f"{task.name}: its photo is not at hand, expected for the photo's resolution; the texture has "
+                f"{quilt.shape[-1]} px a side. Fit the photo again.",
+                stacklevel=2,
+            )
         tile = self.network(theta, quilt)[0]
         own_size = tile.shape[1], tile.shape[2]
         if size is None or size == own_size:
