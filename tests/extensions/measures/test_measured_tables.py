@@ -12,7 +12,7 @@ from metapp.appearance.pictures import TimedFit
 from metapp.apps import presenter_of
 from metapp.evaluation.table import format_tables
 from metapp.evaluation.tables import image
-from metapp.learning.app import App
+from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE
 from tests.extensions.measures.test_measures import needs_weights
@@ -39,7 +39,8 @@ FURTHER = {
 def printed(app: App, sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> tuple[set[str], str]:
     """The measures in the rows of a random fit, and the table with its notes."""
     task = sources[0]
-    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(1), 1).items()}
+    batch = app.init(Generator().manual_seed(1), 1) | app.task_parameters(stack_tasks(app, [task]))
+    theta = {key: value[0] for key, value in batch.items()}
     measures = measure_pictures(presenter_of(app), {"meta": TimedFit(theta, 0.1)}, task)
     records = [{"name": task.name, "error": None, "measures": measures}]
     subject: Any = SimpleNamespace(
