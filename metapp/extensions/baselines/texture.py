@@ -7,6 +7,8 @@ photograph itself, both methods write files at the scale and resolution of the p
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Generator, Tensor
@@ -88,20 +90,14 @@ class Quilting(Baseline):
         image = tasks.data["image"][tasks.rows]
         exemplar = app.octaves.take_exemplar(image.float() / 255)[0]
         size = exemplar.shape[1], exemplar.shape[2]
-        pictures, exemplar_numbers = quilt_pictures(exemplar, size, rng), exemplar.numel()
+        pictures = quilt_pictures(exemplar, size, rng)
 
         def answer_at_size(asked_size: tuple[int, int] | None) -> Tensor:
             if isinstance(app, QuiltedTexture):
                 return quilt_photo(app.take_even_photo(image[0]), exemplar, asked_size, rng)[None, None]
             return quilt_tile(exemplar, asked_size or size, rng)[None, None]
 
-        return BaselineFit(
-            lambda: pictures,
-            exemplar_numbers,
-            exemplar_numbers,
-            picture=srgb_to_linear_picture(pictures[0, 0]),
-            answer_at_size=answer_at_size,
-        )
+        return _make_exemplar_fit(exemplar, pictures, answer_at_size)
 
 
 class Blending(Baseline):
@@ -128,13 +124,26 @@ class Blending(Baseline):
             source = app.take_even_photo(image[0]) if isinstance(app, QuiltedTexture) else even
             return blend_tile(source, asked_size or (source.shape[1], source.shape[2]), rng)[None, None]
 
-        return BaselineFit(
-            lambda: pictures,
-            exemplar.numel(),
-            exemplar.numel(),
-            picture=srgb_to_linear_picture(pictures[0, 0]),
-            answer_at_size=answer_at_size,
-        )
+        return _make_exemplar_fit(exemplar, pictures, answer_at_size)
+
+
+def _make_exemplar_fit(
+    exemplar: Tensor, pictures: Tensor, answer_at_size: Callable[[tuple[int, int] | None], Tensor]
+) -> BaselineFit:
+    """Make the fit of a method that stores the exemplar, a byte for each number.
+
+    Args:
+        exemplar: display values [3, H, W].
+        pictures: the pictures that are judged, [1, B, 3, H, W].
+        answer_at_size: makes the picture of files [1, 1, 3, h, w] of a size in px; None is the method's own size.
+    """
+    return BaselineFit(
+        lambda: pictures,
+        exemplar.numel(),
+        exemplar.numel(),
+        picture=srgb_to_linear_picture(pictures[0, 0]),
+        answer_at_size=answer_at_size,
+    )
 
 
 def srgb_to_linear_picture(srgb: Tensor) -> Tensor:
