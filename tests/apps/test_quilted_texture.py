@@ -14,7 +14,7 @@ from metapp.appearance.order import find_lattice, kept_order_share, remove_quadr
 from metapp.apps import recipe_of
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.texture.presenter import MIN_LINE_STRENGTH, TexturePresenter
-from metapp.apps.texture.quilted import QuiltedTexture, order_penalty, quilt_places
+from metapp.apps.texture.quilted import QuiltedTexture, make_piece_source, order_penalty, quilt_places
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
@@ -69,7 +69,8 @@ def test_no_step_changes_the_quilt(tasks: Tasks, theta: Params) -> None:
 def test_pieces_are_copies_of_the_exemplar_and_tile(task: Task, tasks: Tasks) -> None:
     """All values of a quilt stand in the exemplar, and edges of the tile continue at the opposite ones."""
     even = remove_quadratic_trend(APP.octaves.take_exemplar(task.data["image"][None].float() / 255)[0])
-    places = quilt_places(even, APP.cells, (16, 5), np.random.default_rng(4), stretches=False)
+    source = make_piece_source(even, APP.cells, stretches=False)
+    places = quilt_places(source, APP.cells, (16, 5), np.random.default_rng(4))
     rows, columns = ((places * 64 - 0.5).round().long()).unbind()
     assert 0 <= int(min(rows.min(), columns.min())) <= int(max(rows.max(), columns.max())) < 64
     picture = even[:, rows, columns]

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 from typing_extensions import override
@@ -101,11 +103,12 @@ class QuiltedTexture(Texture):
         even, octave = remove_quadratic_trend(exemplar), min(1, self.octaves.count - 1)
         lattice, targets = find_lattice(even), self.statistics.describe(_halve(exemplar[None], octave), octave)
         small = interpolate(even[None], size=self.cells, mode="area")[0]
+        sources = [make_piece_source(small, self.cells, stretches=stretches) for stretches in (True, False)]
         best, least = None, float("inf")
         for candidate in range(self.candidates):
-            stretches = candidate // len(BLOCKS) % 2 == 0
+            source = sources[candidate // len(BLOCKS) % 2]
             rng = np.random.default_rng(candidate)
-            places = quilt_places(small, self.cells, BLOCKS[candidate % len(BLOCKS)], rng, stretches=stretches)
+            places = quilt_places(source, self.cells, BLOCKS[candidate % len(BLOCKS)], rng)
             size = exemplar.shape[1], exemplar.shape[2]
             picture = fetch_pieces(even, places, size, self.cells).clamp(0, 1)
             error = 0.0
@@ -186,7 +189,8 @@ class QuiltedTexture(Texture):
         tile_cells = count_tile_cells(size, own_size, self.cells)
         rng = np.random.default_rng(TILE_SEED)
         holds_whole_tiles = all(length % own == 0 for length, own in zip(size, own_size, strict=True))
-        places = quilt_places(small_tile, tile_cells, BLOCKS[1], rng, stretches=not holds_whole_tiles)
+        source = make_piece_source(small_tile, tile_cells, stretches=not holds_whole_tiles)
+        places = quilt_places(source, tile_cells, BLOCKS[1], rng)
         return fetch_pieces(tile, places, size, self.cells).clamp(0, 1)
 
 
@@ -217,44 +221,60 @@ def count_tile_cells(size: tuple[int, int], photo_size: tuple[int, int], cells: 
     return rows, columns
 
 
-def quilt_places(
-    exemplar: Tensor,
-    cells: tuple[int, int],
-    blocks: tuple[int, int],
-    rng: np.random.Generator,
-    *,
-    stretches: bool,
-) -> Tensor:
-    """Quilt a tile of an exemplar, and return where its cells come from.
+class PieceSource(NamedTuple):
+    """The picture that pieces of a tile are taken from.
+
+    Attributes:
+        pixels: the picture, [3, h, w].
+        places: the place (y, x) of the centre of each px in the exemplar, in its sides, [2, h, w].
+        frequencies: the frequencies of its lattice in cycles per px, with which all pieces are in phase, or None.
+    """
+
+    pixels: Tensor
+    places: Tensor
+    frequencies: NDArray[np.floating] | None = None
+
+
+def make_piece_source(exemplar: Tensor, cells: tuple[int, int], *, stretches: bool) -> PieceSource:
+    """Make the source of the pieces of a tile.
 
     Args:
-        exemplar: the source of pieces, evenly lit, [3, H, W].
+        exemplar: an evenly lit picture, [3, H, W].
         cells: the rows and columns of the tile, in px of the exemplar.
-        blocks: the side and the overlap of blocks in px.
-        rng: chooses among blocks that agree about as well.
         stretches: whether an exemplar with a strong lattice is stretched, so that the tile holds whole periods of it.
-
-    Returns:
-        The place (y, x) of the centre of each cell in the exemplar, in its sides, [2, rows, columns].
     """
     places = torch.stack(
         torch.meshgrid(*((torch.arange(side) + 0.5) / side for side in exemplar.shape[1:]), indexing="ij")
     ).to(exemplar)
-    frequencies = None
-    if stretches:
-        change, lattice_frequencies = find_stretch(exemplar, cells)
-        if change is not None:
-            exemplar, places = apply_stretch(exemplar, change), apply_stretch(places, change)
-            frequencies = lattice_frequencies.numpy()
-    block = min(blocks[0], *exemplar.shape[1:], *cells)
+    change, frequencies = find_stretch(exemplar, cells) if stretches else (None, None)
+    if change is None or frequencies is None:
+        return PieceSource(exemplar, places)
+    return PieceSource(apply_stretch(exemplar, change), apply_stretch(places, change), frequencies.numpy())
+
+
+def quilt_places(
+    source: PieceSource, cells: tuple[int, int], blocks: tuple[int, int], rng: np.random.Generator
+) -> Tensor:
+    """Quilt a tile of an exemplar, and return where its cells come from.
+
+    Args:
+        source: the source of pieces.
+        cells: the rows and columns of the tile, in px of the source.
+        blocks: the side and the overlap of blocks in px.
+        rng: chooses among blocks that agree about as well.
+
+    Returns:
+        The place (y, x) of the centre of each cell in the exemplar, in its sides, [2, rows, columns].
+    """
+    block = min(blocks[0], *source.pixels.shape[1:], *cells)
     numbers = quilt_pixel_numbers(
-        exemplar.permute(1, 2, 0).cpu().numpy(),
+        source.pixels.permute(1, 2, 0).cpu().numpy(),
         cells,
         rng,
         block=block,
         overlap=max(1, min(blocks[1], block // 3)),
         tiles=True,
-        frequencies=frequencies,
+        frequencies=source.frequencies,
     )
-    result: Tensor = places.flatten(1)[:, torch.from_numpy(numbers)]
+    result: Tensor = source.places.flatten(1)[:, torch.from_numpy(numbers)]
     return result

@@ -19,7 +19,7 @@ from metapp.appearance.features import statistics_distance
 from metapp.appearance.order import remove_quadratic_trend
 from metapp.appearance.quilting import choose_block_size, quilt
 from metapp.apps.exemplar.app import JUDGED_PICTURES, ExemplarApp
-from metapp.apps.texture.quilted import QuiltedTexture, count_tile_cells, quilt_places
+from metapp.apps.texture.quilted import QuiltedTexture, count_tile_cells, make_piece_source, quilt_places
 from metapp.extensions.baselines.baseline import (
     INDEX_NUMBERS_AND_BYTES,
     Baseline,
@@ -189,9 +189,8 @@ def quilt_photo(photo: Tensor, exemplar: Tensor, size: tuple[int, int] | None, r
     tile_cells = count_tile_cells(size, photo_size, cells)
     block = min(min(cells) // 4, min(tile_cells) // 2)  # a block of a tile must not meet itself
     blocks = block, max(1, round(block / 6))
-    places = quilt_places(
-        remove_quadratic_trend(exemplar), tile_cells, blocks, make_numpy_generator(rng), stretches=True
-    )
+    source = make_piece_source(remove_quadratic_trend(exemplar), tile_cells, stretches=True)
+    places = quilt_places(source, tile_cells, blocks, make_numpy_generator(rng))
     return fetch_pieces(photo, places, size, cells).clamp(0, 1)
 
 
