@@ -8,6 +8,7 @@ behind it; a test task also the material under other lights, for judging.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from metapp.appearance.flash import (
     camera_position,
     map_statistics,
     normal_from_height,
+    pack_maps,
     radiance_to_display,
     relighting_positions,
     render_maps,
@@ -38,6 +40,8 @@ UNITS = {
     "relit": "photographs under other lights, sRGB display values 0..255, [3, 3, S, S]; test tasks only",
     "truth": "statistics of the maps under the photo's exposure, at 256, 128 and 64 px, float32 [3, 2, 6] as of "
     "metapp.appearance.flash.map_statistics; training tasks only",
+    "maps": "the maps under the photo's exposure, float16 [10, S, S], packed by metapp.appearance.flash.pack_maps; "
+    "training tasks only, where they are asked for",
 }
 
 # Families that are flat enough to be maps on a plane: without loose grass, leaves, and materials that are mostly print.
@@ -47,7 +51,7 @@ SIZE = 256  # px a side
 _STREAM = 1  # a key of the random streams: other materials than in the set of textures
 
 
-def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -> Iterator[Task]:
+def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, *, maps: bool = False) -> Iterator[Task]:
     """Draw the materials of one split, and yield each one's photo as a task.
 
     Args:
@@ -55,33 +59,49 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
         count: how many. A larger set begins with the smaller one.
         seed: seed of all draws, >= 0.
         size: px a side of the pictures; another size draws other pictures of the families.
+        maps: whether training tasks also hold their maps.
 
     Returns:
         Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
-        [3, size, size], sRGB; in the training split also `truth`, float32 [3, 2, 6], in the test split `relit`, uint8
-        [3, 3, size, size], the material at the photo's exposure under `metapp.appearance.flash.relighting_positions`.
+        [3, size, size], sRGB. Training tasks also hold `truth`, float32 [3, 2, 6], and if they are asked for `maps`,
+        float16 [10, size, size]; test tasks hold `relit`, uint8 [3, 3, size, size], the material at the photo's
+        exposure under `metapp.appearance.flash.relighting_positions`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
     for family, name, rng in split_draws("svBRDFs", FLAT_FAMILIES, COUNTS, split, count, seed, _STREAM):
-        image, relit, truth = take_flash_photos(FAMILIES[family](rng, size), rng)
-        yield Task(name, {"image": image} | ({"relit": relit} if split == "test" else {"truth": truth}))
+        shots = take_flash_photos(FAMILIES[family](rng, size), rng)
+        if split == "test":
+            known = {"relit": shots.relit}
+        else:
+            known = {"truth": map_statistics_of_sides(shots.maps)}
+            known |= {"maps": pack_maps(shots.maps).half()} if maps else {}
+        yield Task(name, {"image": shots.photo} | known)
+
+
+class FlashShots(NamedTuple):
+    """Photographs of a material.
+
+    Attributes:
+        photo: uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor white.
+        relit: uint8 [3, 3, S, S], at the photo's exposure without noise, under
+            `metapp.appearance.flash.relighting_positions`.
+        maps: the maps [C, S, S] that make the photo's picture at exposure 1.
+    """
+
+    photo: Tensor
+    relit: Tensor
+    maps: Maps
 
 
 @torch.no_grad()
-def take_flash_photos(maps: PeriodicMaps, rng: Rng) -> tuple[Tensor, Tensor, Tensor]:
+def take_flash_photos(maps: PeriodicMaps, rng: Rng) -> FlashShots:
     """Take a photo of a material with a phone straight above it, its flash beside the lens, and relight the material.
 
     Args:
         maps: maps of the material, [.., S, S].
         rng: random numbers for the flash's exact place and cone, the exposure and the sensor's noise.
-
-    Returns:
-        The photo, uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor
-            white.
-        The relit pictures, uint8 [3, 3, S, S], at the photo's exposure without noise, under
-        `metapp.appearance.flash.relighting_positions`. The statistics, float32 [3, 2, 6], see `UNITS`.
     """
     diffuse, specular, roughness, height = (torch.from_numpy(pictures) for pictures in maps)
     size = height.shape[-1]
@@ -106,13 +126,13 @@ def take_flash_photos(maps: PeriodicMaps, rng: Rng) -> tuple[Tensor, Tensor, Ten
         (radiance_to_display(pictures) * 255).round().to(torch.uint8)
         for pictures in (noisy_radiance, torch.stack(relit_radiance))
     )
-    return photo, relit, _statistics(surface, exposure)
-
-
-def _statistics(surface: Maps, exposure: float) -> Tensor:
-    """Return statistics [3, 2, 6] at 256, 128 and 64 px of the maps that make the photo's picture at exposure 1."""
     exposed_maps = surface._replace(
         diffuse=(surface.diffuse * exposure).clamp(0, 1), specular=(surface.specular * exposure).clamp(0, 1)
     )
-    coarser_maps = (Maps(*(adaptive_avg_pool2d(field, size) for field in exposed_maps)) for size in STATISTICS_SIDES_PX)
+    return FlashShots(photo, relit, exposed_maps)
+
+
+def map_statistics_of_sides(maps: Maps) -> Tensor:
+    """Return the statistics [3, 2, 6] of maps [C, S, S] at STATISTICS_SIDES_PX: 256, 128 and 64 px."""
+    coarser_maps = (Maps(*(adaptive_avg_pool2d(field, size) for field in maps)) for size in STATISTICS_SIDES_PX)
     return torch.stack([map_statistics(field) for field in coarser_maps])

@@ -20,6 +20,8 @@ MAX_PEAKS = 40  # number of peaks, highest first, of which bases are made
 VECTOR_LENGTH_COST = 0.0006 * 256  # penalty on a vector's correlation, per side of the picture of its length
 MIN_BASIS_SINE = 0.4  # least sine of the angle between two basis vectors
 MIN_LATTICE_SCORE = 0.15  # least score of an ordered picture
+CONTRAST_FACTORS = (0.4, 2.5)  # range of factors by which contrast is evened out
+MIN_CONTRAST = 0.004  # standard deviation of display values up to which a place counts as flat
 MAX_PEAK_SHIFT_PX = 2  # distance along each axis by which a peak may move and still count as kept
 
 
@@ -52,6 +54,21 @@ def even_out_brightness(photos: Tensor) -> Tensor:
     """Change photos [..., C, H, W] whose light falls off as if all places were as bright as the mean."""
     local_mean = _local_mean(photos, min(photos.shape[-2:]) // 4 | 1).clamp_min(0.02)
     return photos * local_mean.mean((-1, -2), keepdim=True) / local_mean
+
+
+def even_out_contrast(photos: Tensor) -> Tensor:
+    """Change photos [..., C, H, W] as if the contrast of all places were the mean contrast.
+
+    A flash falls steeply on the borders of a photo and leaves a veil of gloss in its middle, so that the relief of one
+    material has strong contrast here and little there. All channels of a place are changed alike, by a factor within
+    CONTRAST_FACTORS.
+    """
+    side = min(photos.shape[-2:])
+    local_mean = _local_mean(photos, side // 4 | 1)
+    deviation = photos - local_mean
+    variance = _local_mean(deviation.square().mean(-3, keepdim=True), side // 2 | 1).clamp_min(MIN_CONTRAST**2)
+    factor = (variance.mean((-1, -2), keepdim=True) / variance).sqrt().clamp(*CONTRAST_FACTORS)
+    return local_mean + factor * deviation
 
 
 def remove_quadratic_trend(image: Tensor) -> Tensor:

@@ -39,6 +39,10 @@ class SynthOptions:
             high=9,
         ),
     ] = None
+    maps: Annotated[
+        bool,
+        Option("Store the true maps of training materials of svbrdf_stationary, by which General of `full` learns."),
+    ] = False
     anisotropic: Annotated[
         bool, Option("Draw anisotropic BRDFs: brushed metals, cloths and others that depend on phi_h.")
     ] = False

@@ -38,8 +38,8 @@ class UNet(NamedTuple):
     outputs: int = 3
 
     @property
-    def has_layout(self) -> bool:
-        """False, as a U-Net reads no layout."""
+    def reads_quilt(self) -> bool:
+        """False, as a U-Net reads no quilt."""
         return False
 
     @property
@@ -117,7 +117,7 @@ class Pyramid(NamedTuple):
         code: the length of the code z that styles its channels.
         outputs: the number of channels of its output.
         finest: the level whose picture is the output, 0 for the whole size.
-        layout: the number of channels of the layout, a coarse picture of the output, which each level reads beside
+        quilt: the number of channels of the quilt, a picture of pieces of the exemplar, which each level reads beside
             noise; 0 if there is none.
     """
 
@@ -127,12 +127,12 @@ class Pyramid(NamedTuple):
     code: int = 32
     outputs: int = 3
     finest: int = 0
-    layout: int = 0
+    quilt: int = 0
 
     @property
-    def has_layout(self) -> bool:
-        """Whether it reads a layout beside noise."""
-        return self.layout > 0
+    def reads_quilt(self) -> bool:
+        """Whether it reads a quilt beside noise."""
+        return self.quilt > 0
 
     @property
     def side_step(self) -> int:
@@ -155,7 +155,7 @@ class Pyramid(NamedTuple):
         sizes = {}
         for level in reversed(range(self.levels)):
             outputs = self.level_channels(level)
-            sizes[f"join{level}"] = (self.level_channels(level + 1) + self.noise + self.layout, outputs)
+            sizes[f"join{level}"] = (self.level_channels(level + 1) + self.noise + self.quilt, outputs)
             sizes[f"draw{level}"] = (outputs, outputs)
         return sizes
 
@@ -169,19 +169,19 @@ class Pyramid(NamedTuple):
             theta[f"out{level}.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
 
-    def __call__(self, theta: Params, noise: Tensor, layout: Tensor | None = None) -> Tensor:
+    def __call__(self, theta: Params, noise: Tensor, quilts: Tensor | None = None) -> Tensor:
         """Generate maps from noise.
 
         Args:
             theta: the parameters of T networks, which :meth:`init` draws.
             noise: standard normal numbers [T, B, noise, H, W], of the size of the level `finest`.
-            layout: layouts of that size, [T, B, layout, H, W]; None if the network reads none.
+            quilts: quilts of that size, [T, B, quilt, H, W]; None if the network reads none.
 
         Returns:
             Values before any range is imposed, [T, B, outputs, H, W].
         """
         tasks = len(noise)
-        inputs = noise if layout is None else torch.cat([noise, layout], 2)
+        inputs = noise if quilts is None else torch.cat([noise, quilts], 2)
         gain = torch.ones(inputs.shape[2], 1, 1, dtype=noise.dtype, device=noise.device)
         gain[: self.noise] = 2  # so that the mean of four texels of noise has unit variance again
         inputs_by_level = [inputs.transpose(0, 1).flatten(1, 2)]

@@ -20,6 +20,12 @@ CORRECTION_GAIN = 0.1  # a parameter of 1 changes a display value by so much, or
 ENCODER_UNITS, ENCODER_LAYERS = 32, 4
 ENCODER_INPUTS = 18  # channels: means and deviations of cells, of the whole quilt, and how far the exemplar's are away
 DIFFERENCE_GAIN = 10.0  # factor of the differences between exemplar and quilt, which are small
+QUILT_CONTRAST = 1.5  # root mean square of quilts as generators read them, about a mean of 0
+MIN_QUILT_RMS = (
+    0.02  # root mean square, about the mean, of display values, up to which a quilt's contrast is not raised
+)
+DEVIATION_WEIGHT = 0.1  # weight in a loss of the difference of pictures from their quilts
+MIN_QUILT_VARIANCE = 1e-3  # of display values, added to a quilt's variance, so that flat ones count for less
 STRIP_ROWS = 512  # rows of a picture that are fetched at a time
 
 
@@ -44,8 +50,8 @@ class LightGrid(NamedTuple):
         return 1
 
     @property
-    def has_layout(self) -> bool:
-        """True, as the quilt has the structure of the exemplar."""
+    def reads_quilt(self) -> bool:
+        """True: what it changes is a quilt."""
         return True
 
     @property
@@ -151,6 +157,26 @@ def move_periodically(pictures: Tensor, shares: Tensor) -> Tensor:
         shape[axis] = side
         moved = moved.gather(axis, source.reshape(shape).expand_as(moved))
     return moved
+
+
+def normalise_quilts(quilts: Tensor) -> Tensor:
+    """Return quilts [T, B, 3, H, W] with mean 0 and equal contrast, as generators read them."""
+    centred = quilts - quilts.mean((-1, -2), keepdim=True)
+    root_mean_square = centred.square().mean((-1, -2, -3), keepdim=True).sqrt()
+    return QUILT_CONTRAST * centred / root_mean_square.clamp_min(MIN_QUILT_RMS)
+
+
+def quilt_deviation(pictures: Tensor, quilts: Tensor) -> Tensor:
+    """Return the part of a loss, [T], that keeps pictures near their quilts.
+
+    It is DEVIATION_WEIGHT times the squared difference of pictures and quilts over the quilts' variance.
+
+    Args:
+        pictures: display values without shading, [T, B, 3, H, W].
+        quilts: the quilt of each picture, moved like it, [T, B, 3, H, W].
+    """
+    variance = quilts.var((-1, -2)).mean(-1) + MIN_QUILT_VARIANCE
+    return ((pictures - quilts).square().mean((-1, -2, -3)) * (DEVIATION_WEIGHT / variance)).mean(1)
 
 
 def fetch_pieces(photo: Tensor, places: Tensor, size: tuple[int, int], cells: tuple[int, int]) -> Tensor:

@@ -13,8 +13,9 @@ from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison, compare
 from metapp.appearance.order import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.apps import recipe_of
 from metapp.apps.exemplar.octaves import Octaves
+from metapp.apps.exemplar.quilts import make_piece_source, order_penalty, quilt_places
 from metapp.apps.texture.presenter import MIN_LINE_STRENGTH, TexturePresenter
-from metapp.apps.texture.quilted import QuiltedTexture, make_piece_source, order_penalty, quilt_places
+from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks

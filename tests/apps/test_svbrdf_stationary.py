@@ -19,7 +19,7 @@ from metapp.appearance.flash import (
     texel_positions,
 )
 from metapp.apps import presenter_of
-from metapp.apps.exemplar.app import draw_noise
+from metapp.apps.exemplar.app import PictureChanges, draw_noise
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES
 from metapp.apps.svbrdf_stationary.app import (
@@ -340,7 +340,9 @@ def test_prior_adds_the_mean_square_deviation_from_usual_maps(sources: list[Task
 def test_true_maps_are_permuted_with_their_channels(sources: list[Task]) -> None:
     truth = torch.arange(36.0).view(3, 2, 6) / 36
     tasks = stack_tasks(TINY, [Task("known", {"image": sources[0].data["image"], "truth": truth})])
-    found = TINY.permute_data(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
+    unturned = torch.tensor([False])
+    changes = PictureChanges(unturned, unturned, torch.tensor([[2, 0, 1]]))
+    found = TINY.change_data(tasks, changes, {})["truth"][0]
     torch.testing.assert_close(found, truth[..., [2, 0, 1, 3, 4, 5]])
     assert TINY.augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
     # photographs without it go beside those with it

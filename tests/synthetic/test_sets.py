@@ -20,7 +20,8 @@ from data_tools.synthetic.cornell import random_scene, to_xml
 from data_tools.synthetic.examples import EXAMPLES, write_example
 from data_tools.synthetic.illumination import draw_white_balance
 from data_tools.synthetic.stationary.periodic_maps import PeriodicMaps
-from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES, take_flash_photos
+from data_tools.synthetic.svbrdf_stationary import FLAT_FAMILIES, map_statistics_of_sides, take_flash_photos
+from data_tools.synthetic.svbrdf_stationary import synthetic_tasks as flash_tasks
 from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.flash import (
     Maps,
@@ -244,7 +245,8 @@ def test_true_map_reproduces_the_photograph_up_to_exposure() -> None:
     """Maps of one value each: a photograph of those that the statistics tell is the one that they belong to."""
     size, one = 64, np.ones((1, 64, 64), np.float32)
     plain = PeriodicMaps(0.3 * np.repeat(one, 3, 0), 0.06 * one, 0.5 * one, 0 * one)
-    photo, _, truth = take_flash_photos(plain, random_stream(3))
+    shots = take_flash_photos(plain, random_stream(3))
+    photo, truth = shots.photo, map_statistics_of_sides(shots.maps)
     means, deviations = truth[:, 0], truth[:, 1]
     assert truth.shape == (3, 2, 6)
     assert means[:, :3].std() < 1e-4
@@ -258,6 +260,20 @@ def test_true_map_reproduces_the_photograph_up_to_exposure() -> None:
         render_maps(maps, texel_positions(size, size), camera_position(), camera_position(), falloff=1.0)
     )
     assert (again - photo / 255).abs().mean() < 0.02  # but for the flash's exact place and cone
+
+
+def test_maps_of_flash_photographs_are_stored_where_they_are_asked_for() -> None:
+    """They make the photograph, and their statistics are those that are stored; test tasks hold none."""
+    (plain,), (task,) = (list(flash_tasks("train", 1, size=64, maps=maps)) for maps in (False, True))
+    assert "maps" not in plain.data
+    assert torch.equal(plain.data["image"], task.data["image"])
+    assert "maps" not in next(flash_tasks("test", 1, size=64, maps=True)).data
+    maps = unpack_maps(task.data["maps"].float())
+    statistics = map_statistics_of_sides(maps._replace(specular=maps.specular[:1]))
+    torch.testing.assert_close(statistics, task.data["truth"], atol=2e-3, rtol=0)
+    position = camera_position()
+    picture = radiance_to_display(render_maps(maps, texel_positions(64, 64), position, position, falloff=1.0))
+    assert float((picture - task.data["image"] / 255).abs().mean()) < 0.03
 
 
 # The synthetic non-stationary svBRDFs

@@ -1,6 +1,6 @@
 """The base of applications that generate, from noise, a picture with the visual statistics of an exemplar photograph.
 
-Here are the generator, General's encoder, layouts and data augmentation. An application says what is compared with the
+Here are the generator, General's encoder, quilts and data augmentation. An application says what is compared with the
 exemplar by a subclass of :class:`metapp.apps.exemplar.exemplar_statistics.Statistics`.
 """
 
@@ -9,25 +9,30 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import leaky_relu
+from torch.nn.functional import avg_pool2d, leaky_relu
 from typing_extensions import override
 
-from metapp.appearance.features import detail_statistics, feature_conditions
+from metapp.appearance.features import feature_conditions
+from metapp.appearance.order import remove_quadratic_trend
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.octaves import Octaves
+from metapp.apps.exemplar.quilts import choose_quilt
 from metapp.learning.app import App
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import add_decoder, join_encoder
 from metapp.networks.generators import Pyramid, UNet
-from metapp.networks.layout import move_layouts, normalise_layouts, quilt_layout
+from metapp.networks.quilted import move_periodically, normalise_quilts
 
 HIDDEN_UNITS = 128  # units of each hidden layer of General's encoder
+LARGEST_PHOTO_PX = 4096  # side at which photographs are read, of which pieces are fetched
+QUILT_KEYS = ("places", "quilt")  # parameters of fits that the exemplar determines and no step changes
+MOVING_CHANNELS = 2  # channels of noise, at least: two numbers of it say how far down and right tiles are moved
 JUDGED_PICTURES = 4  # pictures of each task whose mean error is reported
 
 
@@ -36,7 +41,7 @@ def set_detail(recipe: Recipe, side: int) -> Recipe:
 
     Args:
         recipe: the recipe of an exemplar application.
-        side: the side in px. Networks that read a layout have two choices: the side of training and twice that.
+        side: the side in px. Networks that read a quilt have two choices: the side of training and twice that.
 
     Raises:
         ValueError: the recipe has no such choice.
@@ -44,7 +49,7 @@ def set_detail(recipe: Recipe, side: int) -> Recipe:
     app, sides = recipe.app, tuple[int, ...]()
     assert isinstance(app, ExemplarApp)
     octaves = app.octaves
-    if app.network.has_layout:
+    if app.network.reads_quilt:
         training_side = octaves.width >> octaves.finer
         sides = (training_side, 2 * training_side)
     if side not in sides:
@@ -62,13 +67,18 @@ class ExemplarApp(App):
     General's encoder is a network from a summary of the photograph's features to the generator's code z; the
     generator's other parameters are then equal for all tasks.
 
+    A network may read a quilt of the exemplar. Fits then have two parameters that the exemplar determines: `places`
+    [T, 2, rows, columns], where in it each cell of the quilt comes from, and `quilt` [T, 3, H, W], its picture.
+
     Attributes:
         network: the generator.
         octaves: the sizes at which pictures are compared with the exemplar.
+        candidates: the number of quilts of which a fit begins with the best one.
     """
 
     network: UNet | Pyramid = field()
     octaves: Octaves = field()
+    candidates: int = 12
 
     @property
     @abstractmethod
@@ -79,6 +89,11 @@ class ExemplarApp(App):
     @override
     def read_size(self) -> int:
         return self.octaves.width if self.octaves.finer else 0
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """The rows and columns of cells of a quilt: the px of exemplars in training."""
+        return self.octaves.octave_size(self.octaves.finer)
 
     @override
     def conditions(self, device: torch.device | None = None) -> dict[str, str]:
@@ -110,31 +125,31 @@ class ExemplarApp(App):
     def make_targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
         """Return all that fits compare pictures with, by name, [B, ...] each.
 
-        These are the statistics of exemplars, and if the network reads layouts, `layout` [B, 3, h, w], coarse pictures
-        that tile, quilted of the exemplars, and `detail` [B, 3, N], what :func:`detail_statistics` returns.
+        These are the statistics of exemplars and, if the network reads a quilt, `places` and `quilt`.
 
         Args:
             exemplars: display values [B, 3, H, W] of the size of an octave.
             octave: the octave, 0 for the whole size.
         """
         targets = self.statistics.describe(exemplars, octave)
-        if not self.network.has_layout:
+        if not self.network.reads_quilt:
             return targets
-        evenly_lit, size = self.statistics.even_light(exemplars, targets), self.octaves.layout_size
-        layouts = torch.stack([quilt_layout(exemplar, size) for exemplar in evenly_lit])
-        return targets | {"layout": layouts, "detail": detail_statistics(exemplars)}
+        unshaded = self.statistics.even_light(exemplars, targets)
+        quilts = [
+            choose_quilt(exemplar, remove_quadratic_trend(even), self.cells, self.statistics, self.candidates)
+            for exemplar, even in zip(exemplars, unshaded, strict=True)
+        ]
+        parts = (torch.stack(tensors) for tensors in zip(*quilts, strict=True))
+        return targets | dict(zip(QUILT_KEYS, parts, strict=True))
 
     @override
     def task_parameters(self, tasks: Tasks) -> Params:
-        """Return the layouts, if the network reads one."""
-        return {"layout": tasks.data["layout"][tasks.rows]} if self.network.has_layout else {}
+        """Return the quilts, if the network reads one."""
+        return {key: tasks.data[key][tasks.rows] for key in QUILT_KEYS} if self.network.reads_quilt else {}
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
-        theta = self.network.init(rng, count)
-        if self.network.has_layout:
-            theta["layout"] = torch.zeros(count, 3, *self.octaves.layout_size, device=rng.device)
-        return theta
+        return self.network.init(rng, count)
 
     @abstractmethod
     def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Any:
@@ -177,7 +192,7 @@ class ExemplarApp(App):
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
             x = leaky_relu(x, 0.2) if layer < 3 else x
-        return add_decoder({"z": x} | {key: condition[key] for key in ("layout",) if key in condition}, encoder)
+        return add_decoder({"z": x} | {key: condition[key] for key in QUILT_KEYS if key in condition}, encoder)
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """Crop an image [3, S, S] at random to [3, s, s] that could have been photographed as well; here not at all."""
@@ -185,31 +200,59 @@ class ExemplarApp(App):
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Crop, flip and transpose the exemplars and permute their channels, at random."""
+        """Crop, flip and transpose the exemplars and permute their channels, at random; each one is quilted once."""
         count, octave = len(tasks), self.octaves.find_octave(tasks.data)
+        is_flipped, is_transposed = draw_uniform(rng, 2, count) < 0.5
         exemplars = []
-        for row, flipping, transposing in zip(tasks.rows, *draw_uniform(rng, 2, count).tolist(), strict=True):
+        for row, *turning in zip(tasks.rows, is_flipped.tolist(), is_transposed.tolist(), strict=True):
             image = self.crop(tasks.data["image"][row].float() / 255, rng)
-            image = image.flip(-1) if flipping < 0.5 else image
-            exemplars.append(self.octaves.take_exemplar((image.mT if transposing < 0.5 else image)[None], octave))
-        channels = draw_uniform(rng, count, 3).argsort(1)[..., None, None]
+            exemplars.append(self.octaves.take_exemplar(turn_picture(image, *turning)[None], octave))
+        channels = draw_uniform(rng, count, 3).argsort(1)
         images = torch.cat(exemplars)
-        images = images.gather(1, channels.expand(images.shape))
-        return tasks.make_variants(self.make_targets(images, octave) | self.permute_data(tasks, channels[..., 0, 0]))
+        images = images.gather(1, channels[..., None, None].expand(images.shape))
+        targets = replace(self, candidates=1).make_targets(images, octave)
+        changes = PictureChanges(is_flipped, is_transposed, channels)
+        return tasks.make_variants(targets | self.change_data(tasks, changes, targets))
 
-    def permute_data(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
-        """Return further data of exemplars whose channels are permuted; here there are none.
+    def change_data(self, tasks: Tasks, changes: PictureChanges, targets: Batch) -> dict[str, Tensor]:
+        """Return further data of exemplars whose pictures are changed at random; here there are none.
 
         Args:
             tasks: the exemplars before that.
-            channels: the number that each channel had before, [T, 3].
+            changes: how their pictures are changed.
+            targets: what :meth:`make_targets` returns for the changed pictures.
         """
         return {}
 
 
+class PictureChanges(NamedTuple):
+    """Changes of pictures by data augmentation.
+
+    Attributes:
+        is_flipped: whether left and right are exchanged, bool [T].
+        is_transposed: whether rows and columns are exchanged after that, bool [T].
+        channels: the number that each channel had before, [T, 3].
+    """
+
+    is_flipped: Tensor
+    is_transposed: Tensor
+    channels: Tensor
+
+
+def turn_picture(picture: Tensor, is_flipped: bool, is_transposed: bool) -> Tensor:
+    """Flip a picture [..., H, W] from left to right, then exchange rows and columns, each if that is asked for."""
+    picture = picture.flip(-1) if is_flipped else picture
+    return picture.mT if is_transposed else picture
+
+
 def draw_noise(app: ExemplarApp, rng: Generator, tasks: int, count: int, *, octave: int = 0) -> Tensor:
     """Draw standard normal noise [tasks, count, C, h, w] of `count` pictures of each task, of the size of an octave."""
-    return draw_normal(rng, tasks, count, app.network.noise, *app.octaves.octave_size(octave))
+    return draw_normal(rng, tasks, count, noise_channels(app), *app.octaves.octave_size(octave))
+
+
+def noise_channels(app: ExemplarApp) -> int:
+    """Return the number of channels of noise: the network's, but at least MOVING_CHANNELS."""
+    return max(app.network.noise, MOVING_CHANNELS)
 
 
 def fixed_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
@@ -226,21 +269,37 @@ def fixed_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, oc
     return draw_noise(app, rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
 
 
+def move_tiles(tiles: Tensor, noise: Tensor, octave: int = 0) -> Tensor:
+    """Move tiles as noise says, and shrink them to the size of an octave.
+
+    Args:
+        tiles: pictures or maps that tile, [T, C, H, W].
+        noise: the noise of B pictures of each task, [T, B, C', H', W'], whose first two numbers say how far down and
+            right tiles are moved.
+        octave: the octave, 0 for the whole size.
+
+    Returns:
+        [T, B, C, h, w].
+    """
+    shares = torch.special.ndtr(noise[:, :, 0, 0, :2]).expand(len(tiles), -1, -1)
+    small_tiles = avg_pool2d(tiles, 2**octave) if octave else tiles
+    return move_periodically(small_tiles, shares)
+
+
 def generate_raw(app: ExemplarApp, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
     """Generate the network's output [T, B, outputs, H, W] from noise, before any range is imposed; it tiles.
 
     Args:
         app: the application.
-        theta: fits [T, ...], with the `layout` of each if the network reads one.
-        noise: the noise of B pictures of each task, [T, B, C, H, W]; if it has another size than the octave, layouts
-            are quilted anew.
+        theta: fits [T, ...], with the `quilt` of each if the network reads one.
+        noise: the noise of B pictures of each task, [T, B, C, H, W].
         octave: the octave, 0 for the whole size.
     """
     network = app.network
     if not isinstance(network, Pyramid):
         return network(theta, noise)
     network = network._replace(finest=octave)
-    if not network.has_layout:
+    if not network.reads_quilt:
         return network(theta, noise)
-    layouts = move_layouts(theta["layout"], noise, app.octaves.layout_ratio(octave))
-    return network(theta, noise, normalise_layouts(layouts, noise))
+    quilts = move_tiles(theta["quilt"].detach(), noise, octave)
+    return network(theta, noise[:, :, : network.noise], normalise_quilts(quilts))

@@ -34,7 +34,7 @@ class Statistics(ABC):
 
     @abstractmethod
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-        """Compute all that fits and General's encoder need of exemplars, except layouts.
+        """Compute all that fits and General's encoder need of exemplars, except quilts.
 
         Args:
             exemplars: pictures [B, 3, h, w] of the size of an octave, sRGB in [0, 1].
@@ -69,7 +69,7 @@ class Statistics(ABC):
     def softness_loss(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Return the part of a loss, [T], that keeps the detail of pictures [T, B, 3, H, W] as fine as the exemplars'.
 
-        It is 0 for pictures of coarser octaves, and without `detail` in the batch, as for networks that read no layout.
+        It is 0 for pictures of coarser octaves, and without `detail` in the batch, as for networks that read no quilt.
         """
         if "detail" not in batch or self.octaves.find_octave(batch):
             return pictures.new_zeros(len(pictures))

@@ -32,8 +32,8 @@ class Octaves:
         count: the number of octaves.
         shares: the shares of a descent's steps up to which it sees the coarsest octave alone, the two coarsest, and so
             on; () if it sees all from the beginning. A `Pyramid` makes pictures of coarser octaves, too.
-        finer: the number of octaves by which exemplars are finer than in training. Layouts stay as coarse as they are,
-            since structures are larger in texels then.
+        finer: the number of octaves by which exemplars are finer than in training. Quilts keep the number of their
+            cells, since structures are larger in texels then.
 
     >>> octaves = Octaves(64, 96, ("relu1_1", "relu2_1", "relu3_1"), count=2)
     >>> octaves.octave_size(1), octaves.count_maps(1), octaves.count_maps(0)
@@ -50,15 +50,6 @@ class Octaves:
     def octave_size(self, octave: int = 0) -> tuple[int, int]:
         """Return the height and width, in texels, of pictures of an octave."""
         return self.height >> octave, self.width >> octave
-
-    @property
-    def layout_size(self) -> tuple[int, int]:
-        """The height and width of layouts in texels: twice the coarsest octave of training, if it has finer ones."""
-        return self.octave_size(max(0, self.count - 2) + self.finer)
-
-    def layout_ratio(self, octave: int = 0) -> float:
-        """Return the ratio of the sides of pictures of an octave to the sides of their layouts."""
-        return self.octave_size(octave)[0] / self.layout_size[0]
 
     def count_maps(self, octave: int) -> int:
         """Count the feature maps of an octave and all coarser ones."""

@@ -6,7 +6,7 @@ network's output.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
@@ -19,9 +19,10 @@ from metapp.appearance.order import find_lattice, kept_order_share
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings
-from metapp.apps.exemplar.app import ExemplarApp, fixed_noise
+from metapp.apps.exemplar.app import ExemplarApp, fixed_noise, noise_channels
 from metapp.learning.random_tensors import draw_normal
 from metapp.learning.task import Params, Task, Tasks
+from metapp.networks.quilted import copied_share
 
 MIN_ORDER_SHARE = 0.5  # share of an exemplar's order below which a picture has lost it; quilting keeps 0.68 to 1.0
 SHOWN_SEED = 1  # seed of the noise of pictures that are written and shown
@@ -78,7 +79,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
             What `make` returns.
         """
         batch = {key: value[None] for key, value in theta.items()}
-        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN_SEED), self.app.network.noise
+        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN_SEED), noise_channels(self.app)
         return make(batch, draw_normal(rng, 1, 1, channels, *(size or self.app.octaves.octave_size())))
 
     @override
@@ -87,10 +88,10 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         """Return, for each task, at most one clause on what the fit's picture at the exemplar's size has lost.
 
         The first that holds: the picture is black or uniform, has lost regular structure, breaks lines, or shows seams.
-        There are clauses only where networks read layouts.
+        There are clauses only where networks read quilts.
         """
         app, statistics = self.app, self.app.statistics
-        if not app.network.has_layout:
+        if not app.network.reads_quilt:
             return super().quality_warnings(theta, tasks)
         data = {key: value[tasks.rows] for key, value in tasks.data.items()}
         answer = app.generate(theta, fixed_noise(app, tasks.rows, 1, seed=SHOWN_SEED))
@@ -123,6 +124,15 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         return []
 
     def remedy_for(self, lost: str) -> str:
-        """Return what a user can do where a fit has lost something of the photo, which `lost` names in the sentence."""
-        size = "x".join(map(str, self.picture_size))
-        return f"`metapp baseline {self.app.name} INPUT --method quilting --size {size}` copies {lost}"
+        """Return what a user can do where a fit has lost something of the photo, which `lost` names in the sentence.
+
+        Another photograph is advised, since fits copy pieces of the one that they see.
+        """
+        return f"a photo that shows {lost} more often helps"
+
+    @override
+    def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
+        """Add `copied` to records of fits with a quilt: the share of the picture that is a plain copy of the photo."""
+        if not self.app.network.reads_quilt:
+            return super().remarks(theta, task)
+        return {**super().remarks(theta, task), "copied": copied_share(theta["places"].cpu(), self.app.cells)}

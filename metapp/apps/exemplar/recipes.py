@@ -1,4 +1,4 @@
-"""Recipes of applications that generate pictures from noise: at 64 texels by a U-Net, at 256 by a pyramid.
+"""Recipes of applications that generate pictures from noise: at 64 texels by a U-Net.
 
 Textures and stationary svBRDFs make their recipes by these functions, and pass what differs between them.
 """
@@ -10,7 +10,7 @@ from dataclasses import replace
 from metapp.apps.exemplar.app import ExemplarApp
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
-from metapp.networks.generators import Pyramid, UNet
+from metapp.networks.generators import UNet
 
 GENERAL_RATES = {
     "": 3e-3,
@@ -81,31 +81,4 @@ def general_training(steps: int, tasks: int, validate_every: int = 250) -> Outer
         warmup_steps=50,
         final_rate_share=0.0,
         validate_every=validate_every,
-    )
-
-
-def pyramid_recipe(quick: Recipe, *, steps: int, searched: Adam, tasks: int) -> Recipe:
-    """Return the recipe of pictures of the size that people use, 256 x 256 texels, fitted from coarse to fine.
-
-    A fifth of the steps sees 64 texels a side, the last two fifths see 256; the network reads a layout of the exemplar.
-
-    Args:
-        quick: the recipe whose other settings are taken.
-        steps: the number of gradient steps of a fit.
-        searched: the Adam of QuickFT, with which the search for the rule "meta-axes" begins, too.
-        tasks: the number of tasks of an outer step of General's training.
-    """
-    app, searched_rule = quick.app, replace(quick.meta["meta-basis"], initial_adam=searched)
-    assert isinstance(app, ExemplarApp)
-    taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
-    network = Pyramid(16, outputs=app.network.outputs, layout=3)
-    octaves = Octaves(256, 256, taps, count=3, shares=(0.2, 0.6))
-    return replace(
-        quick,
-        steps=steps,
-        quickft=searched,
-        general=general_training(2400, tasks, validate_every=400),
-        meta={"meta-encoder": quick.meta["meta-encoder"], "meta-axes": searched_rule},
-        rule="meta-axes",
-        app=replace(app, network=network, octaves=octaves),
     )

@@ -15,12 +15,12 @@ from typing_extensions import override
 
 from metapp.appearance.flash import DISPLAY_GAMMA, STATISTICS_SIDES_PX, Maps, map_statistics, normal_from_height
 from metapp.appearance.highlight import remove_shading
-from metapp.apps.exemplar.app import ExemplarApp, draw_noise, fixed_noise, generate_raw
+from metapp.apps.exemplar.app import ExemplarApp, PictureChanges, draw_noise, fixed_noise, generate_raw, move_tiles
 from metapp.apps.svbrdf_stationary.flash_statistics import FlashStatistics, chroma_deviations, encode_gloss
 from metapp.apps.svbrdf_stationary.windows import WINDOW_COUNT
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
-from metapp.networks.layout import layout_deviation
+from metapp.networks.quilted import quilt_deviation
 
 DRAWN_WINDOWS = 3  # windows of the photo that one step compares
 POOLED_WEIGHT = 2.0  # added to the weight of pooled pictures in the outer loss, as they hold the shape of the highlight
@@ -69,9 +69,10 @@ class SvbrdfStationary(ExemplarApp):
         return super().prepare(task) | {key: task.data[key] for key in ("relit", "truth") if key in task.data}
 
     @override
-    def permute_data(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
+    def change_data(self, tasks: Tasks, changes: PictureChanges, targets: Batch) -> dict[str, Tensor]:
         if "truth" not in tasks.data:
             return {}
+        channels = changes.channels
         order = torch.cat([channels, torch.arange(3, 6, device=channels.device).expand(len(channels), -1)], 1)
         truth = tasks.data["truth"][tasks.rows]
         return {"truth": truth.gather(-1, order[:, None, None].expand(truth.shape))}
@@ -122,11 +123,24 @@ class SvbrdfStationary(ExemplarApp):
         Returns:
             Maps [T, B, ...], and their height [T, B, 1, H, W] in texels.
         """
-        raw = generate_raw(self, theta, noise, octave)
-        diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # so that outputs are about evenly spread for the eye
-        specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, like most dielectrics
-        roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
-        height = RELIEF_WIDTHS * self.octaves.octave_size(octave)[1] * raw[:, :, 5:]
+        return self.decode_maps(generate_raw(self, theta, noise, octave), self.octaves.octave_size(octave)[1])
+
+    def decode_maps(self, raw: Tensor, width: int) -> tuple[Maps, Tensor]:
+        """Make maps of the network's output.
+
+        Args:
+            raw: three channels of diffuse colour, then specular, roughness and height, before any range is imposed,
+                [..., 6, H, W].
+            width: the number of texels that stand for the width of the photo.
+
+        Returns:
+            Maps [..., C, H, W], and their height [..., 1, H, W] in texels.
+        """
+        diffuse_raw, specular_raw, roughness_raw, height_raw = raw.split((3, 1, 1, 1), -3)
+        diffuse = torch.sigmoid(diffuse_raw) ** DISPLAY_GAMMA  # so that outputs are about evenly spread for the eye
+        specular = torch.sigmoid(specular_raw - 3)  # about 0.05 at first, like most dielectrics
+        roughness = 0.1 + 0.9 * torch.sigmoid(roughness_raw)
+        height = RELIEF_WIDTHS * width * height_raw
         return Maps(diffuse, specular, roughness, normal_from_height(height)), height
 
     @override
@@ -176,12 +190,12 @@ class SvbrdfStationary(ExemplarApp):
         """Return the parts of the loss without priors, by name, [T] each, of maps that were made of a batch's noise."""
         pictures = self.statistics.render_answer(maps, batch)
         distances = self.statistics.distances(pictures, batch, cropped=True)
-        if self.network.has_layout:
+        if self.network.reads_quilt:
             chroma = chroma_deviations(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2])
             distances["colour"] = COLOUR_WEIGHT * (chroma - batch["chroma"][:, None]).abs().mean((1, 2))
             evenly_lit = remove_shading(pictures, batch["light"][:, None])
-            layout_ratio = self.octaves.layout_ratio(self.octaves.find_octave(batch))
-            distances["astray"] = layout_deviation(theta, batch["noise"], evenly_lit, layout_ratio)
+            quilts = move_tiles(theta["quilt"].detach(), batch["noise"], self.octaves.find_octave(batch))
+            distances["deviation"] = quilt_deviation(evenly_lit, quilts)
             distances["softness"] = self.statistics.softness_loss(pictures, batch)
         return distances
 

@@ -22,6 +22,7 @@ from metapp.appearance.flash import (
     texel_positions,
 )
 from metapp.appearance.highlight import estimate_gloss, remove_shading
+from metapp.appearance.order import even_out_contrast
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.svbrdf_stationary.windows import (
     WINDOW_COUNT,
@@ -109,7 +110,7 @@ class FlashStatistics(Statistics):
 
     @override
     def even_light(self, pictures: Tensor, described: Batch) -> Tensor:
-        return remove_shading(pictures, described["light"])
+        return even_out_contrast(remove_shading(pictures, described["light"]))
 
     def targets(self, tasks: Tasks, windows: Tensor) -> Batch:
         """Return what pictures are compared with in windows of the numbers [T, N], by name, [T, ...] each."""

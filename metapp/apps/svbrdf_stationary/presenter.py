@@ -21,6 +21,7 @@ from metapp.appearance.surface import Surface, map_pictures, scale_relief
 from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.flash_statistics import FLASH_FALLOFF
+from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
 from metapp.learning.task import Params, Task, Tasks
 
 # Strength of a picture's lines over the photo's. Chosen by fits of 39 photographs that were graded by eye; on every
@@ -87,22 +88,35 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     @override
     @torch.no_grad()
     def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
-        """Return the mean tilt of fitted normals, `mean_tilt_degrees`, without the factor `relief`."""
-        return {"mean_tilt_degrees": mean_tilt_degrees(self._generate_material(theta)[0].normal)}
+        """Add the mean tilt of fitted normals, `mean_tilt_degrees`, without the factor `relief`."""
+        tilt = mean_tilt_degrees(self._generate_material(theta)[0].normal)
+        return {"mean_tilt_degrees": tilt, **super().remarks(theta, task)}
 
     @override
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Add clauses on clipped highlights; there are clauses only where networks read layouts."""
+        """Add clauses on clipped highlights; there are clauses only where networks read quilts."""
         warnings = super().quality_warnings(theta, tasks)
-        if not self.app.network.has_layout:
+        if not self.app.network.reads_quilt:
             return warnings
         pairs = zip(warnings, tasks.data["image"][tasks.rows], strict=True)
         return [clauses + clipped_highlight_warnings(image.float() / 255, F0_BOUND_CLAUSE) for clauses, image in pairs]
 
+    def photo_share(self, task: Task) -> float:
+        """Return the width of the photo over the width of maps in files, in which structures are of equal size."""
+        if not isinstance(self.app, QuiltedSvbrdf):
+            return self.app.octaves.width / self.picture_size[1]
+        return task.data["image"].shape[-1] / self.size[1] if self.size else 1.0
+
     def _shown_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps [C, H, W] and height [1, H, W] in texels at the size of files, scaled by `relief`."""
-        maps, height = self.cache_last(theta, task, lambda: self._generate_material(theta, self.picture_size))
+        maps, height = self.cache_last(theta, task, lambda: self._draw_maps(theta, task))
         return scale_relief(maps, self.relief), self.relief * height
+
+    def _draw_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
+        """Return maps [C, H, W] and height [1, H, W] in texels at the size of files."""
+        if isinstance(self.app, QuiltedSvbrdf):
+            return self.app.draw_maps({key: value[None] for key, value in theta.items()}, task, self.size)
+        return self._generate_material(theta, self.picture_size)
 
     def _generate_material(self, theta: Params, size: tuple[int, int] | None = None) -> tuple[Maps, Tensor]:
         """Generate the maps of one material and their height.

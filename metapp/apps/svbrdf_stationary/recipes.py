@@ -8,22 +8,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.recipes import general_training, generator_recipe, pyramid_recipe
+from metapp.apps.exemplar.recipes import general_training, generator_recipe
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
-from metapp.learning.recipe import Adam, Recipe, paper_recipe
-from metapp.networks.generators import UNet
+from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf
+from metapp.learning.recipe import Adam, paper_recipe
+from metapp.networks.generators import Pyramid, UNet
 
 # Weight, in fits at 256 texels, of the distance of gloss from General's; without it, gloss takes the place of colour.
 PRIOR_WEIGHT = 0.5
-
-
-def _set_prior(recipe: Recipe, weight: float) -> Recipe:
-    """Return a recipe whose fits have a prior of this weight."""
-    app = recipe.app
-    assert isinstance(app, SvbrdfStationary)
-    return replace(recipe, app=replace(app, prior=weight))
-
-
 QUICK = generator_recipe(
     SvbrdfStationary,
     steps=20,
@@ -33,9 +25,23 @@ QUICK = generator_recipe(
     searched=Adam(3e-3, beta1=0.5, beta2=0.97, final_rate_share=0.3),
     general=general_training(2500, 6),
 )
-FULL = _set_prior(
-    pyramid_recipe(QUICK, steps=14, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final_rate_share=0.3), tasks=3),
-    PRIOR_WEIGHT,
+SEARCHED_ADAM = Adam(2.9e-3, beta1=0.3, beta2=0.9, final_rate_share=0.3)
+# maps of the size that people use: a fifth of the steps sees 64 texels a side, the last two fifths see 256
+FULL = replace(
+    QUICK,
+    steps=14,
+    quickft=SEARCHED_ADAM,
+    general=general_training(2400, 3, validate_every=400),
+    meta={
+        "meta-encoder": QUICK.meta["meta-encoder"],
+        "meta-axes": replace(QUICK.meta["meta-basis"], initial_adam=SEARCHED_ADAM),
+    },
+    rule="meta-axes",
+    app=QuiltedSvbrdf(
+        Pyramid(16, noise=0, outputs=6, quilt=3),
+        Octaves(256, 256, ("relu1_1", "relu2_1", "relu3_1", "relu4_1"), count=3, shares=(0.2, 0.6)),
+        prior=PRIOR_WEIGHT,
+    ),
 )
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, 3 tasks an outer step
 TAPS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3")

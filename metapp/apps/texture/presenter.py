@@ -6,7 +6,6 @@ compare with the exemplar.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -19,7 +18,6 @@ from metapp.apps.exemplar.presenter import ExemplarPresenter
 from metapp.apps.texture.app import Texture
 from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.learning.task import Params, Task
-from metapp.networks.quilted import copied_share
 
 # Strength of a texture's lines over the exemplar's, below which lines are broken. Of fits of 66 photographs five are
 # below it, one of which has lost the seam of a pair of jeans; of 33 of the photographs that were torn into blocks of 16
@@ -33,18 +31,6 @@ class TexturePresenter(ExemplarPresenter[Texture]):
 
     picture_measure = "a texture of the exemplar's size beside the exemplar"
     min_line_strength = MIN_LINE_STRENGTH
-
-    @override
-    def remedy_for(self, lost: str) -> str:
-        """Advise to take another photograph, since fits already copy pieces of the one that they see."""
-        return f"a photo that shows {lost} more often helps"
-
-    @override
-    def remarks(self, theta: Params, task: Task) -> Mapping[str, object]:
-        """Add `copied` to records: the share of the texture that is a copy of the photo, but for its light."""
-        if not isinstance(self.app, QuiltedTexture):
-            return super().remarks(theta, task)
-        return {**super().remarks(theta, task), "copied": copied_share(theta["places"].cpu(), self.app.cells)}
 
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:

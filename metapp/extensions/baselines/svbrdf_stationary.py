@@ -13,13 +13,13 @@ from typing_extensions import override
 from metapp.appearance.flash import DISPLAY_GAMMA, Maps, normal_from_height
 from metapp.appearance.highlight import estimate_gloss, remove_shading
 from metapp.appearance.order import subtract_local_mean
+from metapp.appearance.stretch import stretch_to_tile
 from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.extensions.baselines.baseline import Baseline, BaselineFit, CostLimits
 from metapp.extensions.baselines.texture import NearestExemplar, quilt_pictures, srgb_to_linear_picture
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.networks.layout import stretch_to_tile
 
 # Relief is guessed of brightness: RELIEF_WINDOW_TEXELS is the side of a texel's surroundings, RELIEF_DEPTH_TEXELS the
 # height of a texel that is twice as bright as these, both in texels of a photo of 256. Where a clear highlight takes

@@ -18,8 +18,10 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import statistics_distance
 from metapp.appearance.order import remove_quadratic_trend
 from metapp.appearance.quilting import choose_block_size, quilt
+from metapp.appearance.stretch import stretch_to_tile
 from metapp.apps.exemplar.app import JUDGED_PICTURES, ExemplarApp
-from metapp.apps.texture.quilted import QuiltedTexture, count_tile_cells, make_piece_source, quilt_places
+from metapp.apps.exemplar.quilts import count_tile_cells, make_piece_source, quilt_places
+from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.extensions.baselines.baseline import (
     INDEX_NUMBERS_AND_BYTES,
     Baseline,
@@ -31,7 +33,6 @@ from metapp.extensions.baselines.baseline import (
 from metapp.extensions.baselines.blending import blend_tile
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.networks.layout import stretch_to_tile
 from metapp.networks.quilted import fetch_pieces
 
 COMPARISON_BLOCK_TASKS = 8  # training tasks whose Gram matrices are compared at once

@@ -94,7 +94,7 @@ def make_svbrdf_stationary_view(presenter: SvbrdfStationaryPresenter, theta: Par
     lit_pictures = []
     if "image" in task.data:
         photo = app.octaves.take_exemplar(task.data["image"][None].float() / 255)
-        light_position, share = app.statistics.find_light(photo)[0], app.octaves.width / presenter.picture_size[1]
+        light_position, share = app.statistics.find_light(photo)[0], presenter.photo_share(task)
         linear_photo = photo[0] ** DISPLAY_GAMMA
         lit_pictures = [LitPicture(light_position, light_position, photo=linear_photo, shown_share=share)]
     return make_surface_view(presenter.surface(theta, task), lit_pictures, falloff=FLASH_FALLOFF)

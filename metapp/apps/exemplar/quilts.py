@@ -1,0 +1,180 @@
+"""Quilts: pictures of pieces of an exemplar that tile, kept as the place in the exemplar that each cell comes from.
+
+By the places, anything that lies over the exemplar can be fetched at any resolution: the photograph itself, or maps.
+Fits begin at the best of several quilts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate
+
+from metapp.appearance.features import gram, statistics_distance
+from metapp.appearance.order import MIN_LATTICE_SCORE, Lattice, find_lattice, kept_order_share
+from metapp.appearance.quilting import quilt_pixel_numbers
+from metapp.appearance.stretch import apply_stretch, find_stretch
+from metapp.apps.exemplar.exemplar_statistics import Statistics
+from metapp.networks.quilted import fetch_pieces
+
+BLOCKS = ((64, 21), (96, 32), (128, 42), (48, 16))  # side and overlap of blocks, in cells, of which quilts are made
+ORDER_GOAL, ORDER_WEIGHT = 0.9, 0.3  # share of the exemplar's order that a quilt should keep; the penalty below it
+MIN_TILE_CELLS = 8  # rows and columns of the smallest tile
+TILE_CANDIDATES = 6  # quilts of another size than the photograph's, of which the one that keeps most order is taken
+TILE_SEED = 7  # seed of quilts of other sizes than the photograph's
+
+
+class PieceSource(NamedTuple):
+    """The picture that pieces of a tile are taken from.
+
+    Attributes:
+        pixels: the picture, [3, h, w].
+        places: the place (y, x) of the centre of each px in the exemplar, in its sides, [2, h, w].
+        frequencies: the frequencies of its lattice in cycles per px, with which all pieces are in phase, or None.
+    """
+
+    pixels: Tensor
+    places: Tensor
+    frequencies: NDArray[np.floating] | None = None
+
+
+def make_piece_source(exemplar: Tensor, cells: tuple[int, int], *, stretches: bool) -> PieceSource:
+    """Make the source of the pieces of a tile.
+
+    Args:
+        exemplar: an evenly lit picture, [3, H, W].
+        cells: the rows and columns of the tile, in px of the exemplar.
+        stretches: whether an exemplar with a strong lattice is stretched, so that the tile holds whole periods of it.
+    """
+    places = torch.stack(
+        torch.meshgrid(*((torch.arange(side) + 0.5) / side for side in exemplar.shape[1:]), indexing="ij")
+    ).to(exemplar)
+    change, frequencies = find_stretch(exemplar, cells) if stretches else (None, None)
+    if change is None or frequencies is None:
+        return PieceSource(exemplar, places)
+    return PieceSource(apply_stretch(exemplar, change), apply_stretch(places, change), frequencies.numpy())
+
+
+def quilt_places(
+    source: PieceSource, cells: tuple[int, int], blocks: tuple[int, int], rng: np.random.Generator
+) -> Tensor:
+    """Quilt a tile of an exemplar, and return where its cells come from.
+
+    Args:
+        source: the source of pieces.
+        cells: the rows and columns of the tile, in px of the source.
+        blocks: the side and the overlap of blocks in px.
+        rng: chooses among blocks that agree about as well.
+
+    Returns:
+        The place (y, x) of the centre of each cell in the exemplar, in its sides, [2, rows, columns].
+    """
+    block = min(blocks[0], *source.pixels.shape[1:], *cells)
+    numbers = quilt_pixel_numbers(
+        source.pixels.permute(1, 2, 0).cpu().numpy(),
+        cells,
+        rng,
+        block=block,
+        overlap=max(1, min(blocks[1], block // 3)),
+        tiles=True,
+        frequencies=source.frequencies,
+    )
+    result: Tensor = source.places.flatten(1)[:, torch.from_numpy(numbers)]
+    return result
+
+
+@torch.no_grad()
+def choose_quilt(
+    exemplar: Tensor, even: Tensor, cells: tuple[int, int], statistics: Statistics, candidates: int
+) -> tuple[Tensor, Tensor]:
+    """Make quilts of an exemplar and return the best: it looks most like the exemplar and keeps its order.
+
+    Pictures are compared by the relative distance of their Gram matrices at half the size. Candidates of all sizes of
+    blocks are of the stretched exemplar first, then of the exemplar as it is, and so on in turns.
+
+    Args:
+        exemplar: the picture that quilts are to look like, display values [3, H, W].
+        even: the exemplar without slow changes of light, of which quilts are made, [3, H, W].
+        cells: the rows and columns of cells of a quilt.
+        statistics: the statistics whose features are compared.
+        candidates: the number of quilts.
+
+    Returns:
+        The places [2, rows, columns] and the picture [3, H, W] of the best quilt.
+    """
+    octave, size = min(1, statistics.octaves.count - 1), (exemplar.shape[1], exemplar.shape[2])
+
+    def compute_grams(picture: Tensor) -> list[Tensor]:
+        small_picture = avg_pool2d(picture[None], 2**octave) if octave else picture[None]
+        return [gram(features) for features in statistics.compute_features(small_picture, octave)]
+
+    lattice, exemplar_grams = find_lattice(even), compute_grams(exemplar) if candidates > 1 else []
+    small = interpolate(even[None], size=cells, mode="area")[0]
+    sources = [make_piece_source(small, cells, stretches=stretches) for stretches in (True, False)]
+    best, least = None, float("inf")
+    for candidate in range(candidates):
+        source = sources[candidate // len(BLOCKS) % 2]
+        places = quilt_places(source, cells, BLOCKS[candidate % len(BLOCKS)], np.random.default_rng(candidate))
+        picture = fetch_pieces(even, places, size, cells).clamp(0, 1)
+        error = 0.0
+        if candidates > 1:
+            distance = statistics_distance(compute_grams(picture), exemplar_grams)
+            error = float(distance) + order_penalty(lattice, picture)
+        if error < least:
+            best, least = (places, picture), error
+    assert best is not None
+    return best
+
+
+def order_penalty(lattice: Lattice, picture: Tensor) -> float:
+    """Return the penalty on a picture that has lost a part of an exemplar's order; 0 if the exemplar has none."""
+    if lattice.score <= MIN_LATTICE_SCORE:
+        return 0.0
+    return ORDER_WEIGHT * max(0.0, ORDER_GOAL - kept_order_share(lattice, picture))
+
+
+def count_tile_cells(size: tuple[int, int], photo_size: tuple[int, int], cells: tuple[int, int]) -> tuple[int, int]:
+    """Count the rows and columns of cells of a tile in which structures are as large as in the photograph.
+
+    Args:
+        size: the height and width of the tile in px.
+        photo_size: the height and width of the photograph in px.
+        cells: the rows and columns of cells that have the size of the whole photograph.
+    """
+    rows, columns = (
+        max(MIN_TILE_CELLS, round(length * count / photo_length))
+        for length, count, photo_length in zip(size, cells, photo_size, strict=True)
+    )
+    return rows, columns
+
+
+def quilt_again(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tensor:
+    """Quilt a tile of another size of a tile; structures keep their size, and as much of their order as they can.
+
+    Args:
+        layers: pictures or maps that tile and lie over each other, [C, H, W].
+        colours: the tile by whose colours pieces agree, display values [3, rows, columns], one px for each cell.
+        size: the height and width of the result in px.
+
+    Returns:
+        [C, *size].
+    """
+    own_size, cells = (layers.shape[1], layers.shape[2]), (colours.shape[1], colours.shape[2])
+    tile_cells, lattice = count_tile_cells(size, own_size, cells), find_lattice(colours)
+    holds_whole_tiles = all(length % own == 0 for length, own in zip(size, own_size, strict=True))
+    stretched_first = (not holds_whole_tiles, holds_whole_tiles)
+    sources = [make_piece_source(colours, tile_cells, stretches=stretches) for stretches in stretched_first]
+    best, least = torch.empty(0), float("inf")
+    for candidate in range(TILE_CANDIDATES):
+        rng = np.random.default_rng(TILE_SEED + candidate)
+        places = quilt_places(sources[candidate % 2], tile_cells, BLOCKS[(1 + candidate) % len(BLOCKS)], rng)
+        penalty = order_penalty(lattice, fetch_pieces(colours, places, tile_cells, cells))
+        if penalty < least:
+            best, least = places, penalty
+        if not penalty:
+            break
+    return fetch_pieces(layers, best, size, cells)

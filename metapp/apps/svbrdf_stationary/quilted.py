@@ -1,0 +1,267 @@
+"""Stationary svBRDFs of pieces of the flash photograph: maps that a network makes of a quilt that tiles.
+
+Diffuse colour is the quilt's but for what the network changes, and relief and gloss follow it, so that a stitch of a
+knit stays a stitch in each map. The quilt is fetched from the photograph at the photograph's own resolution.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate
+from typing_extensions import override
+
+from metapp.appearance.features import detail_statistics
+from metapp.appearance.flash import DISPLAY_GAMMA, Maps, normal_from_height, unpack_maps
+from metapp.appearance.order import remove_quadratic_trend
+from metapp.apps.exemplar.app import (
+    LARGEST_PHOTO_PX,
+    PictureChanges,
+    fixed_noise,
+    generate_raw,
+    move_tiles,
+    turn_picture,
+)
+from metapp.apps.exemplar.quilts import quilt_again
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
+from metapp.networks.generators import Pyramid
+from metapp.networks.quilted import enlarge_grid, fetch_pieces, normalise_quilts
+
+DISPLAY_RANGE = (0.02, 0.98)  # display values to which quilts are clamped before logits, which are unbounded
+MAP_WEIGHT = 3.0  # weight in the outer loss of the differences from the true maps
+# Weights in that difference of diffuse colour, specular reflectance, roughness, slopes, and squared slopes
+PART_WEIGHTS = (1.0, 1.0, 1.0, 2.0, 8.0)
+# rows and columns of cells whose means are equal but for the quilt's: a stationary material has no slow changes, and a
+# network that reads normalised quilts makes clouds of what is left of the light
+SLOW_CELLS = 8
+LINE_WINDOW_PX = 9  # side of windows, odd, in which a photograph is compared with the photograph in even light
+LINE_DEVIATION = 0.005  # standard deviation of display values below which a window counts as flat
+SMALL_LAYERS = (3, 1, 1, 1)  # channels of diffuse display values, specular reflectance, roughness and height
+
+
+@dataclass(frozen=True)
+class QuiltedSvbrdf(SvbrdfStationary):
+    """Stationary svBRDFs whose maps a network makes of a quilt of the flash photograph.
+
+    A training task may hold `maps` [10, M, M], the true maps over the photograph at its exposure, packed by
+    :func:`metapp.appearance.flash.pack_maps`: the outer loss then compares each texel.
+
+    Attributes:
+        network: the generator, which reads quilts.
+    """
+
+    network: Pyramid = field()
+
+    tensors: ClassVar = SvbrdfStationary.tensors | {"maps": TensorSpec((10, "M", "M"), low=-1, high=1, optional=True)}
+
+    @property
+    @override
+    def read_size(self) -> int:
+        return LARGEST_PHOTO_PX
+
+    @override
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """Add the true maps over the photograph, `maps` [10, M, M], if the task has them."""
+        data = super().prepare(task)
+        return data | ({"maps": task.data["maps"].float()} if "maps" in task.data else {})
+
+    @override
+    def make_targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        """Add `detail` [B, 3, N], how fine the detail of photographs is; see :func:`detail_statistics`."""
+        return super().make_targets(exemplars, octave) | {"detail": detail_statistics(exemplars)}
+
+    @override
+    def change_data(self, tasks: Tasks, changes: PictureChanges, targets: Batch) -> dict[str, Tensor]:
+        data = super().change_data(tasks, changes, targets)
+        if "maps" not in tasks.data:
+            return data
+        pairs = zip(tasks.data["maps"][tasks.rows], *changes, strict=True)
+        return data | {"maps": torch.stack([turn_maps(maps, *change) for maps, *change in pairs])}
+
+    @override
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """Add the true maps of training tasks, `maps` [T, 10, H, W], at the places of the quilts."""
+        batch = super().sample(tasks, rng, count)
+        if "maps" not in tasks.data:
+            return batch
+        places = zip(tasks.data["maps"][tasks.rows], tasks.data["places"][tasks.rows], strict=True)
+        size = self.octaves.octave_size()
+        return batch | {"maps": torch.stack([fetch_pieces(maps, place, size, self.cells) for maps, place in places])}
+
+    @override
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Return the distance of pictures from the photo plus the difference of maps from the true ones, [T]."""
+        loss = super().outer_loss(theta, batch, learned)
+        if "maps" not in batch:
+            return loss
+        octave = self.octaves.find_octave(batch)
+        maps = self.generate(theta, batch["noise"], octave)
+        true_maps = unpack_maps(move_tiles(batch["maps"], batch["noise"], octave))
+        slope_differences = (maps.normal - true_maps.normal)[:, :, :2]
+        differences = (
+            _display(maps.diffuse) - _display(true_maps.diffuse),
+            _display(maps.specular) - _display(true_maps.specular.mean(2, keepdim=True)),
+            maps.roughness - true_maps.roughness,
+            slope_differences,
+            slope_differences.square(),
+        )
+        pairs = zip(differences, PART_WEIGHTS, strict=True)
+        return loss + MAP_WEIGHT * torch.stack(
+            [weight * difference.abs().mean((1, 2, 3, 4)) for difference, weight in pairs]
+        ).sum(0)
+
+    @override
+    def generate_maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
+        raw = remove_slow_changes(generate_raw(self, theta, noise, octave))
+        quilts = move_tiles(theta["quilt"].detach(), noise, octave)
+        return self.decode_maps(_add_quilt(raw, quilts), self.octaves.octave_size(octave)[1])
+
+    def take_even_photo(self, image: Tensor) -> Tensor:
+        """Return a photograph as floats [3, S, S], display values in [0, 1], without its shading.
+
+        Args:
+            image: the photograph, uint8 [3, S, S].
+        """
+        photo = image.float() / 255
+        exemplar = self.octaves.take_exemplar(photo[None])
+        unshaded = self.statistics.even_light(exemplar, {"light": self.statistics.find_light(exemplar)})
+        even = remove_quadratic_trend(unshaded[0])[None]
+        factor, offset = (
+            interpolate(values, size=photo.shape[-2:], mode="bilinear", align_corners=False)[0]
+            for values in fit_local_lines(exemplar, even)
+        )
+        return (factor * photo + offset).clamp(0, 1)
+
+    @torch.no_grad()
+    def draw_maps(self, theta: Params, task: Task, size: tuple[int, int] | None) -> tuple[Maps, Tensor]:
+        """Make the maps of a fit at the resolution of its photograph; they tile.
+
+        Args:
+            theta: a fit, with a task axis of length 1.
+            task: the task that was fitted.
+            size: height and width in texels, for which the tile is quilted once more; None for the photograph's. If the
+                task holds no photograph, the tile has the size of the quilt in the fit, and a warning says so.
+
+        Returns:
+            Maps [C, H, W], and their height [1, H, W] in texels.
+        """
+        quilt = theta["quilt"]
+        noise = fixed_noise(self, quilt, 1)[:, :, : self.network.noise]
+        raw = remove_slow_changes(self.network(theta, noise, normalise_quilts(quilt[:, None]))[0])
+        if "image" in task.data:
+            photo = self.take_even_photo(task.data["image"])
+            photo_size = photo.shape[1], photo.shape[2]
+            fine_quilt = fetch_pieces(photo, theta["places"][0], photo_size, self.cells).clamp(0, 1)[None]
+        else:
+            warnings.warn(
+                f"{task.name}: its photo is not at hand, expected for the photo's resolution; the maps have "
+                f"{quilt.shape[-1]} px a side. Fit the photo again.",
+                stacklevel=2,
+            )
+            fine_quilt, photo_size = quilt, (quilt.shape[-2], quilt.shape[-1])
+        fine_raw = refine_relief(raw, quilt, fine_quilt)
+        maps, height = self.decode_maps(_add_quilt(fine_raw, fine_quilt)[0], photo_size[1])
+        if size is None or size == photo_size:
+            return maps, height
+        layers = torch.cat([_display(maps.diffuse), maps.specular, maps.roughness, height])
+        colours = adaptive_avg_pool2d(layers[:3], self.cells)
+        diffuse, specular, roughness, height = quilt_again(layers, colours, size).split(SMALL_LAYERS)
+        # cubic interpolation overshoots
+        diffuse, specular = (values.clamp(0, 1) for values in (diffuse, specular))
+        return Maps(diffuse**DISPLAY_GAMMA, specular, roughness.clamp(0.1, 1), normal_from_height(height)), height
+
+
+def fit_local_lines(pictures: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+    """Fit, in a window about each px, the line that makes targets of pictures.
+
+    See He et al. 2010, "Guided image filtering". Factors and offsets vary slowly where targets have another light than
+    pictures, so that they can be enlarged and applied to finer pictures.
+
+    Args:
+        pictures: display values [B, C, H, W].
+        targets: display values [B, C, H, W].
+
+    Returns:
+        The factor and the offset of each px, [B, C, H, W] each.
+    """
+
+    def average(values: Tensor) -> Tensor:
+        return avg_pool2d(values, LINE_WINDOW_PX, 1, LINE_WINDOW_PX // 2, count_include_pad=False)
+
+    picture_mean, target_mean = average(pictures), average(targets)
+    covariance = average(pictures * targets) - picture_mean * target_mean
+    variance = average(pictures.square()) - picture_mean.square()
+    # flat windows say nothing of the factor, so that the ratio of means counts there
+    ratio = target_mean.clamp_min(LINE_DEVIATION) / picture_mean.clamp_min(LINE_DEVIATION)
+    factor = average((covariance + LINE_DEVIATION**2 * ratio) / (variance + LINE_DEVIATION**2))
+    return factor, target_mean - factor * picture_mean
+
+
+def remove_slow_changes(values: Tensor) -> Tensor:
+    """Remove from maps that tile, [..., C, H, W], changes over more than about 2 / SLOW_CELLS of a side; means stay."""
+    maps = values.flatten(0, -4) if values.ndim > 4 else values
+    cell_means = adaptive_avg_pool2d(maps, SLOW_CELLS)
+    deviations = cell_means - cell_means.mean((-1, -2), keepdim=True)
+    return values - enlarge_grid(deviations, maps.shape[-2:]).reshape(values.shape)
+
+
+def refine_relief(raw: Tensor, quilt: Tensor, fine_quilt: Tensor) -> Tensor:
+    """Enlarge raw maps to the size of a finer quilt, and continue the relief in the detail that only the latter shows.
+
+    The finest detail of the height is a factor times the finest detail of brightness, in the least squares; so is the
+    detail that is still finer. The factor is near 0 where brightness says nothing of the height.
+
+    Args:
+        raw: raw maps of the network, [T, 6, H, W].
+        quilt: display values of that size, [T, 3, H, W].
+        fine_quilt: the same quilt, finer, [T, 3, H', W'].
+
+    Returns:
+        Raw maps [T, 6, H', W'].
+    """
+    size = (fine_quilt.shape[-2], fine_quilt.shape[-1])
+    if size == raw.shape[-2:]:
+        return raw
+    enlarged = enlarge_grid(raw, size)
+    if size[0] < quilt.shape[-2]:
+        return enlarged
+    height, brightness = (
+        values - enlarge_grid(avg_pool2d(values, 2), values.shape[-2:])
+        for values in (raw[:, 5:], quilt.mean(1, keepdim=True))
+    )
+    factor = (height * brightness).sum((-1, -2), keepdim=True) / (brightness.square().sum((-1, -2), keepdim=True) + 1e-6)
+    fine_brightness = fine_quilt.mean(1, keepdim=True)
+    detail = fine_brightness - enlarge_grid(adaptive_avg_pool2d(fine_brightness, quilt.shape[-2:]), size)
+    return torch.cat([enlarged[:, :5], enlarged[:, 5:] + factor * detail], 1)
+
+
+def _add_quilt(raw: Tensor, quilts: Tensor) -> Tensor:
+    """Add the logits of quilts [..., 3, H, W], display values, to the diffuse channels of raw maps [..., 6, H, W]."""
+    diffuse, others = raw.split((3, 3), -3)
+    return torch.cat([diffuse + torch.logit(quilts.clamp(*DISPLAY_RANGE)), others], -3)
+
+
+def _display(linear: Tensor) -> Tensor:
+    """Return linear values in [0, 1] as a display of DISPLAY_GAMMA shows them; gradients stay finite."""
+    return linear.clamp_min(1e-3) ** (1 / DISPLAY_GAMMA)
+
+
+def turn_maps(maps: Tensor, is_flipped: Tensor, is_transposed: Tensor, channels: Tensor) -> Tensor:
+    """Change packed maps [10, H, W] as the picture over them is changed.
+
+    Args:
+        maps: packed by :func:`metapp.appearance.flash.pack_maps`.
+        is_flipped, is_transposed: whether the picture is flipped from left to right, then transposed; bool [].
+        channels: the number that each colour channel had before, [3].
+    """
+    normal, diffuse, roughness, specular = turn_picture(maps, bool(is_flipped), bool(is_transposed)).split((3, 3, 1, 3))
+    x, y, z = normal.split(1)
+    x = -x if is_flipped else x
+    # y points up, against the rows
+    x, y = (-y, -x) if is_transposed else (x, y)
+    return torch.cat([x, y, z, diffuse[channels], roughness, specular[channels]])
