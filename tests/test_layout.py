@@ -27,7 +27,6 @@ COMMANDS = r"metapp/cli/\w+\.py|metapp/extensions/\w+/(\w+/)?\w*commands?\.py"
 LATE_IMPORTS = {
     # the two modules that keep torch out of --help: options whose choice changes a recipe
     "metapp/apps/brdf/options.py": "networks that conserve energy need torch",
-    "metapp/apps/exemplar/options.py": "networks of a finer texture need torch",
     # libraries that are not always installed
     "data_tools/readers/image_files.py": "pillow-heif",
     "data_tools/readers/nbrdf_files.py": "h5py",

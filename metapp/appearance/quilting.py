@@ -59,6 +59,7 @@ def quilt_pixel_numbers(
     overlap: int,
     tiles: bool = False,
     frequencies: FloatImage | None = None,
+    repetition_weight: float = 0.0,
 ) -> NDArray[np.intp]:
     """Return the number of the exemplar's px, counted row by row, for each px [h, w] of a quilt.
 
@@ -71,6 +72,9 @@ def quilt_pixel_numbers(
         tiles: whether blocks agree across the edges of the picture, too.
         frequencies: frequencies of the exemplar's lattice, [1 or 2, 2] (y, x) in cycles per px; all blocks are in phase
             with the first one. None for blocks of any phase.
+        repetition_weight: by how much larger the error of a block counts, as a share of it, if the picture shows all
+            of the block already within half the exemplar's sides; of a part of it in proportion. 0, as published, for
+            blocks that may come back anywhere.
     """
     height, width = size
     starts = [_block_starts(length, block - overlap, tiles=tiles) for length in size]
@@ -78,6 +82,7 @@ def quilt_pixel_numbers(
     margin = 0 if tiles else block  # px beyond the picture, cut off at the end
     # for each px of the picture its px of the exemplar, counted row by row
     exemplar_px = np.zeros((height + margin, width + margin), np.intp)
+    is_filled = np.zeros(exemplar_px.shape, bool)
     colours = exemplar.reshape(-1, exemplar.shape[2])
     pixels, numbers = colours.astype(float), np.arange(len(colours)).reshape(exemplar.shape[:2])
     find = _make_block_finder(exemplar, block, frequencies)
@@ -88,12 +93,41 @@ def quilt_pixel_numbers(
             present = exemplar_px[np.ix_(rows, columns)]
             known_pixels = pixels[present]
             occupied = (i > 0, j > 0, tiles and i == len(starts[0]) - 1, tiles and j == len(starts[1]) - 1)
-            y, x = find(known_pixels, _overlap_mask(block, overlaps, occupied), (top, left), rng)
+            known = _overlap_mask(block, overlaps, occupied)
+            factors: FloatImage = np.ones((1, 1))
+            if repetition_weight:
+                is_filled[np.ix_(rows, columns)] = False  # a block may show again what lies below it
+                near_rows, near_columns = (
+                    _is_near(start + block // 2, side // 2, length, tiles=tiles)
+                    for start, side, length in zip((top, left), exemplar.shape[:2], exemplar_px.shape, strict=True)
+                )
+                is_shown = np.zeros(numbers.shape, bool)
+                is_shown.flat[exemplar_px[is_filled & near_rows[:, None] & near_columns]] = True
+                factors = 1 + repetition_weight * _block_means(is_shown, block)
+                is_filled[np.ix_(rows, columns)] = True
+            y, x = find(known_pixels, known, (top, left), factors, rng)
             patch = numbers[y : y + block, x : x + block]
             exemplar_px[np.ix_(rows, columns)] = np.where(
                 _patch_mask(known_pixels, pixels[patch], overlaps, occupied), patch, present
             )
     return exemplar_px[:height, :width]
+
+
+def _is_near(middle: int, reach: int, length: int, *, tiles: bool) -> PixelMask:
+    """Return which px along an axis of `length` px are at most `reach` px from `middle`, also across edges of tiles."""
+    distances = np.abs(np.arange(length) - middle % length)
+    if tiles:
+        distances = np.minimum(distances, length - distances)
+    result: PixelMask = distances <= reach
+    return result
+
+
+def _block_means(values: PixelMask, block: int) -> FloatImage:
+    """Return the mean of each square block [H - block + 1, W - block + 1] of values [H, W]."""
+    sums = np.pad(values.cumsum(0, np.int32).cumsum(1, np.int32), ((1, 0), (1, 0)))
+    sums = sums[block:] - sums[:-block]
+    means: FloatImage = (sums[:, block:] - sums[:, :-block]) / block**2
+    return means
 
 
 OccupiedSides = tuple[bool, bool, bool, bool]
@@ -108,8 +142,9 @@ def _block_starts(length: int, step: int, *, tiles: bool) -> list[int]:
     return [round(i * length / count) for i in range(count)]
 
 
-BlockFinder = Callable[[FloatImage, PixelMask, tuple[int, int], np.random.Generator], tuple[int, int]]
-"""Finds a block of the exemplar, (y, x), by known pixels, where they are known, the block's place, and a generator."""
+BlockFinder = Callable[[FloatImage, PixelMask, tuple[int, int], FloatImage, np.random.Generator], tuple[int, int]]
+"""Finds a block of the exemplar, (y, x), by known pixels, where they are known, the block's place in the picture,
+factors of the errors of all blocks, and a generator."""
 
 
 def _make_block_finder(exemplar: FloatImage, block: int, frequencies: FloatImage | None) -> BlockFinder:
@@ -126,7 +161,11 @@ def _make_block_finder(exemplar: FloatImage, block: int, frequencies: FloatImage
     first_shift = np.zeros(2)  # shift of the first block, from its place in the picture to its place in the exemplar
 
     def find(
-        known_pixels: FloatImage, known: PixelMask, start: tuple[int, int], rng: np.random.Generator
+        known_pixels: FloatImage,
+        known: PixelMask,
+        start: tuple[int, int],
+        factors: FloatImage,
+        rng: np.random.Generator,
     ) -> tuple[int, int]:
         if not known.any():
             found = int(rng.integers(rows)), int(rng.integers(columns))
@@ -137,7 +176,7 @@ def _make_block_finder(exemplar: FloatImage, block: int, frequencies: FloatImage
             channel_spectra * np.conj(known_channels)
         ).sum(2)
         error = np.fft.irfft2(product, size)[:rows, :columns] + np.square(known_pixels[known]).sum()
-        error = np.maximum(error, 1e-6)
+        error = np.maximum(error, 1e-6) * factors
         if frequencies is not None:
             in_phase = _is_in_phase(positions - start - first_shift, frequencies)
             error = np.where(in_phase, error, np.inf) if in_phase.any() else error

@@ -18,6 +18,7 @@ from metapp.learning.task import Params
 
 CORRECTION_GAIN = 0.1  # a parameter of 1 changes a display value by so much, or a contrast by twice this share
 ENCODER_UNITS, ENCODER_LAYERS = 32, 4
+ENCODER_LEAKY_SLOPE = 0.2  # slope below 0 of the leaky ReLUs of the encoder
 ENCODER_INPUTS = 18  # channels: means and deviations of cells, of the whole quilt, and how far the exemplar's are away
 DIFFERENCE_GAIN = 10.0  # factor of the differences between exemplar and quilt, which are small
 QUILT_CONTRAST = 1.5  # root mean square of quilts as generators read them, about a mean of 0
@@ -26,6 +27,10 @@ MIN_QUILT_RMS = (
 )
 DEVIATION_WEIGHT = 0.1  # weight in a loss of the difference of pictures from their quilts
 MIN_QUILT_VARIANCE = 1e-3  # of display values, added to a quilt's variance, so that flat ones count for less
+SHORTEST_REPETITION_CELLS = 4  # shift from which on a place that comes back counts as repeated
+MAX_COUNTED_COPIES = 16  # copies of a place that are told apart; more hardly occur
+SEAM_SIDES_CELLS = (2, 4, 8)  # sides of the squares on both sides of a cut whose colours are compared
+FAINTEST_CHANGE = 1 / 255  # change of a display value that counts as none
 STRIP_ROWS = 512  # rows of a picture that are fetched at a time
 
 
@@ -109,7 +114,7 @@ class LightGrid(NamedTuple):
         for layer in range(ENCODER_LAYERS):
             x = pad(x, (1, 1, 1, 1), mode="circular")
             x = conv2d(x, encoder[f"conv{layer}.kernel"], encoder[f"conv{layer}.shift"])
-            x = leaky_relu(x, 0.2) if layer < ENCODER_LAYERS - 1 else x
+            x = leaky_relu(x, ENCODER_LEAKY_SLOPE) if layer < ENCODER_LAYERS - 1 else x
         return {"z": x}
 
 
@@ -223,21 +228,118 @@ def fetch_pieces(photo: Tensor, places: Tensor, size: tuple[int, int], cells: tu
     return torch.cat(strips, 1)
 
 
+def find_cuts(places: Tensor, cells: tuple[int, int]) -> Tensor:
+    """Return where the next cell down, and the next cell right, comes from another piece, bool [2, rows, columns].
+
+    Args:
+        places: the place (y, x) in the photograph of each cell, in its sides, [2, rows, columns]; cells continue at
+            opposite edges.
+        cells: the rows and columns of cells that have the size of the whole photograph.
+    """
+    cuts = []
+    for axis, count in enumerate(cells):
+        step = places.new_zeros(2, 1, 1)
+        step[axis] = 1 / count
+        deviation = (places.roll(-1, axis + 1) - places - step) * count
+        cuts.append(deviation.abs().amax(0) >= 0.5)
+    return torch.stack(cuts)
+
+
 def copied_share(places: Tensor, cells: tuple[int, int]) -> float:
     """Return the share of a quilt that is a plain copy: where a cell and its neighbours come from one piece.
 
+    See :func:`find_cuts` for the arguments.
+    """
+    down, right = find_cuts(places, cells)
+    is_copy = ~(down | down.roll(1, 0) | right | right.roll(1, 1))
+    return float(is_copy.float().mean())
+
+
+def repeated_share(places: Tensor, cells: tuple[int, int]) -> float:
+    """Return the largest share of a quilt that comes back at one shift: how large the largest repetition is.
+
+    At each shift of at least SHORTEST_REPETITION_CELLS the cells are counted whose place in the photograph stands also
+    at the shifted cell. An eye finds a piece that comes back as a whole; small parts of many pieces, which together may
+    be as large, it does not find. Shifts that differ by a cell count as one, as pieces may be stretched.
+
+    See :func:`find_cuts` for the arguments.
+    """
+    rows, columns = places.shape[1:]
+    y, x = ((place * count).long().clamp(0, count - 1) for place, count in zip(places, cells, strict=True))
+    numbers, order = (y * cells[1] + x).flatten().sort(stable=True)
+    shift_counts = torch.zeros(rows * columns)
+    for distance in range(1, MAX_COUNTED_COPIES):
+        is_same = numbers[distance:] == numbers[:-distance]
+        first, second = order[:-distance][is_same], order[distance:][is_same]
+        for start, end in ((first, second), (second, first)):
+            down, right = (end // columns - start // columns) % rows, (end - start) % columns
+            shift_counts += torch.bincount(down * columns + right, minlength=rows * columns)
+    near = torch.arange(1 - SHORTEST_REPETITION_CELLS, SHORTEST_REPETITION_CELLS)
+    counts = shift_counts.unflatten(0, (rows, columns))
+    counts[near[:, None] % rows, near % columns] = 0
+    sums = 9 * avg_pool2d(pad(counts[None, None], (1, 1, 1, 1), mode="circular"), 3, 1)
+    return float(sums.max()) / (rows * columns)
+
+
+def seam_strength(exemplar: Tensor, quilt: Tensor, places: Tensor, cells: tuple[int, int]) -> float:
+    """Return how much stronger a quilt changes across its cuts than the exemplar does at the places on both sides.
+
+    Colours are means of squares on both sides of a cut, of each side in SEAM_SIDES_CELLS; the strength is the root mean
+    square of their difference over the exemplar's, for the side where that is largest. At the photograph's edges, where
+    a place has no such difference, it is the mean over the exemplar. The strength is about 1 where cuts are not
+    seen, also along joints, which are edges in the exemplar, too. Finer changes are not counted, as pieces fade into
+    each other over the width of a cell.
+
     Args:
+        exemplar: the evenly lit exemplar, [3, H, W].
+        quilt: the quilt of it, [3, h, w], which tiles.
         places: the place (y, x) in the photograph of each cell, in its sides, [2, rows, columns].
         cells: the rows and columns of cells that have the size of the whole photograph.
     """
-    is_copy = torch.ones(places.shape[1:], dtype=torch.bool)
-    for axis, count in ((1, cells[0]), (2, cells[1])):
-        step = places.new_zeros(2, 1, 1)
-        step[axis - 1] = 1 / count
-        deviation = (places.roll(-1, axis) - places - step) * count
-        agrees = deviation.abs().amax(0) < 0.5
-        is_copy &= agrees & agrees.roll(1, axis - 1)
-    return float(is_copy.float().mean())
+    exemplar, quilt = (
+        interpolate(picture[None], size=size, mode="area")[0]
+        for picture, size in ((exemplar, cells), (quilt, places.shape[1:]))
+    )
+    cuts, scale = find_cuts(places, cells), places.new_tensor(cells)[:, None, None]
+    index = (places * scale).long().clamp_min(0).minimum(scale.long() - 1)
+    strengths = []
+    for side in SEAM_SIDES_CELLS:
+        across_cuts, natural = torch.zeros(()), torch.zeros(())
+        for axis, is_cut in enumerate(cuts):
+            changes = _omit_border(_squared_changes(exemplar, axis, side), axis, side)
+            next_index = index.roll(-1, axis + 1)
+            next_index[axis] = (next_index[axis] - 1).clamp_min(0)
+            own_changes = torch.stack([changes[tuple(index)], changes[tuple(next_index)]]).nanmean(0)
+            own_changes = own_changes.where(own_changes.isfinite(), changes.nanmean())  # at the photograph's edges
+            across_cuts += _squared_changes(quilt, axis, side)[is_cut].sum()
+            natural += (own_changes[is_cut] + FAINTEST_CHANGE**2).sum()
+        strengths.append(float((across_cuts / natural).sqrt()) if bool(cuts.any()) else 1.0)
+    return max(strengths)
+
+
+def _squared_changes(picture: Tensor, axis: int, side: int) -> Tensor:
+    """Return the squared change of colour [H, W] from each px of a picture [3, H, W] to the next along an axis.
+
+    It is the difference of the means of two squares of `side` px, of which the first ends at the px. The picture
+    continues at opposite edges.
+    """
+    turned = picture.movedim(axis + 1, -1)[None]
+    length, centre = turned.shape[-1], side // 2
+    padded = pad(turned, (side - 1, side, centre, side - 1 - centre), mode="circular")
+    means = avg_pool2d(avg_pool2d(padded, (side, 1), 1), (1, side), 1)[0]
+    changes = (means[..., side:] - means[..., :length]).square().sum(0)
+    return changes if axis == 1 else changes.T
+
+
+def _omit_border(changes: Tensor, axis: int, side: int) -> Tensor:
+    """Return changes [H, W] of :func:`_squared_changes` with NaN where squares reach past the picture's edges."""
+    height, width = changes.shape
+    before, after = [side // 2] * 2, [side - 1 - side // 2] * 2
+    before[axis], after[axis] = side - 1, side
+    inside = slice(before[0], height - after[0]), slice(before[1], width - after[1])
+    known = torch.full_like(changes, math.nan)
+    known[inside] = changes[inside]
+    return known
 
 
 def subtract_trend(photo: Tensor, exemplar: Tensor, even_exemplar: Tensor) -> Tensor:

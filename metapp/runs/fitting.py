@@ -194,9 +194,13 @@ def check_task(run: Run, task: Task) -> None:
 
 
 def warm_up(run: Run, task: Task) -> None:
-    """Take a gradient step before the first fit: first calls load kernels, which would count as time of the fit."""
+    """Take a gradient step before the first fit: first calls load kernels, which would count as time of the fit.
+
+    The task is prepared by :meth:`App.warm_up_app`, which may take less time than a fit that is kept.
+    """
     step_count = min(run.paradigm.steps, WARM_UP_STEPS)
-    stacked, paradigm = stack_tasks(run.app, [task], run.device), replace(run.paradigm, steps=step_count)
+    stacked = stack_tasks(run.app.warm_up_app(), [task], run.device)
+    paradigm = replace(run.paradigm, steps=step_count)
     # without a guard, whose losses take longer than a step
     paradigm.fit(run.phi, stacked, rng_of(run, task), guarded=False)
 

@@ -1,5 +1,6 @@
 """Textures of pieces of a photograph: where a fit begins, what steps change, and what files hold."""
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -16,10 +17,11 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import make_piece_source, order_penalty, quilt_places
 from metapp.apps.texture.presenter import MIN_LINE_STRENGTH, TexturePresenter
 from metapp.apps.texture.quilted import QuiltedTexture
+from metapp.extensions.baselines.texture import baselines
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.quilted import LightGrid
+from metapp.networks.quilted import LightGrid, fetch_pieces
 from metapp.paradigms.adam import Overfit
 
 APP = QuiltedTexture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=4)
@@ -142,13 +144,12 @@ def test_augmented_exemplars_have_quilts_of_their_own(tasks: Tasks) -> None:
 
 
 def test_lost_structure_is_said_with_a_remedy(tasks: Tasks, theta: Params, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is said of the fit itself; of scattered px, of broken lines and of seams one clause each."""
+    """Nothing is said of the fit, whatever lines it adds; of scattered px and of broken lines one clause each."""
     presenter = TexturePresenter(APP)
     comparisons = iter(
         [
-            LineComparison(1.0, 1.0),
-            LineComparison(0.834, 1.0),
             LineComparison(1.0, SEAM_STRENGTH_RATIO + 0.3),
+            LineComparison(0.834, 1.0),
         ]
     )
     monkeypatch.setattr("metapp.apps.exemplar.presenter.compare_lines", lambda *_: next(comparisons))
@@ -159,9 +160,42 @@ def test_lost_structure_is_said_with_a_remedy(tasks: Tasks, theta: Params, monke
     assert re.fullmatch(
         r"keeps 0\.\d\d of the photo's regular structure \(a photo that shows it more often helps\)", clause
     )
-    ((broken,),), ((seams,),) = (presenter.quality_warnings(theta, tasks) for _ in range(2))
+    ((broken,),) = presenter.quality_warnings(theta, tasks)
     assert broken.startswith("breaks lines of the photo such as joints, cracks or threads (0.83 as strong, ")
-    assert seams.startswith("shows seams, lines 1.8 times as strong")
+
+
+def test_visible_cuts_and_repetitions_are_said(task: Task, tasks: Tasks, theta: Params) -> None:
+    """Of blocks at random and of a large piece that comes back; a fit, and a photo that repeats itself, say nothing."""
+    presenter = TexturePresenter(APP)
+    exemplar = APP.octaves.take_exemplar(task.data["image"][None].float() / 255)[0]
+    ordered, unordered = exemplar, torch.rand(3, 64, 64, generator=Generator().manual_seed(0))
+    own = torch.stack(torch.meshgrid(*2 * [(torch.arange(64) + 0.5) / 64], indexing="ij"))
+    blocks, twice, rng = own.clone(), own.clone(), Generator().manual_seed(1)
+    for row, column in itertools.product(range(0, 64, 16), repeat=2):
+        y, x = torch.randint(49, (2,), generator=rng).tolist()
+        blocks[:, row : row + 16, column : column + 16] = own[:, y : y + 16, x : x + 16]
+    twice[:, 32:62, :44] = own[:, :30, 10:54]
+
+    def say(picture: Tensor, places: Tensor) -> list[str]:
+        return presenter._find_visible_pieces(picture, fetch_pieces(picture, places, (64, 64), (64, 64)), places)
+
+    fitted = APP.network(theta, theta["quilt"])[0]
+    assert presenter._find_visible_pieces(exemplar, fitted, theta["places"][0]) == []
+    assert presenter.quality_warnings(theta, tasks) == [[]]
+    (cuts,) = say(ordered, blocks)
+    assert re.fullmatch(r"shows the cuts between pieces of the photo \(changes across them are \d\.\d times .*\)", cuts)
+    assert say(unordered, twice) == ["repeats 32% of itself (a photo of more of the material helps)"]
+    assert say(unordered, own) == []
+    assert not any("repeats" in clause for clause in say(ordered, twice))
+    record = presenter.remarks({"places": twice}, task)
+    assert record["repeated"] == pytest.approx(30 * 44 / 64**2)
+
+
+def test_a_fit_that_is_thrown_away_compares_two_quilts_and_methods_without_quilts_make_none(task: Task) -> None:
+    assert APP.warm_up_app().candidates == 2
+    assert replace(APP, candidates=1).warm_up_app().candidates == 1
+    assert not {"places", "quilt"} & stack_tasks(replace(APP, candidates=0), [task]).data.keys()
+    assert all(baseline.app.candidates == 0 for baseline in baselines(APP))
 
 
 def test_lines_of_torn_pictures_are_weak_and_those_of_fits_are_not(task: Task) -> None:
@@ -180,13 +214,3 @@ def test_textures_without_the_photograph_have_the_size_of_the_quilt(theta: Param
     batch = {key: value[:1] for key, value in theta.items()}
     with pytest.warns(UserWarning, match="gone: its photo is not at hand, .* the texture has 64 px a side"):
         assert APP.draw_tile(batch, Task("gone", {}), None).shape == (3, 64, 64)
-
-
-def test_a_finer_detail_has_structures_of_equal_size(task: Task) -> None:
-    """At twice the resolution quilts have as many cells, and structures are twice as large in texels."""
-    fine = replace(APP, octaves=replace(APP.octaves, height=128, width=128, finer=1), candidates=2)
-    targets = stack_tasks(fine, [task]).data
-    assert targets["places"].shape == (1, 2, 64, 64)
-    assert targets["quilt"].shape == (1, 3, 128, 128)
-    steps = (targets["places"][0, 0].diff(dim=0) * 64)[:, 32]
-    assert float(steps.median()) == pytest.approx(1, abs=0.1)

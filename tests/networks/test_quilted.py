@@ -13,10 +13,24 @@ from metapp.networks.quilted import (
     copied_share,
     enlarge_grid,
     fetch_pieces,
+    find_cuts,
+    repeated_share,
+    seam_strength,
     subtract_trend,
 )
 
 NETWORK = LightGrid(4, 8)
+
+
+def scatter_blocks(side: int, rng: Generator) -> Tensor:
+    """Draw the places [2, 64, 64] of a quilt of square blocks at random, which are not cut."""
+    places = places_of(64, 64)
+    quilt_of_blocks = places.clone()
+    for row in range(0, 64, side):
+        for column in range(0, 64, side):
+            y, x = torch.randint(64 - side + 1, (2,), generator=rng).tolist()
+            quilt_of_blocks[:, row : row + side, column : column + side] = places[:, y : y + side, x : x + side]
+    return quilt_of_blocks
 
 
 def places_of(rows: int, columns: int) -> Tensor:
@@ -143,3 +157,81 @@ def test_cells_at_cuts_are_no_copies() -> None:
     moved[1, :, 8:] -= 3 / 16
     assert copied_share(moved, (10, 16)) == pytest.approx(8 * 12 / 160)
     assert copied_share(places.roll((4, 5), (1, 2)), (10, 16)) == pytest.approx(8 * 14 / 160)
+
+
+# What an eye sees of pieces
+
+
+@pytest.mark.parametrize("size", [(96, 96), (70, 120)])
+def test_blocks_that_are_shown_already_are_taken_less(size: tuple[int, int]) -> None:
+    """A weight lets less come back in tiles, which still agree across their cuts."""
+    pixels = np.random.default_rng(3).random((96, 96, 3))
+    shares = []
+    for weight in (0.0, 2.0):
+        repeated = []
+        for seed in range(4):
+            rng = np.random.default_rng(seed)
+            numbers = quilt_pixel_numbers(pixels, size, rng, block=24, overlap=8, tiles=True, repetition_weight=weight)
+            repeated.append(1 - len(np.unique(numbers)) / numbers.size)
+        shares.append(sum(repeated) / len(repeated))
+    assert shares[1] < 0.8 * shares[0]
+
+
+def test_cuts_are_where_neighbours_come_from_other_pieces() -> None:
+    places = places_of(10, 16)
+    down, right = find_cuts(places, (10, 16))
+    assert down.nonzero()[:, 0].unique().tolist() == [9]  # where the tile meets itself
+    assert right.nonzero()[:, 1].unique().tolist() == [15]
+    places[0, 4:] -= 0.3
+    assert find_cuts(places, (10, 16))[0].any(1).nonzero().flatten().tolist() == [3, 9]
+
+
+def test_a_piece_that_comes_back_is_repeated_and_the_photograph_is_not() -> None:
+    """Half of a quilt that shows one half twice comes back; a piece of a tenth counts a tenth, wherever it lies."""
+    places = places_of(40, 20)
+    assert repeated_share(places, (40, 20)) == 0
+    twice = places.clone()
+    twice[:, 22:40] = places[:, :18]
+    assert repeated_share(twice, (40, 20)) == pytest.approx(18 / 40)
+    small = places.clone()
+    small[:, 30:38, 10:20] = places[:, 3:11, 2:12]
+    assert repeated_share(small, (40, 20)) == pytest.approx(0.1)
+    assert repeated_share(small.roll((13, 7), (1, 2)), (40, 20)) == pytest.approx(0.1)
+    stretched = places.clone()
+    stretched[0] *= 0.93  # neighbours show a place twice, as in stretched pieces
+    assert repeated_share(stretched, (40, 20)) == 0
+
+
+@pytest.mark.parametrize("kind", ["noise", "clouds"])
+def test_changes_across_cuts_of_blocks_at_random_are_strong(kind: str, rng: Generator) -> None:
+    """Smooth pictures show them most; a quilt that is cut where blocks agree, and the photograph, show less."""
+    noise = torch.rand(3, 64, 64, generator=rng)
+    smooth = noise
+    side = 5 if kind == "noise" else 9
+    for _ in range(3):
+        smooth = torch.nn.functional.avg_pool2d(smooth[None], side, 1, side // 2)[0]
+    photo = (0.5 + (smooth - smooth.mean()) / (6 * smooth.std())).clamp(0, 1)
+    pixels, numbers_rng = photo.permute(1, 2, 0).numpy(), np.random.default_rng(0)
+    numbers = quilt_pixel_numbers(pixels, (64, 64), numbers_rng, block=24, overlap=8, tiles=True)
+    strengths = [
+        seam_strength(photo, fetch_pieces(photo, places, (64, 64), (64, 64)), places, (64, 64))
+        for places in (scatter_blocks(16, rng), places_of(64, 64).flatten(1)[:, torch.from_numpy(numbers)])
+    ]
+    assert strengths[0] > 1.5
+    assert strengths[1] < 0.8 * strengths[0]
+
+
+def test_changes_across_cuts_are_relative_to_the_photograph() -> None:
+    """Of a picture of one colour nothing is seen, and along joints, which are edges in the photograph, nothing new."""
+    places, flat = places_of(32, 32), torch.full((3, 32, 32), 0.4)
+    ramp = torch.linspace(0, 1, 32).expand(3, 32, 32)
+    assert seam_strength(ramp, ramp, places, (32, 32)) > 3  # where the photograph meets itself
+    assert seam_strength(flat, flat, places.roll(9, 2), (32, 32)) < 0.1
+    stripes = (torch.arange(32) // 8 % 2).float().expand(3, 32, 32)
+    moved = places.clone()
+    moved[1, :, 16:] -= 0.5  # the left half twice: the cut lies where a stripe ends anyway
+    assert seam_strength(stripes, stripes, moved, (32, 32)) == pytest.approx(1, abs=0.1)
+    shown = fetch_pieces(stripes, moved, (32, 32), (32, 32))
+    brighter = shown.clone()
+    brighter[:, :, 16:] += 0.8
+    assert seam_strength(stripes, brighter, moved, (32, 32)) > 1.3

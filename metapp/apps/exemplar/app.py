@@ -23,41 +23,18 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import choose_quilt
 from metapp.learning.app import App
 from metapp.learning.random_tensors import draw_normal, draw_uniform
-from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import add_decoder, join_encoder
 from metapp.networks.generators import Pyramid, UNet
 from metapp.networks.quilted import move_periodically, normalise_quilts
 
 HIDDEN_UNITS = 128  # units of each hidden layer of General's encoder
+ENCODER_LEAKY_SLOPE = 0.2  # slope below 0 of the leaky ReLUs of General's encoder
+WARM_UP_CANDIDATES = 2  # quilts of a fit that is thrown away: from two on they are compared
 LARGEST_PHOTO_PX = 4096  # side at which photographs are read, of which pieces are fetched
 QUILT_KEYS = ("places", "quilt")  # parameters of fits that the exemplar determines and no step changes
 MOVING_CHANNELS = 2  # channels of noise, at least: two numbers of it say how far down and right tiles are moved
 JUDGED_PICTURES = 4  # pictures of each task whose mean error is reported
-
-
-def set_detail(recipe: Recipe, side: int) -> Recipe:
-    """Return a recipe for exemplars of another side.
-
-    Args:
-        recipe: the recipe of an exemplar application.
-        side: the side in px. Networks that read a quilt have two choices: the side of training and twice that.
-
-    Raises:
-        ValueError: the recipe has no such choice.
-    """
-    app, sides = recipe.app, tuple[int, ...]()
-    assert isinstance(app, ExemplarApp)
-    octaves = app.octaves
-    if app.network.reads_quilt:
-        training_side = octaves.width >> octaves.finer
-        sides = (training_side, 2 * training_side)
-    if side not in sides:
-        expected = f"one of {', '.join(map(str, sides))}" if sides else "no choice; take another recipe"
-        raise ValueError(f"expected {expected}")
-    finer = sides.index(side)
-    height = (octaves.height >> octaves.finer) << finer
-    return replace(recipe, app=replace(app, octaves=replace(octaves, height=height, width=side, finer=finer)))
 
 
 @dataclass(frozen=True)
@@ -73,7 +50,8 @@ class ExemplarApp(App):
     Attributes:
         network: the generator.
         octaves: the sizes at which pictures are compared with the exemplar.
-        candidates: the number of quilts of which a fit begins with the best one.
+        candidates: the number of quilts of which a fit begins with the best one; with 0, tasks have what errors read
+            alone, for methods that read no quilt.
     """
 
     network: UNet | Pyramid = field()
@@ -88,12 +66,17 @@ class ExemplarApp(App):
     @property
     @override
     def read_size(self) -> int:
-        return self.octaves.width if self.octaves.finer else 0
+        """LARGEST_PHOTO_PX for networks that read quilts, whose pieces are fetched of the photographs."""
+        return LARGEST_PHOTO_PX if self.network.reads_quilt else 0
+
+    @override
+    def warm_up_app(self) -> ExemplarApp:
+        return replace(self, candidates=min(self.candidates, WARM_UP_CANDIDATES))
 
     @property
     def cells(self) -> tuple[int, int]:
         """The rows and columns of cells of a quilt: the px of exemplars in training."""
-        return self.octaves.octave_size(self.octaves.finer)
+        return self.octaves.octave_size()
 
     @override
     def conditions(self, device: torch.device | None = None) -> dict[str, str]:
@@ -111,15 +94,9 @@ class ExemplarApp(App):
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """Return `image`, uint8 [3, S, S], and the statistics of the exemplar in it.
-
-        Raises:
-            ValueError: exemplars are to be finer than in training, and the picture is smaller than that.
-        """
-        image, octaves = task.data["image"], self.octaves
-        if octaves.finer and image.shape[-1] < (side := octaves.width):
-            raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
-        exemplar = octaves.take_exemplar(image[None].float() / 255)
+        """Return `image`, uint8 [3, S, S], and the statistics of the exemplar in it."""
+        image = task.data["image"]
+        exemplar = self.octaves.take_exemplar(image[None].float() / 255)
         return {"image": image} | {key: value[0] for key, value in self.make_targets(exemplar).items()}
 
     def make_targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
@@ -132,7 +109,7 @@ class ExemplarApp(App):
             octave: the octave, 0 for the whole size.
         """
         targets = self.statistics.describe(exemplars, octave)
-        if not self.network.reads_quilt:
+        if not (self.network.reads_quilt and self.candidates):
             return targets
         unshaded = self.statistics.even_light(exemplars, targets)
         quilts = [
@@ -191,7 +168,7 @@ class ExemplarApp(App):
         x = torch.log(condition["summary"] + 0.01) / 2  # as features are heavy-tailed
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
-            x = leaky_relu(x, 0.2) if layer < 3 else x
+            x = leaky_relu(x, ENCODER_LEAKY_SLOPE) if layer < 3 else x
         return add_decoder({"z": x} | {key: condition[key] for key in QUILT_KEYS if key in condition}, encoder)
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:

@@ -32,8 +32,6 @@ class Octaves:
         count: the number of octaves.
         shares: the shares of a descent's steps up to which it sees the coarsest octave alone, the two coarsest, and so
             on; () if it sees all from the beginning. A `Pyramid` makes pictures of coarser octaves, too.
-        finer: the number of octaves by which exemplars are finer than in training. Quilts keep the number of their
-            cells, since structures are larger in texels then.
 
     >>> octaves = Octaves(64, 96, ("relu1_1", "relu2_1", "relu3_1"), count=2)
     >>> octaves.octave_size(1), octaves.count_maps(1), octaves.count_maps(0)
@@ -45,7 +43,6 @@ class Octaves:
     taps: tuple[str, ...]
     count: int = 1
     shares: tuple[float, ...] = ()
-    finer: int = 0
 
     def octave_size(self, octave: int = 0) -> tuple[int, int]:
         """Return the height and width, in texels, of pictures of an octave."""

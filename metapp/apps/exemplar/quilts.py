@@ -17,12 +17,15 @@ from torch.nn.functional import avg_pool2d, interpolate
 from metapp.appearance.features import gram, statistics_distance
 from metapp.appearance.order import MIN_LATTICE_SCORE, Lattice, find_lattice, kept_order_share
 from metapp.appearance.quilting import quilt_pixel_numbers
-from metapp.appearance.stretch import apply_stretch, find_stretch
+from metapp.appearance.stretch import MIN_STRETCH_SCORE, apply_stretch, find_stretch
 from metapp.apps.exemplar.exemplar_statistics import Statistics
-from metapp.networks.quilted import fetch_pieces
+from metapp.networks.quilted import fetch_pieces, repeated_share, seam_strength
 
 BLOCKS = ((64, 21), (96, 32), (128, 42), (48, 16))  # side and overlap of blocks, in cells, of which quilts are made
 ORDER_GOAL, ORDER_WEIGHT = 0.9, 0.3  # share of the exemplar's order that a quilt should keep; the penalty below it
+# weight of a quilt's largest repetition, and of the excess of its changes across cuts, beside its error
+REPEATED_SHARE_WEIGHT, SEAM_EXCESS_WEIGHT = 0.1, 0.1
+BLOCK_REPETITION_WEIGHT = 4.0  # factor of the shown share of a block; see :func:`quilt_pixel_numbers`
 MIN_TILE_CELLS = 8  # rows and columns of the smallest tile
 TILE_CANDIDATES = 6  # quilts of another size than the photograph's, of which the one that keeps most order is taken
 TILE_SEED = 7  # seed of quilts of other sizes than the photograph's
@@ -60,7 +63,12 @@ def make_piece_source(exemplar: Tensor, cells: tuple[int, int], *, stretches: bo
 
 
 def quilt_places(
-    source: PieceSource, cells: tuple[int, int], blocks: tuple[int, int], rng: np.random.Generator
+    source: PieceSource,
+    cells: tuple[int, int],
+    blocks: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    repetition_weight: float = BLOCK_REPETITION_WEIGHT,
 ) -> Tensor:
     """Quilt a tile of an exemplar, and return where its cells come from.
 
@@ -69,6 +77,7 @@ def quilt_places(
         cells: the rows and columns of the tile, in px of the source.
         blocks: the side and the overlap of blocks in px.
         rng: chooses among blocks that agree about as well.
+        repetition_weight: the factor by which blocks that the tile shows already count as worse; 0 as published.
 
     Returns:
         The place (y, x) of the centre of each cell in the exemplar, in its sides, [2, rows, columns].
@@ -82,6 +91,7 @@ def quilt_places(
         overlap=max(1, min(blocks[1], block // 3)),
         tiles=True,
         frequencies=source.frequencies,
+        repetition_weight=repetition_weight,
     )
     result: Tensor = source.places.flatten(1)[:, torch.from_numpy(numbers)]
     return result
@@ -91,9 +101,10 @@ def quilt_places(
 def choose_quilt(
     exemplar: Tensor, even: Tensor, cells: tuple[int, int], statistics: Statistics, candidates: int
 ) -> tuple[Tensor, Tensor]:
-    """Make quilts of an exemplar and return the best: it looks most like the exemplar and keeps its order.
+    """Make quilts of an exemplar and return the best.
 
-    Pictures are compared by the relative distance of their Gram matrices at half the size. Candidates of all sizes of
+    It looks most like the exemplar, by the relative distance of Gram matrices at half the size, keeps its order,
+    repeats little, and changes across its cuts as the exemplar does. Candidates of all sizes of
     blocks are of the stretched exemplar first, then of the exemplar as it is, and so on in turns.
 
     Args:
@@ -115,19 +126,38 @@ def choose_quilt(
     lattice, exemplar_grams = find_lattice(even), compute_grams(exemplar) if candidates > 1 else []
     small = interpolate(even[None], size=cells, mode="area")[0]
     sources = [make_piece_source(small, cells, stretches=stretches) for stretches in (True, False)]
-    best, least = None, float("inf")
+    quilts = []
     for candidate in range(candidates):
         source = sources[candidate // len(BLOCKS) % 2]
         places = quilt_places(source, cells, BLOCKS[candidate % len(BLOCKS)], np.random.default_rng(candidate))
         picture = fetch_pieces(even, places, size, cells).clamp(0, 1)
-        error = 0.0
+        cost = 0.0
         if candidates > 1:
             distance = statistics_distance(compute_grams(picture), exemplar_grams)
-            error = float(distance) + order_penalty(lattice, picture)
-        if error < least:
-            best, least = (places, picture), error
-    assert best is not None
-    return best
+            cost = float(distance) + order_penalty(lattice, picture) + repetition_penalty(lattice, places, cells)
+        quilts.append((cost, candidate, places, picture))
+    quilts.sort()  # seams, which take the longest, are measured of quilts alone that may still be the best
+    best, least = quilts[0], float("inf")
+    for quilt in quilts if candidates > 1 else ():
+        cost, _, places, picture = quilt
+        if cost >= least:
+            break
+        cost += SEAM_EXCESS_WEIGHT * max(0.0, seam_strength(even, picture, places, cells) - 1)
+        if cost < least:
+            best, least = quilt, cost
+    return best[2], best[3]
+
+
+def repetition_penalty(lattice: Lattice, places: Tensor, cells: tuple[int, int]) -> float:
+    """Return the penalty on a quilt in which a piece comes back; 0 if the exemplar repeats itself.
+
+    Args:
+        lattice: the exemplar's lattice.
+        places: the place (y, x) in the photograph of each cell of the quilt, in its sides, [2, rows, columns].
+        cells: the rows and columns of cells that have the size of the whole photograph.
+    """
+    repeats_itself = lattice.score >= MIN_STRETCH_SCORE
+    return 0.0 if repeats_itself else REPEATED_SHARE_WEIGHT * repeated_share(places, cells)
 
 
 def order_penalty(lattice: Lattice, picture: Tensor) -> float:
@@ -168,10 +198,12 @@ def quilt_again(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tenso
     holds_whole_tiles = all(length % own == 0 for length, own in zip(size, own_size, strict=True))
     stretched_first = (not holds_whole_tiles, holds_whole_tiles)
     sources = [make_piece_source(colours, tile_cells, stretches=stretches) for stretches in stretched_first]
+    repetition_weight = 0.0 if lattice.score >= MIN_STRETCH_SCORE else BLOCK_REPETITION_WEIGHT
     best, least = torch.empty(0), float("inf")
     for candidate in range(TILE_CANDIDATES):
         rng = np.random.default_rng(TILE_SEED + candidate)
-        places = quilt_places(sources[candidate % 2], tile_cells, BLOCKS[(1 + candidate) % len(BLOCKS)], rng)
+        blocks, source = BLOCKS[(1 + candidate) % len(BLOCKS)], sources[candidate % 2]
+        places = quilt_places(source, tile_cells, blocks, rng, repetition_weight=repetition_weight)
         penalty = order_penalty(lattice, fetch_pieces(colours, places, tile_cells, cells))
         if penalty < least:
             best, least = places, penalty

@@ -10,4 +10,4 @@ from metapp.networks.picture_options import CameraOptions, ReliefOptions
 
 @dataclass(frozen=True)
 class FlashExemplarOptions(ReliefOptions, ExemplarOptions, CameraOptions):
-    """The options of stationary svBRDFs: size, detail and relief of maps that tile, and the flash photo's camera."""
+    """The options of stationary svBRDFs: size and relief of maps that tile, and the flash photo's camera."""

@@ -40,7 +40,6 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
     relief: float = 1.0
     picture_measure = "a photograph of the maps under the exemplar's light and, with references, under three others"
     min_line_strength = MIN_LINE_STRENGTH
-    shows_seams = False  # rings remain where a highlight has another shape than the photo's
 
     @override
     def preview(self, theta: Params, task: Task) -> dict[str, Tensor]:

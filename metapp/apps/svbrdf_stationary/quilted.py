@@ -19,7 +19,6 @@ from metapp.appearance.features import detail_statistics
 from metapp.appearance.flash import DISPLAY_GAMMA, Maps, normal_from_height, unpack_maps
 from metapp.appearance.order import remove_quadratic_trend
 from metapp.apps.exemplar.app import (
-    LARGEST_PHOTO_PX,
     PictureChanges,
     fixed_noise,
     generate_raw,
@@ -58,11 +57,6 @@ class QuiltedSvbrdf(SvbrdfStationary):
     network: Pyramid = field()
 
     tensors: ClassVar = SvbrdfStationary.tensors | {"maps": TensorSpec((10, "M", "M"), low=-1, high=1, optional=True)}
-
-    @property
-    @override
-    def read_size(self) -> int:
-        return LARGEST_PHOTO_PX
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -234,9 +228,13 @@ def refine_relief(raw: Tensor, quilt: Tensor, fine_quilt: Tensor) -> Tensor:
         values - enlarge_grid(avg_pool2d(values, 2), values.shape[-2:])
         for values in (raw[:, 5:], quilt.mean(1, keepdim=True))
     )
-    factor = (height * brightness).sum((-1, -2), keepdim=True) / (brightness.square().sum((-1, -2), keepdim=True) + 1e-6)
+    factor = (height * brightness).sum((-1, -2), keepdim=True) / (
+        brightness.square().sum((-1, -2), keepdim=True) + 1e-6
+    )
     fine_brightness = fine_quilt.mean(1, keepdim=True)
-    detail = fine_brightness - enlarge_grid(adaptive_avg_pool2d(fine_brightness, quilt.shape[-2:]), size)
+    detail = fine_brightness - enlarge_grid(
+        adaptive_avg_pool2d(fine_brightness, (quilt.shape[-2], quilt.shape[-1])), size
+    )
     return torch.cat([enlarged[:, :5], enlarged[:, 5:] + factor * detail], 1)
 
 

@@ -15,7 +15,7 @@ from torch.nn.functional import interpolate
 from typing_extensions import override
 
 from metapp.appearance.order import remove_quadratic_trend
-from metapp.apps.exemplar.app import LARGEST_PHOTO_PX, move_tiles
+from metapp.apps.exemplar.app import move_tiles
 from metapp.apps.exemplar.quilts import quilt_again
 from metapp.apps.texture.app import Texture
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -33,11 +33,6 @@ class QuiltedTexture(Texture):
     """
 
     network: LightGrid = field()  # type: ignore[assignment]
-
-    @property
-    @override
-    def read_size(self) -> int:
-        return LARGEST_PHOTO_PX
 
     @override
     def init_encoder(self, rng: Generator) -> Params:

@@ -125,12 +125,12 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
     app, allowed = run.app, cost_limits_of_run(run)
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
         if baseline.learns:
-            baseline.prepare(read_training_tasks(app, find_training_folder(run, baseline)), allowed)
+            baseline.prepare(read_training_tasks(baseline.app, find_training_folder(run, baseline)), allowed)
         for task in tasks[:1] if warm and not baseline.stored_tensor else ():
-            baseline.fit(stack_tasks(app, [task]), rng_of(run, task), allowed)
+            baseline.fit(stack_tasks(baseline.app, [task]), rng_of(run, task), allowed)
         for task in tasks:
             rng, start = rng_of(run, task), time.perf_counter()
-            prepared_task = stack_tasks(app, [task])
+            prepared_task = stack_tasks(baseline.app, [task])
             fit = baseline.fit(prepared_task, rng, allowed)
             seconds = time.perf_counter() - start
             answer = fit.answer()

@@ -8,6 +8,7 @@ photograph itself, both methods write files at the scale and resolution of the p
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -39,7 +40,9 @@ COMPARISON_BLOCK_TASKS = 8  # training tasks whose Gram matrices are compared at
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
-    """Return the baselines of textures."""
+    """Return the baselines of textures, which read no quilts of fits."""
+    assert isinstance(app, ExemplarApp)
+    app = replace(app, candidates=0)
     return NearestExemplar(app), Quilting(app), Blending(app)
 
 
@@ -191,7 +194,7 @@ def quilt_photo(photo: Tensor, exemplar: Tensor, size: tuple[int, int] | None, r
     block = min(min(cells) // 4, min(tile_cells) // 2)  # a block of a tile must not meet itself
     blocks = block, max(1, round(block / 6))
     source = make_piece_source(remove_quadratic_trend(exemplar), tile_cells, stretches=True)
-    places = quilt_places(source, tile_cells, blocks, make_numpy_generator(rng))
+    places = quilt_places(source, tile_cells, blocks, make_numpy_generator(rng), repetition_weight=0.0)
     return fetch_pieces(photo, places, size, cells).clamp(0, 1)
 
 

@@ -111,18 +111,3 @@ def test_files_have_the_scale_and_resolution_of_the_photo(method: str, size: str
         assert changes[0] == pytest.approx(changes[1], rel=0.1)
     judged = metapp("baseline", "texture", "wall.png", "--method", method, "--json").json_result
     assert result["tasks"][0]["error"] == judged["tasks"][0]["error"]  # of pictures of the exemplar's size
-
-
-@pytest.mark.long
-def test_a_method_reads_photos_at_the_detail_asked_for(metapp: Callable) -> None:
-    """Exemplars are finer; files have the size of the photograph at any detail."""
-    write_noise_photo(Path("wall.png"), 9, 520)
-    numbers = []
-    for detail in ([], ["--detail", "512"]):
-        result = metapp("baseline", "texture", "wall.png", "--method", "quilting", *detail, "--json").json_result
-        spec = oiio.ImageBuf(str(Path(result["out"], "wall", "texture.png"))).spec()
-        assert (spec.width, "detail512" in result["out"]) == (520, bool(detail))
-        numbers.append(result["tasks"][0]["numbers"])
-    assert numbers == [3 * 256**2, 3 * 512**2]
-    refused = metapp("baseline", "texture", "wall.png", "--detail", "300")
-    assert (refused.code, "expected one of 256, 512" in refused.err) == (2, True)
