@@ -6,13 +6,17 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_LOG_GAIN, FLASH_NUMBERS, decode_maps
 from metapp.apps.svbrdf_nonstationary.several import newton
 from metapp.apps.svbrdf_nonstationary.several.app import (
+    DIELECTRIC_DEVIATION,
+    DIELECTRIC_NUMBER,
+    EXPOSURE_ROUNDING,
     LIGHT_FLOOR,
     SeveralPhotos,
     Texels,
     decode_flashes,
+    dielectric_share,
     render_photos,
 )
 from metapp.learned_rules import rule_of
@@ -22,7 +26,7 @@ from metapp.learning.task import Batch, Params
 from tests.apps.several.test_several_photos import PLACES
 
 SIDE, COUNT = 4, 5
-SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2}
+SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "exposure": 5e-3, "material": 0.3}
 
 
 @pytest.fixture
@@ -49,8 +53,10 @@ def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
 
 
 def settings(values: dict[str, float] = SETTINGS) -> Params:
-    shapes = {"smoothing": (1,), "prior": (1, sum(CHANNELS)), "flash": (1,)}
-    return {key: torch.full(shapes[key], math.log(value), dtype=torch.float64) for key, value in values.items()}
+    shapes = {"prior": (1, sum(CHANNELS))}
+    return {
+        key: torch.full(shapes.get(key, (1,)), math.log(value), dtype=torch.float64) for key, value in values.items()
+    }
 
 
 def test_changes_are_those_of_dense_least_squares() -> None:
@@ -70,11 +76,17 @@ def test_changes_are_those_of_dense_least_squares() -> None:
         weight = (residuals.square() + SETTINGS["smoothing"] ** 2).rsqrt()
         off = (theta["maps"] - theta["prior"].chunk(2, 1)[0]).flatten()
         pull = 3 * SETTINGS["prior"] / (1 + off.square()).sqrt()
-        moved = torch.full((FLASH_NUMBERS, COUNT), 2 * SETTINGS["flash"])
-        moved[3] = 1e-4
+        material = torch.zeros_like(theta["maps"])
+        material[:, -3:] = SETTINGS["material"] * dielectric_share(theta["maps"]) / DIELECTRIC_DEVIATION**2
+        material, from_usual = material.flatten(), theta["maps"].flatten() - DIELECTRIC_NUMBER
+        moved = torch.full((FLASH_NUMBERS, COUNT), 2 * SETTINGS["flash"]).to(flash)
+        gains = (FLASH_LOG_GAIN * theta["flash"][0, 3]).square() + EXPOSURE_ROUNDING**2
+        moved[3] = 1e-4 + 3 * SETTINGS["exposure"] * FLASH_LOG_GAIN**2 / gains.sqrt()
         moved = (SIDE * SIDE * moved).flatten()
-        matrix = rows.T @ (weight[:, None] * rows) + torch.cat([pull + newton.TEXEL_DAMPING, moved]).diag()
-        moment = rows.T @ (weight * residuals) + torch.cat([pull * off, moved * flash.flatten()])
+        damped = pull + material + newton.TEXEL_DAMPING
+        matrix = rows.T @ (weight[:, None] * rows) + torch.cat([damped, moved]).diag()
+        texel_moment = pull * off + material * from_usual
+        moment = rows.T @ (weight * residuals) + torch.cat([texel_moment, moved * flash.flatten()])
         both: Tensor = torch.linalg.solve(matrix, moment)
         if flash is theta["flash"]:
             return both[-FLASH_NUMBERS * COUNT :].view_as(flash)
@@ -88,7 +100,7 @@ def test_changes_are_those_of_dense_least_squares() -> None:
 
 def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
     theta, batch, true = problem(0.1)
-    weak = settings({"smoothing": 0.02, "prior": 1e-9, "flash": 1e-2})
+    weak = settings(SETTINGS | {"prior": 1e-9, "exposure": 1e-9, "material": 1e-9})
 
     def worst(theta: Params) -> float:
         lit = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
@@ -116,6 +128,20 @@ def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralP
         return (moved["maps"] - true).square().sum() + moved["flash"].square().sum()
 
     assert torch.autograd.gradcheck(left, [value.clone().requires_grad_() for value in alpha.values()], rtol=1e-3)
+
+
+def test_specular_colours_of_dielectrics_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None:
+    """Where photographs and General's prior agree with the maps, what is left is the prior of materials."""
+    theta, batch, _ = problem()
+    theta["flash"] = torch.zeros_like(theta["flash"])
+    batch["photos"] = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
+    theta["prior"][:, : sum(CHANNELS)] = theta["maps"]
+    maps = theta["maps"].clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(app.loss(theta | {"maps": maps}, batch, settings()).sum(), maps)
+    weight = SETTINGS["material"] * dielectric_share(theta["maps"]) / DIELECTRIC_DEVIATION**2
+    expected = torch.zeros_like(gradient)
+    expected[:, -3:] = weight * (theta["maps"][:, -3:] - DIELECTRIC_NUMBER) / (3 * COUNT)
+    torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-9)
 
 
 def test_other_applications_are_refused_in_a_line(app: SeveralPhotos) -> None:

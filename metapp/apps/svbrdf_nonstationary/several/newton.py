@@ -18,11 +18,20 @@ from metapp.appearance.flash import Maps, render_maps, texel_positions
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
+    FLASH_LOG_GAIN,
     FLASH_NUMBERS,
     ROUGHNESS_CHANNEL,
     decode_maps,
 )
-from metapp.apps.svbrdf_nonstationary.several.app import LIGHT_FLOOR, SeveralPhotos, decode_flashes
+from metapp.apps.svbrdf_nonstationary.several.app import (
+    DIELECTRIC_DEVIATION,
+    DIELECTRIC_NUMBER,
+    EXPOSURE_ROUNDING,
+    LIGHT_FLOOR,
+    SeveralPhotos,
+    decode_flashes,
+    dielectric_share,
+)
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
@@ -34,8 +43,8 @@ TEXEL_NUMBERS = sum(CHANNELS)
 SHAPE_CHANNELS = 0, 1, ROUGHNESS_CHANNEL  # a texel's slopes and roughness, on which all three colour channels depend
 FLASH_STRIDE = 4  # flashes are solved from the texels of every fourth row and column alone
 TEXEL_DAMPING = 0.03  # added to the diagonal of a texel's normal equations (Levenberg), beside the prior's weights
-# Weight of a flash's gain in the normal equations: the loss has none, and without it they could be singular.
-GAIN_WEIGHT = 1e-4
+# Added to the weight of a flash's gain in the normal equations, which could be singular without it.
+GAIN_DAMPING = 1e-4
 # Soft bounds (tanh) of the change of each number of a texel in a step: first its two slopes, then the others
 MAX_CHANGE = (0.3, 0.3, *(TEXEL_NUMBERS - 2) * (1.0,))
 MAX_FLASH_CHANGE = 0.5  # hard bound of the change of each number of a flash in a step
@@ -115,22 +124,24 @@ def gauss_newton_change(
         theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N] and `prior` [T, 18, H, W].
         batch: linear photographs, `photos` [T, N, 3, H, W], and measured positions of camera and flash, `places`
             [T, N, 2, 3].
-        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash` [T].
+        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash`, `exposure` and
+            `material` [T].
         max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
             bound * tanh(c / bound).
     """
     maps, flash, prior, photos = theta["maps"], theta["flash"], theta["prior"], batch["photos"]
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
-    coarse_maps, coarse_photos, coarse_prior, coarse_texels = (
+    dielectric = dielectric_share(maps)
+    coarse_maps, coarse_photos, coarse_prior, coarse_dielectric, coarse_texels = (
         picture[..., FLASH_STRIDE // 2 :: FLASH_STRIDE, FLASH_STRIDE // 2 :: FLASH_STRIDE]
-        for picture in (maps, photos, prior, texels)
+        for picture in (maps, photos, prior, dielectric, texels)
     )
     flash_change = _solve_flashes(
-        coarse_maps, flash, coarse_photos, batch["places"], coarse_prior, coarse_texels, settings
+        coarse_maps, flash, coarse_photos, batch["places"], coarse_prior, coarse_dielectric, coarse_texels, settings
     )
     moved_flash = flash - flash_change
     jacobian, weight, residual = _linearise(maps, moved_flash, photos, batch["places"], texels, settings)
-    matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
+    matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, dielectric, settings)
     change = _solve(matrix, right_side[..., None])[..., 0].unflatten(1, maps.shape[-2:]).permute(0, 3, 1, 2)
     max_change = maps.new_tensor(max_texel_change)[:, None, None]
     return {"maps": max_change * torch.tanh(change / max_change), "flash": flash_change}
@@ -230,7 +241,13 @@ def _differentiate(function: Callable[[Tensor], Tensor], values: Tensor, channel
 
 
 def _build_normal_equations(
-    jacobian: Tensor, weight: Tensor, residual: Tensor, maps: Tensor, prior: Tensor, settings: Params
+    jacobian: Tensor,
+    weight: Tensor,
+    residual: Tensor,
+    maps: Tensor,
+    prior: Tensor,
+    dielectric: Tensor,
+    settings: Params,
 ) -> tuple[Tensor, Tensor]:
     """Return the matrix [T, P, 9, 9] and the right side [T, P, 9] of the normal equations of each texel.
 
@@ -239,6 +256,8 @@ def _build_normal_equations(
         maps: the unbounded numbers of P texels, [T, 9, h, w].
         prior: at each texel the nine numbers that the prior expects, then the natural logs of nine scales,
             [T, 18, h, w]. The prior's loss divides the difference of a number from the expected one by its scale.
+        dielectric: the probability that each texel is a dielectric, [T, 1, h, w]. With this weight its specular numbers
+            are drawn to the usual one, DIELECTRIC_NUMBER.
         settings: all loss parameters, [T, ...].
     """
     mean, log_scale = prior.chunk(2, 1)
@@ -249,14 +268,27 @@ def _build_normal_equations(
     # The loss divides residuals by 3 N and the prior by N, for N photographs; residuals are a plain sum here, so that
     # the prior counts three times.
     prior_weight = 3 * settings["prior"].exp()[:, :, None, None] * precision / reweighting
-    prior_weight, displacement = (values.flatten(2).mT for values in (prior_weight, displacement))
+    # The loss divides the material's half squares by N, as the prior's, and takes their mean over three channels: here
+    # they count three times a third.
+    is_specular = torch.arange(TEXEL_NUMBERS, device=maps.device)[:, None, None] >= TEXEL_NUMBERS - CHANNELS[3]
+    material_weight = settings["material"].exp()[:, None, None, None] * dielectric * is_specular
+    material_weight = material_weight / DIELECTRIC_DEVIATION**2
+    gradient = prior_weight * displacement + material_weight * (maps - DIELECTRIC_NUMBER)
+    total_weight, gradient = (values.flatten(2).mT for values in (prior_weight + material_weight, gradient))
     weighted = (jacobian * weight[..., None]).mT
-    matrix = weighted @ jacobian + torch.diag_embed(prior_weight + TEXEL_DAMPING)
-    return matrix, (weighted @ residual[..., None])[..., 0] + prior_weight * displacement
+    matrix = weighted @ jacobian + torch.diag_embed(total_weight + TEXEL_DAMPING)
+    return matrix, (weighted @ residual[..., None])[..., 0] + gradient
 
 
 def _solve_flashes(
-    maps: Tensor, flash: Tensor, photos: Tensor, places: Tensor, prior: Tensor, texels: Tensor, settings: Params
+    maps: Tensor,
+    flash: Tensor,
+    photos: Tensor,
+    places: Tensor,
+    prior: Tensor,
+    dielectric: Tensor,
+    texels: Tensor,
+    settings: Params,
 ) -> Tensor:
     """Return the Gauss-Newton step of the flashes, [T, 4, N], clamped to MAX_FLASH_CHANGE either way.
 
@@ -270,12 +302,13 @@ def _solve_flashes(
         photos: linear photographs of these texels, [T, N, 3, h, w].
         places: measured positions of camera and flash, [T, N, 2, 3].
         prior: the prior at these texels, [T, 18, h, w].
+        dielectric: the probability that these texels are dielectrics, [T, 1, h, w].
         texels: positions of these texels in the patch, [2, h, w].
         settings: all loss parameters, [T, ...].
     """
     count = photos.shape[1]
     jacobian, weight, residual = _linearise(maps, flash, photos, places, texels, settings)
-    matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
+    matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, dielectric, settings)
     diffuse, specular, *_ = decode_maps(maps)
 
     def render_logs(flash: Tensor) -> Tensor:
@@ -291,10 +324,12 @@ def _solve_flashes(
     flash_right_side = ((weighted @ residual[..., None])[..., 0] - (coupling.mT @ eliminated[..., -1:])[..., 0]).sum(1)
     # Flashes have a prior, too, which draws each number to 0, the measured flash. The loss, a sum over texels, has for
     # each texel a weight times the mean of squares over the three numbers of a position and N photographs: times 3 N,
-    # its gradient is 2 * weight * number.
-    is_position = torch.arange(FLASH_NUMBERS, device=maps.device) < FLASH_NUMBERS - 1
-    flash_weight_per_texel = torch.where(is_position, 2 * settings["flash"].exp()[:, None], GAIN_WEIGHT)
-    prior_weight = residual.shape[1] * flash_weight_per_texel.repeat(1, count)
+    # its gradient is 2 * weight * number. The |log gains| are a mean over photographs: times 3 N, their gradient is
+    # 3 * weight * unit^2 * number / sqrt(log gain^2 + rounding^2).
+    position_weight = (2 * settings["flash"].exp())[:, None, None].expand(-1, FLASH_NUMBERS - 1, count)
+    rounded_gains = ((FLASH_LOG_GAIN * flash[:, -1:]).square() + EXPOSURE_ROUNDING**2).sqrt()
+    gain_weight = 3 * settings["exposure"].exp()[:, None, None] * FLASH_LOG_GAIN**2 / rounded_gains + GAIN_DAMPING
+    prior_weight = residual.shape[1] * torch.cat([position_weight, gain_weight], 1).mT.flatten(1)
     flash_matrix = flash_matrix + torch.diag_embed(prior_weight)
     flash_right_side = flash_right_side + prior_weight * flash.mT.flatten(1)
     change = torch.linalg.solve(flash_matrix.double(), flash_right_side.double())
