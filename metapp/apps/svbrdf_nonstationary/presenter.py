@@ -6,7 +6,7 @@ knows no network.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -139,12 +139,17 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Return clauses on maps that are black where the photo is not and, where maps are filled, on clipping.
 
-        Fits of several photographs have clauses on clipping alone, where all photographs clip.
+        Fits of several photographs have clauses on clipping, where all photographs clip, and on parts of photographs
+        that were left out, since they show something else than the material.
         """
         app = self.app
         if app.sees_others and app.protocol == "photo":
             darkest = linear_to_srgb(tasks.data["photos"][tasks.rows].amin(1))
-            return [clipped_highlight_warnings(photo, F0_BOUND_CLAUSE, "all photos") for photo in darkest]
+            left_out_shares = 1 - tasks.data["unobstructed"][tasks.rows].mean((2, 3, 4))
+            return [
+                clipped_highlight_warnings(photo, F0_BOUND_CLAUSE, "all photos") + _left_out_warnings(shares)
+                for photo, shares in zip(darkest, left_out_shares.tolist(), strict=True)
+            ]
         photos = tasks.data["photo"][tasks.rows]
         maps = app.maps_of(theta, photos)
         warnings = [
@@ -186,6 +191,14 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
         maps = self.cache_last(theta, task, make)
         return Maps(*(part[0] for part in maps))
+
+
+def _left_out_warnings(shares: Sequence[float]) -> list[str]:
+    """Return a clause on the parts of photographs that were left out, given their shares; [] where none was."""
+    parts = [f"{format_percent(share)} of photo {number}" for number, share in enumerate(shares, 1) if share]
+    return (
+        [f"{' and '.join(parts)} left out, where others disagree: an object, a shadow or a highlight?"] if parts else []
+    )
 
 
 def _add_task_axis(theta: Params) -> Params:

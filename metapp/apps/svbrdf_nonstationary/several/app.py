@@ -38,6 +38,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as reader
 from metapp.apps.svbrdf_nonstationary.several.height import align_to_surface
+from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.apps.svbrdf_nonstationary.variants import draws_per_material, vary_materials
 from metapp.learning.rules import append_axes
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -112,9 +113,10 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         Returns:
             The tensors that :meth:`SvbrdfNonstationary.prepare` returns; `photos` [N, 3, H, W], all linear photographs,
-            averaged over areas to the size of the maps and then moved from the plane on which they are registered onto
-            the surface, see :func:`align_to_surface`; and `places` [N, 2, 3], the positions of camera and flash in half
-            sides of the patch.
+            averaged over areas to the size of the maps, moved from the plane on which they are registered onto the
+            surface, see :func:`align_to_surface`, and filled where they show something else than the material, see
+            :func:`remove_obstructions`; `unobstructed` [N, 1, H, W], 1 where they show it, else 0; and `places`
+            [N, 2, 3], the positions of camera and flash in half sides of the patch.
 
         Raises:
             ValueError: there are not as many places as photographs.
@@ -127,7 +129,8 @@ class SeveralPhotos(SvbrdfNonstationary):
                 "convert it again."
             )
         small = adaptive_avg_pool2d(decode_photo(photos), (self.network.height, self.network.width))
-        return super().prepare(task) | {"photos": align_to_surface(small, places), "places": places}
+        filled, shows_material = remove_obstructions(align_to_surface(small, places), places)
+        return super().prepare(task) | {"photos": filled, "unobstructed": shows_material, "places": places}
 
     @override
     def task_parameters(self, tasks: Tasks) -> Params:
@@ -183,7 +186,8 @@ class SeveralPhotos(SvbrdfNonstationary):
         It has these terms: rounded |differences| of log photographs and log renderings; squared displacements of the
         flashes, and their rounded |log gains|; and, where a task has a prior, rounded |distances| of the maps from it,
         and squared distances of specular colours from the usual one of dielectrics, weighted by the probability that a
-        texel is a dielectric. Where a photograph clips, only darker renderings differ from it.
+        texel is a dielectric. Where a photograph clips, only darker renderings differ from it; where it does not show
+        the material, none does.
         """
         parameters = self.settings(learned, theta["maps"])
         photos = batch["photos"]
@@ -191,6 +195,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
         )
         residual = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(residual), residual)
+        residual = residual * batch.get("unobstructed", 1)
         loss = _round_off(residual, parameters["smoothing"].exp()).mean((1, 2, 3, 4))
         loss = loss + parameters["flash"].exp() * theta["flash"][:, :-1].square().mean((1, 2))
         log_gains = FLASH_LOG_GAIN * theta["flash"][:, -1]

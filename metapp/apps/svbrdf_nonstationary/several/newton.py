@@ -7,6 +7,7 @@ numbers of N flashes; then it solves one system for the 9 numbers of each texel.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -130,6 +131,7 @@ def gauss_newton_change(
             bound * tanh(c / bound).
     """
     maps, flash, prior, photos = theta["maps"], theta["flash"], theta["prior"], batch["photos"]
+    photos = torch.where(batch.get("unobstructed", torch.ones_like(photos[:, :, :1])) > 0, photos, math.nan)
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
     dielectric = dielectric_share(maps)
     coarse_maps, coarse_photos, coarse_prior, coarse_dielectric, coarse_texels = (
@@ -155,7 +157,7 @@ def _linearise(
     Args:
         maps: the unbounded numbers of the texels, [T, 9, h, w].
         flash: the unbounded numbers of the flashes, [T, 4, N].
-        photos: linear photographs of the texels, [T, N, 3, h, w].
+        photos: linear photographs of the texels, [T, N, 3, h, w], NaN where they do not show the material.
         places: measured positions of camera and flash, [T, N, 2, 3].
         texels: positions of the texels in the patch, [2, h, w].
         settings: all loss parameters, [T, ...].
@@ -164,7 +166,7 @@ def _linearise(
         The derivatives of the log renderings by the numbers of each texel, [T, P, 3N, 9].
         The weights of the squared residuals, [T, P, 3N]: 1 / sqrt(residual^2 + smoothing^2), so that weight times
         residual is the derivative of the smoothed absolute residual; 0 where a clipped photograph agrees with a
-        rendering that is brighter.
+        rendering that is brighter, and where a photograph does not show the material.
         The residuals, [T, P, 3N]: log rendering minus log photograph, above 0 where the rendering is too bright.
     """
     # Each channel of a colour depends on one number alone, so that one pair of evaluations differentiates all of them.
@@ -188,11 +190,12 @@ def _linearise(
     radiance = _combine_lobes(lobes, diffuse, specular) + LIGHT_FLOOR
     jacobian = torch.cat([by_slope_x, by_slope_y, by_diffuse, by_roughness, by_specular], 2) / radiance[:, :, None]
     jacobian = jacobian.permute(0, 4, 5, 1, 3, 2).reshape(len(maps), -1, 3 * photos.shape[1], TEXEL_NUMBERS)
-    residual = radiance.log() - (photos + LIGHT_FLOOR).log()
+    shows_material = ~photos.isnan()
+    residual = torch.where(shows_material, radiance.log() - (photos + LIGHT_FLOOR).log(), 0)
     smoothing = append_axes(settings["smoothing"].exp(), residual)
     weight = (residual.square() + smoothing * smoothing).rsqrt()
     # Where a photograph clips, it is a lower bound of radiance: brighter renderings agree with it.
-    weight = torch.where((photos > CLIPPED_LINEAR_VALUE) & (residual > 0), 0, weight)
+    weight = torch.where((photos > CLIPPED_LINEAR_VALUE) & (residual > 0) | ~shows_material, 0, weight)
     weight, residual = (values.flatten(1, 2).flatten(2).mT.contiguous() for values in (weight, residual))
     return jacobian, weight, residual
 

@@ -32,7 +32,11 @@ def cameras_on_plane(sightings: Sequence[Sighting], focal_mm: float = 0.0) -> li
     """
     sightings_with_focal = [sighting._replace(focal_mm=sighting.focal_mm or focal_mm) for sighting in sightings]
     reduced_sightings = [
-        sighting._replace(points_cm=sighting.points_cm[:_TRIED_MATCHES], points_px=sighting.points_px[:_TRIED_MATCHES])
+        sighting._replace(
+            points_cm=sighting.points_cm[:_TRIED_MATCHES],
+            points_px=sighting.points_px[:_TRIED_MATCHES],
+            matches_cm=sighting.matches_cm[:0],
+        )
         for sighting in sightings_with_focal
     ]
 
@@ -113,8 +117,10 @@ def _on_plane(sightings: Sequence[Sighting], to_plane: Floats) -> list[Camera]:
     """Return the cameras of photographs whose points are moved to a plane by a homography, with homographies to px."""
     cameras = []
     for sighting in sightings:
-        camera = solve_camera(
-            sighting._replace(points_cm=apply_homography(to_plane, sighting.points_cm)), sighting.focal_mm
+        on_plane = sighting._replace(
+            points_cm=apply_homography(to_plane, sighting.points_cm),
+            matches_cm=apply_homography(to_plane, sighting.matches_cm),
         )
+        camera = solve_camera(on_plane, sighting.focal_mm)
         cameras.append(camera._replace(sighting=camera.sighting._replace(to_px=camera.projection_matrix())))
     return cameras

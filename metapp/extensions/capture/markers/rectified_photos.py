@@ -24,8 +24,11 @@ from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignor
 from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
 from metapp.extensions.capture.markers.registration import (
     WHOLE_PHOTO_CORNERS,
+    Registration,
     apply_homography,
     change_reference,
+    is_in_middle,
+    refit_sightings,
     register_photos,
 )
 from metapp.extensions.capture.markers.sheet import RULER_CM, Floats
@@ -89,17 +92,17 @@ def find_cameras(
     if not sightings and len(unmarked) > 1:
         registration = register_photos(list(unmarked), search.fov_rad, parts, search.report_stage, search.keep_outlines)
         kept_lines = [line for line in skipped if line not in unmarked.values()]
-        cameras, found_mm, misfits = _fit_cameras(registration.sightings(), search)
+        cameras, found_mm, misfits = _fit_registered(registration, search)
         straightest = min(cameras, key=lambda camera: camera.tilt_degrees)
         if straightest.tilt_degrees < cameras[0].tilt_degrees - MIN_TILT_GAIN_DEGREES:
             registration = change_reference(registration, straightest.sighting.path, search.report_stage)
             sightings_with_focal = [
                 sighting._replace(focal_mm=sighting.focal_mm or found_mm) for sighting in registration.sightings()
             ]
-            cameras, _, misfits = _fit_cameras(sightings_with_focal, search)
+            cameras, _, misfits = fit_cameras(sightings_with_focal, search)
         skipped = [*kept_lines, *registration.unmatched_lines(), *misfits]
     else:
-        cameras, found_mm, misfits = _fit_cameras(sightings, search)
+        cameras, found_mm, misfits = fit_cameras(sightings, search)
         skipped += misfits
     if len(cameras) < 2:
         reason = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
@@ -110,7 +113,25 @@ def find_cameras(
     return sorted(cameras, key=lambda camera: camera.view_angle_degrees), found_mm, skipped
 
 
-def _fit_cameras(sightings: Sequence[Sighting], search: CameraSearch) -> tuple[list[Camera], float, list[str]]:
+def _fit_registered(registration: Registration, search: CameraSearch) -> tuple[list[Camera], float, list[str]]:
+    """Find the cameras of registered photographs, see :func:`fit_cameras`.
+
+    Where some do not fit, and more do by the matches in the middle of the reference alone, these count: around a
+    sample, matches may lie on a table.
+    """
+    sightings = registration.sightings()
+    found = fit_cameras(sightings, search)
+    if not found[-1]:
+        return found
+    middle = refit_sightings(sightings, functools.partial(is_in_middle, sightings[0]))
+    try:
+        found_in_middle = fit_cameras(middle, search)
+    except ValueError:  # photographs share no square, or do not tell the focal length
+        return found
+    return found_in_middle if len(found_in_middle[0]) > len(found[0]) else found
+
+
+def fit_cameras(sightings: Sequence[Sighting], search: CameraSearch) -> tuple[list[Camera], float, list[str]]:
     """Find the cameras of photographs, in their order, and leave out photographs that do not fit.
 
     Returns:

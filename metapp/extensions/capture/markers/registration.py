@@ -38,15 +38,35 @@ _JUDGED_SIDE_PX, _PIECE_PX, _SEARCH_PX, _MAX_OFFSET_PX = 256, 32, 8, 2
 _MIN_AGREEMENT = 0.35  # share of pieces that agree, and share of the reference that is in view
 _MIN_INLIER_SHARE = 0.5  # of matches near a first guess
 _MAX_KEPT_MATCHES = 1000  # matches of a photograph by which cameras are found
+_MAX_FIT_ERROR_PX = 2.0  # of a match that agrees with a refined homography
 _NOISE_OF_WHITE = 0.008  # contrast below it is not raised to the contrast of the rest
 
 # Places [N, 2] in px, and descriptors [N, 128] of length 1.
 LocalFeatures = tuple[NDArray[np.float32], NDArray[np.float32]]
 # The corners of a photograph, in fractions of its width and height.
 WHOLE_PHOTO_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-# A homography [3, 3] from px of a photograph to px of the reference, and matches, [N, 2] px of each of both.
-PhotoMatch = tuple[Floats, Floats, Floats]
-IDENTITY_MATCH: PhotoMatch = np.eye(3), np.zeros((0, 2)), np.zeros((0, 2))
+MIDDLE_CORNERS = (WHOLE_PHOTO_CORNERS + 0.5) / 2  # the part of a photograph where a sample lies, as people aim at it
+
+
+class PhotoMatch(NamedTuple):
+    """A photograph placed on the reference by a homography; places are px of both registered pictures.
+
+    Attributes:
+        homography: the homography [3, 3] from the photograph to the reference.
+        places: the places in the photograph of the matches that agree with the homography, [M, 2].
+        reference_places: the places of these matches in the reference, [M, 2].
+        all_places, all_reference_places: the places of all matches found near the homography, [N, 2] each, those of
+            other planes among them.
+    """
+
+    homography: Floats
+    places: Floats
+    reference_places: Floats
+    all_places: Floats
+    all_reference_places: Floats
+
+
+IDENTITY_MATCH = PhotoMatch(np.eye(3), *(np.zeros((0, 2)) for _ in range(4)))
 
 
 class PhotoView(NamedTuple):
@@ -95,10 +115,14 @@ class Registration(NamedTuple):
 
         Their `points_cm` are places in the reference: px from its middle divided by its diagonal, y up.
         """
-        shared = np.concatenate([match[2] for match in self.matches.values()])
-        matches = {**self.matches, self.reference: (np.eye(3), shared, shared)}
+        shared = np.concatenate([match.reference_places for match in self.matches.values()])
+        matches = {
+            **self.matches,
+            self.reference: IDENTITY_MATCH._replace(places=shared, reference_places=shared),
+        }
         sightings = [_make_sighting(self.views[i], self.views[self.reference], match) for i, match in matches.items()]
-        return [sightings[0]._replace(is_reference=True), *sightings[1:]]
+        reference = sightings[0]._replace(is_reference=True, to_px=_coordinates_to_px(sightings[0]))
+        return [reference, *sightings[1:]]
 
     def unmatched_lines(self) -> list[str]:
         """Return a line for each photograph that does not fit."""
@@ -132,19 +156,21 @@ def register_photos(
         report_stage(f"{path.name}: finding features")
         views.append(_make_view(path, fov_rad)._replace(part_corners=parts.get(path, WHOLE_PHOTO_CORNERS)))
     for reference_index, reference in enumerate(views[:-1]):
-        fine_features = _select_features(_find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES), reference)
+        features = _find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES)
         matches: dict[int, PhotoMatch] = {reference_index: IDENTITY_MATCH}
-        for other in [
-            *range(reference_index + 1, len(views))
-        ] * 2:  # tried twice: a photo that fits no earlier one may fit one that is placed later
-            if other not in matches:
+        # Tried twice, as a photo that fits no earlier one may fit one that is placed later; then by the middle alone,
+        # as around a sample photos may show a table that lies in another plane.
+        for part_corners in (reference.part_corners, reference.part_corners, MIDDLE_CORNERS):
+            part = reference._replace(part_corners=part_corners)
+            for other in [other for other in range(reference_index + 1, len(views)) if other not in matches]:
                 report_stage(f"{views[other].sighting.path.name}: comparing with {reference.sighting.path.name}")
-            for index in [] if other in matches else list(matches):
-                guesses = [matches[index][0] @ guess for guess in _guess_homographies(views[other], views[index])]
-                match = _find_match(views[other], reference, fine_features, guesses)
-                if match:
-                    matches[other] = match
-                    break
+                for index in list(matches):
+                    view = part if index == reference_index else views[index]
+                    guesses = [matches[index].homography @ guess for guess in _guess_homographies(views[other], view)]
+                    match = _find_match(views[other], part, _select_features(features, part), guesses)
+                    if match:
+                        matches[other] = match
+                        break
         if len(matches) > 1:
             unmatched = [view for index, view in enumerate(views) if index not in matches]
             _show_matches(unmatched, reference, report_stage, keep_outlines)
@@ -170,7 +196,7 @@ def change_reference(
     """
     views = registration.views
     reference_index = next(index for index in registration.matches if views[index].sighting.path == path)
-    reference, to_reference = views[reference_index], np.linalg.inv(registration.matches[reference_index][0])
+    reference, to_reference = views[reference_index], np.linalg.inv(registration.matches[reference_index].homography)
     fine_features = _select_features(_find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES), reference)
     matches: dict[int, PhotoMatch] = {reference_index: IDENTITY_MATCH}
     for index, view in enumerate(views):
@@ -181,7 +207,7 @@ def change_reference(
                 view,
                 reference,
                 fine_features,
-                [to_reference @ earlier_match[0]] if earlier_match else _guess_homographies(view, reference),
+                [to_reference @ earlier_match.homography] if earlier_match else _guess_homographies(view, reference),
             )
             if match:
                 matches[index] = match
@@ -346,9 +372,9 @@ def _find_match(
                 _GUESS_ERROR_SHARE * min(size),
             )
             places = apply_homography(np.asarray(np.linalg.inv(homography), np.float64), moved_places)
-            homography, is_inlier = _fit_homography(places, reference_places, 2.0)
+            homography, is_inlier = _fit_homography(places, reference_places, _MAX_FIT_ERROR_PX)
     return (
-        (homography, places[is_inlier], reference_places[is_inlier])
+        PhotoMatch(homography, places[is_inlier], reference_places[is_inlier], places, reference_places)
         if is_inlier.sum() >= max(3 * _MIN_MATCHES, _MIN_INLIER_SHARE * len(is_inlier))
         else None
     )
@@ -386,12 +412,76 @@ def _measure_agreement(view: PhotoView, reference: PhotoView, homography: Floats
 
 def _make_sighting(view: PhotoView, reference: PhotoView, match: PhotoMatch) -> Sighting:
     """Return a photograph's sighting with its matches, on the photograph and on the reference; diamonds mark them."""
-    kept_rows = np.random.default_rng(0).permutation(len(match[1]))[:_MAX_KEPT_MATCHES]
-    photo_points, reference_points = view.to_photo_px(match[1][kept_rows]), reference.to_photo_px(match[2][kept_rows])
-    height, width = reference.sighting.height, reference.sighting.width
-    points = (reference_points - [(width - 1) / 2, (height - 1) / 2]) * [1, -1] / math.hypot(height, width)
-    marks = diamond_outlines(photo_points, max(view.sighting.height, view.sighting.width))
-    return view.sighting._replace(markers=marks, points_cm=points, points_px=photo_points)
+    kept_rows, all_rows = (
+        np.random.default_rng(0).permutation(len(places))[:_MAX_KEPT_MATCHES]
+        for places in (match.places, match.all_places)
+    )
+    photo_points = view.to_photo_px(match.places[kept_rows])
+    return view.sighting._replace(
+        markers=diamond_outlines(photo_points, max(view.sighting.height, view.sighting.width)),
+        points_cm=reference_coordinates(reference.to_photo_px(match.reference_places[kept_rows]), reference.sighting),
+        points_px=photo_points,
+        matches_cm=reference_coordinates(
+            reference.to_photo_px(match.all_reference_places[all_rows]), reference.sighting
+        ),
+        matches_px=view.to_photo_px(match.all_places[all_rows]),
+    )
+
+
+def reference_coordinates(points_px: Floats, reference: Sighting) -> Floats:
+    """Return places [N, 2] in px of the reference as coordinates: from its middle, y up, 1 is its diagonal."""
+    to_coordinates = np.asarray(np.linalg.inv(_coordinates_to_px(reference)), np.float64)
+    return apply_homography(to_coordinates, points_px)
+
+
+def _coordinates_to_px(reference: Sighting) -> Floats:
+    """Return the matrix [3, 3] from coordinates, see :func:`reference_coordinates`, to px of the reference."""
+    height, width = reference.height, reference.width
+    diagonal = math.hypot(height, width)
+    return np.array([[diagonal, 0, (width - 1) / 2], [0, -diagonal, (height - 1) / 2], [0, 0, 1]])
+
+
+def is_in_middle(reference: Sighting, coordinates: Floats) -> NDArray[np.bool_]:
+    """Test whether places [N, 2], coordinates of the reference, are in the middle of its photograph."""
+    size = np.array([reference.width, reference.height])
+    middle_half_size = size * (MIDDLE_CORNERS.max(0) - 0.5)
+    return np.asarray((np.abs(coordinates) * np.linalg.norm(size) < middle_half_size).all(-1))
+
+
+def refit_sightings(sightings: Sequence[Sighting], is_kept: Callable[[Floats], NDArray[np.bool_]]) -> list[Sighting]:
+    """Fit the homographies of photographs anew, by some of their matches.
+
+    Args:
+        sightings: the photographs on one plane, the reference among them.
+        is_kept: tests which matches count, by their coordinates in the reference, [N, 2].
+
+    Returns:
+        The photographs with the matches that agree, in coordinates of the reference, which comes first; without those
+        of which too few agree.
+    """
+    reference = next(sighting for sighting in sightings if sighting.is_reference)
+    refitted = []
+    for sighting in [sighting for sighting in sightings if not sighting.is_reference]:
+        places_px = apply_homography(reference.to_px, sighting.matches_cm)
+        coordinates = reference_coordinates(places_px, reference)
+        rows = np.flatnonzero(is_kept(coordinates))
+        max_error_px = _MAX_FIT_ERROR_PX * max(1.0, max(sighting.height, sighting.width) / _MAX_SIDE_PX)
+        _, is_inlier = _fit_homography(places_px[rows], sighting.matches_px[rows], max_error_px)
+        if is_inlier.sum() >= 3 * _MIN_MATCHES:
+            points_px = sighting.matches_px[rows[is_inlier]]
+            refitted.append(
+                sighting._replace(
+                    markers=diamond_outlines(points_px, max(sighting.height, sighting.width)),
+                    points_cm=coordinates[rows[is_inlier]],
+                    points_px=points_px,
+                    matches_cm=coordinates,
+                )
+            )
+    shared = np.concatenate([np.zeros((0, 2)), *(sighting.points_cm for sighting in refitted)])
+    to_px = _coordinates_to_px(reference)
+    points_px = apply_homography(to_px, shared)
+    placed = reference._replace(points_cm=shared, points_px=points_px, matches_cm=shared[:0], to_px=to_px)
+    return [placed, *refitted]
 
 
 def apply_homography(homography: Floats, points: Floats) -> Floats:

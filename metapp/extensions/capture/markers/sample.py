@@ -1,12 +1,15 @@
 """The sample that photographs without markers show, separated from the table around it.
 
 A table lies lower than the surface of the sample on it. Where the table is registered in place of the sample, or with
-it, maps are wrong. Photographs are compared on planes of many heights (a plane sweep: Collins 1996): on the plane by
-which they are registered they agree where the sample is, on another plane where the table is.
+it, maps are wrong. A table that is little lower is told by matches: on the plane of the sample, which is found by the
+matches in the middle, those of the table have a height below 0. One that is much lower has no matches near; it is told
+by comparing photographs on planes of many heights (a plane sweep: Collins 1996): on the plane by which they are
+registered they agree where the sample is, on another plane where the table is.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,17 +17,23 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.hand_photos import display_values, import_opencv
 from metapp.extensions.capture.markers.found_outlines import ignore_outlines
 from metapp.extensions.capture.markers.plane import cameras_on_part
-from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras
-from metapp.extensions.capture.markers.registration import WHOLE_PHOTO_CORNERS
+from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras, fit_cameras
+from metapp.extensions.capture.markers.registration import (
+    MIDDLE_CORNERS,
+    apply_homography,
+    is_in_middle,
+    reference_coordinates,
+    refit_sightings,
+)
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera, Sighting
 
-MIDDLE_CORNERS = (WHOLE_PHOTO_CORNERS + 0.5) / 2  # the part of a photograph where the sample lies, as people aim at it
 COMPARISON_SIDE_PX = 192  # side of the compared pictures
 # Heights of planes above the plane of registration; a step moves a picture by about a px.
 PLANE_HEIGHTS_SIDES = np.arange(-0.36, 0.361, 0.015)
@@ -40,6 +49,14 @@ CORRELATION_NOISE = 0.6  # divided by the root of the number of pairs: the least
 # corners of 2 to 6 % are mostly missed, as the edge of the sample is in all windows there.
 MIN_TABLE_SHARE = 0.05
 MIN_SAMPLE_SHARE = 0.05  # of the common square: a smaller square on the sample is not worth keeping
+LOWER_PLANE_FITS = 3  # times that photographs are placed by matches on the sample
+# A match lies lower than the sample if its height is below 0 by so many standard deviations of the sample's matches,
+# and by so many sides of the square. A normal distribution's median absolute value is 0.6745 standard deviations.
+MIN_LOWER_DEVIATIONS, MIN_LOWER_SIDES, MEDIAN_OF_NORMAL = 4.0, 0.004, 0.6745
+HEIGHT_STEP = 0.01  # sides of the square by which planes are moved to differentiate projections
+MAX_ACROSS_SHARE = 0.002  # distance of a match from its epipolar line, over the photograph's longer side, at most
+VOTING_MATCHES = 9  # nearest matches that decide together whether a place is on the table
+MIN_LOWER_SHARE = 0.05  # of the matches, from which on they show a table
 SQUARE_TURN_DEGREES = 5  # step by which a square is turned to fit the sample
 
 
@@ -68,7 +85,7 @@ def find_sample(
 ) -> tuple[list[Camera], float, list[str], float]:
     """Find the cameras of photographs above the marker sheet's opening, or above the largest square on the sample.
 
-    Photographs without markers that show a table are registered once more, by the sample alone.
+    Photographs without markers that show a table are placed once more, by the sample alone.
 
     Args:
         search: the photographs, what is known of them, and what is called on the way.
@@ -82,8 +99,13 @@ def find_sample(
         ValueError: :func:`find_cameras` finds no cameras.
     """
     found = register(search)
+    if found[0][0].sighting.shows_sheet:
+        return *found, 1.0
+    search.report_stage("heights of matches")
+    if cut := cut_lower_matches(found, search):
+        return cut
     search.report_stage("comparing photos on planes of several heights")
-    if found[0][0].sighting.shows_sheet or not compare_on_planes(found[0]).shows_table:
+    if not compare_on_planes(found[0]).shows_table:
         return *found, 1.0
     result = *found, 0.0
     parts = dict.fromkeys(search.paths, MIDDLE_CORNERS)
@@ -102,6 +124,145 @@ def find_sample(
         result = cameras, focal_mm, skipped, side * side
         parts |= {camera.sighting.path: _square_in_photo(camera.sighting) for camera in cameras}
     return result
+
+
+def cut_lower_matches(
+    found: tuple[list[Camera], float, list[str]], search: CameraSearch
+) -> tuple[list[Camera], float, list[str], float] | None:
+    """Place photographs by the sample alone and cut them to it, where matches lie lower than those in the middle.
+
+    Photographs are placed anew by the matches in the middle of the reference, where the sample lies; then, twice, by
+    all matches that do not lie lower than the sample.
+
+    Args:
+        found: what :func:`find_cameras` returns.
+        search: the photographs.
+
+    Returns:
+        What :func:`find_sample` returns; None where no matches lie lower, or no square on the sample is found.
+    """
+    cameras, focal_mm, skipped = found
+    if not any(camera.sighting.is_reference for camera in cameras):  # it was left out
+        return None
+    is_sample: Callable[[Floats], NDArray[np.bool_]] = functools.partial(
+        is_in_middle, _find_reference(cameras).sighting
+    )
+    result = None
+    for _ in range(LOWER_PLANE_FITS):
+        refitted_cameras, misfits = _refit_cameras(cameras, is_sample, search)
+        if len(refitted_cameras) < len(cameras):
+            return result
+        cameras = refitted_cameras
+        heights = measure_heights(cameras, is_sample)
+        if result is None and heights.shows_lower(heights.places).mean() < MIN_LOWER_SHARE:
+            return None
+        lower = heights.shows_lower(_square_places(_find_reference(cameras)))
+        *middle, side, turn_rad = find_largest_square(select_middle_region(~lower)) if lower.any() else (0, 0, 1, 0)
+        if side * side < MIN_SAMPLE_SHARE:
+            return result
+        result = cameras_on_part(cameras, middle, side, turn_rad), focal_mm, [*skipped, *misfits], side * side
+        is_sample = heights.shows_sample
+    return result
+
+
+class MatchHeights(NamedTuple):
+    """Matches of photographs with the reference, and which of them lie lower than the sample.
+
+    Attributes:
+        places: their places in the reference, [M, 2] as :func:`reference_coordinates` returns them.
+        is_lower: which of them lie lower, [M].
+    """
+
+    places: Floats
+    is_lower: NDArray[np.bool_]
+
+    def shows_lower(self, places: Floats) -> NDArray[np.bool_]:
+        """Test whether the reference shows something lower than the sample at places [..., 2].
+
+        The nearest VOTING_MATCHES matches of each place decide together.
+        """
+        _, nearest = cKDTree(self.places).query(places, min(VOTING_MATCHES, len(self.places)))
+        return np.asarray(self.is_lower[nearest].mean(-1) > 0.5)
+
+    def shows_sample(self, places: Floats) -> NDArray[np.bool_]:
+        """Test whether the reference shows the sample at places [..., 2]."""
+        return ~self.shows_lower(places)
+
+
+def _find_reference(cameras: Sequence[Camera]) -> Camera:
+    """Return the camera on whose photograph the others are registered."""
+    return next(camera for camera in cameras if camera.sighting.is_reference)
+
+
+def _square_places(reference: Camera) -> Floats:
+    """Return where the reference sees the square, coordinates [COMPARISON_SIDE_PX, COMPARISON_SIDE_PX, 2]."""
+    ticks = (np.arange(COMPARISON_SIDE_PX) + 0.5) / COMPARISON_SIDE_PX - 0.5
+    grid = np.stack(np.meshgrid(ticks, -ticks), -1).reshape(-1, 2) * reference.sighting.opening_cm
+    places = reference_coordinates(apply_homography(reference.sighting.to_px, grid), reference.sighting)
+    return places.reshape(COMPARISON_SIDE_PX, COMPARISON_SIDE_PX, 2)
+
+
+def _refit_cameras(
+    cameras: Sequence[Camera], is_sample: Callable[[Floats], NDArray[np.bool_]], search: CameraSearch
+) -> tuple[list[Camera], list[str]]:
+    """Find cameras anew by the matches on the sample.
+
+    Args:
+        cameras: the cameras of the photographs.
+        is_sample: tests whether places in the reference, coordinates [N, 2], show the sample.
+        search: the photographs.
+
+    Returns:
+        The cameras, the one from nearest to straight above first, and lines about photographs left out; no cameras
+        where a photograph has too few matches there, or photographs share no square.
+    """
+    sightings = refit_sightings([camera.sighting for camera in cameras], is_sample)
+    if len(sightings) < len(cameras):
+        return [], []
+    try:
+        fitted, _, misfits = fit_cameras(sightings, search)
+    except ValueError:  # photographs share no square
+        return [], []
+    return sorted(fitted, key=lambda camera: camera.view_angle_degrees), misfits
+
+
+def measure_heights(cameras: Sequence[Camera], is_sample: Callable[[Floats], NDArray[np.bool_]]) -> MatchHeights:
+    """Measure which matches of photographs with the reference lie lower than the plane of the sample.
+
+    Args:
+        cameras: the cameras of the photographs.
+        is_sample: tests whether places in the reference, coordinates [N, 2], show the sample, whose matches tell how
+            far heights scatter.
+    """
+    reference, parts = _find_reference(cameras), []
+    for camera in cameras:
+        sighting, points = camera.sighting, camera.sighting.matches_cm
+        if sighting.is_reference:
+            continue
+        # Height moves a match along its epipolar line: the difference of both projections is twice the step's movement.
+        above, below = (_project_ray(camera, reference, points, step) for step in (HEIGHT_STEP, -HEIGHT_STEP))
+        along, offset = (above - below) / 2, sighting.matches_px - (above + below) / 2
+        step_px = np.linalg.norm(along, axis=1)
+        height_px = (offset * along).sum(1) / step_px
+        across_px = np.abs(offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0]) / step_px
+        places = reference_coordinates(apply_homography(reference.sighting.to_px, points), reference.sighting)
+        kept = across_px < MAX_ACROSS_SHARE * max(sighting.height, sighting.width)
+        on_sample = kept & is_sample(places)
+        deviation_px = (
+            float(np.median(np.abs(height_px[on_sample]))) / MEDIAN_OF_NORMAL if on_sample.any() else math.inf
+        )
+        is_lower = (height_px < -MIN_LOWER_DEVIATIONS * deviation_px) & (
+            height_px / step_px * HEIGHT_STEP < -MIN_LOWER_SIDES
+        )
+        parts.append((places[kept], is_lower[kept]))
+    places, is_lower = map(np.concatenate, zip(*parts, strict=True))
+    return MatchHeights(places, is_lower)
+
+
+def _project_ray(camera: Camera, reference: Camera, points: Floats, height: float) -> Floats:
+    """Return where a photograph shows what the reference sees at points [N, 2] of the plane, if it lies higher: px."""
+    eye = reference.place_cm
+    return apply_homography(camera.projection_matrix(height), points + (eye[:2] - points) * height / eye[2])
 
 
 def _square_in_photo(sighting: Sighting) -> Floats:

@@ -47,6 +47,8 @@ class Sighting(NamedTuple):
         shows_sheet: False without a sheet: then the opening is a square that all photographs show, and lengths are in
             its sides.
         is_reference: whether the other photographs are registered on this one, if there is no sheet.
+        matches_cm, matches_px: without a sheet, all matches with the reference, [M, 2] each, of other planes, too:
+            where the reference sees them on the plane, and where the photograph shows them.
     """
 
     path: Path
@@ -60,6 +62,8 @@ class Sighting(NamedTuple):
     to_px: Floats
     shows_sheet: bool = True
     is_reference: bool = False
+    matches_cm: Floats = np.zeros((0, 2))
+    matches_px: Floats = np.zeros((0, 2))
 
     def camera_matrix(self) -> Floats:
         """Return the matrix [3, 3] from directions, x right, y down, z forward, to px of the photograph."""
