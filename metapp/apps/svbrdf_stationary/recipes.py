@@ -26,6 +26,12 @@ QUICK = generator_recipe(
     general=general_training(2500, 6),
 )
 SEARCHED_ADAM = Adam(2.9e-3, beta1=0.3, beta2=0.9, final_rate_share=0.3)
+# a short search: a fit takes seconds, and the error depends little on the Adam
+QUILT_SEARCH = (
+    [{"rate": 0.5}, {"rate": 2.0}],
+    [{"beta1": 0.7, "beta2": 0.97}],
+    [{"final_rate_share": 0.0}],
+)
 # maps of the size that people use: a fifth of the steps sees 64 texels a side, the last two fifths see 256
 FULL = replace(
     QUICK,
@@ -37,6 +43,7 @@ FULL = replace(
         "meta-axes": replace(QUICK.meta["meta-basis"], initial_adam=SEARCHED_ADAM),
     },
     rule="meta-axes",
+    search=QUILT_SEARCH,
     app=QuiltedSvbrdf(
         Pyramid(16, noise=0, outputs=6, quilt=3),
         Octaves(256, 256, ("relu1_1", "relu2_1", "relu3_1", "relu4_1"), count=3, shares=(0.2, 0.6)),
