@@ -36,7 +36,7 @@ from metapp.storage.image_writers import png_data_url
 
 # Entries of a fit's record that are not errors; all others are
 NON_ERROR_RECORD_KEYS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}
-NON_ERROR_RECORD_KEYS |= {"source", "content", "origin", "settings", "folder", "batch"}
+NON_ERROR_RECORD_KEYS |= {"source", "content", "origin", "settings", "folder", "batch", "copied", "repeated"}
 
 
 @runtime_checkable
