@@ -60,7 +60,8 @@ APPLICATIONS = {
 NONSTATIONARY_PACKAGE = "metapp.apps.svbrdf_nonstationary"  # the package of non-stationary svBRDFs
 FURTHER_RECIPES = {  # names of recipes beside quick, full and paper, for fits that observe the reference
     **dict.fromkeys(("texture", "svbrdf_stationary", "svbrdf_nonstationary"), ("paper-64",)),
-    **dict.fromkeys(("brdf", "illumination", "transport"), ("paper-long",)),
+    **dict.fromkeys(("illumination", "transport"), ("paper-long",)),
+    "brdf": ("paper-long", "paper-smooth"),
 }
 SYNTHETIC_SET_HELP = {  # help on each application's embedded data set, with numbers of training + test tasks
     "brdf": "metals, plastics, paints, fabrics; 1.6 MB, as MERL 35 MB (80 + 20)",

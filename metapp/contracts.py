@@ -17,10 +17,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from torch import Generator
+
     from metapp.learning.adjoint import Loss, Steps, UpdateRule
     from metapp.learning.app import App
+    from metapp.learning.learn import DescentState
+    from metapp.learning.recipe import OuterLoop
     from metapp.learning.rules import Part as Part
-    from metapp.learning.task import Params, Task
+    from metapp.learning.task import Params, Task, Tasks
 
     SceneDict = dict[str, Any]  # a scene of Mitsuba as JSON holds it
 
@@ -277,6 +281,43 @@ class MakeSteps(Protocol):
             theta: parameters [T, ...] with the shapes that steps will see; their values are not read.
             order: 2 differentiates the gradient of a step in the vector-Jacobian product, 1 treats it as a constant.
             compiles: whether the steps are so many that compiling code for them pays.
+        """
+        ...
+
+
+class DescendOuterLoss(Protocol):
+    """A function that takes the outer steps of a training faster than torch where it can; the hook "outer_loop".
+
+    >>> def descend_outer_loss(paradigm, training, params, tasks, rng, since=None):
+    ...     return None
+    """
+
+    def __call__(
+        self,
+        paradigm: Any,
+        training: OuterLoop,
+        params: Params,
+        tasks: Tasks,
+        rng: Generator,
+        since: DescentState | None = None,
+        /,
+    ) -> Iterator[DescentState] | None:
+        """Descend the outer loss of a paradigm's training, with the results of the loop in torch up to rounding.
+
+        Args:
+            paradigm: the :class:`metapp.paradigms.paradigm.Paradigm` that fits, whose phi is trained.
+            training: the settings of the outer loop.
+            params: the phi before the first step, a flat tree.
+            tasks: the training tasks.
+            rng: the source of all random numbers. After each state that is yielded, it must be in the state in which
+                the loop in torch would leave it.
+            since: the state of an earlier descent, which is continued.
+
+        Returns:
+            The state before the first step, then states after some of the steps, among them each step at which
+            `training.validate_every` asks for a validation, and the last. The loss of a state holds the losses of all
+            steps since the state before, one step after the other, and `names` the names of their tasks. A step whose
+            loss is not finite ends the steps before a state. None if the function cannot take these steps.
         """
         ...
 

@@ -272,7 +272,7 @@ class Registry:
             folder of inputs, and of a line about what they produce.
         methods: functions that become methods of fits in the Python API.
         hooks: functions that the core calls if they are there: "steps" is a :class:`metapp.contracts.MakeSteps`,
-            "scene" a :class:`metapp.contracts.CheckScene`.
+            "outer_loop" a :class:`metapp.contracts.DescendOuterLoss`, "scene" a :class:`metapp.contracts.CheckScene`.
         owners: the package that registered a name, by table and name.
         extensions: the package of each extension, by the extension's name.
         problems: why some extensions cannot be used, by "NAME of PACKAGE".

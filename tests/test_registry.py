@@ -247,6 +247,7 @@ def test_functions_take_the_arguments_of_their_contracts(table: str) -> None:
 
 def test_hooks_take_the_arguments_of_their_contracts() -> None:
     inspect.signature(registry().hooks["steps"].load()).bind("rule", "loss", "theta", 2, compiles=True)
+    inspect.signature(registry().hooks["outer_loop"].load()).bind("paradigm", "training", {}, "tasks", "rng", None)
     inspect.signature(registry().hooks["scene"].load()).bind("scene")
 
 

@@ -8,6 +8,7 @@ recomputed when its derivatives are needed. Other implementations of a step, suc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -49,6 +50,10 @@ class Loss:
         shared: whether all tasks share their parameters, so that a descent follows the gradient of the mean over tasks.
             Otherwise each task has parameters for itself, and a descent follows the gradient of the sum, which moves
             each task as if it were alone.
+        smoothing: the smoothing s of absolute differences in second derivatives. There sqrt(d^2 + s^2) - s stands for
+            |d|, if the function `value` knows the loss parameter `smoothing`, log s; losses and gradients stay as they
+            are. The slope of a mean of |d| changes as differences change sign, which automatic differentiation does
+            not see at the kink of |d|. 0 for second derivatives of the loss as it is.
 
     >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
     >>> loss.gradient({"x": torch.tensor([3.0])}, {}, {}, graph=False)
@@ -58,6 +63,7 @@ class Loss:
     draw: Callable[[AnyData, Any, float], DrawnBatch]
     value: Callable[[Params, AnyBatch, Params], Tensor]
     shared: bool = False
+    smoothing: float = 0.0
 
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
         """Return the gradient that a step follows, and the detached loss of each task, [T].
@@ -106,6 +112,24 @@ def select_loss_parameters(alpha: Params) -> Params:
     {'smoothing': tensor([0.])}
     """
     return {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
+
+
+def add_smoothing(loss: Loss, learned: Params, theta: Params) -> Params:
+    """Add to a step's loss parameters the smoothing of second derivatives, [T], if the rule has learned none.
+
+    Args:
+        loss: the loss, whose `smoothing` may be 0.
+        learned: the loss parameters that the rule has learned.
+        theta: parameters [T, ...].
+
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"], smoothing=1.0)
+    >>> add_smoothing(loss, {}, {"x": torch.zeros(2)})
+    {'smoothing': tensor([0., 0.])}
+    """
+    if not loss.smoothing:
+        return learned
+    first = next(iter(theta.values()))
+    return {"smoothing": first.new_full((first.shape[0],), math.log(loss.smoothing))} | learned
 
 
 class Steps(NamedTuple):
@@ -174,7 +198,10 @@ def step_and_vjp(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Callable[
     ) -> tuple[Params, Params, Params]:
         alpha, theta, state = _detach_leaves(alpha), _detach_leaves(theta), _detach_leaves(state)
         if order == 2:
-            grads = loss.gradient(theta, batch, select_loss_parameters(alpha), graph=True)[0]
+            learned = select_loss_parameters(alpha)
+            smooth_grads = loss.gradient(theta, batch, add_smoothing(loss, learned, theta), graph=True)[0]
+            # the gradient that the step followed, with the derivatives of the smooth one
+            grads = {key: value + (grads[key] - value).detach() for key, value in smooth_grads.items()}
         new_theta, new_state = rule_step(alpha, theta, grads, state)
         outputs = [*new_theta.values(), *(new_state[key] for key in state)]
         d_outputs = [*(d_theta[key] for key in new_theta), *(d_state[key] for key in state)]

@@ -76,8 +76,9 @@ class DescentState(NamedTuple):
         step: the number of steps that were taken.
         theta: the parameters, detached.
         rule_state: the state of the update rule, as its steps return it.
-        loss: the loss of each task before the last step, [T], detached; None before the first step.
-        names: the names of the tasks that the last step saw.
+        loss: the loss of each task before the last step, [T], detached; None before the first step. A descent that
+            yields only some of its states has the losses of all steps since the state before, one step after the other.
+        names: the names of the tasks that these losses are of.
         guarded: bool [T], True for tasks whose result is the guard's instead of the rule's (see
             :mod:`metapp.learning.guard`); None without a guard.
     """

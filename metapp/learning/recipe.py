@@ -111,6 +111,8 @@ class MetaTraining(OuterLoop):
         initial_adam: the Adam that a learned rule equals before training; SGD of its rate for meta-sgd.
         searches_adam: whether that Adam is searched on validation tasks before the outer steps, as QuickFT's is.
         order: the order of derivatives through the inner steps: 1 (FOMAML) or 2 (MAML).
+        smoothing: the smoothing of absolute differences in second derivatives, see
+            :class:`metapp.learning.adjoint.Loss`; 0 differentiates the loss as it is.
         clip: the norm to which each task's outer gradient is scaled down before the mean over tasks is taken.
         initialisation: where fits begin before training. "random" is a random theta_0, "mean" the mean of General's
             predictions as theta_0. "encoder" is General's encoder: each fit begins at its prediction, and outer steps,
@@ -123,6 +125,7 @@ class MetaTraining(OuterLoop):
     initial_adam: Adam = Adam(5e-3, beta2=0.99)
     searches_adam: bool = False
     order: int = 0
+    smoothing: float = 0.0
     clip: float = float("inf")
     initialisation: Initialisation = "mean"
     app: App | None = None
@@ -198,7 +201,7 @@ def paper_recipe(recipe: Recipe, app: App, **changes: Any) -> Recipe:
     return replace(recipe, overfit_steps=10_000, finetune_steps=1_000, meta=meta, rule="meta-sgd", app=app)
 
 
-def long_paper_recipe(published: Recipe, rate: float = 1e-3) -> Recipe:
+def long_paper_recipe(published: Recipe, rate: float = 1e-3, **changes: Any) -> Recipe:
     """Return the paper's recipe with a higher outer rate, which falls to 0 in the last quarter of the outer steps.
 
     At the published constant rate, step sizes and initialisation still move after 10^6 outer steps.
@@ -206,8 +209,8 @@ def long_paper_recipe(published: Recipe, rate: float = 1e-3) -> Recipe:
     Args:
         published: the paper's recipe.
         rate: the higher outer rate.
+        changes: further fields of the training of Meta-SGD that differ.
     """
-    training = published.training("meta-sgd")
-    return replace(
-        published, meta={"meta-sgd": replace(training, rates={"": rate}, hold_share=0.75, final_rate_share=0.0)}
-    )
+    schedule: dict[str, Any] = {"rates": {"": rate}, "hold_share": 0.75, "final_rate_share": 0.0}
+    training = replace(published.training("meta-sgd"), **(schedule | changes))
+    return replace(published, meta={"meta-sgd": training})

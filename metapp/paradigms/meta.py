@@ -161,7 +161,7 @@ class MetaPreparation(Preparation):
         """Return the loss that is left after the steps of a fit (alg. 3)."""
         paradigm, app, training = self.paradigm, self.paradigm.app, self.outer_loop
         loss = after_learning(
-            paradigm.loss,
+            replace(paradigm.loss, smoothing=training.smoothing),
             paradigm.learned_rule.update_rule,
             steps=paradigm.steps,
             order=training.order,

@@ -21,6 +21,7 @@ from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms import ranks
 from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, Preparation
+from metapp.registry import registry
 
 
 class TrainState(NamedTuple):
@@ -153,17 +154,13 @@ def _run_outer_loop(
     validate: Validate,
 ) -> Iterator[TrainState]:
     """Take outer steps, and validate before the first one, at intervals, and after the last one."""
-    loss, steps = preparation.outer_loss(MetaParameters.unflatten(state.current)), training.steps
-    if ranks.rank_count() > 1:
-        loss = ranks.LossOverRanks(loss.draw, loss.value, loss.shared)
-    rule, paradigm = outer_adam(training, state.current), preparation.paradigm
-    since = DescentState(state.step, state.current, state.moments) if state.moments else None
-    for descent in check_finite_losses(
-        descend(state.current, rule, training_tasks, loss, steps=steps, rng=rng, since=since), every=1
-    ):
+    steps, paradigm = training.steps, preparation.paradigm
+    descents = _descend_outer_loss(preparation, training, state, training_tasks, rng)
+    for descent in check_finite_losses(descents, every=1):
         losses = state.losses
         if descent.loss is not None:
-            losses = torch.cat([losses.to(descent.loss), descent.loss.mean()[None]])
+            step_losses = descent.loss.view(descent.step - state.step, -1).mean(1)
+            losses = torch.cat([losses.to(step_losses), step_losses])
         state = state._replace(
             current=descent.theta,
             moments=descent.rule_state,
@@ -185,6 +182,24 @@ def _run_outer_loop(
                 state = state._replace(best=best, validation=error, best_step=descent.step)
             note = f"validation {error:.3f}, best {state.validation:.3f}"
             yield state._replace(note=note if mean is None else f"loss {mean:.3f}, {note}")
+
+
+def _descend_outer_loss(
+    preparation: Preparation, training: OuterLoop, state: TrainState, tasks: Tasks, rng: Generator
+) -> Iterator[DescentState]:
+    """Descend the outer loss: by an extension if one can, many steps at a time, else by torch, one step at a time."""
+    since = DescentState(state.step, state.current, state.moments) if state.moments else None
+    if ranks.rank_count() == 1 and (entry := registry().hooks.get("outer_loop")):
+        descent: Iterator[DescentState] | None = entry.load()(
+            preparation.paradigm, training, state.current, tasks, rng, since
+        )
+        if descent is not None:
+            return descent
+    loss = preparation.outer_loss(MetaParameters.unflatten(state.current))
+    if ranks.rank_count() > 1:
+        loss = ranks.LossOverRanks(loss.draw, loss.value, loss.shared)
+    rule = outer_adam(training, state.current)
+    return descend(state.current, rule, tasks, loss, steps=training.steps, rng=rng, since=since)
 
 
 MAX_SEARCH_TASKS = 8  # validation tasks of a search, unless networks are small

@@ -10,12 +10,13 @@ from torch.utils._pytree import tree_map
 
 from metapp.apps.brdf.app import Brdf
 from metapp.learned_rules import rule_of
-from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, at_step, learn_differentiably, torch_steps
+from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, add_smoothing, at_step, learn_differentiably, torch_steps
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
+from metapp.networks.coded import smooth_absolute
 from metapp.paradigms.adam import encoder_prediction
 from tests.learning.parabolas import refuse_to_draw
 from tests.paradigms.small import FEATURE_NETWORK, SMALL_APPLICATIONS, applicable_rules, small_app
@@ -248,3 +249,29 @@ def test_second_backward_pass_gives_the_same_gradient(steps: int, randn: Callabl
     (second,) = torch.autograd.grad(final, theta["x"])
     torch.testing.assert_close(first, second)
     assert steps or torch.equal(first, torch.ones_like(first))
+
+
+def smoothed_median(params: Params, batch: Batch, learned: Params) -> Tensor:
+    """The mean distance of x from samples, [T], smoothed if the loss parameter says so."""
+    return smooth_absolute(params["x"] - batch["samples"], learned).mean(1)
+
+
+@pytest.mark.parametrize(("smoothing", "curvature"), [(0.0, 0.0), (0.02, 1.0), (0.1, 1.0)])
+def test_smoothed_second_derivatives_see_the_curvature_of_means_of_distances(
+    smoothing: float, curvature: float
+) -> None:
+    """Mean distances from samples that are uniform in [-1, 1] are (1 + x^2) / 2; of |d| itself, autograd sees none."""
+    loss, rate = Loss(refuse_to_draw, smoothed_median, smoothing=smoothing), 0.25
+    samples, x = torch.linspace(-1, 1, 10_001)[None], torch.tensor([[0.3]], requires_grad=True)
+    theta = learn_differentiably({"x": x}, sgd({"rate": torch.tensor([rate])}), [{"samples": samples}], loss, order=2)
+    assert theta["x"].item() == pytest.approx(0.3 - rate * 0.3, abs=1e-3)  # the step itself knows of no smoothing
+    (derivative,) = torch.autograd.grad(theta["x"], x)
+    assert float(derivative) == pytest.approx(1 - rate * curvature, abs=rate * smoothing**2 + 1e-3)
+
+
+def test_learned_smoothing_goes_before_that_of_second_derivatives() -> None:
+    learned = {"smoothing": torch.zeros(2)}
+    theta, loss = {"x": torch.zeros(2, 1)}, Loss(refuse_to_draw, smoothed_median, smoothing=0.2)
+    assert add_smoothing(loss, learned, theta)["smoothing"].tolist() == [0, 0]
+    assert add_smoothing(loss, {}, theta)["smoothing"].exp().tolist() == pytest.approx([0.2, 0.2])
+    assert add_smoothing(Loss(refuse_to_draw, smoothed_median), {}, theta) == {}

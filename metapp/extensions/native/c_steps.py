@@ -21,7 +21,7 @@ from typing_extensions import override
 from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load_library
 from metapp.extensions.native.packing import ParameterOrder, pack_hyperparameters
-from metapp.learning.adjoint import Loss, Steps, UpdateRule, select_loss_parameters
+from metapp.learning.adjoint import Loss, Steps, UpdateRule, add_smoothing, select_loss_parameters
 from metapp.learning.task import Batch, Params
 
 
@@ -62,7 +62,7 @@ def make_c_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Ste
     alpha = pack_hyperparameters(rule.step, rule.alpha, parameter_order)
     if alpha is None:
         return None
-    c_steps = _CSteps(parameter_order, order, moments="adam" in alpha)
+    c_steps = _CSteps(parameter_order, loss, order, moments="adam" in alpha)
     return Steps(alpha, c_steps.init, c_steps.value, c_steps.step, c_steps.vjp)
 
 
@@ -105,12 +105,13 @@ class _CSteps:
 
     Args:
         parameter_order: the order of parameters in flat tensors.
+        loss: the loss, of which the smoothing of second derivatives counts.
         order: 2 if steps are differentiated through the gradient, else 1.
         moments: whether the rule keeps Adam's moments.
     """
 
-    def __init__(self, parameter_order: ParameterOrder, order: int, *, moments: bool) -> None:
-        self.parameter_order, self.order, self.moments = parameter_order, order, moments
+    def __init__(self, parameter_order: ParameterOrder, loss: Loss, order: int, *, moments: bool) -> None:
+        self.parameter_order, self.loss, self.order, self.moments = parameter_order, loss, order, moments
         library = load_step_library()
         assert library is not None, "steps in C are offered with the library alone"
         self.library = library
@@ -194,10 +195,11 @@ class _CSteps:
             _point_at(_State, pull_old_state), _point_at(_Pulled, pulls),
         )  # fmt: skip
         if self.order == 2:
-            flat = self.parameter_order.flatten(theta)
-            product, pull_learned = nbrdf.gradient_product(flat, batch, select_loss_parameters(alpha), pull_gradient)
+            flat, learned = self.parameter_order.flatten(theta), select_loss_parameters(alpha)
+            smooth = add_smoothing(self.loss, learned, {"flat": flat})
+            product, pull_learned = nbrdf.gradient_product(flat, batch, smooth, pull_gradient)
             pull = pull + product
-            pulls |= {f"loss.{key}": value for key, value in pull_learned.items()}
+            pulls |= {f"loss.{key}": pull_learned[key] for key in learned}
         pull_alpha = {key: pulls[key].sum_to_size(alpha[key].shape) for key in pulls}
         return self.parameter_order.unflatten(pull), pull_old_state, pull_alpha
 
