@@ -7,14 +7,13 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Generator
 from typer.testing import CliRunner
 
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.presenter import Presenter
 from metapp.apps import app_of, presenter_of, recipes_of
+from metapp.apps.exemplar.app import LARGEST_PHOTO_PX
 from metapp.cli.command_tree import app as cli
-from metapp.learning.task import Task
 from metapp.names import app_names, protocols_of
 from metapp.options import BadOption, app_options_class, options_by_name
 from metapp.paradigms import PARADIGMS
@@ -37,12 +36,12 @@ def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert Run.from_options(fit_options(name, recipe="quick")).options.recipe == "quick"
 
 
-OWN = {"conserve", "observe", "export", "size", "detail", "render", "fov", "stops", "shutter", "scene-root", "layer"}
+OWN = {"conserve", "observe", "export", "size", "render", "fov", "stops", "shutter", "scene-root", "layer"}
 OWN |= {"relief"}
 SHOWN = {
     "brdf": {"export", "conserve"},
-    "texture": {"export", "size", "detail", "layer"},
-    "svbrdf_stationary": {"export", "size", "detail", "fov", "layer", "relief"},
+    "texture": {"export", "size", "layer"},
+    "svbrdf_stationary": {"export", "size", "fov", "layer", "relief"},
     "svbrdf_nonstationary": {"observe", "export", "size", "fov", "stops", "layer", "relief"},
     "illumination": {"observe", "size", "fov", "shutter", "layer"},
     "transport": {"render", "scene-root"},
@@ -87,13 +86,7 @@ REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
     ("brdf", {"stepz": 1}, "stepz: no option of a fit, expected one of batch, .* Did you mean 'steps'"),
     ("brdf", {"train_steps": 3}, "--train-steps: only with --train"),
     ("brdf", {"recipe": "slow"}, "--recipe 'slow': expected one of"),
-    ("brdf", {"detail": 512}, "--detail: brdf has no such option, only svbrdf_stationary, texture; leave it out"),
     ("svbrdf_nonstationary", {"observe": "fotto"}, "--observe 'fotto': svbrdf_nonstationary expects one of"),
-    ("texture", {"recipe": "quick", "detail": 512},
-     "--detail 512, by recipe quick: expected no choice; take another recipe"),
-    ("texture", {"recipe": "full", "detail": 300}, "expected one of 256, 512"),
-    ("texture", {"recipe": "full", "detail": 512, "train": True}, "leave --train out"),
-    ("texture", {"detail": 0}, "--detail 0: expected 256 or more"),
     ("texture", {"size": "1000000x1000000"}, "--size 1000000x1000000: texture expects 16 to 4096"),
     *(("svbrdf_stationary", {"relief": factor}, f"--relief {factor}: expected 0 to 10")
       for factor in (-0.5, float("nan"), 11.0)),
@@ -117,20 +110,6 @@ def test_applications_have_the_options_of_their_entries(name: str) -> None:
     assert hasattr(app_options_class(name), "size") is sized
 
 
-@pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
-def test_a_finer_detail_fits_as_many_parameters(app: str) -> None:
-    usual, fine = (Run.from_options(fit_options(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
-    assert usual.options.app_options.non_default_values() == {}
-    assert fine.options.app_options.non_default_values() == {"detail": 512}
-    # textures fetch pieces from the photo at its own resolution, whatever the resolution of fits
-    assert (usual.app.read_size, fine.app.read_size) == ((4096, 4096) if app == "texture" else (0, 512))
-    shapes = [{key: value.shape for key, value in of.app.init(Generator(), 1).items()} for of in (usual, fine)]
-    assert shapes[0] == shapes[1]
-    small = Task("small", {"image": torch.zeros(3, 300, 300, dtype=torch.uint8)})
-    with pytest.raises(ValueError, match="small: 300 px a side, --detail 512 expects 512; leave it out"):
-        fine.app.prepare(small)
-
-
 # Inputs of a run, and where records say that they are
 
 
@@ -146,10 +125,10 @@ def test_records_name_inputs_as_they_were_given(tmp_path: Path) -> None:
 
 
 def test_files_are_read_as_fine_as_fits_are(tmp_path: Path) -> None:
-    for app, side in (("illumination", 128), ("svbrdf_stationary", 256)):
+    for app, side, limit in (("illumination", 128, 128), ("svbrdf_stationary", 256, LARGEST_PHOTO_PX)):
         planned = Run.from_options(fit_options(app, "general", inputs=write_example(app, tmp_path)[:1], recipe="full"))
         (run_input,) = find_inputs(planned)[0]
-        assert planned.app.read_size in (0, side)
+        assert planned.app.read_size in (0, limit)
         assert side in run_input.read_task().data["map" if app == "illumination" else "image"].shape
 
 

@@ -51,7 +51,7 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
 
     @override
     def size_refusal(self, height: int, width: int) -> str:
-        step = self.app.network.side_step
+        step = 1 if self.app.network.reads_quilt else self.app.network.side_step
         smallest = max(MIN_FILE_PX, 2 * step)
         is_possible = all(smallest <= side <= LARGEST_PX and side % step == 0 for side in (height, width))
         multiples = f"multiples of {step} from " if step > 1 else ""

@@ -22,6 +22,7 @@ from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.networks.quilted import fetch_pieces, repeated_share, seam_strength
 
 BLOCKS = ((64, 21), (96, 32), (128, 42), (48, 16))  # side and overlap of blocks, in cells, of which quilts are made
+BLOCK_CELLS = 256  # cells along a side of the photograph for which these blocks were chosen
 ORDER_GOAL, ORDER_WEIGHT = 0.9, 0.3  # share of the exemplar's order that a quilt should keep; the penalty below it
 # weight of a quilt's largest repetition, and of the excess of its changes across cuts, beside its error
 REPEATED_SHARE_WEIGHT, SEAM_EXCESS_WEIGHT = 0.1, 0.1
@@ -202,7 +203,9 @@ def quilt_again(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tenso
     best, least = torch.empty(0), float("inf")
     for candidate in range(TILE_CANDIDATES):
         rng = np.random.default_rng(TILE_SEED + candidate)
-        blocks, source = BLOCKS[(1 + candidate) % len(BLOCKS)], sources[candidate % 2]
+        # blocks of as large a part of the tile as those of the tile are of a photograph
+        block, overlap = (length * min(cells) // BLOCK_CELLS for length in BLOCKS[(1 + candidate) % len(BLOCKS)])
+        blocks, source = (max(4, block), max(1, overlap)), sources[candidate % 2]
         places = quilt_places(source, tile_cells, blocks, rng, repetition_weight=repetition_weight)
         penalty = order_penalty(lattice, fetch_pieces(colours, places, tile_cells, cells))
         if penalty < least:
