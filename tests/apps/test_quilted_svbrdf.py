@@ -22,7 +22,13 @@ from metapp.apps import recipe_of
 from metapp.apps.exemplar.app import PictureChanges, draw_noise, turn_picture
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
-from metapp.apps.svbrdf_stationary.quilted import QuiltedSvbrdf, fit_local_lines, turn_maps
+from metapp.apps.svbrdf_stationary.quilted import (
+    QuiltedSvbrdf,
+    fit_local_lines,
+    refine_relief,
+    remove_slow_changes,
+    turn_maps,
+)
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
@@ -123,6 +129,33 @@ def test_local_lines_carry_slow_changes_to_finer_pictures() -> None:
     factor, offset = fit_local_lines(flat, 1.5 * flat)
     torch.testing.assert_close(factor, torch.full_like(factor, 1.5), atol=5e-3, rtol=0)
     torch.testing.assert_close(factor * flat + offset, 1.5 * flat)
+
+
+def test_slow_changes_go_and_all_else_stays() -> None:
+    y, x = torch.meshgrid(*2 * [2 * torch.pi * (torch.arange(64) + 0.5) / 64], indexing="ij")
+    slow, fine = 0.7 + x.sin() * y.cos(), (16 * x).sin()
+    torch.testing.assert_close(
+        remove_slow_changes(slow[None, None]), torch.full((1, 1, 64, 64), 0.7), atol=0.06, rtol=0
+    )
+    torch.testing.assert_close(remove_slow_changes(fine[None, None]), fine[None, None], atol=1e-4, rtol=0)
+
+
+def test_relief_goes_on_in_finer_detail_where_brightness_tells_of_it() -> None:
+    """All finer bands have the factor of the finest one, which is small where brightness says nothing of the height."""
+    rng = Generator().manual_seed(0)
+    fine_quilt = 0.5 + 0.1 * torch.randn(1, 1, 256, 256, generator=rng).expand(-1, 3, -1, -1)
+    quilt = avg_pool2d(fine_quilt, 4)
+    raw = torch.zeros(1, 6, 64, 64)
+    raw[:, 5] = 3 * quilt[:, 0]
+    unrelated = raw.clone()
+    unrelated[:, 5] = raw[:, 5].flip(-1)
+    for maps, low, high in ((raw, 0.9, 1.1), (unrelated, -0.1, 0.1)):
+        refined = refine_relief(maps, quilt, fine_quilt)
+        assert torch.equal(refined[:, :5], torch.zeros(1, 5, 256, 256))
+        detail = fine_quilt[:, 0] - avg_pool2d(fine_quilt, 4)[:, 0].repeat_interleave(4, -1).repeat_interleave(4, -2)
+        slope = float((refined[:, 5] * detail).sum() / (3 * detail * detail).sum())
+        assert low < slope < high
+    assert refine_relief(raw, quilt, quilt) is raw
 
 
 @pytest.mark.parametrize("size", [(96, 128), (256, 256)])

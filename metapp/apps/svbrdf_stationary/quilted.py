@@ -35,12 +35,13 @@ DISPLAY_RANGE = (0.02, 0.98)  # display values to which quilts are clamped befor
 MAP_WEIGHT = 3.0  # weight in the outer loss of the differences from the true maps
 # Weights in that difference of diffuse colour, specular reflectance, roughness, slopes, and squared slopes
 PART_WEIGHTS = (1.0, 1.0, 1.0, 2.0, 8.0)
-# rows and columns of cells whose means are equal but for the quilt's: a stationary material has no slow changes, and a
-# network that reads normalised quilts makes clouds of what is left of the light
+# Rows and columns of cells whose means of the network's output are made equal: a stationary material has no slow
+# changes, and a network that reads normalised quilts makes clouds of what is left of the light
 SLOW_CELLS = 8
 LINE_WINDOW_PX = 9  # side of windows, odd, in which a photograph is compared with the photograph in even light
 LINE_DEVIATION = 0.005  # standard deviation of display values below which a window counts as flat
-SMALL_LAYERS = (3, 1, 1, 1)  # channels of diffuse display values, specular reflectance, roughness and height
+# Numbers of channels of what is quilted again: diffuse display values, specular reflectance, roughness and height
+LAYER_CHANNELS = (3, 1, 1, 1)
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,7 @@ class QuiltedSvbrdf(SvbrdfStationary):
             return maps, height
         layers = torch.cat([_display(maps.diffuse), maps.specular, maps.roughness, height])
         colours = adaptive_avg_pool2d(layers[:3], self.cells)
-        diffuse, specular, roughness, height = quilt_again(layers, colours, size).split(SMALL_LAYERS)
+        diffuse, specular, roughness, height = quilt_again(layers, colours, size).split(LAYER_CHANNELS)
         # cubic interpolation overshoots
         diffuse, specular = (values.clamp(0, 1) for values in (diffuse, specular))
         return Maps(diffuse**DISPLAY_GAMMA, specular, roughness.clamp(0.1, 1), normal_from_height(height)), height
