@@ -47,9 +47,7 @@ CARD_COLUMNS: dict[str, list[list[list[CardPart]]]] = {
     "texture": [[[("bricks.png", None)]], [[("runs/texture/meta*/*bricks*/texture.png", UPPER_LEFT_BOX)]]],
     "svbrdf-stationary": [
         [[("rust.png", None)]],
-        map_rows(
-            STATIONARY_PATTERN.format("rust", "{}"), ("diffuse", "roughness", "normal", "lit_from_left"), UPPER_LEFT_BOX
-        ),
+        map_rows(STATIONARY_PATTERN.format("rust", "{}"), ("diffuse", "roughness", "normal", "lit_from_left"), None),
     ],
     "svbrdf-nonstationary": [
         [[("sign.png", None)]],
@@ -61,10 +59,8 @@ CARD_COLUMNS: dict[str, list[list[list[CardPart]]]] = {
     ],
     "transport": [[[(CORNELL_PATTERN.format("guided_path"), None)]], [[(CORNELL_PATTERN.format("regular_nee"), None)]]],
     "maps": [
-        [[(STATIONARY_PATTERN.format("leather", "lit_from_left"), UPPER_LEFT_BOX)]],
-        map_rows(
-            STATIONARY_PATTERN.format("leather", "{}"), ("diffuse", "roughness", "normal", "specular"), UPPER_LEFT_BOX
-        ),
+        [[(STATIONARY_PATTERN.format("leather", "lit_from_left"), None)]],
+        map_rows(STATIONARY_PATTERN.format("leather", "{}"), ("diffuse", "roughness", "normal", "specular"), None),
     ],
     "ball": [
         [[("garden/found/ball0.png", (90, 0, 630, 540))]],
