@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 FloatImage = NDArray[np.floating]
 PixelMask = NDArray[np.bool_]
 OVERLAP_TOLERANCE = 0.1  # as published: blocks whose error exceeds the least error by up to this share count as good
+AVOIDED_WEIGHT = 2.0  # error of a block of px to be avoided alone, over the mean error of all blocks
 PHASE_TOLERANCE_PX = 1.0  # distance from a place of equal phase within which a block counts as in phase
 
 
@@ -60,6 +61,7 @@ def quilt_pixel_numbers(
     tiles: bool = False,
     frequencies: FloatImage | None = None,
     repetition_weight: float = 0.0,
+    avoided: PixelMask | None = None,
 ) -> NDArray[np.intp]:
     """Return the number of the exemplar's px, counted row by row, for each px [h, w] of a quilt.
 
@@ -75,6 +77,7 @@ def quilt_pixel_numbers(
         repetition_weight: by how much larger the error of a block counts, as a share of it, if the picture shows all
             of the block already within half the exemplar's sides; of a part of it in proportion. 0, as published, for
             blocks that may come back anywhere.
+        avoided: the exemplar's px, bool [H, W], that blocks show only if nothing else fits; None for none.
     """
     height, width = size
     starts = [_block_starts(length, block - overlap, tiles=tiles) for length in size]
@@ -85,7 +88,7 @@ def quilt_pixel_numbers(
     is_filled = np.zeros(exemplar_px.shape, bool)
     colours = exemplar.reshape(-1, exemplar.shape[2])
     pixels, numbers = colours.astype(float), np.arange(len(colours)).reshape(exemplar.shape[:2])
-    find = _make_block_finder(exemplar, block, frequencies)
+    find = _make_block_finder(exemplar, block, frequencies, None if avoided is None else _block_means(avoided, block))
     for i, top in enumerate(starts[0]):
         for j, left in enumerate(starts[1]):
             rows = (top + np.arange(block)) % len(exemplar_px)
@@ -147,10 +150,18 @@ BlockFinder = Callable[[FloatImage, PixelMask, tuple[int, int], FloatImage, np.r
 factors of the errors of all blocks, and a generator."""
 
 
-def _make_block_finder(exemplar: FloatImage, block: int, frequencies: FloatImage | None) -> BlockFinder:
+def _make_block_finder(
+    exemplar: FloatImage, block: int, frequencies: FloatImage | None, avoided_shares: FloatImage | None
+) -> BlockFinder:
     """Return a search for blocks of the exemplar that agree with the picture where it is known.
 
     The errors of all blocks are correlations, computed by Fourier transforms.
+
+    Args:
+        exemplar: [H, W, C].
+        block: side of a block in px.
+        frequencies: see :func:`quilt_pixel_numbers`.
+        avoided_shares: the share of px to be avoided of each block, [H - block + 1, W - block + 1]; None for none.
     """
     height, width, _ = exemplar.shape
     size = (height, width)
@@ -168,7 +179,12 @@ def _make_block_finder(exemplar: FloatImage, block: int, frequencies: FloatImage
         rng: np.random.Generator,
     ) -> tuple[int, int]:
         if not known.any():
-            found = int(rng.integers(rows)), int(rng.integers(columns))
+            if avoided_shares is not None:
+                best_starts = np.argwhere(avoided_shares <= avoided_shares.min())
+                y, x = best_starts[rng.integers(len(best_starts))]
+            else:
+                y, x = rng.integers(rows), rng.integers(columns)
+            found = int(y), int(x)
             first_shift[:] = np.subtract(found, start)
             return found
         known_channels = np.fft.rfft2(known_pixels * known[..., None], size, axes=(0, 1))
@@ -177,6 +193,8 @@ def _make_block_finder(exemplar: FloatImage, block: int, frequencies: FloatImage
         ).sum(2)
         error = np.fft.irfft2(product, size)[:rows, :columns] + np.square(known_pixels[known]).sum()
         error = np.maximum(error, 1e-6) * factors
+        if avoided_shares is not None:  # what goes on in the exemplar has no error, so that a factor would not do
+            error = error + AVOIDED_WEIGHT * avoided_shares * error.mean()
         if frequencies is not None:
             in_phase = _is_in_phase(positions - start - first_shift, frequencies)
             error = np.where(in_phase, error, np.inf) if in_phase.any() else error

@@ -131,6 +131,19 @@ def test_local_lines_carry_slow_changes_to_finer_pictures() -> None:
     torch.testing.assert_close(factor * flat + offset, 1.5 * flat)
 
 
+def test_highlights_alone_are_avoided() -> None:
+    """The middle of a photograph of a glossy surface, and no px of a matte one."""
+    ones, flat = torch.ones(1, 64, 64), normal_from_height(torch.zeros(1, 64, 64))
+    for roughness, is_glossy in ((0.3, True), (0.9, False)):
+        maps = Maps(0.2 * ones.expand(3, -1, -1), 0.08 * ones * is_glossy, roughness * ones, flat)
+        photos = photograph(maps)[None].float() / 255
+        (avoided,) = APP.statistics.find_unusable(photos, {"light": APP.statistics.find_light(photos)})
+        assert avoided is not None
+        assert bool(avoided[32, 32]) is is_glossy
+        assert float(avoided.float().mean()) < (0.26 if is_glossy else 0.001)
+        assert not avoided[:4].any()
+
+
 def test_slow_changes_go_and_all_else_stays() -> None:
     y, x = torch.meshgrid(*2 * [2 * torch.pi * (torch.arange(64) + 0.5) / 64], indexing="ij")
     slow, fine = 0.7 + x.sin() * y.cos(), (16 * x).sin()

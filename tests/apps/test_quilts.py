@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch import Generator, Tensor
@@ -9,7 +10,7 @@ from torch import Generator, Tensor
 from metapp.appearance.order import find_lattice, kept_order_share
 from metapp.appearance.stretch import stretch_to_tile
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.quilts import choose_quilt, quilt_again
+from metapp.apps.exemplar.quilts import choose_quilt, make_piece_source, quilt_again, quilt_places
 from metapp.apps.texture.app import GramStatistics
 
 SIZE = 128
@@ -81,3 +82,17 @@ def test_quilts_keep_the_order_of_a_checkerboard(side: int, turned: float) -> No
     share, larger = kept_order_share(lattice, picture), quilt_again(picture, picture, (2 * SIZE, 2 * SIZE))
     assert share > 0.58
     assert kept_order_share(lattice, larger) > 0.9 * share
+
+
+def test_pieces_that_are_to_be_avoided_are_not_shown() -> None:
+    noise = torch.rand(3, SIZE, SIZE, generator=Generator().manual_seed(3))
+    avoided = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+    avoided[40:80, 50:90] = True
+    shares = []
+    for mask in (None, avoided):
+        source = make_piece_source(noise, (SIZE, SIZE), stretches=False, avoided=mask)
+        places = quilt_places(source, (SIZE, SIZE), (32, 10), np.random.default_rng(0))
+        y, x = (places * SIZE).long()
+        shares.append(float(avoided[y, x].float().mean()))
+    assert shares[0] > 0.03
+    assert shares[1] < 0.02

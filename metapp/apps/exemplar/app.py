@@ -112,9 +112,12 @@ class ExemplarApp(App):
         if not (self.network.reads_quilt and self.candidates):
             return targets
         unshaded = self.statistics.even_light(exemplars, targets)
+        avoided_px = self.statistics.find_unusable(exemplars, targets)
         quilts = [
-            choose_quilt(exemplar, remove_quadratic_trend(even), self.cells, self.statistics, self.candidates)
-            for exemplar, even in zip(exemplars, unshaded, strict=True)
+            choose_quilt(
+                picture, remove_quadratic_trend(picture), self.cells, self.statistics, self.candidates, avoided
+            )
+            for picture, avoided in zip(unshaded, avoided_px, strict=True)
         ]
         parts = (torch.stack(tensors) for tensors in zip(*quilts, strict=True))
         return targets | dict(zip(QUILT_KEYS, parts, strict=True))

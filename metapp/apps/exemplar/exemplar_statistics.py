@@ -6,6 +6,7 @@ Applications extend :class:`Statistics`; nothing here knows of networks, noise o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -65,6 +66,10 @@ class Statistics(ABC):
     def even_light(self, pictures: Tensor, described: Batch) -> Tensor:
         """Remove the shading of the exemplars' light from pictures [B, 3, H, W]; here there is none."""
         return pictures
+
+    def find_unusable(self, pictures: Tensor, described: Batch) -> Sequence[Tensor | None]:
+        """Return the px of each picture [B, 3, H, W] that say little of the material, bool [H, W]; here None each."""
+        return [None] * len(pictures)
 
     def softness_loss(self, pictures: Tensor, batch: Batch) -> Tensor:
         """Return the part of a loss, [T], that keeps the detail of pictures [T, B, 3, H, W] as fine as the exemplars'.

@@ -26,6 +26,7 @@ BLOCK_CELLS = 256  # cells along a side of the photograph for which these blocks
 ORDER_GOAL, ORDER_WEIGHT = 0.9, 0.3  # share of the exemplar's order that a quilt should keep; the penalty below it
 # weight of a quilt's largest repetition, and of the excess of its changes across cuts, beside its error
 REPEATED_SHARE_WEIGHT, SEAM_EXCESS_WEIGHT = 0.1, 0.1
+AVOIDED_SHARE_WEIGHT = 1.0  # weight of the share of a quilt that shows px to be avoided, beside its error
 BLOCK_REPETITION_WEIGHT = 4.0  # factor of the shown share of a block; see :func:`quilt_pixel_numbers`
 MIN_TILE_CELLS = 8  # rows and columns of the smallest tile
 TILE_CANDIDATES = 6  # quilts of another size than the photograph's, of which the one that keeps most order is taken
@@ -39,28 +40,35 @@ class PieceSource(NamedTuple):
         pixels: the picture, [3, h, w].
         places: the place (y, x) of the centre of each px in the exemplar, in its sides, [2, h, w].
         frequencies: the frequencies of its lattice in cycles per px, with which all pieces are in phase, or None.
+        avoided: the px that pieces show only if nothing else fits, bool [h, w], or None.
     """
 
     pixels: Tensor
     places: Tensor
     frequencies: NDArray[np.floating] | None = None
+    avoided: Tensor | None = None
 
 
-def make_piece_source(exemplar: Tensor, cells: tuple[int, int], *, stretches: bool) -> PieceSource:
+def make_piece_source(
+    exemplar: Tensor, cells: tuple[int, int], *, stretches: bool, avoided: Tensor | None = None
+) -> PieceSource:
     """Make the source of the pieces of a tile.
 
     Args:
         exemplar: an evenly lit picture, [3, H, W].
         cells: the rows and columns of the tile, in px of the exemplar.
         stretches: whether an exemplar with a strong lattice is stretched, so that the tile holds whole periods of it.
+        avoided: the px that pieces show only if nothing else fits, bool [H, W]; None for none.
     """
     places = torch.stack(
         torch.meshgrid(*((torch.arange(side) + 0.5) / side for side in exemplar.shape[1:]), indexing="ij")
     ).to(exemplar)
     change, frequencies = find_stretch(exemplar, cells) if stretches else (None, None)
     if change is None or frequencies is None:
-        return PieceSource(exemplar, places)
-    return PieceSource(apply_stretch(exemplar, change), apply_stretch(places, change), frequencies.numpy())
+        return PieceSource(exemplar, places, avoided=avoided)
+    stretched_avoided = None if avoided is None else apply_stretch(avoided[None].to(exemplar), change)[0] > 0.5
+    pixels, stretched_places = apply_stretch(exemplar, change), apply_stretch(places, change)
+    return PieceSource(pixels, stretched_places, frequencies.numpy(), stretched_avoided)
 
 
 def quilt_places(
@@ -93,6 +101,7 @@ def quilt_places(
         tiles=True,
         frequencies=source.frequencies,
         repetition_weight=repetition_weight,
+        avoided=None if source.avoided is None else source.avoided.cpu().numpy(),
     )
     result: Tensor = source.places.flatten(1)[:, torch.from_numpy(numbers)]
     return result
@@ -100,7 +109,12 @@ def quilt_places(
 
 @torch.no_grad()
 def choose_quilt(
-    exemplar: Tensor, even: Tensor, cells: tuple[int, int], statistics: Statistics, candidates: int
+    exemplar: Tensor,
+    even: Tensor,
+    cells: tuple[int, int],
+    statistics: Statistics,
+    candidates: int,
+    avoided: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Make quilts of an exemplar and return the best.
 
@@ -114,6 +128,7 @@ def choose_quilt(
         cells: the rows and columns of cells of a quilt.
         statistics: the statistics whose features are compared.
         candidates: the number of quilts.
+        avoided: the exemplar's px that pieces show only if nothing else fits, bool [H, W]; None for none.
 
     Returns:
         The places [2, rows, columns] and the picture [3, H, W] of the best quilt.
@@ -126,7 +141,9 @@ def choose_quilt(
 
     lattice, exemplar_grams = find_lattice(even), compute_grams(exemplar) if candidates > 1 else []
     small = interpolate(even[None], size=cells, mode="area")[0]
-    sources = [make_piece_source(small, cells, stretches=stretches) for stretches in (True, False)]
+    if avoided is not None:
+        avoided = interpolate(avoided[None, None].float(), size=cells, mode="area")[0, 0] > 0.5
+    sources = [make_piece_source(small, cells, stretches=stretches, avoided=avoided) for stretches in (True, False)]
     quilts = []
     for candidate in range(candidates):
         source = sources[candidate // len(BLOCKS) % 2]
@@ -136,6 +153,9 @@ def choose_quilt(
         if candidates > 1:
             distance = statistics_distance(compute_grams(picture), exemplar_grams)
             cost = float(distance) + order_penalty(lattice, picture) + repetition_penalty(lattice, places, cells)
+            if avoided is not None:
+                y, x = ((place * count).long().clamp(0, count - 1) for place, count in zip(places, cells, strict=True))
+                cost += AVOIDED_SHARE_WEIGHT * float(avoided[y, x].float().mean())
         quilts.append((cost, candidate, places, picture))
     quilts.sort()  # seams, which take the longest, are measured of quilts alone that may still be the best
     best, least = quilts[0], float("inf")

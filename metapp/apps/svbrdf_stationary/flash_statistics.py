@@ -6,6 +6,8 @@ are known here, but not the maps or the network that they are made of.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
@@ -13,6 +15,7 @@ from typing_extensions import override
 
 from metapp.appearance.features import amplitude_spectrum, gram, moments, statistics_distance
 from metapp.appearance.flash import (
+    DISPLAY_GAMMA,
     Maps,
     camera_position,
     estimate_flash_position,
@@ -21,7 +24,7 @@ from metapp.appearance.flash import (
     render_maps,
     texel_positions,
 )
-from metapp.appearance.highlight import estimate_gloss, remove_shading
+from metapp.appearance.highlight import estimate_gloss, remove_shading, ring_profile
 from metapp.appearance.order import even_out_contrast
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.svbrdf_stationary.windows import (
@@ -40,6 +43,8 @@ RING_BOUNDS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the
 # A highlight shows the gloss where it is much of the light reflected below the flash: confidence rises from 0 to 1
 # between these shares. It shows no greater roughness.
 LOBE_SHARES, MAX_LOBE_ROUGHNESS = (0.6, 0.8), 0.5
+# Rings about the flash that are so many times as bright as the median px belong to the highlight; at most a share of px
+HIGHLIGHT_RADIANCE_RATIO, MAX_UNUSABLE_SHARE = 2.0, 0.25
 FLASH_FALLOFF = 1.0  # of the flash, as :func:`render_maps` takes it
 
 
@@ -111,6 +116,19 @@ class FlashStatistics(Statistics):
     @override
     def even_light(self, pictures: Tensor, described: Batch) -> Tensor:
         return even_out_contrast(remove_shading(pictures, described["light"]))
+
+    @override
+    def find_unusable(self, pictures: Tensor, described: Batch) -> Sequence[Tensor | None]:
+        """Return the px of the highlight, where gloss hides the material: rings about the flash that are very bright.
+
+        Of a matte surface none is, since its rings are at most about 1.5 times as bright as the median one.
+        """
+        means, memberships = ring_profile(pictures.clamp(0, 1) ** DISPLAY_GAMMA, described["light"])
+        radiance = (means.mean(1, keepdim=True) @ memberships).unflatten(-1, pictures.shape[-2:])[:, 0]
+        median = radiance.flatten(1).median(1).values
+        brightest = radiance.flatten(1).quantile(1 - MAX_UNUSABLE_SHARE, 1)
+        bound = torch.maximum(HIGHLIGHT_RADIANCE_RATIO * median, brightest)
+        return list(radiance > bound[:, None, None])
 
     def targets(self, tasks: Tasks, windows: Tensor) -> Batch:
         """Return what pictures are compared with in windows of the numbers [T, N], by name, [T, ...] each."""
