@@ -144,10 +144,12 @@ def choose_quilt(
     if avoided is not None:
         avoided = interpolate(avoided[None, None].float(), size=cells, mode="area")[0, 0] > 0.5
     sources = [make_piece_source(small, cells, stretches=stretches, avoided=avoided) for stretches in (True, False)]
+    repetition_weight = find_repetition_weight(lattice)
     quilts = []
     for candidate in range(candidates):
         source = sources[candidate // len(BLOCKS) % 2]
-        places = quilt_places(source, cells, BLOCKS[candidate % len(BLOCKS)], np.random.default_rng(candidate))
+        blocks, rng = BLOCKS[candidate % len(BLOCKS)], np.random.default_rng(candidate)
+        places = quilt_places(source, cells, blocks, rng, repetition_weight=repetition_weight)
         picture = fetch_pieces(even, places, size, cells).clamp(0, 1)
         cost = 0.0
         if candidates > 1:
@@ -167,6 +169,11 @@ def choose_quilt(
         if cost < least:
             best, least = quilt, cost
     return best[2], best[3]
+
+
+def find_repetition_weight(lattice: Lattice) -> float:
+    """Return the factor by which blocks that a tile shows already count as worse: 0 of exemplars that repeat."""
+    return 0.0 if lattice.score >= MIN_STRETCH_SCORE else BLOCK_REPETITION_WEIGHT
 
 
 def repetition_penalty(lattice: Lattice, places: Tensor, cells: tuple[int, int]) -> float:
@@ -219,7 +226,7 @@ def quilt_again(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tenso
     holds_whole_tiles = all(length % own == 0 for length, own in zip(size, own_size, strict=True))
     stretched_first = (not holds_whole_tiles, holds_whole_tiles)
     sources = [make_piece_source(colours, tile_cells, stretches=stretches) for stretches in stretched_first]
-    repetition_weight = 0.0 if lattice.score >= MIN_STRETCH_SCORE else BLOCK_REPETITION_WEIGHT
+    repetition_weight = find_repetition_weight(lattice)
     best, least = torch.empty(0), float("inf")
     for candidate in range(TILE_CANDIDATES):
         rng = np.random.default_rng(TILE_SEED + candidate)
