@@ -234,9 +234,11 @@ def quilt_again(layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tenso
         block, overlap = (length * min(cells) // BLOCK_CELLS for length in BLOCKS[(1 + candidate) % len(BLOCKS)])
         blocks, source = (max(4, block), max(1, overlap)), sources[candidate % 2]
         places = quilt_places(source, tile_cells, blocks, rng, repetition_weight=repetition_weight)
-        penalty = order_penalty(lattice, fetch_pieces(colours, places, tile_cells, cells))
-        if penalty < least:
-            best, least = places, penalty
-        if not penalty:
+        lost_order = 0.0
+        if lattice.score > MIN_LATTICE_SCORE:
+            lost_order = max(0.0, 1 - kept_order_share(lattice, fetch_pieces(colours, places, tile_cells, cells)))
+        if lost_order < least:
+            best, least = places, lost_order
+        if not lost_order:
             break
     return fetch_pieces(layers, best, size, cells)
