@@ -248,13 +248,21 @@ def test_quilts_are_known_of_each_task_and_no_step_changes_them(app: ExemplarApp
 def test_tiles_move_with_noise_and_shrink_to_octaves(app: ExemplarApp, pavement: Tasks) -> None:
     rng, quilt = Generator().manual_seed(0), pavement.data["quilt"]
     for octave in (0, 1):
-        moved = move_tiles(quilt, draw_noise(app, rng, 2, 2, octave=octave), octave)
+        moved = move_tiles(quilt, draw_noise(app, rng, 2, 2, octave=octave))
         small = avg_pool2d(quilt, 2**octave)
         side = small.shape[-1]
         assert moved.shape == (2, 2, 3, side, side)
         assert not torch.equal(moved[0, 0], moved[0, 1])
         rolls = [small[0].roll((y, x), (1, 2)) for y in range(side) for x in range(side)]
         assert any(torch.equal(roll, moved[0, 1]) for roll in rolls)
+
+
+def test_coarse_stages_train_by_quilts_of_augmented_exemplars(app: ExemplarApp, pavement: Tasks) -> None:
+    rng = Generator().manual_seed(0)
+    for done in (0.0, 0.9):
+        variants = app.augment(app.stage(pavement, done), rng)
+        theta = app.encode(app.init_encoder(rng), app.condition(variants, rng))
+        assert app.outer_loss(theta, app.sample(variants, rng, 1), {}).isfinite().all()
 
 
 def test_networks_read_quilts_without_mean_and_of_one_contrast(pavement: Tasks) -> None:

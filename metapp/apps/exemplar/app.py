@@ -7,6 +7,7 @@ exemplar by a subclass of :class:`metapp.apps.exemplar.exemplar_statistics.Stati
 from __future__ import annotations
 
 import math
+import warnings
 from abc import abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -26,7 +27,7 @@ from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import add_decoder, join_encoder
 from metapp.networks.generators import Pyramid, UNet
-from metapp.networks.quilted import move_periodically, normalise_quilts
+from metapp.networks.quilted import fetch_pieces, move_periodically, normalise_quilts
 
 HIDDEN_UNITS = 128  # units of each hidden layer of General's encoder
 ENCODER_LEAKY_SLOPE = 0.2  # slope below 0 of the leaky ReLUs of General's encoder
@@ -121,6 +122,37 @@ class ExemplarApp(App):
         ]
         parts = (torch.stack(tensors) for tensors in zip(*quilts, strict=True))
         return targets | dict(zip(QUILT_KEYS, parts, strict=True))
+
+    def take_even_photo(self, image: Tensor) -> Tensor:
+        """Return a photograph as floats [3, S, S], display values in [0, 1], in even light; here as it is.
+
+        Args:
+            image: the photograph, uint8 [3, S, S].
+        """
+        return image.float() / 255
+
+    def fetch_quilt(self, theta: Params, task: Task, subject: str) -> Tensor:
+        """Fetch the quilt of a fit from its photograph, at the photograph's resolution.
+
+        Args:
+            theta: a fit, with a task axis of length 1.
+            task: the task that was fitted. If it holds no photograph, the quilt is the one in the fit, and a warning
+                says so.
+            subject: begins the clause of the warning on the size, such as "the maps have".
+
+        Returns:
+            The quilt, display values [1, 3, H, W].
+        """
+        if "image" in task.data:
+            photo = self.take_even_photo(task.data["image"])
+            return fetch_pieces(photo, theta["places"][0], (photo.shape[1], photo.shape[2]), self.cells)[None]
+        quilt = theta["quilt"]
+        warnings.warn(
+            f"{task.name}: its photo is not at hand, expected for the photo's resolution; {subject} "
+            f"{quilt.shape[-1]} px a side. Fit the photo again.",
+            stacklevel=3,
+        )
+        return quilt
 
     @override
     def task_parameters(self, tasks: Tasks) -> Params:
@@ -249,20 +281,20 @@ def fixed_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, oc
     return draw_noise(app, rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)
 
 
-def move_tiles(tiles: Tensor, noise: Tensor, octave: int = 0) -> Tensor:
-    """Move tiles as noise says, and shrink them to the size of an octave.
+def move_tiles(tiles: Tensor, noise: Tensor) -> Tensor:
+    """Move tiles as noise says, and shrink them to its size.
 
     Args:
-        tiles: pictures or maps that tile, [T, C, H, W].
-        noise: the noise of B pictures of each task, [T, B, C', H', W'], whose first two numbers say how far down and
+        tiles: pictures or maps that tile, [T, C, H, W]; at a coarse octave those of augmented exemplars are as small.
+        noise: the noise of B pictures of each task, [T, B, C', h, w], whose first two numbers say how far down and
             right tiles are moved.
-        octave: the octave, 0 for the whole size.
 
     Returns:
         [T, B, C, h, w].
     """
     shares = torch.special.ndtr(noise[:, :, 0, 0, :2]).expand(len(tiles), -1, -1)
-    small_tiles = avg_pool2d(tiles, 2**octave) if octave else tiles
+    times = tiles.shape[-1] // noise.shape[-1]
+    small_tiles = avg_pool2d(tiles, times) if times > 1 else tiles
     return move_periodically(small_tiles, shares)
 
 
@@ -281,5 +313,5 @@ def generate_raw(app: ExemplarApp, theta: Params, noise: Tensor, octave: int = 0
     network = network._replace(finest=octave)
     if not network.reads_quilt:
         return network(theta, noise)
-    quilts = move_tiles(theta["quilt"].detach(), noise, octave)
+    quilts = move_tiles(theta["quilt"].detach(), noise)
     return network(theta, noise[:, :, : network.noise], normalise_quilts(quilts))

@@ -168,9 +168,12 @@ class SvbrdfStationary(ExemplarApp):
         Where the true maps are unknown, the deviation of gloss from a usual one counts instead. Without either, General
         comes to explain all photographs by one bright, rough, specular surface without colour.
         """
-        octave = self.octaves.find_octave(batch)
-        maps = self.generate(theta, batch["noise"], octave)
-        distances = self._measure_distances(theta, maps, batch)
+        maps = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
+        return self.outer_loss_of_maps(theta, maps, batch)
+
+    def outer_loss_of_maps(self, theta: Params, maps: Maps, batch: Batch) -> Tensor:
+        """Return the outer loss, [T], of maps [T, B, ...] that fits made of a batch's noise; see :meth:`outer_loss`."""
+        octave, distances = self.octaves.find_octave(batch), self._measure_distances(theta, maps, batch)
         loss = torch.stack(list(distances.values())).sum(0) + POOLED_WEIGHT * distances["pooled"]
         if "truth" not in batch:
             return loss + UNUSUAL_WEIGHT * _gloss_deviation(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
@@ -194,7 +197,7 @@ class SvbrdfStationary(ExemplarApp):
             chroma = chroma_deviations(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2])
             distances["colour"] = COLOUR_WEIGHT * (chroma - batch["chroma"][:, None]).abs().mean((1, 2))
             evenly_lit = remove_shading(pictures, batch["light"][:, None])
-            quilts = move_tiles(theta["quilt"].detach(), batch["noise"], self.octaves.find_octave(batch))
+            quilts = move_tiles(theta["quilt"].detach(), batch["noise"])
             distances["deviation"] = quilt_deviation(evenly_lit, quilts)
             distances["softness"] = self.statistics.softness_loss(pictures, batch)
         return distances

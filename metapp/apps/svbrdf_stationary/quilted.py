@@ -6,7 +6,6 @@ knit stays a stitch in each map. The quilt is fetched from the photograph at the
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -89,14 +88,12 @@ class QuiltedSvbrdf(SvbrdfStationary):
         return batch | {"maps": torch.stack([fetch_pieces(maps, place, size, self.cells) for maps, place in places])}
 
     @override
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Return the distance of pictures from the photo plus the difference of maps from the true ones, [T]."""
-        loss = super().outer_loss(theta, batch, learned)
+    def outer_loss_of_maps(self, theta: Params, maps: Maps, batch: Batch) -> Tensor:
+        """Add the difference from the true maps, if the batch has them."""
+        loss = super().outer_loss_of_maps(theta, maps, batch)
         if "maps" not in batch:
             return loss
-        octave = self.octaves.find_octave(batch)
-        maps = self.generate(theta, batch["noise"], octave)
-        true_maps = unpack_maps(move_tiles(batch["maps"], batch["noise"], octave))
+        true_maps = unpack_maps(move_tiles(batch["maps"], batch["noise"]))
         slope_differences = (maps.normal - true_maps.normal)[:, :, :2]
         differences = (
             _display(maps.diffuse) - _display(true_maps.diffuse),
@@ -113,15 +110,12 @@ class QuiltedSvbrdf(SvbrdfStationary):
     @override
     def generate_maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         raw = remove_slow_changes(generate_raw(self, theta, noise, octave))
-        quilts = move_tiles(theta["quilt"].detach(), noise, octave)
+        quilts = move_tiles(theta["quilt"].detach(), noise)
         return self.decode_maps(_add_quilt(raw, quilts), self.octaves.octave_size(octave)[1])
 
+    @override
     def take_even_photo(self, image: Tensor) -> Tensor:
-        """Return a photograph as floats [3, S, S], display values in [0, 1], without its shading.
-
-        Args:
-            image: the photograph, uint8 [3, S, S].
-        """
+        """Return a photograph without its shading; see the base class."""
         photo = image.float() / 255
         exemplar = self.octaves.take_exemplar(photo[None])
         unshaded = self.statistics.even_light(exemplar, {"light": self.statistics.find_light(exemplar)})
@@ -148,17 +142,8 @@ class QuiltedSvbrdf(SvbrdfStationary):
         quilt = theta["quilt"]
         noise = fixed_noise(self, quilt, 1)[:, :, : self.network.noise]
         raw = remove_slow_changes(self.network(theta, noise, normalise_quilts(quilt[:, None]))[0])
-        if "image" in task.data:
-            photo = self.take_even_photo(task.data["image"])
-            photo_size = photo.shape[1], photo.shape[2]
-            fine_quilt = fetch_pieces(photo, theta["places"][0], photo_size, self.cells).clamp(0, 1)[None]
-        else:
-            warnings.warn(
-                f"{task.name}: its photo is not at hand, expected for the photo's resolution; the maps have "
-                f"{quilt.shape[-1]} px a side. Fit the photo again.",
-                stacklevel=2,
-            )
-            fine_quilt, photo_size = quilt, (quilt.shape[-2], quilt.shape[-1])
+        fine_quilt = self.fetch_quilt(theta, task, "the maps have").clamp(0, 1)
+        photo_size = fine_quilt.shape[-2], fine_quilt.shape[-1]
         fine_raw = refine_relief(raw, quilt, fine_quilt)
         maps, height = self.decode_maps(_add_quilt(fine_raw, fine_quilt)[0], photo_size[1])
         if size is None or size == photo_size:

@@ -6,7 +6,6 @@ photograph at the photograph's own resolution, so that structures are as large a
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 
 import torch
@@ -19,7 +18,7 @@ from metapp.apps.exemplar.app import move_tiles
 from metapp.apps.exemplar.quilts import quilt_again
 from metapp.apps.texture.app import Texture
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.networks.quilted import LightGrid, colour_moments, fetch_pieces, subtract_trend
+from metapp.networks.quilted import LightGrid, colour_moments, subtract_trend
 
 CHANGE_WEIGHT = 30.0  # weight in the loss of the mean squared change of the quilt, so that it stays unseen
 
@@ -75,12 +74,9 @@ class QuiltedTexture(Texture):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         return super().errors(theta | self.task_parameters(tasks), tasks)
 
+    @override
     def take_even_photo(self, image: Tensor) -> Tensor:
-        """Return a photograph as floats [3, S, S], display values in [0, 1], without its slow change of light.
-
-        Args:
-            image: the photograph, uint8 [3, S, S].
-        """
+        """Return a photograph without its slow change of light; see the base class."""
         photo = image.float() / 255
         exemplar = self.octaves.take_exemplar(photo[None])[0]
         return subtract_trend(photo, exemplar, remove_quadratic_trend(exemplar))
@@ -98,18 +94,7 @@ class QuiltedTexture(Texture):
         Returns:
             The texture [3, *size], sRGB in [0, 1].
         """
-        quilt = theta["quilt"]
-        if "image" in task.data:
-            photo = self.take_even_photo(task.data["image"])
-            photo_size = photo.shape[1], photo.shape[2]
-            quilt = fetch_pieces(photo, theta["places"][0], photo_size, self.cells)[None]
-        else:
-            warnings.warn(
-                f"{task.name}: its photo is not at hand, expected for the photo's resolution; the texture has "
-                f"{quilt.shape[-1]} px a side. Fit the photo again.",
-                stacklevel=2,
-            )
-        tile = self.network(theta, quilt)[0]
+        tile = self.network(theta, self.fetch_quilt(theta, task, "the texture has"))[0]
         own_size = tile.shape[1], tile.shape[2]
         if size is None or size == own_size:
             return tile
