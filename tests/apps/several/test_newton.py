@@ -7,8 +7,9 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_LOG_GAIN, FLASH_NUMBERS, decode_maps
-from metapp.apps.svbrdf_nonstationary.several import newton
+from metapp.apps.svbrdf_nonstationary.several import integrability, newton
 from metapp.apps.svbrdf_nonstationary.several.app import (
+    CURL_ROUNDING,
     DIELECTRIC_DEVIATION,
     DIELECTRIC_NUMBER,
     EXPOSURE_ROUNDING,
@@ -19,6 +20,7 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     dielectric_share,
     render_photos,
 )
+from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl
 from metapp.learned_rules import rule_of
 from metapp.learning.adjoint import DrawnBatch, Loss, learn_differentiably
 from metapp.learning.recipe import Adam
@@ -26,7 +28,7 @@ from metapp.learning.task import Batch, Params
 from tests.apps.several.test_several_photos import PLACES
 
 SIDE, COUNT = 4, 5
-SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "exposure": 5e-3, "material": 0.3}
+SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "exposure": 5e-3, "material": 0.3, "curl": 0.05}
 
 
 @pytest.fixture
@@ -35,9 +37,10 @@ def app() -> SeveralPhotos:
 
 
 @pytest.fixture(autouse=True)
-def all_texels(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Flashes from all texels of maps this small."""
+def exact_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of flashes are solved from all texels of maps this small, and slopes up to rounding."""
     monkeypatch.setattr(newton, "FLASH_STRIDE", 1)
+    monkeypatch.setattr(integrability, "RELATIVE_RESIDUAL", 1e-9)
 
 
 def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
@@ -79,6 +82,9 @@ def test_changes_are_those_of_dense_least_squares() -> None:
         material = torch.zeros_like(theta["maps"])
         material[:, -3:] = SETTINGS["material"] * dielectric_share(theta["maps"]) / DIELECTRIC_DEVIATION**2
         material, from_usual = material.flatten(), theta["maps"].flatten() - DIELECTRIC_NUMBER
+        curls = torch.func.jacfwd(lambda flat: find_curl(flat.view_as(theta["maps"])[:, :2]).flatten())(at[: len(off)])
+        curl = curls @ at[: len(off)]
+        curl_weight = 3 * SETTINGS["curl"] / (curl.square() + CURL_ROUNDING**2).sqrt()
         moved = torch.full((FLASH_NUMBERS, COUNT), 2 * SETTINGS["flash"]).to(flash)
         gains = (FLASH_LOG_GAIN * theta["flash"][0, 3]).square() + EXPOSURE_ROUNDING**2
         moved[3] = 1e-4 + 3 * SETTINGS["exposure"] * FLASH_LOG_GAIN**2 / gains.sqrt()
@@ -87,6 +93,9 @@ def test_changes_are_those_of_dense_least_squares() -> None:
         matrix = rows.T @ (weight[:, None] * rows) + torch.cat([damped, moved]).diag()
         texel_moment = pull * off + material * from_usual
         moment = rows.T @ (weight * residuals) + torch.cat([texel_moment, moved * flash.flatten()])
+        if flash is not theta["flash"]:  # flashes are solved without curls
+            matrix[: len(off), : len(off)] += curls.T @ (curl_weight[:, None] * curls)
+            moment[: len(off)] += curls.T @ (curl_weight * curl)
         both: Tensor = torch.linalg.solve(matrix, moment)
         if flash is theta["flash"]:
             return both[-FLASH_NUMBERS * COUNT :].view_as(flash)
@@ -100,7 +109,7 @@ def test_changes_are_those_of_dense_least_squares() -> None:
 
 def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
     theta, batch, true = problem(0.1)
-    weak = settings(SETTINGS | {"prior": 1e-9, "exposure": 1e-9, "material": 1e-9})
+    weak = settings(SETTINGS | {"prior": 1e-9, "exposure": 1e-9, "material": 1e-9, "curl": 1e-9})
 
     def worst(theta: Params) -> float:
         lit = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
@@ -130,8 +139,8 @@ def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralP
     assert torch.autograd.gradcheck(left, [value.clone().requires_grad_() for value in alpha.values()], rtol=1e-3)
 
 
-def test_specular_colours_of_dielectrics_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None:
-    """Where photographs and General's prior agree with the maps, what is left is the prior of materials."""
+def test_dielectrics_and_curls_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None:
+    """Where photographs and General's prior agree with the maps, the priors of materials and of curls are left."""
     theta, batch, _ = problem()
     theta["flash"] = torch.zeros_like(theta["flash"])
     batch["photos"] = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
@@ -141,6 +150,9 @@ def test_specular_colours_of_dielectrics_are_drawn_by_the_gradient_of_the_loss(a
     weight = SETTINGS["material"] * dielectric_share(theta["maps"]) / DIELECTRIC_DEVIATION**2
     expected = torch.zeros_like(gradient)
     expected[:, -3:] = weight * (theta["maps"][:, -3:] - DIELECTRIC_NUMBER) / (3 * COUNT)
+    curl = find_curl(theta["maps"][:, :2])
+    curl_weight = SETTINGS["curl"] / (curl.square() + CURL_ROUNDING**2).sqrt()
+    expected[:, :2] = find_slopes_of_curl(curl_weight * curl) / COUNT
     torch.testing.assert_close(gradient, expected, rtol=1e-6, atol=1e-9)
 
 

@@ -138,8 +138,8 @@ def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, task
         moved[:, axis, 1] = off
         assert (app.loss(theta | {"flash": moved}, batch, {}) > least).all(), axis
     prior = theta | {"prior": torch.cat([theta["maps"], torch.zeros_like(theta["maps"])], 1)}
-    no_materials = app.settings({}, theta["maps"]) | {"material": torch.full((2,), -30.0)}
-    torch.testing.assert_close(app.loss(prior, batch, no_materials), least)
+    without_others = app.settings({}, theta["maps"]) | dict.fromkeys(("material", "curl"), torch.full((2,), -30.0))
+    torch.testing.assert_close(app.loss(prior, batch, without_others), least)
     away = prior | {"prior": prior["prior"] + 1}
     assert (app.loss(away, batch, {}) > least).all()
 

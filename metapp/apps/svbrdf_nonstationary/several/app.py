@@ -38,6 +38,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as reader
 from metapp.apps.svbrdf_nonstationary.several.height import align_to_surface
+from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.apps.svbrdf_nonstationary.variants import draws_per_material, vary_materials
 from metapp.learning.rules import append_axes
@@ -50,7 +51,9 @@ PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of
 FLASH_WEIGHT = 0.02  # weight of the squared displacements of flashes from their measured positions
 EXPOSURE_WEIGHT = 0.004  # weight of the |log gains| of flashes
 MATERIAL_WEIGHT = 0.6  # weight of the distance of a dielectric's specular colour from the usual one
+CURL_WEIGHT = 0.1  # weight of the |curl| of slopes
 EXPOSURE_ROUNDING = 0.1  # log gain: |log gains| of flashes are rounded off below
+CURL_ROUNDING = 0.05  # difference of slopes from texel to texel: |curls| of slopes are rounded off below
 # The prior of materials, see `dielectric_share`
 DIELECTRIC_NUMBER = 2 + math.log(0.2 / 0.8)  # stands for a specular colour of 0.04, see `decode_maps`
 DIELECTRIC_DEVIATION = 0.5  # standard deviation of a dielectric's specular numbers: F0 is 0.017 to 0.085 within it
@@ -185,9 +188,9 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         It has these terms: rounded |differences| of log photographs and log renderings; squared displacements of the
         flashes, and their rounded |log gains|; and, where a task has a prior, rounded |distances| of the maps from it,
-        and squared distances of specular colours from the usual one of dielectrics, weighted by the probability that a
-        texel is a dielectric. Where a photograph clips, only darker renderings differ from it; where it does not show
-        the material, none does.
+        squared distances of specular colours from the usual one of dielectrics, weighted by the probability that a
+        texel is a dielectric, and the rounded |curl| of slopes, which are the gradient of a height. Where a photograph
+        clips, only darker renderings differ from it; where it does not show the material, none does.
         """
         parameters = self.settings(learned, theta["maps"])
         photos = batch["photos"]
@@ -208,6 +211,9 @@ class SeveralPhotos(SvbrdfNonstationary):
             materials = dielectric_share(theta["maps"].detach()) * _dielectric_cost(theta["maps"])
             priors = (distances * parameters["prior"].exp()).sum(1)
             priors = priors + materials.mean((1, 2, 3)) * parameters["material"].exp()
+            curls = _round_off(find_curl(theta["maps"][:, : CHANNELS[0]]), photos.new_tensor(CURL_ROUNDING))
+            texel_count = photos.shape[-2] * photos.shape[-1]
+            priors = priors + curls.sum((1, 2)) / texel_count * parameters["curl"].exp()
             # The more photographs there are, the less priors count beside their mean.
             loss = loss + priors / photos.shape[1]
         return loss * (photos.shape[-2] * photos.shape[-1])
@@ -220,7 +226,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             like: a tensor [T, ...] that gives initial values their number of tasks, dtype and device.
 
         Returns:
-            `smoothing` [T], `prior` [T, 9], `flash` [T], `exposure` [T] and `material` [T]; see
+            `smoothing` [T], `prior` [T, 9], `flash` [T], `exposure` [T], `material` [T] and `curl` [T]; see
             :meth:`loss_parameters`.
         """
         return learned or {
@@ -236,7 +242,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         Returns:
             `smoothing` [steps], the log of ROUNDING; `prior` [steps, 9], the log of PRIOR_WEIGHT for each number of a
             texel; `flash` [steps], the log of FLASH_WEIGHT; `exposure` [steps], the log of EXPOSURE_WEIGHT;
-            `material` [steps], the log of MATERIAL_WEIGHT.
+            `material` [steps], the log of MATERIAL_WEIGHT; `curl` [steps], the log of CURL_WEIGHT.
         """
         values = {
             "smoothing": torch.tensor(ROUNDING),
@@ -244,6 +250,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             "flash": torch.tensor(FLASH_WEIGHT),
             "exposure": torch.tensor(EXPOSURE_WEIGHT),
             "material": torch.tensor(MATERIAL_WEIGHT),
+            "curl": torch.tensor(CURL_WEIGHT),
         }
         return {key: value.log().expand(steps, *value.shape).clone() for key, value in values.items()}
 

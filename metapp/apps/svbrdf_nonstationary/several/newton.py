@@ -25,6 +25,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     decode_maps,
 )
 from metapp.apps.svbrdf_nonstationary.several.app import (
+    CURL_ROUNDING,
     DIELECTRIC_DEVIATION,
     DIELECTRIC_NUMBER,
     EXPOSURE_ROUNDING,
@@ -33,6 +34,7 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     decode_flashes,
     dielectric_share,
 )
+from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
@@ -113,7 +115,7 @@ def gauss_newton_change(
     """Return the Gauss-Newton step of `maps` [T, 9, H, W] and `flash` [T, 4, N], which is to be subtracted.
 
     The step of the flashes is solved first, from the texels of every FLASH_STRIDE-th row and column; then the step of
-    each texel, under the flashes after their step.
+    the texels, under the flashes after their step. Texels depend on each other through the curl of their slopes alone.
 
     The loss of a difference d between log rendering and log photograph is no square: it is the absolute difference,
     smoothed near 0, sqrt(d^2 + s^2) - s. So each step solves a least-squares problem in which d^2 has the weight
@@ -125,8 +127,8 @@ def gauss_newton_change(
         theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N] and `prior` [T, 18, H, W].
         batch: linear photographs, `photos` [T, N, 3, H, W], and measured positions of camera and flash, `places`
             [T, N, 2, 3].
-        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash`, `exposure` and
-            `material` [T].
+        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash`, `exposure`,
+            `material` and `curl` [T].
         max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
             bound * tanh(c / bound).
     """
@@ -144,7 +146,7 @@ def gauss_newton_change(
     moved_flash = flash - flash_change
     jacobian, weight, residual = _linearise(maps, moved_flash, photos, batch["places"], texels, settings)
     matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, dielectric, settings)
-    change = _solve(matrix, right_side[..., None])[..., 0].unflatten(1, maps.shape[-2:]).permute(0, 3, 1, 2)
+    change = _solve_texels(matrix, right_side, maps, settings)
     max_change = maps.new_tensor(max_texel_change)[:, None, None]
     return {"maps": max_change * torch.tanh(change / max_change), "flash": flash_change}
 
@@ -341,6 +343,35 @@ def _solve_flashes(
     return bounded
 
 
+def _solve_texels(matrix: Tensor, right_side: Tensor, maps: Tensor, settings: Params) -> Tensor:
+    """Return the Gauss-Newton step of the texels, [T, 9, H, W], which makes the curl of their slopes small, too.
+
+    All numbers of a texel but its slopes are eliminated first, then solved from the step of the slopes.
+
+    Args:
+        matrix: the normal equations of each texel by itself, [T, P, 9, 9].
+        right_side: their right side, [T, P, 9].
+        maps: the unbounded numbers of the texels, [T, 9, H, W].
+        settings: all loss parameters, [T, ...].
+    """
+    slope_count = CHANNELS[0]
+    curl = find_curl(maps[:, :slope_count])
+    # As the prior's, the weight counts three times, and curls are no squares either: they are reweighted.
+    curl_weight = 3 * settings["curl"].exp()[:, None, None] * (curl.square() + CURL_ROUNDING**2).rsqrt()
+    coupling = matrix[..., slope_count:, :slope_count]
+    right_sides = torch.cat([coupling, right_side[..., slope_count:, None]], -1)
+    eliminated = _solve(matrix[..., slope_count:, slope_count:], right_sides)
+    of_coupling, of_right_side = eliminated[..., :slope_count], eliminated[..., slope_count]
+    precision = matrix[..., :slope_count, :slope_count] - coupling.mT @ of_coupling
+    slope_side = right_side[..., :slope_count] - (coupling.mT @ of_right_side[..., None])[..., 0]
+    precision, slope_side = (
+        values.unflatten(1, maps.shape[-2:]).movedim((1, 2), (-2, -1)) for values in (precision, slope_side)
+    )
+    slope_change = solve_slopes(precision, curl_weight, slope_side + find_slopes_of_curl(curl_weight * curl))
+    other_change = of_right_side - (of_coupling @ slope_change.flatten(2).mT[..., None])[..., 0]
+    return torch.cat([slope_change, other_change.mT.unflatten(2, maps.shape[-2:])], 1)
+
+
 def _solve(matrix: Tensor, right_sides: Tensor) -> Tensor:
-    """Solve linear equations with matrices [T, P, 9, 9] and right sides [T, P, 9, K] by Cholesky decomposition."""
+    """Solve linear equations with matrices [T, P, n, n] and right sides [T, P, n, K] by Cholesky decomposition."""
     return torch.cholesky_solve(right_sides, torch.linalg.cholesky(matrix))
