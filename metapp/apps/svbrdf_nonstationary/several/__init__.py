@@ -2,5 +2,6 @@
 
 `encoder` has General, photometric stereo in closed form and a network that corrects it, for photographs in any order;
 `height` moves photographs onto the surface where shading registered them below it; `app` has fits, maps of each texel
-and the flash of each photograph with General's maps as a prior; `newton` the rule `gauss-newton`; `recipe` the recipe.
+and the flash of each photograph with General's maps as a prior; `newton` the rule `gauss-newton`, `integrability` how
+its steps keep the slopes of neighbouring texels those of one surface; `recipe` the recipe.
 """

@@ -1,8 +1,9 @@
 """Gauss-Newton steps of several photographs: the part `newton` of rules.
 
-Once the flashes are known, each texel is a problem of its own, as each point is in bundle adjustment once the cameras
-are known (Triggs et al. 2000). So a step eliminates all texels by a Schur complement and solves one system for the 4 N
-numbers of N flashes; then it solves one system for the 9 numbers of each texel.
+Once the flashes are known, photographs tell of each texel by itself, as of each point in bundle adjustment once the
+cameras are known (Triggs et al. 2000). So a step eliminates all texels by a Schur complement and solves one system for
+the 4 N numbers of N flashes. Then it eliminates the colours and the roughness of each texel, and solves one system for
+the slopes of all texels, which their curl couples.
 """
 
 from __future__ import annotations
