@@ -51,7 +51,7 @@ PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of
 FLASH_WEIGHT = 0.02  # weight of the squared displacements of flashes from their measured positions
 EXPOSURE_WEIGHT = 0.004  # weight of the |log gains| of flashes
 MATERIAL_WEIGHT = 0.6  # weight of the distance of a dielectric's specular colour from the usual one
-CURL_WEIGHT = 0.1  # weight of the |curl| of slopes
+CURL_WEIGHT = 0.08  # weight of the |curl| of slopes
 EXPOSURE_ROUNDING = 0.1  # log gain: |log gains| of flashes are rounded off below
 CURL_ROUNDING = 0.05  # difference of slopes from texel to texel: |curls| of slopes are rounded off below
 # The prior of materials, see `dielectric_share`
