@@ -259,6 +259,7 @@ def render_maps(
     *,
     intensity: Tensor | float = 1.0,
     falloff: Tensor | float = 0.0,
+    axis: Tensor | None = None,
 ) -> Tensor:
     """Render a material under a point flash: BRDF * cosine * intensity / squared distance, without shadows.
 
@@ -270,8 +271,9 @@ def render_maps(
         view: [3] or [B, 3], position of the viewer; z > 0.
         intensity: intensity of the flash: a number, [3] or [B, 3] linear RGB, or [B, 1]. With 1 a white Lambertian
             patch has radiance 1 right below a flash at the camera's height.
-        falloff: power of the cosine with the flash's axis, which points straight down: 0 is a uniform point light, 1 a
-            small flat lamp. A number or [B].
+        falloff: power of the cosine with the flash's axis: 0 is a uniform point light, 1 a small flat lamp. A number or
+            [B].
+        axis: direction of the flash's axis, [3] or [B, 3], of any length; None for straight down.
 
     Returns:
         Linear radiance [B, 3, h, w], >= 0.
@@ -280,9 +282,12 @@ def render_maps(
     wo, _ = directions_to_point(view, positions)
     power = falloff[..., None, None, None] if isinstance(falloff, Tensor) else falloff
     colour = intensity[..., None, None] if isinstance(intensity, Tensor) else intensity
-    irradiance = (
-        colour * (math.pi * camera_distance() * camera_distance()) * wi[..., 2:, :, :] ** power / squared_distance
-    )
+    if axis is None:
+        axis_cosine = wi[..., 2:, :, :]
+    else:
+        unit_axis = axis / axis.norm(dim=-1, keepdim=True)
+        axis_cosine = -(wi * unit_axis[..., None, None]).sum(-3, keepdim=True).clamp(max=0)
+    irradiance = colour * (math.pi * camera_distance() * camera_distance()) * axis_cosine**power / squared_distance
     cosine = (wi * maps.normal).sum(-3, keepdim=True).clamp_min(0)
     return evaluate_brdf(maps, wi, wo) * (irradiance * cosine)
 

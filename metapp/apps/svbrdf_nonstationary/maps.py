@@ -99,11 +99,14 @@ class Flash(NamedTuple):
         place: the position of the flash in half sides of the patch, [T, 3].
         gain: the intensity of the flash, as :func:`metapp.appearance.flash.render_maps` takes it, [T, 1].
         eye: the position of the camera in half sides of the patch, [T, 3] or [3].
+        falloff: power of the cosine of the angle with the flash's axis, which points at the middle of the patch, [] or
+            [T]. It stands for the beam of the flash and the vignetting of the lens.
     """
 
     place: Tensor
     gain: Tensor
     eye: Tensor
+    falloff: Tensor = torch.zeros(())
 
 
 def decode_flash(flash: Tensor) -> Flash:
@@ -126,7 +129,8 @@ def render_photo(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tenso
     diffuse = maps.diffuse
     if place is None:
         place = texel_positions(*diffuse.shape[-2:], dtype=diffuse.dtype, device=diffuse.device)
-    return render_maps(maps, place, flash.place, flash.eye, intensity=flash.gain)
+    falloff = flash.falloff.to(flash.place)  # its default is on the CPU
+    return render_maps(maps, place, flash.place, flash.eye, intensity=flash.gain, falloff=falloff, axis=-flash.place)
 
 
 def draw_oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:

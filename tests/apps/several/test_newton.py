@@ -13,6 +13,7 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     DIELECTRIC_DEVIATION,
     DIELECTRIC_NUMBER,
     EXPOSURE_ROUNDING,
+    FALLOFF_WEIGHT,
     LIGHT_FLOOR,
     SeveralPhotos,
     Texels,
@@ -52,7 +53,12 @@ def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
     maps = true + off * torch.randn(true.shape, generator=rng, dtype=torch.float64)
     flash = 0.2 * off * torch.randn(1, FLASH_NUMBERS, COUNT, generator=rng, dtype=torch.float64)
     prior = torch.cat([maps + 0.1, torch.zeros_like(maps)], 1)
-    return {"maps": maps, "flash": flash, "prior": prior}, {"photos": photos, "places": places}, true
+    falloff = torch.full((1, 1), 2 * off, dtype=torch.float64)
+    return (
+        {"maps": maps, "flash": flash, "falloff": falloff, "prior": prior},
+        {"photos": photos, "places": places},
+        true,
+    )
 
 
 def settings(values: dict[str, float] = SETTINGS) -> Params:
@@ -66,15 +72,15 @@ def test_changes_are_those_of_dense_least_squares() -> None:
     theta, batch, _ = problem()
     found = newton.gauss_newton_change(theta, batch, settings(), max_texel_change=sum(CHANNELS) * (1e6,))
 
-    def logs(flat: Tensor) -> Tensor:
-        maps, flash = (
-            flat[: -FLASH_NUMBERS * COUNT].view_as(theta["maps"]),
-            flat[-FLASH_NUMBERS * COUNT :].view_as(theta["flash"]),
-        )
-        return (render_photos(decode_maps(maps), decode_flashes(flash, batch["places"])) + LIGHT_FLOOR).log().flatten()
+    texels, flashes = slice(0, -FLASH_NUMBERS * COUNT - 1), slice(-FLASH_NUMBERS * COUNT - 1, -1)
 
-    def dense(flash: Tensor) -> Tensor:
-        at = torch.cat([theta["maps"].flatten(), flash.flatten()])
+    def logs(flat: Tensor) -> Tensor:
+        maps, flash = flat[texels].view_as(theta["maps"]), flat[flashes].view_as(theta["flash"])
+        lit = render_photos(decode_maps(maps), decode_flashes(flash, batch["places"], flat[-1:, None]))
+        return (lit + LIGHT_FLOOR).log().flatten()
+
+    def dense(flash: Tensor, falloff: Tensor) -> tuple[Tensor, Tensor]:
+        at = torch.cat([theta["maps"].flatten(), flash.flatten(), falloff.flatten()])
         rows, residuals = torch.func.jacfwd(logs)(at), logs(at) - (batch["photos"] + LIGHT_FLOOR).log().flatten()
         weight = (residuals.square() + SETTINGS["smoothing"] ** 2).rsqrt()
         off = (theta["maps"] - theta["prior"].chunk(2, 1)[0]).flatten()
@@ -88,23 +94,27 @@ def test_changes_are_those_of_dense_least_squares() -> None:
         moved = torch.full((FLASH_NUMBERS, COUNT), 2 * SETTINGS["flash"]).to(flash)
         gains = (FLASH_LOG_GAIN * theta["flash"][0, 3]).square() + EXPOSURE_ROUNDING**2
         moved[3] = 1e-4 + 3 * SETTINGS["exposure"] * FLASH_LOG_GAIN**2 / gains.sqrt()
-        moved = (SIDE * SIDE * moved).flatten()
+        falloff_weight = flash.new_tensor([6 * COUNT * FALLOFF_WEIGHT])
+        moved = SIDE * SIDE * torch.cat([moved.flatten(), falloff_weight])
         damped = pull + material + newton.TEXEL_DAMPING
         matrix = rows.T @ (weight[:, None] * rows) + torch.cat([damped, moved]).diag()
         texel_moment = pull * off + material * from_usual
-        moment = rows.T @ (weight * residuals) + torch.cat([texel_moment, moved * flash.flatten()])
-        if flash is not theta["flash"]:  # flashes are solved without curls
-            matrix[: len(off), : len(off)] += curls.T @ (curl_weight[:, None] * curls)
-            moment[: len(off)] += curls.T @ (curl_weight * curl)
-        both: Tensor = torch.linalg.solve(matrix, moment)
-        if flash is theta["flash"]:
-            return both[-FLASH_NUMBERS * COUNT :].view_as(flash)
-        texels = slice(0, -FLASH_NUMBERS * COUNT)
-        return torch.linalg.solve(matrix[texels, texels], moment[texels]).view_as(theta["maps"])
+        moment = rows.T @ (weight * residuals) + torch.cat(
+            [texel_moment, moved * torch.cat([flash.flatten(), falloff.flatten()])]
+        )
+        both = torch.linalg.solve(matrix, moment)  # flashes are solved without curls
+        matrix[texels, texels] += curls.T @ (curl_weight[:, None] * curls)
+        moment[texels] += curls.T @ (curl_weight * curl)
+        texels_alone = torch.linalg.solve(matrix[texels, texels], moment[texels])
+        return both[texels.stop :], texels_alone.view_as(theta["maps"])
 
     # up to the error of central differences
-    torch.testing.assert_close(found["flash"], dense(theta["flash"]), rtol=1e-3, atol=1e-6)
-    torch.testing.assert_close(found["maps"], dense(theta["flash"] - found["flash"]), rtol=1e-3, atol=1e-5)
+    flash_change, _ = dense(theta["flash"], theta["falloff"])
+    torch.testing.assert_close(
+        torch.cat([found["flash"].flatten(), found["falloff"].flatten()]), flash_change, rtol=1e-3, atol=1e-6
+    )
+    _, texel_change = dense(theta["flash"] - found["flash"], theta["falloff"] - found["falloff"])
+    torch.testing.assert_close(found["maps"], texel_change, rtol=1e-3, atol=1e-5)
 
 
 def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
@@ -112,7 +122,8 @@ def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
     weak = settings(SETTINGS | {"prior": 1e-9, "exposure": 1e-9, "material": 1e-9, "curl": 1e-9})
 
     def worst(theta: Params) -> float:
-        lit = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
+        flashes = decode_flashes(theta["flash"], batch["places"], theta["falloff"])
+        lit = render_photos(decode_maps(theta["maps"]), flashes)
         return float((lit - batch["photos"]).abs().max())
 
     first = worst(theta)
@@ -121,6 +132,18 @@ def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
         theta = theta | {key: theta[key] - value for key, value in change.items()}
     assert worst(theta) < 0.01 * first
     assert float((theta["maps"][:, :2] - true[:, :2]).abs().median()) < 0.03
+
+
+@pytest.mark.parametrize("true_falloff", [0.0, 1.5])
+def test_fall_off_of_flashes_is_found(true_falloff: float) -> None:
+    theta, batch, true = problem(0.1)
+    flashes = decode_flashes(torch.zeros_like(theta["flash"]), batch["places"], true_falloff)
+    batch["photos"] = render_photos(decode_maps(true), flashes)
+    weak = settings(SETTINGS | {"prior": 1e-9, "exposure": 1e-9, "material": 1e-9})
+    for _ in range(12):
+        change = newton.gauss_newton_change(theta, batch, weak)
+        theta = theta | {key: theta[key] - value for key, value in change.items()}
+    assert float(theta["falloff"]) == pytest.approx(true_falloff, abs=0.15)
 
 
 def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralPhotos) -> None:
@@ -142,7 +165,7 @@ def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralP
 def test_dielectrics_and_curls_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None:
     """Where photographs and General's prior agree with the maps, the priors of materials and of curls are left."""
     theta, batch, _ = problem()
-    theta["flash"] = torch.zeros_like(theta["flash"])
+    theta |= {key: torch.zeros_like(theta[key]) for key in ("flash", "falloff")}
     batch["photos"] = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
     theta["prior"][:, : sum(CHANNELS)] = theta["maps"]
     maps = theta["maps"].clone().requires_grad_()

@@ -14,7 +14,8 @@ from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from tests.apps.several.test_height import SIDE, photographs
+from tests.apps.several.test_alignment import SIDE, photographs
+from tests.apps.several.test_several_photos import general
 
 DISTANCE = (texel_positions(SIDE, SIDE) - torch.tensor([0.3, -0.2])[:, None, None]).norm(dim=0)
 DISC, WIDE_DISC = DISTANCE < 0.22, DISTANCE < 0.42
@@ -76,7 +77,8 @@ def test_losses_and_steps_do_not_depend_on_what_hides_the_material() -> None:
     batch = {key: batch[key] for key in ("photos", "places", "unobstructed")}
     other = batch | {"photos": torch.where(batch["unobstructed"] > 0, batch["photos"], 0.9)}
     maps = torch.zeros(1, 9, SIDE, SIDE)
-    theta = {"maps": maps, "flash": torch.zeros(1, 4, 5), "prior": torch.cat([maps, maps], 1)}
+    flashes = {"flash": torch.zeros(1, 4, 5), "falloff": torch.zeros(1, 1)}
+    theta = {"maps": maps, **flashes, "prior": torch.cat([maps, maps], 1)}
     settings = APP.settings({}, maps)
     assert torch.equal(APP.loss(theta, batch, {}), APP.loss(theta, other, {}))
     steps, other_steps = (newton.gauss_newton_change(theta, of, settings) for of in (batch, other))
@@ -88,8 +90,11 @@ def test_losses_and_steps_do_not_depend_on_what_hides_the_material() -> None:
 def test_a_line_says_which_part_of_which_photograph_is_left_out() -> None:
     photos, places = photographs(1.0)
     tasks = [as_task(photos, places), as_task(obstruct(photos, "finger", [1, 3]), places)]
-    clean, (clause,) = presenter_of(APP).quality_warnings({}, stack_tasks(APP, tasks, torch.device("cpu")))
-    assert clean == []
+    stacked = stack_tasks(APP, tasks, torch.device("cpu"))
+    theta = general(APP, stacked)
+    clean, obstructed = presenter_of(APP).quality_warnings(theta, stacked)
+    (clause,) = [line for line in obstructed if "left out" in line]
+    assert not any("left out" in line for line in clean)
     part, cause = r"([\d.]+) % of photo", "where others disagree: an object, a shadow or a highlight"
     shares = re.fullmatch(rf"{part} 2 and {part} 4 left out, {cause}\?", clause).groups()
     assert all(DISC.float().mean() <= float(share) / 100 <= WIDE_DISC.float().mean() for share in shares)

@@ -127,7 +127,7 @@ def truth(tasks: Tasks) -> Tensor:
 
 def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, tasks: Tasks) -> None:
     batch = app.sample(tasks, Generator(), 1)
-    theta = {"maps": truth(tasks), "flash": torch.zeros(2, FLASH_NUMBERS, COUNT)}
+    theta = {"maps": truth(tasks), "flash": torch.zeros(2, FLASH_NUMBERS, COUNT), "falloff": torch.zeros(2, 1)}
     torch.testing.assert_close(
         decode_maps(theta["maps"]).normal, unpack_maps(tasks.data["maps"]).normal, rtol=0, atol=1e-3
     )
@@ -172,7 +172,8 @@ def test_flashes_without_gain_and_usual_dielectrics_have_the_least_loss(app: Sev
     maps[:, 2:5] = 0
     flash = torch.zeros(2, FLASH_NUMBERS, COUNT)
     batch["photos"] = render_photos(decode_maps(maps), decode_flashes(flash, batch["places"]))
-    theta = {"maps": maps, "flash": flash, "prior": torch.cat([maps, torch.full_like(maps, 20.0)], 1)}
+    prior = torch.cat([maps, torch.full_like(maps, 20.0)], 1)
+    theta = {"maps": maps, "flash": flash, "falloff": torch.zeros(2, 1), "prior": prior}
     least = app.loss(theta, batch, {})
     torch.testing.assert_close(least, torch.zeros(2), rtol=0, atol=1e-3)
     brighter = flash.clone()
@@ -187,15 +188,15 @@ def test_gradients_are_those_of_finite_differences(app: SeveralPhotos, tasks: Ta
     batch = {key: value.double() for key, value in app.condition(tasks.select([0]), Generator()).items()}
     batch["photos"] = batch["photos"][..., :4, :4].clamp_max(0.9)
     theta = {key: value.double() for key, value in general(app, tasks.select([0])).items()}
-    theta = {key: value[..., :4, :4] if key != "flash" else value for key, value in theta.items()}
+    theta = {key: value[..., :4, :4] if key in ("maps", "prior") else value for key, value in theta.items()}
     noise = torch.randn(theta["maps"].shape, generator=Generator().manual_seed(0), dtype=torch.float64)
     learned = {key: value.double() for key, value in app.loss_parameters(1).items()}
-    moving = [(theta["maps"] + 0.1 * noise).requires_grad_(), theta["flash"].clone().requires_grad_()]
+    moving = [theta["maps"] + 0.1 * noise, theta["flash"].clone(), theta["falloff"] + 0.3]
 
-    def loss(maps: Tensor, flash: Tensor) -> Tensor:
-        return app.loss(theta | {"maps": maps, "flash": flash}, batch, learned)
+    def loss(maps: Tensor, flash: Tensor, falloff: Tensor) -> Tensor:
+        return app.loss(theta | {"maps": maps, "flash": flash, "falloff": falloff}, batch, learned)
 
-    assert torch.autograd.gradcheck(loss, moving)
+    assert torch.autograd.gradcheck(loss, [values.requires_grad_() for values in moving])
 
 
 @pytest.mark.parametrize("count", [2, 5, 9])
@@ -220,7 +221,7 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
         assert ("prior" in last) == (name != "overfit")
         if "prior" in last:
             assert torch.equal(last["prior"], first["prior"])
-        assert set(app.postprocess(last)) == {"maps", "flash"}
+        assert set(app.postprocess(last)) == {"maps", "flash", "falloff"}
 
 
 def test_overfit_begins_with_the_roughness_that_photographs_tell(app: SeveralPhotos) -> None:
@@ -272,13 +273,30 @@ def test_highlights_are_doubted_that_clip_in_all_photographs(app: SeveralPhotos,
     stacked = replace(tasks, data=tasks.data | {"photos": photos, "photo": photos[:, 0]})
     theta = general(app, stacked)
     presenter = presenter_of(app)
-    assert presenter.quality_warnings(theta, stacked) == [[], []]
+    assert not any("clipped" in line for lines in presenter.quality_warnings(theta, stacked) for line in lines)
     maps = app.maps_of(theta, photos[:, 0])
     assert all(map(torch.equal, app.final_maps(theta, photos[:, 0]), maps))
     photos[1, :, :, 4:8, 4:8] = 1
-    none, (clause,) = presenter.quality_warnings(theta, stacked)
-    assert none == []
+    none, clipped = presenter.quality_warnings(theta, stacked)
+    (clause,) = [line for line in clipped if "clipped" in line]
+    assert not any("clipped" in line for line in none)
     assert clause == "6.2 % of all photos is clipped, so F0 is a lower bound (a darker exposure shows more)"
+
+
+@pytest.mark.parametrize(("slope", "is_flat"), [(0.5, False), (0.01, True)])
+def test_nearly_flat_surfaces_and_unexplained_photographs_are_said(
+    app: SeveralPhotos, tasks: Tasks, slope: float, is_flat: bool
+) -> None:
+    stacked, maps = tasks.select([0]), truth(tasks.select([0]))
+    maps[:, :2] = slope * torch.randn(maps[:, :2].shape, generator=Generator().manual_seed(0))
+    theta = {"maps": maps, "flash": torch.zeros(1, FLASH_NUMBERS, COUNT), "falloff": torch.zeros(1, 1)}
+    photos = render_photos(decode_maps(maps), decode_flashes(theta["flash"], stacked.data["places"])).clamp(0, 0.9)
+    dimmed = photos.clone()
+    dimmed[:, 1, :, :, : SIDE // 2] *= 0.5
+    for shown, is_unexplained in ((photos, False), (dimmed, True)):
+        (lines,) = presenter_of(app).quality_warnings(theta, replace(stacked, data=stacked.data | {"photos": shown}))
+        assert any("nearly flat" in line for line in lines) == is_flat
+        assert any("over wide areas" in line for line in lines) == is_unexplained
 
 
 def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from metapp.extensions.capture.markers import rectification, sample
 from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras
+from metapp.extensions.capture.markers.registration import MIDDLE_CORNERS
 from metapp.extensions.capture.markers.sample import find_largest_square, find_sample, select_middle_region
 from tests.extensions.capture.marker_photos import cv2
 from tests.extensions.capture.test_registration import CAMERAS, material
@@ -135,3 +136,24 @@ def test_the_region_around_the_middle_has_no_holes() -> None:
     assert not region[90:].any()
     assert region.sum() == (60 - 2 * 9) ** 2
     assert not select_middle_region(np.zeros((100, 100), bool)).any()
+
+
+@pytest.mark.parametrize(("half_side", "shows_table"), [(HALF_SIDE, True), (30.0, False)])
+def test_a_table_little_lower_is_seen_on_its_plane(tmp_path: Path, half_side: float, shows_table: bool) -> None:
+    cameras, *_ = find_cameras(CameraSearch(photograph(tmp_path, 1.1, half_side)))
+    assert sample.compare_on_planes(cameras).shows_table == shows_table
+
+
+def test_a_line_says_in_how_much_of_the_square_photographs_agree(
+    metapp: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Where the cameras of a table and a sample on it are one plane's, photographs do not agree on the table."""
+    for name, half_side in (("both", 6.0), ("one", 40.0)):
+        (tmp_path / name).mkdir()
+        paths = photograph(tmp_path / name, 2.0, half_side)
+        found = find_cameras(CameraSearch(paths), dict.fromkeys(paths, MIDDLE_CORNERS))
+        monkeypatch.setattr(rectification, "find_sample", lambda *_, found=found: (*found, 1.0))
+        result = metapp("data", "rectify", *paths, "--out", tmp_path / f"{name}-out", "--json")
+        agreement = result.json_result["agreement"]
+        assert (agreement < 0.8) == (name == "both"), agreement
+        assert (f"photos agree in {100 * agreement:.0f} % of the square" in result.err) == (name == "both")

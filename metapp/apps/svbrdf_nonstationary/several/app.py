@@ -17,7 +17,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, re
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, camera_distance, camera_position, render_maps, texel_positions, unpack_maps
+from metapp.appearance.flash import Maps, camera_distance, camera_position, texel_positions, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
@@ -34,10 +34,11 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     find_slopes,
     map_differences,
     pool_maps,
+    render_photo,
 )
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as reader
-from metapp.apps.svbrdf_nonstationary.several.height import align_to_surface
+from metapp.apps.svbrdf_nonstationary.several.alignment import align_photos
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.apps.svbrdf_nonstationary.variants import draws_per_material, vary_materials
@@ -49,6 +50,7 @@ LIGHT_FLOOR = 0.03  # radiance, 1 is white, that is added before logs
 ROUNDING = 0.02  # log radiance: |differences| of photographs and renderings are rounded off below
 PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of a texel
 FLASH_WEIGHT = 0.02  # weight of the squared displacements of flashes from their measured positions
+FALLOFF_WEIGHT = 1e-6  # weight of the squared fall-off of the flashes, no loss parameter that a rule learns
 EXPOSURE_WEIGHT = 0.004  # weight of the |log gains| of flashes
 MATERIAL_WEIGHT = 0.6  # weight of the distance of a dielectric's specular colour from the usual one
 CURL_WEIGHT = 0.08  # weight of the |curl| of slopes
@@ -101,9 +103,10 @@ class SeveralPhotos(SvbrdfNonstationary):
     """The application whose fits see several flash photographs of one place.
 
     The parameters of a fit are unbounded numbers: `maps` [T, 9, H, W] stands for the maps, `flash`
-    [T, FLASH_NUMBERS, N] for the flashes. A fit that begins at General's maps is kept near them by a third parameter,
-    `prior` [T, 18, H, W], which no step changes: at each texel the nine numbers that the prior expects, then the logs
-    of the nine scales by which they may be off.
+    [T, FLASH_NUMBERS, N] for the flashes, and `falloff` [T, 1] is the fall-off that the flashes of a task share, see
+    :class:`Flash`. A fit that begins at General's maps is kept near them by another parameter, `prior`
+    [T, 18, H, W], which no step changes: at each texel the nine numbers that the prior expects, then the logs of the
+    nine scales by which they may be off.
     """
 
     network: Texels = field(default=Texels(256, 256))
@@ -116,8 +119,8 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         Returns:
             The tensors that :meth:`SvbrdfNonstationary.prepare` returns; `photos` [N, 3, H, W], all linear photographs,
-            averaged over areas to the size of the maps, moved from the plane on which they are registered onto the
-            surface, see :func:`align_to_surface`, and filled where they show something else than the material, see
+            averaged over areas to the size of the maps, moved such that all show each point of the surface at one
+            texel, see :func:`align_photos`, and filled where they show something else than the material, see
             :func:`remove_obstructions`; `unobstructed` [N, 1, H, W], 1 where they show it, else 0; and `places`
             [N, 2, 3], the positions of camera and flash in half sides of the patch.
 
@@ -132,7 +135,7 @@ class SeveralPhotos(SvbrdfNonstationary):
                 "convert it again."
             )
         small = adaptive_avg_pool2d(decode_photo(photos), (self.network.height, self.network.width))
-        filled, shows_material = remove_obstructions(align_to_surface(small, places), places)
+        filled, shows_material = remove_obstructions(align_photos(small, places), places)
         return super().prepare(task) | {"photos": filled, "unobstructed": shows_material, "places": places}
 
     @override
@@ -144,7 +147,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         side; then the maps are enlarged to the size of fits.
 
         Returns:
-            `maps` [T, 9, H, W] and `flash` [T, FLASH_NUMBERS, N], unbounded numbers both.
+            `maps` [T, 9, H, W], `flash` [T, FLASH_NUMBERS, N] and `falloff` [T, 1], 0.
         """
         batch, network = self.condition(tasks, Generator()), self.network
         size = (min(INITIAL_MAPS_PX, network.height), min(INITIAL_MAPS_PX, network.width))
@@ -154,7 +157,8 @@ class SeveralPhotos(SvbrdfNonstationary):
         for roughness in INITIAL_ROUGHNESSES:
             roughness_number = math.log((roughness - MIN_ROUGHNESS) / (1 - roughness))  # the inverse of `decode_maps`
             maps = torch.cat([slopes, diffuse, torch.full_like(roughness_numbers, roughness_number), specular], 1)
-            candidates.append({"maps": maps, "flash": estimate_flashes(decode_maps(maps), batch)})
+            flashes = {"flash": estimate_flashes(decode_maps(maps), batch), "falloff": _no_falloff(maps)}
+            candidates.append({"maps": maps, **flashes})
             losses.append(self.loss(candidates[-1], batch, {}))
         best = torch.stack(losses).argmin(0), torch.arange(len(tasks), device=tasks.rows.device)
         theta = {key: torch.stack([candidate[key] for candidate in candidates])[best] for key in candidates[0]}
@@ -187,20 +191,22 @@ class SeveralPhotos(SvbrdfNonstationary):
         """Return the negative log posterior of each task, [T], summed over texels.
 
         It has these terms: rounded |differences| of log photographs and log renderings; squared displacements of the
-        flashes, and their rounded |log gains|; and, where a task has a prior, rounded |distances| of the maps from it,
-        squared distances of specular colours from the usual one of dielectrics, weighted by the probability that a
-        texel is a dielectric, and the rounded |curl| of slopes, which are the gradient of a height. Where a photograph
-        clips, only darker renderings differ from it; where it does not show the material, none does.
+        flashes, their rounded |log gains|, and their squared fall-off; and, where a task has a prior, rounded
+        |distances| of the maps from it, squared distances of specular colours from the usual one of dielectrics,
+        weighted by the probability that a texel is a dielectric, and the rounded |curl| of slopes, which are the
+        gradient of a height. Where a photograph clips, only darker renderings differ from it; where it does not show
+        the material, none does.
         """
         parameters = self.settings(learned, theta["maps"])
         photos = batch["photos"]
         residual = _log_radiance(photos) - _log_radiance(
-            render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
+            render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"], theta["falloff"]))
         )
         residual = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(residual), residual)
         residual = residual * batch.get("unobstructed", 1)
         loss = _round_off(residual, parameters["smoothing"].exp()).mean((1, 2, 3, 4))
         loss = loss + parameters["flash"].exp() * theta["flash"][:, :-1].square().mean((1, 2))
+        loss = loss + FALLOFF_WEIGHT * theta["falloff"].square().mean(1)
         log_gains = FLASH_LOG_GAIN * theta["flash"][:, -1]
         exposures = _round_off(log_gains, log_gains.new_tensor(EXPOSURE_ROUNDING)).mean(1)
         loss = loss + parameters["exposure"].exp() * exposures
@@ -298,12 +304,13 @@ class SeveralPhotos(SvbrdfNonstationary):
         return {
             "maps": maps,
             "flash": estimate_flashes(decode_maps(maps), condition),
+            "falloff": _no_falloff(maps),
             "prior": torch.cat([maps, *expanded_scales], 1),
         }
 
     @override
     def postprocess(self, theta: Params) -> Params:
-        """Return maps and flashes; the prior is not kept."""
+        """Return maps, flashes and their fall-off; the prior is not kept."""
         return {key: value for key, value in theta.items() if key != "prior"}
 
     @override
@@ -326,10 +333,12 @@ class SeveralPhotos(SvbrdfNonstationary):
             task: the task of the fit, which states the measured positions.
 
         Returns:
-            N flashes without a task axis: `place` [3], `gain` [1] and `eye` [3].
+            N flashes without a task axis: `place` [3], `gain` [1], `eye` [3] and `falloff` [].
         """
         places = _task_places(task)[None]
-        flash = decode_flashes(theta["flash"][None], places)
+        # Fits that were saved before flashes had a fall-off have none.
+        falloff = theta.get("falloff", theta["flash"].new_zeros(1))
+        flash = decode_flashes(theta["flash"][None], places, falloff[None])
         return [Flash(*(part[0, number] for part in flash)) for number in range(places.shape[1])]
 
 
@@ -363,7 +372,7 @@ def _dielectric_cost(maps: Tensor) -> Tensor:
     return deviation.square().mean(1, keepdim=True) / 2
 
 
-def decode_flashes(flash: Tensor, places: Tensor) -> Flash:
+def decode_flashes(flash: Tensor, places: Tensor, falloff: Tensor | float = 0.0) -> Flash:
     """Return the flashes, and the cameras beside them, that unbounded numbers stand for.
 
     Of the numbers of a flash the first two shift it in x and y, the third is a log factor of its height, the fourth a
@@ -374,24 +383,26 @@ def decode_flashes(flash: Tensor, places: Tensor) -> Flash:
     Args:
         flash: the numbers, [T, FLASH_NUMBERS, N].
         places: measured positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
+        falloff: the fall-off that all flashes of a task share, [T, 1]; a number for all tasks. See :class:`Flash`.
 
     Returns:
-        Flashes with two leading axes, tasks and photographs: `place` [T, N, 3], `gain` [T, N, 1] and `eye` [T, N, 3].
+        Flashes with two leading axes, tasks and photographs: `place` [T, N, 3], `gain` [T, N, 1], `eye` [T, N, 3] and
+        `falloff` [T, N].
     """
     shift, height_factor, gain = flash.mT.split((2, 1, 1), -1)
     height_factor = torch.exp(FLASH_LOG_HEIGHT * height_factor)
     eye, place = torch.cat(
         [places[..., :2] + FLASH_SHIFT * shift[:, :, None], places[..., 2:] * height_factor[:, :, None]], -1
     ).unbind(2)
-    return Flash(place, torch.exp(FLASH_LOG_GAIN * gain) * (place[..., 2:] / camera_distance()) ** 2, eye)
+    gain = torch.exp(FLASH_LOG_GAIN * gain) * (place[..., 2:] / camera_distance()) ** 2
+    return Flash(place, gain, eye, falloff + torch.zeros_like(gain[..., 0]))
 
 
 def render_photos(maps: Maps, flashes: Flash) -> Tensor:
     """Return the radiance [T, N, 3, H, W] of maps [T, C, H, W] under each of N flashes."""
     diffuse = maps.diffuse
     place = texel_positions(*diffuse.shape[-2:], dtype=diffuse.dtype, device=diffuse.device)
-    photographed_maps = Maps(*(part[:, None] for part in maps))
-    return render_maps(photographed_maps, place, flashes.place, flashes.eye, intensity=flashes.gain)
+    return render_photo(Maps(*(part[:, None] for part in maps)), flashes, place)
 
 
 @torch.no_grad()
@@ -458,6 +469,11 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
     display = display + noise_deviation * torch.randn(display.shape, generator=rng, device=rng.device)
     photos = srgb_to_linear((display.clamp(0, 1) * 255).round() / 255)
     return photos, measured_places[:, :, None].expand(-1, -1, 2, -1)
+
+
+def _no_falloff(maps: Tensor) -> Tensor:
+    """Return the fall-off of flashes with which fits of maps [T, C, H, W] begin: zeros [T, 1]."""
+    return maps.new_zeros(len(maps), 1)
 
 
 def _task_places(task: Task) -> Tensor:

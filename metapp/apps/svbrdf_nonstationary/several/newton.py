@@ -2,8 +2,8 @@
 
 Once the flashes are known, photographs tell of each texel by itself, as of each point in bundle adjustment once the
 cameras are known (Triggs et al. 2000). So a step eliminates all texels by a Schur complement and solves one system for
-the 4 N numbers of N flashes. Then it eliminates the colours and the roughness of each texel, and solves one system for
-the slopes of all texels, which their curl couples.
+the 4 N numbers of N flashes and the fall-off that they share. Then it eliminates the colours and the roughness of each
+texel, and solves one system for the slopes of all texels, which their curl couples.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from metapp.appearance.flash import Maps, render_maps, texel_positions
+from metapp.appearance.flash import Maps, texel_positions
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
@@ -24,12 +24,14 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH_NUMBERS,
     ROUGHNESS_CHANNEL,
     decode_maps,
+    render_photo,
 )
 from metapp.apps.svbrdf_nonstationary.several.app import (
     CURL_ROUNDING,
     DIELECTRIC_DEVIATION,
     DIELECTRIC_NUMBER,
     EXPOSURE_ROUNDING,
+    FALLOFF_WEIGHT,
     LIGHT_FLOOR,
     SeveralPhotos,
     decode_flashes,
@@ -43,6 +45,8 @@ from metapp.learning.rules import append_axes
 from metapp.learning.rules.rule import Part
 from metapp.learning.task import Batch, Params
 
+# The unbounded numbers of N flashes, [T, 4, N], and the fall-off that they share, [T, 1]
+FlashNumbers = tuple[Tensor, Tensor]
 TEXEL_NUMBERS = sum(CHANNELS)
 SHAPE_CHANNELS = 0, 1, ROUGHNESS_CHANNEL  # a texel's slopes and roughness, on which all three colour channels depend
 FLASH_STRIDE = 4  # flashes are solved from the texels of every fourth row and column alone
@@ -51,7 +55,7 @@ TEXEL_DAMPING = 0.03  # added to the diagonal of a texel's normal equations (Lev
 GAIN_DAMPING = 1e-4
 # Soft bounds (tanh) of the change of each number of a texel in a step: first its two slopes, then the others
 MAX_CHANGE = (0.3, 0.3, *(TEXEL_NUMBERS - 2) * (1.0,))
-MAX_FLASH_CHANGE = 0.5  # hard bound of the change of each number of a flash in a step
+MAX_FLASH_CHANGE = 0.5  # hard bound of the change of each number of a flash, and of the fall-off, in a step
 DIFFERENCE_STEP = 1e-3  # step of central differences, in the numbers of texels and flashes
 
 
@@ -71,7 +75,7 @@ class GaussNewton(Loss):
 
     @override
     def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """Return the Gauss-Newton step of `maps` and `flash` in place of a gradient, and the loss of each task, [T]."""
+        """Return the Gauss-Newton step of the parameters in place of a gradient, and the loss of each task, [T]."""
         with torch.set_grad_enabled(graph):
             change = gauss_newton_change(theta, batch, self.settings(learned, theta["maps"]))
         with torch.no_grad():
@@ -113,10 +117,11 @@ class Newton(Part):
 def gauss_newton_change(
     theta: Params, batch: Batch, settings: Params, *, max_texel_change: Sequence[float] = MAX_CHANGE
 ) -> Params:
-    """Return the Gauss-Newton step of `maps` [T, 9, H, W] and `flash` [T, 4, N], which is to be subtracted.
+    """Return the Gauss-Newton step of `maps`, `flash` and `falloff`, which is to be subtracted.
 
-    The step of the flashes is solved first, from the texels of every FLASH_STRIDE-th row and column; then the step of
-    the texels, under the flashes after their step. Texels depend on each other through the curl of their slopes alone.
+    The step of the flashes and their fall-off is solved first, from the texels of every FLASH_STRIDE-th row and column;
+    then the step of the texels, under the flashes after their step. Texels depend on each other through the curl of
+    their slopes alone.
 
     The loss of a difference d between log rendering and log photograph is no square: it is the absolute difference,
     smoothed near 0, sqrt(d^2 + s^2) - s. So each step solves a least-squares problem in which d^2 has the weight
@@ -125,7 +130,7 @@ def gauss_newton_change(
     each: at each texel the loss takes the mean of 3 N differences, and least squares take their sum.
 
     Args:
-        theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N] and `prior` [T, 18, H, W].
+        theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N], `falloff` [T, 1] and `prior` [T, 18, H, W].
         batch: linear photographs, `photos` [T, N, 3, H, W], and measured positions of camera and flash, `places`
             [T, N, 2, 3].
         settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash`, `exposure`,
@@ -133,7 +138,8 @@ def gauss_newton_change(
         max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
             bound * tanh(c / bound).
     """
-    maps, flash, prior, photos = theta["maps"], theta["flash"], theta["prior"], batch["photos"]
+    maps, flash, falloff, prior = (theta[key] for key in ("maps", "flash", "falloff", "prior"))
+    photos = batch["photos"]
     photos = torch.where(batch.get("unobstructed", torch.ones_like(photos[:, :, :1])) > 0, photos, math.nan)
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
     dielectric = dielectric_share(maps)
@@ -141,25 +147,32 @@ def gauss_newton_change(
         picture[..., FLASH_STRIDE // 2 :: FLASH_STRIDE, FLASH_STRIDE // 2 :: FLASH_STRIDE]
         for picture in (maps, photos, prior, dielectric, texels)
     )
-    flash_change = _solve_flashes(
-        coarse_maps, flash, coarse_photos, batch["places"], coarse_prior, coarse_dielectric, coarse_texels, settings
+    flash_change, falloff_change = _solve_flashes(
+        coarse_maps,
+        (flash, falloff),
+        coarse_photos,
+        batch["places"],
+        coarse_prior,
+        coarse_dielectric,
+        coarse_texels,
+        settings,
     )
-    moved_flash = flash - flash_change
-    jacobian, weight, residual = _linearise(maps, moved_flash, photos, batch["places"], texels, settings)
+    moved_flashes = flash - flash_change, falloff - falloff_change
+    jacobian, weight, residual = _linearise(maps, moved_flashes, photos, batch["places"], texels, settings)
     matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, dielectric, settings)
     change = _solve_texels(matrix, right_side, maps, settings)
     max_change = maps.new_tensor(max_texel_change)[:, None, None]
-    return {"maps": max_change * torch.tanh(change / max_change), "flash": flash_change}
+    return {"maps": max_change * torch.tanh(change / max_change), "flash": flash_change, "falloff": falloff_change}
 
 
 def _linearise(
-    maps: Tensor, flash: Tensor, photos: Tensor, places: Tensor, texels: Tensor, settings: Params
+    maps: Tensor, flashes: FlashNumbers, photos: Tensor, places: Tensor, texels: Tensor, settings: Params
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Linearise the log renderings of P texels in their nine numbers, for N photographs with three channels each.
 
     Args:
         maps: the unbounded numbers of the texels, [T, 9, h, w].
-        flash: the unbounded numbers of the flashes, [T, 4, N].
+        flashes: the unbounded numbers of the flashes, and their fall-off.
         photos: linear photographs of the texels, [T, N, 3, h, w], NaN where they do not show the material.
         places: measured positions of camera and flash, [T, N, 2, 3].
         texels: positions of the texels in the patch, [2, h, w].
@@ -179,11 +192,11 @@ def _linearise(
     diffuse_derivative, specular_derivative = (
         (upper - lower) / (2 * DIFFERENCE_STEP) for upper, lower in zip(increased, decreased, strict=True)
     )
-    lobes = _render_lobes(maps, flash, places, texels)
+    lobes = _render_lobes(maps, flashes, places, texels)
     diffuse_lobe, specular_lobe = lobes.split(1, 2)
     by_slope_x, by_slope_y, by_roughness = (
         _combine_lobes(derivative, diffuse, specular)[:, :, None]
-        for derivative in _differentiate(lambda raw: _render_lobes(raw, flash, places, texels), maps, SHAPE_CHANNELS)
+        for derivative in _differentiate(lambda raw: _render_lobes(raw, flashes, places, texels), maps, SHAPE_CHANNELS)
     )
     # A channel of the photograph depends on the same channel of the colours alone: derivatives are a diagonal matrix.
     identity = torch.eye(3, device=maps.device)[:, :, None, None]
@@ -203,20 +216,21 @@ def _linearise(
     return jacobian, weight, residual
 
 
-def _render_lobes(maps: Tensor, flash: Tensor, places: Tensor, texels: Tensor) -> Tensor:
+def _render_lobes(maps: Tensor, flashes: FlashNumbers, places: Tensor, texels: Tensor) -> Tensor:
     """Return the radiance of the two lobes of reflection, [T, N, 2, h, w].
 
     The first is the radiance of a diffuse surface of albedo 1, the second the radiance of a glossy surface of specular
     colour 1; :func:`_combine_lobes` gives them their colours.
     """
-    flashes, material = decode_flashes(flash, places), decode_maps(maps)
+    flash, falloff = flashes
+    material = decode_maps(maps)
     # One rendering makes both lobes, as two "colour channels": in the first the diffuse colour is 1 and the specular
     # colour 0, in the second it is the other way round. The first has no gloss, since Fresnel's reflectance is then
     # (1 - cos)^5, with the cosine of half the angle between flash and camera: nearly 0.
     diffuse_colour = maps.new_tensor([1.0, 0.0])[:, None, None]
     specular_colour = diffuse_colour.flip(0)
     surface = Maps(diffuse_colour, specular_colour, material.roughness[:, None], material.normal[:, None])
-    return render_maps(surface, texels, flashes.place, flashes.eye, intensity=flashes.gain)
+    return render_photo(surface, decode_flashes(flash, places, falloff), texels)
 
 
 def _combine_lobes(lobes: Tensor, diffuse: Tensor, specular: Tensor) -> Tensor:
@@ -288,15 +302,15 @@ def _build_normal_equations(
 
 def _solve_flashes(
     maps: Tensor,
-    flash: Tensor,
+    flashes: FlashNumbers,
     photos: Tensor,
     places: Tensor,
     prior: Tensor,
     dielectric: Tensor,
     texels: Tensor,
     settings: Params,
-) -> Tensor:
-    """Return the Gauss-Newton step of the flashes, [T, 4, N], clamped to MAX_FLASH_CHANGE either way.
+) -> FlashNumbers:
+    """Return the Gauss-Newton steps of the flashes and of their fall-off, clamped to MAX_FLASH_CHANGE either way.
 
     The normal equations of flashes and texels together are reduced to the flashes' by a Schur complement, which
     eliminates the numbers of all texels.
@@ -304,7 +318,7 @@ def _solve_flashes(
     Args:
         maps: the unbounded numbers of P texels, [T, 9, h, w]. The caller passes those of every FLASH_STRIDE-th row and
             column, since few texels suffice for 4 N numbers.
-        flash: the unbounded numbers of the flashes, [T, 4, N].
+        flashes: the unbounded numbers of the flashes, and their fall-off.
         photos: linear photographs of these texels, [T, N, 3, h, w].
         places: measured positions of camera and flash, [T, N, 2, 3].
         prior: the prior at these texels, [T, 18, h, w].
@@ -312,17 +326,24 @@ def _solve_flashes(
         texels: positions of these texels in the patch, [2, h, w].
         settings: all loss parameters, [T, ...].
     """
-    count = photos.shape[1]
-    jacobian, weight, residual = _linearise(maps, flash, photos, places, texels, settings)
+    (flash, falloff), count = flashes, photos.shape[1]
+    jacobian, weight, residual = _linearise(maps, flashes, photos, places, texels, settings)
     matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, dielectric, settings)
     diffuse, specular, *_ = decode_maps(maps)
 
-    def render_logs(flash: Tensor) -> Tensor:
-        return (_combine_lobes(_render_lobes(maps, flash, places, texels), diffuse, specular) + LIGHT_FLOOR).log()
+    def render_logs(flash: Tensor, falloff: Tensor) -> Tensor:
+        lobes = _render_lobes(maps, (flash, falloff), places, texels)
+        return (_combine_lobes(lobes, diffuse, specular) + LIGHT_FLOOR).log()
 
-    derivatives = [derivative.flatten(3) for derivative in _differentiate(render_logs, flash, range(FLASH_NUMBERS))]
+    derivatives = [
+        derivative.flatten(3)
+        for derivative in _differentiate(lambda numbers: render_logs(numbers, falloff), flash, range(FLASH_NUMBERS))
+    ]
+    (by_falloff,) = _differentiate(lambda number: render_logs(flash, number), falloff, range(1))
     identity = torch.eye(count, dtype=maps.dtype, device=maps.device)  # each photograph depends on one flash
     flash_jacobian = torch.einsum("nm,tncpf->tpncmf", identity, torch.stack(derivatives, -1)).flatten(4).flatten(2, 3)
+    falloff_jacobian = by_falloff.flatten(1, 2).flatten(2).mT[..., None]
+    flash_jacobian = torch.cat([flash_jacobian, falloff_jacobian], -1)
     weighted = (flash_jacobian * weight[..., None]).mT
     coupling = jacobian.mT @ weighted.mT
     eliminated = _solve(matrix, torch.cat([coupling, right_side[..., None]], -1))
@@ -335,13 +356,15 @@ def _solve_flashes(
     position_weight = (2 * settings["flash"].exp())[:, None, None].expand(-1, FLASH_NUMBERS - 1, count)
     rounded_gains = ((FLASH_LOG_GAIN * flash[:, -1:]).square() + EXPOSURE_ROUNDING**2).sqrt()
     gain_weight = 3 * settings["exposure"].exp()[:, None, None] * FLASH_LOG_GAIN**2 / rounded_gains + GAIN_DAMPING
-    prior_weight = residual.shape[1] * torch.cat([position_weight, gain_weight], 1).mT.flatten(1)
+    # The loss has a weight times the squared fall-off: times 3 N, its gradient is 6 N * weight * number.
+    falloff_weight = torch.full_like(falloff, 6 * count * FALLOFF_WEIGHT)
+    prior_weight = torch.cat([torch.cat([position_weight, gain_weight], 1).mT.flatten(1), falloff_weight], 1)
+    prior_weight = residual.shape[1] * prior_weight
     flash_matrix = flash_matrix + torch.diag_embed(prior_weight)
-    flash_right_side = flash_right_side + prior_weight * flash.mT.flatten(1)
-    change = torch.linalg.solve(flash_matrix.double(), flash_right_side.double())
-    change = change.to(maps).reshape(-1, count, FLASH_NUMBERS)
-    bounded: Tensor = change.mT.clamp(-MAX_FLASH_CHANGE, MAX_FLASH_CHANGE)
-    return bounded
+    flash_right_side = flash_right_side + prior_weight * torch.cat([flash.mT.flatten(1), falloff], 1)
+    change = torch.linalg.solve(flash_matrix.double(), flash_right_side.double()).to(maps)
+    change = change.clamp(-MAX_FLASH_CHANGE, MAX_FLASH_CHANGE)
+    return change[:, :-1].reshape(-1, count, FLASH_NUMBERS).mT, change[:, -1:]
 
 
 def _solve_texels(matrix: Tensor, right_side: Tensor, maps: Tensor, settings: Params) -> Tensor:

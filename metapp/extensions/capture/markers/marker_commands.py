@@ -100,6 +100,7 @@ def rectify_command(
                 "out": str(folder),
                 **size_entries,
                 "kept": rectified.kept_share,
+                "agreement": rectified.agreement,
                 "photos": photos,
                 "skipped": rectified.skipped,
             }

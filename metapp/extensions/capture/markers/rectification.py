@@ -16,13 +16,16 @@ from data_tools.readers.square_photos import find_images
 from metapp.extensions.capture.markers.found_outlines import FoundOutlines
 from metapp.extensions.capture.markers.marker_options import RectifyOptions
 from metapp.extensions.capture.markers.rectified_photos import CameraSearch, write_rectified_photos
-from metapp.extensions.capture.markers.sample import find_sample
+from metapp.extensions.capture.markers.sample import find_sample, measure_agreement
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera
 from metapp.runs.reporter import progress, say
 from metapp.storage.folders import DIAGNOSTIC_FOLDER, FAILED_PICTURE_SUFFIX
 
 ONE_VIEW_SIDES = 0.1  # cameras closer to each other than this see the material alike
+# The share of the square in which photographs agree, below which a line says so. Of 22 simulated sets without a raised
+# sample, 21 agree in 0.94 or more, one, whose photographs are up to 0.7 texels of 192 out of place, in 0.85.
+MIN_AGREEMENT_SHARE = 0.8
 
 
 class RectifiedPhotos(NamedTuple):
@@ -34,6 +37,7 @@ class RectifiedPhotos(NamedTuple):
         size: the side of the pictures, in px.
         focal_mm: the focal length, as on 35 mm film, that was found for photographs that do not state it; 0 if all do.
         kept_share: the share of the photographs' common square that is kept.
+        agreement: the share of the square in which photographs agree, see :func:`measure_agreement`; 1 with a sheet.
         skipped: a line for each photograph that was left out.
     """
 
@@ -42,6 +46,7 @@ class RectifiedPhotos(NamedTuple):
     size: int
     focal_mm: float
     kept_share: float
+    agreement: float
     skipped: list[str]
 
     @property
@@ -111,6 +116,9 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     flash_cm = options.flash or (0.0, 0.0)
     _say_notes(cameras, flash_cm, kept_share, folder, quiet=quiet)
     lights_cm, first = [camera.offset_place_cm(*flash_cm) for camera in cameras], cameras[0].sighting
+    agreement = 1.0 if first.shows_sheet else measure_agreement(cameras)
+    if line := describe_agreement(agreement):
+        say(f"warning: {folder}: {line}")
     if line := describe_single_view([(camera.place_cm / first.opening_cm).tolist() for camera in cameras]):
         say(f"warning: {folder}: {line}")
     size = min(options.size, int(first.opening_cm * first.px_per_cm()[0]))  # no finer than the one with most detail
@@ -120,7 +128,7 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     skipped_names = [name for name in names if name not in [camera.sighting.path for camera in cameras]]
     if skipped_names:
         _draw_found(found_outlines, skipped_names, "skipped:", folder / DIAGNOSTIC_FOLDER / "skipped.png", quiet=quiet)
-    return RectifiedPhotos(cameras, lights_cm, size, focal_mm, kept_share, skipped)
+    return RectifiedPhotos(cameras, lights_cm, size, focal_mm, kept_share, agreement, skipped)
 
 
 def _say_notes(
@@ -179,6 +187,21 @@ def describe_single_view(places: Sequence[Sequence[float]]) -> str:
     return (
         f"all photos are taken from one place, within {distance:.2f} sides of the square, expected several views and "
         "lights; maps say no more of the relief than from one photo: move camera and flash by half a side or more."
+    )
+
+
+def describe_agreement(share: float) -> str:
+    """Return the line that photographs agree in a small share of the square; "" if they agree in most of it.
+
+    >>> describe_agreement(0.9)
+    ''
+    """
+    if share >= MIN_AGREEMENT_SHARE:
+        return ""
+    return (
+        f"photos agree in {100 * share:.0f} % of the square, expected {100 * MIN_AGREEMENT_SHARE:.0f} % or more; maps "
+        "may be wrong where details are few, another surface is seen, or photos are out of place: print a frame of "
+        "markers."
     )
 
 

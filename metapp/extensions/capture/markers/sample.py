@@ -37,7 +37,7 @@ from metapp.extensions.capture.markers.sighting import Camera, Sighting
 COMPARISON_SIDE_PX = 192  # side of the compared pictures
 # Heights of planes above the plane of registration; a step moves a picture by about a px.
 PLANE_HEIGHTS_SIDES = np.arange(-0.36, 0.361, 0.015)
-SAME_PLANE_SIDES = 0.045  # planes closer than this count as one: relief and flashes move pictures by as much
+SAME_PLANE_SIDES = 0.04  # planes closer than this count as one: shading moves pictures by as much
 # Standard deviations of Gaussians: compared details are finer than the first, windows are as wide as the second.
 COMPARISON_DETAIL_PX, COMPARISON_WINDOW_PX = 4.0, 4.0
 LOG_FLOOR_OF_WHITE = 0.03  # added to values before the logarithm, which is flat for darker ones
@@ -268,6 +268,12 @@ def _project_ray(camera: Camera, reference: Camera, points: Floats, height: floa
 def _square_in_photo(sighting: Sighting) -> Floats:
     """Return the corners [4, 2] of the square, in fractions of the photograph's width and height."""
     return np.asarray((sighting.corners_px() + 0.5) / [sighting.width, sighting.height])
+
+
+def measure_agreement(cameras: Sequence[Camera]) -> float:
+    """Return the share of the square in which photographs agree on the plane by which they are registered."""
+    correlation = _correlation(cameras, [_log_picture(camera) for camera in cameras], 0.0)
+    return float((correlation > MIN_SAMPLE_CORRELATION).mean())
 
 
 def compare_on_planes(cameras: Sequence[Camera]) -> Agreement:

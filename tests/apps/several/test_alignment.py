@@ -1,4 +1,4 @@
-"""The height of a surface above the plane by which photographs were registered: photographs are moved onto it."""
+"""Photographs that are registered some texels off are moved such that all show a surface at the same texels."""
 
 import pytest
 import torch
@@ -6,8 +6,8 @@ from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, camera_distance, render_maps, texel_positions
+from metapp.apps.svbrdf_nonstationary.several.alignment import _resample, _shift_plane, align_photos
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
-from metapp.apps.svbrdf_nonstationary.several.height import _shift_plane, align_to_surface
 from metapp.learning.task import Task
 from tests.apps.several.test_several_photos import relief
 
@@ -37,7 +37,7 @@ def test_photographs_registered_below_the_surface_are_moved_onto_it(texels: floa
     inner = ..., slice(8, -8), slice(8, -8)
     display = (linear_to_srgb(off) * 255).round().to(torch.uint8)
     task = Task("relief", {"photo": display[0], "others": display[1:], "places": places})
-    for moved in (align_to_surface(off, places), SeveralPhotos(Texels(SIDE, SIDE)).prepare(task)["photos"]):
+    for moved in (align_photos(off, places), SeveralPhotos(Texels(SIDE, SIDE)).prepare(task)["photos"]):
         assert (moved[0] - photos[0]).abs().max() < 0.01
         assert (moved - photos)[inner].abs().mean() < 0.2 * (off - photos)[inner].abs().mean()
 
@@ -45,6 +45,15 @@ def test_photographs_registered_below_the_surface_are_moved_onto_it(texels: floa
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 def test_photographs_on_the_plane_or_with_too_little_data_stay_unchanged(slope: float) -> None:
     photos, places = photographs(slope)
-    assert align_to_surface(photos, places) is photos
+    assert align_photos(photos, places) is photos
     for few, at in ((photos[..., ::2, ::2], places), (photos[:3], places[:3])):
-        assert align_to_surface(few, at) is few
+        assert align_photos(few, at) is few
+
+
+def test_photographs_that_are_shifted_are_moved_back() -> None:
+    photos, places = photographs(1.0)
+    shifts = torch.tensor([[0.0, 0.0], [0.4, 0.0], [0.0, -0.5], [-0.3, 0.3], [0.0, 0.2]]) * 2 / SIDE
+    off = _resample(photos, texel_positions(SIDE, SIDE) + shifts[..., None, None])
+    inner = ..., slice(8, -8), slice(8, -8)
+    moved = align_photos(off, places)
+    assert (moved - photos)[inner].abs().mean() < 0.25 * (off - photos)[inner].abs().mean()
