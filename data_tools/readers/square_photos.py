@@ -249,9 +249,26 @@ def flash_view(whole: Pixels, fov_rad: float = 0.0, name: str = "photo") -> Pixe
             "" if whole.focal_mm else f", taken for {math.degrees(CAMERA_FOV_RAD):.0f} degrees along the shorter side"
         )
         warnings.warn(f"{name}: {whole.lens_note}{assumption}; --fov sets another field of view.", stacklevel=2)
-    if not fov_rad and whole.focal_mm:
-        fov_rad = field_of_view_rad(whole.focal_mm, *whole.values.shape[:2])
+    fov_rad = _known_field_rad(whole, fov_rad)
     return central_square(whole, min(1.0, math.tan(CAMERA_FOV_RAD / 2) / math.tan(fov_rad / 2)) if fov_rad else 1.0)
+
+
+def narrow_view_height(whole: Pixels, fov_rad: float = 0.0) -> float:
+    """Return the camera's height in half sides of what `flash_view` shows; 0 unless its view is known to be narrower.
+
+    Args:
+        whole: the photograph.
+        fov_rad: the camera's field of view along the shorter side, in rad; 0: as EXIF says, if it does.
+    """
+    fov_rad = _known_field_rad(whole, fov_rad)
+    return 1 / math.tan(fov_rad / 2) if 0 < fov_rad < CAMERA_FOV_RAD else 0.0
+
+
+def _known_field_rad(whole: Pixels, fov_rad: float) -> float:
+    """Return the field of view along the shorter side, in rad: as it is given, else as EXIF says; 0 if unknown."""
+    if not fov_rad and whole.focal_mm:
+        return field_of_view_rad(whole.focal_mm, *whole.values.shape[:2])
+    return fov_rad
 
 
 def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:

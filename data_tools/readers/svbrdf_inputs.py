@@ -9,6 +9,8 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import torch
+
 from data_tools.readers import material_files, material_maps, square_photos, strips
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import read_pixels
@@ -16,7 +18,13 @@ from data_tools.readers.input_source import DAMAGED_FACT, DEFAULT_PHOTO_PX, PHOT
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import is_unused_map
 from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES, check_exists
-from data_tools.readers.square_photos import flash_view, folders_with_places, task_of_square, to_square_photo
+from data_tools.readers.square_photos import (
+    flash_view,
+    folders_with_places,
+    narrow_view_height,
+    task_of_square,
+    to_square_photo,
+)
 from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.learning.task import Task
 
@@ -115,8 +123,8 @@ def read_task(
         content: what the file is, as :func:`find` found it; None to find out.
 
     Returns:
-        The task that :func:`data_tools.readers.svbrdf_task.make_svbrdf_task` makes; for a photograph it has `photo`
-        alone, sRGB uint8 [3, S, S].
+        The task that :func:`data_tools.readers.svbrdf_task.make_svbrdf_task` makes; for a photograph it has `photo`,
+        sRGB uint8 [3, S, S], and of a view narrower than 45 degrees also `places` [1, 2, 3] of camera and flash.
     """
     check_exists(path)
     role, least = content or role_of(path), min(size, DEFAULT_PHOTO_PX)
@@ -125,9 +133,8 @@ def read_task(
     if role.strip:
         return strips.read_task(path, size, least=least, layer=layer)
     whole = read_pixels(path, layer)
-    return _correct_task_exposure(
-        task_of_square("photo", flash_view(whole, fov_rad, str(path)), whole, path, size, least), stops
-    )
+    task = task_of_square("photo", flash_view(whole, fov_rad, str(path)), whole, path, size, least)
+    return _add_height(_correct_task_exposure(task, stops), narrow_view_height(whole, fov_rad))
 
 
 def task_of_object(
@@ -144,10 +151,16 @@ def task_of_object(
     """
     if isinstance(source, Mapping):
         return material_maps.task_of_arrays(source, name, size, min(size, DEFAULT_PHOTO_PX))
-    view = flash_view(pixels_of(name, source, material_maps.OR_MAPS_TEXT), fov_rad, name)
-    return _correct_task_exposure(
-        Task(name, {"photo": to_square_photo(view, name, size, min(size, DEFAULT_PHOTO_PX))}), stops
-    )
+    whole = pixels_of(name, source, material_maps.OR_MAPS_TEXT)
+    photo = to_square_photo(flash_view(whole, fov_rad, name), name, size, min(size, DEFAULT_PHOTO_PX))
+    return _add_height(_correct_task_exposure(Task(name, {"photo": photo}), stops), narrow_view_height(whole, fov_rad))
+
+
+def _add_height(task: Task, height: float) -> Task:
+    """Add the `places` of camera and flash, straight above the photograph at a height in half sides, if it is not 0."""
+    if not height:
+        return task
+    return task._replace(data=task.data | {"places": torch.tensor([0.0, 0.0, height]).expand(1, 2, 3).contiguous()})
 
 
 def _correct_task_exposure(task: Task, stops: float) -> Task:

@@ -33,14 +33,18 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.variants import (
     CROP_SIDES,
+    DIELECTRIC_F0,
+    FAR_FLASH_SHARE,
     _crop,
     _turn,
+    draw_photos,
     mix_materials,
+    polish,
     recolour,
     restyle,
 )
 from metapp.learning.app import stack_tasks
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Task, Tasks
 
 SIDE = 16
 REFERENCE = FromMaps(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2)
@@ -165,6 +169,37 @@ def test_white_below_a_flash_is_as_bright_at_any_height() -> None:
         assert flash.place[0, 2] == pytest.approx(camera_distance() * math.exp(0.2 * higher))
 
 
+def test_the_camera_moves_with_the_flash_where_photos_may_be_crops() -> None:
+    """A photograph of twice the height is the middle of a photograph of a patch that is twice as large."""
+    theta = {"flash": torch.tensor([[0.0, 0.0, math.log(2) / 0.2 / PHOTO.network.gain, 0.0]])}
+    people, training = replace(PHOTO, encoder_finer=(2,)), PHOTO
+    assert people.fills
+    assert not training.fills
+    assert float(people.flash_of(theta).eye[0, 2]) == pytest.approx(2 * camera_distance())
+    assert float(training.flash_of(theta).eye[2]) == pytest.approx(camera_distance())
+    maps = torch.cat([material(0)[:, 8:24, 8:24].mean((1, 2), keepdim=True).expand(-1, 32, 32)])[None]
+    maps[:, :2], maps[:, 2] = 0, 1
+    whole = render_photo(unpack_maps(maps), decode_flash(torch.zeros(1, FLASH_NUMBERS)))
+    crop = render_photo(unpack_maps(maps[..., 8:24, 8:24]), people.flash_of(theta))
+    torch.testing.assert_close(crop, whole[..., 8:24, 8:24])
+
+
+def test_the_flash_of_a_fit_is_as_high_as_a_camera_of_known_height(rng: Generator) -> None:
+    """Heights about which nothing is known, or which fits expect, are General's to predict."""
+    app = replace(PHOTO, encoder_finer=(2,))
+    photo, encoder = torch.randint(256, (3, SIDE, SIDE), generator=rng, dtype=torch.uint8), app.init_encoder(rng)
+    heights: dict[float, float] = {}
+    for height in (0.0, 1.01 * camera_distance(), 5.0):
+        places = {"places": torch.tensor([0.0, 0.0, height]).expand(1, 2, 3)} if height else {}
+        tasks = stack_tasks(app, [Task("photo", {"photo": photo} | places)])
+        theta = app.encode(encoder, app.condition(tasks, rng))
+        heights[height] = float(app.flash_of(theta).place[0, 2])
+    unknown, usual, known = heights.values()
+    assert usual == unknown
+    assert known == pytest.approx(5.0)
+    assert abs(unknown - 5.0) > 1
+
+
 # Variants
 
 
@@ -185,7 +220,7 @@ def test_turned_materials_look_like_turned_photos() -> None:
 
 
 def test_variants_are_materials(tasks: Tasks, rng: Generator) -> None:
-    for change in (mix_materials, recolour, restyle):
+    for change in (mix_materials, recolour, restyle, polish):
         maps = change(tasks.data["maps"], rng)
         torch.testing.assert_close(maps[:, :3].norm(dim=1), torch.ones(4, SIDE, SIDE))
         assert maps[:, 3:].amin() >= 0
@@ -205,6 +240,30 @@ def test_the_normals_of_a_crop_are_those_of_its_relief(rng: Generator) -> None:
         found = normal_from_height(crops[:, 3:4], 128 / (256 * float(share)), periodic=False)
         cosine = (found * crops[:, :3]).sum(1)[..., 2:-2, 2:-2].clamp(-1, 1)
         assert float(torch.rad2deg(cosine.acos()).mean()) < 1.0
+
+
+def test_polished_materials_are_flat_dielectrics_with_a_sharp_highlight(tasks: Tasks, rng: Generator) -> None:
+    polished = unpack_maps(torch.cat([polish(tasks.data["maps"], rng) for _ in range(8)]))
+    assert float(polished.specular.amin()) >= DIELECTRIC_F0[0]
+    assert float(polished.specular.amax()) <= DIELECTRIC_F0[1]
+    assert float(polished.roughness.mean((1, 2, 3)).amax()) < 0.4
+    steepness = [(1 - normal[:, 2].square()).sqrt().mean() for normal in (polished.normal, tasks.data["maps"][:, :3])]
+    assert float(steepness[0]) < 0.25 * float(steepness[1])
+    patterns = [diffuse.std((2, 3)).mean() for diffuse in (polished.diffuse, tasks.data["maps"][:, 3:6])]
+    assert float(patterns[0]) > 0.5 * float(patterns[1])
+
+
+def test_photos_of_one_material_have_flashes_at_other_heights(rng: Generator) -> None:
+    """Corners of a white patch tell the height: from 45 degrees they are 0.66 times as bright as its middle."""
+    maps = torch.zeros(1, 10, 32, 32)
+    maps[:, 2:6], maps[:, 6] = 0.5, 1.0
+    maps[:, 2] = 1.0
+    photos = draw_photos(maps.expand(200, -1, -1, -1), rng).mean(1)
+    corners = torch.stack([photos[:, row, column] for row in (0, -1) for column in (0, -1)]).mean(0)
+    falls = corners / photos[:, 14:18, 14:18].mean((1, 2))
+    is_standard = (falls > 0.58) & (falls < 0.74)
+    assert 0.5 * FAR_FLASH_SHARE < float((falls > 0.75).float().mean()) < FAR_FLASH_SHARE
+    assert float(is_standard.float().mean()) > 0.5
 
 
 def test_variants_show_relief_that_is_finer_than_their_maps(app: SvbrdfNonstationary, rng: Generator) -> None:

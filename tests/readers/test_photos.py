@@ -21,7 +21,15 @@ from PIL import Image
 from data_tools.readers import flash_photos, square_photos, svbrdf_inputs
 from data_tools.readers.flash_photos import entry_of_photo
 from data_tools.readers.image_files import Pixels, pixels_of_pil
-from data_tools.readers.square_photos import field_of_view_rad, find, flash_view, is_photo, read_photo, recognises
+from data_tools.readers.square_photos import (
+    field_of_view_rad,
+    find,
+    flash_view,
+    is_photo,
+    narrow_view_height,
+    read_photo,
+    recognises,
+)
 from data_tools.readers.svbrdf_inputs import read_task
 from data_tools.readers.svbrdf_task import correct_exposure, encode_srgb
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
@@ -436,6 +444,20 @@ def test_fields_of_view_of_known_lenses() -> None:
     whole = Pixels(np.zeros((1000, 1200, 3), np.uint8), "", False)
     sides = {degrees: len(flash_view(whole, math.radians(degrees)).values) for degrees in (0, 30, 45, 90)}
     assert sides == {0: 1000, 30: 1000, 45: 1000, 90: 414}  # nothing can be added
+    heights = {degrees: narrow_view_height(whole, math.radians(degrees)) for degrees in (0, 30, 45, 90)}
+    assert heights == pytest.approx({0: 0, 30: 1 / math.tan(math.radians(15)), 45: 0, 90: 0})
+
+
+def test_photos_of_narrow_lenses_tell_how_high_their_flash_was(tmp_path: Path) -> None:
+    narrow, wide, unknown = (photo(tmp_path / f"{focal}.jpg", focal=focal) for focal in (75, 26, 0))
+    height = 1 / math.tan(field_of_view_rad(75, 96, 128) / 2)
+    expected = torch.tensor([0.0, 0.0, height]).expand(1, 2, 3)
+    torch.testing.assert_close(svbrdf_inputs.read_task(narrow).data["places"], expected)
+    assert "places" not in svbrdf_inputs.read_task(wide).data
+    assert "places" not in svbrdf_inputs.read_task(unknown).data
+    stated = svbrdf_inputs.read_task(unknown, fov_rad=math.radians(20)).data["places"]
+    assert float(stated[0, 0, 2]) == pytest.approx(1 / math.tan(math.radians(10)))
+    assert "places" not in svbrdf_inputs.read_task(narrow, fov_rad=math.radians(60)).data
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "tif", "png"])

@@ -15,7 +15,7 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import Maps, tilt_sine, unpack_maps
+from metapp.appearance.flash import Maps, camera_distance, tilt_sine, unpack_maps
 from metapp.appearance.highlight import FILL_PX, fill_clipped
 from metapp.apps.svbrdf_nonstationary.app import (
     FINEST_PX,
@@ -29,6 +29,7 @@ from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
+    FLASH_LOG_HEIGHT,
     PIXEL_INPUTS,
     Flash,
     decode_flash,
@@ -48,6 +49,7 @@ STEEPNESS_WEIGHT = 0.2  # weight in the outer loss of the mean steepness of norm
 BLOTS_WEIGHT = 0.3  # weight in the outer loss of diffuse colours where the photo clips
 STEEPNESS_CELLS = 8  # cells a side, in each of which the mean steepness of normals counts
 RIG_LIGHTS = (2, 3)  # lights that fits of the maps see the material under: anywhere above the patch, mirrored in it
+USUAL_LOG_HEIGHT = 0.05  # deviation of the log of a camera's height below which it is at `camera_distance`
 SMOOTHING = 0.03  # initial learned rounding of |d| in losses
 
 
@@ -111,8 +113,12 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
 
     @override
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
-        flash = decode_flash(self.network.gain * theta["flash"][None])
-        return [Flash(flash.place[0], flash.gain[0], flash.eye)]
+        flash = self.flash_of({"flash": theta["flash"][None]})
+        return [Flash(flash.place[0], flash.gain[0], flash.eye.expand(1, 3)[0])]
+
+    def flash_of(self, theta: Params) -> Flash:
+        """Return the flashes of fits with parameters [T, ...]."""
+        return decode_flash(self.network.gain * theta["flash"])
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
@@ -133,7 +139,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
 
     def photo_difference(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
         """Return the mean difference of the logs of the photograph and of the maps under the fitted flash, [T]."""
-        radiance = render_photo(maps, decode_flash(self.network.gain * theta["flash"]), batch.get("place"))
+        radiance = render_photo(maps, self.flash_of(theta), batch.get("place"))
         return photo_loss(radiance, batch["photo"], learned)
 
     @override
@@ -201,6 +207,41 @@ class FromPhoto(CodedMaps):
     def fills(self) -> bool:
         """True for maps of the size that people use."""
         return bool(self.read_size)
+
+    @override
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """Add the camera's `height` [1] in half sides of the patch, 0 if it is unknown or where fits expect it."""
+        places = task.data.get("places", torch.zeros(1, 2, 3)).float()
+        height = places[0, 0, 2:]
+        is_usual = (height / camera_distance()).log().abs() < USUAL_LOG_HEIGHT
+        return super().prepare(task) | ({"height": torch.where(is_usual, 0, height)} if self.fills else {})
+
+    @override
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        heights = {"height": tasks.data["height"][tasks.rows]} if "height" in tasks.data else {}
+        return super().condition(tasks, rng) | heights
+
+    @override
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        return self._move_flash(super().encode(encoder, condition), condition)
+
+    @override
+    def photo_difference(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
+        return super().photo_difference(self._move_flash(theta, batch), maps, batch, learned)
+
+    def _move_flash(self, theta: Params, batch: Batch) -> Params:
+        """Return parameters [T, ...] whose flashes are as high as the cameras, where their `height` [T, 1] is known."""
+        if "height" not in batch:
+            return theta
+        x, y, log_height, gain = theta["flash"].split(1, 1)
+        known = (batch["height"] / camera_distance()).log() / (FLASH_LOG_HEIGHT * self.network.gain)
+        log_height = torch.where(batch["height"] > 0, known, log_height)
+        return theta | {"flash": torch.cat([x, y, log_height, gain], 1)}
+
+    @override
+    def flash_of(self, theta: Params) -> Flash:
+        """Return the flashes of fits with parameters [T, ...]; photographs of the size that people use may be crops."""
+        return decode_flash(self.network.gain * theta["flash"], moves_camera=self.fills)
 
     @override
     def fill(self, maps: Maps, photo: Tensor) -> Maps:

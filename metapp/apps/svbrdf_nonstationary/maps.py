@@ -109,15 +109,21 @@ class Flash(NamedTuple):
     falloff: Tensor = torch.zeros(())
 
 
-def decode_flash(flash: Tensor) -> Flash:
+def decode_flash(flash: Tensor, *, moves_camera: bool = False) -> Flash:
     """Return the flash that unbounded numbers [T, FLASH_NUMBERS] stand for.
 
     Zeros stand for a flash beside the lens in whose light a white patch has radiance 1 right below it,
     whatever its height, since exposure makes up for that.
+
+    Args:
+        flash: the unbounded numbers.
+        moves_camera: whether the camera is as high as the flash, as in crops of photographs and behind longer lenses;
+            else it is at `camera_position`.
     """
     height_factor = torch.exp(FLASH_LOG_HEIGHT * flash[:, 2:3])
     place = torch.cat([FLASH_SHIFT * flash[:, :2], camera_distance() * height_factor], 1)
     eye = camera_position(dtype=flash.dtype, device=flash.device)
+    eye = eye * height_factor if moves_camera else eye
     return Flash(place, torch.exp(FLASH_LOG_GAIN * flash[:, 3:4]) * height_factor * height_factor, eye)
 
 

@@ -19,6 +19,7 @@ from metapp.appearance.flash import (
     FLASH_BRIGHTNESS_LOG_DEVIATION,
     FLASH_HEIGHT_LOG_DEVIATION,
     FLASH_OFFSET_HALF_SIDES,
+    camera_distance,
     unpack_maps,
 )
 from metapp.apps.svbrdf_nonstationary.maps import (
@@ -42,8 +43,12 @@ FLASH_DEVIATIONS = (
 )
 CROP_SIDES = (0.35, 0.7)  # sides of crops over that of the maps, in which a square of any direction has room
 MISEXPOSED_SHARE, MAX_EXPOSURE_STOPS = 0.2, 1.1  # share of photographs that are exposed wrongly, and by how much
+FAR_FLASH_SHARE, FLASH_HEIGHTS_HALF_SIDES = 0.4, (1.7, 6.0)  # of crops and other lenses
 TINTED_SHARE, TINT_LOG_DEVIATION = 0.3, 0.04  # share whose white balance is off, and the deviation of its log gains
 MAX_SLOPE = 2.0  # tangent of the tilt of normals, at most, in restyled materials
+DIELECTRIC_F0 = (0.02, 0.08)  # range of the specular reflectance of dielectrics
+POLISHED_SHARE, POLISHED_ROUGHNESSES = 0.2, (0.05, 0.3)  # share of materials that become polished, and their roughness
+METAL_DIFFUSE = 0.02  # mean diffuse reflectance below which a material is a metal
 RESTYLED_SHARES = (0.75, 0.3)  # the share of materials of other gloss and colour, before and after they are mixed
 
 Draw = Callable[..., Tensor]  # draws random numbers [T, *shape] from a shape
@@ -58,23 +63,36 @@ def vary_materials(maps: Tensor, side: int, rng: Generator) -> Tensor:
     has_room = maps.shape[-1] >= 2 * side
     maps = _crop(maps, side, rng) if has_room else torch.stack([_turn(material, rng) for material in maps])
     maps = change_some(restyle, maps, RESTYLED_SHARES[0], rng)
-    return change_some(restyle, mix_materials(recolour(maps, rng), rng), RESTYLED_SHARES[1], rng)
+    maps = change_some(restyle, mix_materials(recolour(maps, rng), rng), RESTYLED_SHARES[1], rng)
+    return change_some(polish, maps, POLISHED_SHARE, rng)
 
 
 def draw_photos(maps: Tensor, rng: Generator) -> Tensor:
     """Render photographs of maps [T, 10, S, S] with random flash, exposure, white balance and noise.
+
+    Most photographs show the patch in a field of view of 45 degrees; in the others, crops or of other lenses, camera
+    and flash are at any height of FLASH_HEIGHTS_HALF_SIDES.
 
     Returns:
         Linear values that were rounded to 8 bits of sRGB, [T, 3, S, S].
     """
     uniform, normal = draws_per_material(len(maps), rng)
     flash = normal(FLASH_NUMBERS) * maps.new_tensor(FLASH_DEVIATIONS) * (uniform(1) > BESIDE_LENS_SHARE)
+    flash = torch.where(uniform(1) < FAR_FLASH_SHARE, _move_far(flash, uniform(1)), flash)
     stops = MAX_EXPOSURE_STOPS * (2 * uniform(1) - 1) * (uniform(1) < MISEXPOSED_SHARE)
     flash = flash + maps.new_tensor([0.0, 0.0, 0.0, math.log(2) / FLASH_LOG_GAIN]) * stops
     tint = torch.exp(TINT_LOG_DEVIATION * normal(3, 1, 1) * (uniform(1, 1, 1) < TINTED_SHARE))
-    display = linear_to_srgb((tint * render_photo(unpack_maps(maps), decode_flash(flash))).clamp(0, 1))
+    radiance = render_photo(unpack_maps(maps), decode_flash(flash, moves_camera=True))
+    display = linear_to_srgb((tint * radiance).clamp(0, 1))
     noise = torch.randn(display.shape, generator=rng, device=rng.device) * 0.01 * uniform(1, 1, 1)
     return srgb_to_linear(((display + noise).clamp(0, 1) * 255).round() / 255)
+
+
+def _move_far(flash: Tensor, share: Tensor) -> Tensor:
+    """Move flashes [T, FLASH_NUMBERS] to heights that shares [T, 1] of a logarithmic range tell, and as far aside."""
+    low, high = FLASH_HEIGHTS_HALF_SIDES
+    log_height = math.log(low / camera_distance()) + math.log(high / low) * share
+    return torch.cat([flash[:, :2] * log_height.exp(), log_height / FLASH_LOG_HEIGHT, flash[:, 3:]], 1)
 
 
 def draws_per_material(count: int, rng: Generator) -> tuple[Draw, Draw]:
@@ -141,8 +159,8 @@ def restyle(maps: Tensor, rng: Generator) -> Tensor:
     tone_pattern = _standardise((diffuse.mean(1, keepdim=True) + 1e-3).log())
     roughness_pattern = _standardise(roughness)
     relief_pattern = _standardise(avg_pool2d(slopes.square().sum(1, keepdim=True).add(1e-8).sqrt(), 9, 1, 4))
-    # Specular colour: of any material from 0.02 to 0.3 or of a dielectric, in some materials slightly coloured
-    f0 = torch.where(draw_chance(0.5), torch.exp(-3.9 + 2.7 * uniform(1, 1, 1)), 0.03 + 0.03 * uniform(1, 1, 1))
+    # Specular colour: of any material from 0.02 to 0.3 or, mostly, of a dielectric, in some materials slightly coloured
+    f0 = torch.where(draw_chance(0.2), torch.exp(-3.9 + 2.7 * uniform(1, 1, 1)), _draw_dielectrics(uniform))
     f0 = f0 * torch.exp(0.06 * normal(3, 1, 1) * draw_chance(0.4))
     even_specular = f0 * torch.exp(0.08 * normal(1, 1, 1) * tone_pattern + 0.05 * normal(1, 1, 1) * roughness_pattern)
     specular = torch.where(draw_chance(0.5), even_specular.clamp(0.005, 0.95), specular)
@@ -165,6 +183,27 @@ def restyle(maps: Tensor, rng: Generator) -> Tensor:
     diffuse = torch.where(draw_chance(0.3), plain_diffuse, diffuse)
     normals = normalise(torch.cat([slopes, torch.ones_like(roughness)], 1))
     return torch.cat([normals, diffuse.clamp(0, 0.98), roughness, specular.clamp(0, 0.98)], 1)
+
+
+def _draw_dielectrics(uniform: Draw) -> Tensor:
+    """Draw specular reflectance of dielectrics, [T, 1, 1, 1]."""
+    low, high = DIELECTRIC_F0
+    return low * (high / low) ** uniform(1, 1, 1)
+
+
+def polish(maps: Tensor, rng: Generator) -> Tensor:
+    """Make materials [T, 10, H, W] nearly flat dielectrics of one gloss, whose patterns are paint under a highlight."""
+    uniform, normal = draws_per_material(len(maps), rng)
+    normals, diffuse, roughness, specular = maps.split((3, 3, 1, 3), 1)
+    slopes = find_slopes(normals) * torch.exp(-4 + 2.5 * uniform(1, 1, 1))
+    is_metal = diffuse.mean((1, 2, 3), keepdim=True) < METAL_DIFFUSE  # colours of metals become paint
+    diffuse = torch.where(is_metal, specular, diffuse) * torch.exp(0.4 * normal(1, 1, 1))
+    low, high = POLISHED_ROUGHNESSES
+    variation = torch.exp(0.15 * normal(1, 1, 1) * (uniform(1, 1, 1) < 0.5) * _standardise(roughness).clamp(-2, 2))
+    roughness = (low * (high / low) ** uniform(1, 1, 1) * variation).clamp(0.05, 1)
+    specular = _draw_dielectrics(uniform).expand_as(specular)
+    normals = normalise(torch.cat([slopes, torch.ones_like(roughness)], 1))
+    return torch.cat([normals, diffuse.clamp(0, 0.98), roughness, specular], 1)
 
 
 def _limit_slopes(slopes: Tensor, steepest: float) -> Tensor:

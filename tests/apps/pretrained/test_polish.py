@@ -1,14 +1,27 @@
 """The roughness that a sharp highlight shows, and how General's prediction of it is corrected."""
 
+import math
+
 import pytest
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
-from metapp.appearance.flash import Maps
-from metapp.apps.svbrdf_nonstationary.maps import MIN_ROUGHNESS, decode_flash, render_photo
+from metapp.appearance.flash import Maps, camera_distance
+from metapp.apps.svbrdf_nonstationary.maps import (
+    FLASH_LOG_HEIGHT,
+    MIN_ROUGHNESS,
+    decode_flash,
+    encode_roughness,
+    render_photo,
+)
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import init_decoder
-from metapp.apps.svbrdf_nonstationary.pretrained.polish import describe_highlight, predict_roughness, roughness_shift
+from metapp.apps.svbrdf_nonstationary.pretrained.polish import (
+    describe_highlight,
+    predict_roughness,
+    roughness_shift,
+    scale_roughness,
+)
 from metapp.learning.task import Params
 from metapp.networks.coded import select_reader
 from metapp.storage.checkpoint_files import load_checkpoint
@@ -22,8 +35,8 @@ def reader() -> Params:
     return {key: value.float() for key, value in select_reader(load_checkpoint(file)[0].encoder).items()}
 
 
-def marble(roughness: float, seed: int, aside: float = 0.0) -> Tensor:
-    """A flash photograph [1, 3, 256, 256] of flat stone with a strong pattern."""
+def marble(roughness: float, seed: int, aside: float = 0.0, height: float = camera_distance()) -> Tensor:
+    """A flash photograph [1, 3, 256, 256] of flat stone with a strong pattern, from a height in half sides."""
     rng = Generator().manual_seed(seed)
     coarse = sum(
         interpolate(torch.randn(1, 1, n, n, generator=rng), (256, 256), mode="bicubic") / n for n in (4, 9, 31)
@@ -33,7 +46,9 @@ def marble(roughness: float, seed: int, aside: float = 0.0) -> Tensor:
     ones = torch.ones_like(veins)
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * ones
     maps = Maps(diffuse, 0.04 * ones.expand(-1, 3, -1, -1), roughness * ones, up)
-    return render_photo(maps, decode_flash(torch.tensor([[aside, 0.5 * aside, 0.0, 0.0]]))).clamp(0, 1)
+    log_height = math.log(height / camera_distance()) / FLASH_LOG_HEIGHT
+    flash = decode_flash(torch.tensor([[aside, 0.5 * aside, log_height, 0.0]]), moves_camera=True)
+    return render_photo(maps, flash).clamp(0, 1)
 
 
 @pytest.mark.parametrize("aside", [0.0, 1.0])
@@ -49,6 +64,17 @@ def test_the_highlight_of_a_polished_pattern_is_sharp(
     shown = predict_roughness(reader, describe_highlight(photos))
     assert 0.7 * roughness < float(shown.median()) < most
     assert float(shown.max()) < 0.3
+
+
+def test_a_known_height_corrects_the_roughness_of_a_wider_highlight(reader: Params) -> None:
+    """From twice as high a highlight is twice as wide; where the height is 0, it is unknown."""
+    heights = torch.full((10,), 2 * camera_distance())
+    photos = torch.cat([marble(0.1, seed, height=2 * camera_distance()) for seed in range(10)])
+    usual = predict_roughness(reader, describe_highlight(torch.cat([marble(0.1, seed) for seed in range(10)])))
+    shown = predict_roughness(reader, describe_highlight(photos))
+    assert float(shown.median()) > 1.25 * float(usual.median())
+    assert float(scale_roughness(shown, heights).median()) == pytest.approx(float(usual.median()), rel=0.15)
+    assert torch.equal(scale_roughness(shown, torch.zeros(10)), shown)
 
 
 def test_rough_patterns_are_not_taken_for_polished_ones(reader: Params) -> None:
@@ -72,6 +98,16 @@ def test_roughness_moves_to_that_of_a_sharp_highlight_of_a_flat_surface_alone() 
     mean, shown = torch.tensor([0.7, 0.7]), torch.tensor([0.08, 0.9])
     torch.testing.assert_close(shifted_roughness(mean, shown), torch.tensor([0.08, 0.7]), atol=0.005, rtol=0)
     torch.testing.assert_close(shifted_roughness(mean, shown, slope=0.1), mean, atol=0.005, rtol=0)
+
+
+def test_a_known_height_changes_the_roughness_of_polished_surfaces_and_never_which_are_polished() -> None:
+    ones = torch.ones(2, 1, 2, 2)
+    up = torch.cat([0 * ones, 0 * ones, ones], 1)
+    maps = Maps(ones.expand(-1, 3, -1, -1), ones.expand(-1, 3, -1, -1), 0.7 * ones, up)
+    shift = roughness_shift(torch.tensor([0.12, 0.9]), maps, torch.tensor([0.08, 0.1]))
+    before, after = encode_roughness(torch.tensor([0.7, 0.08])).tolist()
+    assert float(shift[0]) == pytest.approx(after - before, rel=0.02)
+    assert abs(float(shift[1])) < 1e-3
 
 
 def test_untrained_encoders_take_no_material_for_polished(rng: Generator) -> None:

@@ -35,7 +35,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
     read_photos,
     unknown_deviation,
 )
-from metapp.apps.svbrdf_nonstationary.pretrained.polish import roughness_shift
+from metapp.apps.svbrdf_nonstationary.pretrained.polish import roughness_shift, scale_roughness
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 from metapp.networks.field import LocalField
@@ -150,7 +150,7 @@ class FromFeatures(FromPhoto):
         }
         if "inputs" not in condition:
             theta = super().encode(encoder | full_decoder, condition)
-            return _apply_polish(theta, self.maps_of(theta, condition["photo"]))
+            return _apply_polish(theta, self.maps_of(theta, condition["photo"]), condition.get("height"))
         place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in PATCH_KEYS if key in condition}
         parameters = self.read(select_reader(encoder), condition["photo"], place, patch or None)
         theta = add_decoder(parameters, encoder | full_decoder)
@@ -223,9 +223,17 @@ def _scale_slopes(theta: Params) -> Params:
     return theta | {name: factor.reshape(-1, *[1] * (value.ndim - 2)) * value for name, value in last_layer.items()}
 
 
-def _apply_polish(theta: Params, maps: Maps) -> Params:
-    """Shift the roughness of fields with maps [T, C, h, w] to the roughness that a sharp highlight shows."""
-    shift = roughness_shift(theta["shown"], maps) / (1 - FULL_SHARE)
+def _apply_polish(theta: Params, maps: Maps, height: Tensor | None = None) -> Params:
+    """Shift the roughness of fields with maps [T, C, h, w] to the roughness that a sharp highlight shows.
+
+    Args:
+        theta: the parameters of the fields, and `shown` [T].
+        maps: their maps.
+        height: heights of cameras in half sides of the patch, [T, 1], 0 where they are not known; None if none is.
+    """
+    shown = theta["shown"]
+    true_roughness = shown if height is None else scale_roughness(shown, height[:, 0])
+    shift = roughness_shift(shown, maps, true_roughness) / (1 - FULL_SHARE)
     roughness = torch.arange(sum(CHANNELS), device=shift.device) == ROUGHNESS_CHANNEL
     kept = {key: value for key, value in theta.items() if key != "shown"}
     return kept | {"out.shift": theta["out.shift"] + shift[:, None] * roughness}

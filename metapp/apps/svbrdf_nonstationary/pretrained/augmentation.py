@@ -15,12 +15,14 @@ from torch.nn.functional import avg_pool2d
 from metapp.apps.svbrdf_nonstationary.maps import PIXEL_INPUTS, find_slopes, normalise, pixel_inputs, pool_maps
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import describe_patch
 from metapp.apps.svbrdf_nonstationary.variants import (
+    POLISHED_SHARE,
     RESTYLED_SHARES,
     change_some,
     crop_turned,
     draw_photos,
     draws_per_material,
     mix_materials,
+    polish,
     recolour,
     restyle,
 )
@@ -90,7 +92,7 @@ def draw_variants(fine: Tensor, map_weights: Tensor, side: int, rng: Generator) 
     maps = change_some(restyle, crop_pieces(fine, texels_per_pixel * 2 * side, rng), RESTYLED_SHARES[0], rng)
     maps, map_weights = blend_materials(recolour(maps, rng), map_weights, rng)
     maps, map_weights = exchange_relief(change_some(restyle, maps, RESTYLED_SHARES[1], rng), map_weights, rng)
-    maps = change_some(flatten_relief, maps, FLATTENED_SHARE, rng)
+    maps = change_some(polish, change_some(flatten_relief, maps, FLATTENED_SHARE, rng), POLISHED_SHARE, rng)
     photo, maps = avg_pool2d(draw_photos(maps, rng), texels_per_pixel), pool_maps(maps, (2 * side, 2 * side))
     patch = describe_patch(photo)
     if draw_chance(WHOLE_SHARE, rng):

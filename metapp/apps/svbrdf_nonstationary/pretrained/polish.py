@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from metapp.appearance.flash import Maps, texel_positions, tilt_sine
+from metapp.appearance.flash import Maps, camera_distance, texel_positions, tilt_sine
 from metapp.appearance.highlight import PROFILE_RINGS, ring_profile
 from metapp.apps.svbrdf_nonstationary.maps import encode_roughness
 from metapp.learning.task import Params
@@ -51,7 +51,16 @@ def predict_roughness(reader: Params, highlight: Tensor) -> Tensor:
     return apply_dense(reader, "polish.second", apply_dense(reader, "polish.first", highlight).tanh())[:, 0].exp()
 
 
-def roughness_shift(shown: Tensor, maps: Maps) -> Tensor:
+def scale_roughness(shown: Tensor, height: Tensor) -> Tensor:
+    """Scale the roughness [T] that highlights show to cameras and flashes at known heights, [T].
+
+    A highlight is as wide as alpha of GGX, the square of roughness, times the height. Where the height is 0, it is
+    unknown, and the roughness stays.
+    """
+    return torch.where(height > 0, shown * (camera_distance() / height.clamp_min(1e-6)).sqrt(), shown)
+
+
+def roughness_shift(shown: Tensor, maps: Maps, true_roughness: Tensor | None = None) -> Tensor:
     """Return the shift [T] of unbounded roughness that moves maps to the roughness which the highlight shows.
 
     It goes all the way where that is far below POLISHED_ROUGHNESS and the maps are far flatter than FLAT_SINE, else it
@@ -60,8 +69,11 @@ def roughness_shift(shown: Tensor, maps: Maps) -> Tensor:
     Args:
         shown: the roughness that `predict_roughness` returns, [T].
         maps: the maps [T, C, h, w].
+        true_roughness: the roughness [T] that polished surfaces get, where the height of the flash corrects `shown`;
+            None for `shown`.
     """
     mean_roughness = maps.roughness.mean((1, 2, 3))
     polished, flatness = POLISHED_ROUGHNESS / shown, FLAT_SINE / tilt_sine(maps.normal).mean((1, 2, 3))
     share = torch.sigmoid(polished.log() / LOG_SOFTNESS) * torch.sigmoid(flatness.log() / LOG_SOFTNESS)
-    return share * (encode_roughness(shown) - encode_roughness(mean_roughness))
+    true_roughness = shown if true_roughness is None else true_roughness
+    return share * (encode_roughness(true_roughness) - encode_roughness(mean_roughness))
