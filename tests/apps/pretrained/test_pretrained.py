@@ -236,7 +236,7 @@ def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng:
 # What General reads of a photograph
 
 
-DIGEST = "6bc8d907167d"  # the digest of General by "full" that the checkpoint's was trained beside
+DIGEST = "bb6b69ff3905"  # the digest of General by "full" that the checkpoint's was measured beside
 
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
@@ -304,8 +304,8 @@ def test_a_window_is_read_with_all_of_its_patch(rng: Generator) -> None:
 
 
 def test_guess_agrees_with_general_of_the_full_recipe(rng: Generator) -> None:
-    """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was trained beside."""
-    assert tensor_digest(full_encoder(torch.device("cpu"))) == DIGEST, "train pretrained beside this General, too"
+    """Of all of the patch, whatever the photograph's size; and of the checkpoint that this one was measured beside."""
+    assert tensor_digest(full_encoder(torch.device("cpu"))) == DIGEST, "measure pretrained beside this General"
     photo = torch.rand(1, 3, 256, 256, generator=rng)
     guess = describe_patch(photo)["guess"]
     full = app_of(APP, recipes_of(APP, "photo")["full"], "photo")
