@@ -78,7 +78,7 @@ def solve_slopes(precision: Tensor, curl_weight: Tensor, right_side: Tensor) -> 
         The slopes s [T, 2, H, W] with precision s + K' (curl_weight K s) = right_side, where K is :func:`find_curl` and
         K' its transpose. Conjugate gradients find them up to RELATIVE_RESIDUAL.
     """
-    slopes: Tensor = _SolveSlopes.apply(precision, curl_weight, right_side)
+    slopes: Tensor = _SolveSlopes.apply(precision, curl_weight, right_side)  # type: ignore[no-untyped-call]
     return slopes
 
 
