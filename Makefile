@@ -142,7 +142,7 @@ paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trai
 # PAPER=paper-long: at ten times the outer rate, which decays
 PAPER ?= paper
 
-paper-brdf: setup  ## the paper's recipe on neural fits of MERL: make paper-brdf DATA=<folder with nbrdf/merl>; two hours of one core
+paper-brdf: setup  ## the paper's recipe on neural fits of MERL: make paper-brdf DATA=<folder with nbrdf/merl>; an hour and a half
 	bash tools/paper_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)" "$(PAPER)"
 
 real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains and prints the five paradigms, 3 seeds
