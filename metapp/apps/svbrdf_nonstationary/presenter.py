@@ -152,7 +152,10 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         """
         app = self.app
         if app.sees_others and app.protocol == "photo":
-            return [self._warn_of_several(_add_task_axis(fit), tasks.data, row) for fit, row in _fits(theta, tasks)]
+            return [
+                self._warn_of_several({key: value[number] for key, value in theta.items()}, tasks.data, row)
+                for number, row in enumerate(tasks.rows)
+            ]
         photos = tasks.data["photo"][tasks.rows]
         maps = app.maps_of(theta, photos)
         warnings = [
@@ -168,13 +171,11 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         return [black + highlight for black, highlight in zip(warnings, clipped, strict=True)]
 
     def _warn_of_several(self, theta: Params, data: Mapping[str, Tensor], row: Tensor) -> list[str]:
-        """Return the clauses on a fit [1, ...] of several photographs, whose data are in a row of `data`."""
+        """Return the clauses on a fit of several photographs, without task axis, whose data are in a row of `data`."""
         photos, shows_material = data["photos"][row], data["unobstructed"][row]
-        maps = self.app.maps_of(theta, photos[:1])
-        flashes = self.app.flashes(
-            {key: value[0] for key, value in theta.items()}, Task("", {"places": data["places"][row]})
-        )
-        renderings = torch.cat([render_photo(maps, flash) for flash in flashes])
+        maps = self.app.maps_of(_add_task_axis(theta), photos[:1])
+        flashes = self.app.flashes(theta, Task("", {"places": data["places"][row]}))
+        renderings = torch.stack([_photograph_by(flash, maps) for flash in flashes])
         return [
             *clipped_highlight_warnings(linear_to_srgb(photos.amin(0)), F0_BOUND_CLAUSE, "all photos"),
             *_left_out_warnings((1 - shows_material.mean((1, 2, 3))).tolist()),
@@ -209,11 +210,6 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
         maps = self.cache_last(theta, task, make)
         return Maps(*(part[0] for part in maps))
-
-
-def _fits(theta: Params, tasks: Tasks) -> list[tuple[Params, Tensor]]:
-    """Return the parameters of each fit without a task axis, and the row of its data."""
-    return [({key: value[number] for key, value in theta.items()}, row) for number, row in enumerate(tasks.rows)]
 
 
 def _flat_warnings(tilt_degrees: float) -> list[str]:
@@ -275,7 +271,7 @@ def _small_photo(task: Task) -> Tensor:
 
 def _photograph_by(flash: Flash, maps: Maps) -> Tensor:
     """Return the radiance [3, H, W] of maps [1, C, H, W] under a flash without task axis."""
-    return render_photo(maps, Flash(*(part.to(flash.place)[None] for part in flash)))[0]
+    return render_photo(maps, Flash(*(part[None] for part in flash)))[0]
 
 
 def _draw_linear_maps(maps: Maps) -> dict[str, Tensor]:

@@ -114,7 +114,7 @@ class _CSteps:
         self.parameter_order, self.loss, self.order, self.moments = parameter_order, loss, order, moments
         library = load_step_library()
         assert library is not None, "steps in C are offered with the library alone"
-        self.library = library
+        self.functions = library
         shapes = [
             (*shape, shape[0] > 1, shape[1] > 1) if len(shape) == 2 else (1, parameter_order.sizes[key], False, False)
             for key, shape in parameter_order.shapes.items()
@@ -151,7 +151,7 @@ class _CSteps:
         gradient, losses = nbrdf.loss_gradient(flat, batch, select_loss_parameters(alpha))
         moved_flat, moved_state = torch.empty_like(flat), {key: torch.empty_like(value) for key, value in state.items()}
         alpha_pointers = _point_at_hyperparameters(alpha)
-        self.library.step(
+        self.functions.step(
             flat.shape[0], *self.shapes, ctypes.byref(alpha_pointers), flat.data_ptr(), gradient.data_ptr(),
             _point_at(_State, state), moved_flat.data_ptr(), _point_at(_State, moved_state),
         )  # fmt: skip
@@ -189,7 +189,7 @@ class _CSteps:
             "rate": flat_gradient.shape[1]
         }
         pulls: Params = {key: flat_gradient.new_empty(flat_gradient.shape[0], size) for key, size in sizes.items()}
-        self.library.step_back(
+        self.functions.step_back(
             flat_gradient.shape[0], *self.shapes, ctypes.byref(alpha_pointers), flat_gradient.data_ptr(),
             _point_at(_State, state), pull.data_ptr(), _point_at(_State, pull_state), pull_gradient.data_ptr(),
             _point_at(_State, pull_old_state), _point_at(_Pulled, pulls),
