@@ -109,6 +109,14 @@ class App(ABC):
         """Return parameters [T, ...] that tasks determine: constants of fits, or first values of what they learn."""
         return {}
 
+    @property
+    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
+        """The forms of the parameters that :meth:`task_parameters` returns, by name, without a task axis.
+
+        Letters in them stand for sizes that differ from task to task, such as the number of a task's photographs.
+        """
+        return {}
+
     @abstractmethod
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw `count` random samples of each task from the part that a fit may observe; tensors are [T, ...]."""

@@ -67,13 +67,13 @@ class LeastSquares(NamedTuple):
 
 
 class TensorSpec(NamedTuple):
-    """The form that a tensor of a task must have.
+    """The form that a tensor of a task must have, or a parameter of a fit that its task determines.
 
     Attributes:
         shape: the size of each axis; a letter stands for any size, the same wherever the letter appears in a task.
         kind: "float" (16, 32 or 64 bits) or "uint8".
         low, high: the least and the greatest value.
-        optional: whether a task may lack the tensor.
+        optional: whether a task or a fit may lack the tensor.
 
     >>> spec = TensorSpec((3, "N"), low=0.0)
     >>> problems_of(Task("gold", {"target": torch.zeros(2, 8)}), {"target": spec})

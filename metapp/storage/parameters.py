@@ -9,7 +9,7 @@ import torch
 from torch import Generator
 
 from metapp.learning.app import App
-from metapp.learning.task import Params
+from metapp.learning.task import Params, Task, problems_of
 from metapp.storage import Document
 from metapp.storage.fit_folders import read_params
 
@@ -30,9 +30,9 @@ def read_checked_params(record: Document, app: App) -> Params:
 
 
 def check_params(theta: Params, app: App, place: str) -> None:
-    """Compare parameters of one fit with the network of an application.
+    """Compare parameters of one fit with the network of an application, and with the forms of what tasks determine.
 
-    A fit may have more tensors than the network: what the application found out about the task, such as suns.
+    A parameter that tasks determine, such as flashes, replaces the network's: its shape may differ from task to task.
 
     Args:
         theta: the parameters, without a task axis.
@@ -40,7 +40,7 @@ def check_params(theta: Params, app: App, place: str) -> None:
         place: the place of the fit, which messages name.
 
     Raises:
-        ValueError: a tensor of the network is missing or has another shape, or values are integers or not finite.
+        ValueError: a parameter is missing or has another shape, or values are integers or not finite.
 
     >>> from metapp.apps import app_of, recipe_of
     >>> app = app_of("brdf", recipe_of("brdf", "quick"))
@@ -48,7 +48,10 @@ def check_params(theta: Params, app: App, place: str) -> None:
     Traceback (most recent call last):
     ValueError: gold: parameters w2 without 'w1', expected those of the network of its settings; fit anew.
     """
-    for key, expected in app.postprocess(app.init(Generator().manual_seed(0), 1)).items():
+    network_theta, specs = app.postprocess(app.init(Generator().manual_seed(0), 1)), app.task_parameter_specs
+    for key, expected in network_theta.items():
+        if key in specs:
+            continue
         if key not in theta:
             found = f"{', '.join(sorted(theta))[:80] or 'none'} without {key!r}"
             raise ValueError(f"{place}: parameters {found}, expected those of the network of its settings; fit anew.")
@@ -56,6 +59,8 @@ def check_params(theta: Params, app: App, place: str) -> None:
         if shape != network_shape:
             found = f"{key!r} of shape {shape}, expected {network_shape}"
             raise ValueError(f"{place}: parameters {found} of the network of its settings; fit anew.")
+    if problems := problems_of(Task(place, {key: theta[key] for key in specs if key in theta}), specs):
+        raise ValueError(f"{place}: {problems[0]}; fit anew.")
     for key, value in theta.items():
         kind = "NaN or infinite values" if value.is_floating_point() else str(value.dtype).removeprefix("torch.")
         if not value.is_floating_point() or not bool(torch.isfinite(value).all()):

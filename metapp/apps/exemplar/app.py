@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import choose_quilt
 from metapp.learning.app import App
 from metapp.learning.random_tensors import draw_normal, draw_uniform
-from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import add_decoder, join_encoder
 from metapp.networks.generators import Pyramid, UNet
 from metapp.networks.quilted import fetch_pieces, move_periodically, normalise_quilts
@@ -158,6 +159,13 @@ class ExemplarApp(App):
     def task_parameters(self, tasks: Tasks) -> Params:
         """Return the quilts, if the network reads one."""
         return {key: tasks.data[key][tasks.rows] for key in QUILT_KEYS} if self.network.reads_quilt else {}
+
+    @property
+    @override
+    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
+        if not self.network.reads_quilt:
+            return {}
+        return {"places": TensorSpec((2, *self.cells)), "quilt": TensorSpec((3, *self.cells))}
 
     @override
     def init(self, rng: Generator, count: int) -> Params:

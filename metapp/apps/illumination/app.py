@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -41,7 +42,7 @@ from metapp.apps.illumination.spheres import (
     sphere_errors,
     surface_transfer,
 )
-from metapp.apps.illumination.suns import add_suns, find_suns, join_suns, split_suns
+from metapp.apps.illumination.suns import SUN_SPECS, add_suns, find_suns, join_suns, split_suns
 from metapp.learning.app import ErrorMeasure
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import CodedApp, smooth_absolute
@@ -194,6 +195,11 @@ class Illumination(CodedApp):
         Under the protocol "photo", where fits do not see the maps, there are none: {}.
         """
         return split_suns(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
+
+    @property
+    @override
+    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
+        return SUN_SPECS if self.protocol == "reference" else {}
 
     def resize(self, height: int, width: int) -> Illumination:
         """Return the application with maps of another size, at which its network can be evaluated, too."""

@@ -22,9 +22,16 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d, pad
 
 from metapp.appearance.latlong import luminance, solid_angles, texel_directions
-from metapp.learning.task import Params
+from metapp.learning.task import Params, TensorSpec
 
 SUN_COUNT, SUN_NUMBERS = 3, 10  # suns of a map, at most, and numbers of each
+# Forms of the parameters that `split_suns` returns, without a task axis; fits by General have none of them.
+SUN_SPECS = {
+    "suns.angle": TensorSpec((SUN_COUNT, 1), optional=True),
+    "suns.level": TensorSpec((SUN_COUNT, 3), optional=True),
+    "suns.light": TensorSpec((SUN_COUNT, 3), optional=True),
+    "suns.towards": TensorSpec((SUN_COUNT, 3), optional=True),
+}
 SUN_LUMINANCE = 80.0  # luminance above which texels can belong to a sun, in a map of mean luminance 1
 MAX_SUN_RAD = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
 # A sun replaces all of the network's radiance in texels with 1 / COVER_GAIN of the sun's greatest radiance or more, and

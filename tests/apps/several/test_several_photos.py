@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -33,6 +34,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import PARADIGMS, paradigm_of
+from metapp.storage.parameters import check_params
 from tests.apps.test_svbrdf_nonstationary import material
 
 SIDE, COUNT = 16, 3
@@ -328,3 +330,27 @@ def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
 
         mirrored = of * torch.tensor([-1.0, -1.0, 1.0])
         assert off(of).mean() < 0.7 * off(mirrored).mean()
+
+
+def test_fits_of_any_number_of_photographs_are_those_of_the_network(app: SeveralPhotos, tasks: Tasks) -> None:
+    """So are fits that were saved before flashes had a fall-off; damaged ones are refused in one line."""
+    theta = {key: value[0] for key, value in app.postprocess(general(app, tasks)).items()}
+    others = {key: value[..., :1] if key == "flash" else value for key, value in theta.items()}
+    for accepted in (theta, others, {key: theta[key] for key in ("maps", "flash")}):
+        check_params(accepted, app, "wall")
+    for key, value, problem in (
+        ("flash", None, "tensor 'flash' is missing, expected float [4, N]"),
+        ("flash", theta["flash"][:, 0], "tensor 'flash' is float32 [4], expected float [4, N]"),
+        ("flash", theta["flash"][:3], f"tensor 'flash' is float32 [3, {COUNT}], expected float [4, N]"),
+        ("flash", theta["flash"] * torch.nan, "tensor 'flash' holds NaN or infinite values, expected finite ones"),
+        ("falloff", torch.zeros(COUNT), f"tensor 'falloff' is float32 [{COUNT}], expected float [1]"),
+    ):
+        damaged = {name: tensor for name, tensor in (theta | {key: value}).items() if tensor is not None}
+        with pytest.raises(ValueError, match=f"^wall: {re.escape(problem)}; fit anew\\.$"):
+            check_params(damaged, app, "wall")
+    task = several(0)
+    assert len(app.flashes(theta, task)) == COUNT
+    with pytest.raises(
+        ValueError, match=r"^material-0: a fit with 1 flashes, expected 3, one for each photo; fit anew"
+    ):
+        app.flashes(others, task)

@@ -8,6 +8,7 @@ a single photograph needs no places: it counts as photographed from straight abo
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -43,7 +44,7 @@ from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.apps.svbrdf_nonstationary.variants import draws_per_material, vary_materials
 from metapp.learning.rules import append_axes
-from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
 LIGHT_FLOOR = 0.03  # radiance, 1 is white, that is added before logs
 # Initial values of the loss parameters that a rule may learn
@@ -163,6 +164,15 @@ class SeveralPhotos(SvbrdfNonstationary):
         best = torch.stack(losses).argmin(0), torch.arange(len(tasks), device=tasks.rows.device)
         theta = {key: torch.stack([candidate[key] for candidate in candidates])[best] for key in candidates[0]}
         return theta | {"maps": interpolate(theta["maps"], (network.height, network.width), mode="bilinear")}
+
+    @property
+    @override
+    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
+        """The forms of the numbers of N flashes, and of their fall-off, which fits of earlier versions lack.
+
+        `init` draws the numbers of a single flash: the rates that a learned rule has for these hold for all flashes.
+        """
+        return {"flash": TensorSpec((FLASH_NUMBERS, "N")), "falloff": TensorSpec((1,), optional=True)}
 
     @override
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
@@ -334,8 +344,14 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         Returns:
             N flashes without a task axis: `place` [3], `gain` [1], `eye` [3] and `falloff` [].
+
+        Raises:
+            ValueError: the fit, which anybody may have written, has not as many flashes as the task has photographs.
         """
         places = _task_places(task)[None]
+        if theta["flash"].shape[1] != places.shape[1]:
+            counts = f"{theta['flash'].shape[1]} flashes, expected {places.shape[1]}, one for each photo"
+            raise ValueError(f"{task.name}: a fit with {counts}; fit anew.")
         # Fits that were saved before flashes had a fall-off have none.
         falloff = theta.get("falloff", theta["flash"].new_zeros(1))
         flash = decode_flashes(theta["flash"][None], places, falloff[None])
