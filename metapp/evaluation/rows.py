@@ -26,7 +26,11 @@ from metapp.evaluation.table import Row
 from metapp.learning.app import App
 from metapp.runs.fitting import LOSS_ROSE_CLAUSE
 from metapp.storage import Document
-from metapp.storage.fit_folders import Record, count_guarded
+from metapp.storage.fit_folders import CPU_SECONDS, Record, count_guarded
+
+# CPU seconds of fits over their seconds, below which a note says that other programs took the CPU: on an idle machine a
+# fit by one thread has 1.0
+MIN_CPU_SHARE = 0.8
 
 
 @functools.cache
@@ -60,6 +64,7 @@ def make_row(
     warnings = [record["warning"].split("; ") for record in records if record.get("warning")]
     measure_values = {key: [record[key] for record in records if key in record] for key in app.error_measure.further}
     seconds = [record["seconds"] for record in records if "seconds" in record]
+    timed_records = [record for record in records if CPU_SECONDS in record and record.get("seconds", 0) > 0]
     row = {
         "app": app.name,
         "paradigm": name,
@@ -72,6 +77,11 @@ def make_row(
         "guarded": count_guarded(records),
         "threads": ", ".join(map(str, sorted({record["threads"] for record in records if record.get("threads")})))
         or None,
+        "cpu_share": (
+            sum(record[CPU_SECONDS] for record in timed_records) / sum(record["seconds"] for record in timed_records)
+            if timed_records
+            else None
+        ),
         "paper_error": None,
         "paper_seconds": None,
         **{f"mean_{key}": statistics.fmean(values) if values else None for key, values in measure_values.items()},
@@ -106,9 +116,14 @@ def errors_by_task(records: Sequence[Record]) -> ErrorsByTask:
 def comparison_notes(rows: Sequence[Row], compared_row: str = "quickft") -> list[str]:
     """Return the notes below a table whose rows are compared with another row.
 
-    They explain the comparisons, state the threads, and count fits that went wrong.
+    They explain the comparisons, state the threads, say whose seconds are too long, and count fits that went wrong.
     """
-    return [*paired_columns_note(rows, compared_row), *_threads_note(rows), *fit_remarks(rows)]
+    return [
+        *paired_columns_note(rows, compared_row),
+        *_threads_note(rows),
+        *_busy_machine_note(rows),
+        *fit_remarks(rows),
+    ]
 
 
 def paired_columns_note(rows: Sequence[Row], compared_row: str = "quickft") -> list[str]:
@@ -190,6 +205,14 @@ def _threads_note(rows: Sequence[Row]) -> list[str]:
         text = "; ".join(f"{', '.join(methods)} {count}" for count, methods in methods_by_threads.items())
         return [f"threads: {text}; seconds with different numbers of threads cannot be compared"]
     return [f"threads: {count}" for count in methods_by_threads]
+
+
+def _busy_machine_note(rows: Sequence[Row]) -> list[str]:
+    """Return a note on rows whose fits got less CPU time than time passed; [] without such rows."""
+    shares = [f"{row['paradigm']} {row['cpu_share']:.2f}" for row in rows if (row["cpu_share"] or 1) < MIN_CPU_SHARE]
+    if not shares:
+        return []
+    return [f"seconds are too long, as other programs took the CPU; CPU seconds a second: {', '.join(shares)}"]
 
 
 def subset_note(evaluation: EvaluationRun) -> list[str]:

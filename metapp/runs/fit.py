@@ -35,8 +35,9 @@ from metapp.storage.fit_folders import pack_fit
 from metapp.storage.image_writers import png_data_url
 
 # Entries of a fit's record that are not errors; all others are
-NON_ERROR_RECORD_KEYS = {"name", "seconds", "threads", "counts", "note", "warning", "guarded", "mean_tilt_degrees"}
+NON_ERROR_RECORD_KEYS = {"name", "seconds", "cpu_seconds", "threads", "counts", "note", "warning", "guarded"}
 NON_ERROR_RECORD_KEYS |= {"source", "content", "origin", "settings", "folder", "batch", "copied", "repeated"}
+NON_ERROR_RECORD_KEYS |= {"mean_tilt_degrees"}
 
 
 @runtime_checkable

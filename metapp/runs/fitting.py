@@ -29,7 +29,7 @@ from metapp.runs.reporter import Bar, say
 from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.files import error_about_file
-from metapp.storage.fit_folders import RunFolder
+from metapp.storage.fit_folders import CPU_SECONDS, RunFolder
 
 READ_TIME_SHARE, FITTED_TIME_SHARE = 0.2, 0.5  # about the shares of an input's time when it is read, and when fitted
 # Gradient steps of the fit that loads kernels: a fit after it takes at most 2 % longer than after more steps
@@ -221,13 +221,14 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
     """
     app = run.app
     rng: Rng = tuple(rng_of(run, task) for task in tasks) if len(tasks) > 1 else rng_of(run, tasks[0])
-    begin_seconds = _clock_seconds(run.device)
+    begin_seconds, begin_cpu_seconds = _clock_seconds(run.device), time.process_time()
     stacked = stack_tasks(app, tasks, run.device)
     descent = run.paradigm.descend(run.phi, stacked, rng)
     first = next(descent)
     last = final_item(chain([first], descent))
     theta = app.postprocess(last.theta)
     seconds = (_clock_seconds(run.device) - begin_seconds) / len(tasks)
+    cpu_seconds = (time.process_time() - begin_cpu_seconds) / len(tasks)
     measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, last)
     fits = []
     for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
@@ -239,6 +240,8 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
         # the last digits of sums depend on the number of threads: the record states it, but outside of the settings,
         # since another number is no reason to fit anew
         record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds}
+        # fewer than the seconds if other programs took the CPU; where a GPU computes, they would say nothing
+        record |= {CPU_SECONDS: cpu_seconds} if run.device.type == "cpu" else {}
         record |= {"threads": torch.get_num_threads(), **run.presenter.remarks(parameters, task)}
         record |= {"guarded": last.guarded is not None and bool(last.guarded[i])} if run.paradigm.guard else {}
         record |= {"warning": "; ".join(clauses)} if clauses else {}

@@ -38,7 +38,8 @@ from metapp.storage.folders import PARAMS as PARAMS
 from metapp.storage.folders import RECORD as RECORD
 
 Record = Document  # the record of a fit: its name, figures and settings
-NUMBER_ENTRIES = ("error", "seconds")  # entries of a record that are numbers; the error may be None
+NUMBER_ENTRIES = ("error", "seconds")  # entries of every record that are numbers; the error may be None
+CPU_SECONDS = "cpu_seconds"  # a further entry that is a number, which records of earlier versions and of GPUs lack
 TEXT_ENTRIES = ("name", "source", "content")  # entries of a record that are texts
 
 
@@ -223,7 +224,8 @@ def is_record(value: object, entries: Collection[str] = ()) -> bool:
     """
     if not isinstance(value, dict) or not value.keys() >= {"name", *entries}:
         return False
-    numbers = [value[key] for key in NUMBER_ENTRIES if key in value and (key, value[key]) != ("error", None)]
+    keys = (*NUMBER_ENTRIES, CPU_SECONDS)
+    numbers = [value[key] for key in keys if key in value and (key, value[key]) != ("error", None)]
     return (
         all(isinstance(value.get(key, ""), str) for key in TEXT_ENTRIES)
         and all(type(number) in (int, float) and abs(number) <= sys.float_info.max for number in numbers)

@@ -31,6 +31,7 @@ def fit_folder(run: Path, name: str) -> Path:
 
 BAD_RECORDS: dict[str, Any] = {
     "text": {"error": "0.5"},
+    "text as CPU seconds": {"cpu_seconds": "0.5"},
     "list as name": {"name": ["gold"]},
     "NaN": {"error": float("nan")},
     "no settings": {"settings": None},
