@@ -247,9 +247,7 @@ def _unexplained_warnings(photos: Tensor, renderings: Tensor, shows_material: Te
 def _left_out_warnings(shares: Sequence[float]) -> list[str]:
     """Return a clause on the parts of photographs that were left out, given their shares; [] where none was."""
     parts = [f"{format_percent(share)} of photo {number}" for number, share in enumerate(shares, 1) if share]
-    return (
-        [f"{' and '.join(parts)} left out, where others disagree: an object, a shadow or a highlight?"] if parts else []
-    )
+    return [f"{' and '.join(parts)} left out, where others disagree: an object or a shadow?"] if parts else []
 
 
 def _add_task_axis(theta: Params) -> Params:

@@ -6,19 +6,15 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_LOG_GAIN, FLASH_NUMBERS, decode_maps
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps
 from metapp.apps.svbrdf_nonstationary.several import integrability, newton
 from metapp.apps.svbrdf_nonstationary.several.app import (
     CURL_ROUNDING,
-    DIELECTRIC_DEVIATION,
-    DIELECTRIC_NUMBER,
-    EXPOSURE_ROUNDING,
     FALLOFF_WEIGHT,
     LIGHT_FLOOR,
     SeveralPhotos,
     Texels,
     decode_flashes,
-    dielectric_share,
     render_photos,
 )
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl
@@ -29,7 +25,7 @@ from metapp.learning.task import Batch, Params
 from tests.apps.several.test_several_photos import PLACES
 
 SIDE, COUNT = 4, 5
-SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "exposure": 5e-3, "material": 0.3, "curl": 0.05}
+SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "curl": 0.05}
 
 
 @pytest.fixture
@@ -85,22 +81,16 @@ def test_changes_are_those_of_dense_least_squares() -> None:
         weight = (residuals.square() + SETTINGS["smoothing"] ** 2).rsqrt()
         off = (theta["maps"] - theta["prior"].chunk(2, 1)[0]).flatten()
         pull = 3 * SETTINGS["prior"] / (1 + off.square()).sqrt()
-        material = torch.zeros_like(theta["maps"])
-        material[:, -3:] = SETTINGS["material"] * dielectric_share(theta["maps"]) / DIELECTRIC_DEVIATION**2
-        material, from_usual = material.flatten(), theta["maps"].flatten() - DIELECTRIC_NUMBER
         curls = torch.func.jacfwd(lambda flat: find_curl(flat.view_as(theta["maps"])[:, :2]).flatten())(at[: len(off)])
         curl = curls @ at[: len(off)]
         curl_weight = 3 * SETTINGS["curl"] / (curl.square() + CURL_ROUNDING**2).sqrt()
         moved = torch.full((FLASH_NUMBERS, COUNT), 2 * SETTINGS["flash"]).to(flash)
-        gains = (FLASH_LOG_GAIN * theta["flash"][0, 3]).square() + EXPOSURE_ROUNDING**2
-        moved[3] = 1e-4 + 3 * SETTINGS["exposure"] * FLASH_LOG_GAIN**2 / gains.sqrt()
+        moved[3] = newton.GAIN_DAMPING
         falloff_weight = flash.new_tensor([6 * COUNT * FALLOFF_WEIGHT])
         moved = SIDE * SIDE * torch.cat([moved.flatten(), falloff_weight])
-        damped = pull + material + newton.TEXEL_DAMPING
-        matrix = rows.T @ (weight[:, None] * rows) + torch.cat([damped, moved]).diag()
-        texel_moment = pull * off + material * from_usual
+        matrix = rows.T @ (weight[:, None] * rows) + torch.cat([pull + newton.TEXEL_DAMPING, moved]).diag()
         moment = rows.T @ (weight * residuals) + torch.cat(
-            [texel_moment, moved * torch.cat([flash.flatten(), falloff.flatten()])]
+            [pull * off, moved * torch.cat([flash.flatten(), falloff.flatten()])]
         )
         both = torch.linalg.solve(matrix, moment)  # flashes are solved without curls
         matrix[texels, texels] += curls.T @ (curl_weight[:, None] * curls)
@@ -119,7 +109,7 @@ def test_changes_are_those_of_dense_least_squares() -> None:
 
 def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
     theta, batch, true = problem(0.1)
-    weak = settings(SETTINGS | {"prior": 1e-9, "exposure": 1e-9, "material": 1e-9, "curl": 1e-9})
+    weak = settings(SETTINGS | {"prior": 1e-9, "curl": 1e-9})
 
     def worst(theta: Params) -> float:
         flashes = decode_flashes(theta["flash"], batch["places"], theta["falloff"])
@@ -139,7 +129,7 @@ def test_fall_off_of_flashes_is_found(true_falloff: float) -> None:
     theta, batch, true = problem(0.1)
     flashes = decode_flashes(torch.zeros_like(theta["flash"]), batch["places"], true_falloff)
     batch["photos"] = render_photos(decode_maps(true), flashes)
-    weak = settings(SETTINGS | {"prior": 1e-9, "exposure": 1e-9, "material": 1e-9})
+    weak = settings(SETTINGS | {"prior": 1e-9})
     for _ in range(12):
         change = newton.gauss_newton_change(theta, batch, weak)
         theta = theta | {key: theta[key] - value for key, value in change.items()}
@@ -162,17 +152,15 @@ def test_derivatives_through_steps_are_those_of_finite_differences(app: SeveralP
     assert torch.autograd.gradcheck(left, [value.clone().requires_grad_() for value in alpha.values()], rtol=1e-3)
 
 
-def test_dielectrics_and_curls_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None:
-    """Where photographs and General's prior agree with the maps, the priors of materials and of curls are left."""
+def test_curls_are_drawn_by_the_gradient_of_the_loss(app: SeveralPhotos) -> None:
+    """Where photographs and General's prior agree with the maps, curls are left."""
     theta, batch, _ = problem()
     theta |= {key: torch.zeros_like(theta[key]) for key in ("flash", "falloff")}
     batch["photos"] = render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"]))
     theta["prior"][:, : sum(CHANNELS)] = theta["maps"]
     maps = theta["maps"].clone().requires_grad_()
     (gradient,) = torch.autograd.grad(app.loss(theta | {"maps": maps}, batch, settings()).sum(), maps)
-    weight = SETTINGS["material"] * dielectric_share(theta["maps"]) / DIELECTRIC_DEVIATION**2
     expected = torch.zeros_like(gradient)
-    expected[:, -3:] = weight * (theta["maps"][:, -3:] - DIELECTRIC_NUMBER) / (3 * COUNT)
     curl = find_curl(theta["maps"][:, :2])
     curl_weight = SETTINGS["curl"] / (curl.square() + CURL_ROUNDING**2).sqrt()
     expected[:, :2] = find_slopes_of_curl(curl_weight * curl) / COUNT

@@ -7,20 +7,21 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import texel_positions
+from metapp.appearance.flash import Maps, texel_positions
 from metapp.apps import presenter_of
+from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS
 from metapp.apps.svbrdf_nonstationary.several import newton
-from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
+from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels, decode_flashes, render_photos
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from tests.apps.several.test_alignment import SIDE, photographs
-from tests.apps.several.test_several_photos import general
+from tests.apps.several.test_several_photos import general, relief
 
 DISTANCE = (texel_positions(SIDE, SIDE) - torch.tensor([0.3, -0.2])[:, None, None]).norm(dim=0)
 DISC, WIDE_DISC = DISTANCE < 0.22, DISTANCE < 0.42
 APP = SeveralPhotos(Texels(SIDE, SIDE))
-OBJECTS = {"finger": torch.tensor([0.8, 0.4, 0.3]), "coin": torch.tensor([0.05, 0.04, 0.02]), "shadow": None}
+OBJECTS = {"finger": torch.tensor([0.16, 0.08, 0.06]), "coin": torch.tensor([0.05, 0.04, 0.02]), "shadow": None}
 
 
 def obstruct(photos: Tensor, name: str, numbers: list[int]) -> Tensor:
@@ -55,6 +56,32 @@ def test_objects_and_shadows_in_some_photographs_are_found_and_filled(name: str,
         else:
             assert not left_out.any()
         assert torch.equal(filled[number][:, ~left_out], obstructed[number][:, ~left_out])
+
+
+@pytest.mark.parametrize("numbers", [[1], [0, 3]])
+def test_what_is_brighter_than_others_predict_stays(numbers: list[int]) -> None:
+    photos, places = photographs(1.0)
+    brighter = photos.clone()
+    for number in numbers:
+        brighter[number] = torch.where(DISC, (photos[number] * 4).clamp(max=1), photos[number])
+    filled, material = remove_obstructions(brighter, places)
+    assert filled is brighter
+    assert (material == 1).all()
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.2, 0.35])
+def test_highlights_of_polished_stone_stay(roughness: float) -> None:
+    _, places = photographs(1.0)
+    veins = 0.05 + 0.3 * relief(SIDE).diffuse
+    normal = torch.zeros(1, 3, SIDE, SIDE)
+    normal[:, 2] = 1
+    stone = Maps(veins, torch.full_like(veins, 0.04), torch.full_like(veins[:, :1], roughness), normal)
+    flashes = decode_flashes(torch.zeros(1, FLASH_NUMBERS, len(places)), places[None])
+    photos = render_photos(stone, flashes)[0].clamp(0, 1)
+    assert (photos.amax((1, 2, 3)) > 2 * photos.mean((1, 2, 3))).any()  # highlights are seen
+    filled, material = remove_obstructions(photos, places)
+    assert filled is photos
+    assert (material == 1).all()
 
 
 @pytest.mark.parametrize("slope", [0.0, 1.0])
@@ -95,6 +122,6 @@ def test_a_line_says_which_part_of_which_photograph_is_left_out() -> None:
     clean, obstructed = presenter_of(APP).quality_warnings(theta, stacked)
     (clause,) = [line for line in obstructed if "left out" in line]
     assert not any("left out" in line for line in clean)
-    part, cause = r"([\d.]+) % of photo", "where others disagree: an object, a shadow or a highlight"
+    part, cause = r"([\d.]+) % of photo", "where others disagree: an object or a shadow"
     shares = re.fullmatch(rf"{part} 2 and {part} 4 left out, {cause}\?", clause).groups()
     assert all(DISC.float().mean() <= float(share) / 100 <= WIDE_DISC.float().mean() for share in shares)

@@ -1,7 +1,6 @@
 """Several photographs of one material: photometric stereo in closed form, the loss, all paradigms on small maps."""
 
 import itertools
-import math
 import re
 from dataclasses import replace
 
@@ -13,18 +12,14 @@ from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash import Maps, camera_distance, directions_to_point, pack_maps, texel_positions, unpack_maps
 from metapp.apps import presenter_of
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_LOG_GAIN, FLASH_NUMBERS, decode_maps, decode_photo
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, decode_photo
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as reader
 from metapp.apps.svbrdf_nonstationary.several.app import (
-    DIELECTRIC_NUMBER,
-    EXPOSURE_ROUNDING,
-    EXPOSURE_WEIGHT,
     SeveralPhotos,
     Texels,
     _encode_maps,
     decode_flashes,
-    dielectric_share,
     draw_photo_sets,
     render_photos,
 )
@@ -140,50 +135,10 @@ def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, task
         moved[:, axis, 1] = off
         assert (app.loss(theta | {"flash": moved}, batch, {}) > least).all(), axis
     prior = theta | {"prior": torch.cat([theta["maps"], torch.zeros_like(theta["maps"])], 1)}
-    without_others = app.settings({}, theta["maps"]) | dict.fromkeys(("material", "curl"), torch.full((2,), -30.0))
+    without_others = app.settings({}, theta["maps"]) | {"curl": torch.full((2,), -30.0)}
     torch.testing.assert_close(app.loss(prior, batch, without_others), least)
     away = prior | {"prior": prior["prior"] + 1}
     assert (app.loss(away, batch, {}) > least).all()
-
-
-def test_dielectrics_and_metals_are_told_apart() -> None:
-    """By F0, where diffuse colours are bright or dark; a few wrong texels do not count."""
-    size = 1, 1, 9, 9
-
-    def share(diffuse: float, f0: float, wrong_f0: float = 0.0) -> float:
-        colour = torch.full(size, f0)
-        colour[0, 0, 4, 4] = wrong_f0 or f0
-        normal = torch.zeros(1, 3, 9, 9)
-        normal[:, 2] = 1
-        three = torch.ones(1, 3, 1, 1)
-        maps = Maps(diffuse * torch.ones(size) * three, colour * three, torch.full(size, 0.4), normal)
-        return float(dielectric_share(_encode_maps(maps))[0, 0, 4, 4])
-
-    for diffuse in (0.05, 0.2, 0.8):
-        assert min(share(diffuse, f0) for f0 in (0.02, 0.04, 0.08)) > 0.9
-        assert share(diffuse, 0.04, wrong_f0=0.3) > 0.9
-    for f0 in (0.25, 0.6, 0.9):
-        assert max(share(diffuse, f0) for diffuse in (0.001, 0.01)) < 0.1
-        assert share(0.002, f0, wrong_f0=0.04) < 0.1
-
-
-def test_flashes_without_gain_and_usual_dielectrics_have_the_least_loss(app: SeveralPhotos, tasks: Tasks) -> None:
-    batch = app.sample(tasks, Generator(), 1)
-    maps = truth(tasks)
-    maps[:, -3:] = DIELECTRIC_NUMBER
-    maps[:, 2:5] = 0
-    flash = torch.zeros(2, FLASH_NUMBERS, COUNT)
-    batch["photos"] = render_photos(decode_maps(maps), decode_flashes(flash, batch["places"]))
-    prior = torch.cat([maps, torch.full_like(maps, 20.0)], 1)
-    theta = {"maps": maps, "flash": flash, "falloff": torch.zeros(2, 1), "prior": prior}
-    least = app.loss(theta, batch, {})
-    torch.testing.assert_close(least, torch.zeros(2), rtol=0, atol=1e-3)
-    brighter = flash.clone()
-    brighter[:, -1] = 1
-    batch_of_brighter = batch | {"photos": batch["photos"] * math.exp(FLASH_LOG_GAIN)}
-    rise = app.loss(theta | {"flash": brighter}, batch_of_brighter, {}) / SIDE**2
-    expected = EXPOSURE_WEIGHT * (math.hypot(FLASH_LOG_GAIN, EXPOSURE_ROUNDING) - EXPOSURE_ROUNDING)
-    torch.testing.assert_close(rise, torch.full((2,), expected), rtol=0, atol=1e-4)
 
 
 def test_gradients_are_those_of_finite_differences(app: SeveralPhotos, tasks: Tasks) -> None:

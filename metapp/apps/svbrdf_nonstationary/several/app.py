@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, relu
+from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
@@ -52,19 +52,8 @@ ROUNDING = 0.02  # log radiance: |differences| of photographs and renderings are
 PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of a texel
 FLASH_WEIGHT = 0.02  # weight of the squared displacements of flashes from their measured positions
 FALLOFF_WEIGHT = 1e-6  # weight of the squared fall-off of the flashes, no loss parameter that a rule learns
-EXPOSURE_WEIGHT = 0.004  # weight of the |log gains| of flashes
-MATERIAL_WEIGHT = 0.6  # weight of the distance of a dielectric's specular colour from the usual one
 CURL_WEIGHT = 0.08  # weight of the |curl| of slopes
-EXPOSURE_ROUNDING = 0.1  # log gain: |log gains| of flashes are rounded off below
 CURL_ROUNDING = 0.05  # difference of slopes from texel to texel: |curls| of slopes are rounded off below
-# The prior of materials, see `dielectric_share`
-DIELECTRIC_NUMBER = 2 + math.log(0.2 / 0.8)  # stands for a specular colour of 0.04, see `decode_maps`
-DIELECTRIC_DEVIATION = 0.5  # standard deviation of a dielectric's specular numbers: F0 is 0.017 to 0.085 within it
-# The cost of a metal is the slope times the mean of a texel's diffuse numbers, plus the offset. It is 0 at a diffuse
-# colour of 0.017. A logistic regression on General's maps of 32 materials, 14 of them with metal, found both numbers.
-METAL_COST_SLOPE, METAL_COST_OFFSET = 1.9, 3.2
-MATERIAL_CELL_TEXELS = 5  # side of the square of texels, over which costs are averaged
-MATERIAL_SHARPNESS = 5.0  # how many independent texels the square counts for
 # Weight in the outer loss of a negative log likelihood: of the errors of General's maps, given the scales it predicts
 LIKELIHOOD_WEIGHT = 0.05
 # Initial maps by photometric stereo, from which Overfit begins
@@ -201,11 +190,9 @@ class SeveralPhotos(SvbrdfNonstationary):
         """Return the negative log posterior of each task, [T], summed over texels.
 
         It has these terms: rounded |differences| of log photographs and log renderings; squared displacements of the
-        flashes, their rounded |log gains|, and their squared fall-off; and, where a task has a prior, rounded
-        |distances| of the maps from it, squared distances of specular colours from the usual one of dielectrics,
-        weighted by the probability that a texel is a dielectric, and the rounded |curl| of slopes, which are the
-        gradient of a height. Where a photograph clips, only darker renderings differ from it; where it does not show
-        the material, none does.
+        flashes, and their squared fall-off; and, where a task has a prior, rounded |distances| of the maps from it, and
+        the rounded |curl| of slopes, which are the gradient of a height. Where a photograph clips, only darker
+        renderings differ from it; where it does not show the material, none does.
         """
         parameters = self.settings(learned, theta["maps"])
         photos = batch["photos"]
@@ -217,16 +204,10 @@ class SeveralPhotos(SvbrdfNonstationary):
         loss = _round_off(residual, parameters["smoothing"].exp()).mean((1, 2, 3, 4))
         loss = loss + parameters["flash"].exp() * theta["flash"][:, :-1].square().mean((1, 2))
         loss = loss + FALLOFF_WEIGHT * theta["falloff"].square().mean(1)
-        log_gains = FLASH_LOG_GAIN * theta["flash"][:, -1]
-        exposures = _round_off(log_gains, log_gains.new_tensor(EXPOSURE_ROUNDING)).mean(1)
-        loss = loss + parameters["exposure"].exp() * exposures
         if "prior" in theta:
             mean, log_scale = theta["prior"].detach().chunk(2, 1)
             distances = _round_off((theta["maps"] - mean) * (-log_scale).exp(), photos.new_ones(())).mean((2, 3))
-            # As in expectation maximisation, probabilities of materials are constants of a step.
-            materials = dielectric_share(theta["maps"].detach()) * _dielectric_cost(theta["maps"])
             priors = (distances * parameters["prior"].exp()).sum(1)
-            priors = priors + materials.mean((1, 2, 3)) * parameters["material"].exp()
             curls = _round_off(find_curl(theta["maps"][:, : CHANNELS[0]]), photos.new_tensor(CURL_ROUNDING))
             texel_count = photos.shape[-2] * photos.shape[-1]
             priors = priors + curls.sum((1, 2)) / texel_count * parameters["curl"].exp()
@@ -242,7 +223,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             like: a tensor [T, ...] that gives initial values their number of tasks, dtype and device.
 
         Returns:
-            `smoothing` [T], `prior` [T, 9], `flash` [T], `exposure` [T], `material` [T] and `curl` [T]; see
+            `smoothing` [T], `prior` [T, 9], `flash` [T] and `curl` [T]; see
             :meth:`loss_parameters`.
         """
         return learned or {
@@ -257,15 +238,13 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         Returns:
             `smoothing` [steps], the log of ROUNDING; `prior` [steps, 9], the log of PRIOR_WEIGHT for each number of a
-            texel; `flash` [steps], the log of FLASH_WEIGHT; `exposure` [steps], the log of EXPOSURE_WEIGHT;
-            `material` [steps], the log of MATERIAL_WEIGHT; `curl` [steps], the log of CURL_WEIGHT.
+            texel; `flash` [steps], the log of FLASH_WEIGHT;
+            `curl` [steps], the log of CURL_WEIGHT.
         """
         values = {
             "smoothing": torch.tensor(ROUNDING),
             "prior": torch.full((sum(CHANNELS),), PRIOR_WEIGHT),
             "flash": torch.tensor(FLASH_WEIGHT),
-            "exposure": torch.tensor(EXPOSURE_WEIGHT),
-            "material": torch.tensor(MATERIAL_WEIGHT),
             "curl": torch.tensor(CURL_WEIGHT),
         }
         return {key: value.log().expand(steps, *value.shape).clone() for key, value in values.items()}
@@ -356,36 +335,6 @@ class SeveralPhotos(SvbrdfNonstationary):
         falloff = theta.get("falloff", theta["flash"].new_zeros(1))
         flash = decode_flashes(theta["flash"][None], places, falloff[None])
         return [Flash(*(part[0, number] for part in flash)) for number in range(places.shape[1])]
-
-
-def dielectric_share(maps: Tensor) -> Tensor:
-    """Return the probability that each texel is a dielectric; else it is a metal.
-
-    A dielectric reflects 4 % without colour, about. A metal reflects any amount in any colour, and has hardly any
-    diffuse colour. Texels tell these apart in squares of MATERIAL_CELL_TEXELS, over which both costs, negative log
-    probabilities but for a constant, are averaged.
-
-    Args:
-        maps: the unbounded numbers of the texels, [T, 9, H, W].
-
-    Returns:
-        The probability, [T, 1, H, W].
-    """
-    metal_cost = METAL_COST_SLOPE * maps.split(CHANNELS, 1)[1].mean(1, keepdim=True) + METAL_COST_OFFSET
-    odds = avg_pool2d(
-        metal_cost - _dielectric_cost(maps),
-        MATERIAL_CELL_TEXELS,
-        stride=1,
-        padding=MATERIAL_CELL_TEXELS // 2,
-        count_include_pad=False,
-    )
-    return torch.sigmoid(MATERIAL_SHARPNESS * odds)
-
-
-def _dielectric_cost(maps: Tensor) -> Tensor:
-    """Return half the mean squared deviation of specular numbers from the usual ones of dielectrics, [T, 1, H, W]."""
-    deviation: Tensor = (maps.split(CHANNELS, 1)[3] - DIELECTRIC_NUMBER) / DIELECTRIC_DEVIATION
-    return deviation.square().mean(1, keepdim=True) / 2
 
 
 def decode_flashes(flash: Tensor, places: Tensor, falloff: Tensor | float = 0.0) -> Flash:

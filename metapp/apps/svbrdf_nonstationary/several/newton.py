@@ -20,7 +20,6 @@ from metapp.appearance.flash import Maps, texel_positions
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
-    FLASH_LOG_GAIN,
     FLASH_NUMBERS,
     ROUGHNESS_CHANNEL,
     decode_maps,
@@ -28,14 +27,10 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.several.app import (
     CURL_ROUNDING,
-    DIELECTRIC_DEVIATION,
-    DIELECTRIC_NUMBER,
-    EXPOSURE_ROUNDING,
     FALLOFF_WEIGHT,
     LIGHT_FLOOR,
     SeveralPhotos,
     decode_flashes,
-    dielectric_share,
 )
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
 from metapp.learning.adjoint import AnyBatch, Loss
@@ -51,7 +46,7 @@ TEXEL_NUMBERS = sum(CHANNELS)
 SHAPE_CHANNELS = 0, 1, ROUGHNESS_CHANNEL  # a texel's slopes and roughness, on which all three colour channels depend
 FLASH_STRIDE = 4  # flashes are solved from the texels of every fourth row and column alone
 TEXEL_DAMPING = 0.03  # added to the diagonal of a texel's normal equations (Levenberg), beside the prior's weights
-# Added to the weight of a flash's gain in the normal equations, which could be singular without it.
+# Weight that draws gains of flashes, which are free otherwise, to 1: without it the equations could be singular.
 GAIN_DAMPING = 1e-4
 # Soft bounds (tanh) of the change of each number of a texel in a step: first its two slopes, then the others
 MAX_CHANGE = (0.3, 0.3, *(TEXEL_NUMBERS - 2) * (1.0,))
@@ -133,8 +128,8 @@ def gauss_newton_change(
         theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N], `falloff` [T, 1] and `prior` [T, 18, H, W].
         batch: linear photographs, `photos` [T, N, 3, H, W], and measured positions of camera and flash, `places`
             [T, N, 2, 3].
-        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash`, `exposure`,
-            `material` and `curl` [T].
+        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash` and
+            `curl` [T].
         max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
             bound * tanh(c / bound).
     """
@@ -142,10 +137,9 @@ def gauss_newton_change(
     photos = batch["photos"]
     photos = torch.where(batch.get("unobstructed", torch.ones_like(photos[:, :, :1])) > 0, photos, math.nan)
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
-    dielectric = dielectric_share(maps)
-    coarse_maps, coarse_photos, coarse_prior, coarse_dielectric, coarse_texels = (
+    coarse_maps, coarse_photos, coarse_prior, coarse_texels = (
         picture[..., FLASH_STRIDE // 2 :: FLASH_STRIDE, FLASH_STRIDE // 2 :: FLASH_STRIDE]
-        for picture in (maps, photos, prior, dielectric, texels)
+        for picture in (maps, photos, prior, texels)
     )
     flash_change, falloff_change = _solve_flashes(
         coarse_maps,
@@ -153,13 +147,12 @@ def gauss_newton_change(
         coarse_photos,
         batch["places"],
         coarse_prior,
-        coarse_dielectric,
         coarse_texels,
         settings,
     )
     moved_flashes = flash - flash_change, falloff - falloff_change
     jacobian, weight, residual = _linearise(maps, moved_flashes, photos, batch["places"], texels, settings)
-    matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, dielectric, settings)
+    matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
     change = _solve_texels(matrix, right_side, maps, settings)
     max_change = maps.new_tensor(max_texel_change)[:, None, None]
     return {"maps": max_change * torch.tanh(change / max_change), "flash": flash_change, "falloff": falloff_change}
@@ -266,7 +259,6 @@ def _build_normal_equations(
     residual: Tensor,
     maps: Tensor,
     prior: Tensor,
-    dielectric: Tensor,
     settings: Params,
 ) -> tuple[Tensor, Tensor]:
     """Return the matrix [T, P, 9, 9] and the right side [T, P, 9] of the normal equations of each texel.
@@ -276,8 +268,6 @@ def _build_normal_equations(
         maps: the unbounded numbers of P texels, [T, 9, h, w].
         prior: at each texel the nine numbers that the prior expects, then the natural logs of nine scales,
             [T, 18, h, w]. The prior's loss divides the difference of a number from the expected one by its scale.
-        dielectric: the probability that each texel is a dielectric, [T, 1, h, w]. With this weight its specular numbers
-            are drawn to the usual one, DIELECTRIC_NUMBER.
         settings: all loss parameters, [T, ...].
     """
     mean, log_scale = prior.chunk(2, 1)
@@ -288,15 +278,10 @@ def _build_normal_equations(
     # The loss divides residuals by 3 N and the prior by N, for N photographs; residuals are a plain sum here, so that
     # the prior counts three times.
     prior_weight = 3 * settings["prior"].exp()[:, :, None, None] * precision / reweighting
-    # The loss divides the material's half squares by N, as the prior's, and takes their mean over three channels: here
-    # they count three times a third.
-    is_specular = torch.arange(TEXEL_NUMBERS, device=maps.device)[:, None, None] >= TEXEL_NUMBERS - CHANNELS[3]
-    material_weight = settings["material"].exp()[:, None, None, None] * dielectric * is_specular
-    material_weight = material_weight / DIELECTRIC_DEVIATION**2
-    gradient = prior_weight * displacement + material_weight * (maps - DIELECTRIC_NUMBER)
-    total_weight, gradient = (values.flatten(2).mT for values in (prior_weight + material_weight, gradient))
+    gradient = prior_weight * displacement
+    prior_weight, gradient = (values.flatten(2).mT for values in (prior_weight, gradient))
     weighted = (jacobian * weight[..., None]).mT
-    matrix = weighted @ jacobian + torch.diag_embed(total_weight + TEXEL_DAMPING)
+    matrix = weighted @ jacobian + torch.diag_embed(prior_weight + TEXEL_DAMPING)
     return matrix, (weighted @ residual[..., None])[..., 0] + gradient
 
 
@@ -306,7 +291,6 @@ def _solve_flashes(
     photos: Tensor,
     places: Tensor,
     prior: Tensor,
-    dielectric: Tensor,
     texels: Tensor,
     settings: Params,
 ) -> FlashNumbers:
@@ -322,13 +306,12 @@ def _solve_flashes(
         photos: linear photographs of these texels, [T, N, 3, h, w].
         places: measured positions of camera and flash, [T, N, 2, 3].
         prior: the prior at these texels, [T, 18, h, w].
-        dielectric: the probability that these texels are dielectrics, [T, 1, h, w].
         texels: positions of these texels in the patch, [2, h, w].
         settings: all loss parameters, [T, ...].
     """
     (flash, falloff), count = flashes, photos.shape[1]
     jacobian, weight, residual = _linearise(maps, flashes, photos, places, texels, settings)
-    matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, dielectric, settings)
+    matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
     diffuse, specular, *_ = decode_maps(maps)
 
     def render_logs(flash: Tensor, falloff: Tensor) -> Tensor:
@@ -349,14 +332,12 @@ def _solve_flashes(
     eliminated = _solve(matrix, torch.cat([coupling, right_side[..., None]], -1))
     flash_matrix = (weighted @ flash_jacobian - coupling.mT @ eliminated[..., :-1]).sum(1)
     flash_right_side = ((weighted @ residual[..., None])[..., 0] - (coupling.mT @ eliminated[..., -1:])[..., 0]).sum(1)
-    # Flashes have a prior, too, which draws each number to 0, the measured flash. The loss, a sum over texels, has for
+    # Flashes have a prior, too, which draws positions to 0, the measured flash. The loss, a sum over texels, has for
     # each texel a weight times the mean of squares over the three numbers of a position and N photographs: times 3 N,
-    # its gradient is 2 * weight * number. The |log gains| are a mean over photographs: times 3 N, their gradient is
-    # 3 * weight * unit^2 * number / sqrt(log gain^2 + rounding^2).
+    # its gradient is 2 * weight * number. It has another weight times the squared fall-off: times 3 N, its gradient is
+    # 6 N * weight * number.
     position_weight = (2 * settings["flash"].exp())[:, None, None].expand(-1, FLASH_NUMBERS - 1, count)
-    rounded_gains = ((FLASH_LOG_GAIN * flash[:, -1:]).square() + EXPOSURE_ROUNDING**2).sqrt()
-    gain_weight = 3 * settings["exposure"].exp()[:, None, None] * FLASH_LOG_GAIN**2 / rounded_gains + GAIN_DAMPING
-    # The loss has a weight times the squared fall-off: times 3 N, its gradient is 6 N * weight * number.
+    gain_weight = torch.full_like(flash[:, -1:], GAIN_DAMPING)
     falloff_weight = torch.full_like(falloff, 6 * count * FALLOFF_WEIGHT)
     prior_weight = torch.cat([torch.cat([position_weight, gain_weight], 1).mT.flatten(1), falloff_weight], 1)
     prior_weight = residual.shape[1] * prior_weight

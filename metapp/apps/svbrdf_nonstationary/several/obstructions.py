@@ -2,7 +2,8 @@
 
 Of several photographs of one place, those that show the material agree with one Lambertian surface, and those that show
 something else do not. So photometric stereo is solved without each photograph and without each pair of them, and the
-fewest are left out by which the others agree (least trimmed squares: Rousseeuw 1984).
+fewest are left out by which the others agree (least trimmed squares: Rousseeuw 1984). Only parts that are darker than
+the others predict are left out: a brighter part may be a highlight of the material, which tells its roughness.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, max_pool2d, pad, relu
 
-from metapp.appearance.flash import directions_to_point, texel_positions
 from metapp.apps.svbrdf_nonstationary.several.encoder import (
     NOISE_VALUE,
     STEREO_CLIPPED_LINEAR_VALUE,
@@ -25,10 +25,10 @@ MIN_PHOTOS = 5  # so that at least three remain, by which a Lambertian texel is 
 MAX_LEFT_OUT = 2  # photographs of a place that may show something else
 COMPARED_PX = 64  # side of the photographs that are compared
 WINDOW_PX = 5  # side of the windows over which their deviations are averaged: relief deviates texel by texel
-HIGHLIGHT_HALF_TANGENT = 0.12  # tangent of the half angle below which brighter colours count less: highlights
 # A photograph is left out where its log colours are off by more than the first, and by more than the second times the
 # third quantile of deviations, so that materials which are not Lambertian lose nothing.
 MIN_LOG_DEVIATION, MIN_OVER_TYPICAL, TYPICAL_QUANTILE = 0.25, 6.0, 0.85
+MIN_LOG_DARKNESS = 0.1  # of what is left out: coins and shadows have 0.2 to 1.8, rims of highlights up to 0.03
 MIN_PART_SIDE = 0.06  # sides of the patch: smaller parts are noise
 GROWN_PX = 2  # by which parts are enlarged, since windows at their edges hold some of the material
 MAX_PHOTO_SHARE = 0.5  # of a photograph that may show something else; more is a surface that stereo does not explain
@@ -74,12 +74,12 @@ def _find_parts(photos: Tensor, places: Tensor) -> Tensor:
     kept = kept[:, :, None, None, None].expand(-1, -1, -1, *photos.shape[-2:])
     log_ratios = _compare_with_lambertian(photos, places, kept)
     log_ratios = _average(log_ratios.flatten(0, 1), WINDOW_PX).unflatten(0, kept.shape[:2])
-    # Near its highlight a photograph may be brighter than a Lambertian surface.
-    may_not_shine = (_half_tangents(photos, places) / HIGHLIGHT_HALF_TANGENT).square().clamp(max=1)
-    darker, brighter = (part.mean(2, keepdim=True) for part in (relu(-log_ratios), may_not_shine * relu(log_ratios)))
+    darker, brighter = (relu(sign * log_ratios).mean(2, keepdim=True) for sign in (-1, 1))
     deviations = sum(deviation / _price(deviation[0]) for deviation in (darker, brighter))
-    best_subset = ((kept * deviations).sum(1) + (1 - kept).sum(1)).argmin(0)  # [1, h, w]
-    parts = (1 - kept[:, :, 0, 0, 0])[best_subset[0]].permute(2, 0, 1)[:, None]
+    best_subset = ((kept * deviations).sum(1) + (1 - kept).sum(1)).argmin(0)[None, None]  # [1, 1, 1, h, w]
+    is_left_out, log_darkness = (values.take_along_dim(best_subset, 0)[0] for values in (1 - kept, darker - brighter))
+    # A photograph that is brighter than the others predict may show a highlight of the material.
+    parts = is_left_out * (log_darkness > MIN_LOG_DARKNESS)
     # A part holds most of a window around it: smaller ones are noise.
     parts = parts * (_average(parts, 2 * round(MIN_PART_SIDE * COMPARED_PX / 2) + 1) > 0.5)
     parts = parts * (parts.mean((1, 2, 3), keepdim=True) <= MAX_PHOTO_SHARE)
@@ -114,15 +114,6 @@ def _compare_with_lambertian(photos: Tensor, places: Tensor, kept: Tensor) -> Te
     total_weight = weights.sum(1, keepdim=True).clamp_min(1e-6)  # 0 where enlarged parts of all photographs meet
     facing_colour = (weights * colour / lambertian).sum(1, keepdim=True).clamp_min(1e-6) / total_weight
     return (colour / (facing_colour * lambertian)).log().clamp(-3, 3)
-
-
-def _half_tangents(photos: Tensor, places: Tensor) -> Tensor:
-    """Return the tangents of the half angles of flash and camera with the patch's normal, [N, 1, h, w]."""
-    texels = texel_positions(*photos.shape[-2:], dtype=photos.dtype, device=photos.device)
-    (wo, _), (wi, _) = (directions_to_point(place, texels) for place in places.unbind(1))
-    half = wi + wo
-    tangents: Tensor = half[:, :2].norm(dim=1, keepdim=True) / half[:, 2:]
-    return tangents
 
 
 def _average(pictures: Tensor, window: int) -> Tensor:

@@ -16,7 +16,7 @@ from metapp.learning.recipe import Adam, OuterLoop
 SEVERAL = replace(
     RECIPES["photo"]["full"],
     app=SeveralPhotos(),
-    steps=12,
+    steps=8,
     overfit_steps=300,
     overfit=Adam(0.05, beta1=0.9, beta2=0.95, final_rate_share=0.0),
     finetune_steps=100,
