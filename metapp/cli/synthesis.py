@@ -18,6 +18,7 @@ from metapp.learning.task import Task
 from metapp.runs.inputs.conversion import ConversionResult, conversion_result
 from metapp.runs.inputs.embedded import embedded_module, make_embedded_set, split_counts
 from metapp.runs.reporter import progress
+from metapp.storage.cache_folders import make_cache_folder
 from metapp.storage.shards import read_manifest, write_data_set
 
 
@@ -43,8 +44,10 @@ def draw_shards(
         quiet: whether no progress is shown.
 
     Raises:
-        ValueError: the set lacks one of the options, or the folder holds other data.
+        ValueError: the set lacks one of the options, the folder holds other data, or the cache cannot be written to.
     """
+    if folder is None:
+        make_cache_folder()  # refused here: a temporary one would keep the set for this command alone
     set_folder = make_embedded_set(name, seed, count, folder, quiet, options, overwrite=overwrite)
     return conversion_result(name, set_folder, read_manifest(set_folder).tasks)
 

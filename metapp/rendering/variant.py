@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from metapp.rendering.types import Mitsuba
-from metapp.storage.cache_folders import code_folder
+from metapp.storage.cache_folders import KERNELS_FOLDER, cache_folder, code_folder
 
 # major version: 15 and 16 abort the process at the first render, which no `except` can catch; Mitsuba refuses 14
 OLDEST_LLVM = 19
@@ -90,9 +90,11 @@ def choose_llvm() -> Path:
 
 def choose_kernel_folder() -> None:
     """Have Dr.Jit, when it is imported, keep compiled kernels in a folder that nobody else can write to."""
-    with suppress(OSError, RuntimeError):  # if no such folder can be made, or there is no home, no kernels are kept
-        folder = os.environ.get(KERNELS_VARIABLE) or Path.home() / ".drjit"
-        os.environ[KERNELS_VARIABLE] = str(code_folder(Path(folder), KERNELS_VARIABLE))
+    try:
+        folder = code_folder(Path(os.environ.get(KERNELS_VARIABLE) or Path.home() / ".drjit"), KERNELS_VARIABLE)
+    except (OSError, RuntimeError):  # the folder cannot be made, or there is no home folder
+        folder = code_folder(cache_folder() / KERNELS_FOLDER, KERNELS_VARIABLE)
+    os.environ[KERNELS_VARIABLE] = str(folder)
 
 
 def find_llvm() -> Path:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import platform
-import tempfile
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import torch
 
 from metapp.learning.app import App
+from metapp.storage.files import make_writable_folder
 
 _MKLDNN: Any = torch.backends.mkldnn  # Any: its members are made when it is imported, which mypy does not see
 # Products whose precision a program may have lowered, as torch.set_float32_matmul_precision does
@@ -50,9 +50,7 @@ def make_folder(folder: Path) -> None:
         ValueError: it cannot be made or written to.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):  # a file without a name, since other runs may write here, too
-            pass
+        make_writable_folder(folder)
     except OSError as error:
         raise ValueError(f"--out {folder}: cannot be written to ({error.strerror}); choose another folder.") from None
 

@@ -21,6 +21,7 @@ import os
 import re
 import shutil
 import stat
+import tempfile
 import unicodedata
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -242,6 +243,17 @@ def add_suffix(path: Path, suffix: str) -> Path:
     return path if path.suffix == suffix else path.with_name(f"{path.name}{suffix}")
 
 
+def make_writable_folder(folder: Path) -> None:
+    """Make a folder if it is missing, and test that files can be written to it.
+
+    Raises:
+        OSError: it cannot be made or written to.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):  # a file without a name, since other programs may write here, too
+        pass
+
+
 def partial_path(path: Path) -> Path:
     """Return the temporary path of a file that is being written: in the same folder, with an equal suffix."""
     # the suffix stays, since image writers choose the format by it; process and program keep two writers apart
@@ -273,8 +285,19 @@ def error_about_file(error: Exception, source: Path) -> ValueError:
     >>> error_about_file(ValueError("12 bytes, expected 16"), Path("brdfs/gold.binary"))
     ValueError('brdfs/gold.binary: 12 bytes, expected 16')
     """
-    text = str(error) or type(error).__name__
+    text = error_text(error)
     return ValueError(text if source.name in text else f"{source}: {text}")
+
+
+def error_text(error: BaseException) -> str:
+    """Return the message of an error; of one of the system the file and the reason, without the reason's number.
+
+    >>> error_text(FileNotFoundError(2, "No such file or directory", "gold.binary"))
+    'gold.binary: No such file or directory'
+    """
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    return str(error) or type(error).__name__
 
 
 def get_json_entry(document: object, key: str, kind: type, where: str, remedy: str, absent: object = None) -> Any:

@@ -117,6 +117,16 @@ def test_exr_files_work_with_one_thread_of_torch(tmp_path: Path) -> None:
     assert output_of_process(lines + "print(mi.Bitmap(sys.argv[1]).size())", str(tmp_path / "a.exr")) == "[32, 64]"
 
 
+def test_kernels_are_kept_in_the_cache_where_there_is_no_home_folder(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("HOME", str(tmp_path / "file"))
+    monkeypatch.setenv(KERNELS_VARIABLE, "")
+    choose_kernel_folder()
+    assert os.environ[KERNELS_VARIABLE] == str(cache / "drjit")
+
+
 def test_kernels_that_other_users_can_write_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / ".drjit"
     monkeypatch.setenv("HOME", str(tmp_path))

@@ -16,7 +16,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from metapp.storage.cache_folders import cache_folder, code_folder
+from metapp.storage.cache_folders import CACHE_VARIABLE, NATIVE_FOLDER, cache_folder, code_folder
 from metapp.storage.files import read_text, write_atomically
 
 # no -ffast-math: what it saves here is lost in noise, and it changes results and hides NaN
@@ -40,7 +40,7 @@ def load_library(source: Path, *names: str, march: str = "native") -> ctypes.CDL
         The library; None if it can neither be found nor compiled, or lacks a function.
     """
     try:
-        folder = code_folder(cache_folder() / "native", "METAPP_CACHE")
+        folder = code_folder(cache_folder() / NATIVE_FOLDER, CACHE_VARIABLE)
         path = folder / f"{source.stem}-{_source_digest(source, march)}.so"
         if not path.is_file():
             _compile(source, path, march)

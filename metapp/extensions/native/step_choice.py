@@ -22,7 +22,7 @@ from metapp.extensions.native import c_steps
 from metapp.learning.adjoint import Loss, RuleStep, Steps, UpdateRule, step_and_vjp, torch_steps
 from metapp.learning.task import Params
 from metapp.runs.reporter import say
-from metapp.storage.cache_folders import cache_folder, code_folder
+from metapp.storage.cache_folders import TORCH_FOLDER, cache_folder, code_folder
 
 # variables of the environment that torch reads itself
 TORCH_CACHE_VARIABLE = "TORCHINDUCTOR_CACHE_DIR"  # the folder where torch keeps compiled code, which it loads again
@@ -68,7 +68,7 @@ def has_tool_chain() -> bool:
         return False
     try:
         # torch's own choice is a folder below /tmp, which another user may have made before, with code in it
-        folder = os.environ.get(TORCH_CACHE_VARIABLE) or cache_folder() / "torch"
+        folder = os.environ.get(TORCH_CACHE_VARIABLE) or cache_folder() / TORCH_FOLDER
         os.environ[TORCH_CACHE_VARIABLE] = str(code_folder(Path(folder), TORCH_CACHE_VARIABLE))
         torch.compile(lambda x: x.sin() + 1)(torch.ones(8))
     except Exception:  # whatever a compiler that lacks a part raises

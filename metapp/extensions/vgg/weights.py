@@ -24,6 +24,7 @@ from typing_extensions import override
 
 from metapp.appearance.features import VGG_BLOCKS
 from metapp.appearance.features import vgg_weights_path as vgg_weights_path
+from metapp.storage.cache_folders import make_cache_folder
 from metapp.storage.downloads import download
 from metapp.storage.files import open_regular, open_tensors, write_bytes
 
@@ -65,8 +66,9 @@ def provide_weights(
         The origin of the weights, and whether the cache held them already.
 
     Raises:
-        ValueError: the given file cannot be used; no source has the weights.
+        ValueError: the given file cannot be used; no source has the weights; the cache cannot be written to.
     """
+    make_cache_folder()  # refused here: a temporary one would keep the weights for this command alone
     if given is None and (origin_in_cache := cached_origin()) is not None:
         return origin_in_cache, True
     weights, origin = read_weights_file(given) if given else _find_or_fetch(report, archive_url)

@@ -286,7 +286,7 @@ def test_a_cache_that_cannot_be_written(
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file"))
     pth(tmp_path / "mine.pth")
     believe((tmp_path / "mine.pth").read_bytes(), vgg.read_state_dict)
-    assert "set METAPP_CACHE to another folder." in metapp("data", "vgg", "--weights", tmp_path / "mine.pth").refusal
+    assert "set METAPP_CACHE to one." in metapp("data", "vgg", "--weights", tmp_path / "mine.pth").refusal
 
 
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
