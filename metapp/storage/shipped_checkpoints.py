@@ -40,12 +40,13 @@ def shipped_checkpoint_names(app: str) -> dict[str, list[str]]:
     """List the names of checkpoints that ship for an application.
 
     Returns:
-        The names by the application's name, and, if its recipe "full" has checkpoints of another size, these by
-        "<app> full".
+        The names by the application's name, and those that a recipe alone has by "<app> <recipe>".
     """
-    folders = {app: checkpoint_folder(app), f"{app} {FULL_RECIPE_NAME}": checkpoint_folder(app, FULL_RECIPE_NAME)}
-    names_by_key = {key: sorted(path.stem for path in folder.glob("*.safetensors")) for key, folder in folders.items()}
-    return {key: names for key, names in names_by_key.items() if names or key == app}
+    names_by_key: dict[str, list[str]] = {app: []}
+    for path in sorted(checkpoint_folder(app).rglob("*.safetensors")):
+        key = " ".join([app, *path.parent.relative_to(checkpoint_folder(app)).parts])
+        names_by_key.setdefault(key, []).append(path.stem)
+    return names_by_key
 
 
 def checkpoint_folder(app: str, recipe: str = QUICK_RECIPE_NAME) -> Path:

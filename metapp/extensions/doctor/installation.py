@@ -1,6 +1,6 @@
-"""The installation: versions, device, compiler, cache, checkpoints, weights of VGG, libLLVM.
+"""The installation: versions, device, compiler, cache, checkpoints, weights of VGG, libLLVM, optional packages.
 
-Everything is examined, nothing changed or fetched.
+Everything is examined, and nothing is fetched or changed, except that the cache folder is made.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ import os
 import shutil
 import subprocess
 import sysconfig
-from importlib import metadata
+from collections.abc import Callable
+from importlib import metadata, util
 
 import torch
 from safetensors import SafetensorError
@@ -20,10 +21,11 @@ from metapp.registry import METAPP_PACKAGE, WITHOUT_VARIABLE, registry
 from metapp.rendering.variant import find_llvm
 from metapp.runs.inputs.embedded import has_embedded_tests
 from metapp.storage import Document
-from metapp.storage.cache_folders import cache_folder
+from metapp.storage.cache_folders import make_cache_folder
 from metapp.storage.files import open_tensors
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_names
 
+MISSING = "missing"  # in place of the version of a package that is not installed
 REPORTED_PACKAGES = (
     "metapp",
     "torch",
@@ -38,19 +40,46 @@ REPORTED_PACKAGES = (
 )
 
 
+# the extras of the package that commands need: a module that each installs, and what is not possible without it
+EXTRAS = {
+    "capture": ("cv2", "metapp data rectify, and photos of a mirror ball at several exposures"),
+    "export": ("onnx", "--export usd and onnx"),
+    "heic": ("pillow_heif", "HEIC photos"),
+    "nbrdf": ("h5py", "NBRDF networks in .h5 files"),
+}
+FAILURES_KEY = "fails"  # key of the names of subjects that fail
+
+
 def examine_installation() -> Document:
-    """Return what is installed, and what it can use, by subject: a text, or texts by name."""
+    """Return what is installed, and what it can use, by subject: a text, or texts by name.
+
+    The last subject, "fails", lists the names of the subjects for which some commands fail. An extra of the package
+    that is not installed does not count among these, nor a missing compiler, which makes trainings slower.
+    """
     shipped = {key: names for app in app_names() for key, names in shipped_checkpoint_names(app).items()}
+    versions = {name: _read_version(name) for name in REPORTED_PACKAGES}
+    failures = ["versions"] * (MISSING in versions.values()) + ["extensions"] * bool(registry().problems)
+    failures += ["checkpoints"] * (not all(shipped.values()))
+
+    def describe(subject: str, describe_subject: Callable[[], object]) -> str:
+        try:
+            return str(describe_subject())
+        except ValueError as error:
+            failures.append(subject)
+            return str(error).removeprefix(f"{subject}: ")
+
     return {
-        "versions": {name: _read_version(name) for name in REPORTED_PACKAGES},
+        "versions": versions,
         "extensions": ", ".join(_list_extensions()),
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
         "compiler": _find_compiler(),
-        "cache": str(cache_folder()),
+        "cache": describe("cache", make_cache_folder),
         "data": {app: "made" if has_embedded_tests(app) else "made on first use" for app in app_names()},
         "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
-        "VGG": _describe_vgg(),
-        "libLLVM": _describe_llvm(),
+        "VGG": describe("VGG", _describe_vgg),
+        "libLLVM": describe("libLLVM", find_llvm),
+        "extras": {extra: _describe_extra(extra) for extra in EXTRAS},
+        FAILURES_KEY: failures,
     }
 
 
@@ -78,23 +107,25 @@ def _read_version(package: str) -> str:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
-        return "missing"
+        return MISSING
+
+
+def _describe_extra(extra: str) -> str:
+    """Return whether an extra of the package is installed, and if not, what needs it and how to install it."""
+    module, use = EXTRAS[extra]
+    return "installed" if util.find_spec(module) else f'{MISSING}, for {use}: pip install "metapp[{extra}]"'
 
 
 def _describe_vgg() -> str:
-    """Return where the weights of VGG come from, or what to do without them."""
+    """Return where the weights of VGG come from.
+
+    Raises:
+        ValueError: the weights are missing or damaged; the message says what to do.
+    """
     if not vgg_weights_path().is_file():
-        return "not fetched; textures and svbrdf_stationary need it; get it: metapp data vgg"
+        raise ValueError("not fetched; textures and svbrdf_stationary need it; get it: metapp data vgg")
     try:
         with open_tensors(vgg_weights_path()) as file:
             return f"from {(file.metadata() or {}).get('source', 'unknown')}"
     except (OSError, SafetensorError):
-        return "damaged: fits to pictures fail; fetch it again: metapp data vgg"
-
-
-def _describe_llvm() -> str:
-    """Return the library that scenes are rendered with, or what is wrong with the libraries that were found."""
-    try:
-        return str(find_llvm())
-    except ValueError as error:
-        return str(error).removeprefix("libLLVM: ")
+        raise ValueError("damaged: fits to pictures fail; fetch it again: metapp data vgg") from None

@@ -6,12 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from metapp.extensions.doctor import installation
+
 
 def test_doctor_lists_what_is_installed(metapp: Callable, cache: Path) -> None:
     document = metapp("doctor", "--json").json_document
     assert document["versions"]["torch"] == metadata.version("torch")
     assert document["cache"] == str(cache)
     assert document["checkpoints"]["texture full"] == "general, meta-encoder, quickft"
+    assert "general-photo" in document["checkpoints"]["svbrdf_nonstationary pretrained"]
+    assert "gauss-newton-photo" in document["checkpoints"]["svbrdf_nonstationary several"]
     assert "brdf full" not in document["checkpoints"]  # of the quick recipe's size, in its folder
     out = metapp("doctor").out
     assert out.startswith("versions")
@@ -24,3 +28,24 @@ def test_doctor_reports_a_missing_compiler(metapp: Callable, monkeypatch: pytest
         assert metapp("doctor", "--json").json_document["compiler"].startswith("none that works")
         Path("g++").write_text("#!/bin/sh\nexit 1\n")
         Path("g++").chmod(0o755)
+
+
+def test_doctor_fails_where_commands_would(metapp: Callable, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(installation, "find_llvm", lambda: "libLLVM.so")
+    monkeypatch.setattr(installation, "_describe_vgg", lambda: "from somewhere")
+    result = metapp("doctor")
+    assert result.code == 0
+    assert result.out.splitlines()[-1] == "fails       nothing"
+    (cache / "file").write_text("")
+    monkeypatch.setenv("METAPP_CACHE", str(cache / "file"))
+    result = metapp("doctor", "--json")
+    assert (result.code, result.json_document["fails"]) == (1, ["cache"])
+    assert "set METAPP_CACHE to one" in result.json_document["cache"]
+
+
+def test_doctor_lists_missing_extras(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(installation.util, "find_spec", lambda name: None if name == "cv2" else name)
+    document = metapp("doctor", "--json").json_document
+    assert document["extras"]["capture"].startswith("missing, for metapp data rectify")
+    assert document["extras"]["heic"] == "installed"
+    assert "extras" not in document["fails"]
