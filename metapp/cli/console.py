@@ -26,13 +26,14 @@ from typing_extensions import override
 from metapp.options import BadOption
 from metapp.runs.reporter import Bar, Reporter, use_reporter
 from metapp.storage import Document
-from metapp.storage.files import DISK_FULL_ERRNOS, to_json_value
+from metapp.storage.files import DISK_FULL_ERRNOS, error_text, to_json_value
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
 MAX_MESSAGE_CHARACTERS = 300  # length of an error or a warning
+MAX_PATH_CHARACTERS = 45  # length of the end of a path that is kept where a message is too long
 # without a terminal, progress is printed in lines
 LONG_JOB_LINE_SECONDS = 60.0  # s between lines about a long job
 SHORT_JOB_WAIT_SECONDS = 2.0  # s before the first line about a shorter job
@@ -40,11 +41,9 @@ SHORT_JOB_LINE_SECONDS = 10.0  # s between further lines about it
 MIN_ESTIMATE_SHARE = 0.1  # share of a job that must be done before the time left is shown
 SPEED_WINDOW_SECONDS = 3600.0  # s over which the speed is averaged for this estimate
 REPORT_REQUEST = "this is unexpected: please report it with the command and its output under METAPP_TRACEBACK=1."
-INTERRUPTED_MESSAGE = (
-    "interrupted; the same command goes on with training where it stopped, and with --resume it fits only the inputs "
-    "that have no fit yet; conversions start over."
-)
+INTERRUPTED_MESSAGE = "interrupted."
 _begin = time.perf_counter()  # s, when the command began, or when this module was imported
+_interrupted_message = INTERRUPTED_MESSAGE  # what is said if the command is interrupted
 
 
 class Exit(enum.IntEnum):
@@ -89,9 +88,19 @@ def shorten_to_line(message: str) -> str:
     """
     text = escape_control_characters(message)
     if len(text) > MAX_MESSAGE_CHARACTERS:
-        text = re.sub(r"[^\s(]{60,}", lambda path: f"...{path[0][-45:]}", text)  # the end of a long path tells most
+        text = re.sub(r"[^\s(]{60,}", lambda path: _shorten_path(path[0]), text)
     half = (MAX_MESSAGE_CHARACTERS - 5) // 2
     return text if len(text) <= MAX_MESSAGE_CHARACTERS else f"{text[:half]} ... {text[-half:]}"
+
+
+def _shorten_path(path: str) -> str:
+    """Return the end of a long path, which tells most, from the beginning of a folder's name if that is near.
+
+    >>> _shorten_path("/home/somebody/projects/metapp/.venv/metapp/checkpoints/brdf/general.safetensors")
+    '.../metapp/checkpoints/brdf/general.safetensors'
+    """
+    end = path[-MAX_PATH_CHARACTERS:]
+    return f"...{end[max(0, end.find('/')) :]}"
 
 
 class _Bar(Bar):
@@ -211,8 +220,8 @@ class Terminal(Reporter):
     @override
     def bar(self, title: str, total: int | None, done: int, long: bool) -> Iterator[Bar]:
         """Show a bar with the time left, the steps per second and a note; without a terminal, print lines."""
-        is_terminal = self._console.is_terminal
-        if not (is_terminal or long):
+        is_live = self._is_live()
+        if not (is_live or long):
             lines = _Lines(self, title, total, done)
             try:
                 yield lines
@@ -240,9 +249,14 @@ class Terminal(Reporter):
             SpeedColumn(),
             progress.TextColumn("{task.fields[note]}", markup=False),
         )
-        settings: Any = {"console": self._console, "disable": not is_terminal, "transient": True}
+        settings: Any = {"console": self._console, "disable": not is_live, "transient": True}
         with progress.Progress(*columns, speed_estimate_period=SPEED_WINDOW_SECONDS, **settings) as bars:
-            yield _Bar(bars, title, total, done, None if is_terminal else self)
+            yield _Bar(bars, title, total, done, None if is_live else self)
+
+    def _is_live(self) -> bool:
+        """Return whether a bar can be drawn anew in place: on a terminal, which FORCE_COLOR does not make of a log."""
+        console = self._console
+        return console.file.isatty() and console.is_terminal and not console.is_dumb_terminal
 
 
 @contextlib.contextmanager
@@ -271,8 +285,8 @@ def run_command(command: Callable[[], object], terminal: Terminal | None = None)
     """
     import typer
 
-    global _begin
-    _begin = time.perf_counter()
+    global _begin, _interrupted_message
+    _begin, _interrupted_message = time.perf_counter(), INTERRUPTED_MESSAGE
     _open_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -317,8 +331,14 @@ def run_command(command: Callable[[], object], terminal: Terminal | None = None)
             _discard(sys.stdout)  # the disk is full
         return Exit.FAILED
     if code == Exit.INTERRUPTED:  # typer itself turns Ctrl-C into this code
-        terminal.say(INTERRUPTED_MESSAGE)
+        terminal.say(_interrupted_message)
     return code if isinstance(code, int) else Exit.DONE
+
+
+def state_what_interruption_keeps(text: str) -> None:
+    """Set what is said if the command that runs is interrupted: what is kept, and how to go on."""
+    global _interrupted_message
+    _interrupted_message = f"{INTERRUPTED_MESSAGE.removesuffix('.')}; {text}."
 
 
 def command_seconds() -> float:
@@ -354,7 +374,7 @@ def error_message(error: Exception) -> str:
     if isinstance(error, OSError) and error.errno == errno.EBADF and error.filename is None:
         return "standard output: closed, expected an open one; print to a file or to /dev/null, or add --quiet."
     is_foreseen = isinstance(error, ValueError | FloatingPointError | OSError | MemoryError | ImportError)
-    message = str(error) or type(error).__name__
+    message = error_text(error)
     shortened = message if len(message) < 150 else f"{message[:147]}..."  # messages of libraries may fill pages
     return message if is_foreseen else f"{type(error).__name__}: {shortened}; {REPORT_REQUEST}"
 

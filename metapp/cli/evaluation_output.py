@@ -13,7 +13,12 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from metapp.apps import full_name
-from metapp.cli.console import escape_control_characters, print_json, standard_output
+from metapp.cli.console import (
+    escape_control_characters,
+    print_json,
+    standard_output,
+    state_what_interruption_keeps,
+)
 from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Table, flatten_row, format_csv, format_tables
@@ -49,6 +54,7 @@ def evaluate(options: EvaluateOptions, apps: list[str], which: str, form: str) -
         BadParameter, BadOption: an unknown application, protocol or checkpoint was named.
         ValueError: a checkpoint of a named application is missing, or records cannot be read.
     """
+    state_what_interruption_keeps("the same command goes on: fits that are done are kept")
     if not (options.quiet or options.no_run):
         say("evaluate: looking for records")
     names = [*registry().tables]

@@ -22,6 +22,7 @@ from metapp.cli.console import (
     print_json,
     shorten_to_line,
     standard_output,
+    state_what_interruption_keeps,
 )
 from metapp.registry import registry
 from metapp.runs.execution import Outcome, RunReport, execute_run
@@ -54,6 +55,8 @@ def fit_and_print(options: FitOptions, *, json: bool) -> None:
         Exit: an input was not fitted, or a file was not written.
         ValueError: inputs are bad, or nothing could be fitted.
     """
+    training = "the same command goes on with training where it stopped, and " if options.train else "the same command "
+    state_what_interruption_keeps(f"{training}with --resume fits only the inputs that have no fit yet")
     run = Run.from_options(options)
     if options.train:
         from metapp.runs.checkpoint_training import train_run  # imported here, since most runs train nothing

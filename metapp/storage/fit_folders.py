@@ -247,7 +247,8 @@ def read_params(folder: str | Path) -> Params:
         return read_tensors(path)
     except (SafetensorError, OSError) as error:
         purpose = "to fit anew" if path.name == PARAMS else "and fit anew"
-        raise ValueError(f"{path}: fitted parameters not readable ({error}); remove {folder} {purpose}.") from None
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"{path}: fitted parameters not readable ({reason}); remove {folder} {purpose}.") from None
 
 
 def pack_fit(record: Document, theta: Params) -> bytes:

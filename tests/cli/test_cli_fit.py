@@ -254,7 +254,7 @@ def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pyt
     monkeypatch.setitem(RECIPES, "quick", replace(short, app=Interrupted(short.app.network)))
     result = fit("overfit")
     assert result.code == 130
-    assert "the same command goes on with training where it stopped, and with --resume it fits only" in result.err
+    assert "interrupted; the same command with --resume fits only the inputs that have no fit yet." in result.err
     (run,) = (file.parents[1] for file in Path("runs").rglob(RECORD))
     (kept,) = read_fit_records(run)
     assert "1 of 2 inputs are skipped, since they have a fit by equal settings" in fit("overfit", "--resume").err

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from metapp.cli.command_tree import COMMAND_ORDER
-from metapp.cli.console import Terminal, run_command
+from metapp.cli.console import Terminal, run_command, state_what_interruption_keeps
 from metapp.registry import Entry, registry
 
 # names are printed as they are, whatever they look like: markup, emoji codes
@@ -33,6 +33,18 @@ def test_each_command_prints_a_warning_once(capsys: pytest.CaptureFixture[str]) 
 def test_paths_in_messages_cannot_reverse_text(capsys: pytest.CaptureFixture[str]) -> None:
     Terminal().say("picture: a\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a")
     assert capsys.readouterr().err == "picture: a\\u202egnp.b\nrecords: \u0639\u0631\u0628\u064a\n"
+
+
+def test_an_interruption_says_what_the_command_keeps(capsys: pytest.CaptureFixture[str]) -> None:
+    def fit() -> None:
+        state_what_interruption_keeps("fits that are done are kept")
+        raise KeyboardInterrupt
+
+    def compare() -> None:
+        raise KeyboardInterrupt
+
+    assert [run_command(fit), run_command(compare)] == [130, 130]
+    assert capsys.readouterr().err == "interrupted; fits that are done are kept.\ninterrupted.\n"
 
 
 def test_a_reader_that_goes_away_ends_a_command_quietly(capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,9 +118,22 @@ def test_a_name_in_an_error_line_is_as_it_was_given(metapp: Callable, command: s
     assert name in metapp(*command.split(), name).err
 
 
-def test_names_beside_a_progress_bar_are_drawn_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    with contextlib.redirect_stderr(io.StringIO()) as drawn:
+class TerminalStream(io.StringIO):
+    """A stream that keeps what a terminal is sent."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture(autouse=True)
+def _terminal_with_a_cursor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    for name in ("FORCE_COLOR", "NO_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_names_beside_a_progress_bar_are_drawn_as_they_are() -> None:
+    with contextlib.redirect_stderr(TerminalStream()) as drawn:
         shown = Terminal()
         with shown.bar(NAMES[0], 2, 0, False) as bar:
             bar.advance(NAMES[1])
@@ -116,9 +141,21 @@ def test_names_beside_a_progress_bar_are_drawn_as_they_are(monkeypatch: pytest.M
     assert all(name in drawn.getvalue() for name in (NAMES[0], NAMES[1], NAMES[3]))
 
 
-def test_the_time_left_is_shown_once_a_tenth_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    with contextlib.redirect_stderr(io.StringIO()) as drawn, Terminal().bar("job", 100, 0, False) as bar:
+@pytest.mark.parametrize("variables", [{"FORCE_COLOR": "1"}, {"FORCE_COLOR": "1", "CI": "true"}, {"TERM": "dumb"}])
+def test_logs_and_dumb_terminals_get_lines_and_no_bar(
+    monkeypatch: pytest.MonkeyPatch, variables: dict[str, str]
+) -> None:
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    stream = TerminalStream() if "TERM" in variables else io.StringIO()
+    with contextlib.redirect_stderr(stream), Terminal().bar("job", 2, 0, True) as bar:
+        bar.advance("a.csv")
+        bar.advance("b.csv")
+    assert stream.getvalue() == "job: 1 of 2, a.csv\njob: 2 of 2, b.csv\n"
+
+
+def test_the_time_left_is_shown_once_a_tenth_is_done() -> None:
+    with contextlib.redirect_stderr(TerminalStream()) as drawn, Terminal().bar("job", 100, 0, False) as bar:
         for step in range(30):
             bar.set_done(step, 100)
             bar.bars.refresh()
