@@ -24,6 +24,7 @@ from typing import IO, TYPE_CHECKING, Any
 from typing_extensions import override
 
 from metapp.options import BadOption
+from metapp.runs.memory_errors import describe_short_memory
 from metapp.runs.reporter import Bar, Reporter, use_reporter
 from metapp.storage import Document
 from metapp.storage.files import DISK_FULL_ERRNOS, error_text, to_json_value
@@ -368,6 +369,8 @@ def error_message(error: Exception) -> str:
     """
     if os.environ.get("METAPP_TRACEBACK"):
         raise error
+    if line := describe_short_memory(error):
+        return line
     # whoever writes a file names it in the error; without a name it is standard output
     if isinstance(error, OSError) and error.errno in DISK_FULL_ERRNOS and error.strerror and error.filename is None:
         return f"standard output: {error.strerror}; print to another file."

@@ -4,5 +4,5 @@ In order of reading: `fit_options` has all that a user may choose, `inputs` find
 `recipe_choice` with `default_recipe` chooses a protocol and a recipe, `run` looks up all that options name,
 `checkpoint_selection` and `checkpoint_training` provide phi, `fitting` fits tasks, `fit` is one result, `outputs`
 writes files and reads records, `execution` does a whole run, and `api` has the functions for Python programs.
-`environment` (device, threads, versions) and `reporter` (messages and progress) serve all of them.
+`environment` (device, threads, versions), `memory_errors` and `reporter` (messages and progress) serve all of them.
 """

@@ -22,6 +22,7 @@ from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fit import Fit
 from metapp.runs.fitting import FITTED_TIME_SHARE, BadInput, EarlierFit, fit_inputs
 from metapp.runs.inputs.run_inputs import Input, find_inputs, task_digest
+from metapp.runs.memory_errors import describe_short_memory
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, Tiles, add_to_sheet, tiles_of_fit
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open, render_outputs, write_pictures
 from metapp.runs.reporter import Bar, Reporter, progress, say, use_reporter
@@ -171,29 +172,39 @@ def keep_fits(run: Run, folder: RunFolder, inputs: Sequence[Input]) -> Iterator[
 
     Yields:
         The outcome of each input, as soon as it is known. If an input cannot be read or fitted by an error that
-        :func:`fit_inputs` returns, or its fit cannot be drawn or written by a ValueError, the outcome says so, and the
-        other inputs are fitted.
+        :func:`fit_inputs` returns, or its fit cannot be drawn or written by a ValueError or for lack of memory, the
+        outcome says so, and the other inputs are fitted.
 
     Raises:
         OSError: a file of a fit cannot be written, for example to a full disk; other fits could not be written, either.
         Exception: any other error that is no outcome: an error of a run of one input that is none of FORESEEN_ERRORS,
-            an error that :func:`fit_inputs` raises, or an error other than ValueError by which pictures are not drawn.
+            an error that :func:`fit_inputs` raises, or another error by which pictures are not drawn.
     """
     shown_count, input_count = 0, len(inputs)
     with progress(run.paradigm.name, input_count, long=input_count > 1, quiet=run.options.quiet) as bar:
         bar.set_label(f"{Path(inputs[0].place).name}: reading")
         for run_input, fit in fit_inputs(run, inputs, folder, bar):
             if isinstance(fit, Exception):
-                if input_count == 1 and not isinstance(fit, FORESEEN_ERRORS):
-                    raise fit
-                outcome = _report_failure(run_input, fit, bar)
+                error = _name_short_memory(run, fit)
+                if input_count == 1 and not isinstance(error, FORESEEN_ERRORS):
+                    raise error
+                outcome = _report_failure(run_input, error, bar)
             else:
                 try:
                     outcome = _keep_fit(folder, run_input, fit, bar, is_shown=shown_count < MAX_SHEET_ROWS)
                     shown_count += 1
-                except ValueError as error:
+                except (ValueError, MemoryError, RuntimeError) as drawing_error:
+                    error = _name_short_memory(run, drawing_error)
+                    if not isinstance(error, ValueError):
+                        raise
                     outcome = _report_failure(run_input, error, bar)
             yield outcome
+
+
+def _name_short_memory(run: Run, error: Exception) -> Exception:
+    """Return an error, or a ValueError that says so if memory did not suffice."""
+    line = describe_short_memory(error, run.presenter.size)
+    return ValueError(line) if line else error
 
 
 def _report_failure(run_input: Input, error: Exception, bar: Bar) -> Outcome:

@@ -18,6 +18,7 @@ from metapp.cli.console import MAX_MESSAGE_CHARACTERS, shorten_to_line
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.runs import fitting
+from metapp.runs.memory_errors import describe_short_memory
 from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
 from tests.conftest import CommandResult
 
@@ -109,6 +110,32 @@ def test_messages_are_one_short_line(metapp: Callable) -> None:
     assert len(long) <= MAX_MESSAGE_CHARACTERS
     assert long.startswith("gold.binary: ")
     assert long.endswith("; download it again.")
+    path = "/home/somebody/" + "x" * 260 + "/metapp/checkpoints/brdf/general.safetensors"
+    assert shorten_to_line(f"{path}: damaged.") == ".../metapp/checkpoints/brdf/general.safetensors: damaged."
+
+
+SHORT_MEMORY = (
+    "[enforce fail at alloc_cpu.cpp:124] err == 0. DefaultCPUAllocator: can't allocate memory: you tried to allocate "
+    "12000000000 bytes. Error code 12 (Cannot allocate memory)"
+)
+
+
+def test_short_memory_is_named_with_a_size_that_takes_less(
+    fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Failing(Brdf):
+        def prepare(self, task: Task) -> dict[str, Tensor]:
+            raise RuntimeError(SHORT_MEMORY)
+
+    quick = RECIPES["quick"]
+    monkeypatch.setitem(RECIPES, "quick", replace(quick, app=Failing(quick.app.network)))
+    line = only_error_line(fit("overfit", network, "--steps", "2", "--recipe", "quick"))
+    assert "memory is short: 12.0 GB more are not free, expected room for the work; " in line
+    assert describe_short_memory(MemoryError("Unable to allocate 3.00 GiB for an array"), (512, 1024)) == (
+        "memory is short: 3.00 GiB more are not free, expected room for files of 512x1024 px; --size 256x512 takes a "
+        "quarter of it."
+    )
+    assert describe_short_memory(RuntimeError("shapes differ")) == ""
 
 
 @pytest.mark.parametrize("error", [KeyError("w1"), TypeError("a\nb" * 200)])
