@@ -176,7 +176,7 @@ def fit_remarks(rows: Sequence[Row]) -> list[str]:
     remarks = (
         ("warnings", "{} of {} fits ended above their initialisation's loss"),
         ("doubtful", "{} of {} fits look doubtful; the entry `warning` of their records says why"),
-        ("guarded", "the guard acted on {} of {} tasks, which took twice the steps"),
+        ("guarded", "the learned rule did badly on {} of {} tasks, on which as many steps of Adam followed"),
     )
     return [
         f"{row['paradigm']}: {remark.format(row[key], row['tasks'])}"

@@ -278,6 +278,10 @@ def app_options_of_record(app: str, recorded: Mapping[str, object], *, inputs: b
 
 
 def folder_name_parts(app_options: AppOptions) -> list[str]:
-    """Return the parts of a run folder's name that state options of the application, such as conserve, detail512."""
-    recorded = {name: value for name, value in app_options.recorded_values().items() if not isinstance(value, list)}
+    """Return the parts of a run folder's name that state options of the application, such as conserve, relief2.0.
+
+    Options about inputs are left out, as the inputs themselves are.
+    """
+    options = options_by_name(type(app_options))
+    recorded = {name: value for name, value in app_options.recorded_values().items() if options[name].panel != INPUT}
     return [file_name(name if value is True else f"{name}{value}") for name, value in recorded.items()]

@@ -103,7 +103,7 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
                 math.radians(options.fov),
                 options.ruler,
                 report_photo=bar.advance,
-                report_stage=bar.set_label,
+                report_stage=lambda stage: bar.set_done(0, None, stage),  # how many stages follow is not known
                 keep_outlines=found_outlines.keep_outlines,
             )
             cameras, focal_mm, skipped, kept_share = find_sample(search)
