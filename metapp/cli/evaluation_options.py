@@ -46,7 +46,9 @@ class EvaluateOptions:
     checkpoint: Annotated[
         Path | None, Option("Folder of trained checkpoints of one APP; default: those that ship.", "DIR")
     ] = None
-    out: Annotated[Path, Option("Folder of runs.")] = Path("runs")
+    out: Annotated[Path, Option("Folder of the table's runs, which a repeated command goes on with.")] = Path(
+        "runs/evaluate"
+    )
     recipe: Annotated[str, Option("Recipe: quick, full, paper, or another of APP; an APP without it takes quick.")] = (
         "quick"
     )
