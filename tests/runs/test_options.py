@@ -20,7 +20,7 @@ from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
 from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.default_recipe import has_shipped_recipe
-from metapp.runs.fit_options import FitOptions, fit_options
+from metapp.runs.fit_options import FitOptions, fit_options, folder_name_parts
 from metapp.runs.inputs.run_inputs import find_inputs
 from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import load_checkpoint, save_checkpoint
@@ -194,3 +194,15 @@ def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monke
     monkeypatch.setattr("metapp.runs.checkpoint_selection._require_kind", lambda *_: None)  # VGG may be missing
     with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this checkpoint ships for --recipe quick\."):
         attach_checkpoint(Run.from_options(fit_options("texture", rule="meta-basis", out=tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("app", "values", "parts"),
+    [
+        ("illumination", {"shutter": "1/10,1/160", "fov": 60.0}, []),
+        ("svbrdf_stationary", {"fov": 60.0, "relief": 2.0}, ["relief2.0"]),
+        ("brdf", {"conserve": True}, ["conserve"]),
+    ],
+)
+def test_names_of_run_folders_state_no_options_about_inputs(app: str, values: dict[str, Any], parts: list[str]) -> None:
+    assert folder_name_parts(app_options_class(app)(**values)) == parts
