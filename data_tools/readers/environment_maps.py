@@ -62,8 +62,8 @@ def read_task(path: Path, rows: int = MAP_HEIGHT_PX, fov_rad: float = 0.0, obser
     Raises:
         ValueError: the file cannot be read; see :func:`read_map`.
     """
-    if observe == "photo" and not is_latlong(*shape_of(path)):
-        task: Task = _find_photo_reader(str(path)).task_of_pixels(read_pixels(path, layer), str(path), rows, fov_rad)
+    if observe == "photo" and not is_latlong(*shape_of(path)) and not (pixels := read_pixels(path, layer)).is_panorama:
+        task: Task = _find_photo_reader(str(path)).task_of_pixels(pixels, str(path), rows, fov_rad)
         return task._replace(name=path.stem)
     return make_map_task(path.stem, read_map(path, rows, layer), _random_stream_of(path.stem), rows)
 

@@ -23,6 +23,7 @@ from data_tools.readers.arrays import pixels_of
 from data_tools.readers.colours import SRGB_SPACE
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX
+from data_tools.readers.picture_borders import crop_borders
 from data_tools.readers.square_photos import flash_view, task_of_square, to_square_photo
 from metapp.learning.task import Task
 from metapp.storage.shards import AUTO_SPLIT, SPLITS, ManifestEntry
@@ -49,7 +50,7 @@ def read_task(path: Path, size: int = DEFAULT_PHOTO_PX, fov_rad: float = 0.0, le
     Raises:
         ValueError: the file cannot be read; see :func:`read_pixels` and :func:`to_square_photo`.
     """
-    whole = read_pixels(path, layer)
+    whole = crop_borders(read_pixels(path, layer), str(path))
     return task_of_square("image", flash_view(whole, fov_rad, str(path)), whole, path, size, least)
 
 
@@ -70,7 +71,7 @@ def task_of_object(
         rendered = material_maps.task_of_arrays(source, name, _MAX_RENDERED_PX, least=1).data["photo"]
         pixels = Pixels(rendered.permute(1, 2, 0).numpy(), SRGB_SPACE, False)
     else:
-        pixels = pixels_of(name, source, material_maps.OR_MAPS_TEXT)
+        pixels = crop_borders(pixels_of(name, source, material_maps.OR_MAPS_TEXT), name)
     return Task(name, {"image": to_square_photo(flash_view(pixels, fov_rad, name), name, size, least)})
 
 

@@ -39,10 +39,12 @@ from data_tools.readers.opened_images import (
     last_oiio_error,
     open_image,
     open_largest_picture,
+    panorama_window,
     read_radiance_header,
     seek_largest_picture,
     shorten_oiio_error,
     silence_libraries,
+    states_panorama,
 )
 
 _MAX_MISSING_SHARE = 0.01  # of a lat-long map's solid angle
@@ -62,6 +64,7 @@ class Pixels(NamedTuple):
         is_premultiplied: whether colours are multiplied by alpha.
         focal_mm: the focal length in mm of an equal field of view on 35 mm film; 0 if the file does not say.
         lens_note: how EXIF states the focal length, or why it is not known; see :class:`ExifLens`.
+        is_panorama: whether XMP states that the picture is a lat-long map, or a part of one.
     """
 
     values: Array
@@ -69,6 +72,7 @@ class Pixels(NamedTuple):
     is_premultiplied: bool
     focal_mm: float = 0.0
     lens_note: str = ""
+    is_panorama: bool = False
 
     def linear(self, rows: slice = slice(None), high: float = 1.0) -> Floats:
         """Return rows in linear light, in [0, high], float32; where there is alpha, colours are multiplied by it."""
@@ -113,7 +117,8 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
     Args:
         path: the file.
         layer: the name of a layer of an EXR file, or the end of it; "" for the first one (see :func:`find_layer`).
-        is_map: whether the picture is a lat-long map, of whose solid angle 1 % may be missing; it is black there.
+        is_map: whether the picture is a lat-long map, of whose solid angle 1 % may be missing; it is black there. XMP
+            (GPano) may state that the picture is a part of the map.
         lacks_blue: whether a file of red and green alone may be read, as normals are stored; blue is 0 then.
 
     Raises:
@@ -129,7 +134,9 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
         part, channels = find_layer(source, layer, path, lacks_blue=lacks_blue)
         source.seek_subimage(part, 0)
         spec, first = source.spec(), min(channels)
-        height, width, top, left = window = display_window(source)
+        is_panorama = states_panorama(spec)
+        window = panorama_window(spec) if is_map and is_panorama else display_window(source)
+        height, width, top, left = window
         check_size(width, height, path)
         check_memory(spec, path)
         _check_missing(spec, window, path, _MAX_MISSING_SHARE if is_map else 0.0)
@@ -163,7 +170,7 @@ def read_pixels(path: Path, layer: str = "", *, is_map: bool = False, lacks_blue
     if exposure is not None:
         values = values / exposure
     upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
-    return Pixels(upright, space, not spec.get_int_attribute("oiio:UnassociatedAlpha", 0), *lens)
+    return Pixels(upright, space, not spec.get_int_attribute("oiio:UnassociatedAlpha", 0), *lens, is_panorama)
 
 
 def _read_lens(spec: oiio.ImageSpec, size: tuple[int, int]) -> ExifLens:
@@ -189,7 +196,7 @@ def _check_missing(spec: oiio.ImageSpec, window: tuple[int, int, int, int], path
 
     Args:
         spec: the file's description by OpenImageIO.
-        window: its display window; see :func:`display_window`.
+        window: its display window; see :func:`display_window` and :func:`panorama_window`.
         path: the file.
         limit: the share of the solid angle of a lat-long map that may be missing.
     """
@@ -198,6 +205,11 @@ def _check_missing(spec: oiio.ImageSpec, window: tuple[int, int, int, int], path
     rows = weights[max(0, top) : max(0, top + spec.height)].sum() / weights.sum()
     columns = max(0, min(width, left + spec.width) - max(0, left)) / width
     if rows * columns < 1 - max(limit, 1e-9):
+        if states_panorama(spec):
+            raise ValueError(
+                f"{path}: a part of a panorama by its XMP (GPano), {spec.width}x{spec.height} px at {left},{top}, "
+                f"expected the whole sphere, {width}x{height} px; fill what is missing, and export it uncropped."
+            )
         raise ValueError(
             f"{path}: a data window of {spec.width}x{spec.height} px at {spec.x},{spec.y}, expected all of the display "
             f"window, {width}x{height} px at {spec.full_x},{spec.full_y}; export it uncropped."

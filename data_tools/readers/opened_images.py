@@ -128,6 +128,39 @@ def display_window(source: oiio.ImageInput) -> tuple[int, int, int, int]:
     return spec.full_height, spec.full_width, spec.y - spec.full_y, spec.x - spec.full_x
 
 
+def states_panorama(spec: oiio.ImageSpec) -> bool:
+    """Tell whether XMP (GPano) states that a picture is a lat-long map, or a part of one."""
+    return str(spec.getattribute("GPano:ProjectionType")).lower() == "equirectangular"
+
+
+def panorama_window(spec: oiio.ImageSpec) -> tuple[int, int, int, int]:
+    """Return the sphere around a part of a panorama, in px of the picture, as XMP (GPano) states it.
+
+    A picture may have been scaled since. One that has not the part's ratio of sides counts as whole.
+
+    Args:
+        spec: the description by OpenImageIO of a picture that :func:`states_panorama` is true of.
+
+    Returns:
+        Height and width of the sphere, and the row and column in it of the picture's first pixel.
+    """
+    whole_width, whole_height, part_width, part_height, left, top = (
+        spec.get_int_attribute(f"GPano:{name}", 0)
+        for name in (
+            "FullPanoWidthPixels", "FullPanoHeightPixels", "CroppedAreaImageWidthPixels",
+            "CroppedAreaImageHeightPixels", "CroppedAreaLeftPixels", "CroppedAreaTopPixels",
+        )
+    )  # fmt: skip
+    is_whole = (whole_width, whole_height) == (part_width, part_height)
+    if is_whole or min(whole_width, whole_height, part_width, part_height) <= 0:
+        return spec.height, spec.width, 0, 0
+    across, down = spec.width / part_width, spec.height / part_height
+    if abs(across / down - 1) > max(1 / part_width, 1 / part_height, 1 / spec.width, 1 / spec.height) * 2:
+        return spec.height, spec.width, 0, 0
+    height, width = max(spec.height, round(whole_height * down)), max(spec.width, round(whole_width * across))
+    return height, width, round(top * down), round(left * across)
+
+
 def find_layer(source: oiio.ImageInput, layer: str, path: Path, *, lacks_blue: bool = False) -> tuple[int, list[int]]:
     """Find the part of a file that holds a picture, and its channels: red, green, blue (gray thrice) and any alpha.
 

@@ -27,6 +27,7 @@ from data_tools.readers.opened_images import (
     check_exists,
     export_advice,
 )
+from data_tools.readers.picture_borders import crop_borders
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import CAMERA_FOV_RAD
 from metapp.appearance.surface import DESCRIPTION_FILE
@@ -103,7 +104,7 @@ def read_task(path: Path, size: int = DEFAULT_PHOTO_PX, least: int = 0, layer: s
     Raises:
         ValueError: the file cannot be read; see :func:`read_pixels` and :func:`to_square_photo`.
     """
-    whole = read_pixels(path, layer)
+    whole = crop_borders(read_pixels(path, layer), str(path))
     return task_of_square("image", central_square(whole), whole, path, size, least)
 
 
@@ -150,7 +151,7 @@ def task_of_object(source: object, name: str, size: int = DEFAULT_PHOTO_PX, leas
     Raises:
         ValueError: see :func:`pixels_of` and :func:`to_square_photo`.
     """
-    return Task(name, {"image": to_square_photo(pixels_of(name, source), name, size, least)})
+    return Task(name, {"image": to_square_photo(crop_borders(pixels_of(name, source), name), name, size, least)})
 
 
 def read_photo(path: str | Path, size: int = DEFAULT_PHOTO_PX, least: int = 0, layer: str = "") -> Tensor:

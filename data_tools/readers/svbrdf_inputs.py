@@ -18,6 +18,7 @@ from data_tools.readers.input_source import DAMAGED_FACT, DEFAULT_PHOTO_PX, PHOT
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import is_unused_map
 from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES, check_exists
+from data_tools.readers.picture_borders import crop_borders
 from data_tools.readers.square_photos import (
     flash_view,
     folders_with_places,
@@ -132,7 +133,7 @@ def read_task(
         return material_maps.read_task(path, size, least=least, layer=layer, content=role.material)
     if role.strip:
         return strips.read_task(path, size, least=least, layer=layer)
-    whole = read_pixels(path, layer)
+    whole = crop_borders(read_pixels(path, layer), str(path))
     task = task_of_square("photo", flash_view(whole, fov_rad, str(path)), whole, path, size, least)
     return _add_height(_correct_task_exposure(task, stops), narrow_view_height(whole, fov_rad))
 
@@ -151,7 +152,7 @@ def task_of_object(
     """
     if isinstance(source, Mapping):
         return material_maps.task_of_arrays(source, name, size, min(size, DEFAULT_PHOTO_PX))
-    whole = pixels_of(name, source, material_maps.OR_MAPS_TEXT)
+    whole = crop_borders(pixels_of(name, source, material_maps.OR_MAPS_TEXT), name)
     photo = to_square_photo(flash_view(whole, fov_rad, name), name, size, min(size, DEFAULT_PHOTO_PX))
     return _add_height(_correct_task_exposure(Task(name, {"photo": photo}), stops), narrow_view_height(whole, fov_rad))
 

@@ -14,6 +14,7 @@ from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.input_source import Sources, sources_of_files
 from data_tools.readers.listing import files_of
 from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES
+from data_tools.readers.picture_borders import crop_borders
 from data_tools.readers.square_photos import is_photo, to_square_photo
 from metapp.appearance.latlong import sphere_normals
 from metapp.learning.task import Task
@@ -55,14 +56,15 @@ def task_of_pixels(pixels: Pixels, name: str, rows: int = environment_maps.MAP_H
 
     Raises:
         ValueError: :func:`data_tools.readers.square_photos.to_square_photo` refuses the photograph, it is twice as wide
-            as high, or the disc is black.
+            as high or states that it is a panorama, or the disc is black.
     """
     height, width, channels = pixels.values.shape
-    if environment_maps.is_latlong(height, width):
+    if environment_maps.is_latlong(height, width) or pixels.is_panorama:
         raise ValueError(
             f"{name}: {width}x{height} px of {pixels.values.dtype}, expected an HDR map (.exr or .hdr) or a "
             "photograph of a sphere; export the map as HDR, or crop the photograph to the sphere."
         )
+    pixels = crop_borders(pixels, name, is_cut_out=True)
     square = (
         to_square_photo(pixels, name, environment_maps.SPHERE_PHOTO_PX)[None]
         * sphere_normals(environment_maps.SPHERE_PHOTO_PX)[1]
