@@ -213,12 +213,17 @@ def kept_order_share(exemplar: Lattice, picture: Tensor) -> float:
     """Return the share of an exemplar's order that a picture [C, H, W] of the same scale keeps.
 
     It is the picture's autocorrelation at the vectors of the exemplar's lattice, where peaks may have moved by
-    MAX_PEAK_SHIFT_PX, over the exemplar's: 1 for as much order, 0 for none; NaN if the exemplar has none.
+    MAX_PEAK_SHIFT_PX, over the exemplar's: 1 for as much order, 0 for none; NaN if the exemplar has none, or no vector
+    fits into the picture, which may be of another size.
     """
     correlation, (height, width) = autocorrelation(picture.double().cpu()), picture.shape[-2:]
     shares = []
     for vector, exemplar_correlation in zip(exemplar.vectors, exemplar.correlations, strict=True):
-        if float(exemplar_correlation) > 0:
+        fits = all(
+            abs(float(component)) + MAX_PEAK_SHIFT_PX + 1 < size
+            for component, size in zip(vector, (height, width), strict=True)
+        )
+        if fits and float(exemplar_correlation) > 0:
             y, x = (round(float(component)) + size for component, size in zip(vector, (height, width), strict=True))
             window = correlation[
                 y - MAX_PEAK_SHIFT_PX : y + MAX_PEAK_SHIFT_PX + 1, x - MAX_PEAK_SHIFT_PX : x + MAX_PEAK_SHIFT_PX + 1

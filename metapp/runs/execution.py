@@ -172,13 +172,14 @@ def keep_fits(run: Run, folder: RunFolder, inputs: Sequence[Input]) -> Iterator[
 
     Yields:
         The outcome of each input, as soon as it is known. If an input cannot be read or fitted by an error that
-        :func:`fit_inputs` returns, or its fit cannot be drawn or written by a ValueError or for lack of memory, the
-        outcome says so, and the other inputs are fitted.
+        :func:`fit_inputs` returns, or its fit cannot be drawn or written by a ValueError or a RuntimeError, the outcome
+        says so, and the other inputs are fitted.
 
     Raises:
         OSError: a file of a fit cannot be written, for example to a full disk; other fits could not be written, either.
         Exception: any other error that is no outcome: an error of a run of one input that is none of FORESEEN_ERRORS,
-            an error that :func:`fit_inputs` raises, or another error by which pictures are not drawn.
+            an error that :func:`fit_inputs` raises, or an error other than ValueError and RuntimeError by which
+            pictures are not drawn.
     """
     shown_count, input_count = 0, len(inputs)
     with progress(run.paradigm.name, input_count, long=input_count > 1, quiet=run.options.quiet) as bar:
@@ -195,7 +196,7 @@ def keep_fits(run: Run, folder: RunFolder, inputs: Sequence[Input]) -> Iterator[
                     shown_count += 1
                 except (ValueError, MemoryError, RuntimeError) as drawing_error:
                     error = _name_short_memory(run, drawing_error)
-                    if not isinstance(error, ValueError):
+                    if input_count == 1 and not isinstance(error, ValueError):
                         raise
                     outcome = _report_failure(run_input, error, bar)
             yield outcome

@@ -6,6 +6,7 @@ kept of a fit is decided in `metapp.runs.execution`.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 import time
@@ -78,7 +79,8 @@ def fit_inputs(
         nonlocal is_warm
         for group in group_by_tensor_sizes(pending):
             if not is_warm:
-                warm_up(run, group[0][1])
+                with contextlib.suppress(*FIT_ERRORS):  # the fit itself fails of the same, and says so of its input
+                    warm_up(run, group[0][1])
                 is_warm = True
             for run_input, fit in _fit_group(run, group):
                 if isinstance(fit, Fit):
@@ -229,7 +231,7 @@ def fit_side_by_side(run: Run, tasks: Sequence[Task]) -> list[Fit]:
     theta = app.postprocess(last.theta)
     seconds = (_clock_seconds(run.device) - begin_seconds) / len(tasks)
     cpu_seconds = (time.process_time() - begin_cpu_seconds) / len(tasks)
-    measures, warnings = app.errors(theta, stacked), warnings_of(run, stacked, first, last)
+    measures, warnings = app.errors(theta, stacked), _warnings_or_fault(run, stacked, first, last)
     fits = []
     for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
         errors = {
@@ -276,6 +278,15 @@ def _require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> N
         raise FloatingPointError(
             f"{task.name}: the fit's {subject} not finite; use another checkpoint or paradigm, or fewer steps."
         )
+
+
+def _warnings_or_fault(run: Run, stacked: Tasks, first: DescentState, last: DescentState) -> list[list[str]]:
+    """Return :func:`warnings_of` the fits, or a clause for each that they could not be found: no doubt ends a fit."""
+    try:
+        return warnings_of(run, stacked, first, last)
+    except FIT_ERRORS as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        return [[f"the fit could not be examined for doubts ({reason})"] for _ in stacked.names]
 
 
 def warnings_of(run: Run, stacked: Tasks, first: DescentState, last: DescentState) -> list[list[str]]:

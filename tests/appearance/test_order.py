@@ -64,6 +64,10 @@ def test_order_kept_is_one_for_as_much_order_and_none_for_noise() -> None:
     assert 0.15 < order.kept_order_share(exemplar, half) < 0.9
     nothing = order.find_lattice(torch.rand(3, SIZE, SIZE, generator=generator))
     assert math.isnan(order.kept_order_share(nothing, periodic(vectors, generator)))
+    for side in range(4, SIZE, 12):  # pictures that are smaller than the lattice tell nothing, and are no error
+        share = order.kept_order_share(exemplar, periodic(vectors, generator)[:, :side, :side])
+        assert math.isnan(share) or share >= 0
+    assert math.isnan(order.kept_order_share(exemplar, torch.rand(3, 12, 12, generator=generator)))
 
 
 def test_flattened_photos_have_one_brightness() -> None:

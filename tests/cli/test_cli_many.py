@@ -12,7 +12,7 @@ from torch import Tensor
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.task import Params, Tasks
-from metapp.runs import fitting
+from metapp.runs import execution, fitting
 from metapp.runs.inputs.run_inputs import Input
 from metapp.storage.fit_folders import name_with_digest, read_fit_records
 
@@ -157,3 +157,28 @@ def test_tasks_of_one_name_from_files_of_other_names_are_kept_apart(
     assert list(first) == names
     assert "5 of 5 fits and their pictures replace earlier ones" in (again := fit()).err
     assert list(errors(again.json_document)) == names
+
+
+def test_faults_of_warm_ups_doubts_and_pictures_end_no_other_fit(
+    fit: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("max(): no elements\nsecond line")
+
+    drawn, draw = [], execution.write_pictures
+
+    def draw_but_one(pictures: object, folder: Path) -> None:
+        drawn.append(folder)
+        if len(drawn) == 2:
+            fail()
+        draw(pictures, folder)
+
+    monkeypatch.setattr(fitting, "warm_up", fail)
+    monkeypatch.setattr(fitting, "warnings_of", fail)
+    monkeypatch.setattr(execution, "write_pictures", draw_but_one)
+    run = fit()
+    assert run.code == 1
+    assert len(run.json_document["tasks"]) == NETWORKS - 1
+    assert len(run.json_document["failures"]) == 1
+    assert run.err.count("could not be examined for doubts (max(): no elements)") == NETWORKS
+    assert run.err.count("could not be examined for doubts (max(): no elements)\n") >= 1
