@@ -21,6 +21,8 @@ from metapp.storage.files import read_text
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, list_folder, path_kind
 
 MAX_PATCH_SIDE_CM = 1e5  # the longest side of a patch; the shortest is 1 over that
+# Photographs that are read, at most. Time and memory of a fit grow with them: 10 took 16 s, 20 took 51 s and 2.1 GB.
+MAX_PHOTOS = 9
 MAX_DISTANCE_SIDES = 1000.0  # distance of camera and flash at most, in sides of the patch
 
 
@@ -62,7 +64,8 @@ def read_task(
 
     Returns:
         `photo`, the first photograph, sRGB uint8 [3, S, S], `others`, all further ones, [N - 1, 3, S, S], and `places`,
-        positions of camera and flash [N, 2, 3] (see :func:`read_places`).
+        positions of camera and flash [N, 2, 3] (see :func:`read_places`). Of more than MAX_PHOTOS these are the ones
+        that :func:`choose_spread` chooses, and the task has a note on it.
 
     Raises:
         ValueError: there are fewer than two photographs; one is not square, or of another size; the folder cannot be
@@ -82,10 +85,42 @@ def read_task(
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."
             )
+    chosen = choose_spread(places, MAX_PHOTOS)
     photo, *others = (
-        correct_exposure(read_photo(path, size, min(size, DEFAULT_PHOTO_PX), layer), stops) for path in paths
+        correct_exposure(read_photo(paths[index], size, min(size, DEFAULT_PHOTO_PX), layer), stops) for index in chosen
     )
-    return Task(folder.resolve().name, {"photo": photo, "others": torch.stack(others), "places": places})
+    data = {"photo": photo, "others": torch.stack(others), "places": places[chosen]}
+    names = ", ".join(paths[index].name for index in chosen)
+    note = f"{len(paths)} photos, more than a fit sees; taken: {MAX_PHOTOS} of the most different directions: {names}"
+    return Task(folder.resolve().name, data, note=note if len(chosen) < len(paths) else "")
+
+
+def choose_spread(places: Tensor, count: int) -> list[int]:
+    """Choose photographs whose cameras and flashes lie in directions as different as possible.
+
+    The first one is the one from straightest above. Each further one is the farthest from those that are chosen.
+
+    Args:
+        places: positions of camera and flash [N, 2, 3].
+        count: the number of photographs to choose, at most.
+
+    Returns:
+        Their indices, sorted.
+
+    >>> places = torch.tensor([[0.0, 0, 1], [0.1, 0, 1], [1, 0, 1], [-1, 0, 1]])[:, None].expand(-1, 2, -1)
+    >>> choose_spread(places, 3)
+    [0, 2, 3]
+    """
+    if len(places) <= count:
+        return list(range(len(places)))
+    directions = torch.nn.functional.normalize(places.double(), dim=-1).flatten(1)
+    distances = torch.cdist(directions, directions)
+    chosen = [int(directions[:, [2, 5]].sum(1).argmax())]
+    while len(chosen) < count:
+        nearest = distances[chosen].amin(0)
+        nearest[chosen] = -1  # photographs from one place count once, whatever their number
+        chosen.append(int(nearest.argmax()))
+    return sorted(chosen)
 
 
 def read_places(folder: Path, photos: int) -> Tensor:

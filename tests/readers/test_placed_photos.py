@@ -245,3 +245,25 @@ def test_fits_of_five_photos_have_lower_errors_than_fits_of_one() -> None:
     assert meta["error"] < errors["several", "quickft"]["error"]
     for key in ("error", "normal"):
         assert meta[key] < 0.6 * errors["full", "meta"][key]
+
+
+def test_of_many_photos_nine_of_different_directions_are_read(folder: Path) -> None:
+    angles = torch.arange(20) * 0.3
+    xs, ys = (angles / 6 * angles.cos() * 8).tolist(), (angles / 6 * angles.sin() * 8).tolist()
+    for index in range(20):
+        write(folder / f"p{index:02}.png", index)
+    for name in ("a.png", "b.png", "c.png"):
+        (folder / name).unlink()
+    for name in (CAMERA_TEXT, LIGHT_TEXT):
+        (folder / name).write_text("".join(f"{x},{y},16\n" for x, y in zip(xs, ys, strict=True)))
+    task, places = photos.read_task(folder, 48), photos.read_places(folder, 20)
+    chosen = photos.choose_spread(places, photos.MAX_PHOTOS)
+    assert len(task.data["others"]) == len(chosen) - 1 == 8
+    assert chosen == sorted(set(chosen))
+    assert {0, 19} <= set(chosen)
+    torch.testing.assert_close(task.data["places"], places[chosen])
+    assert task.note.startswith("20 photos, more than a fit sees")
+    assert all(f"p{index:02}.png" in task.note for index in chosen)
+    same = photos.choose_spread(torch.ones(12, 2, 3), 9)
+    assert len(set(same)) == 9
+    assert photos.choose_spread(places[:9], 9) == list(range(9))
