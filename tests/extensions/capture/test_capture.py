@@ -14,6 +14,7 @@ from metapp.extensions.capture.ball.bracket import (
     exif_exposure,
     fit_curve_power,
     merge_exposures,
+    pair_by_brightness,
     read_exposures,
 )
 from metapp.extensions.capture.ball.capture import capture_light
@@ -135,3 +136,13 @@ def test_photographs_without_a_ball_are_refused_in_one_line(tmp_path: Path) -> N
 def test_impossible_exposures_are_refused_in_one_line(brackets: list[Path], shutter: str, line: str) -> None:
     with pytest.raises(ValueError, match=line):
         capture_light(brackets, shutter, circle=(80, 75, 60))
+
+
+def test_shutter_times_in_another_order_go_by_brightness() -> None:
+    paths = [Path(name) for name in ("a-10.jpg", "a-160.jpg", "a-40.jpg")]
+    stated = np.array([1 / 10, 1 / 40, 1 / 160])
+    with pytest.warns(UserWarning, match=r"a-10\.jpg 0\.1 s, a-160\.jpg 0\.00625 s, a-40\.jpg 0\.025 s"):
+        paired = pair_by_brightness(stated, [0.8, 0.2, 0.4], paths)
+    assert paired.tolist() == [1 / 10, 1 / 160, 1 / 40]
+    assert pair_by_brightness(stated, [0.8, 0.4, 0.2], paths).tolist() == stated.tolist()
+    assert pair_by_brightness(stated, [0.2, 0.4, 0.8], paths).tolist() == stated.tolist()  # reversed: refused elsewhere

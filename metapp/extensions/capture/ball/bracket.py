@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -61,6 +62,30 @@ def read_exposures(paths: Sequence[Path], shutter: str) -> Floats:
                 "--shutter 1/20,1/60,1/160."
             )
     return exposures
+
+
+def pair_by_brightness(exposures: Floats, brightness: Sequence[float], paths: Sequence[Path]) -> Floats:
+    """Return exposures in the order of photographs, the longest for the brightest, and warn if that is another order.
+
+    A shell sorts a-10, a-160, a-40, unlike the times that its user states. An order that is reversed as a whole stays:
+    60 may stand for 1/60.
+
+    Args:
+        exposures: exposure times as the user states them, [N].
+        brightness: the mean display value of each photograph.
+        paths: the photographs.
+    """
+    darkest_first = np.argsort(brightness, kind="stable")
+    steps = np.diff(exposures[darkest_first])
+    if (steps >= 0).all() or (steps <= 0).all():
+        return exposures
+    paired = np.empty_like(exposures)
+    paired[darkest_first] = np.sort(exposures)
+    pairs = ", ".join(f"{path.name} {seconds:.4g} s" for path, seconds in zip(paths, paired.tolist(), strict=True))
+    warnings.warn(
+        f"--shutter: times in another order than the photos' brightness, taken by brightness: {pairs}.", stacklevel=2
+    )
+    return paired
 
 
 def _parse_seconds(text: str, shutter: str) -> float:

@@ -32,7 +32,13 @@ from metapp.extensions.capture.ball.ball_picture import (
     lens_of_photo,
     sample_pixels,
 )
-from metapp.extensions.capture.ball.bracket import align_balls, fit_curve_power, merge_exposures, read_exposures
+from metapp.extensions.capture.ball.bracket import (
+    align_balls,
+    fit_curve_power,
+    merge_exposures,
+    pair_by_brightness,
+    read_exposures,
+)
 from metapp.extensions.capture.ball.circle import MIN_BALL_SCORE, find_ball, score_ball
 from metapp.extensions.capture.hand_photos import display_values
 from metapp.learning.task import Task
@@ -111,6 +117,8 @@ def capture_light(
         found_balls.append(Ball(circle[0], circle[1], circle[2], lens) if circle else find_ball(grey, lens))
         brightness.append(float(grey.mean()))
         done(path.name)
+    if shutter != "auto":
+        exposures = pair_by_brightness(exposures, brightness, paths)
     if np.log(exposures) @ (np.array(brightness) - np.mean(brightness)) < 0:
         raise ValueError("exposures: photos get darker as times get longer, expected times such as 1/60, not 60.")
     scores = [ball.score if ball else -1.0 for ball in found_balls]
