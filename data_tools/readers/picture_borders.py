@@ -197,7 +197,8 @@ def find_empty_corners(values: Array) -> Array:
         return np.zeros((height, width), bool)
     # by two cells wider, for the px of a mixed colour at the edge
     grown = ndimage.binary_dilation(is_empty, np.ones((3, 3)), 2)
-    return grown.repeat(step, 0).repeat(step, 1)[:height, :width]
+    wide: Array = grown.repeat(step, 0).repeat(step, 1)
+    return wide[:height, :width]
 
 
 def _is_even(line: Floats) -> bool:

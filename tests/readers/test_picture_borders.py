@@ -3,6 +3,8 @@
 import io
 import warnings
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -27,7 +29,7 @@ def photo(width: int = 240, height: int = 200) -> Image.Image:
     return coarse.resize((width, height), Image.Resampling.BICUBIC)
 
 
-def with_frame(colour: object, sides: tuple[int, int, int, int]) -> Image.Image:
+def with_frame(colour: Any, sides: tuple[int, int, int, int]) -> Image.Image:
     left, top, right, bottom = sides
     picture = photo()
     framed = Image.new("RGB", (picture.width + left + right, picture.height + top + bottom), colour)
@@ -41,16 +43,16 @@ def as_jpeg(picture: Image.Image, quality: int) -> Image.Image:
     return Image.open(stream)
 
 
-def crop(picture: Image.Image, **options: bool) -> tuple[Pixels, list[str]]:
+def crop(picture: Image.Image, *, is_cut_out: bool = False) -> tuple[Pixels, list[str]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        cropped = crop_borders(pixels_of_pil(picture, "p"), "p", **options)
+        cropped = crop_borders(pixels_of_pil(picture, "p"), "p", is_cut_out=is_cut_out)
     return cropped, [str(warning.message) for warning in caught]
 
 
 @pytest.mark.parametrize("colour", COLOURS)
 @pytest.mark.parametrize("sides", SIDES)
-def test_frame_is_cut_off_on_any_sides(colour, sides):
+def test_frame_is_cut_off_on_any_sides(colour: Any, sides: tuple[int, int, int, int]) -> None:
     cropped, (line,) = crop(with_frame(colour, sides))
     assert np.array_equal(cropped.values, np.asarray(photo()))
     assert "frame" in line
@@ -59,14 +61,14 @@ def test_frame_is_cut_off_on_any_sides(colour, sides):
 
 @pytest.mark.parametrize("colour", COLOURS[:2])
 @pytest.mark.parametrize("sides", SIDES)
-def test_frame_is_cut_off_with_noise_of_jpeg(colour, sides):
+def test_frame_is_cut_off_with_noise_of_jpeg(colour: Any, sides: tuple[int, int, int, int]) -> None:
     cropped, _ = crop(as_jpeg(with_frame(colour, sides), 70))
     lost = np.array([200, 240]) - cropped.values.shape[:2]
     assert (lost >= 0).all()
     assert lost.max() <= 6
 
 
-def test_frame_inside_a_frame_and_sides_of_two_colours():
+def test_frame_inside_a_frame_and_sides_of_two_colours() -> None:
     framed = Image.new("RGB", (250, 210), "black")
     framed.paste(photo(), (5, 5))
     double = Image.new("RGB", (280, 240), "white")
@@ -121,7 +123,7 @@ NO_FRAMES = {
 
 
 @pytest.mark.parametrize("name", NO_FRAMES)
-def test_picture_without_a_frame_stays(name):
+def test_picture_without_a_frame_stays(name: str) -> None:
     picture = Image.fromarray(NO_FRAMES[name].astype(np.uint8))
     for kind in (picture, as_jpeg(picture, 85)):
         cropped, lines = crop(kind, is_cut_out=name == "ball")
@@ -131,12 +133,12 @@ def test_picture_without_a_frame_stays(name):
 
 @pytest.mark.parametrize("degrees", [-20, 8, 12])
 @pytest.mark.parametrize("fill", ["alpha", "black", "white"])
-def test_turned_picture_is_cut_to_the_largest_full_rectangle(degrees, fill):
-    sharp = {"expand": True, "resample": Image.Resampling.BICUBIC}
+def test_turned_picture_is_cut_to_the_largest_full_rectangle(degrees: int, fill: str) -> None:
+    bicubic = Image.Resampling.BICUBIC
     if fill == "alpha":
-        turned = photo().convert("RGBA").rotate(degrees, **sharp)
+        turned = photo().convert("RGBA").rotate(degrees, bicubic, expand=True)
     else:
-        turned = as_jpeg(photo().rotate(degrees, **sharp, fillcolor=fill), 85)
+        turned = as_jpeg(photo().rotate(degrees, bicubic, expand=True, fillcolor=fill), 85)
     cropped, (line,) = crop(turned)
     height, width, channels = cropped.values.shape
     assert channels == 3
@@ -146,7 +148,7 @@ def test_turned_picture_is_cut_to_the_largest_full_rectangle(degrees, fill):
     assert "corners" in line or "transparent" in line
 
 
-def test_holes_and_cut_out_objects_stay():
+def test_holes_and_cut_out_objects_stay() -> None:
     lattice = np.dstack([np.asarray(photo(256, 256)), 255 * (np.indices((256, 256)).sum(0) // 8 % 4 > 0)])
     cropped, lines = crop(Image.fromarray(lattice.astype(np.uint8)))
     assert cropped.values.shape == (256, 256, 4)
@@ -156,7 +158,7 @@ def test_holes_and_cut_out_objects_stay():
     assert min(crop(Image.fromarray(disc))[0].values.shape[:2]) > 150
 
 
-def test_field_of_view_narrows_by_corners_but_not_by_frames():
+def test_field_of_view_narrows_by_corners_but_not_by_frames() -> None:
     framed = pixels_of_pil(with_frame("white", SIDES[0]), "p")._replace(focal_mm=28.0)
     turned = pixels_of_pil(photo().convert("RGBA").rotate(8, expand=True), "p")._replace(focal_mm=28.0)
     with pytest.warns(UserWarning, match="frame"):
@@ -165,14 +167,14 @@ def test_field_of_view_narrows_by_corners_but_not_by_frames():
         assert 30 < crop_borders(turned, "p").focal_mm < 40
 
 
-def test_floating_point_values_and_nan_are_read():
+def test_floating_point_values_and_nan_are_read() -> None:
     values = np.pad(np.asarray(photo()) / np.float32(255), ((20, 20), (20, 20), (0, 0)), constant_values=1)
     assert find_frame(values)[0] == Part(20, 220, 20, 260)
     values[100, 100] = np.nan
     assert find_frame(values)[0] == Part(20, 220, 20, 260)
 
 
-def test_largest_rectangle_is_that_of_all_rectangles():
+def test_largest_rectangle_is_that_of_all_rectangles() -> None:
     inside = np.random.default_rng(0).random((9, 11)) < 0.8
     part = largest_rectangle(inside)
     areas = [
@@ -185,7 +187,7 @@ def test_largest_rectangle_is_that_of_all_rectangles():
 
 
 @pytest.mark.parametrize("reader", [square_photos, flash_photos, svbrdf_inputs])
-def test_all_readers_of_photographs_cut_frames_off(reader, tmp_path):
+def test_all_readers_of_photographs_cut_frames_off(reader: ModuleType, tmp_path: Path) -> None:
     photo(256, 256).save(tmp_path / "plain.png")
     framed = Image.new("RGB", (296, 296), "white")
     framed.paste(photo(256, 256), (20, 20))
@@ -196,7 +198,7 @@ def test_all_readers_of_photographs_cut_frames_off(reader, tmp_path):
     assert all(torch.equal(read[key], value) for key, value in expected.items())
 
 
-def write_panorama(path: Path, values: np.ndarray, **stated: object) -> Path:
+def write_panorama(path: Path, values: np.ndarray, **stated: Any) -> Path:
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], 3, oiio.FLOAT)
     for name, value in stated.items():
         spec.attribute(f"GPano:{name}", value)
@@ -216,7 +218,9 @@ def stated_part(rows: slice, columns: slice, height: int = 128) -> dict[str, obj
 
 @pytest.mark.parametrize(("rows", "columns"), [((16, 112), (32, 224)), ((0, 100), (0, 256)), ((0, 128), (64, 256))])
 @pytest.mark.parametrize("suffix", [".exr", ".tif"])
-def test_part_of_a_panorama_is_refused_in_one_line(rows, columns, suffix, tmp_path):
+def test_part_of_a_panorama_is_refused_in_one_line(
+    rows: tuple[int, int], columns: tuple[int, int], suffix: str, tmp_path: Path
+) -> None:
     sky = np.random.default_rng(0).random((128, 256, 3))
     path = write_panorama(
         tmp_path / f"p{suffix}", sky[slice(*rows), slice(*columns)], **stated_part(slice(*rows), slice(*columns))
@@ -227,7 +231,7 @@ def test_part_of_a_panorama_is_refused_in_one_line(rows, columns, suffix, tmp_pa
     assert "\n" not in str(refusal.value)
 
 
-def test_panorama_that_lacks_almost_nothing_is_placed(tmp_path):
+def test_panorama_that_lacks_almost_nothing_is_placed(tmp_path: Path) -> None:
     sky = 1 + np.random.default_rng(0).random((128, 256, 3))
     whole = read_map(write_panorama(tmp_path / "whole.exr", sky, **stated_part(slice(0, 128), slice(0, 256))))
     part = read_map(write_panorama(tmp_path / "part.exr", sky[:123], **stated_part(slice(0, 123), slice(0, 256))))
@@ -235,7 +239,7 @@ def test_panorama_that_lacks_almost_nothing_is_placed(tmp_path):
     assert not part[:, 62:].any()
 
 
-def test_completed_panorama_and_other_ratios_of_sides_do_not_count_as_parts(tmp_path):
+def test_completed_panorama_and_other_ratios_of_sides_do_not_count_as_parts(tmp_path: Path) -> None:
     sky = np.random.default_rng(0).random((128, 256, 3))
     stale = stated_part(slice(0, 100), slice(0, 256))
     assert torch.equal(
@@ -243,7 +247,7 @@ def test_completed_panorama_and_other_ratios_of_sides_do_not_count_as_parts(tmp_
     )
 
 
-def test_panorama_in_jpeg_is_no_photograph_of_a_ball(tmp_path):
+def test_panorama_in_jpeg_is_no_photograph_of_a_ball(tmp_path: Path) -> None:
     words = " ".join(f'GPano:{name}="{value}"' for name, value in stated_part(slice(16, 112), slice(32, 224)).items())
     xmp = (
         '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
