@@ -39,6 +39,7 @@ UNITS = brdf_task.UNITS
 MERL_SUFFIX = ".binary"
 TABLE_SHAPE = (90, 90, 180)  # bins of theta_h, theta_d and phi_d
 CHANNEL_SCALES = np.array([1.0, 1.15, 1.66]) / 1500.0  # 1/sr for 1 in a file, of red, green and blue
+MAX_FILE_VALUE = 1e30  # single precision, in which tables are interpolated, ends at 3e38
 FILE_BYTES = 12 + 8 * 3 * math.prod(TABLE_SHAPE)
 
 _HEADER = np.array(TABLE_SHAPE, dtype="<i4")
@@ -134,7 +135,8 @@ def read_merl(path: str | Path) -> Doubles:
     It is a view of planes, as the file has them: interleaving the channels can take longer than reading them.
 
     Raises:
-        ValueError: the file is not a MERL file, or incomplete; values are not finite; almost no entries are valid.
+        ValueError: the file is not a MERL file, or incomplete; values are not finite, or huge; almost no
+            entries are valid.
     """
     path = Path(path)
     _check_file(path)
@@ -150,7 +152,7 @@ def write_merl(path: str | Path, table: Doubles) -> None:
     Reading the file again gives the table's values up to their last bit.
 
     Raises:
-        ValueError: the table has another shape; values are not finite; almost no entries are valid.
+        ValueError: the table has another shape; values are not finite or huge; almost no entries are valid.
     """
     if table.shape != (*TABLE_SHAPE, 3):
         raise ValueError(f"{path}: table {table.shape}, expected {(*TABLE_SHAPE, 3)} to write.")
@@ -199,6 +201,12 @@ def _check_values(planes: Doubles, subject: str) -> None:
     if not np.isfinite(total) and not np.isfinite(planes).all():
         count = int((~np.isfinite(planes)).sum())
         raise ValueError(f"{subject}: {count:,} values are NaN or infinite, expected none; download or make it again.")
+    highest = max(float(planes.max()), -float(planes.min()))
+    if highest > MAX_FILE_VALUE:
+        raise ValueError(
+            f"{subject}: values of up to {highest:.3g}, expected at most {MAX_FILE_VALUE:.0e} in a MERL file; is it "
+            "damaged, or in another unit?"
+        )
     valid = float(merl_valid_mask(np.moveaxis(planes, 0, -1)).mean())
     if valid < _MIN_VALID_SHARE:
         raise ValueError(

@@ -140,6 +140,8 @@ def test_files_that_are_no_table_are_refused_in_one_line(merl_file: Path, tmp_pa
         (b"hello", f"5 bytes, {expected}; not a MERL file"),
         (whole[:8] + struct.pack("<i", 360) + whole[12:], "header 90x90x360, expected 90x90x180; not a MERL file"),
         (whole[:628] + infinite + whole[644:], "2 values are NaN or infinite"),
+        (whole[:628] + struct.pack("<d", 1e300) + whole[636:], "values of up to 1e+300, expected at most 1e+30"),
+        (whole[:628] + struct.pack("<d", -1e300) + whole[636:], "values of up to 1e+300, expected at most 1e+30"),
         (whole[:12] + b"\xbf" * (FILE_BYTES - 12), "0.00% of the entries are valid"),
     ):
         path.write_bytes(content)
