@@ -71,10 +71,12 @@ class GonioConverter(Converter):
 
     A file has a line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light),
     theta_o_deg, phi_o_deg (detector), or _rad for radians, and the BRDF in 1/sr as r, g, b (linear RGB) or as
-    wavelengths (400nm, 410nm, ...). Semicolons, tabs, quotes, decimal commas, a row of units and UTF-16, as
-    spreadsheets write, are read as well. A negative theta means the opposite side, phi + 180 degrees. Lines that begin
-    with # are comments. The measurements themselves become the samples, in random order. A bad file that you name ends
-    the conversion, and nothing is written; one found in a folder is skipped with a warning.
+    wavelengths (400nm, 410nm, ...). In place of these four angles may stand theta_i, theta_o and phi, the azimuth
+    between both, or half and difference angles, theta_h, theta_d, phi_d and perhaps phi_h. Semicolons, tabs, quotes,
+    decimal commas, a row of units and UTF-16, as spreadsheets write, are read as well. A negative theta means the
+    opposite side, phi + 180 degrees. Lines that begin with # are comments. The measurements themselves become the
+    samples, in random order. A bad file that you name ends the conversion, and nothing is written; one found in a
+    folder is skipped with a warning.
 
     Examples:
       metapp data gonio paint.csv --out measured

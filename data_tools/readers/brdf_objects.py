@@ -16,6 +16,7 @@ from torch import Tensor
 from data_tools.readers import brdf_task
 from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, task_of_pairs
 from data_tools.readers.numbers import doubles_of, unit_vectors, vectors_of
+from data_tools.readers.reciprocity import require_reciprocity
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.learning.task import Task
 from metapp.rendering.types import Bsdf
@@ -55,7 +56,9 @@ def task_of_object(source: object, name: str, **_: object) -> Task:
         if not len(wi) == len(wo) == len(values):
             found = f"{len(wi)} rows of wi, {len(wo)} of wo, {len(values)} of reflectance"
             raise ValueError(f"{name}: {found}, expected equally many; give one of each for a sample.")
-        return task_of_pairs(name, MeasuredPairs(wi, wo, values).above())
+        pairs = MeasuredPairs(wi, wo, values).above(name)
+        require_reciprocity(name, pairs)
+        return task_of_pairs(name, pairs)
     if type(source).__module__.partition(".")[0] == "mitsuba":
         return _make_function_task(name, partial(evaluate_mitsuba_bsdf, load_mitsuba(), source))
     if callable(source):

@@ -2,7 +2,9 @@
 
 A file holds a line of column names, perhaps one of units, then numbers; lines that begin with # are comments.
 `theta_i, phi_i` is the light, `theta_o, phi_o` the detector, with the unit behind, `theta_i_deg` or `theta_i_rad`, or
-below; thetas are from the normal, negative ones at phi + 180 degrees. The BRDF in 1/sr is `r, g, b`, linear RGB, or
+below; thetas are from the normal, negative ones at phi + 180 degrees. In place of these a file may hold `theta_i,
+theta_o, phi`, the azimuth between both, or half and difference angles, `theta_h, theta_d, phi_d`, and perhaps `phi_h`;
+see `gonio_angles`. The BRDF in 1/sr is `r, g, b`, linear RGB, or
 columns of wavelengths, `400nm, 410nm, ...`, which become linear RGB of the material in D65. Columns may be in any
 order; unknown ones are ignored. Text is UTF-8 or UTF-16; cells are separated by commas, semicolons, tabs or bars, as
 Excel's line `sep=;` or the column names tell; cells may be in quotes, and decimal commas are read beside another
@@ -27,19 +29,18 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import brdf_task
+from data_tools.readers.gonio_angles import ANGLE_COLUMNS, name_angle, read_directions
 from data_tools.readers.input_source import ANISOTROPIC_FACT, DAMAGED_FACT, SAMPLE_COUNT_FACT, Source, Sources
 from data_tools.readers.listing import find_by_suffix, has_suffix
-from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, depends_on_azimuth, task_of_pairs
+from data_tools.readers.measured_pairs import MAX_REFLECTANCE_PER_SR, MeasuredPairs, merge_repeats, task_of_pairs
 from data_tools.readers.numbers import Doubles
+from data_tools.readers.reciprocity import require_reciprocity
 from metapp.appearance.colorimetry import spectrum_to_rgb_matrix
-from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.task import Task
 from metapp.storage.files import open_text, write_bytes
 
 GONIO_SUFFIX = ".csv"
-ANGLE_COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o")
 UNITS = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environment"}
-RADIANS_PER_UNIT = {"deg": math.pi / 180, "rad": 1.0}
 RGB_COLUMNS = ("r", "g", "b")
 VISIBLE_RANGE_NM = (420.0, 680.0)  # spectra must cover it
 MAX_KEPT_TABLE_BYTES = 1 << 26  # tables of a folder that stay in memory; further ones are parsed again when read
@@ -68,8 +69,8 @@ def find(path: Path) -> Sources:
         except (ValueError, OSError):
             sources.append(Source(file.stem, file, facts={DAMAGED_FACT: True}))
             continue
-        azimuths = depends_on_azimuth(directions_to_four_angles(pairs.wi, pairs.wo), pairs.reflectance)
-        facts = {ANISOTROPIC_FACT: azimuths, SAMPLE_COUNT_FACT: len(pairs.wi)}
+        angles, _ = merge_repeats(pairs)
+        facts = {ANISOTROPIC_FACT: angles.shape[1] == 4, SAMPLE_COUNT_FACT: len(angles)}
         kept_bytes += sum(values.nbytes for values in pairs)
         sources.append(
             Source(file.stem, file, facts=facts, content=pairs if kept_bytes <= MAX_KEPT_TABLE_BYTES else None)
@@ -98,7 +99,7 @@ def read_pairs(path: Path) -> MeasuredPairs:
             angles beyond their range.
     """
     columns, lines = _read_columns(path)
-    angles = np.stack([_read_angle(path, columns, lines, name) for name in ANGLE_COLUMNS], 1)
+    light, detector = read_directions(path, columns, lines)
     names, matrix = _find_colours(path, list(columns))
     values = np.stack([columns[name] for name in names], 1)
     is_bad = ~((values >= -MAX_NOISE_PER_SR) & (values <= MAX_REFLECTANCE_PER_SR))
@@ -114,8 +115,9 @@ def read_pairs(path: Path) -> MeasuredPairs:
         warnings.warn(f"{path}: {found}, expected 0 or more; taken for noise and set to 0", stacklevel=2)
     if not values.any():
         warnings.warn(f"{path}: reflectance 0 everywhere, expected some light reflected; is it damaged?", stacklevel=2)
-    light, viewer = (torch.from_numpy(_unit_vectors(angles[:, i], angles[:, i + 1])) for i in (0, 2))
-    return MeasuredPairs(light, viewer, torch.from_numpy(values @ matrix).clamp_min(0)).above()
+    pairs = MeasuredPairs(light, detector, torch.from_numpy(values @ matrix).clamp_min(0)).above(path)
+    require_reciprocity(path, pairs)
+    return pairs
 
 
 def write_pairs(path: Path, wi: Tensor, wo: Tensor, before: MeasuredPairs) -> None:
@@ -221,8 +223,9 @@ def _split_cells(line: str, separator: str) -> list[str]:
 def _name_column(name: str, unit: str) -> str:
     """Return a column's name with its unit behind; in the file, the unit stands in brackets or in the line below."""
     name, _, bracketed = name.replace("(", "[").partition("[")
-    name, ending = name.strip(), _UNIT_ENDINGS.get(bracketed.strip("]) ") or unit, "")
-    return name if name.endswith(ending) or not (name in ANGLE_COLUMNS or ending == "nm") else f"{name}{ending}"
+    ending = _UNIT_ENDINGS.get(bracketed.strip("]) ") or unit, "")
+    name = (angle := name_angle(name.strip())) or name.strip()
+    return name if name.endswith(ending) or not (angle or ending == "nm") else f"{name}{ending}"
 
 
 def _is_number(word: str) -> bool:
@@ -254,32 +257,6 @@ def _quote(word: str) -> str:
     return repr(word.strip()[:30])
 
 
-def _read_angle(path: Path, columns: dict[str, Doubles], lines: list[int], name: str) -> Doubles:
-    """Return the angle of a name, such as theta_i, of all rows, in rad, [N]; thetas are in [-pi/2, pi/2].
-
-    Raises:
-        ValueError: no column or two columns hold the angle, or it leaves its range.
-    """
-    stated_units = [unit for unit in RADIANS_PER_UNIT if f"{name}_{unit}" in columns]
-    if len(stated_units) != 1:
-        problem, remedy = ("no unit", "rename it") if name in columns else ("no such column", "add it")
-        if stated_units:
-            problem, remedy = "both units", "remove one of them"
-        raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad; {remedy}.")
-    values, unit = columns[f"{name}_{stated_units[0]}"], RADIANS_PER_UNIT[stated_units[0]]
-    limit_rad = math.pi / 2 if name.startswith("theta") else 2 * math.tau
-    is_bad = ~(np.abs(values * unit) <= limit_rad + 1e-6)
-    if is_bad.any():
-        row = int(is_bad.argmax())
-        remedy = "leave out directions below the surface" if name.startswith("theta") else "check the unit"
-        raise ValueError(
-            f"{path}: line {lines[row]}: {name} {values[row]:.6g} {stated_units[0]}, expected {-limit_rad / unit:.6g} "
-            f"to {limit_rad / unit:.6g}; {remedy}."
-        )
-    result: Doubles = values * unit
-    return result
-
-
 def _find_colours(path: Path, names: Sequence[str]) -> tuple[list[str], Doubles]:
     """Return the names of the BRDF's C columns, and the matrix [C, 3] from their values to linear RGB.
 
@@ -302,8 +279,3 @@ def _find_colours(path: Path, names: Sequence[str]) -> tuple[list[str], Doubles]
             "add columns for them."
         )
     return [spectral[wavelength] for wavelength in wavelengths_nm], spectrum_to_rgb_matrix(wavelengths_nm)
-
-
-def _unit_vectors(theta: Doubles, phi: Doubles) -> Doubles:
-    """Return unit vectors [N, 3] of spherical angles [N] in rad; a negative theta points to phi + pi."""
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)

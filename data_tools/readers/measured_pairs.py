@@ -25,6 +25,7 @@ MAX_THETA_RAD = math.radians(89.999)  # angle from the normal; measurements clos
 # The test whether reflectance depends on phi_h, the azimuth of the half vector
 AZIMUTH_TEST_PAIRS = 1_024  # number of measurements, at most, that are compared with their neighbours
 AZIMUTH_TEST_NEIGHBOURS = 8  # number of neighbours that each of them is compared with
+MAX_DISTANCES = 1 << 24  # number of distances, at most, that are in memory while neighbours are sought: 128 MB
 MIN_AZIMUTH_EXPLAINED_SHARE = 0.1  # share of the squared differences of neighbours that phi_h must explain
 MIN_AZIMUTH_TEST_PAIRS = 64  # number of measurements below which a material counts as isotropic without a test
 MIN_HALF_THETA_RAD = math.radians(3)  # angle from the normal below which a half vector has no meaningful azimuth
@@ -43,21 +44,36 @@ class MeasuredPairs(NamedTuple):
     wo: Tensor
     reflectance: Tensor
 
-    def above(self) -> MeasuredPairs:
-        """Return the pairs whose directions are both within MAX_THETA_RAD of the normal."""
+    def above(self, subject: str | Path) -> MeasuredPairs:
+        """Return the pairs whose directions are both within MAX_THETA_RAD of the normal.
+
+        Args:
+            subject: the file or name that errors name.
+
+        Raises:
+            ValueError: there are pairs, but none of these.
+        """
         rows = torch.minimum(self.wi[:, 2], self.wo[:, 2]) > math.cos(MAX_THETA_RAD)
+        if len(rows) and not rows.any():
+            raise ValueError(
+                f"{subject}: light or detector of all {len(rows):,} pairs of directions is along or below the surface, "
+                f"expected {MIN_PAIRS} or more pairs with both above it; measure at less than 90 degrees."
+            )
+        return MeasuredPairs(self.wi[rows], self.wo[rows], self.reflectance[rows])
+
+    def draw(self, count: int) -> MeasuredPairs:
+        """Return at most `count` of the pairs, drawn at random with a fixed seed, in their order."""
+        rows = torch.randperm(len(self.wi), generator=torch.Generator().manual_seed(0))[:count].sort().values
         return MeasuredPairs(self.wi[rows], self.wo[rows], self.reflectance[rows])
 
 
 def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> Task:
     """Make a BRDF task of measurements, all of which must lie above the surface.
 
-    First :func:`depends_on_azimuth` decides whether the material is anisotropic. If it is not, phi_h is dropped. Then
-    measurements of equal angles, to 1e-5 rad, are averaged into one sample: otherwise a fit could see a sample that is
-    held out. The task holds the N samples in random order: fits see the first half, and the second half is held out. If
-    there are at most MAX_PAIRS_ALL_SEEN samples, the task holds all of them twice, so that fits see all, and errors are
-    measured on what fits have seen. The task has no picture of a sphere: it would have to be interpolated and so could
-    not serve as a reference.
+    Repeated measurements become one sample, see :func:`merge_repeats`. The task holds the N samples in random order:
+    fits see the first half, and the second half is held out. If there are at most MAX_PAIRS_ALL_SEEN samples, the task
+    holds all of them twice, so that fits see all, and errors are measured on what fits have seen. The task has no
+    picture of a sphere: it would have to be interpolated and so could not serve as a reference.
 
     Args:
         name: the name of the task.
@@ -72,11 +88,7 @@ def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> T
     Raises:
         ValueError: there are fewer than MIN_PAIRS samples.
     """
-    angles = directions_to_four_angles(pairs.wi, pairs.wo)
-    is_anisotropic = depends_on_azimuth(angles, pairs.reflectance)
-    angles, reflectance = angles if is_anisotropic else angles[:, :3], pairs.reflectance
-    if len(angles):
-        angles, reflectance = _average_duplicates(angles, reflectance)
+    angles, reflectance = merge_repeats(pairs)
     if len(angles) < MIN_PAIRS:
         found = f"different pairs of directions: {len(angles)} of {len(pairs.wi)}"
         raise ValueError(f"{source or name}: {found}, expected {MIN_PAIRS} or more; measure more.")
@@ -85,6 +97,22 @@ def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> T
         order = order.repeat(2)
     samples = brdf_task.angle_tensors(angles[order].float())
     return Task(name, {**samples, "reflectance": reflectance[order].float()})
+
+
+def merge_repeats(pairs: MeasuredPairs) -> tuple[Tensor, Tensor]:
+    """Average measurements of equal angles, to 1e-5 rad, into one sample.
+
+    Otherwise a fit could see a sample that is held out. :func:`depends_on_azimuth` decides whether phi_h counts, by the
+    averages, since repeats are no evidence.
+
+    Returns:
+        Angles in rad, [M, 4] of an anisotropic material, else [M, 3] without phi_h; and reflectance in 1/sr, [M, 3].
+    """
+    angles = directions_to_four_angles(pairs.wi, pairs.wo)
+    if not len(angles):
+        return angles[:, :3], pairs.reflectance
+    samples = _average_duplicates(angles, pairs.reflectance)
+    return samples if depends_on_azimuth(*samples) else _average_duplicates(angles[:, :3], pairs.reflectance)
 
 
 def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
@@ -108,7 +136,7 @@ def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
     points = _embed_angles(angles[:, :3])
     neighbours = [
         torch.cdist(part, points).topk(1 + AZIMUTH_TEST_NEIGHBOURS, largest=False).indices
-        for part in points[order].split(512)
+        for part in points[order].split(max(1, MAX_DISTANCES // len(points)))
     ]
     first, second = order.repeat_interleave(AZIMUTH_TEST_NEIGHBOURS), torch.cat(neighbours)[:, 1:].reshape(-1)
     phi_h = angles[:, 3]
