@@ -19,6 +19,10 @@ from metapp.evaluation.planning import draw_directions, plan_brdf
 from metapp.evaluation.style import save_figure
 from metapp.runs.reporter import progress, say
 
+# Number of earlier measurements that a plan reads and its picture shows, at most. Each of the plan's steps reads them
+# all; the model's 100 features are known from far fewer.
+MAX_PLANNED_FROM = 2_000
+
 
 def write_plan(
     count: int, limits: InstrumentLimits, *, out: Path, after: Path | None, seed: int, json: bool, quiet: bool
@@ -39,10 +43,14 @@ def write_plan(
     """
     no_directions = torch.zeros(0, 3, dtype=torch.float64)
     measurements = read_pairs(after) if after else MeasuredPairs(no_directions, no_directions, no_directions)
+    planned_from = measurements.draw(MAX_PLANNED_FROM)
+    if len(planned_from.wi) < len(measurements.wi) and not quiet:
+        found = f"{len(measurements.wi):,} measurements"
+        say(f"{after}: {found}, planned from {MAX_PLANNED_FROM:,} of them, drawn at random")
     with progress("plan", quiet=quiet):
-        wi, wo, (error_before, error_after) = plan_brdf(count, limits, measurements, seed)
-    write_pairs(out, wi, wo, measurements)
-    picture = save_figure(draw_directions(wi, wo, measurements), out.with_suffix(".png"))
+        wi, wo, (error_before, error_after) = plan_brdf(count, limits, planned_from, seed)
+        write_pairs(out, wi, wo, measurements)
+        picture = save_figure(draw_directions(wi, wo, planned_from), out.with_suffix(".png"))
     if not quiet:
         errors = f"from {error_before:.2f} to {error_after:.2f}"
         say(f"{out}: {count} pairs to measure; the expected error x100 falls {errors}")

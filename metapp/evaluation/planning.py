@@ -95,10 +95,7 @@ def draw_directions(wi: Tensor, wo: Tensor, measurements: MeasuredPairs) -> Figu
         wo: unit vectors to the detector of the pairs to measure, [N, 3].
         measurements: pairs that were measured before, which are drawn in grey.
     """
-    light, detector = PARADIGM_COLOURS["meta"], PARADIGM_COLOURS["overfit"]
-    pairs = [(*pair, MUTED_COLOUR, MUTED_COLOUR, "") for pair in zip(measurements.wi, measurements.wo, strict=True)]
-    for count, pair in enumerate(zip(wi, wo, strict=True), 1):
-        pairs.append((*pair, light, detector, str(count) if len(wi) <= MAX_NUMBERED_PAIRS else ""))
+    light_colour, detector_colour = PARADIGM_COLOURS["meta"], PARADIGM_COLOURS["overfit"]
     with rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(5.2, 5.6))
         axis = figure.add_subplot(projection="polar")
@@ -106,27 +103,34 @@ def draw_directions(wi: Tensor, wo: Tensor, measurements: MeasuredPairs) -> Figu
         axis.set_rlim(0, 90)
         axis.set_rticks([30, 60, 90], ["30", "60", "90 degrees"])
         axis.set_thetagrids(range(0, 360, 45))
-        labels: list[tuple[str, tuple[float, float], dict[str, int]]] = []
-        for *vectors, light_colour, detector_colour, number in pairs:
-            (light_azimuth, light_angle), (detector_azimuth, detector_angle) = (
-                (math.atan2(y, x), math.degrees(math.acos(min(1.0, z))))
-                for x, y, z in (vector.tolist() for vector in vectors)
-            )
-            axis.plot(
-                [light_azimuth, detector_azimuth],
-                [light_angle, detector_angle],
-                color="#c8c8c8",
-                linewidth=0.6,
-                zorder=1,
-            )
-            axis.plot([light_azimuth], [light_angle], "o", color=light_colour, markersize=5, zorder=3)
-            axis.plot([detector_azimuth], [detector_angle], "s", color=detector_colour, markersize=4, zorder=2)
-            if number:
-                labels.append((number, (light_azimuth, light_angle), {"fontsize": 7}))
-        axis.plot([], [], "o", color=light, markersize=5, label="light")
-        axis.plot([], [], "s", color=detector, markersize=4, label="detector")
+        _draw_pairs(axis, measurements.wi, measurements.wo, MUTED_COLOUR, MUTED_COLOUR)
+        light_places = _draw_pairs(axis, wi, wo, light_colour, detector_colour)
+        axis.plot([], [], "o", color=light_colour, markersize=5, label="light")
+        axis.plot([], [], "s", color=detector_colour, markersize=4, label="detector")
         if len(measurements.wi):
             axis.plot([], [], "o", color=MUTED_COLOUR, markersize=5, label="measured before")
         figure.legend(loc="outside lower center", ncols=3)
-        place_labels(axis, labels)
+        if len(wi) <= MAX_NUMBERED_PAIRS:
+            numbered_places = enumerate(light_places, 1)
+            place_labels(axis, [(str(number), place, {"fontsize": 7}) for number, place in numbered_places])
     return figure
+
+
+def _draw_pairs(
+    axis: PolarAxes, wi: Tensor, wo: Tensor, light_colour: str, detector_colour: str
+) -> list[tuple[float, float]]:
+    """Draw pairs of directions, [N, 3] each, joined by lines.
+
+    All pairs are three objects of the figure: an object for each pair would take minutes to draw.
+
+    Returns:
+        The places of the lights: azimuth in rad, and degrees from the normal.
+    """
+    azimuths = torch.stack([torch.atan2(vectors[:, 1], vectors[:, 0]) for vectors in (wi, wo)])
+    polar_degrees = torch.stack([torch.rad2deg(vectors[:, 2].clamp(max=1).acos()) for vectors in (wi, wo)])
+    gaps = torch.full_like(azimuths[:1], math.nan)  # between lines
+    lines = (torch.cat([values, gaps]).T.reshape(-1).numpy() for values in (azimuths, polar_degrees))
+    axis.plot(*lines, color="#c8c8c8", linewidth=0.6, zorder=1)
+    axis.plot(azimuths[0].numpy(), polar_degrees[0].numpy(), "o", color=light_colour, markersize=5, zorder=3)
+    axis.plot(azimuths[1].numpy(), polar_degrees[1].numpy(), "s", color=detector_colour, markersize=4, zorder=2)
+    return list(zip(azimuths[0].tolist(), polar_degrees[0].tolist(), strict=True))

@@ -13,6 +13,7 @@ from data_tools.readers.gonio import read_pairs
 from data_tools.readers.measured_pairs import task_of_pairs
 from metapp.appearance.geometry import angle_cosines, directions_to_full_rusinkiewicz
 from metapp.appearance.reflection import microfacet_lobe
+from metapp.cli import planned_pairs
 from metapp.storage.fit_folders import read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -82,7 +83,9 @@ def test_as_few_rows_as_a_file_may_have_are_fitted(metapp: Callable, tmp_path: P
     assert metapp("plan", "brdf", "--samples", 4, "--out", file).code == 0
     fill_in(file)
     pairs = read_pairs(file)
-    assert metapp("meta", "brdf", file, "--json").json_document["error"] < 1
+    fitted = metapp("meta", "brdf", file)
+    assert float(fitted.out.partition("error x100 ")[2].split()[0]) < 1
+    assert "over samples that are held out, or all if none is" in fitted.out
     (fitted,) = metapp("baseline", "brdf", file, "--method", "ggx_2", "--json").json_document["tasks"]
     assert fitted["error"] < 1
     assert len(task_of_pairs("arrays", pairs).data["angles"].unique(dim=0)) == 4
@@ -98,3 +101,18 @@ def test_a_plan_without_mirror_directions_says_so(
     planned = metapp("plan", "brdf", "--samples", 5, "--out", tmp_path / "paint.csv", *limits)
     assert planned.code == 0
     assert ("highlight: no sample within 5 degrees of mirror directions" in planned.err) != reached
+
+
+def test_a_plan_after_many_measurements_reads_some_of_them_and_says_so(
+    metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All of them are in the new table."""
+    monkeypatch.setattr(planned_pairs, "MAX_PLANNED_FROM", 8)
+    file, more = tmp_path / "paint.csv", tmp_path / "more.csv"
+    assert metapp("plan", "brdf", "--samples", 12, "--out", file).code == 0
+    fill_in(file)
+    planned = metapp("plan", "brdf", "--samples", 2, "--after", file, "--out", more)
+    assert "12 measurements, planned from 8 of them, drawn at random" in planned.err
+    assert len(more.read_text().splitlines()) == 3 + 12 + 2
+    again = metapp("plan", "brdf", "--samples", 2, "--after", file, "--out", more, "--overwrite", "--quiet")
+    assert again.err == ""

@@ -44,7 +44,8 @@ class Brdf(App):
     conserve: bool = False
     name = "brdf"
     error_measure = ErrorMeasure(
-        "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions", scale=100
+        "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| over samples that are held out, or all if none is",
+        scale=100,
     )
     tensors: ClassVar = {
         "angles": TensorSpec(("N", 3), low=0.0, high=2 * math.pi),
