@@ -66,7 +66,8 @@ def join(
 ) -> None:
     """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
 
-    Tensors that not all tasks hold, such as reference relightings of synthetic materials, are left out.
+    Tensors that not all tasks hold, such as reference relightings of synthetic materials, are left out. Tasks whose
+    name is in several data sets get the name of theirs in front.
 
     Example:
       metapp data join drawn photographed --alike --out joint

@@ -160,9 +160,25 @@ def test_join_keeps_each_task_in_its_split(metapp: Callable, network_at: Callabl
     assert join("train", "test", "--alike").json_result["train"] == ["tin"]
     assert {task.name: task.data["kind"].tolist() for task in read_data_set(Path("joint"))} == {"tin": [0], "ink": [1]}
     assert list_data_set_problems(Path("joint")) == []
-    assert "two tasks of this name" in join("train", "train").error
+    assert "the task tin is also in train, with equal content, expected different tasks" in join("train", "train").error
     assert join("joint", "test").error
     assert join("none").error
+
+
+def test_sets_drawn_with_two_seeds_are_joined(metapp: Callable) -> None:
+    """Tasks of one name get that of their sets in front, in a line."""
+    for folder in ("a", "b", "other/a"):
+        seed = 1 if folder == "a" else 2
+        assert metapp("data", "synth", "texture", "--count", 3, "--seed", seed, "--out", folder).code == 0
+    names_a, names_b = ({task.name for task in read_data_set(Path(folder))} for folder in ("a", "b"))
+    shared, expected = names_a & names_b, names_a ^ names_b
+    assert shared
+    for folders, prefixes in ((("a", "b"), ("a", "b")), (("a", "other/a"), ("a1", "a2"))):
+        joined = metapp("data", "join", *folders, "--out", f"joint-{prefixes[0]}", "--json")
+        found = joined.json_result["train"] + joined.json_result["test"]
+        assert {*found} == expected | {f"{prefix}-{name}" for prefix in prefixes for name in shared}
+        assert "named after their data sets, since others have their names" in joined.err
+        assert list_data_set_problems(Path(f"joint-{prefixes[0]}")) == []
 
 
 # What is there stays, unless --overwrite is given

@@ -5,6 +5,7 @@ Tasks are joined by their tensors' names and shapes; what tensors mean is not kn
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -13,8 +14,8 @@ import torch
 from metapp.apps import class_of
 from metapp.learning.task import KIND_TENSOR, Task
 from metapp.runs.inputs.conversion import ConversionResult, conversion_result
-from metapp.runs.reporter import progress
-from metapp.storage.shards import read_data_set, read_manifest, write_data_set
+from metapp.runs.reporter import progress, say
+from metapp.storage.shards import ManifestEntry, read_data_set, read_manifest, write_data_set
 
 
 def join_data_sets(
@@ -22,7 +23,8 @@ def join_data_sets(
 ) -> ConversionResult:
     """Write the tasks of several data sets as one data set.
 
-    Training tasks stay training tasks, test tasks stay test tasks. Tensors that not all tasks have are left out.
+    Training tasks stay training tasks, test tasks stay test tasks. Tensors that not all tasks have are left out. Tasks
+    of one name but different content, as two seeds draw them, get the name of their data set in front.
 
     Args:
         data_folders: the folders of data sets of one application.
@@ -36,7 +38,7 @@ def join_data_sets(
 
     Raises:
         ValueError: the folder is one of the data sets, a data set cannot be read or is of another application, two
-            tasks have one name, or tensors of one name have different shapes.
+            tasks of one name are equal, or tensors of one name have different shapes.
     """
     if folder.resolve() in [data_folder.resolve() for data_folder in data_folders]:
         raise ValueError(
@@ -53,8 +55,10 @@ def join_data_sets(
     units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
     units |= {KIND_TENSOR: "uint8 [1], which of the joined data sets"} if alike else {}
     entries = [(kind, entry) for kind, manifest in enumerate(manifests) for entry in manifest.tasks]
+    names = _name_tasks(data_folders, entries)
     joined_tasks = [
-        _select_tensors(tasks_by_name[kind][entry.name], shapes, kind if alike else None) for kind, entry in entries
+        _select_tensors(tasks_by_name[kind][entry.name], shapes, kind if alike else None)._replace(name=joined_name)
+        for (kind, entry), joined_name in zip(entries, names, strict=True)
     ]
     notes = {"made_by": "metapp data join", "of": [data_folder.name for data_folder in data_folders]}
 
@@ -62,10 +66,38 @@ def join_data_sets(
         with progress(name, len(entries), quiet=quiet) as bar:
             for (_, entry), task in zip(entries, joined_tasks, strict=True):
                 yield task._replace(group=entry.group), entry.split, entry.source
-                bar.advance(entry.name)
+                bar.advance(task.name)
 
+    renamed_count = sum(entry.name != joined for (_, entry), joined in zip(entries, names, strict=True))
+    if renamed_count and not quiet:
+        say(f"{name}: {renamed_count} tasks are named after their data sets, since others have their names")
     written = write_data_set(folder, name, units, read_tasks(), notes, overwrite=overwrite)
     return conversion_result(name, folder, written)
+
+
+def _name_tasks(data_folders: Sequence[Path], entries: Sequence[tuple[int, ManifestEntry]]) -> list[str]:
+    """Return the names of joined tasks: their own ones, or `SET-NAME` for a name that several data sets have.
+
+    Args:
+        data_folders: the folders of the data sets.
+        entries: for each task, the number of its data set and its entry.
+
+    Raises:
+        ValueError: two tasks of one name have equal content, as if a data set were given twice.
+    """
+    counts = Counter(entry.name for _, entry in entries)
+    folder_names = [folder.resolve().name for folder in data_folders]
+    if len({*folder_names}) < len(folder_names):
+        folder_names = [f"{name}{number}" for number, name in enumerate(folder_names, 1)]
+    first_folders: dict[tuple[str, str], Path] = {}
+    for kind, entry in entries:
+        first = first_folders.setdefault((entry.name, entry.sha256), data_folders[kind])
+        if first is not data_folders[kind]:
+            raise ValueError(
+                f"{data_folders[kind]}: the task {entry.name} is also in {first}, with equal content, expected "
+                "different tasks; leave one of these data sets out."
+            )
+    return [f"{folder_names[kind]}-{entry.name}" if counts[entry.name] > 1 else entry.name for kind, entry in entries]
 
 
 def _select_tensors(task: Task, shapes: Mapping[str, torch.Size], kind: int | None) -> Task:
