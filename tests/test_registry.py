@@ -163,11 +163,12 @@ def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
         path = os.pathsep.join(filter(None, [str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")]))
         environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "200"}
         return subprocess.run(
-            [sys.executable, "-c", RUN, *words], capture_output=True, text=True, check=True, env=environment
+            [sys.executable, "-c", RUN, *words], capture_output=True, text=True, check=False, env=environment
         )
 
     assert "overfit" in metapp("--help").stdout
-    result = metapp("doctor", "--json")
+    result = metapp("doctor", "--json")  # its exit status says whether something fails, such as a missing download
+    assert result.returncode in (0, 1)
     count = len(REASONS)
     assert result.stderr.count("; it is left out.\n") == len(result.stderr.splitlines()) == count
     name = f"broken{list(BROKEN).index('raise SystemExit(7)')}"

@@ -6,7 +6,9 @@ Options are checked here, before anything large is imported. What their names st
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -280,8 +282,11 @@ def app_options_of_record(app: str, recorded: Mapping[str, object], *, inputs: b
 def folder_name_parts(app_options: AppOptions) -> list[str]:
     """Return the parts of a run folder's name that state options of the application, such as conserve, relief2.0.
 
-    Options about inputs are left out, as the inputs themselves are.
+    Options about inputs are one part, a digest: the same files, read otherwise, are other data.
     """
-    options = options_by_name(type(app_options))
-    recorded = {name: value for name, value in app_options.recorded_values().items() if options[name].panel != INPUT}
-    return [file_name(name if value is True else f"{name}{value}") for name, value in recorded.items()]
+    recorded, options = app_options.recorded_values(), options_by_name(type(app_options))
+    about_inputs = {name: value for name, value in recorded.items() if options[name].panel == INPUT}
+    others = {name: value for name, value in recorded.items() if name not in about_inputs}
+    parts = [file_name(name if value is True else f"{name}{value}") for name, value in others.items()]
+    digest = hashlib.sha256(json.dumps(about_inputs, sort_keys=True).encode()).hexdigest()[:6]
+    return [*parts, f"inputs-{digest}"] if about_inputs else parts

@@ -71,8 +71,9 @@ def make_svbrdf_nonstationary_view(presenter: SvbrdfNonstationaryPresenter, thet
         task: the task that was fitted, with its photographs.
     """
     app = presenter.app
+    photos = [task.data["photo"], *task.data.get("others", ())]
     flashes = app.flashes(theta, task)
-    photos = [task.data["photo"], *task.data.get("others", ())][: len(flashes)]
+    photos = photos[: len(flashes)]
     shows_photos = app.protocol == "photo"  # else the photo was rendered from the maps
     lit_pictures = [
         LitPicture(flash.place, flash.eye, float(flash.gain), decode_photo(photo) if shows_photos else None)
