@@ -5,17 +5,18 @@ The cases are the registry's recipes, so that a recipe that is added later is te
 
 import importlib.util
 import os
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache as cache_results
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 
 import metapp as api
 from data_tools.readers import gonio
@@ -39,6 +40,7 @@ from metapp.runs.run import Run
 from metapp.storage.fit_folders import PARAMS, read_fit_records, read_params
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from tests.anisotropic import measure_with_noise
+from tests.appearance.test_features import random_weights
 from tests.cli.test_cli_protocols import ball, flash, strip
 from tests.marked import long
 from tests.needs_mitsuba import skip_without_mitsuba
@@ -114,6 +116,11 @@ CASES = [Case(*key) for key in registry().recipes]
 QUICK_CASES = [Case(app, next(iter(entry.protocols), ""), "quick") for app, entry in registry().applications.items()]
 
 
+def mark(case: Case) -> Any:
+    """Mark a case by its time: recipes of the paper, which no inputs choose, take up to minutes."""
+    return pytest.param(case, marks=pytest.mark.slow) if case.recipe.startswith("paper") else long(case)
+
+
 def ships_checkpoint(options: FitOptions) -> bool:
     """Return whether a checkpoint ships by which these options fit; one that does not belong to the recipe raises."""
     try:
@@ -150,10 +157,10 @@ def command_of(case: Case, folder: Path) -> list[str | Path]:
 
 
 @pytest.fixture(scope="session")
-def vgg_double(random_vgg_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def vgg_double(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of random weights that states the origin of ImageNet's, which checkpoints of encoders expect."""
-    path = tmp_path_factory.mktemp("double") / random_vgg_file.name
-    save_file(load_file(random_vgg_file), path, {"sha256": IMAGENET_DIGESTS[0]})
+    path = tmp_path_factory.mktemp("vgg") / "vgg16.safetensors"
+    save_file(random_weights(), path, {"sha256": IMAGENET_DIGESTS[0]})
     return path
 
 
@@ -191,7 +198,7 @@ def run(metapp: Callable, command: list[str | Path]) -> Path:
     return Path(metapp(*command, "--json", "--quiet").json_result["out"])
 
 
-@pytest.mark.parametrize("case", [case if case in QUICK_CASES else long(case) for case in CASES], ids=str)
+@pytest.mark.parametrize("case", [case if case in QUICK_CASES else mark(case) for case in CASES], ids=str)
 def test_fits_are_opened_again(case: Case, metapp: Callable, command: list[str | Path], run: Path) -> None:
     records = read_fit_records(run)
     assert [record["name"] for record in records] == list(NAMES)
@@ -219,11 +226,13 @@ def test_fits_are_opened_again(case: Case, metapp: Callable, command: list[str |
     assert {path: path.stat().st_mtime_ns for path in run.glob(f"*/{PARAMS}")} == written
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize("case", [mark(case) for case in CASES], ids=str)
 def test_fits_are_exported(case: Case, metapp: Callable, run: Path) -> None:
     for kind, export in exports_of(case.app).items():
         if not export.needs or importlib.util.find_spec(export.needs[0]):
-            exported = metapp("export", run / NAMES[0], kind, "--json").json_result
-            assert exported["tasks"] == [NAMES[0]], kind
-            assert [*Path(exported["out"]).iterdir()], kind
+            result = metapp("export", run / NAMES[0], kind, "--json")
+            if result.code:  # a form that cannot hold such a fit says in a line which forms can
+                assert re.fullmatch(r"error: first: an? .*, expected .*; export \w+.*\.\n", result.err), kind
+                continue
+            assert result.json_result["tasks"] == [NAMES[0]], kind
+            assert [*Path(result.json_result["out"]).iterdir()], kind
