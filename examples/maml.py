@@ -5,7 +5,7 @@ import sys
 import torch
 
 torch.manual_seed(0)
-torch.set_default_dtype(torch.float64)  # rounding must not part it soon from maml_with_metapp.py
+torch.set_default_dtype(torch.float64)  # as in maml_with_metapp.py
 STEPS, OUTER_STEPS = 5, int(sys.argv[1]) if sys.argv[1:] else 500
 AMPLITUDES, PHASES = 0.1 + 4.9 * torch.rand(1100, 1), torch.pi * torch.rand(1100, 1)  # of 1,100 tasks
 # what is learned: theta_0, all weights and biases of a network as one vector, and alpha, a rate for each of them

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES
 from metapp.appearance import features
-from metapp.appearance.features import VGG_BLOCKS, vgg_weights_path
+from metapp.appearance.features import vgg_weights_path
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import is_above_horizon
 from metapp.extensions.native import compiler
@@ -142,25 +142,6 @@ USER_WEIGHTS, USER_MATRIX = vgg_weights_path(), matrix_file()  # before any test
 def vgg_weights(cache: Path) -> Path:
     """Link the VGG weights that `make setup` fetched into the test's cache, whose folder is returned."""
     return link_into_cache(USER_WEIGHTS, cache, "the VGG weights are not there: metapp data vgg fetches them")
-
-
-@pytest.fixture(scope="session")
-def random_vgg_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file of random weights of VGG-16 up to relu4_3."""
-    rng, weights, inputs = torch.Generator().manual_seed(2), {}, 3
-    for i, outputs in enumerate([width for block in VGG_BLOCKS[:4] for width in block]):
-        weights[f"conv{i}.weight"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * (2 / (9 * inputs)) ** 0.5
-        weights[f"conv{i}.bias"] = torch.zeros(outputs)
-        inputs = outputs
-    path = tmp_path_factory.mktemp("vgg") / "vgg16.safetensors"
-    save_file(weights, path)
-    return path
-
-
-@pytest.fixture
-def random_vgg_in_cache(random_vgg_file: Path, cache: Path) -> None:
-    """Link the random weights of VGG-16 into the test's cache."""
-    os.link(random_vgg_file, cache / random_vgg_file.name)
 
 
 @pytest.fixture

@@ -67,7 +67,7 @@ def join(
     """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
 
     Tensors that not all tasks hold, such as reference relightings of synthetic materials, are left out. Tasks whose
-    name is in several data sets get the name of theirs in front.
+    name is in several data sets get the name of their data set in front.
 
     Example:
       metapp data join drawn photographed --alike --out joint

@@ -25,7 +25,7 @@ from metapp.runs.inputs.run_inputs import read_test_tasks, task_digest
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, tiles_of_methods, write_comparison_sheet
 from metapp.runs.reporter import progress, say
 from metapp.runs.run import Run
-from metapp.storage.checkpoint_files import content_digest
+from metapp.storage.files import content_digest
 from metapp.storage.fit_folders import NUMBER_ENTRIES, Record, RunFolder
 
 # gradient steps; Meta and QuickFT take fewer, while Overfit and Finetune take more, and most of the time of a table

@@ -24,7 +24,8 @@ from metapp.runs.inputs.run_inputs import data_label, training_data_folder
 from metapp.runs.reporter import say
 from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
-from metapp.storage.checkpoint_files import content_digest, load_checkpoint, tensor_digest
+from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
+from metapp.storage.files import content_digest
 from metapp.storage.folders import PathKind, path_kind, path_refusal
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME, shipped_checkpoint_path
 

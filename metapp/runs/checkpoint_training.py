@@ -33,14 +33,13 @@ from metapp.runs.reporter import progress, say
 from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import (
-    content_digest,
     load_checkpoint,
     load_training_state,
     save_checkpoint,
     save_training_state,
     tensor_digest,
 )
-from metapp.storage.files import remove_partial
+from metapp.storage.files import content_digest, remove_partial
 from metapp.storage.shards import fingerprint, read_data_set
 
 SAVE_INTERVAL_SECONDS = 60.0  # between two training checkpoints, unless METAPP_CHECKPOINT_SECONDS says another time

@@ -6,9 +6,7 @@ Options are checked here, before anything large is imported. What their names st
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
-import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,7 +25,7 @@ from metapp.options import (
     options_by_name,
     parse_options,
 )
-from metapp.storage.files import file_name
+from metapp.storage.files import content_digest, file_name
 from metapp.storage.folders import is_data_set
 
 MAX_GRADIENT_STEPS, MAX_SEED = 10**9, 2**63 - 1
@@ -288,5 +286,4 @@ def folder_name_parts(app_options: AppOptions) -> list[str]:
     about_inputs = {name: value for name, value in recorded.items() if options[name].panel == INPUT}
     others = {name: value for name, value in recorded.items() if name not in about_inputs}
     parts = [file_name(name if value is True else f"{name}{value}") for name, value in others.items()]
-    digest = hashlib.sha256(json.dumps(about_inputs, sort_keys=True).encode()).hexdigest()[:6]
-    return [*parts, f"inputs-{digest}"] if about_inputs else parts
+    return [*parts, f"inputs-{content_digest(about_inputs)[:6]}"] if about_inputs else parts

@@ -38,7 +38,7 @@ from metapp.runs.inputs.finding import find_sources
 from metapp.runs.recipe_choice import choose_protocol_and_recipe
 from metapp.runs.reporter import say
 from metapp.storage import Document
-from metapp.storage.checkpoint_files import content_digest
+from metapp.storage.files import content_digest
 from metapp.storage.fit_folders import RunFolder
 
 

@@ -22,7 +22,7 @@ from torch import Tensor
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage import Document
-from metapp.storage.files import open_tensors, read_bytes, remove_partial, write_bytes
+from metapp.storage.files import content_digest, open_tensors, remove_partial, write_bytes
 
 CHECKPOINT_SCHEMA, STATE_SCHEMA = 1, 3  # versions of the layouts of checkpoints and of training states
 FLOAT_TYPES = (torch.half, torch.float32, torch.float64)  # types that tensors of a checkpoint may have
@@ -117,16 +117,6 @@ def _add_general_encoder(
         f"{path}: goes on from General {encoder_digest}, which is not beside it, as general.safetensors; keep both "
         "files together."
     )
-
-
-def content_digest(document: object) -> str:
-    """Return 12 hexadecimal digits that change with a JSON-ready document or, given a path, with the file's bytes.
-
-    >>> content_digest({"seed": 0, "steps": 10}) == content_digest({"steps": 10, "seed": 0})
-    True
-    """
-    content = read_bytes(document) if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
-    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def tensor_digest(params: Params) -> str:

@@ -243,6 +243,16 @@ def add_suffix(path: Path, suffix: str) -> Path:
     return path if path.suffix == suffix else path.with_name(f"{path.name}{suffix}")
 
 
+def content_digest(document: object) -> str:
+    """Return 12 hexadecimal digits that change with a JSON-ready document or, given a path, with the file's bytes.
+
+    >>> content_digest({"seed": 0, "steps": 10}) == content_digest({"steps": 10, "seed": 0})
+    True
+    """
+    content = read_bytes(document) if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
 def make_writable_folder(folder: Path) -> None:
     """Make a folder if it is missing, and test that files can be written to it.
 

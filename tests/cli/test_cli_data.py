@@ -166,7 +166,7 @@ def test_join_keeps_each_task_in_its_split(metapp: Callable, network_at: Callabl
 
 
 def test_sets_drawn_with_two_seeds_are_joined(metapp: Callable) -> None:
-    """Tasks of one name get that of their sets in front, in a line."""
+    """Tasks of one name get the names of their sets in front, which a line says."""
     for folder in ("a", "b", "other/a"):
         seed = 1 if folder == "a" else 2
         assert metapp("data", "synth", "texture", "--count", 3, "--seed", seed, "--out", folder).code == 0

@@ -19,7 +19,8 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
-from metapp.storage.checkpoint_files import content_digest, load_checkpoint
+from metapp.storage.checkpoint_files import load_checkpoint
+from metapp.storage.files import content_digest
 from metapp.storage.fit_folders import RECORD, read_fit_records, read_params
 from tests.conftest import CommandResult
 

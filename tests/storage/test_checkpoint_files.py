@@ -10,11 +10,11 @@ from safetensors.torch import save
 from metapp.learning.learn import MetaParameters
 from metapp.storage.checkpoint_files import (
     CHECKPOINT_SCHEMA,
-    content_digest,
     load_checkpoint,
     save_checkpoint,
     tensor_digest,
 )
+from metapp.storage.files import content_digest
 
 START = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},

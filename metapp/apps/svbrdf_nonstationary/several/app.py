@@ -223,8 +223,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             like: a tensor [T, ...] that gives initial values their number of tasks, dtype and device.
 
         Returns:
-            `smoothing` [T], `prior` [T, 9], `flash` [T] and `curl` [T]; see
-            :meth:`loss_parameters`.
+            `smoothing` [T], `prior` [T, 9], `flash` [T] and `curl` [T]; see :meth:`loss_parameters`.
         """
         return learned or {
             key: value.expand(len(like), *value.shape[1:]).to(like) for key, value in self.loss_parameters(1).items()
@@ -238,8 +237,7 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         Returns:
             `smoothing` [steps], the log of ROUNDING; `prior` [steps, 9], the log of PRIOR_WEIGHT for each number of a
-            texel; `flash` [steps], the log of FLASH_WEIGHT;
-            `curl` [steps], the log of CURL_WEIGHT.
+            texel; `flash` [steps], the log of FLASH_WEIGHT; `curl` [steps], the log of CURL_WEIGHT.
         """
         values = {
             "smoothing": torch.tensor(ROUNDING),

@@ -128,8 +128,7 @@ def gauss_newton_change(
         theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N], `falloff` [T, 1] and `prior` [T, 18, H, W].
         batch: linear photographs, `photos` [T, N, 3, H, W], and measured positions of camera and flash, `places`
             [T, N, 2, 3].
-        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash` and
-            `curl` [T].
+        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash` and `curl` [T].
         max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
             bound * tanh(c / bound).
     """
