@@ -14,6 +14,7 @@ import math
 
 import torch
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from metapp.appearance.geometry import Cosines
 from metapp.appearance.reflection import microfacet_lobe
@@ -85,6 +86,35 @@ def resample_maps(maps: Tensor, height: int, width: int) -> Tensor:
     along_v = _overlap_shares(*(-torch.linspace(0, math.pi, n + 1, dtype=torch.float64).cos() for n in (height, rows)))
     along_u = _overlap_shares(*(torch.linspace(0, 1, n + 1, dtype=torch.float64) for n in (width, columns)))
     return along_v.to(maps) @ maps @ along_u.to(maps).T
+
+
+def level_maps(maps: Tensor, pitch_rad: float) -> Tensor:
+    """Turn maps that a camera looking down recorded, so that the horizon lies level and +y points up.
+
+    The direction to the camera, +z of the recorded map, then has an elevation of `pitch_rad`, above the middle column.
+    Texels are interpolated linearly: lights smaller than a texel lose some of their radiance.
+
+    Args:
+        maps: radiance in directions of the camera, [..., 3, H, W].
+        pitch_rad: how far below the horizon the camera looks, in rad; negative if it looks up.
+
+    Returns:
+        [..., 3, H, W].
+    """
+    if not pitch_rad:
+        return maps
+    height, width = maps.shape[-2:]
+    x, y, z = texel_directions(height, width, dtype=maps.dtype, device=maps.device)
+    sine, cosine = math.sin(pitch_rad), math.cos(pitch_rad)
+    camera_y, camera_z = cosine * y - sine * z, sine * y + cosine * z
+    # the padded map has a column more on either side, so that interpolation goes on around the sphere
+    column = torch.atan2(x, -camera_z) / math.tau % 1 * width + 1
+    row = torch.acos(camera_y.clamp(-1, 1)) / math.pi * height
+    places = torch.stack([2 * column / (width + 2) - 1, 2 * row / height - 1], -1)
+    planes = maps.reshape(1, -1, height, width)
+    padded = torch.cat([planes[..., -1:], planes, planes[..., :1]], -1)
+    levelled = grid_sample(padded, places[None], padding_mode="border", align_corners=False)
+    return levelled.reshape(maps.shape)
 
 
 def _overlap_shares(target: Tensor, source: Tensor) -> Tensor:

@@ -30,7 +30,7 @@ from metapp.storage.fit_folders import NUMBER_ENTRIES, Record, RunFolder
 
 # gradient steps; Meta and QuickFT take fewer, while Overfit and Finetune take more, and most of the time of a table
 LONG_FIT_STEPS = 30
-LONG_FIT_TASKS = 3  # test tasks that are fitted by more than LONG_FIT_STEPS steps, unless the user asks for all
+LONG_FIT_TASKS = 2  # test tasks that are fitted by more than LONG_FIT_STEPS steps, unless the user asks for all
 
 RecordMeasurement = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 

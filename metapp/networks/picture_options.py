@@ -55,6 +55,12 @@ def fov_option(default: str) -> Option:
     return Option(help_text, "DEGREES", low=0.0, high=150.0, panel=INPUT, parse=parse_field_of_view)
 
 
+def pitch_option() -> Option:
+    """Return the option --pitch of maps of light that photos of a ball show."""
+    help_text = "Degrees that the camera looked down at the ball: maps in files are levelled by them, errors are not."
+    return Option(help_text, "DEGREES", low=-89.0, high=89.0, panel=OUTPUT)
+
+
 LayerOption = Annotated[
     str, Option("Layer or part of EXR files that hold several; default: the picture itself, such as Combined.", "NAME")
 ]

@@ -13,6 +13,7 @@ from torch.nn.functional import normalize
 from metapp.appearance.latlong import (
     cosine_transfer,
     glossy_transfer,
+    level_maps,
     luminance,
     mean_luminance,
     resample_maps,
@@ -108,6 +109,22 @@ def test_resampling_keeps_energy(source: tuple[int, int], target: tuple[int, int
 
 
 # Light on a sphere
+
+
+def smooth_map(directions: Tensor) -> Tensor:
+    """A radiance [3, H, W] that changes slowly with the direction [3, H, W]."""
+    return torch.stack([1 + directions[0], 2 + directions[1] * directions[2], 1.5 - directions[2]])
+
+
+@pytest.mark.parametrize("pitch_degrees", [-50.0, 0.0, 20.0, 89.0])
+def test_levelled_maps_have_light_where_it_comes_from(pitch_degrees: float) -> None:
+    pitch = math.radians(pitch_degrees)
+    world = texel_directions(64, 128, dtype=torch.float64)
+    # the axes of a camera above: right, up in its picture, and back to the camera
+    axes = [(1.0, 0.0, 0.0), (0.0, math.cos(pitch), -math.sin(pitch)), (0.0, math.sin(pitch), math.cos(pitch))]
+    recorded = torch.tensordot(torch.tensor(axes, dtype=torch.float64), world, 1)
+    levelled = level_maps(smooth_map(world)[None], pitch)[0]
+    torch.testing.assert_close(levelled, smooth_map(recorded), atol=0.02, rtol=0)
 
 
 def test_the_sphere_touches_its_picture() -> None:

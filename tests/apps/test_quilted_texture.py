@@ -2,7 +2,9 @@
 
 import itertools
 import re
+import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison, compare
 from metapp.appearance.order import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.apps import recipe_of
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.quilts import make_piece_source, order_penalty, quilt_places
+from metapp.apps.exemplar.quilts import QuiltedAgain, make_piece_source, order_penalty, quilt_places
 from metapp.apps.texture.presenter import MIN_LINE_STRENGTH, TexturePresenter
 from metapp.apps.texture.quilted import QuiltedTexture
 from metapp.extensions.baselines.texture import baselines
@@ -24,6 +26,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.quilted import LightGrid, fetch_pieces
 from metapp.paradigms.adam import Overfit
 
+ROOT = Path(__file__).parent.parent.parent / "metapp"
 APP = QuiltedTexture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=4)
 
 
@@ -212,5 +215,18 @@ def test_lines_of_torn_pictures_are_weak_and_those_of_fits_are_not(task: Task) -
 
 def test_textures_without_the_photograph_have_the_size_of_the_quilt(theta: Params) -> None:
     batch = {key: value[:1] for key, value in theta.items()}
-    with pytest.warns(UserWarning, match="gone: its photo is not at hand, .* the texture has 64 px a side"):
+    with pytest.warns(UserWarning, match="gone: its photo is not at hand, .* the texture has 64 px a side") as warned:
         assert APP.draw_tile(batch, Task("gone", {}), None).shape == (3, 64, 64)
+    assert Path(warned[0].filename).is_relative_to(ROOT)  # others of torch and Python are not shown
+
+
+def test_tiles_of_another_size_say_whether_they_keep_the_order_of_the_photograph() -> None:
+    photo = pavement(64).float() / 255
+    shuffled = photo.unfold(1, 5, 5).unfold(2, 5, 5).reshape(3, 144, 5, 5)
+    shuffled = shuffled[:, torch.randperm(144, generator=Generator().manual_seed(0))]
+    shuffled = shuffled.reshape(3, 12, 12, 5, 5).permute(0, 1, 3, 2, 4).reshape(3, 60, 60)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        QuiltedAgain(photo, photo.roll((3, 5), (1, 2)).repeat(1, 1, 2)).warn_of_lost_order(photo, "kept")
+    with pytest.warns(UserWarning, match="lost: cut for --size: keeps 0.* of the photo's regular structure"):
+        QuiltedAgain(photo, shuffled).warn_of_lost_order(photo, "lost")

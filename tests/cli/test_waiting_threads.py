@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from metapp.cli import WAITING_VARIABLES
+
 ROOT = Path(__file__).parent.parent.parent
 # torch is not imported: OpenMP reads the variable at that moment, so that its value there is what counts
 PROGRAM = """
@@ -15,7 +17,7 @@ import importlib.abc, os, runpy, sys
 class TorchImport(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path, target=None):
         if name == "torch":
-            print(os.environ.get("OMP_WAIT_POLICY"))
+            print(os.environ.get("OMP_WAIT_POLICY"), os.environ.get("GOMP_SPINCOUNT"))
             sys.exit()
 
 sys.meta_path.insert(0, TorchImport())
@@ -27,16 +29,17 @@ API = "import metapp\nmetapp.fit"
 @pytest.mark.parametrize(
     ("lines", "variables", "expected"),
     [
-        (COMMAND, {}, "PASSIVE"),
-        (COMMAND, {"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE"),
-        (API, {}, "None"),
-        (API, {"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE"),
+        (COMMAND, {}, "PASSIVE 1000"),
+        (COMMAND, {"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE None"),
+        (COMMAND, {"GOMP_SPINCOUNT": "0"}, "None 0"),
+        (API, {}, "None None"),
+        (API, {"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE None"),
     ],
 )
 def test_commands_let_threads_sleep_unless_the_user_says_how_they_wait(
     lines: str, variables: dict[str, str], expected: str
 ) -> None:
-    environment = {key: value for key, value in os.environ.items() if key != "OMP_WAIT_POLICY"} | variables
+    environment = {key: value for key, value in os.environ.items() if key not in WAITING_VARIABLES} | variables
     process = subprocess.run(
         [sys.executable, "-c", PROGRAM + lines],
         capture_output=True,

@@ -150,8 +150,8 @@ class ExemplarApp(App):
         quilt = theta["quilt"]
         warnings.warn(
             f"{task.name}: its photo is not at hand, expected for the photo's resolution; {subject} "
-            f"{quilt.shape[-1]} px a side. Fit the photo again.",
-            stacklevel=3,
+            f"{quilt.shape[-1]} px a side. Give the photo, too, or fit it again.",
+            stacklevel=2,
         )
         return quilt
 

@@ -7,13 +7,13 @@ from typing import Annotated, Any
 
 from typing_extensions import override
 
-from metapp.networks.picture_options import CameraOptions, fov_option, size_option
+from metapp.networks.picture_options import CameraOptions, fov_option, pitch_option, size_option
 from metapp.options import INPUT, Option
 
 
 @dataclass(frozen=True)
 class IlluminationOptions(CameraOptions):
-    """The options of illumination: size of the map, camera, and shutter times of photos of a mirror ball."""
+    """The options of illumination: size and level of the map, camera, and shutter times of photos of a mirror ball."""
 
     size: Annotated[tuple[int, int] | None, size_option("the map, up to 1024x2048")] = None
     fov: Annotated[float, fov_option("EXIF's, else a distant camera")] = 0.0
@@ -26,6 +26,13 @@ class IlluminationOptions(CameraOptions):
             protocol="photo",
         ),
     ] = ""
+
+    pitch: Annotated[float, pitch_option()] = 0.0
+
+    @override
+    def recorded_values(self) -> dict[str, object]:
+        """Add the camera's pitch, by which later exports and pages level the map, too."""
+        return super().recorded_values() | ({"pitch": self.pitch} if self.pitch else {})
 
     @override
     def reader_keywords(self) -> dict[str, Any]:

@@ -5,7 +5,9 @@ Maps are shown as the application's answer, at a mean luminance of 1; files have
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -13,7 +15,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 from typing_extensions import override
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, tone_map
-from metapp.appearance.latlong import sphere_normals
+from metapp.appearance.latlong import level_maps, sphere_normals
 from metapp.appearance.pictures import Picture, PictureComparison, VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.uniform import collapsed_fit_warnings, uniform_input_remarks
@@ -26,8 +28,16 @@ from metapp.rendering.second_scene import relighting
 LARGEST_MAP_ROWS = 1024  # rows of the file of a map, at most
 
 
+@dataclass(frozen=True)
 class IlluminationPresenter(Presenter[Illumination]):
-    """The presenter of fitted environment maps; `size` is the size of the file `map`."""
+    """The presenter of fitted environment maps; `size` is the size of the file `map`.
+
+    Attributes:
+        pitch: how far the camera looked down at a ball, in degrees. Files are levelled by it; errors and comparisons
+            with a photo are in directions of the camera.
+    """
+
+    pitch: float = 0.0
 
     picture_measure = "the second scene under the map, tone-mapped"
 
@@ -96,7 +106,7 @@ class IlluminationPresenter(Presenter[Illumination]):
 
         The map has the scale of the task's own file, or a mean luminance of 1 if there was none.
         """
-        answer = file_map(self.app, theta, task)
+        answer = self._level(file_map(self.app, theta, task))
         return self.answer_pictures(answer, task) | {"map": self.draw_map(theta, task)}
 
     @override
@@ -124,7 +134,11 @@ class IlluminationPresenter(Presenter[Illumination]):
     def draw_map(self, theta: Params, task: Task) -> Picture:
         """Return the picture file of the map, of `size` if that is given."""
         app = self.app.resize(*self.size) if self.size else self.app
-        return radiance_picture(file_map(app, theta, task), task)
+        return radiance_picture(self._level(file_map(app, theta, task)), task)
+
+    def _level(self, maps: Tensor) -> Tensor:
+        """Turn maps [1, 3, H, W] in directions of the camera so that their horizon lies level."""
+        return level_maps(maps, math.radians(self.pitch))
 
     @override
     def remarks(self, theta: Params, task: Task) -> dict[str, object]:

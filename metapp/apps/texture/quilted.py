@@ -99,4 +99,7 @@ class QuiltedTexture(Texture):
         if size is None or size == own_size:
             return tile
         small_tile = interpolate(self.network(theta, theta["quilt"]), size=self.cells, mode="area")[0]
-        return quilt_again(tile, small_tile, size).clamp(0, 1)
+        quilted = quilt_again(tile, small_tile, size)
+        if "image" in task.data:
+            quilted.warn_of_lost_order(self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0], task.name)
+        return quilted.layers.clamp(0, 1)

@@ -259,8 +259,10 @@ def export_fits(
             if options:
                 settings = settings | {"options": settings.get("options", {}) | options}
             write = functools.partial(export_fit, run, theta=theta, path=export_path(record, form, out), name=form)
+            if tasks is None and (inputs or data):  # some formats do without the input, but have more detail with it
+                tasks = find_fitted_tasks(records, run.app, inputs, data)
             try:
-                write(task=Task(name, {}), settings=settings)
+                write(task=(tasks or {}).get(name, Task(name, {})), settings=settings)
             except KeyError as missing:  # the format holds something of the input, too, which takes time to read
                 tasks = find_fitted_tasks(records, run.app, inputs, data) if tasks is None else tasks
                 if name not in tasks:

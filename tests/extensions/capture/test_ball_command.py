@@ -1,11 +1,14 @@
 """`metapp data ball`: files that it writes, and its refusals."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
 
+from data_tools.readers.image_files import read_pixels
+from metapp.appearance.latlong import level_maps
 from metapp.extensions.capture.ball.ball_geometry import Ball
 from metapp.storage.shards import list_data_set_problems, read_data_set
 from tests.extensions.capture.ball_photos import detailed_light, photograph_ball, write_linear_png
@@ -44,6 +47,34 @@ def test_data_set_map_and_detected_ball_are_written(metapp: Callable, bracket: l
     assert float(task.data["certain"][0].mean()) == pytest.approx(output["seen"])
     assert (out / "garden.exr").is_file()
     assert sorted(file.name for file in (out / "found").iterdir()) == ["a.png", "b.png", "c.png"]
+
+
+def test_a_ball_from_above_has_a_level_map(metapp: Callable, photo: Path, tmp_path: Path) -> None:
+    ball = ["--ball", "80,75,60", "--rows", "32"]
+    metapp("data", "ball", photo, *ball, "--out", tmp_path / "a", "-q")
+    metapp("data", "ball", photo, *ball, "--pitch", 30, "--out", tmp_path / "b", "-q")
+    (camera_task,), (level_task,) = (read_data_set(tmp_path / name, "test", "illumination") for name in "ab")
+    torch.testing.assert_close(level_task.data, camera_task.data)  # what fits see is the photo's
+    light, levelled = (
+        torch.from_numpy(read_pixels(tmp_path / name / f"{name}.exr").values).permute(2, 0, 1) for name in "ab"
+    )
+    is_seen = (level_maps(light[3:], math.radians(30)) > 0.9)[0]
+    expected = level_maps(light[:3], math.radians(30))[:, is_seen]
+    torch.testing.assert_close(levelled[:3, is_seen], expected, atol=0.01, rtol=0.02)
+    assert is_seen.float().mean() > 0.5
+
+
+def test_fits_of_a_ball_from_above_write_a_level_map(metapp: Callable, photo: Path, tmp_path: Path) -> None:
+    options = ["--recipe", "quick", "--json", "-q", "--out", tmp_path]
+    fits = [
+        metapp("general", "illumination", photo, *pitch, *options).json_result["tasks"][0]
+        for pitch in ((), ("--pitch", 30))
+    ]
+    radiance, levelled = (
+        torch.from_numpy(read_pixels(Path(fit["folder"]) / "map.exr").values).permute(2, 0, 1)[:3] for fit in fits
+    )
+    torch.testing.assert_close(levelled, level_maps(radiance, math.radians(30)), atol=1e-3, rtol=1e-2)
+    assert not torch.allclose(levelled, radiance, rtol=0.1)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.networks.picture_options import LayerOption, fov_option
+from metapp.networks.picture_options import LayerOption, fov_option, pitch_option
 from metapp.options import Option
 
 
@@ -37,4 +37,5 @@ class BallOptions:
         Option("Where the ball is, px from the upper left; default: it is found.", "X,Y,RADIUS", parse=parse_circle),
     ] = ()
     rows: Annotated[int, Option("Rows of the map, 32 to 1024.", "N", low=32, high=1024)] = 128
+    pitch: Annotated[float, pitch_option()] = 0.0
     layer: LayerOption = ""

@@ -6,13 +6,15 @@ How the light is recovered is not known here; see :mod:`metapp.extensions.captur
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from data_tools.readers.image_files import read_pixels
+from metapp.appearance.latlong import level_maps
 from metapp.extensions.capture.ball.ball_options import BallOptions
 from metapp.extensions.capture.ball.capture import CapturedLight, capture_light
 from metapp.extensions.capture.hand_photos import write_outlines
@@ -56,12 +58,12 @@ def write_light(
             paths, options.shutter, options.rows, fov_rad, options.ball, bar.advance, options.layer
         )
         bar.set_label("writing the map and pictures of what was found")
-        _write_light_files(folder.resolve().name, paths, captured, folder, options.layer, overwrite=overwrite)
+        _write_light_files(folder.resolve().name, paths, captured, folder, options, overwrite=overwrite)
     return captured
 
 
 def _write_light_files(
-    name: str, paths: Sequence[Path], captured: CapturedLight, folder: Path, layer: str, *, overwrite: bool
+    name: str, paths: Sequence[Path], captured: CapturedLight, folder: Path, options: BallOptions, *, overwrite: bool
 ) -> None:
     """Write a data set of one task, its map NAME.exr, and pictures of the balls in found/."""
     notes = {
@@ -78,9 +80,21 @@ def _write_light_files(
         for path, ball in zip(paths, captured.balls, strict=True):
             contour = ball.to_px(np.stack([np.cos(angles), np.sin(angles)])).T
             write_outlines(
-                read_pixels(path, layer), [(contour, "lime")], folder / DIAGNOSTIC_FOLDER / f"{path.stem}.png"
+                read_pixels(path, options.layer), [(contour, "lime")], folder / DIAGNOSTIC_FOLDER / f"{path.stem}.png"
             )
-        light = torch.cat([captured.data["seen"], captured.data["certain"][:1]])
-        write_exr(light.permute(1, 2, 0), folder / f"{name}.exr")
+        write_exr(_level_light(captured.data, options.pitch).permute(1, 2, 0), folder / f"{name}.exr")
 
     write_data_set(folder, "illumination", LIGHT_UNITS, make_task(), notes, overwrite=overwrite)
+
+
+def _level_light(data: Mapping[str, Tensor], pitch_degrees: float) -> Tensor:
+    """Return the light of a ball and how far it is seen unclipped, [4, H, W], of a level horizon.
+
+    Texels that the ball does not show have radiance 0, which is not averaged with what is seen beside them.
+    """
+    seen, certain = data["seen"], data["certain"]
+    if not pitch_degrees:
+        return torch.cat([seen, certain[:1]])
+    weight = certain.sum(0, keepdim=True)
+    planes = level_maps(torch.cat([seen * weight, weight, certain[:1]]), math.radians(pitch_degrees))
+    return torch.cat([planes[:3] / planes[3:4].clamp_min(1e-6), planes[4:]])
