@@ -36,14 +36,14 @@ def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert Run.from_options(fit_options(name, recipe="quick")).options.recipe == "quick"
 
 
-OWN = {"conserve", "observe", "export", "size", "render", "fov", "stops", "shutter", "scene-root", "layer"}
+OWN = {"conserve", "observe", "export", "size", "render", "fov", "stops", "shutter", "pitch", "scene-root", "layer"}
 OWN |= {"relief"}
 SHOWN = {
     "brdf": {"export", "conserve"},
     "texture": {"export", "size", "layer"},
     "svbrdf_stationary": {"export", "size", "fov", "layer", "relief"},
     "svbrdf_nonstationary": {"observe", "export", "size", "fov", "stops", "layer", "relief"},
-    "illumination": {"observe", "size", "fov", "shutter", "layer"},
+    "illumination": {"observe", "size", "fov", "shutter", "pitch", "layer"},
     "transport": {"render", "scene-root"},
 }
 UNUSED = {
