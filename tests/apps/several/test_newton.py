@@ -25,7 +25,7 @@ from metapp.learning.task import Batch, Params
 from tests.apps.several.test_several_photos import PLACES
 
 SIDE, COUNT = 4, 5
-SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "curl": 0.05}
+SETTINGS = {"smoothing": 0.02, "prior": 1e-3, "flash": 1e-2, "curl": 0.05, "noise": 10.0}
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def app() -> SeveralPhotos:
 def exact_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps of flashes are solved from all texels of maps this small, and slopes up to rounding."""
     monkeypatch.setattr(newton, "FLASH_STRIDE", 1)
-    monkeypatch.setattr(integrability, "RELATIVE_RESIDUAL", 1e-9)
+    monkeypatch.setattr(integrability, "RELATIVE_RESIDUAL", 1e-12)
 
 
 def problem(off: float = 0.05, seed: int = 0) -> tuple[Params, Batch, Tensor]:
@@ -122,6 +122,21 @@ def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
         theta = theta | {key: theta[key] - value for key, value in change.items()}
     assert worst(theta) < 0.01 * first
     assert float((theta["maps"][:, :2] - true[:, :2]).abs().median()) < 0.03
+
+
+@pytest.mark.parametrize(("noise", "factor"), [(0.002, 1.04), (0.01, 2.0), (0.03, 10.0), (0.2, 401.0)])
+def test_priors_weigh_more_where_photographs_are_noisier_than_weights_hold_for(noise: float, factor: float) -> None:
+    signs = torch.tensor([1.0, -1.0]).repeat(50)
+    residual = (noise * signs).reshape(1, 10, 10).double()
+    residual[0, 0] = 50.0  # outliers that do not count
+    weight = torch.ones_like(residual)
+    weight[0, 0] = 0.0
+    before = settings(SETTINGS | {"noise": 0.01})
+    after = newton._weigh_by_noise(weight, residual, before)
+    for key in ("prior", "curl"):
+        growth = (after[key] - before[key]).exp()
+        torch.testing.assert_close(growth, torch.full_like(growth, factor), rtol=0.01, atol=0)
+    assert all(torch.equal(after[key], before[key]) for key in ("smoothing", "flash"))
 
 
 @pytest.mark.parametrize("true_falloff", [0.0, 1.5])

@@ -40,6 +40,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as reader
 from metapp.apps.svbrdf_nonstationary.several.alignment import align_photos
+from metapp.apps.svbrdf_nonstationary.several.handling import develop_photos, handle_photos
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.apps.svbrdf_nonstationary.variants import draws_per_material, vary_materials
@@ -53,6 +54,7 @@ PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of
 FLASH_WEIGHT = 0.02  # weight of the squared displacements of flashes from their measured positions
 FALLOFF_WEIGHT = 1e-6  # weight of the squared fall-off of the flashes, no loss parameter that a rule learns
 CURL_WEIGHT = 0.08  # weight of the |curl| of slopes
+NOISE = 0.004  # log radiance: geometric mean of |differences| up to which these weights hold
 CURL_ROUNDING = 0.05  # difference of slopes from texel to texel: |curls| of slopes are rounded off below
 # Weight in the outer loss of a negative log likelihood: of the errors of General's maps, given the scales it predicts
 LIKELIHOOD_WEIGHT = 0.05
@@ -66,6 +68,7 @@ MAX_PLACE_ERROR_FACTOR = 1.5  # largest errors of measured places, over the erro
 UNEQUAL_EXPOSURE_SHARE = 0.3  # share of materials whose photographs differ in exposure
 # Natural logs of exposures: mean and standard deviation where they differ, and standard deviation where they do not
 UNEQUAL_EXPOSURE_LOG_MEAN, UNEQUAL_EXPOSURE_LOG_DEVIATION, EQUAL_EXPOSURE_LOG_DEVIATION = -0.15, 0.35, 0.06
+HANDLED_SHARE = 0.6  # share of materials whose photographs a phone takes, see :func:`handle_photos`
 MAX_DISPLAY_NOISE = 0.01  # largest standard deviation of the noise of a material's photographs, in display values
 
 
@@ -223,7 +226,7 @@ class SeveralPhotos(SvbrdfNonstationary):
             like: a tensor [T, ...] that gives initial values their number of tasks, dtype and device.
 
         Returns:
-            `smoothing` [T], `prior` [T, 9], `flash` [T] and `curl` [T]; see :meth:`loss_parameters`.
+            `smoothing` [T], `prior` [T, 9], `flash` [T], `curl` [T] and `noise` [T]; see :meth:`loss_parameters`.
         """
         return learned or {
             key: value.expand(len(like), *value.shape[1:]).to(like) for key, value in self.loss_parameters(1).items()
@@ -237,13 +240,15 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         Returns:
             `smoothing` [steps], the log of ROUNDING; `prior` [steps, 9], the log of PRIOR_WEIGHT for each number of a
-            texel; `flash` [steps], the log of FLASH_WEIGHT; `curl` [steps], the log of CURL_WEIGHT.
+            texel; `flash` [steps], the log of FLASH_WEIGHT; `curl` [steps], the log of CURL_WEIGHT; `noise` [steps],
+            the log of NOISE.
         """
         values = {
             "smoothing": torch.tensor(ROUNDING),
             "prior": torch.full((sum(CHANNELS),), PRIOR_WEIGHT),
             "flash": torch.tensor(FLASH_WEIGHT),
             "curl": torch.tensor(CURL_WEIGHT),
+            "noise": torch.tensor(NOISE),
         }
         return {key: value.log().expand(steps, *value.shape).clone() for key, value in values.items()}
 
@@ -427,7 +432,12 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
         [log_exposure.new_zeros(len(maps), FLASH_NUMBERS - 1, count), log_exposure[:, None] / FLASH_LOG_GAIN], 1
     )
     positions = true_places[:, :, None].expand(-1, -1, 2, -1)
-    display = linear_to_srgb(render_photos(unpack_maps(maps), decode_flashes(flash, positions)).clamp(0, 1))
+    material = unpack_maps(maps)
+    radiance = render_photos(material, decode_flashes(flash, positions))
+    is_handled = uniform(1, 1, 1, 1) < HANDLED_SHARE
+    radiance = torch.where(is_handled, handle_photos(radiance, material, true_places, rng), radiance)
+    display = linear_to_srgb(radiance.clamp(0, 1))
+    display = torch.where(is_handled, develop_photos(display, rng), display)
     noise_deviation = MAX_DISPLAY_NOISE * uniform(1, 1, 1, 1)
     display = display + noise_deviation * torch.randn(display.shape, generator=rng, device=rng.device)
     photos = srgb_to_linear((display.clamp(0, 1) * 255).round() / 255)

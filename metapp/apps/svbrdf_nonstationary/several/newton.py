@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+from torch.nn.functional import softplus
 from typing_extensions import override
 
 from metapp.appearance.flash import Maps, texel_positions
@@ -51,6 +52,7 @@ GAIN_DAMPING = 1e-4
 # Soft bounds (tanh) of the change of each number of a texel in a step: first its two slopes, then the others
 MAX_CHANGE = (0.3, 0.3, *(TEXEL_NUMBERS - 2) * (1.0,))
 MAX_FLASH_CHANGE = 0.5  # hard bound of the change of each number of a flash, and of the fall-off, in a step
+MIN_NOISE = 1e-3  # log radiance: |residuals| are rounded off below, before their geometric mean is taken
 DIFFERENCE_STEP = 1e-3  # step of central differences, in the numbers of texels and flashes
 
 
@@ -128,7 +130,8 @@ def gauss_newton_change(
         theta: the fits: `maps` [T, 9, H, W], `flash` [T, 4, N], `falloff` [T, 1] and `prior` [T, 18, H, W].
         batch: linear photographs, `photos` [T, N, 3, H, W], and measured positions of camera and flash, `places`
             [T, N, 2, 3].
-        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash` and `curl` [T].
+        settings: logs of all loss parameters: `smoothing` [T], the log of s; `prior` [T, 9]; `flash`, `curl` and
+            `noise` [T].
         max_texel_change: soft bounds of the changes of the nine numbers of a texel: a change c becomes
             bound * tanh(c / bound).
     """
@@ -151,6 +154,7 @@ def gauss_newton_change(
     )
     moved_flashes = flash - flash_change, falloff - falloff_change
     jacobian, weight, residual = _linearise(maps, moved_flashes, photos, batch["places"], texels, settings)
+    settings = _weigh_by_noise(weight, residual, settings)
     matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
     change = _solve_texels(matrix, right_side, maps, settings)
     max_change = maps.new_tensor(max_texel_change)[:, None, None]
@@ -206,6 +210,27 @@ def _linearise(
     weight = torch.where((photos > CLIPPED_LINEAR_VALUE) & (residual > 0) | ~shows_material, 0, weight)
     weight, residual = (values.flatten(1, 2).flatten(2).mT.contiguous() for values in (weight, residual))
     return jacobian, weight, residual
+
+
+def _weigh_by_noise(weight: Tensor, residual: Tensor, settings: Params) -> Params:
+    """Return loss parameters whose priors weigh more where photographs have more noise than these hold for.
+
+    Photographs that are registered by hand differ from renderings by more than photographs at exact places: by
+    parallax, by parts of a texel, by what a camera does to colours. Their noise is the geometric mean of a
+    task's |residuals|, which outliers hardly move.
+    The weights of the maps' prior and of curls are multiplied by 1 plus the squared ratio of this noise to the one in
+    the settings: variances of normal distributions add up.
+
+    Args:
+        weight, residual: the weights and residuals that :func:`_linearise` returns, [T, P, 3N]; those of weight 0 do
+            not count.
+        settings: all loss parameters, [T, ...].
+    """
+    counts = (weight > 0).to(residual)
+    logs = (residual.square() + MIN_NOISE**2).log() / 2
+    noise_log = (counts * logs).sum((1, 2)) / counts.sum((1, 2)).clamp_min(1)
+    excess = softplus(2 * (noise_log - settings["noise"]))
+    return {**settings, "prior": settings["prior"] + excess[:, None], "curl": settings["curl"] + excess}
 
 
 def _render_lobes(maps: Tensor, flashes: FlashNumbers, places: Tensor, texels: Tensor) -> Tensor:
@@ -310,6 +335,7 @@ def _solve_flashes(
     """
     (flash, falloff), count = flashes, photos.shape[1]
     jacobian, weight, residual = _linearise(maps, flashes, photos, places, texels, settings)
+    settings = _weigh_by_noise(weight, residual, settings)
     matrix, right_side = _build_normal_equations(jacobian, weight, residual, maps, prior, settings)
     diffuse, specular, *_ = decode_maps(maps)
 
