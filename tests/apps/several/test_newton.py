@@ -124,7 +124,7 @@ def test_noise_free_photographs_are_reproduced_in_a_few_steps() -> None:
     assert float((theta["maps"][:, :2] - true[:, :2]).abs().median()) < 0.03
 
 
-@pytest.mark.parametrize(("noise", "factor"), [(0.002, 1.04), (0.01, 2.0), (0.03, 10.0), (0.2, 401.0)])
+@pytest.mark.parametrize(("noise", "factor"), [(0.003, 1.01), (0.01, 2.0), (0.03, 82.0), (0.2, 160_001.0)])
 def test_priors_weigh_more_where_photographs_are_noisier_than_weights_hold_for(noise: float, factor: float) -> None:
     signs = torch.tensor([1.0, -1.0]).repeat(50)
     residual = (noise * signs).reshape(1, 10, 10).double()
@@ -135,7 +135,7 @@ def test_priors_weigh_more_where_photographs_are_noisier_than_weights_hold_for(n
     after = newton._weigh_by_noise(weight, residual, before)
     for key in ("prior", "curl"):
         growth = (after[key] - before[key]).exp()
-        torch.testing.assert_close(growth, torch.full_like(growth, factor), rtol=0.01, atol=0)
+        torch.testing.assert_close(growth, torch.full_like(growth, factor), rtol=0.02, atol=0)
     assert all(torch.equal(after[key], before[key]) for key in ("smoothing", "flash"))
 
 

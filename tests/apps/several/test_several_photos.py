@@ -256,6 +256,20 @@ def test_nearly_flat_surfaces_and_unexplained_photographs_are_said(
         assert any("over wide areas" in line for line in lines) == is_unexplained
 
 
+@pytest.mark.parametrize(("noise", "is_said"), [(0.002, False), (0.05, True)])
+def test_photographs_that_differ_from_texel_to_texel_are_said(
+    app: SeveralPhotos, tasks: Tasks, noise: float, is_said: bool
+) -> None:
+    stacked, maps = tasks.select([0]), truth(tasks.select([0]))
+    theta = {"maps": maps, "flash": torch.zeros(1, FLASH_NUMBERS, COUNT), "falloff": torch.zeros(1, 1)}
+    photos = render_photos(decode_maps(maps), decode_flashes(theta["flash"], stacked.data["places"])).clamp(0, 0.9)
+    # a chequered change, which the means over wide areas do not see
+    signs = 1 - 2 * (torch.arange(SIDE)[:, None] + torch.arange(SIDE)).remainder(2)
+    changed = replace(stacked, data=stacked.data | {"photos": photos * (1 + noise * signs)})
+    (lines,) = presenter_of(app).quality_warnings(theta, changed)
+    assert any("texel to texel" in line for line in lines) == is_said
+
+
 def test_tasks_of_different_numbers_are_not_fitted_together(app: SeveralPhotos) -> None:
     alone = Task("wall", {"photo": several(0).data["photo"]})
     for other in (several(1, 2), alone):

@@ -54,7 +54,7 @@ PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of
 FLASH_WEIGHT = 0.02  # weight of the squared displacements of flashes from their measured positions
 FALLOFF_WEIGHT = 1e-6  # weight of the squared fall-off of the flashes, no loss parameter that a rule learns
 CURL_WEIGHT = 0.08  # weight of the |curl| of slopes
-NOISE = 0.004  # log radiance: geometric mean of |differences| up to which these weights hold
+NOISE = 0.006  # log radiance: geometric mean of |differences| up to which these weights hold
 CURL_ROUNDING = 0.05  # difference of slopes from texel to texel: |curls| of slopes are rounded off below
 # Weight in the outer loss of a negative log likelihood: of the errors of General's maps, given the scales it predicts
 LIKELIHOOD_WEIGHT = 0.05

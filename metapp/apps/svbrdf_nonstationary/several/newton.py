@@ -32,6 +32,7 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     LIGHT_FLOOR,
     SeveralPhotos,
     decode_flashes,
+    render_photos,
 )
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
 from metapp.learning.adjoint import AnyBatch, Loss
@@ -53,6 +54,7 @@ GAIN_DAMPING = 1e-4
 MAX_CHANGE = (0.3, 0.3, *(TEXEL_NUMBERS - 2) * (1.0,))
 MAX_FLASH_CHANGE = 0.5  # hard bound of the change of each number of a flash, and of the fall-off, in a step
 MIN_NOISE = 1e-3  # log radiance: |residuals| are rounded off below, before their geometric mean is taken
+GENERAL_NOISE_SHARE = 0.2  # noise that a fit is expected to leave, over the noise of its prior's maps
 DIFFERENCE_STEP = 1e-3  # step of central differences, in the numbers of texels and flashes
 
 
@@ -136,7 +138,7 @@ def gauss_newton_change(
             bound * tanh(c / bound).
     """
     maps, flash, falloff, prior = (theta[key] for key in ("maps", "flash", "falloff", "prior"))
-    photos = batch["photos"]
+    settings, photos = _expect_noise(theta, batch, settings), batch["photos"]
     photos = torch.where(batch.get("unobstructed", torch.ones_like(photos[:, :, :1])) > 0, photos, math.nan)
     texels = texel_positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device)
     coarse_maps, coarse_photos, coarse_prior, coarse_texels = (
@@ -212,24 +214,47 @@ def _linearise(
     return jacobian, weight, residual
 
 
+def _expect_noise(theta: Params, batch: Batch, settings: Params) -> Params:
+    """Return loss parameters whose `noise` [T] is what a fit is expected to leave of differences from photographs.
+
+    It is the root of the sum of squares of the noise in the settings and of GENERAL_NOISE_SHARE of the noise of the
+    prior's maps: where these are far off, as of polished metal, the first steps leave much, too.
+    """
+    maps = decode_maps(theta["prior"].chunk(2, 1)[0])
+    renderings = render_photos(maps, decode_flashes(theta["flash"], batch["places"], theta["falloff"]))
+    photos = batch["photos"]
+    residual = ((renderings + LIGHT_FLOOR).log() - (photos + LIGHT_FLOOR).log()).flatten(1)
+    is_counted = (batch.get("unobstructed", torch.ones_like(photos[:, :, :1])) > 0).expand_as(photos).flatten(1)
+    is_counted = is_counted & ((photos <= CLIPPED_LINEAR_VALUE).flatten(1) | (residual < 0))
+    prior_log = math.log(GENERAL_NOISE_SHARE) + _find_noise_log(residual, is_counted)
+    return {**settings, "noise": torch.logaddexp(2 * settings["noise"], 2 * prior_log) / 2}
+
+
+def _find_noise_log(residual: Tensor, is_counted: Tensor) -> Tensor:
+    """Return the log of the noise of each task, [T]: of the geometric mean of |residuals|, which outliers hardly move.
+
+    Args:
+        residual: differences of logs, [T, ...].
+        is_counted: which of them count, bool [T, ...].
+    """
+    counts = is_counted.to(residual).flatten(1)
+    logs = (residual.flatten(1).square() + MIN_NOISE**2).log() / 2
+    return (counts * logs).sum(1) / counts.sum(1).clamp_min(1)
+
+
 def _weigh_by_noise(weight: Tensor, residual: Tensor, settings: Params) -> Params:
     """Return loss parameters whose priors weigh more where photographs have more noise than these hold for.
 
     Photographs that are registered by hand differ from renderings by more than photographs at exact places: by
-    parallax, by parts of a texel, by what a camera does to colours. Their noise is the geometric mean of a
-    task's |residuals|, which outliers hardly move.
-    The weights of the maps' prior and of curls are multiplied by 1 plus the squared ratio of this noise to the one in
-    the settings: variances of normal distributions add up.
+    parallax, by parts of a texel, by what a camera does to colours. The weights of the maps' prior and of curls are
+    multiplied by 1 plus the fourth power of the noise over the noise in the settings.
 
     Args:
         weight, residual: the weights and residuals that :func:`_linearise` returns, [T, P, 3N]; those of weight 0 do
             not count.
         settings: all loss parameters, [T, ...].
     """
-    counts = (weight > 0).to(residual)
-    logs = (residual.square() + MIN_NOISE**2).log() / 2
-    noise_log = (counts * logs).sum((1, 2)) / counts.sum((1, 2)).clamp_min(1)
-    excess = softplus(2 * (noise_log - settings["noise"]))
+    excess = softplus(4 * (_find_noise_log(residual, weight > 0) - settings["noise"]))
     return {**settings, "prior": settings["prior"] + excess[:, None], "curl": settings["curl"] + excess}
 
 
