@@ -31,7 +31,7 @@ demo: setup  ## fit 20 unseen materials by the best rule and in 10 gradient step
 
 WORKERS := -n auto --maxprocesses 4 --dist worksteal
 
-test: setup  ## the tests on up to four cores, five minutes on two
+test: setup  ## the tests on up to four cores, five to seven minutes on two
 	$(VENV)/bin/python -m pytest -m "not long and not slow" $(WORKERS)
 
 test-long: setup  ## the tests that take seconds each, beside quicker ones of their kind; on two cores
