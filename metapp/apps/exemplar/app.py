@@ -22,7 +22,7 @@ from metapp.appearance.features import feature_conditions
 from metapp.appearance.order import remove_quadratic_trend
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.exemplar.quilts import choose_quilt
+from metapp.apps.exemplar.quilts import choose_quilt, quilt_again
 from metapp.learning.app import App
 from metapp.learning.random_tensors import draw_normal, draw_uniform
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
@@ -154,6 +154,21 @@ class ExemplarApp(App):
             stacklevel=2,
         )
         return quilt
+
+    def quilt_tile_again(self, task: Task, layers: Tensor, colours: Tensor, size: tuple[int, int]) -> Tensor:
+        """Quilt a tile of another size of a tile, and warn if that cuts the regular structure of the photograph.
+
+        Args:
+            task: the task that was fitted; without a photograph in it there is no warning.
+            layers, colours, size: the arguments of :func:`quilt_again`.
+
+        Returns:
+            [C, *size].
+        """
+        quilted = quilt_again(layers, colours, size)
+        if "image" in task.data:
+            quilted.warn_of_lost_order(self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0], task.name)
+        return quilted.layers
 
     @override
     def task_parameters(self, tasks: Tasks) -> Params:

@@ -24,7 +24,6 @@ from metapp.apps.exemplar.app import (
     move_tiles,
     turn_picture,
 )
-from metapp.apps.exemplar.quilts import quilt_again
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 from metapp.networks.generators import Pyramid
@@ -150,10 +149,8 @@ class QuiltedSvbrdf(SvbrdfStationary):
             return maps, height
         layers = torch.cat([_display(maps.diffuse), maps.specular, maps.roughness, height])
         colours = adaptive_avg_pool2d(layers[:3], self.cells)
-        quilted = quilt_again(layers, colours, size)
-        if "image" in task.data:
-            quilted.warn_of_lost_order(self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0], task.name)
-        diffuse, specular, roughness, height = quilted.layers.split(LAYER_CHANNELS)
+        quilted = self.quilt_tile_again(task, layers, colours, size)
+        diffuse, specular, roughness, height = quilted.split(LAYER_CHANNELS)
         # cubic interpolation overshoots
         diffuse, specular = (values.clamp(0, 1) for values in (diffuse, specular))
         return Maps(diffuse**DISPLAY_GAMMA, specular, roughness.clamp(0.1, 1), normal_from_height(height)), height

@@ -15,7 +15,6 @@ from typing_extensions import override
 
 from metapp.appearance.order import remove_quadratic_trend
 from metapp.apps.exemplar.app import move_tiles
-from metapp.apps.exemplar.quilts import quilt_again
 from metapp.apps.texture.app import Texture
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.quilted import LightGrid, colour_moments, subtract_trend
@@ -99,7 +98,4 @@ class QuiltedTexture(Texture):
         if size is None or size == own_size:
             return tile
         small_tile = interpolate(self.network(theta, theta["quilt"]), size=self.cells, mode="area")[0]
-        quilted = quilt_again(tile, small_tile, size)
-        if "image" in task.data:
-            quilted.warn_of_lost_order(self.octaves.take_exemplar(task.data["image"][None].float() / 255)[0], task.name)
-        return quilted.layers.clamp(0, 1)
+        return self.quilt_tile_again(task, tile, small_tile, size).clamp(0, 1)
