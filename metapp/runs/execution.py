@@ -20,7 +20,7 @@ from metapp.paradigms import ranks
 from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.environment import make_folder, torch_defaults
 from metapp.runs.fit import Fit
-from metapp.runs.fitting import FITTED_TIME_SHARE, BadInput, EarlierFit, fit_inputs
+from metapp.runs.fitting import FIT_ERRORS, FITTED_TIME_SHARE, BadInput, EarlierFit, fit_inputs
 from metapp.runs.inputs.run_inputs import Input, find_inputs, task_digest
 from metapp.runs.memory_errors import describe_short_memory
 from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, Tiles, add_to_sheet, tiles_of_fit
@@ -28,7 +28,7 @@ from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open,
 from metapp.runs.reporter import Bar, Reporter, progress, say, use_reporter
 from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.files import error_about_file
+from metapp.storage.files import DISK_FULL_ERRNOS, error_about_file, error_text
 from metapp.storage.fit_folders import RunFolder, summary
 from metapp.storage.parameters import read_checked_params
 
@@ -128,7 +128,7 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
 
     Raises:
         ValueError: inputs are bad, there is no checkpoint, a folder cannot be written to, or nothing could be fitted.
-        OSError: a file of a fit cannot be written, for example to a full disk.
+        OSError: a file of the only fit cannot be written, for example to a full disk.
         FloatingPointError: training is not finite.
         Exception: an error that ends the fits, see :func:`keep_fits`.
     """
@@ -172,19 +172,20 @@ def keep_fits(run: Run, folder: RunFolder, inputs: Sequence[Input]) -> Iterator[
 
     Yields:
         The outcome of each input, as soon as it is known. If an input cannot be read or fitted by an error that
-        :func:`fit_inputs` returns, or its fit cannot be drawn or written by a ValueError or a RuntimeError, the outcome
-        says so, and the other inputs are fitted.
+        :func:`fit_inputs` returns, or its fit cannot be drawn or written, the outcome says so, and the other inputs are
+        fitted. Once the disk is full, the outcomes of all others are that they were not fitted.
 
     Raises:
-        OSError: a file of a fit cannot be written, for example to a full disk; other fits could not be written, either.
-        Exception: any other error that is no outcome: an error of a run of one input that is none of FORESEEN_ERRORS,
-            an error that :func:`fit_inputs` raises, or an error other than ValueError and RuntimeError by which
+        Exception: an error that is no outcome: an error of a run of one input that is none of FORESEEN_ERRORS, an error
+            that :func:`fit_inputs` raises, or an error other than ValueError, OSError and RuntimeError by which
             pictures are not drawn.
     """
     shown_count, input_count = 0, len(inputs)
+    remaining = {run_input.place: run_input for run_input in inputs}
     with progress(run.paradigm.name, input_count, long=input_count > 1, quiet=run.options.quiet) as bar:
         bar.set_label(f"{Path(inputs[0].place).name}: reading")
         for run_input, fit in fit_inputs(run, inputs, folder, bar):
+            remaining.pop(run_input.place)
             if isinstance(fit, Exception):
                 error = _name_short_memory(run, fit)
                 if input_count == 1 and not isinstance(error, FORESEEN_ERRORS):
@@ -194,12 +195,17 @@ def keep_fits(run: Run, folder: RunFolder, inputs: Sequence[Input]) -> Iterator[
                 try:
                     outcome = _keep_fit(folder, run_input, fit, bar, is_shown=shown_count < MAX_SHEET_ROWS)
                     shown_count += 1
-                except (ValueError, MemoryError, RuntimeError) as drawing_error:
-                    error = _name_short_memory(run, drawing_error)
+                except FIT_ERRORS as writing_error:
+                    error = _name_short_memory(run, writing_error)
                     if input_count == 1 and not isinstance(error, ValueError):
                         raise
                     outcome = _report_failure(run_input, error, bar)
+                    if isinstance(error, OSError) and error.errno in DISK_FULL_ERRNOS:
+                        yield outcome
+                        break
             yield outcome
+        for run_input in remaining.values():
+            yield _report_failure(run_input, ValueError(f"not fitted, since the disk is full: {folder.path}"), bar)
 
 
 def _name_short_memory(run: Run, error: Exception) -> Exception:
@@ -301,7 +307,8 @@ def _write_contact_sheet(report: RunReport) -> None:
     """Write the contact sheet `pictures.png` of a run into its folder.
 
     The sheet shows those MAX_SHEET_ROWS fits of the run that were done first, in the order of their inputs, each beside
-    its photo or reference. If there are fewer, rows of fits follow that the sheet of an earlier run shows.
+    its photo or reference. If there are fewer, rows of fits follow that the sheet of an earlier run shows. A sheet that
+    cannot be written is said, and the report of the run goes on.
     """
     app, records = report.run.app, report.records
     mean = summary(records)["error"]
@@ -313,4 +320,7 @@ def _write_contact_sheet(report: RunReport) -> None:
         for outcome in report.outcomes
         if outcome.record and outcome.tiles
     }
-    add_to_sheet(tiles, title, report.folder.path)
+    try:
+        add_to_sheet(tiles, title, report.folder.path)
+    except OSError as error:
+        say(f"warning: {error_text(error)}")

@@ -50,6 +50,9 @@ class PathKind(enum.Enum):
 WRITTEN_KINDS = (PathKind.DATA_SET, PathKind.FIT, PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC)
 KINDS_WITH_FITS = (PathKind.FIT, PathKind.RUN_FOLDER, PathKind.RUN_FOLDERS)
 
+# Where a folder of runs has its fits: `runs/brdf`, `runs`, and `runs` in which `metapp evaluate` alone wrote
+FITS_OF_RUNS = ("*/*/", "*/*/*/", "evaluate/*/*/*/")
+
 # Results of functions that look at the disk, by function and arguments; None outside of `cache_lookups`
 _LOOKUPS: ContextVar[dict[tuple[Any, ...], Any] | None] = ContextVar("lookups", default=None)
 
@@ -123,7 +126,7 @@ def path_kind(path: str | Path) -> PathKind:
         folder_kind = _kind_without_runs(os.path.dirname(place))
         return PathKind.DIAGNOSTIC if folder_kind in (PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC) else PathKind.FILE
     kind = _kind_without_runs(place)
-    return PathKind.RUN_FOLDERS if kind is PathKind.FILES and find_record_files(Path(path), "*/*/", "*/*/*/") else kind
+    return PathKind.RUN_FOLDERS if kind is PathKind.FILES and find_record_files(Path(path), *FITS_OF_RUNS) else kind
 
 
 def holds_files_of_users(folder: str) -> tuple[bool, bool]:

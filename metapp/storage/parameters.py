@@ -59,6 +59,11 @@ def check_params(theta: Params, app: App, place: str) -> None:
         if shape != network_shape:
             found = f"{key!r} of shape {shape}, expected {network_shape}"
             raise ValueError(f"{place}: parameters {found} of the network of its settings; fit anew.")
+    for key in specs:
+        # what is stored as several parameters, such as suns, is there as a whole or not at all
+        group = key.partition(".")[0] + "."
+        if key not in theta and any(name.startswith(group) for name in theta):
+            raise ValueError(f"{place}: parameters without {key!r}, but with others of {group}*; fit anew.")
     if problems := problems_of(Task(place, {key: theta[key] for key in specs if key in theta}), specs):
         raise ValueError(f"{place}: {problems[0]}; fit anew.")
     for key, value in theta.items():

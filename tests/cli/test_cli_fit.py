@@ -1,6 +1,7 @@
 """Fitting and evaluating end to end: tables, JSON, run folders, starts, and one line for every kind of bad input."""
 
 import errno
+import os
 import re
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +21,10 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
 from metapp.registry import registry
+from metapp.storage import Document
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.files import content_digest
-from metapp.storage.fit_folders import RECORD, read_fit_records, read_params
+from metapp.storage.fit_folders import RECORD, RunFolder, read_fit_records, read_params
 from tests.conftest import CommandResult
 
 STEPS = ("--train", "--train-steps", "3")
@@ -85,6 +88,28 @@ def test_an_export_that_fails_leaves_the_fit(fit: Callable, monkeypatch: pytest.
     assert "error: 2 exports were not written; all fits are kept." in output
     assert "inputs were not fitted" not in output
     assert [record["name"] for record in read_fit_records(folder)] == ["m4", "m9"]
+
+
+@pytest.mark.parametrize(("number", "fitted"), [(errno.ENOSPC, 1), (errno.EACCES, 3)])
+def test_a_fit_that_cannot_be_written_leaves_the_others_and_the_report(
+    metapp: Callable, write_nbrdf_networks: Callable, monkeypatch: pytest.MonkeyPatch, number: int, fitted: int
+) -> None:
+    """The second of four fits is not written: a full disk ends the fits, a folder without rights ends none."""
+    write_fit, records = RunFolder.write, []
+
+    def write(folder: RunFolder, record: Document, *arguments: Any) -> Document:
+        records.append(record)
+        if len(records) == 2:
+            raise OSError(number, os.strerror(number))
+        return write_fit(folder, record, *arguments)
+
+    monkeypatch.setattr(RunFolder, "write", write)
+    result = metapp("general", "brdf", write_nbrdf_networks(4), "--json")
+    assert result.code == 1
+    assert len(result.json_document["tasks"]) == fitted
+    reasons = [failure["reason"] for failure in result.json_document["failures"]]
+    assert os.strerror(number) in reasons[0]
+    assert ["not fitted, since the disk is full" in reason for reason in reasons[1:]] == [True] * (3 - fitted)
 
 
 def test_a_fit_prints_a_table_and_leaves_its_files(fit: Callable) -> None:

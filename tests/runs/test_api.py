@@ -16,13 +16,17 @@ import pytest
 import torch
 from PIL import Image
 from safetensors.torch import save_file
+from torch import Generator
 
 import metapp as api
 from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.geometry import rusinkiewicz_to_directions
+from metapp.apps import app_of, recipe_of
+from metapp.apps.illumination.suns import SUN_SPECS
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import read_tensors, to_json_value
 from metapp.storage.fit_folders import pack_fit, write_fit
+from metapp.storage.parameters import check_params
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba
 from tests.scene_files import OBJ
@@ -416,3 +420,15 @@ def test_a_fit_shows_itself(network: Path) -> None:
     html = fit._repr_html_()
     assert "&lt;b&gt;" in html
     assert "warning: 1 &lt; 2" in html
+
+
+def test_suns_of_which_a_part_is_missing_are_refused() -> None:
+    app = app_of("illumination", recipe_of("illumination", "quick"))
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    suns = {key: torch.zeros(spec.shape) for key, spec in SUN_SPECS.items()}
+    check_params(theta, app, "sky")
+    check_params(theta | suns, app, "sky")
+    for key in suns:
+        others = {name: value for name, value in suns.items() if name != key}
+        with pytest.raises(ValueError, match=rf"^sky: parameters without '{key}', but with others of suns\.\*; fit"):
+            check_params(theta | others, app, "sky")

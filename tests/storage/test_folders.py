@@ -35,6 +35,7 @@ FOLDERS: dict[str, tuple[PathKind, dict[str, str]]] = {
     "fits": (PathKind.RUN_FOLDER, {f"gold/{RECORD}": FIT, f"tin/{RECORD}": FIT, "pictures.png": ""}),
     "runs of an application": (PathKind.RUN_FOLDERS, {f"meta/gold/{RECORD}": FIT}),
     "runs": (PathKind.RUN_FOLDERS, {f"brdf/meta/gold/{RECORD}": FIT}),
+    "runs of evaluate": (PathKind.RUN_FOLDERS, {f"evaluate/brdf/meta/gold/{RECORD}": FIT}),
     "photos beside all runs": (PathKind.FILES, {f"runs/brdf/meta/gold/{RECORD}": FIT, "bark.png": ""}),
     "an unfinished fit": (PathKind.FILES, {f".partial-1-gold/{RECORD}": FIT}),
     "cameras": (PathKind.RECTIFIED, {CAMERA_TEXT: "0,0,1", "00.png": ""}),

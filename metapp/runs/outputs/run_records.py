@@ -31,7 +31,7 @@ from metapp.storage.fit_folders import (
     read_fit_records,
     read_packed_record,
 )
-from metapp.storage.folders import KINDS_WITH_FITS, PathKind, find_record_files, path_kind, path_refusal
+from metapp.storage.folders import FITS_OF_RUNS, KINDS_WITH_FITS, PathKind, find_record_files, path_kind, path_refusal
 from metapp.storage.parameters import read_checked_params
 
 # Settings that a run is made of, all texts, and their values where a record lacks them (None: it must not)
@@ -139,7 +139,7 @@ def _newest_run_folder(folder: Path) -> Path:
 
     A folder that is no folder of runs, or has no record, is returned as it is.
     """
-    record_files = find_record_files(folder, "*/*/", "*/*/*/") if path_kind(folder) is PathKind.RUN_FOLDERS else []
+    record_files = find_record_files(folder, *FITS_OF_RUNS) if path_kind(folder) is PathKind.RUN_FOLDERS else []
     if not record_files:
         return folder
     run_folder = max(record_files, key=lambda file: file.stat().st_mtime_ns).parent.parent
