@@ -32,7 +32,7 @@ def half_cosine(
     >>> half_cosine(1.0, 3, final_rate_share=0.0)
     tensor([1.0000, 0.7500, 0.2500])
     """
-    step = torch.arange(max(steps, 1), dtype=torch.float32)
+    step = torch.arange(max(steps, 1), dtype=torch.get_default_dtype())
     decay_start = max(warmup_steps, round(hold_share * steps))
     progress = ((step - decay_start) / max(steps - decay_start, 1)).clamp(0, 1)
     rates = final_rate_share + (1 - final_rate_share) * 0.5 * (1 + torch.cos(math.pi * progress))
