@@ -144,6 +144,13 @@ def test_skipped_photographs_are_shown_beside_what_was_found(metapp: Callable, p
     assert sorted(file.name for file in (LEAF / "found").iterdir()) == ["00.png", "01.png", "02.png", "skipped.png"]
 
 
+def test_of_many_photographs_some_are_taken_evenly_with_a_line(metapp: Callable, photo_folder: Path) -> None:
+    result = metapp("data", "rectify", *paths(photo_folder), "--out", LEAF, "--most", "2", "--json")
+    assert [Path(photo["source"]).name for photo in result.json_document["photos"]] == ["a.jpg", "c.jpg"]
+    assert result.err.startswith("3 photos: 2 of them, spread evenly, are taken; --most 3 takes all\n")
+    assert "spread evenly" not in metapp("data", "rectify", *paths(photo_folder), "--out", "all").err
+
+
 def test_a_folder_with_files_is_left_alone(metapp: Callable, photo_folder: Path) -> None:
     LEAF.mkdir()
     write_text(LEAF / "notes.txt")

@@ -11,9 +11,10 @@ from tests.extensions.capture.marker_photos import FOCAL_MM, Camera, cv2, tilted
 
 from data_tools.readers.placed_photos import read_task
 from data_tools.readers.square_photos import field_of_view_rad
+from metapp.extensions.capture.markers.features import apply_homography
 from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
 from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras, show_views
-from metapp.extensions.capture.markers.registration import apply_homography, register_photos
+from metapp.extensions.capture.markers.registration import IDENTITY_MATCH, register_photos, select_neighbours
 from metapp.extensions.capture.markers.sighting import Sighting, common_focal_length_mm, solve_camera
 from tests.pictures import write_image
 
@@ -224,3 +225,10 @@ def test_photographs_that_share_no_part_are_drawn_with_their_views() -> None:
     left, right = shown["cyan"]
     assert left[:, 0].max() < right[:, 0].min()
     np.testing.assert_allclose(left[:, 0].mean() - 159.5, 159.5 - right[:, 0].mean(), atol=0.1)
+
+
+def test_a_photograph_is_compared_with_the_reference_and_its_neighbours_alone() -> None:
+    """Else time would grow with the square of the number of photographs."""
+    matches = dict.fromkeys((2, 9, 3, 30, 8, 11, 4), IDENTITY_MATCH)
+    assert select_neighbours(matches, 10) == [2, 9, 11, 8]
+    assert select_neighbours({2: IDENTITY_MATCH}, 0) == [2]

@@ -49,3 +49,6 @@ class RectifyOptions:
     ruler: Annotated[float, Option("Measured length of the sheet's printed 10 cm ruler.", "CM", low=5.0, high=20.0)] = (
         10.0
     )
+    most: Annotated[
+        int, Option("Number of photos, spread evenly, that are taken of more; each adds seconds.", "N", low=2)
+    ] = 12

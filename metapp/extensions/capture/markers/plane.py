@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import brute, linprog
 
 from data_tools.readers.lenses import FILM_DIAGONAL_MM
-from metapp.extensions.capture.markers.registration import apply_homography
+from metapp.extensions.capture.markers.features import apply_homography
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Camera, Sighting, solve_camera
 

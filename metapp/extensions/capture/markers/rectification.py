@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from data_tools.readers.square_photos import find_images
 from metapp.extensions.capture.markers.found_outlines import FoundOutlines
 from metapp.extensions.capture.markers.marker_options import RectifyOptions
@@ -95,6 +97,9 @@ def rectify_photos(paths: Sequence[Path], options: RectifyOptions, folder: Path,
     """
     found_files = [find_images(path) for path in paths]
     names = list({file.resolve(): file for files, _ in found_files for file in files}.values())
+    if len(names) > options.most:
+        say(f"{len(names)} photos: {options.most} of them, spread evenly, are taken; --most {len(names)} takes all")
+        names = [names[row] for row in np.linspace(0, len(names) - 1, options.most).round().astype(int)]
     found_outlines, failed_picture = FoundOutlines(), _failed_picture_path(folder)
     try:
         with progress("photos", len(names), quiet=quiet) as bar:

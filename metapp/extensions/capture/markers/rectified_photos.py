@@ -20,12 +20,12 @@ from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.square_photos import SIZE_TEXT
 from metapp.appearance.colour import linear_to_srgb
 from metapp.extensions.capture.hand_photos import import_opencv, write_outlines
+from metapp.extensions.capture.markers.features import apply_homography
 from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
 from metapp.extensions.capture.markers.plane import cameras_on_plane, cameras_on_square
 from metapp.extensions.capture.markers.registration import (
     WHOLE_PHOTO_CORNERS,
     Registration,
-    apply_homography,
     change_reference,
     is_in_middle,
     refit_sightings,

@@ -1,8 +1,8 @@
 """Photographs of a flat material without markers, registered by the material's own features.
 
-Features are SIFT's (Lowe 2004), homographies MAGSAC++'s (Barath et al. 2020). A flash beside the lens shades relief
-differently in each photograph, so that few features look alike: many are compared, and a homography is judged by other
-means, the share of small pieces of both pictures that are most alike in the same place. Nothing here knows of cameras.
+A flash beside the lens shades relief differently in each photograph, so that few features look alike: many are
+compared, and a homography is judged by other means, the share of small pieces of both pictures that are most alike in
+the same place. Nothing here knows of cameras.
 """
 
 from __future__ import annotations
@@ -19,6 +19,14 @@ from numpy.typing import NDArray
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.hand_photos import display_values, import_opencv
+from metapp.extensions.capture.markers.features import (
+    MIN_MATCHES,
+    LocalFeatures,
+    apply_homography,
+    find_features,
+    fit_homography,
+    match_features,
+)
 from metapp.extensions.capture.markers.found_outlines import KeepOutlines, ignore_outlines
 from metapp.extensions.capture.markers.sheet import Floats
 from metapp.extensions.capture.markers.sighting import Sighting, diamond_outlines, focal_length_mm
@@ -30,7 +38,7 @@ _SCALES, _FEATURES_PER_SCALE = (1.0, 0.5, 0.25), 2500  # for a first guess of a 
 _REFINING_FEATURES = 5000  # at full scale, near a first guess
 # The distance of the best match over the distance of the second best, at most: anywhere, and near a first guess.
 _MAX_RATIO, _MAX_REFINING_RATIO = 0.9, 0.75
-_MAX_GUESSES, _MIN_MATCHES = 4, 10  # homographies of two photographs that are tried, and matches of each
+_MAX_GUESSES = 4  # homographies of two photographs that are tried
 _GUESS_ERROR_SHARE = 0.025  # of the shorter side: how far off a first guess may be
 # For judging a homography, all in px: the shorter side of pictures, the side of a piece, how far around its place a
 # piece is searched, and how far from it the best place may be.
@@ -40,12 +48,11 @@ _MIN_INLIER_SHARE = 0.5  # of matches near a first guess
 # Relief moves matches off the plane: where so many pieces agree, fewer matches need to. On phone photographs of relief
 # right homographies have 0.36 to 0.6 of the matches and 0.88 to 1.0 of the pieces.
 _SURE_AGREEMENT, _MIN_SURE_INLIER_SHARE = 0.8, 0.3
+_MAX_COMPARED = 4  # placed photographs that a photograph is compared with, so that time grows with the number alone
 _MAX_KEPT_MATCHES = 1000  # matches of a photograph by which cameras are found
 _MAX_FIT_ERROR_PX = 2.0  # of a match that agrees with a refined homography
 _NOISE_OF_WHITE = 0.008  # contrast below it is not raised to the contrast of the rest
 
-# Places [N, 2] in px, and descriptors [N, 128] of length 1.
-LocalFeatures = tuple[NDArray[np.float32], NDArray[np.float32]]
 # The corners of a photograph, in fractions of its width and height.
 WHOLE_PHOTO_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 MIDDLE_CORNERS = (WHOLE_PHOTO_CORNERS + 0.5) / 2  # the part of a photograph where a sample lies, as people aim at it
@@ -159,15 +166,17 @@ def register_photos(
         report_stage(f"{path.name}: finding features")
         views.append(_make_view(path, fov_rad)._replace(part_corners=parts.get(path, WHOLE_PHOTO_CORNERS)))
     for reference_index, reference in enumerate(views[:-1]):
-        features = _find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES)
+        features = find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES)
         matches: dict[int, PhotoMatch] = {reference_index: IDENTITY_MATCH}
         # Tried twice, as a photo that fits no earlier one may fit one that is placed later; then by the middle alone,
         # as around a sample photos may show a table that lies in another plane.
-        for part_corners in (reference.part_corners, reference.part_corners, MIDDLE_CORNERS):
+        for attempt, part_corners in enumerate((reference.part_corners, reference.part_corners, MIDDLE_CORNERS)):
+            if attempt == 1 and len(matches) == 1:
+                continue  # no photo was placed that others could fit
             part = reference._replace(part_corners=part_corners)
             for other in [other for other in range(reference_index + 1, len(views)) if other not in matches]:
                 report_stage(f"{views[other].sighting.path.name}: comparing with {reference.sighting.path.name}")
-                for index in list(matches):
+                for index in select_neighbours(matches, other):
                     view = part if index == reference_index else views[index]
                     guesses = [matches[index].homography @ guess for guess in _guess_homographies(views[other], view)]
                     match = _find_match(views[other], part, _select_features(features, part), guesses)
@@ -182,6 +191,15 @@ def register_photos(
     raise ValueError(
         f"{paths[0]}: none of {len(paths)} photos has features in common with another one; {PRINT_MARKERS_ADVICE}."
     )
+
+
+def select_neighbours(matches: Mapping[int, PhotoMatch], other: int) -> list[int]:
+    """Select the placed photographs, by index, that another one is compared with.
+
+    They are the reference and those that were taken next before or after it, since such photographs overlap most.
+    """
+    reference, *placed = matches
+    return [reference, *sorted(placed, key=lambda index: abs(index - other))][:_MAX_COMPARED]
 
 
 def change_reference(
@@ -200,7 +218,7 @@ def change_reference(
     views = registration.views
     reference_index = next(index for index in registration.matches if views[index].sighting.path == path)
     reference, to_reference = views[reference_index], np.linalg.inv(registration.matches[reference_index].homography)
-    fine_features = _select_features(_find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES), reference)
+    fine_features = _select_features(find_features(reference.picture, _SCALES[:1], _REFINING_FEATURES), reference)
     matches: dict[int, PhotoMatch] = {reference_index: IDENTITY_MATCH}
     for index, view in enumerate(views):
         if index != reference_index:
@@ -230,74 +248,7 @@ def _make_view(path: Path, fov_rad: float) -> PhotoView:
     blur = functools.partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=min(grey.shape) / 40)
     detail = grey - blur(grey)
     picture = (detail / (np.sqrt(blur(detail * detail)) + _NOISE_OF_WHITE)).clip(-3, 3)
-    return PhotoView(sighting, picture, _find_features(picture, _SCALES, _FEATURES_PER_SCALE))
-
-
-def _find_features(picture: NDArray[np.float32], levels: Sequence[float], count: int) -> LocalFeatures:
-    """Find at most `count` of SIFT's features at each scale, described as RootSIFT describes them."""
-    cv2, places, descriptors = import_opencv(), [np.zeros((0, 2), np.float32)], [np.zeros((0, 128), np.float32)]
-    sift = cv2.SIFT_create(count, contrastThreshold=0.01, edgeThreshold=20)
-    for level in levels:
-        resized = cv2.resize(picture, None, fx=level, fy=level, interpolation=cv2.INTER_AREA)
-        resized = resized / max(float(resized.std()), 0.1) if level < 1 else cv2.GaussianBlur(resized, (0, 0), 1.0)
-        points, sift_descriptors = sift.detectAndCompute(((resized + 3) * 42.5).clip(0, 255).astype(np.uint8), None)
-        if points:
-            places.append((np.array([point.pt for point in points], np.float32) + 0.5) / level - 0.5)
-            descriptors.append(np.sqrt(sift_descriptors / np.maximum(sift_descriptors.sum(1, keepdims=True), 1e-6)))
-    return np.concatenate(places), np.concatenate(descriptors)
-
-
-def _match_features(
-    first: LocalFeatures, second: LocalFeatures, max_ratio: float, max_px: float
-) -> tuple[Floats, Floats]:
-    """Match features of two pictures that are most alike, each to the other.
-
-    Args:
-        first: the features of the first picture.
-        second: the features of the second picture.
-        max_ratio: the distance of the best match over the distance of the second best, at most.
-        max_px: how far apart the places of a match may be, in px.
-
-    Returns:
-        The places of M matches in both pictures, [M, 2] px each.
-    """
-    if not len(first[0]) or not len(second[0]):
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    similarity, rows = first[1] @ second[1].T, np.arange(len(first[0]))
-    squared_distances = (first[0] ** 2).sum(1)[:, None] + (second[0] ** 2).sum(1) - 2 * first[0] @ second[0].T
-    similarity[squared_distances > max_px * max_px] = 0.0
-    best, best_back = similarity.argmax(1), similarity.argmax(0)
-    best_similarity = similarity[rows, best]
-    similarity[rows, best] = 0.0
-    is_match = (
-        (best_back[best] == rows)
-        & (1 - best_similarity < max_ratio * max_ratio * (1 - similarity.max(1)))
-        & (best_similarity > 0.5)
-    )
-    return first[0][is_match].astype(np.float64), second[0][best[is_match]].astype(np.float64)
-
-
-def _fit_homography(places: Floats, reference_places: Floats, max_error_px: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Fit a homography to as many matches as possible.
-
-    Args:
-        places: the places of matches in a photograph, [N, 2] px.
-        reference_places: their places in the reference, [N, 2] px.
-        max_error_px: how far off a match may be that fits.
-
-    Returns:
-        The homography, [3, 3], and which matches fit it, [N].
-    """
-    homography, is_inlier = np.eye(3), None
-    if len(places) >= _MIN_MATCHES:
-        homography, is_inlier = import_opencv().findHomography(
-            places, reference_places, import_opencv().USAC_MAGSAC, max_error_px, None, 20_000, 0.9999
-        )
-    return (
-        (homography, is_inlier[:, 0] > 0)
-        if is_inlier is not None and homography is not None
-        else (np.eye(3), np.zeros(len(places), bool))
-    )
+    return PhotoView(sighting, picture, find_features(picture, _SCALES, _FEATURES_PER_SCALE))
 
 
 def _select_features(features: LocalFeatures, view: PhotoView) -> LocalFeatures:
@@ -311,10 +262,10 @@ def _guess_homographies(view: PhotoView, other: PhotoView) -> Iterable[Floats]:
 
     There are several, as repetitions of a pattern may have more matches than the right homography.
     """
-    places, other_places = _match_features(view.features, _select_features(other.features, other), _MAX_RATIO, math.inf)
+    places, other_places = match_features(view.features, _select_features(other.features, other), _MAX_RATIO, math.inf)
     for _ in range(_MAX_GUESSES):
-        homography, is_inlier = _fit_homography(places, other_places, 3.0)
-        if is_inlier.sum() < _MIN_MATCHES:
+        homography, is_inlier = fit_homography(places, other_places, 3.0)
+        if is_inlier.sum() < MIN_MATCHES:
             break
         yield homography
         is_outlier = np.linalg.norm(apply_homography(homography, places) - other_places, axis=1) > 12
@@ -337,8 +288,8 @@ def _show_matches(
             "orange",
         )
         if view is not reference:
-            places, reference_places = _match_features(view.features, reference.features, _MAX_RATIO, math.inf)
-            _, is_inlier = _fit_homography(places, reference_places, 3.0)
+            places, reference_places = match_features(view.features, reference.features, _MAX_RATIO, math.inf)
+            _, is_inlier = fit_homography(places, reference_places, 3.0)
             name = reference.sighting.path.name
             match_text = f"{len(places)} of them with a like one in {name}"
             keep_outlines(path, match_text, diamond_outlines(view.to_photo_px(places), longer_px), "red")
@@ -369,18 +320,18 @@ def _find_match(
             return None
         if step < 2:
             warped = import_opencv().warpPerspective(view.picture, homography, size, flags=import_opencv().INTER_CUBIC)
-            reference_places, moved_places = _match_features(
+            reference_places, moved_places = match_features(
                 fine_features,
-                _find_features(warped, _SCALES[:1], _REFINING_FEATURES),
+                find_features(warped, _SCALES[:1], _REFINING_FEATURES),
                 _MAX_REFINING_RATIO,
                 _GUESS_ERROR_SHARE * min(size),
             )
             places = apply_homography(np.asarray(np.linalg.inv(homography), np.float64), moved_places)
-            homography, is_inlier = _fit_homography(places, reference_places, _MAX_FIT_ERROR_PX)
+            homography, is_inlier = fit_homography(places, reference_places, _MAX_FIT_ERROR_PX)
     min_share = _MIN_SURE_INLIER_SHARE if agreement >= _SURE_AGREEMENT else _MIN_INLIER_SHARE
     return (
         PhotoMatch(homography, places[is_inlier], reference_places[is_inlier], places, reference_places)
-        if is_inlier.sum() >= max(3 * _MIN_MATCHES, min_share * len(is_inlier))
+        if is_inlier.sum() >= max(3 * MIN_MATCHES, min_share * len(is_inlier))
         else None
     )
 
@@ -471,8 +422,8 @@ def refit_sightings(sightings: Sequence[Sighting], is_kept: Callable[[Floats], N
         coordinates = reference_coordinates(places_px, reference)
         rows = np.flatnonzero(is_kept(coordinates))
         max_error_px = _MAX_FIT_ERROR_PX * max(1.0, max(sighting.height, sighting.width) / _MAX_SIDE_PX)
-        _, is_inlier = _fit_homography(places_px[rows], sighting.matches_px[rows], max_error_px)
-        if is_inlier.sum() >= 3 * _MIN_MATCHES:
+        _, is_inlier = fit_homography(places_px[rows], sighting.matches_px[rows], max_error_px)
+        if is_inlier.sum() >= 3 * MIN_MATCHES:
             points_px = sighting.matches_px[rows[is_inlier]]
             refitted.append(
                 sighting._replace(
@@ -487,9 +438,3 @@ def refit_sightings(sightings: Sequence[Sighting], is_kept: Callable[[Floats], N
     points_px = apply_homography(to_px, shared)
     placed = reference._replace(points_cm=shared, points_px=points_px, matches_cm=shared[:0], to_px=to_px)
     return [placed, *refitted]
-
-
-def apply_homography(homography: Floats, points: Floats) -> Floats:
-    """Return points [N, 2] moved by a homography [3, 3]."""
-    homogeneous_points = np.pad(points, ((0, 0), (0, 1)), constant_values=1.0) @ homography.T
-    return np.asarray(homogeneous_points[:, :2] / homogeneous_points[:, 2:], np.float64)

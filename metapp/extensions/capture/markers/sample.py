@@ -21,12 +21,12 @@ from scipy.spatial import cKDTree
 
 from data_tools.readers.image_files import read_pixels
 from metapp.extensions.capture.hand_photos import display_values, import_opencv
+from metapp.extensions.capture.markers.features import apply_homography
 from metapp.extensions.capture.markers.found_outlines import ignore_outlines
 from metapp.extensions.capture.markers.plane import cameras_on_part
 from metapp.extensions.capture.markers.rectified_photos import CameraSearch, find_cameras, fit_cameras
 from metapp.extensions.capture.markers.registration import (
     MIDDLE_CORNERS,
-    apply_homography,
     is_in_middle,
     reference_coordinates,
     refit_sightings,
