@@ -165,7 +165,8 @@ def _read_columns(path: Path) -> tuple[dict[str, Doubles], list[int]]:
         with open_text(path) as text:
             rows = list(_read_lines(path, text))
     except UnicodeDecodeError:
-        raise ValueError(f"{path}: no text in UTF-8 or UTF-16, expected a table of numbers; save it as CSV.") from None
+        remedy = "save it as CSV in UTF-8"
+        raise ValueError(f"{path}: no text in UTF-8 or UTF-16, expected a table of numbers; {remedy}.") from None
     separator_line = re.fullmatch(r'"?sep=(.)"?', rows[0][1].rstrip("\r\n"), re.IGNORECASE) if rows else None
     rows = rows[1:] if separator_line else rows
     if not rows:
@@ -181,6 +182,9 @@ def _read_columns(path: Path) -> tuple[dict[str, Doubles], list[int]]:
     ]
     if len(set(names)) < len(names):
         repeated_name = next(name for name in names if names.count(name) > 1)
+        if all(map(_is_number, filter(None, names))):
+            found = f"the first line holds numbers, such as {_quote(repeated_name)}"
+            raise ValueError(f"{path}: {found}, expected column names: theta_i_deg, phi_i_deg, ..., r, g, b; add them.")
         raise ValueError(f"{path}: two columns {_quote(repeated_name)}, expected names that differ; rename one.")
     if not rows:
         raise ValueError(f"{path}: no rows below the column names, expected a row for each measurement; add them.")

@@ -141,7 +141,8 @@ def _read_angle(path: Path, columns: Mapping[str, Doubles], lines: Sequence[int]
     """
     stated_units = [unit for unit in RADIANS_PER_UNIT if f"{name}_{unit}" in columns]
     if len(stated_units) != 1:
-        problem, remedy = ("no unit", "rename it") if name in columns else ("no such column", "add it")
+        found = f"no such column among {', '.join(repr(column[:20]) for column in [*columns][:8])}"
+        problem, remedy = ("no unit", "rename it") if name in columns else (found, "add or rename it")
         if stated_units:
             problem, remedy = "both units", "remove one of them"
         raise ValueError(f"{path}: {name}: {problem}, expected the column {name}_deg or {name}_rad; {remedy}.")

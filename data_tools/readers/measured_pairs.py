@@ -8,6 +8,7 @@ differ in phi_h, the azimuth of the half vector, on which its reflectance does n
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ MIN_PAIRS = 4  # least number of samples of a task, after repeated measurements 
 MAX_PAIRS_ALL_SEEN = 1000  # largest number of samples of which none is held out: fits see all, and errors use all
 MAX_REFLECTANCE_PER_SR = 1e9  # a BRDF's largest value; larger ones are a mistake
 MAX_THETA_RAD = math.radians(89.999)  # angle from the normal; measurements closer to the surface are left out
+MAX_REPEAT_DEVIATION = 0.2  # of repeated measurements over their mean, above which a line says so
 # The test whether reflectance depends on phi_h, the azimuth of the half vector
 AZIMUTH_TEST_PAIRS = 1_024  # number of measurements, at most, that are compared with their neighbours
 AZIMUTH_TEST_NEIGHBOURS = 8  # number of neighbours that each of them is compared with
@@ -45,7 +47,7 @@ class MeasuredPairs(NamedTuple):
     reflectance: Tensor
 
     def above(self, subject: str | Path) -> MeasuredPairs:
-        """Return the pairs whose directions are both within MAX_THETA_RAD of the normal.
+        """Return the pairs whose directions are both within MAX_THETA_RAD of the normal, and warn of others.
 
         Args:
             subject: the file or name that errors name.
@@ -58,6 +60,12 @@ class MeasuredPairs(NamedTuple):
             raise ValueError(
                 f"{subject}: light or detector of all {len(rows):,} pairs of directions is along or below the surface, "
                 f"expected {MIN_PAIRS} or more pairs with both above it; measure at less than 90 degrees."
+            )
+        if left_out := len(rows) - int(rows.sum()):
+            warnings.warn(
+                f"{subject}: {left_out:,} of {len(rows):,} pairs of directions are left out: light or detector is "
+                "along or below the surface.",
+                stacklevel=2,
             )
         return MeasuredPairs(self.wi[rows], self.wo[rows], self.reflectance[rows])
 
@@ -89,6 +97,12 @@ def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> T
         ValueError: there are fewer than MIN_PAIRS samples.
     """
     angles, reflectance = merge_repeats(pairs)
+    if (deviation := deviation_of_repeats(pairs)) > MAX_REPEAT_DEVIATION:
+        warnings.warn(
+            f"{source or name}: repeated measurements differ by {100 * deviation:.0f} % of their mean, expected up to "
+            f"{100 * MAX_REPEAT_DEVIATION:.0f} %; their means are fitted: are they of one material, and in one unit?",
+            stacklevel=2,
+        )
     if len(angles) < MIN_PAIRS:
         found = f"different pairs of directions: {len(angles)} of {len(pairs.wi)}"
         raise ValueError(f"{source or name}: {found}, expected {MIN_PAIRS} or more; measure more.")
@@ -113,6 +127,24 @@ def merge_repeats(pairs: MeasuredPairs) -> tuple[Tensor, Tensor]:
         return angles[:, :3], pairs.reflectance
     samples = _average_duplicates(angles, pairs.reflectance)
     return samples if depends_on_azimuth(*samples) else _average_duplicates(angles[:, :3], pairs.reflectance)
+
+
+def deviation_of_repeats(pairs: MeasuredPairs) -> float:
+    """Return by how much repeated measurements deviate from their mean, over that mean: a root mean square.
+
+    Measurements count as repeated if all four angles are equal; 0 without any.
+    """
+    angles = directions_to_four_angles(pairs.wi, pairs.wo)
+    if not len(angles):
+        return 0.0
+    grey = pairs.reflectance.mean(1, keepdim=True)
+    merged_angles, moments = _average_duplicates(angles, torch.cat([grey, grey.square()], 1))
+    if len(merged_angles) == len(angles):
+        return 0.0
+    variance = (moments[:, 1] - moments[:, 0].square()).clamp_min(0) / moments[:, 0].square().clamp_min(1e-12)
+    # samples that were measured once have a variance of 0: the others' share is at least that of the joined rows
+    repeated_share = (len(angles) - len(merged_angles)) / len(merged_angles)
+    return math.sqrt(float(variance.mean()) / min(repeated_share, 1.0))
 
 
 def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:

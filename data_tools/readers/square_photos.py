@@ -36,6 +36,7 @@ from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, path_kind
 
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
 
+_LEAST_ALPHA = 0.02  # below it a px is transparent, and its colour is not known
 _MIN_DEVIATION = 1 / 255  # standard deviation of sRGB values below which a picture has one colour
 _ROWS_AT_ONCE = 256  # rows decoded at a time: linear floats of a whole photograph take over 100 MB
 
@@ -174,7 +175,8 @@ def to_square_photo(whole: Pixels, name: str, size: int = DEFAULT_PHOTO_PX, leas
     """Return the central square of a picture in sRGB.
 
     Means are taken over exact areas in linear light, of values clamped to [0, 1]; a smaller picture is interpolated.
-    Transparent px get the mean colour of the rest. A gray picture gets three equal channels.
+    Transparent px get the mean colour of the rest, those transparent in part their own. A gray picture gets three equal
+    channels.
 
     Args:
         whole: the picture.
@@ -321,7 +323,9 @@ def _average_areas(values: Floats, count: int) -> Floats:
 
 
 def _fill_transparent(linear: Floats, name: str) -> Floats:
-    """Put premultiplied colours [H, W, 4] over their own mean colour: [H, W, 3].
+    """Return the colours of a picture with premultiplied colours [H, W, 4], and their mean where it shows none.
+
+    A px that is transparent in part has a colour, too. Some programs keep gloss or height in alpha.
 
     Raises:
         ValueError: the picture is transparent all over.
@@ -330,5 +334,6 @@ def _fill_transparent(linear: Floats, name: str) -> Floats:
     visible = alpha.sum()
     if visible <= 0:
         raise ValueError(f"{name}: transparent all over, expected a visible picture; leave it out.")
-    result: Floats = colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / visible)
+    mean = colours.sum(axis=(0, 1)) / visible
+    result: Floats = np.where(alpha > _LEAST_ALPHA, colours / np.maximum(alpha, _LEAST_ALPHA), mean)
     return result

@@ -5,6 +5,7 @@ The file formats are entries of the registry; none is known here by its name.
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -80,6 +81,9 @@ def export_command(
         files = [*registry().file_exports[form].load()(source, form, folder, quiet)]
         tasks = [file.stem for file in files]
     else:
+        if source.is_file() and source.suffix != ".safetensors":
+            remedy = f"fit it first: metapp meta APP {shlex.quote(str(source))} --export {form}"
+            raise ValueError(f"{source}: a file, expected a run's folder, such as runs/brdf/meta; {remedy}.")
         folder, tasks, files = export_fits(
             source, form, inputs or [], data=data, out=out, options=form_options, quiet=quiet
         )

@@ -20,7 +20,16 @@ class HelpCommand(TyperCommand):
 
     @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse the name of a file that begins with a dash, which would be read as an option."""
+        """Refuse empty words, and the name of a file that begins with a dash, which would be read as an option.
+
+        A shell makes an empty word of a variable that is not set; it would be read as the current folder.
+        """
+        for before, word in zip(["", *args], args, strict=False):
+            if not word or (word.startswith("--") and word.endswith("=")):
+                place = f" after {before or word}" if before or word else ""
+                raise BadOption(
+                    f"an empty word{place}, expected a file or a value; is a variable of the shell not set?"
+                )
         names = {name: param for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)}
         previous = ""
         for word in args[: args.index("--")] if "--" in args else args:

@@ -13,6 +13,7 @@ import typer
 
 from metapp.cli.arguments import JsonFlag, Overwrite, Quiet, Seed, check_new_file
 from metapp.names import did_you_mean
+from metapp.storage.files import add_suffix
 
 
 def plan_measurements(
@@ -60,6 +61,7 @@ def plan_measurements(
     if app != "brdf":
         expected = f"expected brdf; other applications have no directions to choose.{did_you_mean(app, ['brdf'])}"
         raise typer.BadParameter(f"'{app}': {expected}")
+    out = add_suffix(out, ".csv")  # a table of another suffix would be no input of a fit
     for path in (out, out.with_suffix(".png")):
         check_new_file(path, overwrite)
     limits = InstrumentLimits(

@@ -155,6 +155,17 @@ def test_one_input_prints_a_line_and_the_files_that_were_asked_for(metapp: Calla
     assert "merl: 6 files, the first is runs/brdf/general-quick/m0/merl/m0.binary" in several.err
 
 
+def test_an_empty_word_is_no_folder_and_no_value(metapp: Callable, networks: Path) -> None:
+    """A shell makes it of a variable that is not set; it would be read as the current folder."""
+    assert "an empty word, expected a file or a value" in metapp("general", "brdf", "").misuse
+    for words in (("--export", ""), ("--out=",), ("", networks / "m1")):
+        assert "an empty word after" in metapp("general", "brdf", networks / "m1", *words).misuse
+
+
+def test_a_data_set_that_is_not_there_is_refused_beside_inputs(metapp: Callable, networks: Path) -> None:
+    assert "typo: no such folder" in metapp("general", "brdf", networks / "m1", "--data", "typo").refusal
+
+
 def test_a_name_that_begins_with_a_dash_is_no_option(metapp: Callable, networks: Path) -> None:
     for name in ("-m1", "-out.csv", "--m1"):
         shutil.copytree(networks / "m1", name)

@@ -237,6 +237,9 @@ def test_a_file_that_is_too_large_says_how_many_rows_to_keep(tmp_path: Path) -> 
         (HEAD[:-6] + ",500nm,600nm\n" + ROW[:-4], "2 wavelengths from 500 to 600 nm, expected 4"),
         (HEAD + "\n" + "\n".join([ROW] * 200), "different pairs of directions: 1 of 200, expected 4 or more"),
         (b"\xff\xfe\x00", "no text in UTF-8 or UTF-16"),
+        ((HEAD + " \u00b0").encode("latin-1"), "save it as CSV in UTF-8"),
+        ("30,0,30,180,.1,.1,.1\n" + ROW, "the first line holds numbers, such as '30', expected column names"),
+        ("wi_x,wi_y,r,g,b\n1,0,1,1,1", "theta_i: no such column among 'wi_x', 'wi_y', 'r', 'g', 'b', expected"),
     ],
 )
 def test_files_that_are_no_goniometer_table_are_refused_in_one_line(
@@ -273,6 +276,26 @@ def test_repeated_measurements_are_averaged_whatever_their_number_and_order() ->
         expected, inverse = torch.unique((angles[rows, :columns] * 1e5).round(), dim=0, return_inverse=True)
         torch.testing.assert_close((distinct * 1e5).round(), expected)
         torch.testing.assert_close(means[7], values[inverse == 7].mean(0))
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.6])
+def test_repeats_that_contradict_each_other_are_said(spread: float, recwarn: pytest.WarningsRecorder) -> None:
+    rng = torch.Generator().manual_seed(3)
+    wi, wo = (torch.nn.functional.normalize(torch.rand(50, 3, generator=rng).double() + 0.1, dim=1) for _ in range(2))
+    values = (1 + spread * torch.randn(200, 1, generator=rng).double()).abs().expand(-1, 3)
+    pairs = measured_pairs.MeasuredPairs(wi.repeat(4, 1), wo.repeat(4, 1), values)
+    measured_pairs.task_of_pairs("paint", pairs)
+    lines = [str(warning.message) for warning in recwarn]
+    assert [line.startswith("paint: repeated measurements differ by") for line in lines] == [True] * (spread > 0.2)
+
+
+def test_pairs_below_the_surface_are_counted(recwarn: pytest.WarningsRecorder) -> None:
+    wi = torch.tensor([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]]).double()
+    pairs = measured_pairs.MeasuredPairs(wi, wi, torch.ones(2, 3).double())
+    assert len(pairs.above("paint").wi) == 2
+    assert not recwarn
+    assert len(pairs._replace(wo=wi * torch.tensor([[1.0, 1, 1], [1, 1, -1]])).above("paint").wi) == 1
+    assert str(recwarn[0].message).startswith("paint: 1 of 2 pairs of directions are left out: light or detector is")
 
 
 def test_a_material_of_samples_alone_is_shown_as_samples(metapp: Callable, tmp_path: Path) -> None:

@@ -158,13 +158,24 @@ def test_transparent_parts_get_the_mean_colour_of_the_rest(tmp_path: Path, name:
         channels_first(values[..., 3:]).double() / 255,
     )
     mean = (colours * alpha).sum((1, 2)) / alpha.sum()
-    expected = linear_to_srgb(colours * alpha + (1 - alpha) * mean[:, None, None]) * 255
+    expected = linear_to_srgb(torch.where(alpha > 0, colours, mean[:, None, None])) * 255
     if name.endswith("exr"):
         floats = torch.cat([colours * alpha, alpha]).permute(1, 2, 0).float().numpy()
         write_image(tmp_path / name, floats, **{"oiio:UnassociatedAlpha": 0})
     else:
         write_image(tmp_path / name, values)
     assert (read_photo(tmp_path / name, 48) - expected).abs().max() < 0.51
+
+
+def test_gloss_or_height_in_alpha_does_not_change_colours(tmp_path: Path) -> None:
+    colours = noise_image(48, 48)
+    plain = read_photo(write_image(tmp_path / "plain.png", colours), 48)
+    for name, alpha in (
+        ("even.png", np.full((48, 48, 1), 128, np.uint8)),
+        ("height.png", 100 + noise_image(48, 48, 1) // 2),
+    ):
+        photo = read_photo(write_image(tmp_path / name, np.concatenate([colours, alpha], axis=-1)), 48)
+        assert (photo.int() - plain.int()).abs().max() <= 1
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

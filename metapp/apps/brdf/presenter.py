@@ -27,6 +27,7 @@ from metapp.learning.task import Params, Task, Tasks
 
 DRAWN_SAMPLES = 1024  # samples in a picture, at most
 SAMPLES_SIDE_PX, DOT_PX = 96, 3  # sides of a picture of samples, and of the square that shows a sample
+EXCESSIVE_REFLECTANCE = 2.0  # 1/sr of half of the samples: six times what a white matte surface reflects
 EXCESSIVE_ALBEDO = 1.01  # the share of reflected light above which a note says so
 MIRROR_DEGREES = 5  # degrees between half vector and normal, up to which a sample shows the highlight
 SPARSE_SAMPLES = 1024  # samples of a task, up to which its fit is distilled from directions all over the hemisphere
@@ -94,7 +95,10 @@ class BrdfPresenter(Presenter[Brdf]):
                 angle = math.degrees(INCIDENT_RAD[shares.argmax()])
                 # far from samples reflectance is an exponential of anything
                 amount = f"{greatest_share:.2f} of" if greatest_share < 100 else "more than 100 times"
-                notes.append(f"reflects {amount} the light from {angle:.0f} degrees; --conserve limits it")
+                remedy = "--conserve limits it"
+                if torch.quantile(task.data["reflectance"].float().flatten()[:100_000], 0.5) > EXCESSIVE_REFLECTANCE:
+                    remedy = "half of the samples do so, too: are they in 1/sr?"
+                notes.append(f"reflects {amount} the light from {angle:.0f} degrees; {remedy}")
         return remarks | ({"note": "; ".join(notes)} if notes else {})
 
     @override

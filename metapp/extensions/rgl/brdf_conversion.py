@@ -7,6 +7,7 @@ applications.
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -57,7 +58,7 @@ def write_converted(path: Path, kind: str, folder: Path, quiet: bool) -> list[Pa
     found_sources = [reader.find(path) for reader in CONVERTED_READERS if reader.recognises(path)]
     if not found_sources:
         problem = "another kind" if path.exists() else "no such file"
-        remedy = f"fit other measurements: metapp meta brdf {path.name} --export merl,bsdf"
+        remedy = f"fit other measurements: metapp meta brdf {shlex.quote(str(path))} --export {kind}"
         raise ValueError(f"{path}: {problem}, expected a run, MERL tables, RGL files or NBRDF networks; {remedy}.")
     sources_by_target: dict[Path, Path] = {}
     for source in dict.fromkeys(source.path for sources, _ in found_sources for source in sources):

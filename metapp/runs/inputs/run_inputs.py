@@ -25,7 +25,7 @@ from metapp.runs.run import Run
 from metapp.storage.files import check_readable, error_about_file, file_name, printable_name, to_json_value
 from metapp.storage.fit_folders import name_with_digest
 from metapp.storage.folders import cache_lookups
-from metapp.storage.shards import fingerprint, read_data_set
+from metapp.storage.shards import fingerprint, read_data_set, read_manifest
 
 FILES_LABEL = "files"  # the entry "data" in settings of fits to files, which belong to no data set
 
@@ -115,6 +115,8 @@ def find_inputs(run: Run) -> tuple[list[Input], str]:
     for path in options.paths:
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder; give existing input files.")
+    if options.data:
+        read_manifest(options.data)  # the set that a checkpoint is, or was, trained on: a mistyped folder is an error
     if merge_options:
         return [_merge_sources(run, merge_options[0])], FILES_LABEL
     arguments = _reader_arguments(run)

@@ -1,5 +1,6 @@
 """Photographs of balls as inputs of fits: old ones stay as they are, a mirror says what it shows."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -47,9 +48,17 @@ def square(path: Path) -> torch.Tensor:
 
 def test_a_ball_that_touches_the_borders_is_read_as_ever(tmp_path: Path) -> None:
     path = write_linear_png(tmp_path / "matte.png", matte())
-    read = read_task(path).data
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read = read_task(path).data
     assert read.keys() == {"photos"}
     assert torch.equal(read["photos"], square(path))
+
+
+def test_a_photograph_without_a_ball_says_so(tmp_path: Path) -> None:
+    path = write_linear_png(tmp_path / "wall.png", np.moveaxis(noise(160) / 255, 2, 0))
+    with pytest.warns(UserWarning, match="wall.png: no ball found .* the disc in the middle is taken for one"):
+        read_task(path)
 
 
 def test_a_matte_ball_elsewhere_is_cropped_to_it(tmp_path: Path) -> None:

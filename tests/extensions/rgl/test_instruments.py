@@ -190,9 +190,7 @@ def test_files_that_cannot_be_converted_are_refused_in_one_line(metapp: Callable
 
     assert convert("nowhere").refusal.startswith("error: nowhere: no such file, expected a run, MERL tables, RGL files")
     assert "paint.csv: not a run, expected no INPUT" in convert("paint.csv", "paint.csv").misuse
-    assert convert("paint.csv").refusal.endswith(
-        "fit other measurements: metapp meta brdf paint.csv --export merl,bsdf."
-    )
+    assert convert("paint.csv").refusal.endswith("fit other measurements: metapp meta brdf paint.csv --export merl.")
     assert "turned.bsdf: anisotropic, expected an isotropic measurement" in convert("turned.bsdf").refusal
     assert "cut.bsdf: " in convert("cut.bsdf", to="bsdf").refusal
     assert not list(Path("out").glob("*"))

@@ -7,6 +7,7 @@ and what is done where a step fails. Nothing is written here.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -160,7 +161,14 @@ def capture_single_photo(pixels: Pixels, name: str, square: Tensor, rows: int, f
     grey, central_ball = display_values(pixels).mean(-1), Ball(width / 2, height / 2, min(height, width) / 2)
     ball = find_ball(grey, lens_of_photo(pixels, fov_rad)) or central_ball
     is_same = max(np.abs(np.subtract(ball[:3], central_ball[:3]))) < _SAME_BALL_SHARE * central_ball.radius
-    is_central = is_same or ball.score < max(MIN_BALL_SCORE, _MIN_SCORE_GAIN * score_ball(grey, central_ball))
+    central_score = score_ball(grey, central_ball)
+    is_central = is_same or ball.score < max(MIN_BALL_SCORE, _MIN_SCORE_GAIN * central_score)
+    if max(ball.score, central_score) < MIN_BALL_SCORE:
+        warnings.warn(
+            f"{name}: no ball found (best circle: {max(ball.score, central_score):.2f}), expected one whose contour "
+            f"shows ({MIN_BALL_SCORE:.2f} or more); the disc in the middle is taken for one: crop the photo to it.",
+            stacklevel=2,
+        )
     ball = central_ball if is_central else ball
     if is_mirror_ball(pixels, ball):
         return recover_light([pixels], [ball], 0, np.ones(1), rows).data
