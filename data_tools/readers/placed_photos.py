@@ -1,7 +1,8 @@
-"""Several flash photographs of one flat material in a folder, rectified, with the positions of camera and flash.
+"""Several flash photographs of one flat material in a folder, with the positions of camera and flash.
 
-The layout is that of Guo et al. 2020, "MaterialGAN": images in the order of their names, beside them text files. Such a
-folder is one task.
+The layout is that of Guo et al. 2020, "MaterialGAN": rectified images in the order of their names, beside them text
+files. Or a camera stood still under a lamp that moved, and the folder has a text of its directions, see
+`light_directions`. Such a folder is one task.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
-from data_tools.readers.input_source import DEFAULT_PHOTO_PX, PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.input_source import DAMAGED_FACT, DEFAULT_PHOTO_PX, PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.light_directions import find_light_file, read_lights
 from data_tools.readers.square_photos import SIZE_TEXT, folders_with_places, is_photo, read_photo
 from data_tools.readers.svbrdf_task import correct_exposure
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, list_folder, path_kind
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_DIRECTIONS_SUFFIX, LIGHT_TEXT, PathKind, list_folder, path_kind
 
 MAX_PATCH_SIDE_CM = 1e5  # the longest side of a patch; the shortest is 1 over that
 # Photographs that are read, at most. Time and memory of a fit grow with them: 10 took 16 s, 20 took 51 s and 2.1 GB.
@@ -27,25 +29,30 @@ MAX_DISTANCE_SIDES = 1000.0  # distance of camera and flash at most, in sides of
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a path is a folder with positions of cameras or flashes, or has one at any depth."""
-    return path.is_dir() and bool(folders_with_places(path))
+    """Tell whether a path is a folder with positions of cameras or flashes at any depth, or a text of lights in one."""
+    return bool(folders_with_places(path)) if path.is_dir() else path.suffix.lower() == LIGHT_DIRECTIONS_SUFFIX
 
 
 def find(path: Path) -> Sources:
     """Find the folders with positions of cameras or flashes at any depth; other files are skipped without a line."""
-    return [_make_source(folder) for folder in folders_with_places(path)], []
+    return [_make_source(folder) for folder in (folders_with_places(path) if path.is_dir() else [path.parent])], []
 
 
 def _make_source(folder: Path) -> Source:
     """Return a folder as a source, with its photographs."""
-    photos = photos_in(folder)
+    try:
+        photos = photos_in(folder)
+    except (ValueError, OSError):  # reading it says what is wrong
+        return Source(folder.resolve().name, folder, protocol="photo", facts={DAMAGED_FACT: True})
     return Source(
         folder.resolve().name, folder, protocol="photo", facts={PHOTO_COUNT_FACT: len(photos)}, content=photos
     )
 
 
 def photos_in(folder: Path) -> list[Path]:
-    """Return the photographs right in a folder in the order of their names."""
+    """Return the photographs right in a folder, in the order of its light directions, else of their names."""
+    if lights := find_light_file(folder):
+        return read_lights(lights)[0]
     paths = sorted(Path(entry.path) for entry in list_folder(str(folder)) if not entry.name.startswith("."))
     return [path for path in paths if path_kind(path) is PathKind.FILE and is_photo(path)]
 
@@ -77,10 +84,16 @@ def read_task(
             f"{folder}: {'1 photo' if paths else 'no photos'} beside places of camera or flash, expected two or more; "
             "add some, or give one photo by its name."
         )
-    places = read_places(folder, len(paths))
+    lights = find_light_file(folder)
+    places = read_lights(lights)[1] if lights else read_places(folder, len(paths))
     shapes = {path: shape_of(path) for path in paths}
     for path, (height, width) in shapes.items():
-        if width != height or (height, width) != shapes[paths[0]]:
+        if lights and (height, width) != shapes[paths[0]]:
+            raise ValueError(
+                f"{path}: {width} x {height} px, expected photos of one size, by a camera that stands still; leave "
+                "others out."
+            )
+        if not lights and (width != height or (height, width) != shapes[paths[0]]):
             raise ValueError(
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."

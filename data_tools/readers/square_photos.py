@@ -32,7 +32,7 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import CAMERA_FOV_RAD
 from metapp.appearance.surface import DESCRIPTION_FILE
 from metapp.learning.task import Task
-from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT, PathKind, path_kind
+from metapp.storage.folders import CAMERA_TEXT, LIGHT_DIRECTIONS_SUFFIX, LIGHT_TEXT, PathKind, path_kind
 
 UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
 
@@ -88,7 +88,7 @@ def recognises(path: str | Path) -> bool:
 
 def folders_with_places(folder: Path) -> list[Path]:
     """Return the folders, from this one down, that state positions of camera or flash, sorted, without hidden ones."""
-    folders = {file.parent for file in files_below(folder, (CAMERA_TEXT, LIGHT_TEXT))}
+    folders = {file.parent for file in files_below(folder, (CAMERA_TEXT, LIGHT_TEXT, LIGHT_DIRECTIONS_SUFFIX))}
     return sorted(folder for folder in folders if path_kind(folder) is PathKind.RECTIFIED)
 
 

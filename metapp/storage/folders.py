@@ -26,6 +26,7 @@ MANIFEST = "manifest.json"  # the file of a data set that lists its tasks
 SHARD_SUFFIX = ".safetensors"  # the suffix of the files of tasks in a data set
 RECORD, PARAMS = "record.json", "params.safetensors"  # files in the folder of a fit
 CAMERA_TEXT, LIGHT_TEXT = "camera_pos.txt", "light_pos.txt"  # files beside rectified photographs; one of them suffices
+LIGHT_DIRECTIONS_SUFFIX = ".lp"  # of a text beside photographs by a camera that stands still
 # The folder of pictures that show what was found, in a data set or beside rectified photographs
 DIAGNOSTIC_FOLDER = "found"
 # The end of the name of a picture that shows photographs which metapp could not use
@@ -243,7 +244,12 @@ def _is_run(folder: str) -> bool:
 
 
 def _is_rectified(folder: str) -> bool:
-    return any(os.path.isfile(os.path.join(folder, name)) for name in (CAMERA_TEXT, LIGHT_TEXT))
+    with contextlib.suppress(OSError):  # whoever reads the folder will say that it cannot be read
+        names = [entry.name for entry in list_folder(folder)]
+        return any(
+            name in (CAMERA_TEXT, LIGHT_TEXT) or name.lower().endswith(LIGHT_DIRECTIONS_SUFFIX) for name in names
+        )
+    return False
 
 
 def _read_json(file: str) -> object:

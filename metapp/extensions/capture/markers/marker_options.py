@@ -50,5 +50,5 @@ class RectifyOptions:
         10.0
     )
     most: Annotated[
-        int, Option("Number of photos, spread evenly, that are taken of more; each adds seconds.", "N", low=2)
-    ] = 12
+        int, Option("Number of photos, spread evenly, that are taken of more, as many as a fit reads.", "N", low=2)
+    ] = 9
