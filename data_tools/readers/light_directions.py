@@ -13,11 +13,15 @@ from pathlib import Path, PureWindowsPath
 
 import torch
 from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
 
+from metapp.appearance.flash import texel_positions
 from metapp.storage.files import read_text
 from metapp.storage.folders import LIGHT_DIRECTIONS_SUFFIX, list_folder
 
-FAR_HALF_SIDES = 20.0  # distance of camera and light: nearly as of parallel light
+FAR_HALF_SIDES = 20.0  # distance of the camera
+NEAREST_HALF_SIDES, FARTHEST_HALF_SIDES = 2.0, 50.0  # of lights
+COMPARED_CELLS = 16  # a side of the photographs, by which the distance of the lights is found
 MIN_SINE = math.sin(math.radians(10))  # of the angle of a light with the material: lower ones leave it in shadow
 
 
@@ -38,7 +42,7 @@ def find_light_file(folder: Path) -> Path | None:
 
 
 def read_lights(path: Path) -> tuple[list[Path], Tensor]:
-    """Read a text of light directions.
+    """Read a text of light directions, which does not tell how far the lights are.
 
     Photographs are looked for by their names beside the text, whatever folder the text states, since such texts are
     moved with their photographs. Lights that graze the material, by less than 10 degrees, are left out.
@@ -47,7 +51,8 @@ def read_lights(path: Path) -> tuple[list[Path], Tensor]:
         path: the text: the number of photographs, then a line "name x y z" for each.
 
     Returns:
-        The photographs, and the positions of camera and light of each, [N, 2, 3], in half sides of the patch.
+        The photographs, and positions of camera and light of each, [N, 2, 3], in half sides of the patch: all are
+        FAR_HALF_SIDES away; :func:`find_light_distance` tells how far the lights are.
 
     Raises:
         ValueError: the text cannot be read, a line is malformed, or a photograph is missing.
@@ -62,9 +67,31 @@ def read_lights(path: Path) -> tuple[list[Path], Tensor]:
     photos, directions = zip(*(_read_line(path, line) for line in lines[1:]), strict=True)
     towards = torch.nn.functional.normalize(torch.tensor(directions, dtype=torch.float64), dim=1).float()
     is_above = (towards[:, 2] > MIN_SINE).tolist()
-    light = FAR_HALF_SIDES * towards
-    places = torch.stack([torch.tensor([0.0, 0.0, FAR_HALF_SIDES]).expand_as(light), light], 1)
+    places = FAR_HALF_SIDES * torch.stack([torch.tensor([0.0, 0.0, 1.0]).expand_as(towards), towards], 1)
     return [photo for photo, above in zip(photos, is_above, strict=True) if above], places[is_above]
+
+
+def find_light_distance(photos: Tensor, places: Tensor) -> float:
+    """Find how far lights of one distance are, by how photographs darken away from their lights.
+
+    The irradiance of a point light at the distance r, in the direction l from the middle, falls by the factor
+    exp(-3 l . x / r) towards a place -x nearby. The colours of the material cancel in the ratio of photographs.
+
+    Args:
+        photos: linear photographs [N, 3, S, S] by a camera that stands still.
+        places: positions of camera and light, [N, 2, 3], of which the directions count.
+
+    Returns:
+        The distance in half sides of the photographs, NEAREST_HALF_SIDES to FARTHEST_HALF_SIDES.
+    """
+    logs = adaptive_avg_pool2d((photos.mean(1, keepdim=True) + 0.01).log(), COMPARED_CELLS)[:, 0]
+    ratios = logs - logs.mean(0)
+    across = texel_positions(COMPARED_CELLS, COMPARED_CELLS).to(photos)
+    gradients = (ratios[:, None] * across).mean((2, 3)) / across.square().mean((1, 2))  # [N, 2], of a half side
+    towards = torch.nn.functional.normalize(places[:, 1], dim=1)[:, :2]
+    towards = towards - towards.mean(0)
+    inverse = float((gradients * towards).sum() / (3 * towards.square().sum()).clamp_min(1e-6))
+    return 1 / min(max(inverse, 1 / FARTHEST_HALF_SIDES), 1 / NEAREST_HALF_SIDES)
 
 
 def _read_line(path: Path, line: str) -> tuple[Path, list[float]]:

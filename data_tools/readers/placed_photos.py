@@ -8,6 +8,7 @@ files. Or a camera stood still under a lamp that moved, and the folder has a tex
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 
 import torch
@@ -15,9 +16,15 @@ from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
 from data_tools.readers.input_source import DAMAGED_FACT, DEFAULT_PHOTO_PX, PHOTO_COUNT_FACT, Source, Sources
-from data_tools.readers.light_directions import find_light_file, read_lights
+from data_tools.readers.light_directions import (
+    FAR_HALF_SIDES,
+    find_light_distance,
+    find_light_file,
+    read_lights,
+)
 from data_tools.readers.square_photos import SIZE_TEXT, folders_with_places, is_photo, read_photo
 from data_tools.readers.svbrdf_task import correct_exposure
+from metapp.appearance.colour import srgb_to_linear
 from metapp.learning.task import Task
 from metapp.storage.files import read_text
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_DIRECTIONS_SUFFIX, LIGHT_TEXT, PathKind, list_folder, path_kind
@@ -102,6 +109,14 @@ def read_task(
     photo, *others = (
         correct_exposure(read_photo(paths[index], size, min(size, DEFAULT_PHOTO_PX), layer), stops) for index in chosen
     )
+    if len({picture.numpy().tobytes() for picture in (photo, *others)}) < len(chosen):
+        warnings.warn(
+            f"{folder}: some photos are equal, expected one from each place: relief is made up; remove repeats.",
+            stacklevel=2,
+        )
+    if lights:
+        linear = srgb_to_linear(torch.stack([photo, *others]).float() / 255)
+        places[:, 1] *= find_light_distance(linear, places[chosen]) / FAR_HALF_SIDES
     data = {"photo": photo, "others": torch.stack(others), "places": places[chosen]}
     names = ", ".join(paths[index].name for index in chosen)
     note = f"{len(paths)} photos, more than a fit sees; taken: {MAX_PHOTOS} of the most different directions: {names}"

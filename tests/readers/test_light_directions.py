@@ -10,7 +10,9 @@ import pytest
 import torch
 
 from data_tools.readers import placed_photos
-from data_tools.readers.light_directions import FAR_HALF_SIDES, read_lights
+from data_tools.readers.light_directions import FAR_HALF_SIDES, find_light_distance, read_lights
+from metapp.appearance.flash import render_maps, texel_positions
+from tests.apps.several.test_several_photos import relief
 from tests.pictures import noise_image, write_image
 
 COUNT = 4
@@ -40,10 +42,26 @@ def test_a_folder_is_one_task_in_the_order_of_the_text(folder: Path) -> None:
     assert [path.name for path in paths] == ["3 b.png", "1 b.png", "0 b.png", "2 b.png"]
     task = placed_photos.read_task(folder)
     assert task.data["others"].shape == (COUNT - 1, 3, 256, 256)
-    assert torch.equal(task.data["places"], places)
+    assert torch.equal(task.data["places"][:, 0], places[:, 0])
+    torch.testing.assert_close(
+        *(torch.nn.functional.normalize(at[:, 1], dim=1) for at in (task.data["places"], places))
+    )
     assert torch.equal(places[:, 0], torch.tensor([0.0, 0.0, FAR_HALF_SIDES]).expand(COUNT, 3))
     torch.testing.assert_close(places[:, 1].norm(dim=1), torch.full((COUNT,), FAR_HALF_SIDES))
     torch.testing.assert_close(places[0, 1] / FAR_HALF_SIDES, torch.tensor([1.0, 0.0, 1.0]) / math.sqrt(2))
+
+
+@pytest.mark.parametrize("distance", [3.0, 8.0, 25.0])
+def test_the_distance_of_lights_is_found(distance: float) -> None:
+    turns = torch.arange(6) * math.pi / 3
+    towards = torch.stack([0.6 * turns.cos(), 0.6 * turns.sin(), torch.full((6,), 0.8)], 1)
+    places = torch.stack([torch.tensor([0.0, 0.0, 20.0]).expand(6, 3), towards], 1)
+    maps = relief(64)
+    lit = [
+        render_maps(maps, texel_positions(64, 64), distance * way[None], places[:1, 0], intensity=torch.ones(1, 1))
+        for way in towards
+    ]
+    assert find_light_distance(torch.cat(lit) * distance**2 / 2, places) == pytest.approx(distance, rel=0.25)
 
 
 def test_lights_that_graze_the_material_are_left_out(folder: Path) -> None:

@@ -54,8 +54,15 @@ def folder(tmp_path: Path) -> Path:
     return result
 
 
-def test_a_folder_is_one_task_in_the_order_of_names(folder: Path) -> None:
+def test_equal_photographs_of_several_places_are_said(folder: Path) -> None:
+    write(folder / "b.png", 1)
+    with pytest.warns(UserWarning, match="leaf: some photos are equal, expected one from each place"):
+        photos.read_task(folder)
+
+
+def test_a_folder_is_one_task_in_the_order_of_names(folder: Path, recwarn: pytest.WarningsRecorder) -> None:
     task = photos.read_task(folder)
+    assert not recwarn
     assert task.name == "leaf"
     assert {key: tuple(value.shape) for key, value in task.data.items()} == {
         "photo": (3, 256, 256), "others": (2, 3, 256, 256), "places": (3, 2, 3),
