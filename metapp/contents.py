@@ -136,8 +136,8 @@ def register(registry: Registry) -> None:
     registry.formats["placed"] = Format(
         "data_tools.readers.placed_photos",
         app="svbrdf_nonstationary",
-        inputs="folders of photos of one material: rectified with camera_pos.txt, light_pos.txt and image_size.txt, or "
-        "by a camera that stood still with a text .lp of light directions (RTI)",
+        inputs="folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt, "
+        "or of RTI with a .lp",
     )
     registry.formats["materials"] = Format(
         "data_tools.readers.training_materials", app="svbrdf_nonstationary", data_sets=True

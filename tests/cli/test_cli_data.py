@@ -211,7 +211,7 @@ FILES = {
 def test_a_file_is_replaced_by_overwrite_alone(metapp: Callable[..., CommandResult], runs: Path, command: str) -> None:
     if "markers" in command:
         pytest.importorskip("cv2")
-    file = out = Path("out.pdf")
+    file = out = Path("out.csv" if "plan" in command else "out.pdf")
     if "report" in command:
         out, file = Path("."), Path("index.md")
     file.write_text("mine")

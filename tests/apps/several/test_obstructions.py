@@ -11,11 +11,12 @@ from metapp.appearance.flash import Maps, texel_positions
 from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS
 from metapp.apps.svbrdf_nonstationary.several import newton
-from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels, decode_flashes, render_photos
+from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
+from metapp.apps.svbrdf_nonstationary.several.flashes import decode_flashes, render_photos
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from tests.apps.several.test_alignment import SIDE, photographs
+from tests.apps.several.test_parallax import SIDE, photographs
 from tests.apps.several.test_several_photos import general, relief
 
 DISTANCE = (texel_positions(SIDE, SIDE) - torch.tensor([0.3, -0.2])[:, None, None]).norm(dim=0)

@@ -19,10 +19,9 @@ from metapp.apps.svbrdf_nonstationary.several.app import (
     SeveralPhotos,
     Texels,
     _encode_maps,
-    decode_flashes,
-    draw_photo_sets,
-    render_photos,
 )
+from metapp.apps.svbrdf_nonstationary.several.flashes import decode_flashes, render_photos
+from metapp.apps.svbrdf_nonstationary.several.photo_sets import draw_photo_sets
 from metapp.apps.svbrdf_nonstationary.several.recipe import SEVERAL
 from metapp.learned_rules import rule_of
 from metapp.learning.app import stack_tasks
@@ -110,7 +109,8 @@ def test_the_order_of_photographs_does_not_matter(app: SeveralPhotos, tasks: Tas
     one = app.encode(encoder, batch)
     loss = app.loss(one, batch, {})
     for order in map(list, itertools.permutations(range(COUNT))):
-        other = app.encode(encoder, {key: value[:, order] for key, value in batch.items()})
+        ordered = {key: batch[key][:, order] for key in ("photos", "places")}
+        other = app.encode(encoder, batch | ordered)
         torch.testing.assert_close(other["maps"], one["maps"], rtol=1e-3, atol=1e-3)
         torch.testing.assert_close(other["flash"], one["flash"][:, :, order], rtol=1e-3, atol=1e-3)
         same = one | {"flash": one["flash"][:, :, order]}
@@ -299,6 +299,20 @@ def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
 
         mirrored = of * torch.tensor([-1.0, -1.0, 1.0])
         assert off(of).mean() < 0.7 * off(mirrored).mean()
+
+
+def test_some_drawn_cameras_stand_still_under_lights_around_them(rng: Generator) -> None:
+    maps = next(iter(synthetic_tasks("train", 1))).data["maps"].float()[None, :, :16, :16].expand(64, -1, -1, -1)
+    photos, places = draw_photo_sets(maps, 4, rng)
+    assert photos.shape == (64, 4, 3, 16, 16)
+    assert torch.isfinite(photos).all()
+    cameras, flashes = places.unbind(2)
+    stands_still = (cameras == cameras[:, :1]).all(-1).all(-1)
+    assert 2 <= int(stands_still.sum()) <= 24
+    assert torch.equal(cameras[~stands_still], flashes[~stands_still])  # the flash is measured at the lens
+    distances = flashes[stands_still].norm(dim=-1)
+    torch.testing.assert_close(distances, distances[:, :1].expand(-1, 4))
+    assert (flashes[..., 2] > 0).all()
 
 
 def test_fits_of_any_number_of_photographs_are_those_of_the_network(app: SeveralPhotos, tasks: Tasks) -> None:

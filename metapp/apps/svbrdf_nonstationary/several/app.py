@@ -1,4 +1,4 @@
-"""Non-stationary svBRDFs from several flash photographs of one place: the application and its random photographs.
+"""Non-stationary svBRDFs from several flash photographs of one place: the application.
 
 A batch holds N linear photographs of each task, `photos` [T, N, 3, H, W], and measured positions, `places`
 [T, N, 2, 3]: of each photograph first the camera's position, then the flash's, in half sides of the patch. A task with
@@ -17,16 +17,12 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, relu
 from typing_extensions import override
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, camera_distance, camera_position, texel_positions, unpack_maps
+from metapp.appearance.flash import Maps, camera_position, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     CLIPPED_LINEAR_VALUE,
-    FLASH_LOG_GAIN,
-    FLASH_LOG_HEIGHT,
     FLASH_NUMBERS,
-    FLASH_SHIFT,
     MIN_ROUGHNESS,
     Flash,
     decode_maps,
@@ -35,19 +31,22 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     find_slopes,
     map_differences,
     pool_maps,
-    render_photo,
 )
-from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as reader
-from metapp.apps.svbrdf_nonstationary.several.alignment import align_photos
-from metapp.apps.svbrdf_nonstationary.several.handling import develop_photos, handle_photos
+from metapp.apps.svbrdf_nonstationary.several.flashes import (
+    decode_flashes,
+    estimate_flashes,
+    log_radiance,
+    render_photos,
+)
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl
 from metapp.apps.svbrdf_nonstationary.several.obstructions import remove_obstructions
-from metapp.apps.svbrdf_nonstationary.variants import draws_per_material, vary_materials
+from metapp.apps.svbrdf_nonstationary.several.parallax import Heights, find_heights, remove_parallax
+from metapp.apps.svbrdf_nonstationary.several.photo_sets import draw_photo_sets
+from metapp.apps.svbrdf_nonstationary.variants import vary_materials
 from metapp.learning.rules import append_axes
 from metapp.learning.task import Batch, Params, Task, Tasks, TensorSpec
 
-LIGHT_FLOOR = 0.03  # radiance, 1 is white, that is added before logs
 # Initial values of the loss parameters that a rule may learn
 ROUNDING = 0.02  # log radiance: |differences| of photographs and renderings are rounded off below
 PRIOR_WEIGHT = 0.04  # weight of the distance from the prior, for each number of a texel
@@ -56,20 +55,15 @@ FALLOFF_WEIGHT = 1e-6  # weight of the squared fall-off of the flashes, no loss 
 CURL_WEIGHT = 0.08  # weight of the |curl| of slopes
 NOISE = 0.006  # log radiance: geometric mean of |differences| up to which these weights hold
 CURL_ROUNDING = 0.05  # difference of slopes from texel to texel: |curls| of slopes are rounded off below
+# Parallax is removed where heights deviate by so many texels, and where stereo's residual falls below this share.
+# 12 flat plates have less than 0.5 texels, or shares of 0.98 to 1.25; of relief by a phone 7 of 9 sets have 1.0 to 2.1
+# texels and shares of 0.74 to 0.93, two without details 0.99 and 1.01.
+MIN_HEIGHT_TEXELS, MAX_RESIDUAL_SHARE = 0.5, 0.95
 # Weight in the outer loss of a negative log likelihood: of the errors of General's maps, given the scales it predicts
 LIKELIHOOD_WEIGHT = 0.05
 # Initial maps by photometric stereo, from which Overfit begins
 INITIAL_ROUGHNESSES = (0.15, 0.25, 0.35, 0.5, 0.7)  # candidates for the one roughness of the surface
 INITIAL_MAPS_PX = 64  # largest side of the photographs that stereo reads; its maps are enlarged afterwards
-# Random photographs of augmented materials
-TILTED_SHARE = 0.6  # share of materials around which the camera is moved, tilted towards them; else it is held above
-MAX_TILT_RAD = math.radians(36)  # largest angle of the direction to the camera with the patch's normal
-MAX_PLACE_ERROR_FACTOR = 1.5  # largest errors of measured places, over the errors that `held_places` draws
-UNEQUAL_EXPOSURE_SHARE = 0.3  # share of materials whose photographs differ in exposure
-# Natural logs of exposures: mean and standard deviation where they differ, and standard deviation where they do not
-UNEQUAL_EXPOSURE_LOG_MEAN, UNEQUAL_EXPOSURE_LOG_DEVIATION, EQUAL_EXPOSURE_LOG_DEVIATION = -0.15, 0.35, 0.06
-HANDLED_SHARE = 0.6  # share of materials whose photographs a phone takes, see :func:`handle_photos`
-MAX_DISPLAY_NOISE = 0.01  # largest standard deviation of the noise of a material's photographs, in display values
 
 
 class Texels(NamedTuple):
@@ -112,10 +106,11 @@ class SeveralPhotos(SvbrdfNonstationary):
 
         Returns:
             The tensors that :meth:`SvbrdfNonstationary.prepare` returns; `photos` [N, 3, H, W], all linear photographs,
-            averaged over areas to the size of the maps, moved such that all show each point of the surface at one
-            texel, see :func:`align_photos`, and filled where they show something else than the material, see
-            :func:`remove_obstructions`; `unobstructed` [N, 1, H, W], 1 where they show it, else 0; and `places`
-            [N, 2, 3], the positions of camera and flash in half sides of the patch.
+            averaged over areas to the size of the maps, without parallax, see :func:`remove_parallax`, and filled where
+            they show something else than the material, see :func:`remove_obstructions`; `unobstructed` [N, 1, H, W], 1
+            where they show it, else 0; `relief` [RELIEF_CHANNELS, H, W], what parallax tells of the heights of the
+            surface, see :meth:`Heights.describe`; and `places` [N, 2, 3], the positions of camera and flash in half
+            sides of the patch.
 
         Raises:
             ValueError: there are not as many places as photographs.
@@ -127,9 +122,10 @@ class SeveralPhotos(SvbrdfNonstationary):
                 f"{task.name}: {len(photos)} photos and {len(task.data.get('places', ()))} places, expected as many; "
                 "convert it again."
             )
-        small = adaptive_avg_pool2d(decode_photo(photos), (self.network.height, self.network.width))
-        filled, shows_material = remove_obstructions(align_photos(small, places), places)
-        return super().prepare(task) | {"photos": filled, "unobstructed": shows_material, "places": places}
+        aligned, relief = _align_photos(decode_photo(photos), places, (self.network.height, self.network.width))
+        filled, shows_material = remove_obstructions(aligned, places)
+        seen = {"photos": filled, "unobstructed": shows_material, "relief": relief, "places": places}
+        return super().prepare(task) | seen
 
     @override
     def task_parameters(self, tasks: Tasks) -> Params:
@@ -145,7 +141,8 @@ class SeveralPhotos(SvbrdfNonstationary):
         batch, network = self.condition(tasks, Generator()), self.network
         size = (min(INITIAL_MAPS_PX, network.height), min(INITIAL_MAPS_PX, network.width))
         batch["photos"] = _pool_photos(batch["photos"], size)
-        slopes, diffuse, roughness_numbers, specular = reader.read_photos(**batch).maps.split(CHANNELS, 1)
+        reading = reader.read_photos(batch["photos"], batch["places"])
+        slopes, diffuse, roughness_numbers, specular = reading.maps.split(CHANNELS, 1)
         candidates, losses = [], []
         for roughness in INITIAL_ROUGHNESSES:
             roughness_number = math.log((roughness - MIN_ROUGHNESS) / (1 - roughness))  # the inverse of `decode_maps`
@@ -183,7 +180,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         size = photo.shape[-2:]
         if size == theta["maps"].shape[-2:]:
             return decode_maps(theta["maps"])
-        maps, logs = decode_maps(interpolate(theta["maps"], size, mode="bicubic")), _log_radiance(photo)
+        maps, logs = decode_maps(interpolate(theta["maps"], size, mode="bicubic")), log_radiance(photo)
         coarse_logs = adaptive_avg_pool2d(logs, (self.network.height, self.network.width))
         log_detail = logs - interpolate(coarse_logs, size, mode="bicubic")
         return maps._replace(diffuse=(maps.diffuse * log_detail.exp()).clamp(0, 1))
@@ -199,7 +196,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         """
         parameters = self.settings(learned, theta["maps"])
         photos = batch["photos"]
-        residual = _log_radiance(photos) - _log_radiance(
+        residual = log_radiance(photos) - log_radiance(
             render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"], theta["falloff"]))
         )
         residual = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(residual), residual)
@@ -281,13 +278,14 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     @override
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        """Return `photos` [T, N, 3, H, W] and `places` [T, N, 2, 3], from which General predicts maps."""
-        return {key: tasks.data[key][tasks.rows] for key in ("photos", "places")}
+        """Return `photos`, `places` and `relief`, from which General predicts maps; see :meth:`prepare`."""
+        return {key: tasks.data[key][tasks.rows] for key in ("photos", "places", "relief")}
 
     @override
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """Return General's maps, the flashes whose brightness agrees with them, and these maps as the prior."""
-        maps, log_scales = reader.predict_maps(encoder, reader.read_photos(**condition))
+        reading = reader.read_photos(condition["photos"], condition["places"])
+        maps, log_scales = reader.predict_maps(encoder, reading, condition["relief"])
         # General predicts one scale for each kind of map: all numbers of that kind share it.
         expanded_scales = [
             log_scale.expand(-1, count, -1, -1)
@@ -311,10 +309,10 @@ class SeveralPhotos(SvbrdfNonstationary):
         size = (self.network.height, self.network.width)
         fine = vary_materials(tasks.data["fine"][tasks.rows].float(), self.shot_size, rng)
         photos, places = draw_photo_sets(fine, tasks.data["places"].shape[1], rng)
-        small = _pool_photos(photos, size)
-        return tasks.make_variants(
-            {"photo": small[:, 0], "photos": small, "places": places} | self.describe_maps(pool_maps(fine, size))
-        )
+        pairs = zip(photos, places, strict=True)
+        aligned, relief = map(torch.stack, zip(*(_align_photos(*pair, size) for pair in pairs), strict=True))
+        seen = {"photo": aligned[:, 0], "photos": aligned, "places": places, "relief": relief}
+        return tasks.make_variants(seen | self.describe_maps(pool_maps(fine, size)))
 
     @override
     def flashes(self, theta: Params, task: Task) -> list[Flash]:
@@ -340,110 +338,6 @@ class SeveralPhotos(SvbrdfNonstationary):
         return [Flash(*(part[0, number] for part in flash)) for number in range(places.shape[1])]
 
 
-def decode_flashes(flash: Tensor, places: Tensor, falloff: Tensor | float = 0.0) -> Flash:
-    """Return the flashes, and the cameras beside them, that unbounded numbers stand for.
-
-    Of the numbers of a flash the first two shift it in x and y, the third is a log factor of its height, the fourth a
-    log gain; FLASH_SHIFT, FLASH_LOG_HEIGHT and FLASH_LOG_GAIN are their units. In a hand-held device the flash sits
-    beside the lens, so shift and factor move the camera, too. Zeros stand for a flash at its measured position, in
-    whose light a white patch right below it has radiance 1, whatever the height.
-
-    Args:
-        flash: the numbers, [T, FLASH_NUMBERS, N].
-        places: measured positions of camera and flash, [T, N, 2, 3], in half sides of the patch.
-        falloff: the fall-off that all flashes of a task share, [T, 1]; a number for all tasks. See :class:`Flash`.
-
-    Returns:
-        Flashes with two leading axes, tasks and photographs: `place` [T, N, 3], `gain` [T, N, 1], `eye` [T, N, 3] and
-        `falloff` [T, N].
-    """
-    shift, height_factor, gain = flash.mT.split((2, 1, 1), -1)
-    height_factor = torch.exp(FLASH_LOG_HEIGHT * height_factor)
-    eye, place = torch.cat(
-        [places[..., :2] + FLASH_SHIFT * shift[:, :, None], places[..., 2:] * height_factor[:, :, None]], -1
-    ).unbind(2)
-    gain = torch.exp(FLASH_LOG_GAIN * gain) * (place[..., 2:] / camera_distance()) ** 2
-    return Flash(place, gain, eye, falloff + torch.zeros_like(gain[..., 0]))
-
-
-def render_photos(maps: Maps, flashes: Flash) -> Tensor:
-    """Return the radiance [T, N, 3, H, W] of maps [T, C, H, W] under each of N flashes."""
-    diffuse = maps.diffuse
-    place = texel_positions(*diffuse.shape[-2:], dtype=diffuse.dtype, device=diffuse.device)
-    return render_photo(Maps(*(part[:, None] for part in maps)), flashes, place)
-
-
-@torch.no_grad()
-def estimate_flashes(maps: Maps, batch: Batch) -> Tensor:
-    """Estimate how bright each flash is, given the maps, and leave it at its measured position.
-
-    The log gain of a flash is the median over texels of the difference of the log photograph from the log rendering of
-    the maps, where clipped values count as no difference.
-
-    Args:
-        maps: the maps [T, C, H, W].
-        batch: `photos` and `places`.
-
-    Returns:
-        Unbounded numbers [T, FLASH_NUMBERS, N] that stand for the flashes, see :func:`decode_flashes`: all are 0 but
-        the last of each flash, its gain.
-    """
-    places, photos = batch["places"], batch["photos"]
-    zeros = places.new_zeros(len(places), FLASH_NUMBERS, places.shape[1])
-    log_gains = _log_radiance(photos) - _log_radiance(render_photos(maps, decode_flashes(zeros, places)))
-    log_gains = torch.where(photos > CLIPPED_LINEAR_VALUE, 0, log_gains).mean(2).flatten(2).median(2).values
-    return torch.cat([zeros[:, :-1], log_gains[:, None] / FLASH_LOG_GAIN], 1)
-
-
-def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Draw random camera positions and exposures, and render photographs of materials, as people take them by hand.
-
-    Camera and flash are at one place. For a share of TILTED_SHARE of the materials the camera is moved around the patch
-    and tilted towards it, except for the first photograph, which is taken from nearly straight above; else it is held
-    above the patch, see :func:`held_places`. Errors of measured places are Gaussian. Their standard deviation is drawn
-    anew for each material, up to 3 % of the height at which a camera is held. For a share of UNEQUAL_EXPOSURE_SHARE of
-    the materials the exposures of photographs differ; else they nearly agree. Photographs have Gaussian noise in
-    display values, whose standard deviation, too, is drawn for each material.
-
-    Args:
-        maps: packed maps [T, 10, S, S].
-        count: photographs of each material.
-        rng: draws all random numbers.
-
-    Returns:
-        Photographs [T, count, 3, S, S], linear values in [0, 1] that were rounded to 8 bits of sRGB, and measured
-        positions of camera and flash, [T, count, 2, 3], in half sides of the patch.
-    """
-    uniform, normal = draws_per_material(len(maps), rng)
-    places_above, offsets = held_places(len(maps), count, rng)
-    azimuth = 2 * math.pi * (torch.arange(count, device=rng.device)[None, :, None] / max(count - 1, 1) + uniform(1, 1))
-    azimuth, tilt = azimuth + 0.4 * normal(count, 1), 0.1 + (MAX_TILT_RAD - 0.1) * uniform(count, 1)
-    tilt = torch.cat([0.15 * tilt[:, :1], tilt[:, 1:]], 1)  # the first photograph is taken from nearly straight above
-    distance = camera_distance() * (0.75 + 0.5 * uniform(count, 1)) * (1 + uniform(1, 1))
-    tilted_places = distance * torch.cat([tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), tilt.cos()], -1)
-    true_places = torch.where(uniform(1, 1) < TILTED_SHARE, tilted_places, places_above)
-    measured_places = true_places + MAX_PLACE_ERROR_FACTOR * uniform(1, 1) * offsets
-    log_exposure = torch.where(
-        uniform(1) < UNEQUAL_EXPOSURE_SHARE,
-        UNEQUAL_EXPOSURE_LOG_DEVIATION * normal(count) + UNEQUAL_EXPOSURE_LOG_MEAN,
-        EQUAL_EXPOSURE_LOG_DEVIATION * normal(count),
-    )
-    flash = torch.cat(
-        [log_exposure.new_zeros(len(maps), FLASH_NUMBERS - 1, count), log_exposure[:, None] / FLASH_LOG_GAIN], 1
-    )
-    positions = true_places[:, :, None].expand(-1, -1, 2, -1)
-    material = unpack_maps(maps)
-    radiance = render_photos(material, decode_flashes(flash, positions))
-    is_handled = uniform(1, 1, 1, 1) < HANDLED_SHARE
-    radiance = torch.where(is_handled, handle_photos(radiance, material, true_places, rng), radiance)
-    display = linear_to_srgb(radiance.clamp(0, 1))
-    display = torch.where(is_handled, develop_photos(display, rng), display)
-    noise_deviation = MAX_DISPLAY_NOISE * uniform(1, 1, 1, 1)
-    display = display + noise_deviation * torch.randn(display.shape, generator=rng, device=rng.device)
-    photos = srgb_to_linear((display.clamp(0, 1) * 255).round() / 255)
-    return photos, measured_places[:, :, None].expand(-1, -1, 2, -1)
-
-
 def _no_falloff(maps: Tensor) -> Tensor:
     """Return the fall-off of flashes with which fits of maps [T, C, H, W] begin: zeros [T, 1]."""
     return maps.new_zeros(len(maps), 1)
@@ -457,15 +351,31 @@ def _task_places(task: Task) -> Tensor:
     return task.data.get("places", camera_position().expand(1, 2, 3)).float()
 
 
+def _align_photos(photos: Tensor, places: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Average photographs over areas to a size, without parallax.
+
+    Args:
+        photos: linear photographs [N, 3, h, w].
+        places: positions of camera and flash, [N, 2, 3], in half sides of the patch.
+        size: the height H and width W of the result.
+
+    Returns:
+        The photographs, [N, 3, H, W], and what parallax tells of heights, [RELIEF_CHANNELS, H, W]. Heights below the
+        noise, or by which stereo does not explain the photographs better, count as none, and photographs stay.
+    """
+    coarse, eyes = adaptive_avg_pool2d(photos, size), places[:, 0]
+    heights = find_heights(photos, eyes, size)
+    moved = remove_parallax(coarse, eyes, heights.height)
+    share = reader.stereo_residual(moved, places) / reader.stereo_residual(coarse, places).clamp_min(1e-9)
+    if heights.height.std() * size[1] / 2 < MIN_HEIGHT_TEXELS or share > MAX_RESIDUAL_SHARE:
+        return coarse, Heights.unknown(heights.height).describe()
+    return moved, heights.describe()
+
+
 def _pool_photos(photos: Tensor, size: tuple[int, int]) -> Tensor:
     """Average photographs [T, N, 3, H, W] over areas to another size."""
     pooled: Tensor = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
     return pooled
-
-
-def _log_radiance(radiance: Tensor) -> Tensor:
-    """Return the logs of radiance plus LIGHT_FLOOR."""
-    return (radiance + LIGHT_FLOOR).log()
 
 
 def _round_off(difference: Tensor, rounding: Tensor) -> Tensor:

@@ -24,12 +24,13 @@ from metapp.apps.svbrdf_nonstationary.encoder import (
     upsample,
 )
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS
+from metapp.apps.svbrdf_nonstationary.several.parallax import RELIEF_CHANNELS
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, apply_convolution
 
 STEM_CHANNELS = 32  # channels of the network that reads a photograph
 WIDTHS = (32, 48, 64, 96, 96)  # channels of the U-Net's levels; sides are multiples of 16 texels
-PHOTO_INPUTS, TEXEL_INPUTS = 18, 12  # channels that the networks read of a photograph, and of texels
+PHOTO_INPUTS, TEXEL_INPUTS = 18, 12 + RELIEF_CHANNELS  # channels that networks read of a photograph, and of texels
 NOISE_VALUE = 0.004  # noise of photographs of 8 bits, a linear value, 1 is white
 STEREO_CLIPPED_LINEAR_VALUE = 0.97  # linear value, 1 is white, above which photometric stereo hardly trusts a pixel
 HIGHLIGHT_TANGENTS = (
@@ -44,6 +45,8 @@ HIGHLIGHT_SOLVES = 3  # reweighted least squares of exposures and highlights, be
 LAMBERTIAN_SPREAD = 0.08  # relative deviation from a Lambertian texel that halves a photograph's weight
 RIDGE = (0.05 / 0.4) ** 2  # (relative noise of a photograph / size of slopes that are expected) squared
 MAX_SLOPE = 1.5  # soft bound (tanh) of the length of slopes
+RESIDUAL_SCALE = 0.1  # relative deviation from a Lambertian texel that counts by a half
+EDGE_TEXELS = 4  # texels at each edge that do not count
 EXPOSURE_STRIDE = 4  # exposures are solved on every fourth row and column
 
 
@@ -52,7 +55,7 @@ class Reading(NamedTuple):
 
     Attributes:
         photos: the inputs of each pixel of a photograph, [T, N, PHOTO_INPUTS, H, W].
-        texels: the inputs of each texel, [T, TEXEL_INPUTS, H, W].
+        texels: the inputs of each texel but relief, [T, TEXEL_INPUTS - RELIEF_CHANNELS, H, W].
         maps: unbounded numbers of the maps by photometric stereo, [T, 9, H, W].
         gains: logs of exposures, whose mean is 0, [T, N].
         grey: brightness over the brightness of a flat white patch, [T, N, 1, H, W].
@@ -87,12 +90,13 @@ def init(rng: Generator) -> Params:
     return params
 
 
-def predict_maps(params: Params, reading: Reading) -> tuple[Tensor, Tensor]:
+def predict_maps(params: Params, reading: Reading, relief: Tensor) -> tuple[Tensor, Tensor]:
     """Predict maps and the scales of their errors.
 
     Args:
         params: the parameters that `init` draws.
         reading: what :func:`read_photos` returns.
+        relief: what parallax tells of heights, [T, RELIEF_CHANNELS, H, W].
 
     Returns:
         Unbounded numbers of maps, [T, 9, H, W], and the logs of the scales of errors of slopes, diffuse colour,
@@ -102,7 +106,8 @@ def predict_maps(params: Params, reading: Reading) -> tuple[Tensor, Tensor]:
     x = reading.photos.flatten(0, 1).contiguous(memory_format=torch.channels_last)
     x = leaky_relu(apply_convolution(params, "stem.first", x), ENCODER_LEAKY_SLOPE)
     x = leaky_relu(apply_pointwise(params, "stem.second", x), ENCODER_LEAKY_SLOPE).unflatten(0, leading)
-    texel_inputs = torch.cat([x.mean(1), x.amax(1), reading.texels], 1).contiguous(memory_format=torch.channels_last)
+    texel_inputs = torch.cat([x.mean(1), x.amax(1), reading.texels, relief], 1)
+    texel_inputs = texel_inputs.contiguous(memory_format=torch.channels_last)
     x, skips = texel_inputs, []
     for level in range(len(WIDTHS)):
         x = apply_block(params, f"down{level}", avg_pool2d(x, 2) if level else x)
@@ -156,6 +161,25 @@ def photometric_stereo(brightness: Tensor, tangents: Tensor, valid: Tensor, nois
     length = slopes.square().sum(1, keepdim=True).add(1e-8).sqrt()
     slopes = slopes * (MAX_SLOPE * torch.tanh(length / MAX_SLOPE) / length)
     return level * typical[:, 0], slopes, weight, torch.cat([azz, axx], 1) / determinant * RIDGE
+
+
+@torch.no_grad()
+def stereo_residual(photos: Tensor, places: Tensor) -> Tensor:
+    """Measure how far photographs are from those of Lambertian texels, by which stereo explains them.
+
+    Args:
+        photos: linear photographs [N, 3, H, W].
+        places: positions of camera and flash, [N, 2, 3], in half sides of the patch.
+
+    Returns:
+        The mean of d^2 / (d^2 + RESIDUAL_SCALE^2) over pixels but those at the edges, [], where d is the difference of
+        a pixel's brightness from the prediction, over the brightness of its texel.
+    """
+    reading = read_photos(photos[None], places[None])
+    level, slopes = reading.level[0], reading.maps[0, : CHANNELS[0]]
+    prediction = level * (1 + (slopes * reading.tangents[0]).sum(1, keepdim=True))
+    squared = ((reading.grey[0] - prediction) / level)[..., EDGE_TEXELS:-EDGE_TEXELS, EDGE_TEXELS:-EDGE_TEXELS].square()
+    return (squared / (squared + RESIDUAL_SCALE**2)).mean()
 
 
 def _solve_gains(

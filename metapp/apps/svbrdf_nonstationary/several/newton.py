@@ -29,11 +29,9 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 from metapp.apps.svbrdf_nonstationary.several.app import (
     CURL_ROUNDING,
     FALLOFF_WEIGHT,
-    LIGHT_FLOOR,
     SeveralPhotos,
-    decode_flashes,
-    render_photos,
 )
+from metapp.apps.svbrdf_nonstationary.several.flashes import LIGHT_FLOOR, decode_flashes, render_photos
 from metapp.apps.svbrdf_nonstationary.several.integrability import find_curl, find_slopes_of_curl, solve_slopes
 from metapp.learning.adjoint import AnyBatch, Loss
 from metapp.learning.app import App
@@ -53,6 +51,7 @@ GAIN_DAMPING = 1e-4
 # Soft bounds (tanh) of the change of each number of a texel in a step: first its two slopes, then the others
 MAX_CHANGE = (0.3, 0.3, *(TEXEL_NUMBERS - 2) * (1.0,))
 MAX_FLASH_CHANGE = 0.5  # hard bound of the change of each number of a flash, and of the fall-off, in a step
+NOISE_POWER, RELIEF_NOISE_POWER = 4.0, 6.0  # see :func:`_weigh_by_noise`
 MIN_NOISE = 1e-3  # log radiance: |residuals| are rounded off below, before their geometric mean is taken
 GENERAL_NOISE_SHARE = 0.2  # noise that a fit is expected to leave, over the noise of its prior's maps
 DIFFERENCE_STEP = 1e-3  # step of central differences, in the numbers of texels and flashes
@@ -247,15 +246,18 @@ def _weigh_by_noise(weight: Tensor, residual: Tensor, settings: Params) -> Param
 
     Photographs that are registered by hand differ from renderings by more than photographs at exact places: by
     parallax, by parts of a texel, by what a camera does to colours. The weights of the maps' prior and of curls are
-    multiplied by 1 plus the fourth power of the noise over the noise in the settings.
+    multiplied by 1 plus a power of the noise over the noise in the settings. The power is higher for slopes and curls,
+    since relief is what such differences are taken for.
 
     Args:
         weight, residual: the weights and residuals that :func:`_linearise` returns, [T, P, 3N]; those of weight 0 do
             not count.
         settings: all loss parameters, [T, ...].
     """
-    excess = softplus(4 * (_find_noise_log(residual, weight > 0) - settings["noise"]))
-    return {**settings, "prior": settings["prior"] + excess[:, None], "curl": settings["curl"] + excess}
+    noise_log = (_find_noise_log(residual, weight > 0) - settings["noise"])[:, None]
+    powers = noise_log.new_tensor(CHANNELS[0] * [RELIEF_NOISE_POWER] + (TEXEL_NUMBERS - CHANNELS[0]) * [NOISE_POWER])
+    excess = softplus(powers * noise_log)
+    return {**settings, "prior": settings["prior"] + excess, "curl": settings["curl"] + excess[:, 0]}
 
 
 def _render_lobes(maps: Tensor, flashes: FlashNumbers, places: Tensor, texels: Tensor) -> Tensor:
