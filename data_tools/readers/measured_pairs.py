@@ -97,7 +97,7 @@ def task_of_pairs(name: str, pairs: MeasuredPairs, source: str | Path = "") -> T
         ValueError: there are fewer than MIN_PAIRS samples.
     """
     angles, reflectance = merge_repeats(pairs)
-    if (deviation := deviation_of_repeats(pairs)) > MAX_REPEAT_DEVIATION:
+    if len(angles) < len(pairs.wi) and (deviation := deviation_of_repeats(pairs)) > MAX_REPEAT_DEVIATION:
         warnings.warn(
             f"{source or name}: repeated measurements differ by {100 * deviation:.0f} % of their mean, expected up to "
             f"{100 * MAX_REPEAT_DEVIATION:.0f} %; their means are fitted: are they of one material, and in one unit?",

@@ -85,26 +85,25 @@ def read_task(
         ValueError: there are fewer than two photographs; one is not square, or of another size; the folder cannot be
             read (see :func:`read_photo` and :func:`read_places`).
     """
-    paths = photos_in(folder) if content is None else content
+    lights = find_light_file(folder)
+    if lights:
+        paths, places = read_lights(lights)
+    else:
+        paths = photos_in(folder) if content is None else content
     if len(paths) < 2:
         raise ValueError(
             f"{folder}: {'1 photo' if paths else 'no photos'} beside places of camera or flash, expected two or more; "
             "add some, or give one photo by its name."
         )
-    lights = find_light_file(folder)
-    places = read_lights(lights)[1] if lights else read_places(folder, len(paths))
+    if lights:
+        expected = "photos of one size, by a camera that stands still; leave others out"
+    else:
+        places = read_places(folder, len(paths))
+        expected = "square photos of one size, all of the same part of the material; rectify them"
     shapes = {path: shape_of(path) for path in paths}
     for path, (height, width) in shapes.items():
-        if lights and (height, width) != shapes[paths[0]]:
-            raise ValueError(
-                f"{path}: {width} x {height} px, expected photos of one size, by a camera that stands still; leave "
-                "others out."
-            )
-        if not lights and (width != height or (height, width) != shapes[paths[0]]):
-            raise ValueError(
-                f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
-                "material; rectify them."
-            )
+        if (height, width) != shapes[paths[0]] or not (lights or width == height):
+            raise ValueError(f"{path}: {width} x {height} px, expected {expected}.")
     chosen = choose_spread(places, MAX_PHOTOS)
     photo, *others = (
         correct_exposure(read_photo(paths[index], size, min(size, DEFAULT_PHOTO_PX), layer), stops) for index in chosen

@@ -13,8 +13,8 @@ from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
 from metapp.apps.svbrdf_nonstationary.several.parallax import (
     RELIEF_CHANNELS,
     Heights,
-    _read,
     find_heights,
+    read_displaced,
     remove_parallax,
 )
 from metapp.learning.task import Task
@@ -46,7 +46,7 @@ def add_parallax(photos: Tensor, eyes: Tensor, height: Tensor) -> Tensor:
     """Move photographs that show each point at one texel as a surface of these heights moves, nearly."""
     texels = texel_positions(SIDE, SIDE)
     rates = (texels - eyes[:, :2, None, None]) / eyes[:, 2:, None, None]
-    return _read(photos, -height * (rates - rates[:1])).clamp(0, 1)
+    return read_displaced(photos, -height * (rates - rates[:1])).clamp(0, 1)
 
 
 def waves(texels: float) -> Tensor:

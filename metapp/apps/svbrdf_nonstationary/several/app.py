@@ -365,11 +365,11 @@ def _align_photos(photos: Tensor, places: Tensor, size: tuple[int, int]) -> tupl
     """
     coarse, eyes = adaptive_avg_pool2d(photos, size), places[:, 0]
     heights = find_heights(photos, eyes, size)
-    moved = remove_parallax(coarse, eyes, heights.height)
-    share = reader.stereo_residual(moved, places) / reader.stereo_residual(coarse, places).clamp_min(1e-9)
-    if heights.height.std() * size[1] / 2 < MIN_HEIGHT_TEXELS or share > MAX_RESIDUAL_SHARE:
-        return coarse, Heights.unknown(heights.height).describe()
-    return moved, heights.describe()
+    if heights.height.std() * size[1] / 2 >= MIN_HEIGHT_TEXELS:
+        moved = remove_parallax(coarse, eyes, heights.height)
+        if reader.stereo_residual(moved, places) <= MAX_RESIDUAL_SHARE * reader.stereo_residual(coarse, places):
+            return moved, heights.describe()
+    return coarse, Heights.unknown(heights.height).describe()
 
 
 def _pool_photos(photos: Tensor, size: tuple[int, int]) -> Tensor:

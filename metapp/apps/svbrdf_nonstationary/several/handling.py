@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import conv2d, grid_sample, pad
+from torch.nn.functional import conv2d, pad
 
 from metapp.appearance.flash import Maps, height_from_normal, texel_positions
+from metapp.apps.svbrdf_nonstationary.several.parallax import read_displaced
 from metapp.apps.svbrdf_nonstationary.variants import draws_per_material
 
 # Largest strengths of each effect, which are drawn evenly for each material
@@ -50,9 +51,7 @@ def handle_photos(radiance: Tensor, maps: Maps, eyes: Tensor, rng: Generator) ->
     error = (error + texels * torch.einsum("tni,ihw->tnhw", projective, texels)[:, :, None]) / 3
     error = MAX_REGISTRATION_ERROR * uniform(1, 1, 1, 1) * error
     displacement = parallax.clamp(-MAX_PARALLAX_HALF_SIDES, MAX_PARALLAX_HALF_SIDES) + error
-    places = texels - displacement + displacement[:, :1]
-    grid = (places * texels.new_tensor([1, -1])[:, None, None]).flatten(0, 1).permute(0, 2, 3, 1)
-    moved = grid_sample(lit.flatten(0, 1), grid, "bicubic", "reflection", align_corners=False)
+    moved = read_displaced(lit.flatten(0, 1), (displacement[:, :1] - displacement).flatten(0, 1), "reflection")
     handled: Tensor = moved.clamp_min(0).unflatten(0, lit.shape[:2])
     return handled
 

@@ -31,7 +31,7 @@ WINDOWS_TEXELS = (2.0, 4.0, 8.0)  # standard deviations of the windows over whic
 AGREEMENT_SHARPNESS = 30.0  # factor of agreement, which is at most 1, in the log probability of a height
 SMOOTHING_TEXELS = 2.0  # standard deviation of the window over which heights are averaged
 MAX_SLOPE = 2.0  # of heights as networks read them
-LIGHT_FLOOR = 0.02  # radiance, 1 is white, that is added before logs
+CONTRAST_LIGHT_FLOOR = 0.02  # radiance, 1 is white, that is added before logs
 
 
 class Heights(NamedTuple):
@@ -81,11 +81,11 @@ def find_heights(photos: Tensor, eyes: Tensor, size: tuple[int, int]) -> Heights
     """
     coarse = adaptive_avg_pool2d(photos, size)
     mean_rate = float(_parallax(coarse, eyes).norm(dim=1).mean((1, 2)).amax())
-    flat = torch.zeros_like(coarse[0, 0])
+    unknown = Heights.unknown(coarse[0, 0])
     if min(size) < MIN_PX or not mean_rate > MIN_PARALLAX:
-        return Heights.unknown(flat)
+        return unknown
     distance = PLANE_DISTANCE_TEXELS * 2 / size[1] / mean_rate
-    heights = _sweep(coarse, eyes, flat, distance, int(MAX_HEIGHT_HALF_SIDES / distance))
+    heights = _sweep(coarse, eyes, unknown.height, distance, int(MAX_HEIGHT_HALF_SIDES / distance))
     fine_size = (2 * size[0], 2 * size[1])
     if photos.shape[-2] < fine_size[0] or photos.shape[-1] < fine_size[1]:
         return heights
@@ -107,8 +107,10 @@ def _sweep(photos: Tensor, eyes: Tensor, middle: Tensor, distance: float, count:
     """
     rates = _parallax(photos, eyes)[1:]
     heights = middle + distance * torch.arange(-count, count + 1).to(photos)[:, None, None]
-    contrast = _even_out((photos.mean(1) + LIGHT_FLOOR).log())[:, None]
-    agreement = torch.stack([(contrast[:1] * _read(contrast[1:], height * rates)).mean((0, 1)) for height in heights])
+    contrast = _even_out((photos.mean(1) + CONTRAST_LIGHT_FLOOR).log())[:, None]
+    agreement = torch.stack(
+        [(contrast[:1] * read_displaced(contrast[1:], height * rates)).mean((0, 1)) for height in heights]
+    )
     agreement = torch.stack([_blur(agreement, window) for window in WINDOWS_TEXELS]).mean(0)
     probability = torch.softmax(AGREEMENT_SHARPNESS * agreement, 0)
     mean = (probability * heights).sum(0)
@@ -132,7 +134,7 @@ def remove_parallax(photos: Tensor, eyes: Tensor, height: Tensor) -> Tensor:
     """
     if not height.any():
         return photos
-    moved = _read(photos[1:], height * _parallax(photos, eyes)[1:]).clamp(0, 1)
+    moved = read_displaced(photos[1:], height * _parallax(photos, eyes)[1:]).clamp(0, 1)
     return torch.cat([photos[:1], moved])
 
 
@@ -143,11 +145,17 @@ def _parallax(photos: Tensor, eyes: Tensor) -> Tensor:
     return rates - rates[:1]
 
 
-def _read(pictures: Tensor, displacements: Tensor) -> Tensor:
-    """Read pictures [N, C, H, W] at displaced positions: displacements are [N, 2, H, W], x and y up, in half sides."""
+def read_displaced(pictures: Tensor, displacements: Tensor, padding: str = "border") -> Tensor:
+    """Read pictures at displaced positions, by cubic interpolation.
+
+    Args:
+        pictures: the pictures, [N, C, H, W].
+        displacements: how far from each texel to read, x and y up, in half sides, [N, 2, H, W].
+        padding: what lies beyond the pictures: `padding_mode` of torch's `grid_sample`.
+    """
     texels = texel_positions(*pictures.shape[-2:], dtype=pictures.dtype, device=pictures.device)
     grid = (texels + displacements) * texels.new_tensor([1, -1])[:, None, None]
-    read: Tensor = grid_sample(pictures, grid.permute(0, 2, 3, 1), "bicubic", "border", align_corners=False)
+    read: Tensor = grid_sample(pictures, grid.permute(0, 2, 3, 1), "bicubic", padding, align_corners=False)
     return read
 
 

@@ -50,18 +50,17 @@ def draw_photo_sets(maps: Tensor, count: int, rng: Generator) -> tuple[Tensor, T
     """
     uniform, normal = draws_per_material(len(maps), rng)
     kind = uniform(1, 1)
-    is_rig, is_dome = kind < RIG_SHARE, (kind >= RIG_SHARE) & (kind < RIG_SHARE + DOME_SHARE)
-    is_phone = ~(is_rig | is_dome) & (kind < RIG_SHARE + DOME_SHARE + PHONE_SHARE)
-    is_steady = is_rig | is_dome
+    is_rig, is_steady = kind < RIG_SHARE, kind < RIG_SHARE + DOME_SHARE
+    is_dome, is_phone = is_steady & ~is_rig, ~is_steady & (kind < RIG_SHARE + DOME_SHARE + PHONE_SHARE)
 
     cameras, offsets = _draw_cameras(len(maps), count, rng)
     measured = cameras + ~is_steady * MAX_PLACE_ERROR_FACTOR * uniform(1, 1) * offsets
     beside_lens = FLASH_OFFSET_HALF_SIDES * is_phone * (normal(1, 2) + 0.2 * normal(count, 2))
     flashes = cameras + torch.nn.functional.pad(beside_lens, (0, 1))
-    dome_camera, dome_lights, dome_log_exposure = _draw_dome(count, uniform, normal)
-    positions = torch.stack([torch.where(is_dome, dome_camera, cameras), torch.where(is_dome, dome_lights, flashes)], 2)
-    measured_positions = torch.stack(
-        [torch.where(is_dome, dome_camera, measured), torch.where(is_dome, dome_lights, measured)], 2
+    dome, dome_log_exposure = _draw_dome(count, uniform, normal)
+    positions, measured_positions = (
+        torch.where(is_dome[..., None], dome, torch.stack(by_hand, 2))
+        for by_hand in ((cameras, flashes), (measured, measured))
     )
     log_exposure = torch.where(
         uniform(1) < UNEQUAL_EXPOSURE_SHARE,
@@ -100,8 +99,8 @@ def _draw_cameras(materials: int, count: int, rng: Generator) -> tuple[Tensor, T
     return torch.where(uniform(1, 1) < TILTED_SHARE, tilted_places, places_above), offsets
 
 
-def _draw_dome(count: int, uniform: Draw, normal: Draw) -> tuple[Tensor, Tensor, Tensor]:
-    """Draw a camera above, [T, count, 3], lights around it, [T, count, 3], and logs of exposures, [T, count].
+def _draw_dome(count: int, uniform: Draw, normal: Draw) -> tuple[Tensor, Tensor]:
+    """Draw a camera above and lights around it, [T, count, 2, 3], and logs of exposures, [T, count].
 
     All lights are as bright as each other: the exposures undo that a white patch right below each has radiance 1.
     """
@@ -114,4 +113,5 @@ def _draw_dome(count: int, uniform: Draw, normal: Draw) -> tuple[Tensor, Tensor,
     )
     towards = torch.cat([elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()], -1)
     camera = torch.nn.functional.pad(height, (2, 0)).expand(-1, count, -1)
-    return camera, distance * towards, DOME_LOG_EXPOSURE * (2 * uniform(1) - 1) - 2 * elevation[..., 0].sin().log()
+    log_exposure = DOME_LOG_EXPOSURE * (2 * uniform(1) - 1) - 2 * elevation[..., 0].sin().log()
+    return torch.stack([camera, distance * towards], 2), log_exposure
