@@ -25,7 +25,9 @@ def find_features(picture: NDArray[np.float32], levels: Sequence[float], count: 
     sift = cv2.SIFT_create(count, contrastThreshold=0.01, edgeThreshold=20)
     for level in levels:
         resized = cv2.resize(picture, None, fx=level, fy=level, interpolation=cv2.INTER_AREA)
-        resized = resized / max(float(resized.std()), 0.1) if level < 1 else cv2.GaussianBlur(resized, (0, 0), 1.0)
+        # Noise has features of its own, which hide the few of a surface of one colour: smoothed first.
+        resized = cv2.GaussianBlur(resized, (0, 0), 1.0)
+        resized /= max(float(resized.std()), 0.1)
         points, sift_descriptors = sift.detectAndCompute(((resized + 3) * 42.5).clip(0, 255).astype(np.uint8), None)
         if points:
             places.append((np.array([point.pt for point in points], np.float32) + 0.5) / level - 0.5)
