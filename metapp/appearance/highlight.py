@@ -236,7 +236,7 @@ def fill_clipped(maps: Maps, photos: Tensor) -> Maps:
     def fill(values: Tensor, gamma: float) -> Tensor:
         size = (values.shape[-2], values.shape[-1])
         shades = values.clamp_min(0) ** (1 / gamma)  # colours in steps that look equal
-        smooth = _fill_gaps(
+        smooth = fill_gaps(
             adaptive_avg_pool2d(shades, (mask.shape[-2], mask.shape[-1])) * source_weights, source_weights
         )
         smooth, share = (interpolate(part, size, mode="bilinear") for part in (smooth, opacity))
@@ -253,7 +253,7 @@ def _grow(mask: Tensor, radius: int) -> Tensor:
     return grown
 
 
-def _fill_gaps(sums: Tensor, weights: Tensor) -> Tensor:
+def fill_gaps(sums: Tensor, weights: Tensor) -> Tensor:
     """Fill gaps by pull-push (Gortler et al. 1996, "The Lumigraph"): coarser means where weights are small.
 
     Args:
@@ -265,7 +265,7 @@ def _fill_gaps(sums: Tensor, weights: Tensor) -> Tensor:
     if max(size) == 1:
         return means
     half = ((size[0] + 1) // 2, (size[1] + 1) // 2)
-    coarse = _fill_gaps(adaptive_avg_pool2d(sums, half), adaptive_avg_pool2d(weights, half))
+    coarse = fill_gaps(adaptive_avg_pool2d(sums, half), adaptive_avg_pool2d(weights, half))
     return torch.lerp(interpolate(coarse, size, mode="bilinear"), means, weights)
 
 

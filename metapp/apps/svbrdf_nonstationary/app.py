@@ -132,13 +132,17 @@ class SvbrdfNonstationary(App):
         """Return the maps of :meth:`maps_of`, for photographs [T, 3, h, w] that may be too large for one pass."""
         return self.maps_of(theta, photo)
 
-    def fill(self, maps: Maps, photo: Tensor) -> Maps:
+    def fill(self, theta: Params, maps: Maps, photo: Tensor) -> Maps:
         """Fill maps [T, C, h, w] where linear photographs [T, 3, h, w] show no material; here maps stay as they are."""
         return maps
 
+    def hidden_share(self, theta: Params, maps: Maps) -> Tensor:
+        """Return the share of texels of which a highlight hides the colours, [T]; here 0."""
+        return maps.roughness.new_zeros(len(maps.roughness))
+
     def final_maps(self, theta: Params, photo: Tensor) -> Maps:
         """Return the fitted maps [T, C, h, w] of linear photographs [T, 3, h, w], filled where these clip."""
-        return self.fill(self.maps_of(theta, photo), photo)
+        return self.fill(theta, self.maps_of(theta, photo), photo)
 
     def radiance_difference(self, maps: Maps, target: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:
         """Return the mean absolute difference of :meth:`log_radiance` of two sets of maps, [T]."""

@@ -244,7 +244,7 @@ class FromPhoto(CodedMaps):
         return decode_flash(self.network.gain * theta["flash"], moves_camera=self.fills)
 
     @override
-    def fill(self, maps: Maps, photo: Tensor) -> Maps:
+    def fill(self, theta: Params, maps: Maps, photo: Tensor) -> Maps:
         """Fill maps [T, C, h, w] where linear photographs [T, 3, h, w] clip; see :func:`fill_clipped`.
 
         Losses see maps before they are filled: a photograph that clips is at least so bright.
@@ -259,17 +259,18 @@ class FromPhoto(CodedMaps):
         return self.photo_difference(theta, self.maps_of(theta, batch["photo"]), batch, learned)
 
 
-def photo_loss(radiance: Tensor, photos: Tensor, learned: Params) -> Tensor:
+def photo_loss(radiance: Tensor, photos: Tensor, learned: Params, weights: Tensor | float = 1.0) -> Tensor:
     """Return the mean difference of the logs of radiance and photographs, [T]; where these clip, only if it is darker.
 
     Args:
         radiance: the radiance of maps, [T, ...].
         photos: linear photographs of that shape.
         learned: learned parameters of the loss, {} for |d|.
+        weights: factors of the differences, [T, 1, ...].
     """
     log_differences = (photos + RADIANCE_FLOOR).log() - (radiance + RADIANCE_FLOOR).log()
     log_differences = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(log_differences), log_differences)
-    return smooth_absolute(log_differences, learned).mean(tuple(range(1, log_differences.ndim)))
+    return (weights * smooth_absolute(log_differences, learned)).mean(tuple(range(1, log_differences.ndim)))
 
 
 def _map_loss(differences: list[Tensor], learned: Params) -> Tensor:

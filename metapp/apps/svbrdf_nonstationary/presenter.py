@@ -37,6 +37,7 @@ MAX_LOG_DIFFERENCE, COMPARED_BLOCKS = 0.02, 8
 # Median |difference| of the logs of photographs and renderings: 0.001 to 0.002 for photographs at exact places; where a
 # phone took them, 0.007 to 0.031, and above it 6 of 7 sets.
 MAX_NOISE = 0.01
+MIN_HIDDEN_SHARE = 0.01  # of a photograph that is said to lie beneath a highlight
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     @override
     @torch.no_grad()
     def quality_warnings(self, theta: Params, tasks: Tasks) -> list[list[str]]:
-        """Return clauses on maps that are black where the photo is not and, where maps are filled, on clipping.
+        """Return clauses on maps that are black where the photo is not and, where maps are filled, on highlights.
 
         Fits of several photographs have clauses on clipping, where all photographs clip, on parts of photographs that
         were left out, since they show something else than the material, on relief that is about as low as its errors,
@@ -170,8 +171,14 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         displayed_photos = linear_to_srgb(photos)
         shares = find_clipped(displayed_photos).float().mean((1, 2, 3)).tolist()
         effects = [f"{format_percent(share)} of the maps is filled from its surroundings" for share in shares]
-        clipped = (clipped_highlight_warnings(*pair) for pair in zip(displayed_photos, effects, strict=True))
-        return [black + highlight for black, highlight in zip(warnings, clipped, strict=True)]
+        clipped = [clipped_highlight_warnings(*pair) for pair in zip(displayed_photos, effects, strict=True)]
+        hidden = [
+            [f"{format_percent(share)} of the photo lies beneath a highlight: colours and gloss there are guesses"]
+            if share >= MIN_HIDDEN_SHARE
+            else []
+            for share in app.hidden_share(theta, maps).tolist()
+        ]
+        return [black + white + under for black, white, under in zip(warnings, clipped, hidden, strict=True)]
 
     def _warn_of_several(self, theta: Params, data: Mapping[str, Tensor], row: Tensor) -> list[str]:
         """Return the clauses on a fit of several photographs, without task axis, whose data are in a row of `data`."""
@@ -209,7 +216,8 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
         def make() -> Maps:
             photo = _resize_photo(task, side)
-            return self.app.fill(self.app.fine_maps(_add_task_axis(theta), photo), photo)
+            fits = _add_task_axis(theta)
+            return self.app.fill(fits, self.app.fine_maps(fits, photo), photo)
 
         maps = self.cache_last(theta, task, make)
         return Maps(*(part[0] for part in maps))

@@ -10,8 +10,8 @@ from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, texel_positions, unpack_maps
 from metapp.apps import app_of, recipes_of
-from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
-from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, pixel_inputs
+from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto, photo_loss
+from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, pixel_inputs, render_photo
 from metapp.apps.svbrdf_nonstationary.pretrained.app import FULL_SHARE, HALVED_SLOPE, SLOPE_GAIN, FromFeatures
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
@@ -26,6 +26,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
     init_decoder,
     read_photos,
 )
+from metapp.apps.svbrdf_nonstationary.pretrained.scars import trust_texels
 from metapp.learning.learn import descend, final_item, task_loss
 from metapp.learning.rules import fixed_adam, outer_adam
 from metapp.learning.task import Batch, Tasks
@@ -205,7 +206,9 @@ def test_photo_steps_equal_steps_of_the_whole_field_except_fixed_parts(
     theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
     batch, code_channels = app.sample(tasks, rng, 1), app.network.code
     loss = app.loss(theta, batch, {})
-    whole = FromPhoto.loss(app, theta, batch, {})
+    maps, flash = app.maps_of(theta, batch["photo"]), app.flash_of(theta)
+    radiance = render_photo(maps, flash)
+    whole = photo_loss(radiance, batch["photo"], {}, trust_texels(maps, radiance, flash))
     torch.testing.assert_close(loss, whole)
     by_loss, by_whole = (
         dict(zip(theta, torch.autograd.grad(inner_loss.sum(), [*theta.values()], allow_unused=True), strict=True))

@@ -16,13 +16,14 @@ from typing_extensions import override
 from metapp.appearance.features import feature_conditions
 from metapp.appearance.flash import Maps, unpack_maps
 from metapp.apps.svbrdf_nonstationary.app import FINEST_PX, blots
-from metapp.apps.svbrdf_nonstationary.coded_maps import BLOTS_WEIGHT, MAPS_WEIGHT, PHOTO_WEIGHT, FromPhoto
+from metapp.apps.svbrdf_nonstationary.coded_maps import BLOTS_WEIGHT, MAPS_WEIGHT, PHOTO_WEIGHT, FromPhoto, photo_loss
 from metapp.apps.svbrdf_nonstationary.maps import (
     CHANNELS,
     ROUGHNESS_CHANNEL,
     decode_maps,
     map_differences,
     pixel_inputs,
+    render_photo,
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.augmentation import draw_variants
 from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
@@ -36,6 +37,7 @@ from metapp.apps.svbrdf_nonstationary.pretrained.encoder import (
     unknown_deviation,
 )
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import roughness_shift, scale_roughness
+from metapp.apps.svbrdf_nonstationary.pretrained.scars import hidden_share, remove_scars, trust_texels
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import add_decoder, join_encoder, select_reader
 from metapp.networks.field import LocalField
@@ -176,13 +178,25 @@ class FromFeatures(FromPhoto):
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Return the difference from the photograph, [T], which moves the code of "full" and the flash alone.
 
-        So normals stay those of General: a photograph under one light says less of them than General has read.
+        So normals stay those of General: a photograph under one light says less of them than General has read. Texels
+        beneath a highlight count less, see :func:`trust_texels`.
         """
         fixed_theta = {key: value.detach() for key, value in theta.items()}
         code = self.network.gain * theta["z"]
         first_output, full_output = self.network.evaluate_both(fixed_theta, code, pixel_inputs(batch["photo"]))
         maps = self.maps_from(self.network.mix_outputs(first_output.detach(), full_output))
-        return self.photo_difference(theta, maps, batch, learned)
+        flash = self.flash_of(self._move_flash(theta, batch))
+        radiance = render_photo(maps, flash)
+        return photo_loss(radiance, batch["photo"], learned, trust_texels(maps, radiance, flash))
+
+    @override
+    def hidden_share(self, theta: Params, maps: Maps) -> Tensor:
+        return hidden_share(maps, self.flash_of(theta))
+
+    @override
+    def fill(self, theta: Params, maps: Maps, photo: Tensor) -> Maps:
+        """Remove scars of highlights; see :func:`remove_scars`. Then fill maps where photographs clip."""
+        return super().fill(theta, remove_scars(maps, photo, self.flash_of(theta)), photo)
 
     @override
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
