@@ -126,7 +126,9 @@ def test_broken_lines_and_seams_are_doubted_where_no_lattice_is_lost(
         [LineComparison(0.4, 1.0), LineComparison(1.0, SEAM_STRENGTH_RATIO + 0.3), LineComparison(math.nan, math.nan)]
     )
     monkeypatch.setattr("metapp.apps.exemplar.presenter.compare_lines", lambda *_: next(found))
-    broken, seams, unknown = warnings_of(app, theta, tasks)
+    broken, seams, unknown = (
+        [clause for clause in clauses if "relief" not in clause] for clauses in warnings_of(app, theta, tasks)
+    )
     assert len(broken) == 1
     assert broken[0].startswith("breaks lines of the photo such as joints, cracks or threads (0.40 as strong, ")
     assert "a photo that shows them more often helps" in broken[0]

@@ -197,6 +197,14 @@ def test_files_and_records_are_of_the_photograph(task: Task, tasks: Tasks) -> No
     assert 0.3 < presenter.remarks(theta, task)["copied"] <= 1  # type: ignore[operator]
 
 
+def test_relief_is_said_to_be_a_guess_unless_it_is_flat(tasks: Tasks) -> None:
+    flat = silent_fit(tasks)
+    tilted = flat | APP.init(Generator().manual_seed(0), len(tasks))
+    for theta, is_doubted in ((flat, False), (tilted, True)):
+        (clauses,) = SvbrdfStationaryPresenter(APP).quality_warnings(theta, tasks)
+        assert any("degrees on average, is a guess" in clause for clause in clauses) is is_doubted
+
+
 def test_true_maps_are_compared_at_the_places_of_the_quilt(tasks: Tasks) -> None:
     """Fits with the true maps of the pieces have a lower outer loss than fits with those of other pieces."""
     theta, rng = silent_fit(tasks), Generator().manual_seed(0)
