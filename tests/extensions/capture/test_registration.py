@@ -161,7 +161,8 @@ def test_photographs_without_markers_become_a_folder_that_a_fit_reads(metapp: Ca
     result = metapp("data", "rectify", *paths, "--out", "leaf", "--json")
     assert "no markers: 2 photos registered by their own features" in result.err
     assert re.search(
-        rf"warning: skipped: {other}: \d+ % of a.png found in it, expected 25 % or more; {REMEDY}.", result.err
+        rf"warning: skipped: {other}: at most \d+ % of another photo found in it, expected 25 % or more; {REMEDY}.",
+        result.err,
     )
     assert result.json_result["unit"] == "sides"
     reference = r"00.png: a.png, \d+ points, the reference, .* tilted by 1"
@@ -232,3 +233,11 @@ def test_a_photograph_is_compared_with_the_reference_and_its_neighbours_alone() 
     matches = dict.fromkeys((2, 9, 3, 30, 8, 11, 4), IDENTITY_MATCH)
     assert select_neighbours(matches, 10) == [2, 9, 11, 8]
     assert select_neighbours({2: IDENTITY_MATCH}, 0) == [2]
+
+
+def test_a_first_photo_that_fits_none_is_said(tmp_path: Path, photos: Path) -> None:
+    odd = take(tmp_path / "odd.png", CAMERAS["b"], material(2))
+    registration = register_photos([odd, photos / "a.png", photos / "b.png"])
+    assert registration.reference == 1
+    (line,) = registration.unmatched_lines()
+    assert re.match(rf"{odd}: at most \d+ % of another photo found in it, expected 25 % or more; ", line)

@@ -119,7 +119,7 @@ class Registration(NamedTuple):
         views: all photographs, including those that do not fit.
         reference: the index of the photograph that the others are placed on.
         matches: for the index of each photograph that fits, the reference first, its homography and matches.
-        agreements: for the index of each other photograph the largest share of pieces that agreed.
+        agreements: for the index of each photograph that was compared in vain, the largest share of pieces that agreed.
     """
 
     views: Sequence[PhotoView]
@@ -143,9 +143,8 @@ class Registration(NamedTuple):
 
     def unmatched_lines(self) -> list[str]:
         """Return a line for each photograph that does not fit."""
-        name = self.views[self.reference].sighting.path.name
         return [
-            f"{view.sighting.path}: {_describe_agreement(self.agreements[i], name)}; {PRINT_MARKERS_ADVICE}."
+            f"{view.sighting.path}: {_describe_agreement(self.agreements[i])}; {PRINT_MARKERS_ADVICE}."
             for i, view in enumerate(self.views)
             if i not in self.matches
         ]
@@ -175,9 +174,9 @@ def register_photos(
     for path in paths:
         report_stage(f"{path.name}: finding features")
         views.append(_make_view(path, fov_rad)._replace(part_corners=parts.get(path, WHOLE_PHOTO_CORNERS)))
-    largest_agreement = 0.0
+    agreements = dict.fromkeys(range(len(views)), 0.0)
     for reference_index, reference in enumerate(views[:-1]):
-        matches, agreements = {reference_index: IDENTITY_MATCH}, dict[int, float]()
+        matches = {reference_index: IDENTITY_MATCH}
         # Tried twice, as a photo that fits no earlier one may fit one that is placed later; then by the middle alone,
         # as around a sample photos may show a table that lies in another plane.
         for attempt, part_corners in enumerate((reference.part_corners, reference.part_corners, MIDDLE_CORNERS)):
@@ -193,16 +192,16 @@ def register_photos(
                     if match.fits():
                         matches[other] = match
                         break
-                    agreements[other] = max(agreements.get(other, 0.0), match.agreement)
+                    for compared in (other, reference_index):
+                        agreements[compared] = max(agreements[compared], match.agreement)
         if len(matches) > 1:
             unmatched = [view for index, view in enumerate(views) if index not in matches]
             _show_matches(unmatched, reference, report_stage, keep_outlines)
             return Registration(views, reference_index, matches, agreements)
-        largest_agreement = max(largest_agreement, *agreements.values())
     _show_matches(views, views[0], report_stage, keep_outlines)
     raise ValueError(
-        f"{paths[0]}: none of {len(paths)} photos fits another one: at most "
-        f"{_describe_agreement(largest_agreement, 'another photo')}; {PRINT_MARKERS_ADVICE}."
+        f"{paths[0]}: none of {len(paths)} photos fits another one: {_describe_agreement(max(agreements.values()))}; "
+        f"{PRINT_MARKERS_ADVICE}."
     )
 
 
@@ -231,7 +230,7 @@ def change_reference(
     views = registration.views
     reference_index = next(index for index in registration.matches if views[index].sighting.path == path)
     reference, to_reference = views[reference_index], np.linalg.inv(registration.matches[reference_index].homography)
-    matches: dict[int, PhotoMatch] = {reference_index: IDENTITY_MATCH}
+    matches, agreements = {reference_index: IDENTITY_MATCH}, dict(registration.agreements)
     for index, view in enumerate(views):
         if index != reference_index:
             report_stage(f"{view.sighting.path.name}: comparing with {path.name}, the straightest")
@@ -243,16 +242,20 @@ def change_reference(
             )
             if match.fits():
                 matches[index] = match
+            else:
+                agreements[index] = match.agreement
     return (
-        registration._replace(reference=reference_index, matches=matches)
+        Registration(views, reference_index, matches, agreements)
         if len(matches) >= len(registration.matches)
         else registration
     )
 
 
-def _describe_agreement(agreement: float, name: str) -> str:
-    """Return in words how much of a photograph was found in one that does not fit."""
-    return f"{100 * agreement:.0f} % of {name} found in it, expected {100 * _MIN_AGREEMENT:.0f} % or more"
+def _describe_agreement(agreement: float) -> str:
+    """Return in words how much of another photograph was found in one that does not fit."""
+    return (
+        f"at most {100 * agreement:.0f} % of another photo found in it, expected {100 * _MIN_AGREEMENT:.0f} % or more"
+    )
 
 
 def _make_view(path: Path, fov_rad: float) -> PhotoView:
