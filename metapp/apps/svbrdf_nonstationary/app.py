@@ -133,7 +133,7 @@ class SvbrdfNonstationary(App):
         return self.maps_of(theta, photo)
 
     def fill(self, theta: Params, maps: Maps, photo: Tensor) -> Maps:
-        """Fill maps [T, C, h, w] where linear photographs [T, 3, h, w] show no material; here maps stay as they are."""
+        """Fill maps [T, C, h, w] where linear photographs [T, 3, h, w] tell little; here maps stay as they are."""
         return maps
 
     def hidden_share(self, theta: Params, maps: Maps) -> Tensor:
@@ -141,7 +141,7 @@ class SvbrdfNonstationary(App):
         return maps.roughness.new_zeros(len(maps.roughness))
 
     def final_maps(self, theta: Params, photo: Tensor) -> Maps:
-        """Return the fitted maps [T, C, h, w] of linear photographs [T, 3, h, w], filled where these clip."""
+        """Return the fitted maps [T, C, h, w] of linear photographs [T, 3, h, w], filled as :meth:`fill` does."""
         return self.fill(theta, self.maps_of(theta, photo), photo)
 
     def radiance_difference(self, maps: Maps, target: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:

@@ -60,6 +60,16 @@ def test_what_a_material_has_elsewhere_stays_beneath_its_highlight() -> None:
     torch.testing.assert_close(remove_scars(spotted, photo, FLASH).diffuse, spotted.diffuse, atol=5e-3, rtol=0)
 
 
+def test_matte_materials_stay_as_they_are() -> None:
+    rng, matte = torch.Generator().manual_seed(0), even_maps(0.5, 0.0, 0.9)
+    varied = matte._replace(
+        diffuse=0.3 + 0.3 * torch.rand(matte.diffuse.shape, generator=rng),
+        roughness=0.5 + 0.4 * torch.rand(matte.roughness.shape, generator=rng),
+    )
+    for part, expected in zip(remove_scars(varied, render_photo(varied, FLASH), FLASH), varied, strict=True):
+        torch.testing.assert_close(part, expected)
+
+
 def test_metals_stay_as_they_are() -> None:
     clean = even_maps(0.02, 0.4, 0.3)
     scarred = clean._replace(specular=clean.specular * (1 - 0.5 * disc()))

@@ -71,7 +71,7 @@ def remove_scars(maps: Maps, photo: Tensor, flash: Flash) -> Maps:
     small_maps = Maps(*(adaptive_avg_pool2d(values, size) for values in maps))
     is_clipped = (adaptive_avg_pool2d(photo, size) > CLIPPED_LINEAR_VALUE).any(1, keepdim=True)
     trust = trust_texels(small_maps, render_photo(small_maps, flash), flash)
-    weights = torch.where(is_clipped, 0, trust).square() + MIN_TRUST
+    weights = torch.where(is_clipped, 0, trust).square().clamp_min(MIN_TRUST)
 
     dielectric_share = _dielectric_share(small_maps)[:, None, None, None]
 
@@ -118,14 +118,13 @@ def _find_scars(shades: Tensor, weights: Tensor) -> Tensor:
         energies.append(_mean_square(moved_change, 1 - moved_weights))
     usual_energy = torch.stack(energies).mean(0)
     energy = _mean_square(change, 1 - coarse_weights).clamp_min(1e-9)
-    share = (1 - MIN_ENERGY_RATIO * usual_energy / energy).clamp_min(0)
+    share = (1 - MIN_ENERGY_RATIO * usual_energy / energy).clamp(0, 1)
     scars: Tensor = torch.einsum("cp,tphw->tchw", torch.linalg.inv(to_parts), share * change)
     return scars
 
 
 def _mean_square(values: Tensor, weights: Tensor) -> Tensor:
     """Return the weighted means of squares of values [T, P, H, W], by weights [T, 1, H, W]: [T, P, 1, 1]."""
-    means: Tensor = (weights * values * values).sum((2, 3), keepdim=True) / weights.sum((2, 3), keepdim=True).clamp_min(
-        1e-6
-    )
+    total_weight = weights.sum((2, 3), keepdim=True).clamp_min(1e-6)
+    means: Tensor = (weights * values * values).sum((2, 3), keepdim=True) / total_weight
     return means
