@@ -35,16 +35,13 @@ def find_features(picture: NDArray[np.float32], levels: Sequence[float], count: 
     return np.concatenate(places), np.concatenate(descriptors)
 
 
-def match_features(
-    first: LocalFeatures, second: LocalFeatures, max_ratio: float, max_px: float
-) -> tuple[Floats, Floats]:
+def match_features(first: LocalFeatures, second: LocalFeatures, max_ratio: float) -> tuple[Floats, Floats]:
     """Match features of two pictures that are most alike, each to the other.
 
     Args:
         first: the features of the first picture.
         second: the features of the second picture.
         max_ratio: the distance of the best match over the distance of the second best, at most.
-        max_px: how far apart the places of a match may be, in px.
 
     Returns:
         The places of M matches in both pictures, [M, 2] px each.
@@ -52,8 +49,6 @@ def match_features(
     if not len(first[0]) or not len(second[0]):
         return np.zeros((0, 2)), np.zeros((0, 2))
     similarity, rows = first[1] @ second[1].T, np.arange(len(first[0]))
-    squared_distances = (first[0] ** 2).sum(1)[:, None] + (second[0] ** 2).sum(1) - 2 * first[0] @ second[0].T
-    similarity[squared_distances > max_px * max_px] = 0.0
     best, best_back = similarity.argmax(1), similarity.argmax(0)
     best_similarity = similarity[rows, best]
     similarity[rows, best] = 0.0

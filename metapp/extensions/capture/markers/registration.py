@@ -285,7 +285,7 @@ def _guess_homographies(view: PhotoView, other: PhotoView) -> Iterable[Floats]:
 
     There are several, as repetitions of a pattern may have more matches than the right homography.
     """
-    places, other_places = match_features(view.features, _select_features(other.features, other), _MAX_RATIO, math.inf)
+    places, other_places = match_features(view.features, _select_features(other.features, other), _MAX_RATIO)
     for _ in range(_MAX_GUESSES):
         homography, is_inlier = fit_homography(places, other_places, 3.0)
         if is_inlier.sum() < MIN_MATCHES:
@@ -312,7 +312,7 @@ def _show_matches(
             "orange",
         )
         if view is not reference:
-            places, reference_places = match_features(view.features, reference.features, _MAX_RATIO, math.inf)
+            places, reference_places = match_features(view.features, reference.features, _MAX_RATIO)
             _, is_inlier = fit_homography(places, reference_places, 3.0)
             name = reference.sighting.path.name
             match_text = f"{len(places)} of them with a like one in {name}"
