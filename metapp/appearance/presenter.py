@@ -73,7 +73,7 @@ class Presenter(Generic[PresentedApp]):
             measured: whether there are errors; fits of photographs have none, since nothing tells the truth.
         """
         app = self.app
-        conditions = ({"fits see": app.protocol} if app.protocol else {}) | app.conditions()
+        conditions = ({"fits see": app.protocol} if app.protocol else {}) | app.recorded_conditions()
         stated = (
             f"error: {app.error_measure.text}{app.error_measure.factor}"
             if measured

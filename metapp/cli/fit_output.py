@@ -132,7 +132,7 @@ def _make_document(report: RunReport) -> Document:
         "folder",
     )
     return {
-        **{key: settings[key] for key in (*setting_keys, *report.run.app.conditions()) if key in settings},
+        **{key: settings[key] for key in (*setting_keys, *report.run.app.recorded_conditions()) if key in settings},
         **summary(records),
         "guarded": count_guarded(records),
         "tasks": [{key: record[key] for key in record_keys if key in record} for record in records],

@@ -54,7 +54,7 @@ def make_row(
         name: the name of the row's method, such as a paradigm.
         records: records of tasks; their entry `error` may hold another measure than the application's error.
         entries: further entries. They replace figures of records that have the same names, such as `tasks`; but not the
-            application's conditions, nor the entries `vs_<name>`.
+            application's recorded conditions, nor the entries `vs_<name>`.
         compared_rows: names of rows of the results. For each there is an entry `vs_<name>`, the comparison of errors
             with that row's on the same tasks. It is None if the row would be compared with itself, or if
             :func:`compare_errors` returns no comparison, as when there is no common task.
@@ -86,7 +86,7 @@ def make_row(
         "paper_seconds": None,
         **{f"mean_{key}": statistics.fmean(values) if values else None for key, values in measure_values.items()},
         **entries,
-        **app.conditions(),
+        **app.recorded_conditions(),
     }
     for compared_row in compared_rows:
         other_errors = errors_by_task(evaluation.records(compared_row)) if compared_row != name else {}

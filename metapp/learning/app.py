@@ -84,8 +84,8 @@ class App(ABC):
         """The size at which a user's files are read, in px a side or rows of a map; 0 leaves it to the readers."""
         return 0
 
-    def conditions(self, device: torch.device | None = None) -> dict[str, str]:
-        """Return conditions that errors depend on, by name; every record and caption states them.
+    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
+        """Return the conditions that errors depend on, by name, which every record and caption states.
 
         Args:
             device: the device on which fits take their steps: the precision of steps there is then one of the
@@ -172,17 +172,17 @@ class App(ABC):
         return encoder
 
     @abstractmethod
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        """Return the condition that General's encoder reads of each task (I in the paper); tensors are [T, ...]."""
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
+        """Return the input of General's encoder for each task (I in the paper); tensors are [T, ...]."""
 
-    def encode(self, encoder: Params, condition: Batch) -> Params:
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Predict network parameters [T, ...] in one forward pass of the encoder.
 
         Args:
             encoder: the parameters of the encoder.
-            condition: the condition [T, ...] of each task, from :meth:`condition`.
+            encoder_input: the input [T, ...] of the encoder for each task, from :meth:`encoder_input`.
         """
-        theta: Params = self.network.encode(encoder, condition)
+        theta: Params = self.network.encode(encoder, encoder_input)
         return theta
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

@@ -291,11 +291,11 @@ class EncoderPrediction(NamedTuple):
     """The prediction of initialisations by an encoder, as two functions.
 
     Attributes:
-        condition: a function (tasks, rng) -> the condition that the encoder reads of each task.
-        encode: a function (encoder parameters, condition) -> parameters [T, ...].
+        encoder_input: a function (tasks, rng) -> the input of the encoder for each task.
+        encode: a function (encoder parameters, encoder input) -> parameters [T, ...].
     """
 
-    condition: Callable[[AnyData, Generator], AnyBatch]
+    encoder_input: Callable[[AnyData, Generator], AnyBatch]
     encode: Callable[[Params, AnyBatch], Params]
 
 
@@ -342,13 +342,14 @@ def after_learning(
     def draw(tasks: AnyData, rng: Generator, done: float) -> DrawnBatch:
         inner = [loss.draw(tasks, rng, i / steps).batch for i in range(steps)]
         outer = last_loss.draw(tasks, rng, 1.0)
-        return DrawnBatch(outer.names, (inner, outer.batch, prediction.condition(tasks, rng) if prediction else None))
+        encoder_input = prediction.encoder_input(tasks, rng) if prediction else None
+        return DrawnBatch(outer.names, (inner, outer.batch, encoder_input))
 
     def value(phi: Params, batch: AnyBatch, _: Params) -> Tensor:
-        inner, outer, condition = batch
+        inner, outer, encoder_input = batch
         count = next(iter(outer.values())).shape[0]
         parts = MetaParameters.unflatten(phi)
-        theta = prediction.encode(parts.encoder, condition) if prediction else expand_tasks(parts.theta, count, 0)
+        theta = prediction.encode(parts.encoder, encoder_input) if prediction else expand_tasks(parts.theta, count, 0)
         # the mean over tasks divides the gradient of each task by their number, so that the limit is divided, too
         theta, alpha = clip_task_gradients(theta, expand_tasks(parts.alpha, count, 1), clip / count)
         update_rule = rule(alpha)
@@ -371,7 +372,7 @@ def after_encoding(loss: Loss, prediction: EncoderPrediction) -> Loss:
 
     def draw(tasks: AnyData, rng: Generator, done: float) -> DrawnBatch:
         names, batch = loss.draw(tasks, rng, done)
-        return DrawnBatch(names, (prediction.condition(tasks, rng), batch))
+        return DrawnBatch(names, (prediction.encoder_input(tasks, rng), batch))
 
     def value(phi: Params, batch: AnyBatch, learned: Params) -> Tensor:
         return loss.value(prediction.encode(MetaParameters.unflatten(phi).encoder, batch[0]), batch[1], learned)

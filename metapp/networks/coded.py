@@ -1,6 +1,6 @@
 """Applications whose network has a code in every place, which General's encoder reads from a photograph.
 
-The functions below split General's parameters into a reader of the condition and a decoder that all tasks share.
+The functions below split General's parameters into a reader of the encoder input and a decoder that all tasks share.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ class CodedApp(App):
         return join_encoder(self.init_reader(rng), self.network.init(rng, 1), ("z",))
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"photo": tasks.data["photo"][tasks.rows]}
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        theta, network = self.read(select_reader(encoder), condition["photo"]), self.network
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
+        theta, network = self.read(select_reader(encoder), encoder_input["photo"]), self.network
         theta["z"] = regrid(theta["z"], network.rows, network.columns, periodic=network.periodic)
         return add_decoder(theta, encoder)
 
@@ -70,7 +70,7 @@ class CodedApp(App):
 
 
 def join_encoder(reader: Params, theta: Params, predicted: Collection[str]) -> Params:
-    """Join the parameters of General: a reader of conditions, and the network's parameters that all tasks share.
+    """Join the parameters of General: a reader of the encoder input, and the network's parameters that all tasks share.
 
     Args:
         reader: the parameters of the reader; they are called `encoder.<name>` in the result.
@@ -82,7 +82,7 @@ def join_encoder(reader: Params, theta: Params, predicted: Collection[str]) -> P
 
 
 def select_reader(encoder: Params) -> Params:
-    """Select the parameters of the reader of conditions, by name, from General's: those called `encoder.<name>`."""
+    """Select the reader's parameters, by name, from General's: those called `encoder.<name>`."""
     return {key.removeprefix("encoder."): value for key, value in encoder.items() if key.startswith("encoder.")}
 
 

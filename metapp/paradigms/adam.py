@@ -131,7 +131,7 @@ class GeneralPreparation(Preparation):
     @property
     @override
     def shared_by_protocols(self) -> bool:
-        """True, as an encoder depends on the protocol only by the condition that it reads."""
+        """True, as an encoder depends on the protocol only by its input."""
         return True
 
     @property
@@ -153,7 +153,7 @@ class GeneralPreparation(Preparation):
     def outer_loss(self, phi: MetaParameters) -> Loss:
         """Return the outer loss of the encoder's predictions."""
         app, training = self.paradigm.app, self.outer_loop
-        prediction = EncoderPrediction(app.condition, app.encode)
+        prediction = EncoderPrediction(app.encoder_input, app.encode)
         loss = after_encoding(task_loss(app, self.paradigm.recipe.batch, outer=True), prediction)
         outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
         # stages select tasks before these are augmented, so that nothing is augmented in vain
@@ -211,7 +211,7 @@ class QuickFTPreparation(Preparation):
 
 def predict_parameters(app: App, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """Predict parameters of tasks by the encoder of phi, encode(I): detached tensors [T, ...]."""
-    theta = app.encode(phi.encoder, draw_per_task(app.condition, tasks, rng))
+    theta = app.encode(phi.encoder, draw_per_task(app.encoder_input, tasks, rng))
     return {key: value.detach() for key, value in theta.items()}
 
 
@@ -222,10 +222,10 @@ def encoder_prediction(app: App) -> EncoderPrediction:
     :meth:`metapp.learning.app.App.task_parameters`.
     """
 
-    def condition(tasks: Tasks, rng: Generator) -> tuple[Batch, Params]:
-        return app.condition(tasks, rng), app.task_parameters(tasks)
+    def encoder_input(tasks: Tasks, rng: Generator) -> tuple[Batch, Params]:
+        return app.encoder_input(tasks, rng), app.task_parameters(tasks)
 
-    def encode(encoder: Params, condition: tuple[Batch, Params]) -> Params:
-        return condition[1] | app.encode(encoder, condition[0])
+    def encode(encoder: Params, encoder_input: tuple[Batch, Params]) -> Params:
+        return encoder_input[1] | app.encode(encoder, encoder_input[0])
 
-    return EncoderPrediction(condition, encode)
+    return EncoderPrediction(encoder_input, encode)

@@ -125,7 +125,7 @@ def _require_kind(path: Path, run: Run, preparation: Preparation, phi: MetaParam
             f"{path}: a checkpoint for --observe {protocol}, expected one for {app.protocol}; give --observe "
             f"{protocol} or another checkpoint."
         )
-    for key, condition in app.conditions().items():
+    for key, condition in app.recorded_conditions().items():
         trained_condition = header.get(key, condition)
         if trained_condition != condition and phi.encoder:
             raise ValueError(

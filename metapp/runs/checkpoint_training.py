@@ -249,7 +249,7 @@ def _training_settings(
         | {"recipe": run.options.recipe, "recipe_digest": content_digest(repr(run.recipe)), "seed": run.options.seed}
         | {"steps": run.options.train_steps, "versions": software_versions()}
         | ({} if preparation.shared_by_protocols else protocol_entry(run.app))
-        | run.app.conditions(run.device)
+        | run.app.recorded_conditions(run.device)
         | ({"encoder": tensor_digest(general.encoder)} if general else {})
         | ({"first": first.digest} if first else {})
     )

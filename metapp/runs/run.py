@@ -186,7 +186,7 @@ class Run:
             "seed": self.options.seed,
             "device": str(self.device),
             "versions": software_versions(),
-            **app.conditions(self.device if paradigm.steps else None),
+            **app.recorded_conditions(self.device if paradigm.steps else None),
         }
 
     def folder(self, label: str) -> RunFolder:

@@ -124,7 +124,7 @@ def test_fits_see_the_first_half_alone(tasks: Tasks, theta: Params, rng: Generat
     hidden, seen = poison_second_half(tasks, slice(SAMPLES // 2, None)), poison_second_half(tasks, slice(SAMPLES // 2))
     drawn = APP.sample(hidden, rng, 5000)["target"]
     assert torch.isfinite(drawn).all()
-    assert torch.isfinite(APP.condition(hidden, rng)["target"]).all()
+    assert torch.isfinite(APP.encoder_input(hidden, rng)["target"]).all()
     assert torch.isfinite(APP.errors(theta, seen)["error"]).all()
     assert len(drawn[0].T.unique(dim=0)) > 0.95 * len(tasks.data["target"][0, : SAMPLES // 2].unique(dim=0))
 
@@ -133,7 +133,7 @@ def test_fits_see_the_first_half_alone(tasks: Tasks, theta: Params, rng: Generat
 
 
 def test_encoder_does_not_depend_on_the_order_of_samples(tasks: Tasks, rng: Generator) -> None:
-    encoder, seen = APP.init_encoder(rng), APP.condition(tasks, rng)
+    encoder, seen = APP.init_encoder(rng), APP.encoder_input(tasks, rng)
     shuffled = {key: value[..., torch.randperm(value.shape[-1], generator=rng)] for key, value in seen.items()}
     order = torch.randperm(seen["where"].shape[-1], generator=rng)
     together = {key: value[..., order] for key, value in seen.items()}

@@ -241,7 +241,7 @@ def test_quilts_are_known_of_each_task_and_no_step_changes_them(app: ExemplarApp
     assert quilt[0].std() > 0.1
     rng = Generator().manual_seed(0)
     theta = Overfit.of(app, tiny(app.name), steps=2).fit(MetaParameters(), pavement, rng)
-    encoded = app.encode(app.init_encoder(rng), app.condition(pavement, rng))
+    encoded = app.encode(app.init_encoder(rng), app.encoder_input(pavement, rng))
     for parameters in (theta, encoded):
         assert torch.equal(parameters["quilt"], quilt)
         assert torch.equal(parameters["places"], places)
@@ -263,7 +263,7 @@ def test_coarse_stages_train_by_quilts_of_augmented_exemplars(app: ExemplarApp, 
     rng = Generator().manual_seed(0)
     for done in (0.0, 0.9):
         variants = app.augment(app.stage(pavement, done), rng)
-        theta = app.encode(app.init_encoder(rng), app.condition(variants, rng))
+        theta = app.encode(app.init_encoder(rng), app.encoder_input(variants, rng))
         assert app.outer_loss(theta, app.sample(variants, rng, 1), {}).isfinite().all()
 
 

@@ -90,7 +90,7 @@ def test_suns_are_found_before_fits_and_stay_fixed(rng: Generator) -> None:
     app = Illumination(field, protocol="reference")
     tasks = stack_tasks(app, [task])
     how, encoder = encoder_prediction(app), app.init_encoder(rng)
-    predicted, theta = (variant.encode(encoder, variant.condition(tasks, rng)) for variant in (app, how))
+    predicted, theta = (variant.encode(encoder, variant.encoder_input(tasks, rng)) for variant in (app, how))
     assert not [key for key in predicted if key.startswith("suns")]  # General sees the photograph alone
     torch.testing.assert_close(join_suns(theta), tasks.data["suns"])
     assert theta.keys() - predicted.keys() == app.task_parameters(tasks).keys() == split_suns(tasks.data["suns"]).keys()
@@ -104,5 +104,5 @@ def test_suns_are_found_before_fits_and_stay_fixed(rng: Generator) -> None:
     at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_maps(theta)))
     assert at[0] == pytest.approx(at[1], rel=0.05)
     photo = Illumination(field, protocol="photo")
-    condition = encoder_prediction(photo).condition(stack_tasks(photo, [task]), rng)
-    assert not [key for key in encoder_prediction(photo).encode(encoder, condition) if key.startswith("suns")]
+    encoder_input = encoder_prediction(photo).encoder_input(stack_tasks(photo, [task]), rng)
+    assert not [key for key in encoder_prediction(photo).encode(encoder, encoder_input) if key.startswith("suns")]

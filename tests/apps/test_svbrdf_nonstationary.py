@@ -192,7 +192,7 @@ def test_the_flash_of_a_fit_is_as_high_as_a_camera_of_known_height(rng: Generato
     for height in (0.0, 1.01 * camera_distance(), 5.0):
         places = {"places": torch.tensor([0.0, 0.0, height]).expand(1, 2, 3)} if height else {}
         tasks = stack_tasks(app, [Task("photo", {"photo": photo} | places)])
-        theta = app.encode(encoder, app.condition(tasks, rng))
+        theta = app.encode(encoder, app.encoder_input(tasks, rng))
         heights[height] = float(app.flash_of(theta).place[0, 2])
     unknown, usual, known = heights.values()
     assert usual == unknown

@@ -372,7 +372,7 @@ def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> Non
     encoder = KEPT.init_encoder(rng)
     assert "decoder.gloss" not in encoder
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
-    unclear = KEPT.condition(tasks, rng) | {"shine": torch.tensor([[0.0, 3.0, 2.0]])}
+    unclear = KEPT.encoder_input(tasks, rng) | {"shine": torch.tensor([[0.0, 3.0, 2.0]])}
     theta = KEPT.encode(encoder, unclear)
     torch.testing.assert_close(theta["gloss"], torch.tensor([[0.5, -1.5]]))
     batch = KEPT.sample(tasks, seeded(), 1)
@@ -380,7 +380,7 @@ def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> Non
     moved = learn(theta, fixed_adam(Adam(0.1), theta, 3), tasks, task_loss(KEPT, 1), steps=3, rng=rng)
     assert torch.equal(moved["gloss"], theta["gloss"])
     assert not torch.equal(moved["out.shift"], theta["out.shift"])
-    assert "gloss" not in TINY.encode(encoder, KEPT.condition(tasks, rng))
+    assert "gloss" not in TINY.encode(encoder, KEPT.encoder_input(tasks, rng))
 
 
 @pytest.mark.parametrize("specular_before", [0.5, -12.0])  # a General whose specular is 3e-7 everywhere, too
@@ -395,7 +395,7 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: 
     encoder = KEPT.init_encoder(seeded())
     predicted = flat(KEPT, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
-    theta = KEPT.encode(encoder, KEPT.condition(tasks, seeded()))
+    theta = KEPT.encode(encoder, KEPT.encoder_input(tasks, seeded()))
     maps, _ = KEPT.generate_maps(theta, draw_noise(KEPT, seeded(), 1, 1).expand(2, -1, -1, -1, -1))
     polished, cloth = maps.roughness.mean((1, 2, 3, 4)).tolist()
     assert polished == pytest.approx(0.25, rel=0.2)

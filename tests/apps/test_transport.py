@@ -188,7 +188,7 @@ def test_errors_are_of_held_out_samples_and_add_up(app: Transport, tasks: Tasks)
 
 def test_untrained_encoder_predicts_the_pictures_density(app: Transport, tasks: Tasks) -> None:
     encoder = app.init_encoder(rng())
-    theta = app.encode(encoder, app.condition(tasks, rng()))
+    theta = app.encode(encoder, app.encoder_input(tasks, rng()))
     centres = (torch.arange(8) + 0.5) / 8
     y, x = (values.flatten() for values in torch.meshgrid(centres, centres, indexing="ij"))
     points = torch.stack([x, y, x, y]).expand(4, 4, 64)

@@ -227,13 +227,13 @@ def test_meta_is_learn_over_tasks_after_learning(phi: Params, tasks: Tasks, rng:
 
 
 def test_after_encoding_is_the_loss_of_predicted_parameters(tasks: Tasks, rng: Generator) -> None:
-    def condition(tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(tasks: Tasks, rng: Generator) -> Batch:
         return {"seen": tasks.data["c"][tasks.rows]}
 
     def encode(encoder: Params, observed: Any) -> Params:
         return {"x": observed["seen"] @ encoder["w"]}
 
-    loss = over_tasks(after_encoding(EXACT_LOSS, EncoderPrediction(condition, encode)), count=5)
+    loss = over_tasks(after_encoding(EXACT_LOSS, EncoderPrediction(encoder_input, encode)), count=5)
     phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flatten()
     trained = learn(phi, fixed_adam(Adam(0.05, final_rate_share=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
     torch.testing.assert_close(trained["encoder.w"], torch.eye(3).double(), rtol=0, atol=1e-3)

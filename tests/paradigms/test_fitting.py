@@ -204,8 +204,9 @@ def test_augmented_tasks_work_like_tasks(app: App, tasks: Tasks) -> None:
     assert not set(variants.names) & set(tasks.names)
     drawn = app.sample(variants, seeded_generator(), batch)
     assert shapes(drawn) == shapes(app.sample(few_tasks, seeded_generator(), batch))
-    assert shapes(app.condition(variants, seeded_generator())) == shapes(app.condition(few_tasks, seeded_generator()))
-    theta = app.encode(app.init_encoder(seeded_generator()), app.condition(variants, seeded_generator()))
+    read, expected = (app.encoder_input(some, seeded_generator()) for some in (variants, few_tasks))
+    assert shapes(read) == shapes(expected)
+    theta = app.encode(app.init_encoder(seeded_generator()), app.encoder_input(variants, seeded_generator()))
     assert app.loss(theta, drawn, {}).shape == (3,)
     assert app.loss(theta, drawn, {}).isfinite().all()
     again, other = app.augment(few_tasks, seeded_generator()), app.augment(few_tasks, seeded_generator(1))
@@ -239,7 +240,7 @@ def test_an_application_is_plain_data(app: App) -> None:
             again.network = None
         assert pickle.loads(pickle.dumps(again)) == again
         assert recipe.rule in recipe.meta
-        assert all(isinstance(value, str) and value for value in again.conditions().values())
+        assert all(isinstance(value, str) and value for value in again.recorded_conditions().values())
 
 
 # Steps read nothing back

@@ -61,15 +61,15 @@ class Curve(App):
         return first | {f"{key}.map": torch.zeros(*shape, SAMPLES // 2) for key, shape in SHAPES.items()}
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return the visible samples, `y` [T, SAMPLES / 2]."""
         return {"y": tasks.data["y"][tasks.rows][:, ::2]}
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Return the parameters of the network, [T, ...], as a linear function of the visible samples."""
         return {
-            key: encoder[f"{key}.bias"] + torch.einsum("oik,tk->toi", encoder[f"{key}.map"], condition["y"])
+            key: encoder[f"{key}.bias"] + torch.einsum("oik,tk->toi", encoder[f"{key}.map"], encoder_input["y"])
             for key in SHAPES
         }
 

@@ -25,7 +25,7 @@ from metapp.learning.random_tensors import draw_uniform
 from metapp.learning.task import Batch, LeastSquares, Params, Task, Tasks, TensorSpec
 from metapp.networks.coded import smooth_absolute
 
-CONDITION_SAMPLES = 1024  # samples that General's encoder reads
+ENCODER_SAMPLES = 1024  # samples that General's encoder reads
 MANY_SAMPLES = 4096  # different samples, above which further ones count no more against penalties
 
 
@@ -148,8 +148,8 @@ class Brdf(App):
         return parameters | {"weights": torch.zeros(steps, WEIGHT_KNOTS)}
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        return self.sample(tasks, rng, CONDITION_SAMPLES)
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
+        return self.sample(tasks, rng, ENCODER_SAMPLES)
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

@@ -92,12 +92,12 @@ class BrdfNetwork(ABC):
         """Draw random parameters of General's encoder; {} if there is none."""
         return {}
 
-    def encode(self, encoder: Params, condition: Batch) -> Params:
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Predict parameters [T, ...] from samples by one forward pass of General's encoder.
 
         Args:
             encoder: parameters of the encoder.
-            condition: samples that it reads, `where` [T, 7, N] and `target` [T, 3, N].
+            encoder_input: the samples, `where` [T, 7, N] and `target` [T, 3, N].
         """
         raise NotImplementedError
 

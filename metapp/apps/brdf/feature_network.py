@@ -90,10 +90,11 @@ class Featured(BrdfNetwork):
         return join_encoder(reader, self.init(rng, 1), self.unshared_parameters)
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Predict a code and a last layer from samples, find axes if there are any, and add the shared weights."""
-        axes = {AXES_AZIMUTH_KEY: anisotropic.find_axes(condition)} if self.anisotropic else {}
-        samples = torch.cat([self._make_inputs(axes, condition["where"]), condition["target"]], 1).transpose(1, 2)
+        axes = {AXES_AZIMUTH_KEY: anisotropic.find_axes(encoder_input)} if self.anisotropic else {}
+        inputs = self._make_inputs(axes, encoder_input["where"])
+        samples = torch.cat([inputs, encoder_input["target"]], 1).transpose(1, 2)
         code, last = read_set(select_reader(encoder), samples).split([self.code, 3 * (self.features + 1)], 1)
         return add_decoder(axes | {"z": code[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
 

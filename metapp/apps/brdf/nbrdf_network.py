@@ -58,8 +58,8 @@ class Nbrdf(BrdfNetwork):
         return encoder
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        numbers = read_set(encoder, torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2))
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
+        numbers = read_set(encoder, torch.cat([encoder_input["where"], encoder_input["target"]], 1).transpose(1, 2))
         parts = numbers.split([math.prod(shape) for shape in parameter_shapes(self).values()], 1)
         return {
             name: part.reshape(-1, *shape)

@@ -81,7 +81,7 @@ class ExemplarApp(App):
         return self.octaves.octave_size()
 
     @override
-    def conditions(self, device: torch.device | None = None) -> dict[str, str]:
+    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
         return feature_conditions(device if self.statistics.reduced_precision else None)
 
     @override
@@ -218,16 +218,16 @@ class ExemplarApp(App):
         return encoder
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"summary": tasks.data["summary"][tasks.rows]} | self.task_parameters(tasks)
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        x = torch.log(condition["summary"] + 0.01) / 2  # as features are heavy-tailed
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
+        x = torch.log(encoder_input["summary"] + 0.01) / 2  # as features are heavy-tailed
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
             x = leaky_relu(x, ENCODER_LEAKY_SLOPE) if layer < 3 else x
-        return add_decoder({"z": x} | {key: condition[key] for key in QUILT_KEYS if key in condition}, encoder)
+        return add_decoder({"z": x} | {key: encoder_input[key] for key in QUILT_KEYS if key in encoder_input}, encoder)
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """Crop an image [3, S, S] at random to [3, s, s] that could have been photographed as well; here not at all."""

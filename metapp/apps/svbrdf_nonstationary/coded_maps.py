@@ -217,13 +217,13 @@ class FromPhoto(CodedMaps):
         return super().prepare(task) | ({"height": torch.where(is_usual, 0, height)} if self.fills else {})
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         heights = {"height": tasks.data["height"][tasks.rows]} if "height" in tasks.data else {}
-        return super().condition(tasks, rng) | heights
+        return super().encoder_input(tasks, rng) | heights
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        return self._move_flash(super().encode(encoder, condition), condition)
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
+        return self._move_flash(super().encode(encoder, encoder_input), encoder_input)
 
     @override
     def photo_difference(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:

@@ -83,14 +83,14 @@ class SvbrdfStationary(ExemplarApp):
         return theta | {"gloss": torch.zeros(count, 2, device=rng.device)} if self.prior else theta
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        return super().condition(tasks, rng) | {"shine": tasks.data["shine"][tasks.rows]}
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
+        return super().encoder_input(tasks, rng) | {"shine": tasks.data["shine"][tasks.rows]}
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Add `gloss` [T, 2] if fits have a prior: the mean logits of specular and roughness that it expects."""
-        theta = super().encode(encoder, condition)
-        return self._set_gloss(theta, condition["shine"]) if self.prior else theta
+        theta = super().encode(encoder, encoder_input)
+        return self._set_gloss(theta, encoder_input["shine"]) if self.prior else theta
 
     def _set_gloss(self, theta: Params, shine: Tensor) -> Params:
         """Shift the mean gloss of General's maps to the gloss that a clear highlight shows, and add it as `gloss`.

@@ -37,14 +37,14 @@ class QuiltedTexture(Texture):
         return self.network.init_encoder(rng)
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return the quilts, and `moments` [T, 6], the channels' means and deviations of exemplars."""
         return self.task_parameters(tasks) | {"moments": tasks.data["moments"][tasks.rows]}
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        places, quilt = condition["places"], condition["quilt"]
-        return self.network.encode(encoder, quilt, condition["moments"]) | {"places": places, "quilt": quilt}
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
+        places, quilt = encoder_input["places"], encoder_input["quilt"]
+        return self.network.encode(encoder, quilt, encoder_input["moments"]) | {"places": places, "quilt": quilt}
 
     @override
     def make_targets(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:

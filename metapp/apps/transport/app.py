@@ -94,12 +94,12 @@ class Transport(App):
         return join_encoder(init_reader(rng, self.network.code), self.network.init(rng, 1), ("z", "film.x", "film.y"))
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"image": tasks.data["image"][tasks.rows]}
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        return add_decoder(read_scene_pictures(select_reader(encoder), condition["image"], self.network), encoder)
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
+        return add_decoder(read_scene_pictures(select_reader(encoder), encoder_input["image"], self.network), encoder)
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

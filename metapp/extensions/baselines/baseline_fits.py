@@ -94,7 +94,7 @@ def baseline_settings(run: Run, baseline: Baseline, label: str) -> Record:
         **({"options": own_options} if own_options else {}),
         "seed": options.seed,
         "versions": software_versions() | {"scipy": metadata.version("scipy")},
-        **app.conditions(),
+        **app.recorded_conditions(),
     }
 
 

@@ -59,7 +59,7 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
         )
     assert checkpoint is not None
     metadata = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
-    if reads_features := bool(app.conditions()):
+    if reads_features := bool(app.recorded_conditions()):
         metadata |= {"features": VGG_CREDIT, "license": f"MIT; of the features: {VGG_CREDIT}"}
     model, any_size = encode_photo_model(app, checkpoint.phi.encoder, metadata)
     side = app.network.height

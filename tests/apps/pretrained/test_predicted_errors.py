@@ -34,7 +34,7 @@ def test_the_likelihood_moves_the_predicted_error_alone(
     app: FromFeatures, tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     windows = app.augment(tasks, rng)
-    start = app.encode(app.init_encoder(rng), app.condition(windows, rng))
+    start = app.encode(app.init_encoder(rng), app.encoder_input(windows, rng))
     theta = {key: value.detach().requires_grad_() for key, value in start.items()}
     batch, grads = app.sample(windows, rng, 1), []
     for weight in (pretrained.LIKELIHOOD_WEIGHT, 0.0):
@@ -47,7 +47,7 @@ def test_the_likelihood_moves_the_predicted_error_alone(
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_steps_leave_the_predicted_error(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
-    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}
     loss = app.loss(leaves, app.sample(tasks, rng, 1), {}).sum()
     grads = dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values()), materialize_grads=True), strict=True))

@@ -130,14 +130,14 @@ def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: 
     phi = general.first_phi(None, tasks, rng)
     loss = general.outer_loss(phi)
     drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch
-    flat = app.maps_of(app.encode(phi.encoder, app.condition(tasks, rng)), tasks.data["photo"])
+    flat = app.maps_of(app.encode(phi.encoder, app.encoder_input(tasks, rng)), tasks.data["photo"])
     assert float(flat.normal[:, 2].mean()) > 0.99
     same = replace(loss, draw=lambda data, own, done: loss.draw(data, Generator().manual_seed(0), done))
     end = final_item(descend(phi.flatten(), outer_adam(training, phi.flatten()), tasks, same, steps=12, rng=rng)).theta
     before, after = (float(loss.value(parameters, drawn, {}).mean()) for parameters in (phi.flatten(), end))
     assert after < 0.9 * before
     encoder = {key.removeprefix("encoder."): value for key, value in end.items()}
-    assert set(app.errors(app.encode(encoder, app.condition(tasks, rng)), tasks)) >= {"error", "normal"}
+    assert set(app.errors(app.encode(encoder, app.encoder_input(tasks, rng)), tasks)) >= {"error", "normal"}
 
 
 # Both networks in one field, and steps by the photograph, which move one of them
@@ -186,7 +186,7 @@ def test_shallow_slopes_become_flatter_and_steep_ones_steeper(app: FromFeatures)
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_training_sees_raw_maps_and_fits_see_processed_ones(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     """Training on processed maps would undo the processing."""
-    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     photo = tasks.data["photo"]
     raw = app.network(theta, pixel_inputs(photo))
     for maps, expected in (
@@ -202,7 +202,7 @@ def test_training_sees_raw_maps_and_fits_see_processed_ones(app: FromFeatures, t
 def test_photo_steps_equal_steps_of_the_whole_field_except_fixed_parts(
     app: FromFeatures, tasks: Tasks, rng: Generator
 ) -> None:
-    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     theta = {key: value.detach().requires_grad_() for key, value in theta.items()}
     batch, code_channels = app.sample(tasks, rng, 1), app.network.code
     loss = app.loss(theta, batch, {})
@@ -223,7 +223,7 @@ def test_photo_steps_equal_steps_of_the_whole_field_except_fixed_parts(
 
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
-    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     batch = app.sample(tasks, rng, 1)
     before, photo = app.maps_of(theta, batch["photo"]), task_loss(app, RECIPE.batch)
     end = final_item(

@@ -57,7 +57,7 @@ def tasks(app: SeveralPhotos) -> Tasks:
 def general(app: SeveralPhotos, tasks: Tasks) -> Params:
     """Parameters that an untrained General predicts."""
     with torch.no_grad():
-        return app.encode(app.init_encoder(Generator().manual_seed(0)), app.condition(tasks, Generator()))
+        return app.encode(app.init_encoder(Generator().manual_seed(0)), app.encoder_input(tasks, Generator()))
 
 
 def relief(side: int) -> Maps:
@@ -105,7 +105,7 @@ def test_exposures_of_photographs_are_solved() -> None:
 
 
 def test_the_order_of_photographs_does_not_matter(app: SeveralPhotos, tasks: Tasks) -> None:
-    batch, encoder = app.condition(tasks, Generator()), app.init_encoder(Generator().manual_seed(0))
+    batch, encoder = app.encoder_input(tasks, Generator()), app.init_encoder(Generator().manual_seed(0))
     one = app.encode(encoder, batch)
     loss = app.loss(one, batch, {})
     for order in map(list, itertools.permutations(range(COUNT))):
@@ -142,7 +142,7 @@ def test_true_maps_from_true_places_have_the_least_loss(app: SeveralPhotos, task
 
 
 def test_gradients_are_those_of_finite_differences(app: SeveralPhotos, tasks: Tasks) -> None:
-    batch = {key: value.double() for key, value in app.condition(tasks.select([0]), Generator()).items()}
+    batch = {key: value.double() for key, value in app.encoder_input(tasks.select([0]), Generator()).items()}
     batch["photos"] = batch["photos"][..., :4, :4].clamp_max(0.9)
     theta = {key: value.double() for key, value in general(app, tasks.select([0])).items()}
     theta = {key: value[..., :4, :4] if key in ("maps", "prior") else value for key, value in theta.items()}
@@ -165,7 +165,7 @@ def test_all_paradigms_fit_any_number_of_photographs(app: SeveralPhotos, count: 
     random = {key: value[0] for key, value in app.init(Generator(), 1).items()}
     alpha = rule_of(SEVERAL.rule).initial_alpha(app, random, 3, recipe.quickft)
     phis = {"overfit": MetaParameters(), "meta": MetaParameters(alpha=alpha, encoder=encoder)}
-    batch = app.condition(tasks, Generator())
+    batch = app.encoder_input(tasks, Generator())
     for name in PARADIGMS:
         paradigm, phi = paradigm_of(name).of(app, recipe), phis.get(name, MetaParameters(encoder=encoder))
         steps = list(paradigm.descend(phi, tasks, Generator()))

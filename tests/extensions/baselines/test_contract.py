@@ -264,7 +264,7 @@ def test_no_fit_sees_what_another_method_predicts(rng: Generator) -> None:
     app = app_by_recipe("svbrdf_nonstationary", protocol="photo")
     tasks = stack_tasks(app, [random_task(app.name, "t", rng, torch.zeros(0))])
     assert "predicted" in tasks.data
-    assert "predicted" not in app.sample(tasks, rng, 1) | app.condition(tasks, rng)
+    assert "predicted" not in app.sample(tasks, rng, 1) | app.encoder_input(tasks, rng)
 
 
 def test_nearest_training_task_of_a_training_task_is_itself(data: Callable[[str], Path], rng: Generator) -> None:

@@ -186,14 +186,14 @@ class Few(BrdfNetwork):
         return join_encoder({key: theta[key] for key in KIND_PARAMETERS}, theta, KIND_PARAMETERS)
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Return the parameters of the kind that is likeliest to have made the samples of each task."""
         reader = select_reader(encoder)
-        count = len(condition["where"])
+        count = len(encoder_input["where"])
         kinds = range(len(reader["last"]))
         models = [self.select_kinds(encoder, torch.full((count,), kind)) for kind in kinds]
         with torch.no_grad():
-            likeliest = torch.stack([log_evidence(theta, condition) for theta in models]).argmax(0)
+            likeliest = torch.stack([log_evidence(theta, encoder_input) for theta in models]).argmax(0)
         return self.select_kinds(encoder, likeliest)
 
     def select_kinds(self, encoder: Params, kinds: Tensor) -> Params:

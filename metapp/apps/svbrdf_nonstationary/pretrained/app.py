@@ -103,7 +103,7 @@ class FromFeatures(FromPhoto):
         return FINEST_PX
 
     @override
-    def conditions(self, device: torch.device | None = None) -> dict[str, str]:
+    def recorded_conditions(self, device: torch.device | None = None) -> dict[str, str]:
         return feature_conditions(device)
 
     @override
@@ -130,10 +130,10 @@ class FromFeatures(FromPhoto):
         return tasks.make_variants(draw_variants(fine, map_weights, self.network.height // 2, rng))
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return the photographs; of windows also the inputs of the field and what is known of the whole patch."""
         window = {key: tasks.data[key][tasks.rows] for key in ("inputs", *PATCH_KEYS) if key in tasks.data}
-        return super().condition(tasks, rng) | window
+        return super().encoder_input(tasks, rng) | window
 
     @override
     def read(self, reader: Params, photos: Tensor, place: Tensor | None = None, patch: Params | None = None) -> Params:
@@ -142,21 +142,22 @@ class FromFeatures(FromPhoto):
         return parameters | {key: parameters[key] / self.network.gain for key in ("z", "flash")}
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Return parameters of both fields; windows, which training alone sees, have a code in each of their pixels."""
-        full_parameters = full_encoder(condition["photo"].device).items()
+        full_parameters = full_encoder(encoder_input["photo"].device).items()
         full_decoder = {
             key.replace(DECODER_PREFIX, DECODER_PREFIX + FULL_PREFIX): value
             for key, value in full_parameters
             if key.startswith(DECODER_PREFIX)
         }
-        if "inputs" not in condition:
-            theta = super().encode(encoder | full_decoder, condition)
-            return _apply_polish(theta, self.maps_of(theta, condition["photo"]), condition.get("height"))
-        place, patch = condition["inputs"][:, -2:], {key: condition[key] for key in PATCH_KEYS if key in condition}
-        parameters = self.read(select_reader(encoder), condition["photo"], place, patch or None)
+        if "inputs" not in encoder_input:
+            theta = super().encode(encoder | full_decoder, encoder_input)
+            return _apply_polish(theta, self.maps_of(theta, encoder_input["photo"]), encoder_input.get("height"))
+        place = encoder_input["inputs"][:, -2:]
+        patch = {key: encoder_input[key] for key in PATCH_KEYS if key in encoder_input}
+        parameters = self.read(select_reader(encoder), encoder_input["photo"], place, patch or None)
         theta = add_decoder(parameters, encoder | full_decoder)
-        return _apply_polish(theta, self._evaluate_maps(theta, condition["inputs"]))
+        return _apply_polish(theta, self._evaluate_maps(theta, encoder_input["inputs"]))
 
     @override
     def postprocess(self, theta: Params) -> Params:

@@ -138,7 +138,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         Returns:
             `maps` [T, 9, H, W], `flash` [T, FLASH_NUMBERS, N] and `falloff` [T, 1], 0.
         """
-        batch, network = self.condition(tasks, Generator()), self.network
+        batch, network = self.encoder_input(tasks, Generator()), self.network
         size = (min(INITIAL_MAPS_PX, network.height), min(INITIAL_MAPS_PX, network.width))
         batch["photos"] = _pool_photos(batch["photos"], size)
         reading = reader.read_photos(batch["photos"], batch["places"])
@@ -277,15 +277,15 @@ class SeveralPhotos(SvbrdfNonstationary):
         return reader.init(rng)
 
     @override
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+    def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
         """Return `photos`, `places` and `relief`, from which General predicts maps; see :meth:`prepare`."""
         return {key: tasks.data[key][tasks.rows] for key in ("photos", "places", "relief")}
 
     @override
-    def encode(self, encoder: Params, condition: Batch) -> Params:
+    def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Return General's maps, the flashes whose brightness agrees with them, and these maps as the prior."""
-        reading = reader.read_photos(condition["photos"], condition["places"])
-        maps, log_scales = reader.predict_maps(encoder, reading, condition["relief"])
+        reading = reader.read_photos(encoder_input["photos"], encoder_input["places"])
+        maps, log_scales = reader.predict_maps(encoder, reading, encoder_input["relief"])
         # General predicts one scale for each kind of map: all numbers of that kind share it.
         expanded_scales = [
             log_scale.expand(-1, count, -1, -1)
@@ -293,7 +293,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         ]
         return {
             "maps": maps,
-            "flash": estimate_flashes(decode_maps(maps), condition),
+            "flash": estimate_flashes(decode_maps(maps), encoder_input),
             "falloff": _no_falloff(maps),
             "prior": torch.cat([maps, *expanded_scales], 1),
         }
