@@ -288,14 +288,14 @@ class MakeSteps(Protocol):
 class DescendOuterLoss(Protocol):
     """A function that takes the outer steps of a training faster than torch where it can; the hook "outer_loop".
 
-    >>> def descend_outer_loss(paradigm, training, params, tasks, rng, since=None):
+    >>> def descend_outer_loss(paradigm, outer_loop, params, tasks, rng, since=None):
     ...     return None
     """
 
     def __call__(
         self,
         paradigm: Any,
-        training: OuterLoop,
+        outer_loop: OuterLoop,
         params: Params,
         tasks: Tasks,
         rng: Generator,
@@ -306,7 +306,7 @@ class DescendOuterLoss(Protocol):
 
         Args:
             paradigm: the :class:`metapp.paradigms.paradigm.Paradigm` that fits, whose phi is trained.
-            training: the settings of the outer loop.
+            outer_loop: the settings of the outer loop.
             params: the phi before the first step, a flat tree.
             tasks: the training tasks.
             rng: the source of all random numbers. After each state that is yielded, it must be in the state in which
@@ -315,7 +315,7 @@ class DescendOuterLoss(Protocol):
 
         Returns:
             The state before the first step, then states after some of the steps, among them each step at which
-            `training.validate_every` asks for a validation, and the last. The loss of a state holds the losses of all
+            `outer_loop.validate_every` asks for a validation, and the last. The loss of a state holds the losses of all
             steps since the state before, one step after the other, and `names` the names of their tasks. A step whose
             loss is not finite ends the steps before a state. None if the function cannot take these steps.
         """

@@ -1,7 +1,7 @@
 """The five paradigms, each an initialisation, a rule and a number of steps: their table, by name.
 
 In order of reading: :mod:`paradigm` has the contracts of a paradigm and of the training of its checkpoints. :mod:`adam`
-has General, Overfit, Finetune and QuickFT, :mod:`meta` has Meta. :mod:`phi_training` trains checkpoints, :mod:`ranks`
+has General, Overfit, Finetune and QuickFT, :mod:`meta` has Meta. :mod:`training` trains checkpoints, :mod:`ranks`
 shares that work between processes. This table is read before torch is loaded, and imports nothing large. Paradigms
 never name an application.
 """

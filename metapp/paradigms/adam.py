@@ -18,7 +18,7 @@ from metapp.learning.learn import EncoderPrediction, MetaParameters, after_encod
 from metapp.learning.random_tensors import Rng, draw_per_task
 from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.paradigms.paradigm import Paradigm, Preparation
+from metapp.paradigms.paradigm import CheckpointTraining, Paradigm
 
 # fields of `Adam` that QuickFT's checkpoints hold, each as a tensor of the field's name
 QUICKFT_ADAM_SETTINGS = ("rate", "beta1", "beta2", "eps", "final_rate_share")
@@ -59,8 +59,8 @@ class General(Paradigm):
 
     @property
     @override
-    def preparations(self) -> tuple[Preparation, ...]:
-        return (GeneralPreparation(General.of(self.app, self.recipe)),)
+    def trainings(self) -> tuple[CheckpointTraining, ...]:
+        return (GeneralTraining(General.of(self.app, self.recipe)),)
 
     @override
     def initialisation(self, phi: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
@@ -92,7 +92,7 @@ class Finetune(General):
 class QuickFT(Finetune):
     """Adam from General's prediction, for as many steps as Meta takes, with settings from a search.
 
-    The search looks for the lowest error of fits of validation tasks. See :class:`QuickFTPreparation`.
+    The search looks for the lowest error of fits of validation tasks. See :class:`AdamSearchTraining`.
     """
 
     name = "quickft"
@@ -106,9 +106,9 @@ class QuickFT(Finetune):
 
     @property
     @override
-    def preparations(self) -> tuple[Preparation, ...]:
+    def trainings(self) -> tuple[CheckpointTraining, ...]:
         """The training of General's encoder, and the search of an Adam for it."""
-        return (*super().preparations, QuickFTPreparation(QuickFT.of(self.app, self.recipe)))
+        return (*super().trainings, AdamSearchTraining(QuickFT.of(self.app, self.recipe)))
 
     @override
     def adam(self, phi: MetaParameters) -> Adam:
@@ -118,14 +118,14 @@ class QuickFT(Finetune):
 
 
 @dataclass(frozen=True)
-class GeneralPreparation(Preparation):
+class GeneralTraining(CheckpointTraining):
     """The training of General's encoder."""
 
     paradigm: General
 
     @property
     @override
-    def general(self) -> Preparation:
+    def general(self) -> CheckpointTraining:
         return self
 
     @property
@@ -152,25 +152,25 @@ class GeneralPreparation(Preparation):
     @override
     def outer_loss(self, phi: MetaParameters) -> Loss:
         """Return the outer loss of the encoder's predictions."""
-        app, training = self.paradigm.app, self.outer_loop
+        app, outer_loop = self.paradigm.app, self.outer_loop
         prediction = EncoderPrediction(app.encoder_input, app.encode)
         loss = after_encoding(task_loss(app, self.paradigm.recipe.batch, outer=True), prediction)
-        outer = over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
+        outer = over_tasks(loss, count=outer_loop.tasks, augment=app.augment if outer_loop.augment else None)
         # stages select tasks before these are augmented, so that nothing is augmented in vain
         return with_stages(outer, app.stage)
 
 
 @dataclass(frozen=True)
-class QuickFTPreparation(Preparation):
+class AdamSearchTraining(CheckpointTraining):
     """The search of QuickFT's Adam, for the encoder of a trained General."""
 
     paradigm: QuickFT
 
     @property
     @override
-    def general(self) -> Preparation:
-        """The preparation of the General whose predictions the Adam continues."""
-        return self.paradigm.preparations[0]
+    def general(self) -> CheckpointTraining:
+        """The training of the General whose predictions the Adam continues."""
+        return self.paradigm.trainings[0]
 
     @property
     @override

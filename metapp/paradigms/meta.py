@@ -1,6 +1,6 @@
 """Meta: an initialisation and a rule, learned together to be good after a few steps.
 
-The derivatives through the steps are in `metapp.learning`, and the loop of outer steps is in :mod:`phi_training`. Here
+The derivatives through the steps are in `metapp.learning`, and the loop of outer steps is in :mod:`training`. Here
 is which initialisation, rule and loss they are applied to.
 """
 
@@ -21,8 +21,8 @@ from metapp.learning.random_tensors import Rng
 from metapp.learning.recipe import Adam, Guard, MetaTraining, Recipe
 from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms.adam import General, GeneralPreparation, encoder_prediction, predict_parameters
-from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, Preparation, fastest_steps
+from metapp.paradigms.adam import General, GeneralTraining, encoder_prediction, predict_parameters
+from metapp.paradigms.paradigm import PARALLEL_TASKS, CheckpointTraining, Paradigm, fastest_steps
 
 MAX_STATISTICS_TASKS = 32  # training tasks whose gradients settle hyperparameters of a rule
 
@@ -60,9 +60,9 @@ class Meta(Paradigm):
 
     @property
     @override
-    def preparations(self) -> tuple[Preparation, ...]:
+    def trainings(self) -> tuple[CheckpointTraining, ...]:
         """The training of the learned rule with its initialisation, through the recipe's number of steps."""
-        return (MetaPreparation(replace(self, steps=self.recipe.steps)),)
+        return (RuleTraining(replace(self, steps=self.recipe.steps)),)
 
     @property
     @override
@@ -96,7 +96,7 @@ class Meta(Paradigm):
 
 
 @dataclass(frozen=True)
-class MetaPreparation(Preparation):
+class RuleTraining(CheckpointTraining):
     """The training of a learned rule and its initialisation, through the steps of fits."""
 
     paradigm: Meta
@@ -109,9 +109,9 @@ class MetaPreparation(Preparation):
 
     @property
     @override
-    def general(self) -> Preparation:
-        """The preparation of General with the network that this rule has."""
-        return GeneralPreparation(General.of(self.paradigm.app, self.paradigm.recipe))
+    def general(self) -> CheckpointTraining:
+        """The training of General with the network that this rule has."""
+        return GeneralTraining(General.of(self.paradigm.app, self.paradigm.recipe))
 
     @property
     @override
@@ -159,18 +159,18 @@ class MetaPreparation(Preparation):
     @override
     def outer_loss(self, phi: MetaParameters) -> Loss:
         """Return the loss that is left after the steps of a fit (alg. 3)."""
-        paradigm, app, training = self.paradigm, self.paradigm.app, self.outer_loop
+        paradigm, app, outer_loop = self.paradigm, self.paradigm.app, self.outer_loop
         loss = after_learning(
-            replace(paradigm.loss, smoothing=training.smoothing),
+            replace(paradigm.loss, smoothing=outer_loop.smoothing),
             paradigm.learned_rule.update_rule,
             steps=paradigm.steps,
-            order=training.order,
-            clip=training.clip,
+            order=outer_loop.order,
+            clip=outer_loop.clip,
             prediction=encoder_prediction(app) if phi.encoder else None,
             outer_loss=task_loss(app, paradigm.recipe.batch, outer=True),
             steps_of=fastest_steps(compiles=app.single_threaded),
         )
-        return over_tasks(loss, count=training.tasks, augment=app.augment if training.augment else None)
+        return over_tasks(loss, count=outer_loop.tasks, augment=app.augment if outer_loop.augment else None)
 
     @override
     def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:

@@ -1,4 +1,4 @@
-"""The contracts of a paradigm, as fits see it, and of a preparation, as the training of checkpoints sees it.
+"""The contracts of a paradigm, by which tasks are fitted, and of the training of a checkpoint that fits read.
 
 A fit needs an initialisation, a rule and a number of steps. A checkpoint needs a search, an outer loop, or both. No
 code outside this package asks for a paradigm by its name: whatever differs between paradigms is a method or a
@@ -85,7 +85,7 @@ class Paradigm(ABC):
         """Return the number of gradient steps that a recipe gives the paradigm."""
 
     @property
-    def preparations(self) -> tuple[Preparation, ...]:
+    def trainings(self) -> tuple[CheckpointTraining, ...]:
         """The trainings of the checkpoints that fits read: of the initialisation, then of its tuning."""
         return ()
 
@@ -153,7 +153,7 @@ class Paradigm(ABC):
 
 
 @dataclass(frozen=True)
-class Preparation(ABC):
+class CheckpointTraining(ABC):
     """The training of a checkpoint: a search of an Adam on validation tasks, an outer loop on training tasks, or both.
 
     Attributes:
@@ -169,8 +169,8 @@ class Preparation(ABC):
 
     @property
     @abstractmethod
-    def general(self) -> Preparation:
-        """The preparation of General for the same application and recipe."""
+    def general(self) -> CheckpointTraining:
+        """The training of General for the same application and recipe."""
 
     @property
     def begins_at_general(self) -> bool:

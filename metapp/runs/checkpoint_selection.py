@@ -18,7 +18,7 @@ from metapp.learning.task import Params
 from metapp.networks.field import regrid
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import QUICKFT_ADAM_SETTINGS
-from metapp.paradigms.paradigm import Preparation
+from metapp.paradigms.paradigm import CheckpointTraining
 from metapp.runs.default_recipe import has_shipped_recipe
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
 from metapp.runs.reporter import say
@@ -36,19 +36,19 @@ def attach_checkpoint(run: Run) -> Run:
     Raises:
         ValueError: there is no checkpoint, or it is one for another application, paradigm, protocol or network.
     """
-    preparations = run.paradigm.preparations
-    if not preparations:
+    trainings = run.paradigm.trainings
+    if not trainings:
         return replace(run, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
-    preparation, *tunings = preparations
-    path, options = _checkpoint_path(run, preparation), run.options
-    phi, header = load_checkpoint(path, run.device, _shipped_path(run, preparation.general))
-    _require_kind(path, run, preparation, phi, header)
-    template = preparation.template(phi)
+    training, *tunings = trainings
+    path, options = _checkpoint_path(run, training), run.options
+    phi, header = load_checkpoint(path, run.device, _shipped_path(run, training.general))
+    _require_kind(path, run, training, phi, header)
+    template = training.template(phi)
     phi = resample_alpha_grids(run.app, phi, template.alpha)
     try:
         require_matching_tensors(path, phi, template)
     except ValueError as error:
-        quick_folder = shipped_checkpoint_path(run.app.name, preparation.name).parent
+        quick_folder = shipped_checkpoint_path(run.app.name, training.name).parent
         if path.parent == quick_folder and options.recipe != QUICK_RECIPE_NAME:
             raise ValueError(
                 f"{str(error).removesuffix('.')}; this checkpoint ships for --recipe {QUICK_RECIPE_NAME}."
@@ -64,24 +64,24 @@ def attach_checkpoint(run: Run) -> Run:
     return replace(run, checkpoint=checkpoint)
 
 
-def trained_checkpoint_path(run: Run, preparation: Preparation) -> Path:
+def trained_checkpoint_path(run: Run, training: CheckpointTraining) -> Path:
     """Return the path of the checkpoint that --train writes: its folder names the data, the recipe and the seed."""
     label = data_label(training_data_folder(run.app, run.options.data, run.options.quiet))
     folder = run.options.out / run.app.name / "checkpoints" / f"{label}-{run.options.recipe}-seed{run.options.seed}"
-    return folder / f"{checkpoint_name(run.app, preparation)}.safetensors"
+    return folder / f"{checkpoint_name(run.app, training)}.safetensors"
 
 
-def checkpoint_name(app: App, preparation: Preparation) -> str:
+def checkpoint_name(app: App, training: CheckpointTraining) -> str:
     """Return a checkpoint's file name without its suffix, such as "general" or "meta-photo".
 
     The name ends with the protocol unless that is the application's first one. General learns nothing of the protocol,
     so that its name has none either if a recipe of the first protocol has an equal network.
     """
-    name = preparation.name
+    name = training.name
     if is_first_protocol(app):
         return name
     first_apps = (recipe.app for recipe in recipes_of(app.name).values())
-    is_shared = preparation.shared_by_protocols and any(
+    is_shared = training.shared_by_protocols and any(
         _network_and_fields(app) == _network_and_fields(first_app) for first_app in first_apps
     )
     return name if is_shared else f"{name}-{app.protocol}"
@@ -92,15 +92,15 @@ def _network_and_fields(app: App) -> tuple[object, ...]:
     return type(app.network), *(getattr(app, field.name) for field in fields(app) if field.name != "protocol")
 
 
-def has_shipped_checkpoint(run: Run, preparation: Preparation) -> bool:
+def has_shipped_checkpoint(run: Run, training: CheckpointTraining) -> bool:
     """Return whether a checkpoint ships that training may begin at.
 
     Training on a data set of the user must not begin at one: the shipped checkpoint may have seen its test tasks.
     """
-    return not run.options.data and _has_shipped_recipe(run) and _shipped_path(run, preparation).is_file()
+    return not run.options.data and _has_shipped_recipe(run) and _shipped_path(run, training).is_file()
 
 
-def _require_kind(path: Path, run: Run, preparation: Preparation, phi: MetaParameters, header: Document) -> None:
+def _require_kind(path: Path, run: Run, training: CheckpointTraining, phi: MetaParameters, header: Document) -> None:
     """Refuse a checkpoint for another application, paradigm, rule or protocol, or whose encoder reads other features.
 
     A file of General, which all protocols share, may name no protocol. A checkpoint without an encoder that was trained
@@ -109,15 +109,15 @@ def _require_kind(path: Path, run: Run, preparation: Preparation, phi: MetaParam
     Args:
         path: the file of the checkpoint.
         run: the run that needs it.
-        preparation: what the run needs.
+        training: the training of the checkpoint that the run needs.
         phi: the parameters in the file.
         header: the description in the file.
     """
     app, found_app, name = run.app, header.get("app"), header.get("checkpoint")
-    if (found_app, name) != (app.name, preparation.name):
+    if (found_app, name) != (app.name, training.name):
         is_rule = isinstance(name, str) and name not in PARADIGMS
         remedy = f"; add --rule {name}" if found_app == app.name and is_rule and run.paradigm.has_learned_rule else ""
-        raise ValueError(f"{path}: a checkpoint of {found_app} {name}, expected {app.name} {preparation.name}{remedy}.")
+        raise ValueError(f"{path}: a checkpoint of {found_app} {name}, expected {app.name} {training.name}{remedy}.")
     # a file without an entry was written before there was one, or holds for all protocols
     protocol = header.get("observe", app.protocol)
     if protocol != app.protocol:
@@ -136,7 +136,7 @@ def _require_kind(path: Path, run: Run, preparation: Preparation, phi: MetaParam
             say(f"warning: {path.name} was trained with {trained_condition}, but this run has {condition}.")
 
 
-def _add_tuned_adam(run: Run, checkpoint: Checkpoint, tuning: Preparation) -> Checkpoint:
+def _add_tuned_adam(run: Run, checkpoint: Checkpoint, tuning: CheckpointTraining) -> Checkpoint:
     """Add to General's checkpoint the Adam that was tuned for this very encoder.
 
     It is read from a file beside the checkpoint that the user named, else from the one that ships.
@@ -170,7 +170,7 @@ def merge_tuned_adam(general: Checkpoint, tuned: MetaParameters, path: Path) -> 
     return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", content_digest(path))
 
 
-def _checkpoint_path(run: Run, preparation: Preparation) -> Path:
+def _checkpoint_path(run: Run, training: CheckpointTraining) -> Path:
     """Return the file of the checkpoint that a run needs: the one that --checkpoint names, else the one that ships.
 
     Raises:
@@ -178,7 +178,7 @@ def _checkpoint_path(run: Run, preparation: Preparation) -> Path:
     """
     named_path = run.options.checkpoint
     if named_path and named_path.is_dir():
-        path = named_path / f"{checkpoint_name(run.app, preparation)}.safetensors"
+        path = named_path / f"{checkpoint_name(run.app, training)}.safetensors"
         if not path.is_file():
             if path_kind(named_path) is not PathKind.FILES:
                 raise ValueError(path_refusal(named_path, f"a folder of checkpoints with {path.name}"))
@@ -189,11 +189,11 @@ def _checkpoint_path(run: Run, preparation: Preparation) -> Path:
         return path
     if named_path:
         return named_path
-    path = _shipped_path(run, preparation)
+    path = _shipped_path(run, training)
     if path.is_file() and _has_shipped_recipe(run):
         return path
     raise ValueError(
-        f"{full_name(run.app)} {preparation.name}, recipe {run.options.recipe}: no checkpoint ships; train one with "
+        f"{full_name(run.app)} {training.name}, recipe {run.options.recipe}: no checkpoint ships; train one with "
         "--train, or name one with --checkpoint."
     )
 
@@ -202,8 +202,8 @@ def _has_shipped_recipe(run: Run) -> bool:
     return has_shipped_recipe(run.app.name, run.options.recipe)
 
 
-def _shipped_path(run: Run, preparation: Preparation) -> Path:
-    return shipped_checkpoint_path(run.app.name, checkpoint_name(run.app, preparation), run.options.recipe)
+def _shipped_path(run: Run, training: CheckpointTraining) -> Path:
+    return shipped_checkpoint_path(run.app.name, checkpoint_name(run.app, training), run.options.recipe)
 
 
 def resample_alpha_grids(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:

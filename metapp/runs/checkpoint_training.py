@@ -1,6 +1,6 @@
 """The training of a checkpoint on the training tasks of a data set, and its files, by which a cut-off one goes on.
 
-How phi is learned is decided in `metapp.paradigms.phi_training`; here are the options, the data, the ranks that train
+How phi is learned is decided in `metapp.paradigms.training`; here are the options, the data, the ranks that train
 together, progress, and the files that later runs read.
 """
 
@@ -19,8 +19,8 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.options import BadOption
 from metapp.paradigms import ranks
-from metapp.paradigms.paradigm import Preparation
-from metapp.paradigms.phi_training import TrainState, train_phi
+from metapp.paradigms.paradigm import CheckpointTraining
+from metapp.paradigms.training import TrainState, train_phi
 from metapp.runs.checkpoint_selection import (
     attach_checkpoint,
     has_shipped_checkpoint,
@@ -51,7 +51,7 @@ def train_run(run: Run) -> Run:
         path, general = train_checkpoint(run)
     run = replace(run, options=replace(run.options, checkpoint=path))
     # the trained file holds no encoder, and its General may be the one that ships, which lies in another folder
-    if general and run.paradigm.preparations[-1].takes_encoder_from_general:
+    if general and run.paradigm.trainings[-1].takes_encoder_from_general:
         return replace(run, checkpoint=merge_tuned_adam(general, load_checkpoint(path)[0], path))
     return attach_checkpoint(run) if ranks.rank_number() == 0 else run
 
@@ -67,16 +67,16 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
         BadOption: there is nothing to train, or --checkpoint names a folder.
         ValueError: --checkpoint names neither a General that this training begins at nor a checkpoint of its own kind.
     """
-    preparation, options, steps = _last_preparation(run), run.options, run.options.train_steps
-    path = trained_checkpoint_path(run, preparation)
+    training, options, steps = _last_training(run), run.options, run.options.train_steps
+    path = trained_checkpoint_path(run, training)
     make_folder(options.out)
     make_folder(path.parent)
-    first = _read_first_checkpoint(run, preparation)
-    general = _provide_general(run, preparation) if not first and preparation.begins_at_general else None
+    first = _read_first_checkpoint(run, training)
+    general = _provide_general(run, training) if not first and training.begins_at_general else None
     general_phi = general.phi if general else None
-    tasks = _read_training_tasks(run, preparation)
-    header = _training_settings(run, preparation, general_phi, first)
-    outer_loop = preparation.outer_loop
+    tasks = _read_training_tasks(run, training)
+    header = _training_settings(run, training, general_phi, first)
+    outer_loop = training.outer_loop
     if outer_loop.steps and steps:
         outer_loop = replace(outer_loop, steps=steps)
     description = {"inner_steps": run.recipe.steps, "batch": run.recipe.batch, "training": asdict(outer_loop)}
@@ -85,16 +85,16 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
 
     def write(state: TrainState, file: Path, previous: Path | None = None) -> None:
         # QuickFT's file holds no encoder: the file of General has the one that QuickFT was tuned for
-        phi = state.phi._replace(encoder={}) if preparation.takes_encoder_from_general else state.phi
+        phi = state.phi._replace(encoder={}) if training.takes_encoder_from_general else state.phi
         result = {"validation_error": state.validation, "best_step": state.best_step, "curve": state.curve}
         save_checkpoint(file, phi, header | description | result, previous)
 
     is_writer, interval_seconds, save_time = ranks.rank_number() == 0, _save_interval_seconds(), time.monotonic()
     state = since = _read_interrupted_state(path, settings, run)
-    with progress(f"train {preparation.name}", long=True, quiet=options.quiet) as bar:
+    with progress(f"train {training.name}", long=True, quiet=options.quiet) as bar:
         rng, phi = Generator(run.device).manual_seed(options.seed), first and first.phi
         try:
-            for state in train_phi(preparation, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
+            for state in train_phi(training, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
                 if is_writer and time.monotonic() - save_time >= interval_seconds:
                     save_training_state(_training_path(path), state._asdict(), settings)
                     save_time = time.monotonic()
@@ -114,7 +114,7 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
         _training_path(path).unlink(missing_ok=True)
     ranks.wait_for_ranks()  # until the file is there, which all ranks go on from
     result = f"validation error {state.validation:.3f} at step {state.best_step}"
-    say(f"{preparation.name}: {result}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
+    say(f"{training.name}: {result}; kept as {path}, which fits and tables use with --checkpoint {path.parent}")
     return path, general
 
 
@@ -161,26 +161,26 @@ def _training_path(path: Path) -> Path:
     return path.with_suffix(".training.safetensors")
 
 
-def _read_training_tasks(run: Run, preparation: Preparation) -> Tasks:
+def _read_training_tasks(run: Run, training: CheckpointTraining) -> Tasks:
     """Read the training tasks of a run's data set, and say how many there are."""
     app, folder = run.app, training_data_folder(run.app, run.options.data, run.options.quiet)
     tasks = stack_tasks(app, read_data_set(folder, "train", app.name, app.tensors), run.device)
     data = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
-    say(f"training {full_name(app)} {preparation.name} on {data}")
+    say(f"training {full_name(app)} {training.name} on {data}")
     return tasks
 
 
-def _read_first_checkpoint(run: Run, preparation: Preparation) -> Checkpoint | None:
+def _read_first_checkpoint(run: Run, training: CheckpointTraining) -> Checkpoint | None:
     """Read the checkpoint of its own kind that a training goes on from.
 
     Returns:
         The checkpoint; None if --checkpoint is not set, or names a General for the training to begin at.
     """
     path = run.options.checkpoint
-    general = preparation.general.name
-    if not path or (preparation.begins_at_general and load_checkpoint(path)[1].get("checkpoint") == general):
+    general = training.general.name
+    if not path or (training.begins_at_general and load_checkpoint(path)[1].get("checkpoint") == general):
         return None
-    if preparation.takes_encoder_from_general:
+    if training.takes_encoder_from_general:
         raise ValueError(f"{path}: expected the General that an Adam is searched for; name its file, or leave it out.")
     checkpoint = attach_checkpoint(run).checkpoint
     assert checkpoint is not None
@@ -193,7 +193,7 @@ def _previous_path(path: Path) -> Path:
     return path.with_suffix(".previous.safetensors")
 
 
-def _provide_general(run: Run, preparation: Preparation) -> Checkpoint:
+def _provide_general(run: Run, training: CheckpointTraining) -> Checkpoint:
     """Return the General that a training begins at, trained first if there is none.
 
     It is the one that --checkpoint names, else the one that ships, else one that is trained now for as many steps as
@@ -202,7 +202,7 @@ def _provide_general(run: Run, preparation: Preparation) -> Checkpoint:
     Raises:
         ValueError: the file of a General of other settings is in the way; it is not replaced.
     """
-    general = preparation.general
+    general = training.general
     options = replace(run.options, paradigm=general.paradigm.name)
     run = replace(run, options=options, paradigm=general.paradigm)
     if not options.checkpoint and not has_shipped_checkpoint(run, general):
@@ -222,33 +222,33 @@ def _provide_general(run: Run, preparation: Preparation) -> Checkpoint:
     return checkpoint
 
 
-def _last_preparation(run: Run) -> Preparation:
-    """Return the preparation that --train runs: the last one that the paradigm needs."""
-    preparations = run.paradigm.preparations
-    if not preparations:
+def _last_training(run: Run) -> CheckpointTraining:
+    """Return the training that --train runs: the last one that the paradigm needs."""
+    trainings = run.paradigm.trainings
+    if not trainings:
         raise BadOption(f"--train: {run.paradigm.name} needs no preparation; leave the option out.")
     if run.options.checkpoint and run.options.checkpoint.is_dir():
         raise BadOption(f"--checkpoint {run.options.checkpoint}: a folder; with --train name a file in it.")
-    return preparations[-1]
+    return trainings[-1]
 
 
 def _training_settings(
-    run: Run, preparation: Preparation, general: MetaParameters | None = None, first: Checkpoint | None = None
+    run: Run, training: CheckpointTraining, general: MetaParameters | None = None, first: Checkpoint | None = None
 ) -> Document:
     """Return all that the result of a training depends on, except for rounding: the header of its checkpoint.
 
     Args:
         run: the run that trains.
-        preparation: what is trained.
+        training: the training of the checkpoint.
         general: the General that training begins at.
         first: the checkpoint that training goes on from.
     """
-    folder, name = training_data_folder(run.app, run.options.data, run.options.quiet), preparation.name
+    folder, name = training_data_folder(run.app, run.options.data, run.options.quiet), training.name
     return (
         {"app": run.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}
         | {"recipe": run.options.recipe, "recipe_digest": content_digest(repr(run.recipe)), "seed": run.options.seed}
         | {"steps": run.options.train_steps, "versions": software_versions()}
-        | ({} if preparation.shared_by_protocols else protocol_entry(run.app))
+        | ({} if training.shared_by_protocols else protocol_entry(run.app))
         | run.app.recorded_conditions(run.device)
         | ({"encoder": tensor_digest(general.encoder)} if general else {})
         | ({"first": first.digest} if first else {})

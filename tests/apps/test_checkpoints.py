@@ -38,7 +38,7 @@ def start_of(name: str, checkpoint: str, recipe: str = QUICK_RECIPE_NAME) -> Met
 
 
 def names_of(paradigm: Paradigm) -> list[str]:
-    return [checkpoint_name(paradigm.app, preparation) for preparation in paradigm.preparations]
+    return [checkpoint_name(paradigm.app, training) for training in paradigm.trainings]
 
 
 def expected_of(name: str, recipe: str) -> set[str]:

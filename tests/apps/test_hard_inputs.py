@@ -50,7 +50,7 @@ def fit_by_shipped_checkpoint(app: App, sources: Iterable[Task]) -> Found:
     meta, quickft, tasks = Meta.of(app, recipe), QuickFT.of(app, recipe), stack_tasks(app, list(sources))
 
     def shipped(paradigm: Paradigm) -> list[MetaParameters]:
-        names = [checkpoint_name(app, preparation) for preparation in paradigm.preparations]
+        names = [checkpoint_name(app, training) for training in paradigm.trainings]
         return [load_checkpoint(shipped_checkpoint_path(app.name, name))[0] for name in names]
 
     (learned,), (general, adam) = shipped(meta), shipped(quickft)

@@ -40,7 +40,7 @@ from metapp.networks.quilted import LightGrid
 from metapp.paradigms import PARADIGMS, paradigm_of
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.phi_training import TrainState
+from metapp.paradigms.training import TrainState
 from metapp.registry import registry
 from tests.marked import long
 from tests.small_spheres import shrink_spheres
@@ -207,13 +207,13 @@ def untrained_phi(paradigm: Paradigm) -> MetaParameters:
     return MetaParameters(theta, alpha, app.init_encoder(seeded_generator(2)))
 
 
-def best_state(preparation: Iterable[TrainState]) -> TrainState:
-    """Run a preparation to its end and return the best state."""
-    return final_item(preparation)
+def best_state(training: Iterable[TrainState]) -> TrainState:
+    """Run a training to its end and return the best state."""
+    return final_item(training)
 
 
-def untrained_preparation(paradigm: Paradigm) -> MetaParameters:
-    """Return the parts of phi that the preparation of a paradigm would train, untrained."""
+def untrained_checkpoint(paradigm: Paradigm) -> MetaParameters:
+    """Return the parts of phi that the training of a paradigm would learn, untrained."""
     phi = untrained_phi(paradigm)
     return phi._replace(encoder={}) if paradigm.name == "meta" else MetaParameters(encoder=phi.encoder)
 

@@ -33,8 +33,8 @@ from tests.paradigms.small import (
     seeded_generator,
     small_app,
     small_recipe,
+    untrained_checkpoint,
     untrained_phi,
-    untrained_preparation,
 )
 
 # Fitting
@@ -46,7 +46,7 @@ SLOWEST = ("illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture
 def test_each_paradigm_fits_tasks(name: str, app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """Parameters of the same network, detached, finite, the same for the same seed; errors for every task."""
     paradigm, few_tasks = fits[name], tasks.select([0, 5, 2])
-    prepared = untrained_preparation(paradigm)
+    prepared = untrained_checkpoint(paradigm)
     theta = paradigm.fit(prepared, few_tasks, seeded_generator())
     network = {key: tuple(value.shape) for key, value in app.init(seeded_generator(), 3).items()}
     given = {key: tuple(value.shape) for key, value in app.task_parameters(few_tasks).items()}
@@ -72,7 +72,7 @@ def test_five_paradigms_differ_in_initialisation_rule_and_steps(app: App, fits: 
     recipe = fits["meta"].recipe
 
     def names(paradigm: Paradigm) -> tuple[str, ...]:
-        return tuple(preparation.name for preparation in paradigm.preparations)
+        return tuple(training.name for training in paradigm.trainings)
 
     expected = {
         "general": (("general",), 0),
@@ -92,7 +92,7 @@ def test_five_paradigms_differ_in_initialisation_rule_and_steps(app: App, fits: 
 )
 def test_meta_fits_by_every_rule(rule: str, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     meta = Meta.of(fits["meta"].app, fits["meta"].recipe, rule)
-    start = untrained_preparation(meta)
+    start = untrained_checkpoint(meta)
     theta = meta.fit(start, tasks.select([0, 1]), seeded_generator())
     assert all(torch.isfinite(value).all() for value in theta.values())
     assert not all(torch.equal(theta[key][0], value) for key, value in start.theta.items())
@@ -135,7 +135,7 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
 ) -> None:
     """With a generator for each task, its fit does not depend on those beside it, to rounding."""
     paradigm, rows = paradigms_of(app, fits[name].recipe, steps=3)[name], [4, 0, 7]
-    prepared, several, loss = untrained_preparation(paradigm), tasks.select(rows), task_loss(app, paradigm.recipe.batch)
+    prepared, several, loss = untrained_checkpoint(paradigm), tasks.select(rows), task_loss(app, paradigm.recipe.batch)
     together = final_item(paradigm.descend(prepared, several, tuple(seeded_generator(row) for row in rows)))
     starts = paradigm.initialisation(prepared, several, tuple(seeded_generator(row) for row in rows))
     drawn = loss.draw(several, tuple(seeded_generator(row) for row in rows), 0.0).batch
@@ -160,7 +160,7 @@ def test_a_rule_that_fails_is_guarded(app: App, fits: dict[str, Paradigm], tasks
     """With absurd rates no task ends above its initialisation on what it sees, in any application."""
     meta, few_tasks = fits["meta"], tasks.select([0, 1, 2])
     assert isinstance(meta, Meta)
-    prepared, rule = untrained_preparation(meta), meta.learned_rule
+    prepared, rule = untrained_checkpoint(meta), meta.learned_rule
     alpha = rule.initial_alpha(app, prepared.theta, meta.recipe.steps, Adam(1e4))
     found = final_item(meta.descend(prepared._replace(alpha=alpha), few_tasks, seeded_generator()))
     assert found.guarded is not None
@@ -291,7 +291,7 @@ def test_steps_do_not_synchronise_with_the_device(kind: str, protocol: str, monk
     app = replace(small_app(kind), protocol=protocol)
     meta = Meta.of(app, small_recipe(app), OWN_RULES[kind])
     tasks = stack_tasks(app, SMALL_APPLICATIONS[app.name].tasks()[:2])
-    prepared = untrained_preparation(meta)
+    prepared = untrained_checkpoint(meta)
     loss = meta.loss
 
     def fit(where: AbstractContextManager[None]) -> None:

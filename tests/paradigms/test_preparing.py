@@ -1,4 +1,4 @@
-"""Preparation on training tasks: what is kept, what it goes on from, what it never sees."""
+"""Trainings of checkpoints: what is kept, what they go on from, and which tasks they never see."""
 
 import itertools
 import math
@@ -21,7 +21,7 @@ from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.phi_training import TrainState, split_validation, train_phi, validation_error
+from metapp.paradigms.training import TrainState, split_validation, train_phi, validation_error
 from tests.marked import long
 from tests.paradigms.small import (
     GENERATING_KINDS_BUT_BRDF_LONG,
@@ -32,7 +32,7 @@ from tests.paradigms.small import (
     paradigms_of,
     seeded_generator,
     small_recipe,
-    untrained_preparation,
+    untrained_checkpoint,
 )
 from tests.recipe_apps import app_by_recipe
 
@@ -68,9 +68,9 @@ def test_trainings_follow_the_outer_loss(name: str, app: App, tasks: Tasks) -> N
             return 0 * self.loss(theta, batch, learned) + 7
 
     judged = Judged(NBRDF_NETWORK)
-    (preparation,) = paradigms_of(judged, small_recipe(judged))[name].preparations
-    phi = preparation.first_phi(None, tasks, seeded_generator())
-    loss = preparation.outer_loss(phi)
+    (training,) = paradigms_of(judged, small_recipe(judged))[name].trainings
+    phi = training.first_phi(None, tasks, seeded_generator())
+    loss = training.outer_loss(phi)
     values = loss.value(phi.flatten(), loss.draw(tasks, seeded_generator(), 0.0).batch, {})
     assert torch.equal(values, torch.full_like(values, 7))
 
@@ -105,7 +105,7 @@ def trained(name: str, fits: dict[str, Paradigm]) -> Paradigm:
 
 
 def look(paradigm: Paradigm, tasks: Tasks, **options: Any) -> TrainState:
-    return best_state(train_phi(paradigm.preparations[-1], tasks, seeded_generator(3), **options))
+    return best_state(train_phi(paradigm.trainings[-1], tasks, seeded_generator(3), **options))
 
 
 @EVERY
@@ -130,7 +130,7 @@ def test_augmented_variants_of_validation_tasks_may_validate(app: App, tasks: Ta
     recipe = small_recipe(app)
     changed = replace(recipe.training(recipe.rule), steps=2, validation_variants=2, initialisation="random")
     meta = Meta.of(app, replace(recipe, meta={recipe.rule: changed}), recipe.rule)
-    *_, state = train_phi(meta.preparations[-1], tasks, seeded_generator())
+    *_, state = train_phi(meta.trainings[-1], tasks, seeded_generator())
     validation = split_validation(tasks)[1]
     variants = app.augment(validation.select([*range(len(validation))] * 2), seeded_generator(0))
     assert state.validation == pytest.approx(validation_error(meta, state.phi, variants), rel=1e-6)
@@ -153,7 +153,7 @@ def test_preparing_improves_what_it_is_prepared_for(
     name: str, steps: int, rate: float, trained: Paradigm, tasks: Tasks
 ) -> None:
     """The improvement is a share of the error's size, since errors may be negative."""
-    longer = replace(trained.preparations[-1].outer_loop, steps=steps, rates={"": rate}, validate_every=10)
+    longer = replace(trained.trainings[-1].outer_loop, steps=steps, rates={"": rate}, validate_every=10)
     changed: dict[str, Any] = {"general": longer} if name == "general" else {"meta": {name: longer}}
     prepared = look(replace(trained, recipe=replace(trained.recipe, **changed)), tasks)
     first = prepared.curve[0][2]
@@ -168,7 +168,7 @@ def meta_by(meta: Paradigm, **settings: Any) -> Paradigm:
 
 def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """It starts at random where a setting says so, and where there is no General."""
-    encoder = untrained_preparation(fits["general"])
+    encoder = untrained_checkpoint(fits["general"])
     predicted = fits["general"].fit(encoder, split_validation(tasks)[0], seeded_generator(3))
     mean = {key: value.mean(0) for key, value in predicted.items()}
     random = {key: value[0] for key, value in app.init(seeded_generator(3), 1).items()}
@@ -185,7 +185,7 @@ def test_meta_starts_from_the_mean_of_general_or_at_random(app: App, fits: dict[
 @pytest.mark.parametrize("app", KINDS_BUT_BRDF_LONG, indirect=True)
 def test_meta_goes_on_from_general(fits: dict[str, Paradigm], tasks: Tasks) -> None:
     """The encoder itself is then trained through the steps, beside the rule, and another checkpoint there is none."""
-    encoder, meta = untrained_preparation(fits["general"]), meta_by(fits["meta"], initialisation="encoder")
+    encoder, meta = untrained_checkpoint(fits["general"]), meta_by(fits["meta"], initialisation="encoder")
     first = look(meta, tasks, general=encoder, steps=0).phi
     assert not first.theta
     assert all(torch.equal(first.encoder[key], value) for key, value in encoder.encoder.items())
@@ -249,8 +249,8 @@ class Search:
             self.looked.append(self.quickft.adam(prepared))
             return error(self.looked[-1])
 
-        (*_, preparation) = self.quickft.preparations
-        self.path = list(train_phi(preparation, TASKS, seeded_generator(), general=GENERAL, validate=told))
+        (*_, training) = self.quickft.trainings
+        self.path = list(train_phi(training, TASKS, seeded_generator(), general=GENERAL, validate=told))
         self.tuned = best_state(self.path)
         self.found = self.quickft.adam(self.tuned.phi)
 
@@ -310,7 +310,7 @@ def test_searches_use_all_validation_tasks_if_fits_are_cheap(name: str, count: i
         return 1.0
 
     data = Tasks(names, {}, torch.arange(240))
-    states = train_phi(quickft.preparations[-1], data, seeded_generator(), general=GENERAL, steps=3, validate=told)
+    states = train_phi(quickft.trainings[-1], data, seeded_generator(), general=GENERAL, steps=3, validate=told)
     assert len(list(states)) == 3
     assert looked == [count] * 3
 
@@ -327,7 +327,7 @@ def test_a_rule_is_tuned_as_quickft_is(
     tuned = replace(recipe.meta[rule], initialisation="encoder", searches_adam=True, steps=outer)
     meta = Meta.of(app, replace(recipe, meta={rule: tuned}), rule)
     encoder = MetaParameters(encoder=app.init_encoder(seeded_generator()))
-    result = best_state(train_phi(meta.preparations[-1], tasks, seeded_generator(), general=encoder))
+    result = best_state(train_phi(meta.trainings[-1], tasks, seeded_generator(), general=encoder))
     plain = rule_of(rule).initial_alpha(
         app, {key: v[0] for key, v in app.init(seeded_generator(), 1).items()}, 3, tuned.initial_adam
     )

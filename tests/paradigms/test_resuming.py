@@ -1,4 +1,4 @@
-"""Preparations that are cut off: what goes on from a training checkpoint ends bit for bit as an uninterrupted one."""
+"""Trainings that are cut off: what goes on from a training checkpoint ends bit for bit as an uninterrupted one."""
 
 import errno
 import math
@@ -16,7 +16,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
-from metapp.paradigms.phi_training import TrainState, train_phi
+from metapp.paradigms.training import TrainState, train_phi
 from metapp.storage.checkpoint_files import load_training_state, save_checkpoint, save_training_state
 from tests.marked import long
 from tests.paradigms.small import OWN_RULES, seeded_generator, untrained_phi
@@ -48,7 +48,7 @@ def run(paradigm: Paradigm, tasks: Tasks, path: Path | None = None, most: float 
     fields = load_training_state(path, SETTINGS) if path else None
     since = TrainState(**fields) if fields else None
     for count, state in enumerate(
-        train_phi(paradigm.preparations[-1], tasks, seeded_generator(3), general=general, since=since), 1
+        train_phi(paradigm.trainings[-1], tasks, seeded_generator(3), general=general, since=since), 1
     ):
         if path:
             save_training_state(path, state._asdict(), SETTINGS)
@@ -58,7 +58,7 @@ def run(paradigm: Paradigm, tasks: Tasks, path: Path | None = None, most: float 
 
 
 def as_file(prepared: TrainState, path: Path) -> bytes:
-    """All of a preparation's result, as its file holds it."""
+    """All of a training's result, as its file holds it."""
     save_checkpoint(
         path, prepared.phi, {"curve": prepared.curve, "at": prepared.best_step, "error": prepared.validation}
     )
@@ -73,7 +73,7 @@ OWN_KINDS = [long(app, f"{rule} tuned") for app, rule in OWN_RULES.items()]
 
 
 @pytest.mark.parametrize(("app", "kind"), KINDS + OWN_KINDS, indirect=["app"])
-def test_interrupted_preparations_end_as_uninterrupted_ones(
+def test_interrupted_trainings_end_as_uninterrupted_ones(
     kind: str, trained: Paradigm, tasks: Tasks, tmp_path: Path
 ) -> None:
     expected = as_file(run(trained, tasks), tmp_path / "expected.safetensors")

@@ -107,8 +107,8 @@ def _make_sample_row(evaluation: EvaluationRun, name: str) -> Row:
     visible = evaluation.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row
-    preparations, empty_phi = run.paradigm.preparations[:1], MetaParameters()
-    phi = run.checkpoint.phi if run.checkpoint else preparations[0].template(empty_phi) if preparations else empty_phi
+    trainings, empty_phi = run.paradigm.trainings[:1], MetaParameters()
+    phi = run.checkpoint.phi if run.checkpoint else trainings[0].template(empty_phi) if trainings else empty_phi
     count = min(steps * batch + (visible.encoder_samples if phi.encoder else 0), visible.sample_count)
     return row | {
         "tasks": len(tasks),

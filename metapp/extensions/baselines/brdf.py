@@ -26,7 +26,7 @@ from metapp.extensions.baselines.baseline import (
 from metapp.extensions.baselines.components import REFLECTANCE_EPSILON, Components, principal_components
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
-from metapp.paradigms.phi_training import split_validation
+from metapp.paradigms.training import split_validation
 
 COMPONENT_COUNTS = (20, 66, 150)  # 66 components take 198 numbers, three channels each
 # ridge penalties, which are multiplied by the number of samples

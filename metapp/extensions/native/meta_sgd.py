@@ -70,7 +70,7 @@ def load_meta_sgd_library(march: str = "native") -> ctypes.CDLL | None:
 
 def descend_in_c(
     paradigm: Paradigm,
-    training: OuterLoop,
+    outer_loop: OuterLoop,
     params: Params,
     tasks: Tasks,
     rng: Generator,
@@ -83,17 +83,17 @@ def descend_in_c(
     Returns:
         The states of the descent; None if the loop in C computes another loss, or if there is no compiler.
     """
-    if not isinstance(paradigm, Meta) or not isinstance(training, MetaTraining):
+    if not isinstance(paradigm, Meta) or not isinstance(outer_loop, MetaTraining):
         return None
-    if not _has_c_form(paradigm, training, params, tasks):
+    if not _has_c_form(paradigm, outer_loop, params, tasks):
         return None
     loss_library, library = nbrdf.load_nbrdf_library(), load_meta_sgd_library()
     if loss_library is None or library is None:
         return None
-    return _descend(paradigm, training, params, tasks, rng, since, loss_library, library)
+    return _descend(paradigm, outer_loop, params, tasks, rng, since, loss_library, library)
 
 
-def _has_c_form(paradigm: Meta, training: MetaTraining, params: Params, tasks: Tasks) -> bool:
+def _has_c_form(paradigm: Meta, outer_loop: MetaTraining, params: Params, tasks: Tasks) -> bool:
     """Return whether the outer loss is what `meta_sgd.c` computes, of tensors in float32 on the CPU."""
     app = paradigm.app
     overridden = ("sample", "outer_sample", "outer_loss", "loss", "stage")  # by a subclass, which torch alone knows
@@ -101,7 +101,7 @@ def _has_c_form(paradigm: Meta, training: MetaTraining, params: Params, tasks: T
         return False
     if type(app.network) is not Nbrdf or [type(part) for part in paradigm.learned_rule.parts] != [SignedRates]:
         return False
-    if training.augment or list(training.rates) != [""] or KIND_TENSOR in tasks.data:
+    if outer_loop.augment or list(outer_loop.rates) != [""] or KIND_TENSOR in tasks.data:
         return False
     tensors = [*params.values(), *(tasks.data[key] for key in ("where", "target"))]
     is_cpu_float32 = all(value.dtype == torch.float32 and value.device.type == "cpu" for value in tensors)
@@ -110,7 +110,7 @@ def _has_c_form(paradigm: Meta, training: MetaTraining, params: Params, tasks: T
 
 def _descend(
     paradigm: Meta,
-    training: MetaTraining,
+    outer_loop: MetaTraining,
     params: Params,
     tasks: Tasks,
     rng: Generator,
@@ -119,17 +119,17 @@ def _descend(
     library: ctypes.CDLL,
 ) -> Iterator[DescentState]:
     """Take outer steps in C, a block at a call, and yield the state before the first block and after each block."""
-    count, samples, inner_steps = min(training.tasks, len(tasks)), paradigm.recipe.batch, paradigm.steps
+    count, samples, inner_steps = min(outer_loop.tasks, len(tasks)), paradigm.recipe.batch, paradigm.steps
     where, target = (_make_samples_dense(tasks.data[key]) for key in ("where", "target"))
-    log_smoothing = torch.tensor(math.log(training.smoothing or 1.0))
+    log_smoothing = torch.tensor(math.log(outer_loop.smoothing or 1.0))
     settings = _Training(
         ctypes.cast(loss_library.nbrdf_gradient, ctypes.c_void_p),
         ctypes.cast(loss_library.nbrdf_product, ctypes.c_void_p),
-        *(WEIGHTS, inner_steps, count, samples, training.order, training.clip, training.weight_decay),
-        *(log_smoothing.data_ptr() if training.smoothing else None, where.data_ptr(), target.data_ptr()),
+        *(WEIGHTS, inner_steps, count, samples, outer_loop.order, outer_loop.clip, outer_loop.weight_decay),
+        *(log_smoothing.data_ptr() if outer_loop.smoothing else None, where.data_ptr(), target.data_ptr()),
         *(where.stride(0), target.stride(0)),
     )
-    rule = outer_adam(training, params)
+    rule = outer_adam(outer_loop, params)
     latest = since or DescentState(0, {key: value.detach() for key, value in params.items()}, rule.init(params))
     yield latest
     state = {"phi": _flatten(latest.theta), "products": torch.zeros(2)}
@@ -137,9 +137,9 @@ def _descend(
     torch.stack([latest.rule_state["product1"], latest.rule_state["product2"]], out=state["products"])
     room = torch.empty(inner_steps + 1, 2 * WEIGHTS + samples * (where.shape[2] + target.shape[2]))
     rates = rule.alpha[f"rate.{PHI_NAMES[0]}"]
-    while latest.step < training.steps:
-        until_validation = training.validate_every - latest.step % training.validate_every
-        steps = min(until_validation, training.steps - latest.step, MAX_BLOCK_STEPS)
+    while latest.step < outer_loop.steps:
+        until_validation = outer_loop.validate_every - latest.step % outer_loop.validate_every
+        steps = min(until_validation, outer_loop.steps - latest.step, MAX_BLOCK_STEPS)
         rows, numbers = _draw_block(tasks, rng, steps, count, (inner_steps + 1, count, samples), where.shape[1] // 2)
         losses, block_rates = torch.empty(steps, count), rates[latest.step : latest.step + steps].contiguous()
         pointers = _State(*(state[name].data_ptr() for name in _STATE_NAMES))

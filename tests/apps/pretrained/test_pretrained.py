@@ -126,7 +126,7 @@ def test_flat_normals_have_the_lowest_loss_where_relief_is_ambiguous(
 @pytest.mark.usefixtures("random_vgg_in_cache")
 def test_a_few_outer_steps_lower_the_loss(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     training = replace(RECIPE.general, tasks=4, steps=12, warmup_steps=0)
-    (general,) = General.of(app, replace(RECIPE, general=training)).preparations
+    (general,) = General.of(app, replace(RECIPE, general=training)).trainings
     phi = general.first_phi(None, tasks, rng)
     loss = general.outer_loss(phi)
     drawn = loss.draw(tasks, Generator().manual_seed(0), 0.0).batch

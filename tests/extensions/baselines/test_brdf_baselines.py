@@ -33,7 +33,7 @@ from metapp.extensions.baselines.components import (
 )
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms.phi_training import split_validation
+from metapp.paradigms.training import split_validation
 
 APP = Brdf()
 

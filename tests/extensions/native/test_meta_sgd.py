@@ -19,7 +19,7 @@ from metapp.learning.recipe import MetaTraining
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import KIND_TENSOR, Params, Tasks
 from metapp.paradigms.meta import Meta
-from metapp.paradigms.phi_training import train_phi
+from metapp.paradigms.training import train_phi
 
 Descend = Callable[..., Iterator[DescentState]]
 EPS = torch.finfo(torch.float32).eps
@@ -58,14 +58,14 @@ def meta_of(training: MetaTraining, app: Brdf | None = None) -> Meta:
 
 
 def first_phi(meta: Meta, tasks: Tasks) -> Params:
-    return meta.preparations[0].first_phi(None, tasks, Generator().manual_seed(1)).flatten()
+    return meta.trainings[0].first_phi(None, tasks, Generator().manual_seed(1)).flatten()
 
 
 def descend_in_torch(
     meta: Meta, training: MetaTraining, phi: Params, tasks: Tasks, rng: Generator, since: DescentState | None = None
 ) -> Iterator[DescentState]:
     """Descend the outer loss by the reference; the arguments are those of the loop in C."""
-    loss = meta.preparations[0].outer_loss(meta.preparations[0].first_phi(None, tasks, Generator()))
+    loss = meta.trainings[0].outer_loss(meta.trainings[0].first_phi(None, tasks, Generator()))
     return descend(phi, outer_adam(training, phi), tasks, loss, steps=training.steps, rng=rng, since=since)
 
 
@@ -146,9 +146,9 @@ def test_trainings_take_the_loop_in_c(tasks: Tasks, monkeypatch: pytest.MonkeyPa
     """A training validates at the same steps by either loop, and has the same mean losses and validation errors."""
     meta = meta_of(TRAINING)
     calls: list[int] = []
-    in_c = final_item(train_phi(meta.preparations[0], tasks, Generator().manual_seed(3)))
+    in_c = final_item(train_phi(meta.trainings[0], tasks, Generator().manual_seed(3)))
     monkeypatch.setattr(meta_sgd, "load_meta_sgd_library", lambda: calls.append(1))  # None: there is no compiler
-    in_torch = final_item(train_phi(meta.preparations[0], tasks, Generator().manual_seed(3)))
+    in_torch = final_item(train_phi(meta.trainings[0], tasks, Generator().manual_seed(3)))
     assert calls == [1]
     assert in_c.best_step == in_torch.best_step
     assert_near(in_c.best, in_torch.best)

@@ -20,7 +20,7 @@ from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms import ranks
-from metapp.paradigms.paradigm import PARALLEL_TASKS, Paradigm, Preparation
+from metapp.paradigms.paradigm import PARALLEL_TASKS, CheckpointTraining, Paradigm
 from metapp.registry import registry
 
 
@@ -87,7 +87,7 @@ def validation_error(paradigm: Paradigm, phi: MetaParameters, tasks: Tasks) -> f
 
 
 def train_phi(
-    preparation: Preparation,
+    training: CheckpointTraining,
     tasks: Tasks,
     rng: Generator,
     *,
@@ -100,7 +100,7 @@ def train_phi(
     """Train the phi of a checkpoint.
 
     Args:
-        preparation: the paradigm's preparation of the checkpoint.
+        training: the initial phi, the outer loss and the settings of the paradigm's training.
         tasks: the training tasks, of which every eighth group validates.
         rng: the source of all random numbers.
         general: a trained General, at which QuickFT and most recipes of Meta begin.
@@ -119,34 +119,32 @@ def train_phi(
         FloatingPointError: the training loss is not finite; the message names tasks and step.
     """
     training_tasks, validation_tasks = split_validation(tasks)
-    training, adam = preparation.outer_loop, preparation.first_adam
+    outer_loop, adam = training.outer_loop, training.first_adam
     if since:
         rng.set_state(since.rng)
-    state = since or TrainState(
-        (first or preparation.first_phi(general, training_tasks, rng)).flatten(), rng.get_state()
-    )
+    state = since or TrainState((first or training.first_phi(general, training_tasks, rng)).flatten(), rng.get_state())
     if adam and not first and not state.moments:
         # where outer steps follow, `steps` is their number, and does not limit the search
         for search_state in _search_adam(
-            preparation, adam, state, validation_tasks, validate, None if training.steps else steps
+            training, adam, state, validation_tasks, validate, None if outer_loop.steps else steps
         ):
             yield search_state
-        if not training.steps:
+        if not outer_loop.steps:
             return
         # the outer loop begins at the best Adam of the search, and forgets its error: validations of outer steps are
         # compared with each other alone
         state = TrainState(search_state.best, search_state.rng, searched=search_state.searched)
-    training = training if steps is None else replace(training, steps=steps)
-    if training.validation_variants:
-        rows = list(range(len(validation_tasks))) * training.validation_variants
+    outer_loop = outer_loop if steps is None else replace(outer_loop, steps=steps)
+    if outer_loop.validation_variants:
+        rows = list(range(len(validation_tasks))) * outer_loop.validation_variants
         variants_rng = Generator(tasks.rows.device).manual_seed(0)
-        validation_tasks = preparation.paradigm.app.augment(validation_tasks.select(rows), variants_rng)
-    yield from _run_outer_loop(preparation, training, state, training_tasks, validation_tasks, rng, validate)
+        validation_tasks = training.paradigm.app.augment(validation_tasks.select(rows), variants_rng)
+    yield from _run_outer_loop(training, outer_loop, state, training_tasks, validation_tasks, rng, validate)
 
 
 def _run_outer_loop(
-    preparation: Preparation,
-    training: OuterLoop,
+    training: CheckpointTraining,
+    outer_loop: OuterLoop,
     state: TrainState,
     training_tasks: Tasks,
     validation_tasks: Tasks,
@@ -154,8 +152,8 @@ def _run_outer_loop(
     validate: Validate,
 ) -> Iterator[TrainState]:
     """Take outer steps, and validate before the first one, at intervals, and after the last one."""
-    steps, paradigm = training.steps, preparation.paradigm
-    descents = _descend_outer_loss(preparation, training, state, training_tasks, rng)
+    steps, paradigm = outer_loop.steps, training.paradigm
+    descents = _descend_outer_loss(training, outer_loop, state, training_tasks, rng)
     for descent in check_finite_losses(descents, every=1):
         losses = state.losses
         if descent.loss is not None:
@@ -173,7 +171,7 @@ def _run_outer_loop(
         yield state
         if state.curve[-1:] and state.curve[-1][0] == descent.step:
             continue  # the training was interrupted after this validation
-        if descent.step == steps or descent.step % training.validate_every == 0:
+        if descent.step == steps or descent.step % outer_loop.validate_every == 0:
             error = validate(paradigm, MetaParameters.unflatten(descent.theta), validation_tasks)
             mean = paradigm.app.error_measure.scale * float(losses.mean()) if len(losses) else None
             state = state._replace(losses=losses[:0], curve=(*state.curve, (descent.step, mean, error)))
@@ -185,21 +183,21 @@ def _run_outer_loop(
 
 
 def _descend_outer_loss(
-    preparation: Preparation, training: OuterLoop, state: TrainState, tasks: Tasks, rng: Generator
+    training: CheckpointTraining, outer_loop: OuterLoop, state: TrainState, tasks: Tasks, rng: Generator
 ) -> Iterator[DescentState]:
     """Descend the outer loss: by an extension if one can, many steps at a time, else by torch, one step at a time."""
     since = DescentState(state.step, state.current, state.moments) if state.moments else None
     if ranks.rank_count() == 1 and (entry := registry().hooks.get("outer_loop")):
         descent: Iterator[DescentState] | None = entry.load()(
-            preparation.paradigm, training, state.current, tasks, rng, since
+            training.paradigm, outer_loop, state.current, tasks, rng, since
         )
         if descent is not None:
             return descent
-    loss = preparation.outer_loss(MetaParameters.unflatten(state.current))
+    loss = training.outer_loss(MetaParameters.unflatten(state.current))
     if ranks.rank_count() > 1:
         loss = ranks.LossOverRanks(loss.draw, loss.value, loss.shared)
-    rule = outer_adam(training, state.current)
-    return descend(state.current, rule, tasks, loss, steps=training.steps, rng=rng, since=since)
+    rule = outer_adam(outer_loop, state.current)
+    return descend(state.current, rule, tasks, loss, steps=outer_loop.steps, rng=rng, since=since)
 
 
 MAX_SEARCH_TASKS = 8  # validation tasks of a search, unless networks are small
@@ -207,12 +205,12 @@ SMALL_NETWORK_PARAMETERS = 2**16  # up to which a search can afford to fit singl
 
 
 def _search_adam(
-    preparation: Preparation, first: Adam, state: TrainState, tasks: Tasks, validate: Validate, most: int | None
+    training: CheckpointTraining, first: Adam, state: TrainState, tasks: Tasks, validate: Validate, most: int | None
 ) -> Iterator[TrainState]:
     """Search an Adam by changing one setting or two at a time, from an Adam on.
 
     Args:
-        preparation: the preparation, which applies an Adam to phi.
+        training: the checkpoint's training, which applies an Adam to phi.
         first: the Adam that is tried first.
         state: the state before the search, or of an interrupted search, whose validation errors are not computed again.
         tasks: the validation tasks.
@@ -222,7 +220,7 @@ def _search_adam(
     Yields:
         The state after each Adam; after an interruption beginning with the last one whose error is known.
     """
-    paradigm, known_errors, phi = preparation.paradigm, state.searched, MetaParameters.unflatten(state.current)
+    paradigm, known_errors, phi = training.paradigm, state.searched, MetaParameters.unflatten(state.current)
     lines = paradigm.recipe.search
     tasks = _select_search_tasks(paradigm.app, tasks)
     total = min(1 + sum(map(len, lines)), most or sys.maxsize)
@@ -238,7 +236,7 @@ def _search_adam(
                 yield replace(centre, **{**changes, "rate": centre.rate * changes.get("rate", 1.0)})
 
     for step, adam in enumerate(candidates(), 1):
-        candidate = preparation.with_adam(phi, adam)
+        candidate = training.with_adam(phi, adam)
         error = known_errors[step - 1] if step <= len(known_errors) else validate(paradigm, candidate, tasks)
         errors.append(error)
         state = state._replace(searched=tuple(errors), step=step)
