@@ -481,7 +481,7 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
     alpha = {f"rate.{key}": torch.full_like(value, 1e-2)[None] for key, value in theta.items()}
     apply = torch.func.vmap(apply_unet)
 
-    def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def value(theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         return (apply(theta, batch["photo"]) - batch["target"]).square().mean((1, 2, 3, 4))
 
     photos = torch.rand(2, tasks, 1, 3, 128, 128, generator=rng)

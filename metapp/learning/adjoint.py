@@ -45,8 +45,8 @@ class Loss:
         draw: a function (data, rng, done) -> :class:`DrawnBatch`, the only one that draws random numbers. `rng` is a
             generator, or one for each task (see :mod:`metapp.learning.random_tensors`). `done` is the share of the
             descent's steps that were taken, in [0, 1]; at 1 the batch is drawn from all of the data.
-        value: a function (params, batch, learned) -> the loss of each task, [T]. It is deterministic, differentiated
-            and compiled. `learned` holds loss parameters that a rule has learned; {} gives the plain loss.
+        value: a function (params, batch, loss_parameters) -> the loss of each task, [T]. It is deterministic, and is
+            differentiated and compiled. A rule has learned the loss parameters; {} gives the plain loss.
         shared: whether all tasks share their parameters, so that a descent follows the gradient of the mean over tasks.
             Otherwise each task has parameters for itself, and a descent follows the gradient of the sum, which moves
             each task as if it were alone.
@@ -55,7 +55,7 @@ class Loss:
             are. The slope of a mean of |d| changes as differences change sign, which automatic differentiation does
             not see at the kink of |d|. 0 for second derivatives of the loss as it is.
 
-    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, _: theta["x"].square())
     >>> loss.gradient({"x": torch.tensor([3.0])}, {}, {}, graph=False)
     ({'x': tensor([6.])}, tensor([9.]))
     """
@@ -65,17 +65,19 @@ class Loss:
     shared: bool = False
     smoothing: float = 0.0
 
-    def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    def gradient(
+        self, theta: Params, batch: AnyBatch, loss_parameters: Params, *, graph: bool
+    ) -> tuple[Params, Tensor]:
         """Return the gradient that a step follows, and the detached loss of each task, [T].
 
         Args:
             theta: parameters, [T, ...] unless tasks share them.
             batch: a batch that `draw` returned.
-            learned: the loss parameters that a rule has learned.
+            loss_parameters: the values that a rule has learned.
             graph: whether the gradient is going to be differentiated itself.
         """
         theta = theta if graph else _detach_leaves(theta)
-        losses = self.value(theta, batch, learned)
+        losses = self.value(theta, batch, loss_parameters)
         total = losses.mean() if self.shared else losses.sum()
         grads = torch.autograd.grad(total, list(theta.values()), create_graph=graph, materialize_grads=True)
         return dict(zip(theta, grads, strict=True)), losses.detach()
@@ -114,22 +116,22 @@ def select_loss_parameters(alpha: Params) -> Params:
     return {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
 
 
-def add_smoothing(loss: Loss, learned: Params, theta: Params) -> Params:
+def add_smoothing(loss: Loss, loss_parameters: Params, theta: Params) -> Params:
     """Add to a step's loss parameters the smoothing of second derivatives, [T], if the rule has learned none.
 
     Args:
         loss: the loss, whose `smoothing` may be 0.
-        learned: the loss parameters that the rule has learned.
+        loss_parameters: the values that the rule has learned.
         theta: parameters [T, ...].
 
-    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"], smoothing=1.0)
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, _: theta["x"], smoothing=1.0)
     >>> add_smoothing(loss, {}, {"x": torch.zeros(2)})
     {'smoothing': tensor([0., 0.])}
     """
     if not loss.smoothing:
-        return learned
+        return loss_parameters
     first = next(iter(theta.values()))
-    return {"smoothing": first.new_full((first.shape[0],), math.log(loss.smoothing))} | learned
+    return {"smoothing": first.new_full((first.shape[0],), math.log(loss.smoothing))} | loss_parameters
 
 
 class Steps(NamedTuple):
@@ -166,7 +168,7 @@ def torch_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Step
         order: 2 differentiates the gradient of a step in the vector-Jacobian product, 1 treats it as a constant.
 
     >>> from metapp.learning.rules import sgd
-    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, _: theta["x"].square())
     >>> theta = {"x": torch.ones(1)}
     >>> steps = torch_steps(sgd({"rate": torch.tensor([0.25])}), loss, theta, 1)
     >>> moved, state, losses, gradient = steps.step(at_step(steps.alpha, 0), theta, steps.init(theta), {})
@@ -198,8 +200,8 @@ def step_and_vjp(rule_step: RuleStep, loss: Loss, order: int) -> tuple[Callable[
     ) -> tuple[Params, Params, Params]:
         alpha, theta, state = _detach_leaves(alpha), _detach_leaves(theta), _detach_leaves(state)
         if order == 2:
-            learned = select_loss_parameters(alpha)
-            smooth_grads = loss.gradient(theta, batch, add_smoothing(loss, learned, theta), graph=True)[0]
+            loss_parameters = select_loss_parameters(alpha)
+            smooth_grads = loss.gradient(theta, batch, add_smoothing(loss, loss_parameters, theta), graph=True)[0]
             # the gradient that the step followed, with the derivatives of the smooth one
             grads = {key: value + (grads[key] - value).detach() for key, value in smooth_grads.items()}
         new_theta, new_state = rule_step(alpha, theta, grads, state)
@@ -289,7 +291,7 @@ def learn_differentiably(
         The parameters after the last step, [T, ...].
 
     >>> from metapp.learning.rules import sgd
-    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, _: theta["x"].square())
     >>> x = torch.ones(1, requires_grad=True)
     >>> theta = learn_differentiably({"x": x}, sgd({"rate": torch.tensor([0.25])}), [{}, {}], loss, order=2)
     >>> torch.autograd.grad(theta["x"], x)

@@ -131,20 +131,20 @@ class App(ABC):
         return tasks
 
     @abstractmethod
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Compute the inner loss of each task, [T].
 
         Args:
             theta: network parameters [T, ...].
             batch: samples [T, ...] that :meth:`sample` drew.
-            learned: the loss parameters [T, ...] that a rule has learned; {} gives the plain loss.
+            loss_parameters: the values [T, ...] that a rule has learned; {} gives the plain loss.
         """
 
-    def loss_parameters(self, steps: int) -> Params:
+    def initial_loss_parameters(self, steps: int) -> Params:
         """Return initial values [steps, ...] of the loss parameters that a rule may learn, by name."""
         return {}
 
-    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
+    def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
         """Return least squares near the inner loss in the network's `linear_parameter`.
 
         It is called only for networks that have a linear parameter. See :meth:`loss` for the arguments.
@@ -158,13 +158,13 @@ class App(ABC):
         """
         return self.sample(tasks, rng, count)
 
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Compute the outer loss of each fit, [T].
 
         The default is the inner loss, for training tasks that contain no more than a fit may observe. See
         :meth:`loss` for the arguments.
         """
-        return self.loss(theta, batch, learned)
+        return self.loss(theta, batch, loss_parameters)
 
     def init_encoder(self, rng: Generator) -> Params:
         """Draw random parameters of General's encoder."""

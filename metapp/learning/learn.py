@@ -119,7 +119,7 @@ def descend(
         The state before the first step, and after each step. Random numbers of a step are drawn when it is asked for.
 
     >>> from metapp.learning.rules import sgd
-    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, _: theta["x"].square())
     >>> rule = sgd({"rate": torch.tensor([0.25])})
     >>> steps = descend({"x": torch.ones(1)}, rule, None, loss, steps=2, rng=Generator())
     >>> [float(step.theta["x"]) for step in steps]
@@ -207,7 +207,7 @@ def learn(
         FloatingPointError: a loss is not finite; the message names the tasks and the step.
 
     >>> from metapp.learning.rules import sgd
-    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), {}), lambda theta, batch, _: theta["x"].square())
     >>> learn({"x": torch.ones(1)}, sgd({"rate": torch.tensor([0.25])}), None, loss, steps=2, rng=Generator())
     {'x': tensor([0.2500])}
     """
@@ -271,7 +271,7 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
     >>> tasks = Tasks(("gold", "chalk", "felt"), {}, torch.arange(3))
     >>> def draw_names(tasks, rng, done):
     ...     return DrawnBatch(tasks.selected_names, {})
-    >>> loss = Loss(draw_names, lambda theta, batch, learned: theta["x"])
+    >>> loss = Loss(draw_names, lambda theta, batch, _: theta["x"])
     >>> over_tasks(loss, count=2).draw(tasks, Generator().manual_seed(0), 0.0).names
     ('felt', 'gold')
     """
@@ -329,7 +329,7 @@ def after_learning(
 
     >>> from metapp.learning.rules import sgd
     >>> batch = {"target": torch.zeros(1)}
-    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), batch), lambda theta, batch, learned: theta["x"].square())
+    >>> loss = Loss(lambda data, rng, done: DrawnBatch((), batch), lambda theta, batch, _: theta["x"].square())
     >>> phi = MetaParameters({"x": torch.tensor(1.0)}, {"rate": torch.tensor([0.25])}).flatten()
     >>> lifted = after_learning(loss, sgd, steps=1, order=2)
     >>> drawn = lifted.draw(None, Generator(), 0.0).batch
@@ -374,8 +374,8 @@ def after_encoding(loss: Loss, prediction: EncoderPrediction) -> Loss:
         names, batch = loss.draw(tasks, rng, done)
         return DrawnBatch(names, (prediction.encoder_input(tasks, rng), batch))
 
-    def value(phi: Params, batch: AnyBatch, learned: Params) -> Tensor:
-        return loss.value(prediction.encode(MetaParameters.unflatten(phi).encoder, batch[0]), batch[1], learned)
+    def value(phi: Params, batch: AnyBatch, loss_parameters: Params) -> Tensor:
+        return loss.value(prediction.encode(MetaParameters.unflatten(phi).encoder, batch[0]), batch[1], loss_parameters)
 
     return Loss(draw, value)
 

@@ -37,7 +37,7 @@ class CodedApp(App):
     single_threaded = deterministic = True
 
     @override
-    def loss_parameters(self, steps: int) -> Params:
+    def initial_loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(INITIAL_SMOOTHING))}
 
     def init_reader(self, rng: Generator) -> Params:
@@ -101,14 +101,14 @@ def add_decoder(predicted: Params, encoder: Params) -> Params:
     return predicted | {key: value.expand(count, *value.shape) for key, value in shared.items()}
 
 
-def smooth_absolute(difference: Tensor, learned: Params) -> Tensor:
+def smooth_absolute(difference: Tensor, loss_parameters: Params) -> Tensor:
     """Return |d| of differences d [T, ...], or sqrt(d^2 + s^2) - s where a rule has learned the loss parameter s.
 
     Args:
         difference: the differences.
-        learned: `smoothing` [T], the logs of s; {} for |d|.
+        loss_parameters: `smoothing` [T], the logs of s; {} for |d|.
     """
-    if not learned:
+    if not loss_parameters:
         return difference.abs()
-    smoothing = torch.exp(learned["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
+    smoothing = torch.exp(loss_parameters["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
     return (difference * difference + smoothing * smoothing).sqrt() - smoothing

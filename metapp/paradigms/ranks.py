@@ -84,7 +84,9 @@ class LossOverRanks(Loss):
     """A loss that all tasks share, of which each rank differentiates its part of the tasks."""
 
     @override
-    def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    def gradient(
+        self, theta: Params, batch: AnyBatch, loss_parameters: Params, *, graph: bool
+    ) -> tuple[Params, Tensor]:
         """Return the gradient over the tasks of all ranks, and the loss of each task, [T]; equal on all ranks.
 
         Raises:
@@ -98,7 +100,7 @@ class LossOverRanks(Loss):
         def select_rows(leaf: object) -> object:
             return leaf[rows] if isinstance(leaf, Tensor) and leaf.shape[:1] == (tasks,) else leaf
 
-        grads, own_losses = super().gradient(theta, tree_map(select_rows, batch), learned, graph=graph)
+        grads, own_losses = super().gradient(theta, tree_map(select_rows, batch), loss_parameters, graph=graph)
         losses = own_losses.new_zeros(tasks)
         losses[rows] = own_losses
         return {key: _sum_over_ranks(grad * (len(own_losses) / tasks)) for key, grad in grads.items()}, _sum_over_ranks(

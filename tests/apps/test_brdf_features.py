@@ -109,10 +109,10 @@ def test_weights_follow_the_loss(theta: Params) -> None:
     tasks = tasks_of({key: value.float() for key, value in theta.items()})
     batch = {key: value.double() for key, value in APP.sample(tasks, Generator().manual_seed(6), 300).items()}
     changed = theta | {"last": (theta["last"] + 1e-4).requires_grad_()}
-    learned = {"smoothing": torch.tensor([math.log(0.02)], dtype=torch.float64)}
-    learned["evidence"] = torch.zeros(1, 2, dtype=torch.float64)
-    expected = torch.autograd.grad(APP.loss(changed, batch, learned).sum(), changed["last"])[0]
-    near = APP.least_squares(changed, batch, learned)
+    loss_parameters = {"smoothing": torch.tensor([math.log(0.02)], dtype=torch.float64)}
+    loss_parameters["evidence"] = torch.zeros(1, 2, dtype=torch.float64)
+    expected = torch.autograd.grad(APP.loss(changed, batch, loss_parameters).sum(), changed["last"])[0]
+    near = APP.least_squares(changed, batch, loss_parameters)
     found = -(near.residual * near.weights[:, None]) @ near.features.mT / near.weights.shape[1]
     torch.testing.assert_close(found / 3, expected, rtol=2e-2, atol=2e-2 * float(expected.abs().max()))
 
@@ -122,12 +122,12 @@ def test_few_samples_and_samples_that_are_missed_count_less(theta: Params) -> No
     tasks = tasks_of(theta)
     batch = APP.sample(tasks, Generator().manual_seed(6), 300)
     changed = theta | {"last": theta["last"] + 0.01}
-    learned = {"smoothing": torch.tensor([math.log(0.02)]), "evidence": torch.zeros(1, 2)}
-    plain = APP.least_squares(changed, batch, learned)
+    loss_parameters = {"smoothing": torch.tensor([math.log(0.02)]), "evidence": torch.zeros(1, 2)}
+    plain = APP.least_squares(changed, batch, loss_parameters)
     few, missed = 0.8, 0.6
-    learned["evidence"] = torch.tensor([[few, missed]])
+    loss_parameters["evidence"] = torch.tensor([[few, missed]])
     for count in (100.0, float(MANY_SAMPLES), 10.0 * MANY_SAMPLES):
-        weighted = APP.least_squares(changed, batch | {COUNT_KEY: torch.tensor([count])}, learned)
+        weighted = APP.least_squares(changed, batch | {COUNT_KEY: torch.tensor([count])}, loss_parameters)
         factor = (min(count, MANY_SAMPLES) / MANY_SAMPLES) ** few * (1 + plain.losses / 0.02) ** -missed
         torch.testing.assert_close(weighted.weights, plain.weights * factor[:, None])
         torch.testing.assert_close(weighted.losses, plain.losses)

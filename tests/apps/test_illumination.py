@@ -99,7 +99,8 @@ def test_the_true_map_has_no_loss(app: Illumination, tasks: Tasks) -> None:
     batch = app.sample(tasks, Generator(), 1)
     assert app.loss(theta, batch, {}).max() < 1e-5
     assert app.errors(theta, tasks)["map"].max() < 1e-5
-    smoothed = app.loss(theta, batch, {key: value[0].expand(4) for key, value in app.loss_parameters(1).items()})
+    initial = app.initial_loss_parameters(1)
+    smoothed = app.loss(theta, batch, {key: value[0].expand(4) for key, value in initial.items()})
     assert smoothed.abs().max() < 1e-5
 
 

@@ -9,9 +9,9 @@ from metapp.learning.task import Batch, Params, Tasks
 NAMES = ("brass", "chalk", "felt", "glass", "paper")
 
 
-def parabola_loss(params: Params, batch: Batch, learned: Params) -> Tensor:
+def parabola_loss(params: Params, batch: Batch, loss_parameters: Params) -> Tensor:
     """Return half the squared distance of "x" from each task's centre "c", times the learned "scale" if any."""
-    return learned.get("scale", 1.0) * 0.5 * ((params["x"] - batch["c"]) ** 2).sum(-1)
+    return loss_parameters.get("scale", 1.0) * 0.5 * ((params["x"] - batch["c"]) ** 2).sum(-1)
 
 
 def draw_exact(tasks: Tasks, rng: Generator, done: float) -> DrawnBatch:

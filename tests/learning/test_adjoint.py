@@ -28,11 +28,11 @@ ON_MATRICES = applicable_rules(APP)
 OTHERS = [("brdf", "meta-encoder", True), (FEATURE_NETWORK, "ridge", False), ("illumination", "meta-lgd", False)]
 
 
-def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
+def parabola(params: Params, batch: Batch, loss_parameters: Params) -> Tensor:
     """(x - c)^T A (x - c) / 2, times a learned factor where there is one; [T]."""
     away = params["x"] - batch["c"]
     value = 0.5 * (away * (batch["A"] @ away[..., None])[..., 0]).sum(-1)
-    return value * torch.exp(learned["factor"]) if learned else value
+    return value * torch.exp(loss_parameters["factor"]) if loss_parameters else value
 
 
 PARABOLA, BRDF = Loss(refuse_to_draw, parabola), Loss(refuse_to_draw, APP.loss)
@@ -89,8 +89,8 @@ def learn_unrolled(theta: Params, rule: UpdateRule, batches: Sequence[Batch], lo
     state = rule.init(theta)
     for i, batch in enumerate(batches):
         alpha = at_step(rule.alpha, i)
-        learned = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
-        total = loss.value(theta, batch, learned).sum()
+        loss_parameters = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
+        total = loss.value(theta, batch, loss_parameters).sum()
         grads = torch.autograd.grad(total, list(theta.values()), create_graph=order == 2, retain_graph=True)
         theta, state = rule.step(alpha, theta, dict(zip(theta, grads, strict=True)), state)
     return theta
@@ -188,7 +188,7 @@ def test_no_graph_is_kept_between_steps(order: int, evaluations: int, randn: Cal
     activations: list[weakref.ref] = []
     alive: list[int] = []
 
-    def value(params: Params, batch: Batch, learned: Params) -> Tensor:
+    def value(params: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         alive.append(sum(reference() is not None for reference in activations))
         hidden = torch.tanh(params["x"][..., None] * batch["c"])
         activations.append(weakref.ref(hidden.untyped_storage()))
@@ -251,9 +251,9 @@ def test_second_backward_pass_gives_the_same_gradient(steps: int, randn: Callabl
     assert steps or torch.equal(first, torch.ones_like(first))
 
 
-def smoothed_median(params: Params, batch: Batch, learned: Params) -> Tensor:
+def smoothed_median(params: Params, batch: Batch, loss_parameters: Params) -> Tensor:
     """The mean distance of x from samples, [T], smoothed if the loss parameter says so."""
-    return smooth_absolute(params["x"] - batch["samples"], learned).mean(1)
+    return smooth_absolute(params["x"] - batch["samples"], loss_parameters).mean(1)
 
 
 @pytest.mark.parametrize(("smoothing", "curvature"), [(0.0, 0.0), (0.02, 1.0), (0.1, 1.0)])
@@ -270,8 +270,8 @@ def test_smoothed_second_derivatives_see_the_curvature_of_means_of_distances(
 
 
 def test_learned_smoothing_goes_before_that_of_second_derivatives() -> None:
-    learned = {"smoothing": torch.zeros(2)}
+    loss_parameters = {"smoothing": torch.zeros(2)}
     theta, loss = {"x": torch.zeros(2, 1)}, Loss(refuse_to_draw, smoothed_median, smoothing=0.2)
-    assert add_smoothing(loss, learned, theta)["smoothing"].tolist() == [0, 0]
+    assert add_smoothing(loss, loss_parameters, theta)["smoothing"].tolist() == [0, 0]
     assert add_smoothing(loss, {}, theta)["smoothing"].exp().tolist() == pytest.approx([0.2, 0.2])
     assert add_smoothing(Loss(refuse_to_draw, smoothed_median), {}, theta) == {}

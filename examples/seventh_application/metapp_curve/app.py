@@ -50,7 +50,7 @@ class Curve(App):
         return theta["w2"] @ gelu(theta["w1"] @ x + theta["b1"]) + theta["b2"]
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the mean squared difference at the samples of a batch, [T]."""
         return (self.value(theta, batch["x"]) - batch["y"]).square().mean((1, 2))
 

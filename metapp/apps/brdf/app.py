@@ -95,7 +95,7 @@ class Brdf(App):
         return gather_samples(tasks, half + torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| of each task, [T].
 
         The learned `smoothing` [T], log s, replaces |d| by sqrt(d^2 + s^2) - s, whose curvature at sign changes
@@ -106,13 +106,13 @@ class Brdf(App):
         where = batch["where"]
         # errors clamp reflectance at 0, which only ever lowers them; without it a fit that is too dark has a gradient
         differences = torch.log1p(self.network.reflectance(theta, where) * where[:, 6:7]) - batch["target"]
-        if not learned:
+        if not loss_parameters:
             return differences.abs().mean((1, 2))
-        misfits = smooth_absolute(differences, learned).mean(1)
-        return (misfits * sample_weights(where, learned) if "weights" in learned else misfits).mean(1)
+        misfits = smooth_absolute(differences, loss_parameters).mean(1)
+        return (misfits * sample_weights(where, loss_parameters) if "weights" in loss_parameters else misfits).mean(1)
 
     @override
-    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
+    def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
         """Return least squares in log(1 + f) that follow the loss near the fit of this step.
 
         A sample weighs slope^2 / sqrt(d^2 + s^2), where d is its difference from the target, s the learned smoothing,
@@ -127,17 +127,17 @@ class Brdf(App):
         # the derivative of log(1 + f cos theta_i) in log(1 + f)
         slope = 1 - (1 - cosine) * torch.exp(-target)
         differences = slope * residual
-        smoothing = torch.exp(learned["smoothing"])[:, None]
+        smoothing = torch.exp(loss_parameters["smoothing"])[:, None]
         weights = slope.square().mean(1) / (differences.square().mean(1) + smoothing * smoothing).sqrt()
         losses = differences.abs().mean((1, 2))
-        count_power, miss_power = learned["evidence"].unbind(1)
+        count_power, miss_power = loss_parameters["evidence"].unbind(1)
         count_share = batch[COUNT_KEY].clamp(max=MANY_SAMPLES) / MANY_SAMPLES
         strength = count_share**count_power * (1 + losses / smoothing[:, 0]) ** -miss_power
         axes = opponent_axes(features)
         return LeastSquares("last", features, residual, weights * strength[:, None], losses, axes=axes)
 
     @override
-    def loss_parameters(self, steps: int) -> Params:
+    def initial_loss_parameters(self, steps: int) -> Params:
         """Return initial values of log `smoothing`, [steps], and of what a rule learns beside it.
 
         That is `evidence` [steps, 2] for a network that is linear in a parameter, else `weights` [steps, 8].

@@ -100,17 +100,17 @@ def hidden_layer(theta: Params, where: Tensor) -> Tensor:
     return hidden
 
 
-def sample_weights(where: Tensor, learned: Params) -> Tensor:
+def sample_weights(where: Tensor, loss_parameters: Params) -> Tensor:
     """Return learned weights of samples, [T, N], interpolated between knots over theta_h.
 
     Args:
         where: half vector, difference vector and cos theta_i, [T, 7, N].
-        learned: loss parameters, among them `weights`, log weights at the knots, [T, WEIGHT_KNOTS].
+        loss_parameters: the learned values, among them `weights`, log weights at the knots, [T, WEIGHT_KNOTS].
     """
     knot_position = torch.arccos(where[:, 2].clamp(-1, 1)) * ((WEIGHT_KNOTS - 1) / (math.pi / 2))
     knots = torch.arange(WEIGHT_KNOTS, device=where.device, dtype=where.dtype)
     knot_shares = (1 - (knot_position[:, None] - knots[:, None]).abs()).clamp_min(0)
-    return torch.exp((learned["weights"][:, None] @ knot_shares)[:, 0])
+    return torch.exp((loss_parameters["weights"][:, None] @ knot_shares)[:, 0])
 
 
 # The set encoder: a network on each sample, the mean and the maximum over samples, and a network on both of these

@@ -218,7 +218,7 @@ class Illumination(CodedApp):
         return normalise_luminance(complete_maps(maps, data) if "seen" in data else maps)
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the difference of each fit from the photograph or the map that it sees, [T].
 
         The difference from a map has three terms: the log radiance of texels, the radiance that surfaces reflect, and
@@ -227,19 +227,19 @@ class Illumination(CodedApp):
         Args:
             theta: fits [T, ...].
             batch: what fits see, from :meth:`sample`.
-            learned: loss parameters that a rule has learned; {} for none. `light` [T] is the log of a weight that
+            loss_parameters: values that a rule has learned; {} for none. `light` [T] is the log of a weight that
                 replaces LIGHT_WEIGHT; for `smoothing` see :func:`smooth_absolute`.
         """
         maps = self.radiance_maps(theta)
         if self.protocol == "photo":
-            return self._photo_loss(theta, maps, batch, learned)
-        light_weight = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT_WEIGHT
-        differences, log_differences = self._compare_reflected_radiance(maps, batch["sent"], learned)
+            return self._photo_loss(theta, maps, batch, loss_parameters)
+        light_weight = torch.exp(loss_parameters["light"])[:, None, None, None] if loss_parameters else LIGHT_WEIGHT
+        differences, log_differences = self._compare_reflected_radiance(maps, batch["sent"], loss_parameters)
         reflected_loss = (differences + log_differences).mean((1, 2))
-        return _texel_loss(maps, batch["map"], learned, light_weight) + reflected_loss
+        return _texel_loss(maps, batch["map"], loss_parameters, light_weight) + reflected_loss
 
     @override
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the difference of each fit from the true map and from the photograph, under both protocols, [T].
 
         It is a weighted sum: the radiance that diffuse surfaces reflect has weight 1, what glossy ones reflect
@@ -264,22 +264,24 @@ class Illumination(CodedApp):
         )
         return result
 
-    def _compare_reflected_radiance(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
+    def _compare_reflected_radiance(
+        self, maps: Tensor, target: Tensor, loss_parameters: Params
+    ) -> tuple[Tensor, Tensor]:
         """Compare the radiance that S surfaces reflect under maps with a target.
 
         Args:
             maps: linear radiance [T, 3, H, W].
             target: the radiance that the surfaces reflect under the true maps, [T, 3, S].
-            learned: loss parameters that a rule has learned; {} for none.
+            loss_parameters: the values that a rule has learned; {} for none.
 
         Returns:
             Absolute differences of the radiance and of its log, [T, 3, S] each; see :func:`smooth_absolute`.
         """
         reflected = self._reflected_radiance(maps)
         log_difference = (reflected + REFLECTED_RADIANCE_FLOOR).log() - (target + REFLECTED_RADIANCE_FLOOR).log()
-        return smooth_absolute(reflected - target, learned), smooth_absolute(log_difference, learned)
+        return smooth_absolute(reflected - target, loss_parameters), smooth_absolute(log_difference, loss_parameters)
 
-    def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
+    def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the difference of each fit from the photograph of its task, [T].
 
         For a task whose photograph shows a mirror, the fitted map is compared with the light in the mirror. For every
@@ -291,14 +293,14 @@ class Illumination(CodedApp):
             theta: fits [T, ...].
             maps: maps of :meth:`radiance_maps`, [T, 3, H, W].
             batch: tensors of :meth:`prepare`, with a task axis.
-            learned: loss parameters that a rule has learned; {} for none.
+            loss_parameters: the values that a rule has learned; {} for none.
         """
-        display_loss = self._display_loss(theta, maps, batch, learned)
+        display_loss = self._display_loss(theta, maps, batch, loss_parameters)
         if "seen" not in batch:
             return display_loss
-        return torch.where(shows_mirror(batch), mirror_loss(maps, batch, learned), display_loss)
+        return torch.where(shows_mirror(batch), mirror_loss(maps, batch, loss_parameters), display_loss)
 
-    def _display_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
+    def _display_loss(self, theta: Params, maps: Tensor, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the mean difference of rendered photographs from photographs in display values, [T].
 
         Where a photograph clips, it is a lower bound: only darker renderings differ from it.
@@ -307,7 +309,8 @@ class Illumination(CodedApp):
         target = avg_pool2d(batch["photo"].to(maps) / 255, side // LOSS_PHOTO_PX)
         shortfall = target - self.render_ball(theta, maps, LOSS_PHOTO_PX)
         shortfall = torch.where(target > CLIPPED_DISPLAY_VALUE, relu(shortfall), shortfall)
-        return smooth_absolute(shortfall, learned).flatten(2)[..., _find_inner_pixels(side, maps.device)].mean((1, 2))
+        differences = smooth_absolute(shortfall, loss_parameters).flatten(2)
+        return differences[..., _find_inner_pixels(side, maps.device)].mean((1, 2))
 
     def render_ball(self, theta: Params, maps: Tensor, size: int) -> Tensor:
         """Return the photograph of the fitted sphere through the fitted camera, display values [T, 3, size, size].
@@ -321,9 +324,9 @@ class Illumination(CodedApp):
         return develop(render_material_spheres(maps, material, size, BODY_ROUGHNESSES), camera)
 
     @override
-    def loss_parameters(self, steps: int) -> Params:
+    def initial_loss_parameters(self, steps: int) -> Params:
         light_weight = {"light": torch.full((steps,), math.log(LIGHT_WEIGHT))} if self.protocol == "reference" else {}
-        return super().loss_parameters(steps) | light_weight
+        return super().initial_loss_parameters(steps) | light_weight
 
     @override
     def init_reader(self, rng: Generator) -> Params:
@@ -368,7 +371,7 @@ class Illumination(CodedApp):
         return {"error": error, "map": _texel_loss(maps, target, {}, 0.0), **sphere_errors(maps, target)}
 
 
-def _texel_loss(maps: Tensor, target: Tensor, learned: Params, light_weight: Tensor | float) -> Tensor:
+def _texel_loss(maps: Tensor, target: Tensor, loss_parameters: Params, light_weight: Tensor | float) -> Tensor:
     """Return the mean difference of the logs of radiance, [T].
 
     A texel counts by its solid angle, times 1 + `light_weight` times the target's radiance there, which is 1 on
@@ -377,12 +380,12 @@ def _texel_loss(maps: Tensor, target: Tensor, learned: Params, light_weight: Ten
     Args:
         maps: linear radiance [T, 3, H, W].
         target: true maps [T, 3, H, W], of mean luminance 1.
-        learned: loss parameters that a rule has learned; {} for none.
+        loss_parameters: the values that a rule has learned; {} for none.
         light_weight: what the target's radiance adds to a texel's weight, a number or [T, 1, 1, 1].
     """
     weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
     weights = weights * (1 + light_weight * target.mean(1, keepdim=True))
-    differences = smooth_absolute((maps + RADIANCE_FLOOR).log() - (target + RADIANCE_FLOOR).log(), learned)
+    differences = smooth_absolute((maps + RADIANCE_FLOOR).log() - (target + RADIANCE_FLOOR).log(), loss_parameters)
     return (differences * weights).sum((2, 3)).mean(1)
 
 

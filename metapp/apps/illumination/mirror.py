@@ -73,7 +73,7 @@ def shows_mirror(data: Batch) -> Tensor:
     return data["certain"].flatten(1).amax(1) > 0
 
 
-def mirror_loss(maps: Tensor, data: Batch, learned: Params) -> Tensor:
+def mirror_loss(maps: Tensor, data: Batch, loss_parameters: Params) -> Tensor:
     """Return the mean difference of log radiance from the light in the mirror, [T].
 
     Where photographs clip, only darker maps differ.
@@ -81,14 +81,13 @@ def mirror_loss(maps: Tensor, data: Batch, learned: Params) -> Tensor:
     Args:
         maps: linear radiance [T, 3, H, W].
         data: holds `seen` [T, 3, H, W] and `certain` [T, 2, H, W].
-        learned: loss parameters that a rule has learned; {} for none.
+        loss_parameters: the values that a rule has learned; {} for none.
     """
     seen, (seen_share, clipped_share) = data["seen"], data["certain"].split(1, 1)
     floor = RADIANCE_FLOOR * mean_luminance(seen)[:, None, None, None] + 1e-9
     shortfall = (seen + floor).log() - (scale_to_seen(maps, data) + floor).log()
     weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
-    differences = seen_share * smooth_absolute(shortfall, learned) + clipped_share * smooth_absolute(
-        relu(shortfall), learned
-    )
+    seen_differences = seen_share * smooth_absolute(shortfall, loss_parameters)
+    differences = seen_differences + clipped_share * smooth_absolute(relu(shortfall), loss_parameters)
     result: Tensor = (differences * weights).sum((2, 3)).mean(1)
     return result

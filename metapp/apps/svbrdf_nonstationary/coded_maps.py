@@ -121,7 +121,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
         return decode_flash(self.network.gain * theta["flash"])
 
     @override
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the difference of the maps and of their radiance under any light, whatever fits see, [T].
 
         The mean steepness of normals counts, too: the normals with the least mean difference from all that a photo
@@ -137,13 +137,13 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
         loss = pictures + MAPS_WEIGHT * map_loss + PHOTO_WEIGHT * photo + STEEPNESS_WEIGHT * steepness_difference
         return loss + BLOTS_WEIGHT * blots(differences[0], batch["photo"])
 
-    def photo_difference(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
+    def photo_difference(self, theta: Params, maps: Maps, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the mean difference of the logs of the photograph and of the maps under the fitted flash, [T]."""
         radiance = render_photo(maps, self.flash_of(theta), batch.get("place"))
-        return photo_loss(radiance, batch["photo"], learned)
+        return photo_loss(radiance, batch["photo"], loss_parameters)
 
     @override
-    def loss_parameters(self, steps: int) -> Params:
+    def initial_loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(SMOOTHING))}
 
     @override
@@ -187,12 +187,12 @@ class FromMaps(CodedMaps):
         return {"maps": maps, "rig": pairs, "lit": self.log_radiance(unpack_maps(maps), pairs)}
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the difference of maps plus the difference of log radiance under the lights that fits see, [T]."""
         maps = self.maps_of(theta, batch["photo"])
-        log_differences = smooth_absolute(self.log_radiance(maps, batch["rig"]) - batch["lit"], learned)
+        log_differences = smooth_absolute(self.log_radiance(maps, batch["rig"]) - batch["lit"], loss_parameters)
         return log_differences.mean((1, 2, 3, 4)) + _map_loss(
-            map_differences(maps, unpack_maps(batch["maps"])), learned
+            map_differences(maps, unpack_maps(batch["maps"])), loss_parameters
         )
 
 
@@ -226,8 +226,8 @@ class FromPhoto(CodedMaps):
         return self._move_flash(super().encode(encoder, encoder_input), encoder_input)
 
     @override
-    def photo_difference(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
-        return super().photo_difference(self._move_flash(theta, batch), maps, batch, learned)
+    def photo_difference(self, theta: Params, maps: Maps, batch: Batch, loss_parameters: Params) -> Tensor:
+        return super().photo_difference(self._move_flash(theta, batch), maps, batch, loss_parameters)
 
     def _move_flash(self, theta: Params, batch: Batch) -> Params:
         """Return parameters [T, ...] whose flashes are as high as the cameras, where their `height` [T, 1] is known."""
@@ -255,27 +255,28 @@ class FromPhoto(CodedMaps):
         return fill_clipped(maps, linear_to_srgb(small))
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        return self.photo_difference(theta, self.maps_of(theta, batch["photo"]), batch, learned)
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
+        return self.photo_difference(theta, self.maps_of(theta, batch["photo"]), batch, loss_parameters)
 
 
-def photo_loss(radiance: Tensor, photos: Tensor, learned: Params, weights: Tensor | float = 1.0) -> Tensor:
+def photo_loss(radiance: Tensor, photos: Tensor, loss_parameters: Params, weights: Tensor | float = 1.0) -> Tensor:
     """Return the mean difference of the logs of radiance and photographs, [T]; where these clip, only if it is darker.
 
     Args:
         radiance: the radiance of maps, [T, ...].
         photos: linear photographs of that shape.
-        learned: learned parameters of the loss, {} for |d|.
+        loss_parameters: the learned parameters of the loss, {} for |d|.
         weights: factors of the differences, [T, 1, ...].
     """
     log_differences = (photos + RADIANCE_FLOOR).log() - (radiance + RADIANCE_FLOOR).log()
     log_differences = torch.where(photos > CLIPPED_LINEAR_VALUE, relu(log_differences), log_differences)
-    return (weights * smooth_absolute(log_differences, learned)).mean(tuple(range(1, log_differences.ndim)))
+    return (weights * smooth_absolute(log_differences, loss_parameters)).mean(tuple(range(1, log_differences.ndim)))
 
 
-def _map_loss(differences: list[Tensor], learned: Params) -> Tensor:
+def _map_loss(differences: list[Tensor], loss_parameters: Params) -> Tensor:
     """Return the sum of the means of the differences of maps that :func:`map_differences` returns, [T]."""
-    return torch.stack([smooth_absolute(difference, learned).mean((1, 2, 3)) for difference in differences]).sum(0)
+    means = [smooth_absolute(difference, loss_parameters).mean((1, 2, 3)) for difference in differences]
+    return torch.stack(means).sum(0)
 
 
 def _steepness(maps: Maps) -> Tensor:

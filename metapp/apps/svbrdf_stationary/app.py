@@ -152,7 +152,7 @@ class SvbrdfStationary(ExemplarApp):
         return {"noise": noise, "windows": windows} | self.statistics.targets(tasks, windows)
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the distance of pictures from the photo, [T], plus the distance of gloss from the prior's, if any.
 
         Gram matrices in windows, spectra of features and pooled pictures are compared.
@@ -162,7 +162,7 @@ class SvbrdfStationary(ExemplarApp):
         return loss + self.prior * _gloss_deviation(maps, theta["gloss"]) if self.prior else loss
 
     @override
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the distance of pictures from the photo plus the difference of maps from the true ones, [T].
 
         Where the true maps are unknown, the deviation of gloss from a usual one counts instead. Without either, General

@@ -82,7 +82,7 @@ class Texture(ExemplarApp):
         return {"noise": noise} | self.statistics.targets(tasks)
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the relative L1 distance of Gram matrices, [T]."""
         pictures = self.generate(theta, batch["noise"], self.octaves.find_octave(batch))
         return self.statistics.gram_distance(pictures, batch)

@@ -62,7 +62,7 @@ class QuiltedTexture(Texture):
         return super().sample(tasks, rng, count) | {"quilt": tasks.data["quilt"][tasks.rows]}
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the relative L1 distance of Gram matrices, [T], plus CHANGE_WEIGHT times the squared change."""
         tiles = self.network(theta, batch["quilt"])
         change = (tiles - batch["quilt"].clamp(0, 1)).square().mean((-1, -2, -3))

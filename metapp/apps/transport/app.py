@@ -78,15 +78,15 @@ class Transport(App):
         return {"points": samples[tasks.rows[:, None], rows].mT.contiguous()}
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the mean negative log-likelihood of the points, [T]."""
         film, directions = self.network.log_density(theta, batch["points"])
         return -(film + directions).mean(1)
 
     @override
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the loss of the first OUTER_SAMPLES points: scenes differ more than samples of one scene do."""
-        return self.loss(theta, {"points": batch["points"][..., :OUTER_SAMPLES]}, learned)
+        return self.loss(theta, {"points": batch["points"][..., :OUTER_SAMPLES]}, loss_parameters)
 
     @override
     def init_encoder(self, rng: Generator) -> Params:

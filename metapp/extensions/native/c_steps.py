@@ -195,11 +195,11 @@ class _CSteps:
             _point_at(_State, pull_old_state), _point_at(_Pulled, pulls),
         )  # fmt: skip
         if self.order == 2:
-            flat, learned = self.parameter_order.flatten(theta), select_loss_parameters(alpha)
-            smooth = add_smoothing(self.loss, learned, {"flat": flat})
+            flat, loss_parameters = self.parameter_order.flatten(theta), select_loss_parameters(alpha)
+            smooth = add_smoothing(self.loss, loss_parameters, {"flat": flat})
             product, pull_learned = nbrdf.gradient_product(flat, batch, smooth, pull_gradient)
             pull = pull + product
-            pulls |= {f"loss.{key}": pull_learned[key] for key in learned}
+            pulls |= {f"loss.{key}": pull_learned[key] for key in loss_parameters}
         pull_alpha = {key: pulls[key].sum_to_size(alpha[key].shape) for key in pulls}
         return self.parameter_order.unflatten(pull), pull_old_state, pull_alpha
 

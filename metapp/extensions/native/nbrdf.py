@@ -53,39 +53,39 @@ def load_nbrdf_library(march: str = "native") -> ctypes.CDLL | None:
     return library
 
 
-def loss_gradient(theta: Tensor, batch: Batch, learned: Params) -> tuple[Tensor, Tensor]:
+def loss_gradient(theta: Tensor, batch: Batch, loss_parameters: Params) -> tuple[Tensor, Tensor]:
     """Return the gradient of the loss, [T, 675], and the losses, [T].
 
     Args:
         theta: flat parameters, [T, 675].
         batch: `where` [T, 7, N] and `target` [T, 3, N], samples of T materials.
-        learned: the loss's learned parameters, `smoothing` [T or 1] and `weights` [T or 1, 8], or none.
+        loss_parameters: `smoothing` [T or 1] and `weights` [T or 1, 8], or none.
     """
     gradient, losses = torch.empty_like(theta), theta.new_empty(theta.shape[0])
     dense, library = _make_dense(theta, batch), load_nbrdf_library()
     assert library is not None
-    library.nbrdf_gradient(*_shared_arguments(dense, learned), gradient.data_ptr(), losses.data_ptr())
+    library.nbrdf_gradient(*_shared_arguments(dense, loss_parameters), gradient.data_ptr(), losses.data_ptr())
     return gradient, losses
 
 
-def gradient_product(theta: Tensor, batch: Batch, learned: Params, along: Tensor) -> tuple[Tensor, Params]:
+def gradient_product(theta: Tensor, batch: Batch, loss_parameters: Params, along: Tensor) -> tuple[Tensor, Params]:
     """Return the derivatives of the product of the loss's gradient and a direction.
 
     Args:
         theta: flat parameters, [T, 675].
         batch: `where` [T, 7, N] and `target` [T, 3, N], samples of T materials.
-        learned: the loss's learned parameters, `smoothing` [T or 1] and `weights` [T or 1, 8], or none.
+        loss_parameters: `smoothing` [T or 1] and `weights` [T or 1, 8], or none.
         along: the direction, [T, 675].
 
     Returns:
         Derivatives in theta, [T, 675], and in each learned parameter, [T, ...].
     """
     dense, product, along = _make_dense(theta, batch), torch.empty_like(theta), along.contiguous()
-    pulls = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in learned.items()}
+    pulls = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in loss_parameters.items()}
     pointers = [pulls[key].data_ptr() if key in pulls else None for key in ("smoothing", "weights")]
     library = load_nbrdf_library()
     assert library is not None
-    library.nbrdf_product(*_shared_arguments(dense, learned), along.data_ptr(), product.data_ptr(), *pointers)
+    library.nbrdf_product(*_shared_arguments(dense, loss_parameters), along.data_ptr(), product.data_ptr(), *pointers)
     return product, pulls
 
 
@@ -96,15 +96,15 @@ def _make_dense(theta: Tensor, batch: Batch) -> list[Tensor]:
     return [theta.contiguous(), where.float().contiguous(), target.float().contiguous()]
 
 
-def _shared_arguments(dense: list[Tensor], learned: Params) -> list[int | None]:
+def _shared_arguments(dense: list[Tensor], loss_parameters: Params) -> list[int | None]:
     """Return the arguments that both functions of `nbrdf.c` begin with.
 
-    They are pointers: the tensors of `dense` and `learned` must live until the call has returned.
+    They are pointers: the tensors of `dense` and `loss_parameters` must live until the call has returned.
     """
     tasks, _, samples = dense[1].shape
     arguments: list[int | None] = [tasks, samples, *(tensor.data_ptr() for tensor in dense)]
     for key in ("smoothing", "weights"):
-        value = learned.get(key)
+        value = loss_parameters.get(key)
         stride = 0 if value is None or value.shape[0] == 1 else value.stride(0)
         arguments += [None if value is None else value.data_ptr(), stride]
     return arguments

@@ -147,7 +147,7 @@ class LossParameters(Part):
     @override
     def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
         """Return the initial values that the application gives its loss parameters."""
-        return {f"loss.{key}": value for key, value in app.loss_parameters(steps).items()}
+        return {f"loss.{key}": value for key, value in app.initial_loss_parameters(steps).items()}
 
 
 class Curvature(Part):

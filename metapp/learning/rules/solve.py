@@ -33,13 +33,15 @@ class NormalEquations(Loss):
     """A loss whose steps see normal equations of a linear layer W [T, C, F] in place of a gradient.
 
     Attributes:
-        linear: a function (params, batch, learned) -> least squares near the loss.
+        linear: a function (params, batch, loss_parameters) -> least squares near the loss.
     """
 
     linear: Callable[[Params, AnyBatch, Params], LeastSquares] = field(kw_only=True)
 
     @override
-    def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    def gradient(
+        self, theta: Params, batch: AnyBatch, loss_parameters: Params, *, graph: bool
+    ) -> tuple[Params, Tensor]:
         """Return the normal equations by name in place of gradients, and the loss of each task, [T].
 
         Returns:
@@ -47,7 +49,7 @@ class NormalEquations(Loss):
             residuals and features. If the least squares have them, also `prior.<W>` [T, C, F] and `axes.<W>` [T, C, C].
         """
         with torch.set_grad_enabled(graph):
-            linear = self.linear(theta, batch, learned)
+            linear = self.linear(theta, batch, loss_parameters)
             weighted = (linear.features * linear.weights[:, None] / linear.weights.shape[1]).mT
             gram, moment = linear.features @ weighted, linear.residual @ weighted
         sums = {f"gram.{linear.name}": gram, f"moment.{linear.name}": moment}

@@ -147,11 +147,11 @@ def test_gradients_are_those_of_finite_differences(app: SeveralPhotos, tasks: Ta
     theta = {key: value.double() for key, value in general(app, tasks.select([0])).items()}
     theta = {key: value[..., :4, :4] if key in ("maps", "prior") else value for key, value in theta.items()}
     noise = torch.randn(theta["maps"].shape, generator=Generator().manual_seed(0), dtype=torch.float64)
-    learned = {key: value.double() for key, value in app.loss_parameters(1).items()}
+    loss_parameters = {key: value.double() for key, value in app.initial_loss_parameters(1).items()}
     moving = [theta["maps"] + 0.1 * noise, theta["flash"].clone(), theta["falloff"] + 0.3]
 
     def loss(maps: Tensor, flash: Tensor, falloff: Tensor) -> Tensor:
-        return app.loss(theta | {"maps": maps, "flash": flash, "falloff": falloff}, batch, learned)
+        return app.loss(theta | {"maps": maps, "flash": flash, "falloff": falloff}, batch, loss_parameters)
 
     assert torch.autograd.gradcheck(loss, [values.requires_grad_() for values in moving])
 

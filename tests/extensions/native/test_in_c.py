@@ -69,7 +69,7 @@ def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int
 def loss_of(batches: list[Batch], registered: bool = True) -> Loss:
     """The loss on these batches, one after the other."""
     supply = iter(batches)
-    value = APP.loss if registered else lambda theta, batch, learned: APP.loss(theta, batch, learned)
+    value = APP.loss if registered else lambda theta, batch, loss_parameters: APP.loss(theta, batch, loss_parameters)
     return Loss(lambda data, rng, done: DrawnBatch((), next(supply)), value)
 
 
@@ -107,20 +107,20 @@ def away(actual: Tensor, expected: Tensor) -> float:
 @pytest.mark.parametrize("names", [(), ("smoothing",), ("smoothing", "weights")])
 def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int, form: int) -> None:
     rng = Generator().manual_seed(samples)
-    theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
+    theta, batch, loss_parameters = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
     layout = ParameterOrder(theta)
     flat, along = layout.flatten(theta), torch.randn(TASKS, 675, generator=rng)
-    gradient, losses = nbrdf.loss_gradient(flat, batch, learned)
-    product, pulls = nbrdf.gradient_product(flat, batch, learned, along)
+    gradient, losses = nbrdf.loss_gradient(flat, batch, loss_parameters)
+    product, pulls = nbrdf.gradient_product(flat, batch, loss_parameters, along)
 
     exact = flat.double().requires_grad_()
-    leaves = {key: value.double().requires_grad_() for key, value in learned.items()}
+    leaves = {key: value.double().requires_grad_() for key, value in loss_parameters.items()}
     expected = APP.loss(layout.unflatten(exact), double(batch), leaves)
     (slope,) = torch.autograd.grad(expected.sum(), exact, create_graph=True)
     bends = torch.autograd.grad((slope * along.double()).sum(), [exact, *leaves.values()])
     assert away(losses, expected.detach()) < 10 * EPS
     assert away(gradient, slope.detach()) < 10 * EPS
-    assert list(pulls) == list(learned)
+    assert list(pulls) == list(loss_parameters)
     for actual, bend in zip([product, *pulls.values()], bends, strict=True):
         assert away(actual, bend) < 200 * EPS  # torch in single precision: up to 70
 

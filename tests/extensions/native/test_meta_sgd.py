@@ -37,8 +37,8 @@ class OwnLoss(Brdf):
     """An application with a loss of its own, which C does not know."""
 
     @override
-    def loss(self, theta: Params, batch: Params, learned: Params) -> Tensor:
-        return 2 * super().loss(theta, batch, learned)
+    def loss(self, theta: Params, batch: Params, loss_parameters: Params) -> Tensor:
+        return 2 * super().loss(theta, batch, loss_parameters)
 
 
 @pytest.fixture

@@ -21,15 +21,15 @@ TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
 SOLVE = rule_of("solve")
 
 
-def linear(theta: Params, batch: Batch, learned: Params) -> LeastSquares:
+def linear(theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
     features = theta["scale"][:, :, None] * batch["x"]
     residual = batch["y"] - theta["W"] @ features
     return LeastSquares("W", features, residual, batch["weights"], residual.abs().mean((1, 2)))
 
 
-def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
+def value(theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
     """Half the weighted sum of squares, whose minimum is the solution."""
-    of = linear(theta, batch, learned)
+    of = linear(theta, batch, loss_parameters)
     return 0.5 * (of.weights[:, None] * of.residual.square()).mean(2).sum(1)
 
 
@@ -88,8 +88,8 @@ def test_a_prior_adds_to_the_penalties_of_each_output(theta: Params, batches: li
     alpha = alpha_of(theta)
     prior = torch.linspace(-2, 2, OUTPUTS * FEATURES, dtype=torch.float64).exp().reshape(1, OUTPUTS, FEATURES)
 
-    def informed(theta: Params, batch: Batch, learned: Params) -> LeastSquares:
-        return linear(theta, batch, learned)._replace(prior=prior.expand(TASKS, -1, -1))
+    def informed(theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
+        return linear(theta, batch, loss_parameters)._replace(prior=prior.expand(TASKS, -1, -1))
 
     final = learn_differentiably(theta, SOLVE.update_rule(alpha), batches, replace(LOSS, linear=informed), order=2)
     for output in range(OUTPUTS):
@@ -105,8 +105,8 @@ def test_penalties_hold_along_the_axes_of_outputs(theta: Params, batches: list[B
     angle = torch.tensor(0.7, dtype=torch.float64)
     axes = torch.stack([torch.stack([angle.cos(), -angle.sin()]), torch.stack([angle.sin(), angle.cos()])])
 
-    def rotated(theta: Params, batch: Batch, learned: Params) -> LeastSquares:
-        return linear(theta, batch, learned)._replace(axes=axes)
+    def rotated(theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
+        return linear(theta, batch, loss_parameters)._replace(axes=axes)
 
     final = learn_differentiably(theta, SOLVE.update_rule(alpha), batches, replace(LOSS, linear=rotated), order=2)
     turned = [batch | {"y": axes.T @ batch["y"]} for batch in batches]

@@ -57,12 +57,12 @@ class FewSamples(Brdf):
         )
 
     @override
-    def loss_parameters(self, steps: int) -> Params:
+    def initial_loss_parameters(self, steps: int) -> Params:
         """Return the initial smoothing alone: the network itself says how much samples count."""
-        return {"smoothing": super().loss_parameters(steps)["smoothing"]}
+        return {"smoothing": super().initial_loss_parameters(steps)["smoothing"]}
 
     @override
-    def least_squares(self, theta: Params, batch: Batch, learned: Params) -> LeastSquares:
+    def least_squares(self, theta: Params, batch: Batch, loss_parameters: Params) -> LeastSquares:
         """Return the ridge regression of all samples in logarithms of reflectance."""
         return ridge_regression(theta, batch)
 

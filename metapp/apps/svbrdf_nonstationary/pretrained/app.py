@@ -176,7 +176,7 @@ class FromFeatures(FromPhoto):
         return super().maps_from(torch.cat([SLOPE_GAIN * square / (square + HALVED_SLOPE**2) * slopes, rest], 1))
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the difference from the photograph, [T], which moves the code of "full" and the flash alone.
 
         So normals stay those of General: a photograph under one light says less of them than General has read. Texels
@@ -188,7 +188,7 @@ class FromFeatures(FromPhoto):
         maps = self.maps_from(self.network.mix_outputs(first_output.detach(), full_output))
         flash = self.flash_of(self._move_flash(theta, batch))
         radiance = render_photo(maps, flash)
-        return photo_loss(radiance, batch["photo"], learned, trust_texels(maps, radiance, flash))
+        return photo_loss(radiance, batch["photo"], loss_parameters, trust_texels(maps, radiance, flash))
 
     @override
     def hidden_share(self, theta: Params, maps: Maps) -> Tensor:
@@ -200,7 +200,7 @@ class FromFeatures(FromPhoto):
         return super().fill(theta, remove_scars(maps, photo, self.flash_of(theta)), photo)
 
     @override
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the difference of the maps and of their radiance under random lights, [T]; made-up maps do not count.
 
         Normals learn from their squared error alone, over the deviation that General predicts. Its minimum is the

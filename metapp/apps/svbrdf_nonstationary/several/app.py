@@ -186,7 +186,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         return maps._replace(diffuse=(maps.diffuse * log_detail.exp()).clamp(0, 1))
 
     @override
-    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the negative log posterior of each task, [T], summed over texels.
 
         It has these terms: rounded |differences| of log photographs and log renderings; squared displacements of the
@@ -194,7 +194,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         the rounded |curl| of slopes, which are the gradient of a height. Where a photograph clips, only darker
         renderings differ from it; where it does not show the material, none does.
         """
-        parameters = self.settings(learned, theta["maps"])
+        parameters = self.settings(loss_parameters, theta["maps"])
         photos = batch["photos"]
         residual = log_radiance(photos) - log_radiance(
             render_photos(decode_maps(theta["maps"]), decode_flashes(theta["flash"], batch["places"], theta["falloff"]))
@@ -215,22 +215,23 @@ class SeveralPhotos(SvbrdfNonstationary):
             loss = loss + priors / photos.shape[1]
         return loss * (photos.shape[-2] * photos.shape[-1])
 
-    def settings(self, learned: Params, like: Tensor) -> Params:
+    def settings(self, loss_parameters: Params, like: Tensor) -> Params:
         """Return all loss parameters, with a leading axis of tasks: learned values, else the initial ones.
 
         Args:
-            learned: the loss parameters that a rule has learned for the current step, [T, ...]; {} for none.
+            loss_parameters: the values that a rule has learned for the current step, [T, ...]; {} for none.
             like: a tensor [T, ...] that gives initial values their number of tasks, dtype and device.
 
         Returns:
             `smoothing` [T], `prior` [T, 9], `flash` [T], `curl` [T] and `noise` [T]; see :meth:`loss_parameters`.
         """
-        return learned or {
-            key: value.expand(len(like), *value.shape[1:]).to(like) for key, value in self.loss_parameters(1).items()
-        }
+        if loss_parameters:
+            return loss_parameters
+        initial = self.initial_loss_parameters(1)
+        return {key: value.expand(len(like), *value.shape[1:]).to(like) for key, value in initial.items()}
 
     @override
-    def loss_parameters(self, steps: int) -> Params:
+    def initial_loss_parameters(self, steps: int) -> Params:
         """Return initial values of the loss parameters, which are logs, with a leading axis of steps.
 
         A rule learns other values for each step. The initial values are equal at all steps.
@@ -250,7 +251,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         return {key: value.log().expand(steps, *value.shape).clone() for key, value in values.items()}
 
     @override
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return differences between fitted and true maps, weighted, and a term that trains General's prior: sums [T].
 
         The differences are mean absolute ones: of log radiance under random lights, normals, slopes, diffuse and

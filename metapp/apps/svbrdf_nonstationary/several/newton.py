@@ -72,12 +72,14 @@ class GaussNewton(Loss):
     settings: Callable[[Params, Tensor], Params] = field(kw_only=True)
 
     @override
-    def gradient(self, theta: Params, batch: AnyBatch, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    def gradient(
+        self, theta: Params, batch: AnyBatch, loss_parameters: Params, *, graph: bool
+    ) -> tuple[Params, Tensor]:
         """Return the Gauss-Newton step of the parameters in place of a gradient, and the loss of each task, [T]."""
         with torch.set_grad_enabled(graph):
-            change = gauss_newton_change(theta, batch, self.settings(learned, theta["maps"]))
+            change = gauss_newton_change(theta, batch, self.settings(loss_parameters, theta["maps"]))
         with torch.no_grad():
-            losses = self.value(theta, batch, learned)
+            losses = self.value(theta, batch, loss_parameters)
         return change, losses
 
 
