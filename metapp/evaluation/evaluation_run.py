@@ -169,7 +169,7 @@ class EvaluationRun:
         if folder and missing and self.is_measuring:
             row_name, task_steps, total = f"{full_name(self.app)} {title}", steps + 1, (steps + 1) * len(missing)
             bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
-            with bars as bar, torch_defaults(single=self.app.single_threaded):
+            with bars as bar, torch_defaults(single=self.app.small_tensors):
                 bar.set_done(0, total, row_name)
                 for count, (task, (record, tensors)) in enumerate(zip(missing, measure(missing), strict=False), 1):
                     folder.write({**record, "content": task_digest(task), "origin": self.run.input_places(())}, tensors)

@@ -66,7 +66,7 @@ class App(ABC):
         name: the application's name on the command line.
         error_measure: the meaning and the scale of the errors that `errors` returns.
         tensors: the form of each tensor of a task, by the tensor's name.
-        single_threaded: whether the tensors of one task are so small that threads and GPUs only slow its fit down, and
+        small_tensors: whether the tensors of one task are so small that threads and GPUs only slow its fit down, and
             that compiling the inner step pays in training.
         deterministic: whether a fit observes nothing random, so that a second fit would give the first one's result.
     """
@@ -76,7 +76,7 @@ class App(ABC):
     name: ClassVar[str]
     error_measure: ClassVar[ErrorMeasure]
     tensors: ClassVar[Mapping[str, TensorSpec]] = MappingProxyType({})
-    single_threaded: ClassVar[bool] = False
+    small_tensors: ClassVar[bool] = False
     deterministic: ClassVar[bool] = False
 
     @property

@@ -34,7 +34,7 @@ class CodedApp(App):
 
     network: LocalField = field()
 
-    single_threaded = deterministic = True
+    small_tensors = deterministic = True
 
     @override
     def initial_loss_parameters(self, steps: int) -> Params:

@@ -168,7 +168,7 @@ class RuleTraining(CheckpointTraining):
             clip=outer_loop.clip,
             prediction=encoder_prediction(app) if phi.encoder else None,
             outer_loss=task_loss(app, paradigm.recipe.batch, outer=True),
-            steps_of=fastest_steps(compiles=app.single_threaded),
+            steps_of=fastest_steps(compiles=app.small_tensors),
         )
         return over_tasks(loss, count=outer_loop.tasks, augment=app.augment if outer_loop.augment else None)
 

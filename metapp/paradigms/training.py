@@ -201,7 +201,7 @@ def _descend_outer_loss(
 
 
 MAX_SEARCH_TASKS = 8  # validation tasks of a search, unless networks are small
-SMALL_NETWORK_PARAMETERS = 2**16  # up to which a search can afford to fit single-threaded applications to all tasks
+SMALL_NETWORK_PARAMETERS = 2**16  # up to which a search can afford to fit all tasks of applications with small tensors
 
 
 def _search_adam(
@@ -249,7 +249,7 @@ def _search_adam(
 
 def _select_search_tasks(app: App, tasks: Tasks) -> Tasks:
     """Return all validation tasks if networks are small, else up to MAX_SEARCH_TASKS of them, evenly spaced."""
-    if app.single_threaded:
+    if app.small_tensors:
         theta = app.init(Generator().manual_seed(0), 1)
         if sum(parameter.numel() for parameter in theta.values()) <= SMALL_NETWORK_PARAMETERS:
             return tasks

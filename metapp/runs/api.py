@@ -151,7 +151,7 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
 def _fit_named_inputs(options: FitOptions) -> list[Fit]:
     """Fit the inputs that options name; a bad file that was found in a folder is left out with a warning."""
     run = Run.from_options(options)
-    with torch_defaults(single=run.app.single_threaded):
+    with torch_defaults(single=run.app.small_tensors):
         inputs, label = find_inputs(run)
         if options.objects:
             tasks = [run_input.read_task() for run_input in inputs]

@@ -23,14 +23,14 @@ _PRODUCTS = (_MKLDNN.matmul, _MKLDNN.conv, torch.backends.cuda.matmul)
 
 
 def find_device(name: str, app: App) -> torch.device:
-    """Return the device of a name; "auto" is CUDA if there is one, but the CPU for a single-threaded application.
+    """Return the device of a name; "auto" is CUDA if there is one, but the CPU for an application with small tensors.
 
     Raises:
         ValueError: the name is "cuda", and PyTorch finds no such device.
     """
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
-    automatic = "cuda" if torch.cuda.is_available() and not app.single_threaded else "cpu"
+    automatic = "cuda" if torch.cuda.is_available() and not app.small_tensors else "cpu"
     return torch.device(automatic if name == "auto" else name)
 
 
@@ -68,7 +68,7 @@ def torch_defaults(*, single: bool) -> Iterator[None]:
 
     Args:
         single: whether to work with one thread, because the tensors are so small that threads would only wait for each
-            other (`App.single_threaded`).
+            other (`App.small_tensors`).
     """
     thread_count, dtype = torch.get_num_threads(), torch.get_default_dtype()
     precisions = [product.fp32_precision for product in _PRODUCTS]

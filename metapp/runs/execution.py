@@ -132,7 +132,7 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
         FloatingPointError: training is not finite.
         Exception: an error that ends the fits, see :func:`keep_fits`.
     """
-    with torch_defaults(single=run.app.single_threaded):
+    with torch_defaults(single=run.app.small_tensors):
         if ranks.rank_number() > 0:
             if run.options.train:
                 with use_reporter(Reporter()):  # shows neither messages nor progress

@@ -154,7 +154,7 @@ class Fit:
         if len(light) != len(viewer):
             raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
         app: object = self.app
-        with torch_defaults(single=self.app.single_threaded), torch.no_grad():
+        with torch_defaults(single=self.app.small_tensors), torch.no_grad():
             angles = directions_to_four_angles(light, viewer).float()
             values = app.reflectance(self.parameters, angles) if isinstance(app, HasReflectance) else None
         if values is None:
@@ -173,26 +173,26 @@ class Fit:
         `basecolor` [H, W, 3], illumination has `radiance` [H, 2 H, 3]. The maps are as fine as the files that
         `metapp meta` writes.
         """
-        with torch_defaults(single=self.app.single_threaded):
+        with torch_defaults(single=self.app.small_tensors):
             maps = self.run.presenter.linear_maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def preview(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        with torch_defaults(single=self.app.single_threaded):
+        with torch_defaults(single=self.app.small_tensors):
             return self.run.presenter.preview(self.parameters, self.task)
 
     @functools.cached_property
     def renders(self) -> dict[str, np.ndarray]:
         """The renderings that options ask for, such as `render` of transport: linear pictures [H, W, 3] by name."""
-        with torch_defaults(single=self.app.single_threaded):
+        with torch_defaults(single=self.app.small_tensors):
             pictures, _ = render_outputs(self.run, self.task, self.parameters)
         return {name: picture.pixels.numpy() for name, picture in pictures.items()}
 
     def picture(self) -> Image:
         """Return a picture of PIL in 8 bits of sRGB, with the reference, if there is one, left of the fit."""
         previews = self.preview()
-        with torch_defaults(single=self.app.single_threaded):
+        with torch_defaults(single=self.app.small_tensors):
             return place_side_by_side(
                 [srgb_image(linear) for name, linear in previews.items() if name in ("reference", "fit")]
             )
@@ -220,5 +220,5 @@ class Fit:
             BadOption: fits of this application cannot be written in this format, or a library for it is missing.
         """
         check_export(form, self.app.name)
-        with torch_defaults(single=self.app.single_threaded):
+        with torch_defaults(single=self.app.small_tensors):
             export_fit(self.run, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)

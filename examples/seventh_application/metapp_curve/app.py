@@ -26,7 +26,7 @@ class Curve(App):
     name = "curve"
     error_measure = ErrorMeasure("mean absolute difference at held-out samples")
     tensors = MappingProxyType({"y": TensorSpec((SAMPLES,), low=-1e3, high=1e3)})
-    single_threaded = True
+    small_tensors = True
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:

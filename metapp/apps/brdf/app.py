@@ -54,7 +54,7 @@ class Brdf(App):
         "render": TensorSpec(("H", "W", 4), optional=True),
         "environment": TensorSpec(("h", "w", 4), optional=True),
     }
-    single_threaded = True
+    small_tensors = True
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:

@@ -52,7 +52,7 @@ class SvbrdfNonstationary(App):
 
     sees_others: ClassVar[bool] = False
     name = "svbrdf_nonstationary"
-    single_threaded = deterministic = True
+    small_tensors = deterministic = True
     error_measure = ErrorMeasure(
         "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere",
         further={

@@ -199,7 +199,7 @@ def draw_comparison(comparison: Comparison, file: Path, *, quiet: bool) -> tuple
     records = [{record["name"]: record for record in run.records} for run in comparison.runs]
     tasks, presenter = comparison.tasks[:MAX_COMPARED_PICTURES], comparison.runs[0].presenter
     columns = []
-    with progress("picture", len(tasks), quiet=quiet) as bar, torch_defaults(single=presenter.app.single_threaded):
+    with progress("picture", len(tasks), quiet=quiet) as bar, torch_defaults(single=presenter.app.small_tensors):
         for task in tasks:
             pairs = zip(comparison.runs, records, strict=True)
             columns.append(

@@ -127,7 +127,7 @@ def make_labelled_view(fit: Fit, label: str) -> View:
         ValueError: the view needs the input of the fit, which is not at hand.
     """
     try:
-        with torch_defaults(single=fit.app.single_threaded):
+        with torch_defaults(single=fit.app.small_tensors):
             view = make_view(fit.run.presenter, fit.parameters, fit.task)
     except KeyError as missing:
         if fit.task.data:

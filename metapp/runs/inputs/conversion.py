@@ -135,7 +135,7 @@ def convert_files(
                 f"{useless_folders[0]}: {count} sources, none usable, expected one or more; see the warnings above."
             )
 
-    with torch_defaults(single=class_of(form.app).single_threaded):  # small tensors, for which threads only wait
+    with torch_defaults(single=class_of(form.app).small_tensors):  # threads would only wait for each other
         written = write_data_set(out, form.app, reader.UNITS, read_tasks(), notes, overwrite=overwrite)
     return conversion_result(form.app, out, written, skipped)
 

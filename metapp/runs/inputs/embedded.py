@@ -255,7 +255,7 @@ def _write_set(
                     yield task, split, ""
                     bar.advance(task.name)
 
-    with torch_defaults(single=class_of(app).single_threaded):
+    with torch_defaults(single=class_of(app).small_tensors):
         write_data_set(folder, app, units, draw_tasks(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
 
 

@@ -119,7 +119,7 @@ def test_rows_are_printed_as_soon_as_they_are_measured(measure: Callable, empty:
 
 def test_fits_have_the_threads_of_their_application(measure: Callable, empty: EvaluationRun) -> None:
     class Threaded(Brdf):
-        single_threaded = False
+        small_tensors = False
 
     counts: list[int] = []
     before = torch.get_num_threads()
@@ -132,7 +132,7 @@ def test_fits_have_the_threads_of_their_application(measure: Callable, empty: Ev
         assert [*counts[::3], torch.get_num_threads()] == [1, 2, 2]
     finally:
         torch.set_num_threads(before)
-    assert (app_by_recipe("illumination").single_threaded, app_by_recipe("texture").single_threaded) == (True, False)
+    assert (app_by_recipe("illumination").small_tensors, app_by_recipe("texture").small_tensors) == (True, False)
 
 
 def test_an_application_without_its_weights_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
