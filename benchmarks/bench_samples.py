@@ -24,7 +24,7 @@ from metapp.cli.console import run_command
 from metapp.evaluation.error_statistics import compare_errors
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, save_figure
 from metapp.extensions.baselines import baselines_of
-from metapp.extensions.baselines.baseline import TrainingTasks, judge_answer
+from metapp.extensions.baselines.baseline import TrainingTasks, judge_prediction
 from metapp.extensions.baselines.baseline_fits import cost_limits_of_run, read_training_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
@@ -94,8 +94,8 @@ def _errors_of_baselines(
     errors = {}
     for task in tasks:
         stacked = stack_tasks(run.app, [task])
-        answer = baseline.fit(stacked, rng_of(run, task), cost_limits).answer()
-        errors[task.name] = run.app.error_measure.scale * float(judge_answer(run.app, answer, stacked)["error"])
+        prediction = baseline.fit(stacked, rng_of(run, task), cost_limits).prediction()
+        errors[task.name] = run.app.error_measure.scale * float(judge_prediction(run.app, prediction, stacked)["error"])
     return errors
 
 

@@ -102,12 +102,12 @@ class Presenter(Generic[PresentedApp]):
         """Return the picture files that a fit makes for its user, by the file's name without its ending."""
         return {}
 
-    def answer_pictures(self, answer: Any, task: Task) -> dict[str, Picture]:
-        """Return the picture files of an answer that need not come from the network, such as a baseline's.
+    def prediction_pictures(self, prediction: Any, task: Task) -> dict[str, Picture]:
+        """Return the picture files of a prediction that need not come from the network, such as a baseline's.
 
         Args:
-            answer: what `errors_of` of the application judges, with a task axis of one entry.
-            task: the task that is answered.
+            prediction: the argument of the application's method `errors_of`, with a task axis of one entry.
+            task: the task.
         """
         return {}
 

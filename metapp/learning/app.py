@@ -54,8 +54,8 @@ class App(ABC):
     fields of its own is a frozen dataclass, too.
 
     What :meth:`prepare` returns of each task is stacked: methods that take `tasks` find a tensor of the T selected
-    tasks as `tasks.data[name][tasks.rows]`. An application that has baselines defines `errors_of(answer, tasks)`, too:
-    it measures an answer that need not come from the network, and :meth:`errors` calls it.
+    tasks as `tasks.data[name][tasks.rows]`. An application that has baselines defines `errors_of(prediction, tasks)`,
+    too: it measures a prediction that need not come from the network, and :meth:`errors` calls it.
 
     Attributes:
         network: the network of one task, which has the methods `init`, `init_encoder` and `encode`, unless the

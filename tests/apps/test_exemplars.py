@@ -95,7 +95,7 @@ def test_lost_order_is_doubted_where_networks_read_quilts(
     alone = {key: value[1:] for key, value in theta.items()}
     assert warnings_of(app, alone, both.select([1]))[0][0] == clause
     copies = app.octaves.take_exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
-    monkeypatch.setattr(type(app.statistics), "render_answer", lambda *_: copies)
+    monkeypatch.setattr(type(app.statistics), "render_prediction", lambda *_: copies)
     assert not any("regular structure" in other for clauses in warnings_of(app, theta, both) for other in clauses)
     quick = app_of(app.name, recipes_of(app.name)["quick"])
     assert warnings_of(quick, {}, both) == [[], []]
@@ -111,7 +111,7 @@ def test_pictures_that_collapsed_are_doubted(app: ExemplarApp, tasks: Tasks, mon
         (0.02 * varied, ""),
         (varied, ""),
     ):
-        monkeypatch.setattr(type(app.statistics), "render_answer", lambda *_, result=result: result)
+        monkeypatch.setattr(type(app.statistics), "render_prediction", lambda *_, result=result: result)
         for clauses in warnings_of(app, theta, tasks):
             assert any(clause.startswith("the fit is") for clause in clauses) == bool(message)
             assert any(clause.startswith(message) for clause in clauses) or not message

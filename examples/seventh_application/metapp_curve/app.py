@@ -78,6 +78,6 @@ class Curve(App):
         """Return the mean absolute difference at held-out samples, [T]."""
         return self.errors_of(self.value(theta, tasks.data["x"][tasks.rows][:, None, 1::2]), tasks)
 
-    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+    def errors_of(self, prediction: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Return the mean absolute difference of values [T, 1, SAMPLES / 2] at held-out samples, [T], for baselines."""
-        return {"error": (answer - tasks.data["y"][tasks.rows][:, None, 1::2]).abs().mean((1, 2))}
+        return {"error": (prediction - tasks.data["y"][tasks.rows][:, None, 1::2]).abs().mean((1, 2))}

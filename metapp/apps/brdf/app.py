@@ -167,11 +167,11 @@ class Brdf(App):
         where = tasks.data["where"][tasks.rows, half:].transpose(1, 2)
         return self.errors_of(self.network.reflectance(theta, where).clamp_min(0), tasks)
 
-    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+    def errors_of(self, prediction: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Measure how far reflectance is off at the held-out samples, the second half of each task's.
 
         Args:
-            answer: reflectance [T, 3, M] at these samples, linear RGB in 1/sr, >= 0.
+            prediction: reflectance [T, 3, M] at these samples, linear RGB in 1/sr, >= 0.
             tasks: T tasks.
 
         Returns:
@@ -180,7 +180,7 @@ class Brdf(App):
         half = tasks.data["where"].shape[1] // 2
         cosine = tasks.data["where"][tasks.rows, half:, 6:7].transpose(1, 2)
         target = tasks.data["target"][tasks.rows, half:].transpose(1, 2)
-        return {"error": (torch.log1p(answer * cosine) - target).abs().mean((1, 2))}
+        return {"error": (torch.log1p(prediction * cosine) - target).abs().mean((1, 2))}
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
         """Return the reflectance of a fit, linear RGB [..., 3] in 1/sr, without the cosine.

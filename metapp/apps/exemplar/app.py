@@ -202,9 +202,9 @@ class ExemplarApp(App):
         """Measure pictures from noise that no fit draws, equal for all tasks."""
         return self.errors_of(self.generate(theta, fixed_noise(self, tasks.rows, JUDGED_PICTURES)), tasks)
 
-    def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
+    def errors_of(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
         """Measure pictures or maps that need not come from the network; see :meth:`Statistics.errors`."""
-        return self.statistics.errors(answer, tasks)
+        return self.statistics.errors(prediction, tasks)
 
     @override
     def init_encoder(self, rng: Generator) -> Params:

@@ -58,9 +58,9 @@ class Statistics(ABC):
         """Compute features [B, C, H', W'] of pictures [B, 3, H, W] of an octave's size, in the precision of fits."""
         return self.octaves.compute_features(pictures, octave, crop=crop, reduced=self.reduced_precision)
 
-    def render_answer(self, answer: Any, described: Batch) -> Tensor:
+    def render_prediction(self, prediction: Any, described: Batch) -> Tensor:
         """Render what `errors` takes under the light of the exemplars described: pictures [T, B, 3, H, W]."""
-        pictures: Tensor = answer
+        pictures: Tensor = prediction
         return pictures
 
     def even_light(self, pictures: Tensor, described: Batch) -> Tensor:
@@ -81,5 +81,5 @@ class Statistics(ABC):
         return SOFTNESS_WEIGHT * detail_difference(detail_statistics(pictures), batch["detail"][:, None]).mean(1)
 
     @abstractmethod
-    def errors(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
+    def errors(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
         """Return error measures [T], by name, of pictures or maps [T, B, ...] against the exemplars of tasks."""

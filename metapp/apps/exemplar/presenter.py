@@ -97,9 +97,9 @@ class ExemplarPresenter(Presenter[GeneratingApp]):
         if not app.network.reads_quilt:
             return super().quality_warnings(theta, tasks)
         data = {key: value[tasks.rows] for key, value in tasks.data.items()}
-        answer = app.generate(theta, fixed_noise(app, tasks.rows, 1, seed=SHOWN_SEED))
+        prediction = app.generate(theta, fixed_noise(app, tasks.rows, 1, seed=SHOWN_SEED))
         exemplars = app.octaves.take_exemplar(data["image"].float() / 255)
-        pictures = exemplars, statistics.render_answer(answer, data)[:, 0]
+        pictures = exemplars, statistics.render_prediction(prediction, data)[:, 0]
         collapse_warnings = [
             collapsed_fit_warnings(picture, exemplar) for exemplar, picture in zip(*pictures, strict=True)
         ]

@@ -1,8 +1,8 @@
 """The application of illumination: HDR environment maps (paper section 4.1.5).
 
-A fit sees a map itself, or nothing but the LDR photograph of a sphere under it; either way its answer is a map, which
-is judged by what it lights. Other modules compute how light gets to spheres and to the second scene, two spheres on a
-floor.
+A fit sees a map itself, or nothing but the LDR photograph of a sphere under it. Either way its prediction is a map,
+which is judged by what it lights. Other modules compute how light gets to spheres and to the second scene, two spheres
+on a floor.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class Illumination(CodedApp):
         """Return the maps that the network computes, with the suns among a fit's parameters, if there are any, added.
 
         They are linear radiance [T, 3, H, W]; neither is their luminance normalised, nor is the light in a mirror
-        filled in, as in :meth:`answer`.
+        filled in, as in :meth:`prediction`.
         """
         network, z = self.network, theta["z"]
         directions = texel_directions(network.height, network.width, dtype=z.dtype, device=z.device)
@@ -205,7 +205,7 @@ class Illumination(CodedApp):
         """Return the application with maps of another size, at which its network can be evaluated, too."""
         return replace(self, network=self.network._replace(height=height, width=width))
 
-    def answer(self, theta: Params, data: Batch) -> Tensor:
+    def prediction(self, theta: Params, data: Batch) -> Tensor:
         """Return the radiance maps [T, 3, H, W] that errors and pictures use, of mean luminance 1.
 
         Where a task's photograph shows a mirror, the directions that are seen in it get the radiance seen there.
@@ -244,12 +244,12 @@ class Illumination(CodedApp):
 
         It is a weighted sum: the radiance that diffuse surfaces reflect has weight 1, what glossy ones reflect
         GLOSSY_WEIGHT, the logs of both LOGS_WEIGHT, the log radiance of texels TEXELS_WEIGHT and the photograph
-        PHOTO_WEIGHT. All terms but the last are of the maps that :meth:`answer` returns.
+        PHOTO_WEIGHT. All terms but the last are of the maps that :meth:`prediction` returns.
         """
-        maps, answers = self.radiance_maps(theta), self.answer(theta, batch)
-        differences, log_differences = self._compare_reflected_radiance(answers, batch["sent"], {})
-        texel_loss = _texel_loss(answers, batch["map"], {}, 0.0)
-        # The photograph is compared with the maps as they are fitted: answers contain the light in a mirror itself, and
+        maps, predictions = self.radiance_maps(theta), self.prediction(theta, batch)
+        differences, log_differences = self._compare_reflected_radiance(predictions, batch["sent"], {})
+        texel_loss = _texel_loss(predictions, batch["map"], {}, 0.0)
+        # The photograph is compared with the maps as they are fitted: predictions hold light seen in the mirror, and
         # their luminance is normalised, though the fitted camera's exposure belongs to the unit of the fitted maps.
         photo_loss = self._photo_loss(theta, maps, batch, {})
         diffuse_loss, glossy_loss = (
@@ -351,13 +351,14 @@ class Illumination(CodedApp):
     @override
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        return self.errors_of(self.answer(theta, {key: value[tasks.rows] for key, value in tasks.data.items()}), tasks)
+        data = {key: value[tasks.rows] for key, value in tasks.data.items()}
+        return self.errors_of(self.prediction(theta, data), tasks)
 
-    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+    def errors_of(self, prediction: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Measure how far maps are off; {} if the true ones are not known.
 
         Args:
-            answer: linear radiance [T, 3, H, W] at any scale, of the size of the network's maps.
+            prediction: linear radiance [T, 3, H, W] at any scale, of the size of the network's maps.
             tasks: T tasks.
 
         Returns:
@@ -366,7 +367,7 @@ class Illumination(CodedApp):
         """
         if "map" not in tasks.data:
             return {}
-        maps, target = normalise_luminance(answer), tasks.data["map"][tasks.rows]
+        maps, target = normalise_luminance(prediction), tasks.data["map"][tasks.rows]
         error = (relighting.relight(maps) - relighting.relight(target)).abs().mean((1, 2, 3))
         return {"error": error, "map": _texel_loss(maps, target, {}, 0.0), **sphere_errors(maps, target)}
 

@@ -1,6 +1,6 @@
 """Presentation of fitted illumination: maps, a second scene under them, photographed balls, remarks and warnings.
 
-Maps are shown as the application's answer, at a mean luminance of 1; files have the scale of a task's own file.
+Maps are shown as the application's prediction, at a mean luminance of 1; files have the scale of a task's own file.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class IlluminationPresenter(Presenter[Illumination]):
         """Return maps [1, 3, H, W], `reference` if it is known, and `fit`; and the photograph, uint8 [1, 3, S, S]."""
         data = add_task_axis(self.app.prepare(task))
         reference = {"reference": data["map"]} if "map" in data else {}
-        return reference | {"fit": self.app.answer(add_task_axis(theta), data)}, data["photo"]
+        return reference | {"fit": self.app.prediction(add_task_axis(theta), data)}, data["photo"]
 
     @override
     @torch.no_grad()
@@ -106,8 +106,8 @@ class IlluminationPresenter(Presenter[Illumination]):
 
         The map has the scale of the task's own file, or a mean luminance of 1 if there was none.
         """
-        answer = self._level(file_map(self.app, theta, task))
-        return self.answer_pictures(answer, task) | {"map": self.draw_map(theta, task)}
+        prediction = self._level(file_map(self.app, theta, task))
+        return self.prediction_pictures(prediction, task) | {"map": self.draw_map(theta, task)}
 
     @override
     @torch.no_grad()
@@ -117,14 +117,14 @@ class IlluminationPresenter(Presenter[Illumination]):
 
     @override
     @torch.no_grad()
-    def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
+    def prediction_pictures(self, prediction: Tensor, task: Task) -> dict[str, Picture]:
         """Return the map and the second scene under it.
 
         Args:
-            answer: linear radiance [1, 3, H, W]; the file has its size.
-            task: the task that is answered.
+            prediction: linear radiance [1, 3, H, W]; the file has its size.
+            task: the task.
         """
-        maps = normalise_luminance(answer)
+        maps = normalise_luminance(prediction)
         return {
             "map": radiance_picture(maps, task),
             "relit": Picture(tone_map(relighting.relight(maps))[0].permute(1, 2, 0), "srgb"),
@@ -176,7 +176,7 @@ def file_map(app: Illumination, theta: Params, task: Task) -> Tensor:
         theta: the fit, without a task axis.
         task: the task of the fit, which may hold the light in a mirror ball.
     """
-    return app.answer(add_task_axis(theta), add_task_axis(app.prepare_mirror(task)))
+    return app.prediction(add_task_axis(theta), add_task_axis(app.prepare_mirror(task)))
 
 
 def radiance_picture(maps: Tensor, task: Task) -> Picture:

@@ -172,7 +172,7 @@ class SvbrdfNonstationary(App):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         return self.errors_of(self.final_maps(theta, tasks.data["photo"][tasks.rows]), tasks)
 
-    def errors_of(self, answer: Maps, tasks: Tasks) -> dict[str, Tensor]:
+    def errors_of(self, prediction: Maps, tasks: Tasks) -> dict[str, Tensor]:
         """Measure how far maps [T, C, H, W] of the size of fits are off; {} if the true ones are not known.
 
         Returns:
@@ -182,7 +182,7 @@ class SvbrdfNonstationary(App):
         """
         if "maps" not in tasks.data:
             return {}
-        maps, target = answer, unpack_maps(tasks.data["maps"][tasks.rows])
+        maps, target = prediction, unpack_maps(tasks.data["maps"][tasks.rows])
         logs, references = self.judged_radiance(maps), self.judged_radiance(target)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         differences = dict(zip(("diffuse", "specular", "roughness"), map_differences(maps, target), strict=False))

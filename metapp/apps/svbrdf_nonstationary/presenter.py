@@ -98,9 +98,9 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         return pictures
 
     @override
-    def answer_pictures(self, answer: Maps, task: Task) -> dict[str, Picture]:
+    def prediction_pictures(self, prediction: Maps, task: Task) -> dict[str, Picture]:
         """Return the pictures of maps [1, C, H, W], of their size."""
-        return map_pictures(Maps(*(part[0] for part in answer)))
+        return map_pictures(Maps(*(part[0] for part in prediction)))
 
     @override
     @torch.no_grad()

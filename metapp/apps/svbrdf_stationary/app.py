@@ -191,7 +191,7 @@ class SvbrdfStationary(ExemplarApp):
 
     def _measure_distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         """Return the parts of the loss without priors, by name, [T] each, of maps that were made of a batch's noise."""
-        pictures = self.statistics.render_answer(maps, batch)
+        pictures = self.statistics.render_prediction(maps, batch)
         distances = self.statistics.distances(pictures, batch, cropped=True)
         if self.network.reads_quilt:
             chroma = chroma_deviations(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2])

@@ -109,9 +109,9 @@ class FlashStatistics(Statistics):
         return radiance_to_display(render_maps(maps, place, light, view, falloff=FLASH_FALLOFF))
 
     @override
-    def render_answer(self, answer: Maps | Tensor, described: Batch) -> Tensor:
+    def render_prediction(self, prediction: Maps | Tensor, described: Batch) -> Tensor:
         light = described["light"][:, None]
-        return self.photograph(answer, light, light) if isinstance(answer, Maps) else answer
+        return self.photograph(prediction, light, light) if isinstance(prediction, Maps) else prediction
 
     @override
     def even_light(self, pictures: Tensor, described: Batch) -> Tensor:
@@ -178,7 +178,7 @@ class FlashStatistics(Statistics):
 
     @override
     @torch.no_grad()
-    def errors(self, answer: Maps | Tensor, tasks: Tasks) -> dict[str, Tensor]:
+    def errors(self, prediction: Maps | Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Measure maps [T, B, ...] of the exemplar's size, or photographs of them [T, B, 3, H, W], sRGB in [0, 1].
 
         Returns:
@@ -187,14 +187,14 @@ class FlashStatistics(Statistics):
         """
         windows = torch.arange(WINDOW_COUNT, device=tasks.rows.device).expand(len(tasks), -1)
         batch = {"windows": windows} | self.targets(tasks, windows)
-        distances = self.distances(self.render_answer(answer, batch), batch)
+        distances = self.distances(self.render_prediction(prediction, batch), batch)
         errors = {
             "error": distances["gram"],
             "spectrum": distances["spectrum"] / SPECTRUM_WEIGHT,
             "brightness": distances["pooled"],
         }
-        if "relit" in tasks.data and isinstance(answer, Maps):
-            errors["relit"] = self._relit_error(answer, tasks.data["relit"][tasks.rows])
+        if "relit" in tasks.data and isinstance(prediction, Maps):
+            errors["relit"] = self._relit_error(prediction, tasks.data["relit"][tasks.rows])
         return errors
 
     def _relit_error(self, maps: Maps, references: Tensor) -> Tensor:

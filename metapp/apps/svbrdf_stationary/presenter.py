@@ -76,11 +76,11 @@ class SvbrdfStationaryPresenter(ExemplarPresenter[SvbrdfStationary]):
         return map_pictures(*self._shown_maps(theta, task), falloff=FLASH_FALLOFF)
 
     @override
-    def answer_pictures(self, answer: Maps | Tensor, task: Task) -> dict[str, Picture]:
+    def prediction_pictures(self, prediction: Maps | Tensor, task: Task) -> dict[str, Picture]:
         """Return pictures of the first of maps [1, B, ...], which tile, or the first of photographs [1, B, 3, H, W]."""
-        if not isinstance(answer, Maps):
-            return {"photo": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
-        maps = Maps(*(part[0, 0] for part in answer))
+        if not isinstance(prediction, Maps):
+            return {"photo": Picture(prediction[0, 0].permute(1, 2, 0), "srgb")}
+        maps = Maps(*(part[0, 0] for part in prediction))
         return map_pictures(maps, height_from_normal(maps.normal, periodic=True), falloff=FLASH_FALLOFF)
 
     @override

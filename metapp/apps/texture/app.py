@@ -53,9 +53,9 @@ class GramStatistics(Statistics):
 
     @override
     @torch.no_grad()
-    def errors(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+    def errors(self, prediction: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Measure pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1], by Gram matrices: `error` [T]."""
-        return {"error": self.gram_distance(answer, self.targets(tasks))}
+        return {"error": self.gram_distance(prediction, self.targets(tasks))}
 
 
 class Texture(ExemplarApp):

@@ -55,9 +55,9 @@ class TexturePresenter(ExemplarPresenter[Texture]):
         return {"texture": Picture(self._texture(theta, task).permute(1, 2, 0), "srgb")}
 
     @override
-    def answer_pictures(self, answer: Tensor, task: Task) -> dict[str, Picture]:
+    def prediction_pictures(self, prediction: Tensor, task: Task) -> dict[str, Picture]:
         """Return the first one of the textures [1, B, 3, H, W], sRGB in [0, 1]."""
-        return {"texture": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
+        return {"texture": Picture(prediction[0, 0].permute(1, 2, 0), "srgb")}
 
     @override
     def surface(self, theta: Params, task: Task) -> Surface:

@@ -126,11 +126,11 @@ class Transport(App):
             return {}
         return self.errors_of(self.network.log_density(theta, tasks.data["held_out"][tasks.rows].mT), tasks)
 
-    def errors_of(self, answer: tuple[Tensor, Tensor], tasks: Tasks) -> dict[str, Tensor]:
+    def errors_of(self, prediction: tuple[Tensor, Tensor], tasks: Tasks) -> dict[str, Tensor]:
         """Measure the likelihood of held-out samples; {} if the tasks have none.
 
         Args:
-            answer: log q(film) and log q(directions | film) of the held-out samples, [T, M] each.
+            prediction: log q(film) and log q(directions | film) of the held-out samples, [T, M] each.
             tasks: T tasks.
 
         Returns:
@@ -138,5 +138,5 @@ class Transport(App):
         """
         if "held_out" not in tasks.data:
             return {}
-        film, directions = answer
+        film, directions = prediction
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}

@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Task, Tasks
 
-INDEX_NUMBERS_AND_BYTES = 1, 4  # an answer that is the index of a training task: one number of four bytes
+INDEX_NUMBERS_AND_BYTES = 1, 4  # a prediction that is the index of a training task: one number of four bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,21 +53,21 @@ class BaselineFit(NamedTuple):
     """A baseline's fit of one task.
 
     Attributes:
-        answer: a function that makes the answer that :func:`judge_answer` takes; it is not timed, as the evaluation of
-            a network is not timed either.
+        prediction: a function that makes the prediction that :func:`judge_prediction` takes; it is not timed, as the
+            evaluation of a network is not timed either.
         kept_numbers: how many numbers are kept for the task.
         kept_bytes: how many bytes these numbers take.
-        picture: a picture to show beside the application's fits, linear RGB [H, W, 3]; None if the answer is no
-            picture.
-        answer_at_size: a function that makes the argument of `Presenter.answer_pictures`, where files differ from the
-            judged answer, at a height and width in px; None stands for the judged size. It is not timed.
+        picture: a picture to show beside the application's fits, linear RGB [H, W, 3]; None if the prediction is
+            no picture.
+        prediction_at_size: a function that makes the argument of `Presenter.prediction_pictures`, where files differ
+            from the judged prediction, at a height and width in px; None stands for the judged size. It is not timed.
     """
 
-    answer: Callable[[], object]
+    prediction: Callable[[], object]
     kept_numbers: int
     kept_bytes: int
     picture: Tensor | None = None
-    answer_at_size: Callable[[tuple[int, int] | None], object] | None = None
+    prediction_at_size: Callable[[tuple[int, int] | None], object] | None = None
 
 
 class Baseline(ABC):
@@ -82,8 +82,8 @@ class Baseline(ABC):
         title: the method in words, with its source.
         cannot: an ability of networks that the method lacks, as words that follow "cannot".
         learns: whether the method is prepared on training tasks.
-        stored_tensor: the name of the task's tensor that holds the answers of a method that was run elsewhere, and so
-            has no time; "" for methods that make their answers.
+        stored_tensor: the name of the task's tensor that holds the predictions of a method that was run elsewhere, and
+            so has no time; "" for methods that make their predictions.
         shared_bytes: how many bytes all tasks share, without which no fit can be made or evaluated; None if that is not
             known.
         is_resizable: whether files can have a size that the user asks for (`--size`).
@@ -119,13 +119,13 @@ class Baseline(ABC):
 class JudgingApp(Protocol):
     """An application that judges baselines: `errors` measures its own fits by `errors_of`, too."""
 
-    def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
+    def errors_of(self, prediction: Any, tasks: Tasks) -> dict[str, Tensor]:
         """Return the measures [T] that `App.errors` has, of the application's own maps, pictures or densities."""
 
 
-def judge_answer(app: App, answer: object, tasks: Tasks) -> dict[str, Tensor]:
-    """Measure an answer that does not come from the application's network by the measures [T] that fits have."""
-    return cast(JudgingApp, app).errors_of(answer, tasks)
+def judge_prediction(app: App, prediction: object, tasks: Tasks) -> dict[str, Tensor]:
+    """Measure a prediction that does not come from the application's network by the measures [T] that fits have."""
+    return cast(JudgingApp, app).errors_of(prediction, tasks)
 
 
 def tensor_bytes(*tensors: Tensor) -> int:

@@ -19,7 +19,7 @@ from torch import Generator
 
 from metapp.apps import protocol_entry
 from metapp.apps.brdf.brdf_network import BrdfNetwork
-from metapp.extensions.baselines.baseline import Baseline, CostLimits, TrainingTasks, judge_answer, tensor_bytes
+from metapp.extensions.baselines.baseline import Baseline, CostLimits, TrainingTasks, judge_prediction, tensor_bytes
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Params, Task
 from metapp.names import embedded_apps
@@ -133,8 +133,8 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
             prepared_task = stack_tasks(baseline.app, [task])
             fit = baseline.fit(prepared_task, rng, allowed)
             seconds = time.perf_counter() - start
-            answer = fit.answer()
-            errors = {key: float(value[0]) for key, value in judge_answer(app, answer, prepared_task).items()}
+            prediction = fit.prediction()
+            errors = {key: float(value[0]) for key, value in judge_prediction(app, prediction, prepared_task).items()}
             if errors and not math.isfinite(errors["error"]):
                 raise ValueError(f"{task.name}: the error is not finite.")
             scales = {"error": app.error_measure.scale}
@@ -148,10 +148,10 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
                 "shared": baseline.shared_bytes,
                 "chosen": baseline.chosen,
             }
-            answer_at_size = fit.answer_at_size or functools.partial(_return_judged_answer, answer)
-            yield record, None if fit.picture is None else {PICTURE_KEY: fit.picture}, answer_at_size
+            prediction_at_size = fit.prediction_at_size or functools.partial(_return_judged_prediction, prediction)
+            yield record, None if fit.picture is None else {PICTURE_KEY: fit.picture}, prediction_at_size
 
 
-def _return_judged_answer(answer: object, size: tuple[int, int] | None) -> object:
-    """Return the judged answer, for methods whose files show it and have no other size."""
-    return answer
+def _return_judged_prediction(prediction: object, size: tuple[int, int] | None) -> object:
+    """Return the judged prediction, for methods whose files show it and have no other size."""
+    return prediction

@@ -1,4 +1,4 @@
-"""The run of a method without a network on inputs of a command; answers are kept in a run's folder, as fits are.
+"""The run of a method without a network on inputs of a command; predictions are kept in a run's folder, as fits are.
 
 What a method computes is not known here; :mod:`metapp.extensions.baselines.baseline_fits` fits and judges it.
 """
@@ -34,13 +34,13 @@ from metapp.storage.fit_folders import RunFolder
 
 
 class BaselineRun(NamedTuple):
-    """The answers of a method to the inputs of a command.
+    """The predictions of a method to the inputs of a command.
 
     Attributes:
         method: the name of the method.
         cannot: what the method cannot do, as words that follow "cannot".
         presenter: the presenter of the application.
-        path: the folder of the answers.
+        path: the folder of the predictions.
         records: the records of all tasks, in their order.
     """
 
@@ -58,7 +58,7 @@ class BaselineRun(NamedTuple):
 
 
 def run_baseline(options: FitOptions, method: str) -> BaselineRun:
-    """Run a method on the inputs of options, and keep its answers, with their records, in a run's folder.
+    """Run a method on the inputs of options, and keep its predictions, with their records, in a run's folder.
 
     Args:
         options: the options of a fit; those that no method reads have no effect.
@@ -78,9 +78,9 @@ def run_baseline(options: FitOptions, method: str) -> BaselineRun:
     records = []
     with progress(method, len(tasks), quiet=options.quiet) as bar:
         fits = fit_baselines(run, baseline, tasks, warm=False)
-        for task, (record, picture, answer_at_size) in zip(tasks, fits, strict=True):
+        for task, (record, picture, prediction_at_size) in zip(tasks, fits, strict=True):
             record |= {"content": task_digest(task), "origin": run.input_places(run.options.paths)}
-            files = run.presenter.answer_pictures(answer_at_size(run.presenter.size), task)
+            files = run.presenter.prediction_pictures(prediction_at_size(run.presenter.size), task)
             records.append(run_folder.write(record, picture, functools.partial(write_pictures, files)))
             bar.advance(task.name)
     return BaselineRun(method, baseline.cannot, run.presenter, path, records)

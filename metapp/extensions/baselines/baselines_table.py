@@ -1,6 +1,7 @@
 """The table of baselines: methods without a network beside paradigms, on the same samples of the same tasks.
 
-Rows of paradigms come from records, as in all tables. Answers of methods are recorded, too, so that each is made once.
+Rows of paradigms come from records, as in all tables. Predictions of methods are recorded, too, so that each is made
+once.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def baselines_table(evaluation: EvaluationRun) -> Table:
 
 
 def _available_baselines(evaluation: EvaluationRun) -> list[Baseline]:
-    """Return the baselines that lack neither training tasks nor, in any task, the tensor that holds their answers."""
+    """Return the baselines that lack neither training tasks nor, in any task, the tensor with their predictions."""
 
     def is_available(baseline: Baseline) -> bool:
         if baseline.stored_tensor:

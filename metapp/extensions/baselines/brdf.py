@@ -20,7 +20,7 @@ from metapp.extensions.baselines.baseline import (
     BaselineFit,
     CostLimits,
     TrainingTasks,
-    judge_answer,
+    judge_prediction,
     tensor_bytes,
 )
 from metapp.extensions.baselines.components import REFLECTANCE_EPSILON, Components, principal_components
@@ -189,7 +189,7 @@ def mean_error(baseline: Baseline, tasks: Tasks, allowed: CostLimits) -> float:
     for row in range(len(tasks)):
         task = tasks.select([row])
         fit = baseline.fit(task, Generator().manual_seed(row), allowed)
-        total += float(judge_answer(baseline.app, fit.answer(), task)["error"])
+        total += float(judge_prediction(baseline.app, fit.prediction(), task)["error"])
     return total / len(tasks)
 
 
@@ -205,14 +205,14 @@ class TwoLobes(Baseline):
         where, (rows, target) = task_places(tasks), draw_seen_rows(tasks, rng, allowed.samples)
         numbers = ggx_lobes.fit_ggx_lobes(cosines_at_places(where[rows]), target.double()).float()
 
-        def answer() -> Tensor:
+        def prediction() -> Tensor:
             return (
                 ggx_lobes.lobes_reflectance(numbers.double(), cosines_at_places(where[len(where) // 2 :]))
                 .float()
                 .T[None]
             )
 
-        return BaselineFit(answer, numbers.numel(), tensor_bytes(numbers))
+        return BaselineFit(prediction, numbers.numel(), tensor_bytes(numbers))
 
 
 class NearestMaterial(Baseline):

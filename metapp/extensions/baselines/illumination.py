@@ -44,12 +44,13 @@ class SphericalHarmonics(Baseline):
         scale = float(np.abs(coefficients).max()) or 1.0
         stored_coefficients = (coefficients / scale).astype(np.float16)
 
-        def answer() -> Tensor:
+        def prediction() -> Tensor:
             return torch.from_numpy(
                 from_harmonics(stored_coefficients.astype(np.float64) * scale, height, width)
             ).float()[None]
 
-        return BaselineFit(answer, stored_coefficients.size, SCALE_BYTES + COEFFICIENT_BYTES * stored_coefficients.size)
+        kept_bytes = SCALE_BYTES + COEFFICIENT_BYTES * stored_coefficients.size
+        return BaselineFit(prediction, stored_coefficients.size, kept_bytes)
 
 
 class UnwrappedBall(Baseline):

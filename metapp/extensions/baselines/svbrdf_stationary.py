@@ -1,6 +1,6 @@
 """Baselines of stationary svBRDFs from a flash photograph: the nearest training material, and quilted maps.
 
-The nearest material answers with its photograph, the other method with maps. Both are judged by the application's own
+The nearest material predicts its photograph, the other method maps. Both are judged by the application's own
 measure of pictures.
 """
 
@@ -112,7 +112,7 @@ class QuiltedMaterial(Baseline):
             app.statistics.photograph(Maps(*(values[0, 0] for values in maps)), light[0], light[0])
         )
 
-        def answer_at_size(size: tuple[int, int] | None) -> Maps:
+        def prediction_at_size(size: tuple[int, int] | None) -> Maps:
             return quilt_maps(photos, light, rng, size, count=1) if size else maps
 
         return BaselineFit(
@@ -120,5 +120,5 @@ class QuiltedMaterial(Baseline):
             photo_numbers + QUILTED_MATERIAL_NUMBERS,
             photo_numbers + 4 * QUILTED_MATERIAL_NUMBERS,
             picture=picture,
-            answer_at_size=answer_at_size,
+            prediction_at_size=prediction_at_size,
         )

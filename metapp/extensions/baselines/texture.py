@@ -96,12 +96,12 @@ class Quilting(Baseline):
         size = exemplar.shape[1], exemplar.shape[2]
         pictures = quilt_pictures(exemplar, size, rng)
 
-        def answer_at_size(asked_size: tuple[int, int] | None) -> Tensor:
+        def prediction_at_size(asked_size: tuple[int, int] | None) -> Tensor:
             if isinstance(app, QuiltedTexture):
                 return quilt_photo(app.take_even_photo(image[0]), exemplar, asked_size, rng)[None, None]
             return quilt_tile(exemplar, asked_size or size, rng)[None, None]
 
-        return _make_exemplar_fit(exemplar, pictures, answer_at_size)
+        return _make_exemplar_fit(exemplar, pictures, prediction_at_size)
 
 
 class Blending(Baseline):
@@ -124,15 +124,15 @@ class Blending(Baseline):
         even, size = remove_quadratic_trend(exemplar).clamp(0, 1), (exemplar.shape[1], exemplar.shape[2])
         pictures = torch.stack([blend_tile(even, size, rng) for _ in range(JUDGED_PICTURES)])[None]
 
-        def answer_at_size(asked_size: tuple[int, int] | None) -> Tensor:
+        def prediction_at_size(asked_size: tuple[int, int] | None) -> Tensor:
             source = app.take_even_photo(image[0]) if isinstance(app, QuiltedTexture) else even
             return blend_tile(source, asked_size or (source.shape[1], source.shape[2]), rng)[None, None]
 
-        return _make_exemplar_fit(exemplar, pictures, answer_at_size)
+        return _make_exemplar_fit(exemplar, pictures, prediction_at_size)
 
 
 def _make_exemplar_fit(
-    exemplar: Tensor, pictures: Tensor, answer_at_size: Callable[[tuple[int, int] | None], Tensor]
+    exemplar: Tensor, pictures: Tensor, prediction_at_size: Callable[[tuple[int, int] | None], Tensor]
 ) -> BaselineFit:
     """Make the fit of a method that stores the exemplar, a byte for each number.
 
@@ -146,7 +146,7 @@ def _make_exemplar_fit(
         exemplar.numel(),
         exemplar.numel(),
         picture=srgb_to_linear_picture(pictures[0, 0]),
-        answer_at_size=answer_at_size,
+        prediction_at_size=prediction_at_size,
     )
 
 

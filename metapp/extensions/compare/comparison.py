@@ -52,7 +52,7 @@ class ComparedRun(NamedTuple):
         return {record["name"]: record[measure] for record in self.records if record.get(measure) is not None}
 
     def median_seconds(self) -> float | None:
-        """Return the median time of a fit, in seconds; None for answers that were made elsewhere."""
+        """Return the median time of a fit, in seconds; None for predictions that were made elsewhere."""
         return summary(self.records)["seconds"]
 
 

@@ -155,7 +155,7 @@ def errors_of(app: ExemplarApp, exemplar: Tensor) -> dict[str, float]:
     tasks = stack_tasks(app, [Task("exemplar", {"image": (255 * exemplar).round().to(torch.uint8)})])
     with torch.no_grad():
         return {
-            method: float(app.errors_of(fit(app, method, tasks).answer(), tasks)["error"])
+            method: float(app.errors_of(fit(app, method, tasks).prediction(), tasks)["error"])
             for method in ("blending", "quilting")
         }
 
@@ -170,6 +170,6 @@ def test_a_fit_keeps_the_exemplar_and_makes_any_size(app: ExemplarApp) -> None:
     image = (255 * draw_clouds(app.octaves.width)).to(torch.uint8)
     blending = fit(app, "blending", stack_tasks(app, [Task("clouds", {"image": image})]))
     assert blending.kept_numbers == blending.kept_bytes == image.numel()
-    assert blending.answer_at_size is not None
-    assert blending.answer_at_size(None).shape == (1, 1, *image.shape)  # type: ignore[attr-defined]
-    assert blending.answer_at_size((40, 70)).shape == (1, 1, 3, 40, 70)  # type: ignore[attr-defined]
+    assert blending.prediction_at_size is not None
+    assert blending.prediction_at_size(None).shape == (1, 1, *image.shape)  # type: ignore[attr-defined]
+    assert blending.prediction_at_size((40, 70)).shape == (1, 1, 3, 40, 70)  # type: ignore[attr-defined]

@@ -170,7 +170,7 @@ def test_the_penalty_is_chosen_on_materials_that_components_do_not_know_and_byte
     one = training.prepared_tasks.select([2])
     fitted = pca.fit(one, Generator().manual_seed(0), allowed)
     assert (fitted.kept_numbers, fitted.kept_bytes) == (24, 96)
-    assert APP.errors_of(fitted.answer(), one)["error"].item() < 0.01
+    assert APP.errors_of(fitted.prediction(), one)["error"].item() < 0.01
     (named,) = [baseline for baseline in baselines(APP) if baseline.name == "pca_20"]
     named.prepare(training, allowed)
     assert named.fit(one, rng, allowed).kept_numbers == 30  # all that vary by more than rounding
@@ -190,7 +190,7 @@ def test_only_materials_at_the_same_angles_are_fitted(rng: Generator) -> None:
     pca.prepare(TrainingTasks(APP, random_materials(8, rng)), allowed)
     other = stack_tasks(APP, random_materials(1, rng))
     with pytest.raises(ValueError, match="other angles"):
-        pca.fit(other, rng, allowed).answer()
+        pca.fit(other, rng, allowed).prediction()
     materials, half = random_materials(12, rng), SAMPLES // 2
     known = stack_tasks(APP, materials).data
     where = known["where"][0]
@@ -198,7 +198,7 @@ def test_only_materials_at_the_same_angles_are_fitted(rng: Generator) -> None:
     order = torch.cat([torch.randint(half // 4, (half,), generator=rng), torch.arange(half, SAMPLES)])
     moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
     one = stack_tasks(APP, [moved])
-    assert APP.errors_of(pca.fit(one, rng, CostLimits(400, 2700)).answer(), one)["error"].item() < 0.01
+    assert APP.errors_of(pca.fit(one, rng, CostLimits(400, 2700)).prediction(), one)["error"].item() < 0.01
 
 
 @pytest.fixture

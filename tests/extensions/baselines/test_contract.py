@@ -90,19 +90,19 @@ def subject_of(data: Callable[[str], Path], tmp_path: Path, second_scene: Path) 
 
 @pytest.mark.usefixtures("second_scene")
 @pytest.mark.parametrize(("name", "protocol"), PLACED)
-def test_answers_of_baselines_are_drawn_where_applications_have_pictures(
+def test_predictions_of_baselines_are_drawn_where_applications_have_pictures(
     name: str, protocol: str, rng: Generator
 ) -> None:
     app = app_by_recipe(name, protocol=protocol)
     presenter = presenter_of(app)
     if name in ("brdf", "transport"):
-        assert presenter.answer_pictures(None, Task("", {})) == {}
+        assert presenter.prediction_pictures(None, Task("", {})) == {}
     elif (name, protocol) not in WITHOUT_VARIABLE:
         tasks = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
         first, allowed = baselines_of(app)[0], CostLimits(64, 20_000)
         first.prepare(TrainingTasks(app, tasks), allowed)
-        answer = first.fit(stack_tasks(app, tasks[:1]), rng, allowed).answer()
-        pictures = presenter.answer_pictures(answer, tasks[0])
+        prediction = first.fit(stack_tasks(app, tasks[:1]), rng, allowed).prediction()
+        pictures = presenter.prediction_pictures(prediction, tasks[0])
         assert pictures
         for pixels, kind in pictures.values():
             assert pixels.shape[2] in (1, 3)
@@ -244,7 +244,7 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     assert any("no training tasks; metapp data synth brdf" in note for note in notes)
 
 
-def test_stored_answers_are_judged_where_all_tasks_hold_them(
+def test_stored_predictions_are_judged_where_all_tasks_hold_them(
     subject_of: Callable[[str, str], EvaluationRun], rng: Generator
 ) -> None:
     subject = subject_of("svbrdf_nonstationary", "photo")
@@ -277,7 +277,7 @@ def test_nearest_training_task_of_a_training_task_is_itself(data: Callable[[str]
         baseline.prepare(TrainingTasks(app, tasks), CostLimits(64, 1))
         fitted = baseline.fit(stack_tasks(app, tasks[3:4]), rng, CostLimits(64, 1))
         with torch.no_grad():
-            assert app.errors_of(fitted.answer(), stack_tasks(app, tasks[3:4]))["error"].item() < 1e-5
+            assert app.errors_of(fitted.prediction(), stack_tasks(app, tasks[3:4]))["error"].item() < 1e-5
         assert (fitted.kept_numbers, fitted.kept_bytes) == (1, 4)
 
 

@@ -114,7 +114,7 @@ def test_errors_fall_with_more_bytes_to_the_map_itself(numbers: np.random.Genera
     sizes = (1, 10, 100, 400, 10**6)
     baseline = SphericalHarmonics(app_by_recipe("illumination"))
     fitted = [baseline.fit(tasks, rng, CostLimits(1, size)) for size in sizes]
-    errors = [(harmonic_fit.answer()[0] - expected).square().mean().item() for harmonic_fit in fitted]  # type: ignore[index]
+    errors = [(harmonic_fit.prediction()[0] - expected).square().mean().item() for harmonic_fit in fitted]  # type: ignore[index]
     assert errors[0] == errors[1] > errors[2] > errors[3] > errors[4]
     assert [harmonic_fit.kept_numbers for harmonic_fit in fitted] == [3, 3, 48, 192, 768]  # of orders 0, 0, 3, 7, 15
     assert all(harmonic_fit.kept_bytes == 4 + 2 * harmonic_fit.kept_numbers for harmonic_fit in fitted)
@@ -162,7 +162,7 @@ def waves(period: float) -> Tensor:
 def test_a_flat_even_material_comes_back_with_its_colour_and_gloss(app: SvbrdfStationary) -> None:
     tasks = stack_tasks(app, [task_of(app, material())])
     fitted = quilting(app, tasks)
-    maps = fitted.answer()
+    maps = fitted.prediction()
     assert maps.diffuse.shape == (1, JUDGED_PICTURES, 3, SIZE, SIZE)
     torch.testing.assert_close(maps.diffuse.mean((0, 1, 3, 4)), torch.tensor(DIFFUSE), rtol=0.1, atol=0)
     assert float(maps.diffuse.std((3, 4)).max()) < 0.01
@@ -177,7 +177,7 @@ def test_a_flat_even_material_comes_back_with_its_colour_and_gloss(app: SvbrdfSt
 
 def test_maps_tile_and_go_on_across_their_edges(app: SvbrdfStationary) -> None:
     tasks = stack_tasks(app, [task_of(app, material(waves(9.7)))])  # no whole number of waves
-    diffuse = quilting(app, tasks).answer().diffuse
+    diffuse = quilting(app, tasks).prediction().diffuse
     for axis in (-1, -2):
         steps = (diffuse - diffuse.roll(1, axis)).abs().mean((0, 1, 2, -1 if axis == -2 else -2))
         assert float(steps[0]) < 1.5 * float(steps[1:].mean())

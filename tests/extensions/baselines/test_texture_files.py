@@ -34,8 +34,8 @@ def fit(method: type[Quilting | Blending], image: Tensor, app: object = APP) -> 
 def draw_file(method: type[Quilting | Blending], image: Tensor, size: tuple[int, int] | None = None) -> Tensor:
     """Return the picture [3, H, W] of a file."""
     fitted = fit(method, image)
-    assert fitted.answer_at_size is not None
-    picture = fitted.answer_at_size(size)
+    assert fitted.prediction_at_size is not None
+    picture = fitted.prediction_at_size(size)
     assert isinstance(picture, Tensor)
     assert 0 <= float(picture.min()) <= float(picture.max()) <= 1
     return picture[0, 0]
@@ -77,16 +77,16 @@ def test_slow_changes_of_light_are_subtracted(method: type[Quilting]) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_judged_pictures_have_the_size_of_exemplars(method: type[Quilting]) -> None:
     fitted = fit(method, draw_checks(PHOTO_SIDE, 6))
-    answer = fitted.answer()
-    assert isinstance(answer, Tensor)
-    assert answer.shape == (1, 4, 3, 64, 64)
+    prediction = fitted.prediction()
+    assert isinstance(prediction, Tensor)
+    assert prediction.shape == (1, 4, 3, 64, 64)
     assert fitted.kept_numbers == 3 * 64 * 64
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_files_of_other_networks_have_the_size_of_exemplars(method: type[Quilting]) -> None:
     fitted = fit(method, draw_checks(PHOTO_SIDE, 6), app_by_recipe("texture"))
-    assert fitted.answer_at_size is not None
-    picture = fitted.answer_at_size(None)
+    assert fitted.prediction_at_size is not None
+    picture = fitted.prediction_at_size(None)
     assert isinstance(picture, Tensor)
     assert picture.shape == (1, 1, 3, 64, 64)

@@ -101,7 +101,7 @@ def _render_ball(app: Illumination, theta: Params, data: Batch) -> Tensor:
     size = data["photo"].shape[-1]
     if not shows_mirror(data):
         return app.render_ball(theta, app.radiance_maps(theta), size)[0].clamp(0, 1)
-    photo, ball = data["photo"][0] / 255, render_mirror_spheres(app.answer(theta, data), size)[0]
+    photo, ball = data["photo"][0] / 255, render_mirror_spheres(app.prediction(theta, data), size)[0]
     # a photograph does not say how bright its light was: the exposure makes the median of its measured pixels equal
     is_measured = (photo.amax(0) < CLIPPED_DISPLAY_VALUE) & (photo.amin(0) > RADIANCE_FLOOR) & (ball.amin(0) > 0)
     ratio = luminance(srgb_to_linear(photo))[is_measured] / luminance(ball)[is_measured]
