@@ -81,7 +81,7 @@ def adapt(size: ProblemSize, meta_parameters: MetaParameters, loss: Loss) -> Non
         loss,
         steps=size.steps,
         rng=rng,
-        steps_of=choose_steps,
+        make_steps=choose_steps,
     )
 
 
@@ -89,7 +89,7 @@ def differentiate_adaptation(size: ProblemSize, meta_parameters: MetaParameters,
     """Compute the second-order gradient of an outer training step."""
     phi = {key: value.requires_grad_() for key, value in meta_parameters.flatten().items()}
     outer_loss = after_learning(
-        loss, GROWTH_RULE.update_rule, steps=size.steps, order=2, clip=0.1, steps_of=choose_steps
+        loss, GROWTH_RULE.update_rule, steps=size.steps, order=2, clip=0.1, make_steps=choose_steps
     )
     drawn = outer_loss.draw(None, Generator().manual_seed(0), 1.0)
     torch.autograd.grad(outer_loss.value(phi, drawn.batch, {}).sum(), list(phi.values()), allow_unused=True)

@@ -52,7 +52,7 @@ from metapp.extensions.native import nbrdf
 from metapp.extensions.native.compiler import load_library
 from metapp.extensions.native.step_choice import choose_steps, make_compiled_steps
 from metapp.learned_rules import rule_of
-from metapp.learning.adjoint import DrawnBatch, Loss, StepsOf, torch_steps
+from metapp.learning.adjoint import DrawnBatch, Loss, StepMaker, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, learn
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, sgd
@@ -319,9 +319,9 @@ def bench_brdf() -> None:
             total = total + plain_loss(plain_adapt(weights, rates, inner, graph=True), final) / BATCH_TASKS
         return total.detach(), list(torch.autograd.grad(total, [*weights, *rates]))
 
-    def outer_step(steps_of: StepsOf, rule: str = "sgd") -> Callable[[], tuple[Tensor, list[Tensor]]]:
+    def outer_step(make_steps: StepMaker, rule: str = "sgd") -> Callable[[], tuple[Tensor, list[Tensor]]]:
         make, alpha = rules[rule]
-        outer_loss = after_learning(loss, make, steps=INNER_STEPS, order=2, steps_of=steps_of)
+        outer_loss = after_learning(loss, make, steps=INNER_STEPS, order=2, make_steps=make_steps)
 
         def step() -> tuple[Tensor, list[Tensor]]:
             phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flatten().items()}
@@ -330,14 +330,14 @@ def bench_brdf() -> None:
 
         return step
 
-    def adapt(steps_of: StepsOf, rule: str = "sgd", tasks: int = BATCH_TASKS) -> Callable[[], Params]:
+    def adapt(make_steps: StepMaker, rule: str = "sgd", tasks: int = BATCH_TASKS) -> Callable[[], Params]:
         make, alpha = rules[rule]
         initialisation, rule_steps = expand_tasks(theta, tasks, 0), make(expand_tasks(alpha, tasks, 1))
         task_batches = [{key: value[:tasks] for key, value in batch.items()} for batch in batches]
 
         def run() -> Params:
             batch_supply[0] = iter(task_batches)
-            return learn(initialisation, rule_steps, None, loss, steps=INNER_STEPS, rng=rng, steps_of=steps_of)
+            return learn(initialisation, rule_steps, None, loss, steps=INNER_STEPS, rng=rng, make_steps=make_steps)
 
         return run
 

@@ -155,7 +155,7 @@ class Steps(NamedTuple):
 
 
 # a function that makes steps: (rule, loss, theta, order) -> steps; see `torch_steps` for the arguments
-StepsOf = Callable[[UpdateRule, Loss, Params, int], Steps]
+StepMaker = Callable[[UpdateRule, Loss, Params, int], Steps]
 
 
 def torch_steps(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Steps:
@@ -272,7 +272,7 @@ def learn_differentiably(
     loss: Loss,
     *,
     order: int,
-    steps_of: StepsOf = torch_steps,
+    make_steps: StepMaker = torch_steps,
 ) -> Params:
     """Learn on given batches, differentiably in the initialisation and in the rule's hyperparameters.
 
@@ -285,7 +285,7 @@ def learn_differentiably(
         batches: the samples of each step, one batch a step.
         loss: the loss that steps descend.
         order: 2 is exact (MAML), 1 treats each step's gradient as a constant (FOMAML).
-        steps_of: a function that makes the steps.
+        make_steps: a function that makes the steps.
 
     Returns:
         The parameters after the last step, [T, ...].
@@ -297,7 +297,7 @@ def learn_differentiably(
     >>> torch.autograd.grad(theta["x"], x)
     (tensor([0.2500]),)
     """
-    steps = steps_of(rule, loss, theta, order)
+    steps = make_steps(rule, loss, theta, order)
     apply: Callable[..., tuple[Tensor, ...]] = _LearningNode.apply
     final = apply(steps, order, list(theta), batches, *theta.values(), *steps.alpha.values())
     return dict(zip(theta, final, strict=True))

@@ -121,7 +121,7 @@ class App(ABC):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """Draw `count` random samples of each task from the part that a fit may observe; tensors are [T, ...]."""
 
-    def stage(self, tasks: Tasks, done: float) -> Tasks:
+    def coarsen(self, tasks: Tasks, done: float) -> Tasks:
         """Return the tasks as a descent observes them at some share of its steps, for example coarse tasks first.
 
         Args:

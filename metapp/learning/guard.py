@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
+from metapp.learning.adjoint import Loss, StepMaker, UpdateRule, torch_steps
 from metapp.learning.learn import DescentState, check_finite_losses, descend, final_item
 from metapp.learning.random_tensors import Rng, clone_rng
 from metapp.learning.recipe import Guard
@@ -30,7 +30,7 @@ def descend_with_guard(
     rng: Rng,
     guard: Guard,
     steps: int,
-    steps_of: StepsOf = torch_steps,
+    make_steps: StepMaker = torch_steps,
 ) -> Iterator[DescentState]:
     """Descend by a learned rule, then by Adam where a fit is doubtful, and keep the parameters of the lowest loss.
 
@@ -50,7 +50,7 @@ def descend_with_guard(
         rng: the source of the rule's random numbers, one for all tasks or one for each; the guard draws from copies.
         guard: the thresholds by which fits are doubtful, and the Adam that continues these.
         steps: the number of the rule's steps, and of Adam's.
-        steps_of: a function that makes the steps of a rule; see :func:`metapp.learning.adjoint.torch_steps`.
+        make_steps: a function that makes the steps of a rule; see :func:`metapp.learning.adjoint.torch_steps`.
 
     Yields:
         The states of the rule's descent, then one more state with the results: `theta` is what each task keeps, and
@@ -70,7 +70,7 @@ def descend_with_guard(
     losses: list[Tensor] = []
     # `every=0` checks the loss before the first step alone.
     for state in check_finite_losses(
-        descend(params, rule, tasks, loss, steps=steps, rng=rng, steps_of=steps_of), every=0
+        descend(params, rule, tasks, loss, steps=steps, rng=rng, make_steps=make_steps), every=0
     ):
         losses += [] if state.loss is None else [state.loss]
         yield state
@@ -88,7 +88,7 @@ def descend_with_guard(
         adam_rng = clone_rng(rng)
         adam_rng = tuple(adam_rng[row] for row in rows) if isinstance(adam_rng, tuple) else adam_rng
         continued = final_item(
-            descend(theta, adam, tasks.select(rows), gradient_loss, steps=steps, rng=adam_rng, steps_of=steps_of)
+            descend(theta, adam, tasks.select(rows), gradient_loss, steps=steps, rng=adam_rng, make_steps=make_steps)
         ).theta
         continued = {key: value.index_put((doubtful,), continued[key]) for key, value in best.items()}
         best, lowest = _select_lower(best, lowest, continued, plain_loss(continued))

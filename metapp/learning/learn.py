@@ -21,7 +21,7 @@ from metapp.learning.adjoint import (
     AnyData,
     DrawnBatch,
     Loss,
-    StepsOf,
+    StepMaker,
     UpdateRule,
     at_step,
     learn_differentiably,
@@ -100,7 +100,7 @@ def descend(
     steps: int,
     rng: Rng,
     since: DescentState | None = None,
-    steps_of: StepsOf = torch_steps,
+    make_steps: StepMaker = torch_steps,
 ) -> Iterator[DescentState]:
     """Descend a loss from an initialisation by a rule (alg. 1), one step at a time.
 
@@ -113,7 +113,7 @@ def descend(
         rng: the source of all random numbers, one for all tasks or one for each.
         since: the state of an earlier descent by the same steps, which is continued; `rng` must be in the state that it
             had then.
-        steps_of: a function that makes the steps; see :func:`metapp.learning.adjoint.torch_steps`.
+        make_steps: a function that makes the steps; see :func:`metapp.learning.adjoint.torch_steps`.
 
     Yields:
         The state before the first step, and after each step. Random numbers of a step are drawn when it is asked for.
@@ -126,7 +126,7 @@ def descend(
     [1.0, 0.5, 0.25]
     """
     theta = {key: value.detach() for key, value in params.items()}
-    functions = steps_of(rule, loss, theta, 1)
+    functions = make_steps(rule, loss, theta, 1)
     latest = since or DescentState(0, theta, functions.init(theta))
     yield latest
     for i in range(latest.step, steps):
@@ -197,7 +197,7 @@ def learn(
     *,
     steps: int,
     rng: Rng,
-    steps_of: StepsOf = torch_steps,
+    make_steps: StepMaker = torch_steps,
 ) -> Params:
     """Learn (alg. 1): descend a loss from an initialisation, and return the final parameters, detached.
 
@@ -212,7 +212,7 @@ def learn(
     {'x': tensor([0.2500])}
     """
     return final_item(
-        check_finite_losses(descend(params, rule, data, loss, steps=steps, rng=rng, steps_of=steps_of))
+        check_finite_losses(descend(params, rule, data, loss, steps=steps, rng=rng, make_steps=make_steps))
     ).theta
 
 
@@ -242,17 +242,17 @@ def _task_loss(app: App, batch: int, outer: bool) -> Loss:
     def draw(tasks: Tasks, rng: Rng, done: float) -> DrawnBatch:
         return DrawnBatch(tasks.selected_names, draw_per_task(lambda tasks, rng: sample(tasks, rng, batch), tasks, rng))
 
-    return with_stages(Loss(draw, value), app.stage)
+    return with_coarsening(Loss(draw, value), app.coarsen)
 
 
-def with_stages(loss: Loss, stage: Callable[[AnyData, float], AnyData]) -> Loss:
+def with_coarsening(loss: Loss, coarsen: Callable[[AnyData, float], AnyData]) -> Loss:
     """Return a loss that draws from a part of the data, which depends on the share of steps that were taken.
 
     Args:
         loss: the loss that draws from complete data.
-        stage: a function (data, done) -> the part of the data to draw from; `done` is in [0, 1].
+        coarsen: a function (data, done) -> the part of the data to draw from; `done` is in [0, 1].
     """
-    return replace(loss, draw=lambda data, rng, done: loss.draw(stage(data, done), rng, done))
+    return replace(loss, draw=lambda data, rng, done: loss.draw(coarsen(data, done), rng, done))
 
 
 Augment = Callable[[Tasks, Generator], Tasks]
@@ -308,7 +308,7 @@ def after_learning(
     clip: float = float("inf"),
     prediction: EncoderPrediction | None = None,
     outer_loss: Loss | None = None,
-    steps_of: StepsOf = torch_steps,
+    make_steps: StepMaker = torch_steps,
 ) -> Loss:
     """Lift a loss on theta to a loss on phi: the loss after a fit that phi initialises (alg. 3).
 
@@ -320,7 +320,7 @@ def after_learning(
         clip: the norm to which each task's gradient, over all of phi, is scaled down if it is longer.
         prediction: how phi's encoder predicts initialisations; None if phi holds the initialisation itself.
         outer_loss: the loss of the final theta; None for `loss` itself.
-        steps_of: a function that makes the inner steps, and evaluates the loss of the final theta.
+        make_steps: a function that makes the inner steps, and evaluates the loss of the final theta.
 
     Returns:
         A loss on the flat tree of MetaParameters. It draws from all of the data at every outer step.
@@ -353,8 +353,8 @@ def after_learning(
         # the mean over tasks divides the gradient of each task by their number, so that the limit is divided, too
         theta, alpha = clip_task_gradients(theta, expand_tasks(parts.alpha, count, 1), clip / count)
         update_rule = rule(alpha)
-        final = learn_differentiably(theta, update_rule, inner, loss, order=order, steps_of=steps_of)
-        return steps_of(update_rule, last_loss, final, 1).value(final, outer)  # steps may evaluate the loss in C
+        final = learn_differentiably(theta, update_rule, inner, loss, order=order, make_steps=make_steps)
+        return make_steps(update_rule, last_loss, final, 1).value(final, outer)  # steps may evaluate the loss in C
 
     return Loss(draw, value)
 

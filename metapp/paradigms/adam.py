@@ -14,7 +14,14 @@ from typing_extensions import override
 
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
-from metapp.learning.learn import EncoderPrediction, MetaParameters, after_encoding, over_tasks, task_loss, with_stages
+from metapp.learning.learn import (
+    EncoderPrediction,
+    MetaParameters,
+    after_encoding,
+    over_tasks,
+    task_loss,
+    with_coarsening,
+)
 from metapp.learning.random_tensors import Rng, draw_per_task
 from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Tasks
@@ -156,8 +163,8 @@ class GeneralTraining(CheckpointTraining):
         prediction = EncoderPrediction(app.encoder_input, app.encode)
         loss = after_encoding(task_loss(app, self.paradigm.recipe.batch, outer=True), prediction)
         outer = over_tasks(loss, count=outer_loop.tasks, augment=app.augment if outer_loop.augment else None)
-        # stages select tasks before these are augmented, so that nothing is augmented in vain
-        return with_stages(outer, app.stage)
+        # tasks are coarsened before they are augmented, so that nothing is augmented in vain
+        return with_coarsening(outer, app.coarsen)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from metapp.learning.task import Params, Tasks
 from metapp.paradigms.adam import General, GeneralTraining, encoder_prediction, predict_parameters
 from metapp.paradigms.paradigm import PARALLEL_TASKS, CheckpointTraining, Paradigm, fastest_steps
 
-MAX_STATISTICS_TASKS = 32  # training tasks whose gradients settle hyperparameters of a rule
+MAX_STATISTICS_TASKS = 32  # training tasks whose gradients determine hyperparameters of a rule
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class RuleTraining(CheckpointTraining):
         random = {key: value[0] for key, value in app.init(rng, 1).items()}
         alpha = self._adam_alpha(random, self.outer_loop.initial_adam)
         phi = MetaParameters({} if encoder else theta or random, alpha, encoder)
-        return self._settle_alpha(phi, tasks, rng)
+        return self._set_alpha_from_statistics(phi, tasks, rng)
 
     @override
     def template(self, phi: MetaParameters) -> MetaParameters:
@@ -168,16 +168,16 @@ class RuleTraining(CheckpointTraining):
             clip=outer_loop.clip,
             prediction=encoder_prediction(app) if phi.encoder else None,
             outer_loss=task_loss(app, paradigm.recipe.batch, outer=True),
-            steps_of=fastest_steps(compiles=app.small_tensors),
+            make_steps=fastest_steps(compiles=app.small_tensors),
         )
         return over_tasks(loss, count=outer_loop.tasks, augment=app.augment if outer_loop.augment else None)
 
     @override
     def with_adam(self, phi: MetaParameters, adam: Adam) -> MetaParameters:
-        """Return phi with the rule that equals an Adam, except for hyperparameters that gradients have settled."""
-        untrained, prefixes = self._adam_alpha(self._draw_theta(), adam), self.paradigm.learned_rule.settled
-        settled = {name: value for name, value in phi.alpha.items() if name.startswith(prefixes)}
-        return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (untrained | settled).items()})
+        """Return phi with the rule that equals an Adam, except for hyperparameters that follow from statistics."""
+        untrained, prefixes = self._adam_alpha(self._draw_theta(), adam), self.paradigm.learned_rule.statistics_prefixes
+        kept = {name: value for name, value in phi.alpha.items() if name.startswith(prefixes)}
+        return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (untrained | kept).items()})
 
     def _draw_theta(self) -> Params:
         """Draw parameters of one task, without a task axis, from a fixed seed."""
@@ -188,13 +188,13 @@ class RuleTraining(CheckpointTraining):
         paradigm = self.paradigm
         return paradigm.learned_rule.initial_alpha(paradigm.app, theta, paradigm.steps, adam)
 
-    def _settle_alpha(self, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
-        """Settle the hyperparameters that parts of the rule, if any, compute from gradients of training tasks.
+    def _set_alpha_from_statistics(self, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
+        """Set the hyperparameters that parts of the rule, if any, compute from gradients of training tasks.
 
         The gradients are recorded in fits by the rule with the given phi.
         """
         paradigm, learned_rule = self.paradigm, self.paradigm.learned_rule
-        if not learned_rule.settled:
+        if not learned_rule.statistics_prefixes:
             return phi
         sums: Params = {}
         count = min(len(tasks), MAX_STATISTICS_TASKS)
@@ -206,11 +206,11 @@ class RuleTraining(CheckpointTraining):
             def step_and_record(
                 alpha: Params, theta: Params, grads: Params, state: Params, step: RuleStep = rule.step
             ) -> tuple[Params, Params]:
-                for name, value in learned_rule.gather(phi.alpha, grads).items():
+                for name, value in learned_rule.gradient_statistics(phi.alpha, grads).items():
                     sums[name] = sums.get(name, 0) + value
                 return step(alpha, theta, grads, state)
 
             learn(
                 theta, rule._replace(step=step_and_record), selected_tasks, paradigm.loss, steps=paradigm.steps, rng=rng
             )
-        return phi._replace(alpha=learned_rule.settle(phi.alpha, sums))
+        return phi._replace(alpha=learned_rule.from_statistics(phi.alpha, sums))

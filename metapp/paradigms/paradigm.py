@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 
 from torch import Generator
 
-from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, torch_steps
+from metapp.learning.adjoint import Loss, StepMaker, UpdateRule, torch_steps
 from metapp.learning.app import App
 from metapp.learning.guard import descend_with_guard
 from metapp.learning.learn import DescentState, MetaParameters, check_finite_losses, descend, final_item, task_loss
@@ -29,7 +29,7 @@ PARALLEL_TASKS = 8  # tasks that are fitted at once in loops over a data set, wh
 NO_OUTER_LOOP = OuterLoop(steps=0, tasks=0, rates={})
 
 
-def fastest_steps(*, compiles: bool = False) -> StepsOf:
+def fastest_steps(*, compiles: bool = False) -> StepMaker:
     """Return the function that makes steps: an extension's if one is installed, else torch's.
 
     Args:
@@ -144,11 +144,11 @@ class Paradigm(ABC):
         rule, loss, guard = self.rule(phi, theta, steps), self.loss, self.guard if guarded else None
         if guard:
             yield from descend_with_guard(
-                theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, steps_of=fastest_steps()
+                theta, rule, tasks, loss, rng=rng, guard=guard, steps=steps, make_steps=fastest_steps()
             )
         else:
             yield from check_finite_losses(
-                descend(theta, rule, tasks, loss, steps=steps, rng=rng, steps_of=fastest_steps())
+                descend(theta, rule, tasks, loss, steps=steps, rng=rng, make_steps=fastest_steps())
             )
 
 

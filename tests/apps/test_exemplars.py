@@ -162,13 +162,13 @@ def test_softness_counts_at_the_finest_octave_by_exemplar(app: ExemplarApp, task
     )
     mixed = torch.stack([exemplars[0], half[1], exemplars[2]])[:, None]
     assert (app.statistics.softness_loss(mixed, batch) > 0.05).tolist() == [False, True, False]
-    coarse = app.sample(app.stage(tasks, 0.0), Generator().manual_seed(0), 1)
+    coarse = app.sample(app.coarsen(tasks, 0.0), Generator().manual_seed(0), 1)
     assert app.statistics.softness_loss(half[:, None], coarse).tolist() == [0, 0, 0]
 
 
-def test_coarse_stages_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:
-    coarse = app.stage(tasks, SHARE - 0.01).data
-    assert app.stage(tasks, SHARE) is tasks
+def test_coarsened_tasks_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:
+    coarse = app.coarsen(tasks, SHARE - 0.01).data
+    assert app.coarsen(tasks, SHARE) is tasks
     for name in app.statistics.statistic_names:
         assert sorted(key for key in coarse if key.startswith(name)) == [f"{name}{i}" for i in range(3)]
         assert sorted(key for key in tasks.data if key.startswith(name)) == [f"{name}{i}" for i in range(5)]
@@ -180,7 +180,7 @@ def test_a_coarse_loss_leaves_the_finest_level_alone(app: ExemplarApp, tasks: Ta
     theta = {key: value.requires_grad_() for key, value in (app.init(rng, 3) | app.task_parameters(tasks)).items()}
     moved: list[set[str]] = []
     for done in (0.0, 0.9):
-        loss = app.loss(theta, app.sample(app.stage(tasks, done), rng, 1), {})
+        loss = app.loss(theta, app.sample(app.coarsen(tasks, done), rng, 1), {})
         assert loss.shape == (3,)
         grads = torch.autograd.grad(loss.sum(), list(theta.values()), materialize_grads=True)
         moved.append({key.split(".")[0] for key, grad in zip(theta, grads, strict=True) if grad.any()})
@@ -259,10 +259,10 @@ def test_tiles_move_with_noise_and_shrink_to_octaves(app: ExemplarApp, pavement:
         assert any(torch.equal(roll, moved[0, 1]) for roll in rolls)
 
 
-def test_coarse_stages_train_by_quilts_of_augmented_exemplars(app: ExemplarApp, pavement: Tasks) -> None:
+def test_coarsened_tasks_train_by_quilts_of_augmented_exemplars(app: ExemplarApp, pavement: Tasks) -> None:
     rng = Generator().manual_seed(0)
     for done in (0.0, 0.9):
-        variants = app.augment(app.stage(pavement, done), rng)
+        variants = app.augment(app.coarsen(pavement, done), rng)
         theta = app.encode(app.init_encoder(rng), app.encoder_input(variants, rng))
         assert app.outer_loss(theta, app.sample(variants, rng, 1), {}).isfinite().all()
 

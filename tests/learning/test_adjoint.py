@@ -10,7 +10,15 @@ from torch.utils._pytree import tree_map
 
 from metapp.apps.brdf.app import Brdf
 from metapp.learned_rules import rule_of
-from metapp.learning.adjoint import Loss, StepsOf, UpdateRule, add_smoothing, at_step, learn_differentiably, torch_steps
+from metapp.learning.adjoint import (
+    Loss,
+    StepMaker,
+    UpdateRule,
+    add_smoothing,
+    at_step,
+    learn_differentiably,
+    torch_steps,
+)
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters, after_learning, expand_tasks, task_loss
 from metapp.learning.recipe import Adam
@@ -64,7 +72,7 @@ def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable
     phi, last = brdf_phi(rule, randn), brdf_batch(randn)
     batches = [brdf_batch(randn) for _ in range(STEPS)]
 
-    def mean(order: int, steps_of: StepsOf | None = torch_steps) -> Callable[[Params], Tensor]:
+    def mean(order: int, make_steps: StepMaker | None = torch_steps) -> Callable[[Params], Tensor]:
         def unrolled_mean(phi: Params) -> Tensor:
             start = MetaParameters.unflatten(phi)
             learned = rule_of(rule).update_rule(expand_tasks(start.alpha, TASKS, 1))
@@ -72,9 +80,9 @@ def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable
                 learn_unrolled(expand_tasks(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}
             ).mean()
 
-        if steps_of is None:  # one unrolled graph
+        if make_steps is None:  # one unrolled graph
             return unrolled_mean
-        lifted = after_learning(BRDF, rule_of(rule).update_rule, steps=STEPS, order=order, steps_of=steps_of)
+        lifted = after_learning(BRDF, rule_of(rule).update_rule, steps=STEPS, order=order, make_steps=make_steps)
         return lambda phi: lifted.value(phi, (batches, last, None), {}).mean()
 
     return phi, mean
@@ -134,7 +142,7 @@ def test_derivative_in_one_dimension_agrees_with_the_closed_form(order: int, ste
 @pytest.mark.parametrize("rule", ON_MATRICES)
 def test_derivative_agrees_with_an_unrolled_graph(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
     phi, mean = brdf_case(rule, randn)
-    expected = value_and_grads(mean(order, steps_of=None), phi)
+    expected = value_and_grads(mean(order, make_steps=None), phi)
     value, grads = value_and_grads(mean(order), phi)
     assert_alike((value, grads), expected)
     for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own

@@ -85,7 +85,7 @@ class ExemplarApp(App):
         return feature_conditions(device if self.statistics.reduced_precision else None)
 
     @override
-    def stage(self, tasks: Tasks, done: float) -> Tasks:
+    def coarsen(self, tasks: Tasks, done: float) -> Tasks:
         """Return tasks without the statistics of octaves that are too fine for this share of a descent's steps."""
         octaves = self.octaves
         if not (coarse := sum(done < share for share in octaves.shares)):

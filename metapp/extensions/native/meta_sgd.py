@@ -96,7 +96,7 @@ def descend_in_c(
 def _has_c_form(paradigm: Meta, outer_loop: MetaTraining, params: Params, tasks: Tasks) -> bool:
     """Return whether the outer loss is what `meta_sgd.c` computes, of tensors in float32 on the CPU."""
     app = paradigm.app
-    overridden = ("sample", "outer_sample", "outer_loss", "loss", "stage")  # by a subclass, which torch alone knows
+    overridden = ("sample", "outer_sample", "outer_loss", "loss", "coarsen")  # by a subclass, which torch alone knows
     if not isinstance(app, Brdf) or any(getattr(type(app), name) is not getattr(Brdf, name) for name in overridden):
         return False
     if type(app.network) is not Nbrdf or [type(part) for part in paradigm.learned_rule.parts] != [SignedRates]:

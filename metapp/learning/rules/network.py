@@ -79,16 +79,16 @@ class StepNetwork(Part):
         }
 
     @override
-    def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
+    def after_step(self, alpha: Params, theta: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
         """Add the networks' outputs to the parameters, and return the new memories."""
-        results, memories = dict(moved), {}
+        results, memories = dict(theta), {}
         for key, value in before.theta.items():
             if name := _network_name(alpha, key):
                 memory = state[f"memory.{key}"]
                 added, new_memory = _evaluate_network(
                     alpha, name, value, before.grads[key], before.directions[key], memory
                 )
-                results[key], memories[f"memory.{key}"] = moved[key] + added, new_memory
+                results[key], memories[f"memory.{key}"] = theta[key] + added, new_memory
         return results, memories
 
 

@@ -218,10 +218,10 @@ class Average(Part):
         return {f"mean.{key}": torch.zeros_like(value) for key, value in theta.items()}
 
     @override
-    def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
+    def after_step(self, alpha: Params, theta: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
         """Update the running mean, and return it in place of the parameters at the last step."""
         means, results = {}, {}
-        for key, value in moved.items():
+        for key, value in theta.items():
             old_mean = state[f"mean.{key}"]
             mean = means[f"mean.{key}"] = torch.lerp(old_mean, value, append_axes(alpha["mean"], old_mean))
             results[key] = torch.lerp(value, mean, append_axes(alpha["answer"], old_mean))
@@ -255,7 +255,7 @@ class Basis(Part):
     """
 
     name = "basis"
-    settled_prefixes = ("out.", "in.")
+    statistics_prefixes = ("out.", "in.")
 
     @override
     def refusal(self, app: App, theta: Params) -> str:
@@ -263,7 +263,7 @@ class Basis(Part):
 
     @override
     def initial(self, app: App, theta: Params, steps: int, adam: Adam) -> Params:
-        """Return identity matrices, until :meth:`settle` replaces them."""
+        """Return identity matrices, until :meth:`from_statistics` replaces them."""
         return {
             f"{axis}.{key}": torch.eye(size)[None]
             for key, value in theta.items()
@@ -282,7 +282,7 @@ class Basis(Part):
         return {key: _rotate(alpha, key, update, back=True) for key, update in updates.items()}
 
     @override
-    def gather(self, alpha: Params, grads: Params) -> Params:
+    def gradient_statistics(self, alpha: Params, grads: Params) -> Params:
         """Return sums of products of gradients [T, out, in, ...] along the axis of each basis, [size, size].
 
         Each gradient is scaled to length 1, so that all tasks weigh alike.
@@ -298,7 +298,7 @@ class Basis(Part):
         return moments
 
     @override
-    def settle(self, alpha: Params, sums: Params) -> Params:
+    def from_statistics(self, alpha: Params, sums: Params) -> Params:
         """Replace the bases by the principal axes of gradients."""
         return alpha | {name: torch.linalg.eigh(value).eigenvectors[None] for name, value in sums.items()}
 

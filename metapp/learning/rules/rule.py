@@ -38,7 +38,7 @@ class Part:
     Methods that a part does not define change nothing. A step passes the gradients through :meth:`gradients` of all
     parts and the result through their :meth:`directions`. It passes the directions through :meth:`updates`, and
     subtracts the updates from the parameters; a parameter without an update stays. Last, it passes the new parameters
-    through :meth:`moved`. In these four methods `alpha` holds the hyperparameters of one step, with a task axis in
+    through :meth:`after_step`. In these four methods `alpha` holds the hyperparameters of one step, with a task axis in
     place of the axis of steps.
 
     Parts of a rule share one dictionary of hyperparameters and one of memories, so that a part may read another's.
@@ -50,14 +50,14 @@ class Part:
         name: the name in compositions such as "adam+curvature", which is also the key in the registry.
         is_rate: whether the part decides how far parameters move; a rule has exactly one such part.
         needs_one_of: names of parts of which a rule with this part must have at least one; () if it needs none.
-        settled_prefixes: beginnings of the names of hyperparameters that are computed from gradients of training tasks,
-            before the outer loop and before any search of an Adam.
+        statistics_prefixes: beginnings of the names of hyperparameters that follow from statistics of gradients, which
+            are computed on training tasks before the outer loop and before any search of an Adam.
     """
 
     name: str
     is_rate: bool = False
     needs_one_of: tuple[str, ...] = ()
-    settled_prefixes: tuple[str, ...] = ()
+    statistics_prefixes: tuple[str, ...] = ()
 
     def refusal(self, app: App, theta: Params) -> str:
         """Return why the part does not apply to an application; "" if it does.
@@ -129,22 +129,22 @@ class Part:
         """
         return updates
 
-    def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
+    def after_step(self, alpha: Params, theta: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
         """Transform the parameters after the step, and return with them what the part remembers for the next step.
 
         Args:
             alpha: the hyperparameters of this step, with a task axis.
-            moved: the parameters after the step, [T, ...].
+            theta: the parameters after the step, [T, ...].
             before: the state before the step.
             state: what all parts remember from the step before.
         """
-        return moved, {}
+        return theta, {}
 
     def for_steps(self, alpha: Params, steps: int) -> Params:
         """Return hyperparameters [K, ...] for a fit of this number of steps, whatever number they were trained for."""
         return alpha
 
-    def gather(self, alpha: Params, grads: Params) -> Params:
+    def gradient_statistics(self, alpha: Params, grads: Params) -> Params:
         """Return statistics of one step's gradients on training tasks, to be summed over steps and tasks.
 
         Args:
@@ -153,12 +153,12 @@ class Part:
         """
         return {}
 
-    def settle(self, alpha: Params, sums: Params) -> Params:
-        """Return hyperparameters [K, ...] in which those that :attr:`settled` names follow from statistics.
+    def from_statistics(self, alpha: Params, sums: Params) -> Params:
+        """Return hyperparameters [K, ...] in which those with :attr:`statistics_prefixes` follow from statistics.
 
         Args:
             alpha: hyperparameters [K, ...] before training.
-            sums: the sums of what :meth:`gather` returned.
+            sums: sums of the statistics that :meth:`gradient_statistics` returned.
         """
         return alpha
 
@@ -242,11 +242,11 @@ class LearnedRule:
         updates = directions
         for part in self.parts:
             updates = part.updates(alpha, updates)
-        moved = {key: value - updates[key] if key in updates else value for key, value in theta.items()}
+        new_theta = {key: value - updates[key] if key in updates else value for key, value in theta.items()}
         for part in self.parts:
-            moved, memory = part.moved(alpha, moved, StepInput(theta, grads, directions), state)
+            new_theta, memory = part.after_step(alpha, new_theta, StepInput(theta, grads, directions), state)
             new_state |= memory
-        return moved, new_state
+        return new_theta, new_state
 
     def for_steps(self, alpha: Params, steps: int) -> Params:
         """Return hyperparameters [K, ...] for a fit of this number of steps, whatever number they were trained for."""
@@ -255,18 +255,18 @@ class LearnedRule:
         return alpha
 
     @property
-    def settled(self) -> tuple[str, ...]:
-        """Beginnings of the names of hyperparameters that are computed from gradients of training tasks."""
-        return tuple(prefix for part in self.parts for prefix in part.settled_prefixes)
+    def statistics_prefixes(self) -> tuple[str, ...]:
+        """Beginnings of the names of hyperparameters that are computed from statistics of gradients."""
+        return tuple(prefix for part in self.parts for prefix in part.statistics_prefixes)
 
-    def gather(self, alpha: Params, grads: Params) -> Params:
-        """Return statistics of one step's gradients on training tasks. See :meth:`Part.gather`."""
-        return {key: value for part in self.parts for key, value in part.gather(alpha, grads).items()}
+    def gradient_statistics(self, alpha: Params, grads: Params) -> Params:
+        """Return statistics of one step's gradients on training tasks. See :meth:`Part.gradient_statistics`."""
+        return {key: value for part in self.parts for key, value in part.gradient_statistics(alpha, grads).items()}
 
-    def settle(self, alpha: Params, sums: Params) -> Params:
-        """Return hyperparameters in which some follow from statistics of gradients. See :meth:`Part.settle`."""
+    def from_statistics(self, alpha: Params, sums: Params) -> Params:
+        """Return hyperparameters of which some follow from statistics. See :meth:`Part.from_statistics`."""
         for part in self.parts:
-            alpha = part.settle(alpha, sums)
+            alpha = part.from_statistics(alpha, sums)
         return alpha
 
 

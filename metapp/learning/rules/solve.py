@@ -103,9 +103,9 @@ class Solve(Part):
         return {f"gram.{key}": theta[key].new_zeros(len(theta[key]), *2 * theta[key].shape[-1:]) for key in names}
 
     @override
-    def moved(self, alpha: Params, moved: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
+    def after_step(self, alpha: Params, theta: Params, before: StepInput, state: Params) -> tuple[Params, Params]:
         """Return W after the solve, and the Gram matrix of all samples so far."""
-        results, grams = dict(moved), {}
+        results, grams = dict(theta), {}
         for key in _solved_names(alpha):
             keep = torch.sigmoid(alpha[f"keep.{key}"])[..., None, None]
             gram = grams[f"gram.{key}"] = keep * state[f"gram.{key}"] + before.grads[f"gram.{key}"]
@@ -119,7 +119,7 @@ class Solve(Part):
             axes = before.grads.get(f"axes.{key}", torch.eye(moment.shape[1])).to(moment)
             factors = torch.linalg.cholesky(gram.double()[:, None] + torch.diag_embed(precision))
             change = axes @ torch.cholesky_solve((axes.mT @ moment)[..., None], factors)[..., 0]
-            results[key] = moved[key] + change.to(gram.dtype)
+            results[key] = theta[key] + change.to(gram.dtype)
         return results, grams
 
 

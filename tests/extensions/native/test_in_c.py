@@ -28,7 +28,7 @@ from metapp.extensions.native.step_choice import (
 )
 from metapp.extensions.native.step_choice import choose_steps as fastest
 from metapp.learned_rules import rule_of
-from metapp.learning.adjoint import DrawnBatch, Loss, Steps, StepsOf, UpdateRule, torch_steps
+from metapp.learning.adjoint import DrawnBatch, Loss, StepMaker, Steps, UpdateRule, torch_steps
 from metapp.learning.learn import MetaParameters, after_learning, descend, expand_tasks, learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, fixed_adam, sgd
@@ -135,7 +135,7 @@ def test_values_that_are_not_finite_are_reported(bad: float) -> None:
     assert torch.isfinite(nbrdf.loss_gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
     loss = replace(loss_of([]), draw=lambda data, rng, done: DrawnBatch(("a", "b", "c"), batch_of(rng, 40)))
     with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
-        learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, steps_of=fastest)
+        learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, make_steps=fastest)
 
 
 def move_parameters(rule: str, rng: Generator) -> Params:
@@ -162,14 +162,14 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int, smoothing: flo
         in_c_of.append(isinstance(getattr(steps.step, "__self__", None), c_steps._CSteps))
         return steps
 
-    def grads(kind: Callable[[Params], Params], steps_of: StepsOf) -> Params:
+    def grads(kind: Callable[[Params], Params], make_steps: StepMaker) -> Params:
         lifted = after_learning(
             replace(loss_of([]), smoothing=smoothing),
             rule_of(rule).update_rule,
             steps=STEPS,
             order=order,
             clip=0.05,
-            steps_of=steps_of,
+            make_steps=make_steps,
         )
         leaves = {key: value.clone().requires_grad_() for key, value in kind(phi).items()}
         value = lifted.value(leaves, ([kind(batch) for batch in batches], kind(last), None), {}).mean()
@@ -206,7 +206,7 @@ def test_fits_are_those_of_torch(name: str, tasks: int, form: int) -> None:
     rule = rules_of(theta, rng)[name]
     assert c_steps.make_c_steps(rule, loss_of([]), theta, 1) is not None
     paths = [
-        descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=step)
+        descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, make_steps=step)
         for step in (fastest, torch_steps)
     ]
     for here, torch_state in zip(*paths, strict=True):
@@ -249,10 +249,10 @@ def test_fits_without_a_compiler(module: ModuleType, load: str, monkeypatch: pyt
     rng = Generator().manual_seed(6)
     theta, batches = theta_of(rng), [batch_of(rng, 64) for _ in range(STEPS)]
     rule = fixed_adam(Adam(1e-2), theta, STEPS)
-    here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
+    here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, make_steps=fastest)
     monkeypatch.setattr(module, load, lambda: None)
     assert c_steps.make_c_steps(rule, loss_of([]), theta, 1) is None
-    torch_result = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, steps_of=fastest)
+    torch_result = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, make_steps=fastest)
     for key, value in torch_result.items():
         assert away(here[key], value.double()) < 100 * EPS
 
@@ -273,7 +273,7 @@ def test_steps_are_those_of_the_extension(monkeypatch: pytest.MonkeyPatch) -> No
 def test_steps_that_torch_compiles_are_those_of_torch(randn: Callable[..., Tensor]) -> None:
     phi, mean = brdf_case("meta-curvature", randn)
     with torch._dynamo.config.patch(disable=False):  # whatever the environment said when torch read it
-        assert_alike(*(value_and_grads(mean(2, steps_of), phi) for steps_of in (make_compiled_steps, torch_steps)))
+        assert_alike(*(value_and_grads(mean(2, make_steps), phi) for make_steps in (make_compiled_steps, torch_steps)))
 
 
 def test_compiling_is_announced_once(randn: Callable[..., Tensor], monkeypatch: pytest.MonkeyPatch) -> None:

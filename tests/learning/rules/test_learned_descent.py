@@ -75,7 +75,7 @@ def move(alpha: Params, seen: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     """The addition of a network to its parameter, and its memory after that."""
     step, zero = at_step(expand_tasks(alpha, TASKS, 1), 0), {"z": torch.zeros(TASKS, 3, 4, 8).double()}
     before = StepInput({"z": seen["value"]}, {"z": seen["grad"]}, {"z": seen["direction"]})
-    moved, memory = StepNetwork().moved(step, zero, before, {"memory.z": seen["memory"]})
+    moved, memory = StepNetwork().after_step(step, zero, before, {"memory.z": seen["memory"]})
     return moved["z"], memory["memory.z"]
 
 

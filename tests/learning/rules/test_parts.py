@@ -175,7 +175,7 @@ def test_bases_are_turned_to_the_axes_of_gradients(rng: Generator) -> None:
         cores[:, i, i] = torch.randn(50, generator=rng).double() * (i + 1)
     alpha = {"out.w": torch.eye(4).double()[None], "in.w": torch.eye(3).double()[None], "pace.w": torch.zeros(1)}
     gradients = {"w": rows @ cores @ columns.mT, "b": torch.ones(50, 4)}
-    turned = BASIS.settle(alpha, BASIS.gather(alpha, gradients))
+    turned = BASIS.from_statistics(alpha, BASIS.gradient_statistics(alpha, gradients))
     assert turned.keys() == alpha.keys()
     for name in ("out.w", "in.w"):
         basis = turned[name][0]
@@ -190,8 +190,8 @@ def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
     alpha = {"out.w": torch.eye(2)[None], "in.w": torch.eye(3)[None]}
     gradient = torch.randn(5, 2, 3, 3, 3, generator=rng)
     scaled = gradient * torch.tensor([1e-3, 1.0, 1e3, 5.0, 1e-9]).reshape(-1, 1, 1, 1, 1)
-    assert_same([BASIS.gather(alpha, {"w": gradient})], [BASIS.gather(alpha, {"w": scaled})])
-    assert float(BASIS.gather(alpha, {"w": gradient})["out.w"].trace()) == pytest.approx(5)
+    assert_same([BASIS.gradient_statistics(alpha, {"w": gradient})], [BASIS.gradient_statistics(alpha, {"w": scaled})])
+    assert float(BASIS.gradient_statistics(alpha, {"w": gradient})["out.w"].trace()) == pytest.approx(5)
 
 
 # Named rules
