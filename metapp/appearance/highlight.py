@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, max_pool2d
 
 from metapp.appearance.flash import DISPLAY_GAMMA, Maps, render_maps, texel_positions
-from metapp.appearance.order import even_out_brightness
+from metapp.appearance.lattice import even_out_brightness
 
 PROFILE_RINGS = 24  # number of rings about the flash
 PROFILE_RADIUS_HALF_SIDES = 1.5  # half sides of the patch from the flash to the last ring

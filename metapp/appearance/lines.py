@@ -2,7 +2,7 @@
 
 Joints, cracks, threads and fibres are lines that go on for many texels. A generator that loses them makes edges that
 are as strong, but short. Blocks that do not meet add lines that are longer than any in the exemplar. Both are measured
-on the two pictures alone, which need not have a lattice, unlike in :mod:`metapp.appearance.order`.
+on the two pictures alone, which need not have a lattice, unlike in :mod:`metapp.appearance.lattice`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from metapp.appearance.order import remove_quadratic_trend
+from metapp.appearance.lattice import remove_quadratic_trend
 
 SMALLEST_SIDE_PX = 64  # least side of pictures that are measured, px
 IGNORED_BORDER_PX = 16  # px left out at each side: exemplars do not tile, and filters by Fourier transforms assume it

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
-from metapp.appearance.order import find_lattice
+from metapp.appearance.lattice import find_lattice
 
 MIN_STRETCH_SCORE = 0.3  # score of a lattice, 0 to 1, from which on a picture is stretched
 MAX_STRETCH = 0.08  # relative change of lengths: a picture is stretched by at most so much

@@ -115,7 +115,7 @@ def _read_tasks(
                 yield run_input, EarlierFit(run, task, record)
             else:
                 bar.set_label(f"{task.name}: fitting", READ_TIME_SHARE)
-                check_task(run, task)
+                require_tensors(run, task)
                 note_count += bool(task.note)
                 if task.note and note_count <= MAX_NOTED_INPUTS:
                     say(f"{Path(run_input.place).name}: {task.note}")
@@ -178,15 +178,15 @@ def fit_tasks(run: Run, tasks: Sequence[Task]) -> Iterator[Fit]:
         ValueError: a task lacks a tensor; this is found before the first fit.
     """
     for task in tasks:
-        check_task(run, task)
+        require_tensors(run, task)
     for number, task in enumerate(tasks):
         if number == 0:
             warm_up(run, task)
         yield from fit_side_by_side(run, [task])
 
 
-def check_task(run: Run, task: Task) -> None:
-    """Refuse a task that lacks a tensor which a fit reads, rather than fail after hours of other fits.
+def require_tensors(run: Run, task: Task) -> None:
+    """Require the tensors of a task that a fit reads, rather than fail after hours of other fits.
 
     Raises:
         ValueError: a tensor is missing.

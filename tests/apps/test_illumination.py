@@ -7,7 +7,13 @@ from torch import Generator, Tensor
 from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import develop, photograph_spheres, render_material_spheres
 from metapp.apps import presenter_of
-from metapp.apps.illumination.app import BODY_GAIN, BODY_NUMBERS, BODY_ROUGHNESSES, Illumination, decode_body
+from metapp.apps.illumination.app import (
+    BALL_AND_CAMERA_GAIN,
+    BALL_AND_CAMERA_NUMBERS,
+    BALL_ROUGHNESSES,
+    Illumination,
+    decode_ball_and_camera,
+)
 from metapp.apps.illumination.ball_encoder import unwrap_photos
 from metapp.apps.illumination.map_augmentation import (
     LAMP_COUNT,
@@ -106,12 +112,12 @@ def test_the_true_map_has_no_loss(app: Illumination, tasks: Tasks) -> None:
 
 def test_the_true_map_sphere_and_camera_look_like_the_photo(tasks: Tasks, rng: Generator) -> None:
     photo, theta = exact(PHOTO, tasks)
-    theta |= {"body": 0.5 / BODY_GAIN * torch.randn(4, BODY_NUMBERS, generator=rng)}
-    material, camera = decode_body(BODY_GAIN * theta["body"])
-    seen = develop(render_material_spheres(tasks.data["map"], material, 64, BODY_ROUGHNESSES), camera).clamp_max(1)
+    theta |= {"body": 0.5 / BALL_AND_CAMERA_GAIN * torch.randn(4, BALL_AND_CAMERA_NUMBERS, generator=rng)}
+    material, camera = decode_ball_and_camera(BALL_AND_CAMERA_GAIN * theta["body"])
+    seen = develop(render_material_spheres(tasks.data["map"], material, 64, BALL_ROUGHNESSES), camera).clamp_max(1)
     batch = {"photo": (seen * 255).round()}  # black around the sphere
     assert photo.loss(theta, batch, {}).max() < 0.005  # rounding, and means of display values
-    darker = {**theta, "body": theta["body"] - torch.eye(BODY_NUMBERS)[7] / BODY_GAIN}
+    darker = {**theta, "body": theta["body"] - torch.eye(BALL_AND_CAMERA_NUMBERS)[7] / BALL_AND_CAMERA_GAIN}
     assert photo.loss(darker, batch, {}).min() > 0.05
 
 
@@ -119,9 +125,9 @@ def test_clipped_parts_of_a_photo_may_have_any_brightness(tasks: Tasks) -> None:
     photo = PHOTO
     theta = photo.init(Generator().manual_seed(0), 4)
     batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
-    bright = {**theta, "body": theta["body"] + 12 / BODY_GAIN * torch.eye(BODY_NUMBERS)[7]}
+    bright = {**theta, "body": theta["body"] + 12 / BALL_AND_CAMERA_GAIN * torch.eye(BALL_AND_CAMERA_NUMBERS)[7]}
     assert photo.loss(bright, batch, {}).max() < 1e-4
-    dark = {**theta, "body": theta["body"] - 4 / BODY_GAIN * torch.eye(BODY_NUMBERS)[7]}
+    dark = {**theta, "body": theta["body"] - 4 / BALL_AND_CAMERA_GAIN * torch.eye(BALL_AND_CAMERA_NUMBERS)[7]}
     assert photo.loss(dark, batch, {}).min() > 0.05
 
 
@@ -136,7 +142,7 @@ def test_fits_see_the_map_or_the_photo_by_protocol(tasks: Tasks) -> None:
     brighter = {
         **small,
         "out.shift": small["out.shift"] + 1,
-        "body": small["body"] - torch.eye(BODY_NUMBERS)[7] / BODY_GAIN,
+        "body": small["body"] - torch.eye(BALL_AND_CAMERA_NUMBERS)[7] / BALL_AND_CAMERA_GAIN,
     }
     torch.testing.assert_close(
         photo.outer_loss(brighter, batch, {}), photo.outer_loss(small, batch, {})

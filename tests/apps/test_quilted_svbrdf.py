@@ -17,7 +17,7 @@ from metapp.appearance.flash import (
     texel_positions,
     unpack_maps,
 )
-from metapp.appearance.order import even_out_contrast
+from metapp.appearance.lattice import even_out_contrast
 from metapp.apps import recipe_of
 from metapp.apps.exemplar.app import PictureChanges, draw_noise, turn_picture
 from metapp.apps.exemplar.octaves import Octaves

@@ -12,8 +12,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
+from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison, compare_lines
-from metapp.appearance.order import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.apps import recipe_of
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import QuiltedAgain, make_piece_source, order_penalty, quilt_places

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.order import find_lattice, kept_order_share
+from metapp.appearance.lattice import find_lattice, kept_order_share
 from metapp.appearance.stretch import stretch_to_tile
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import choose_quilt, make_piece_source, quilt_again, quilt_places

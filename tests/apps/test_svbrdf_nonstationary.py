@@ -15,7 +15,7 @@ from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.app import JUDGED_LIGHTS, SvbrdfNonstationary, fixed_pairs
 from metapp.apps.svbrdf_nonstationary.coded_maps import (
     BLOTS_WEIGHT,
-    RIG_LIGHTS,
+    FITTED_LIGHTS,
     STEEPNESS_WEIGHT,
     CodedMaps,
     FromMaps,
@@ -143,10 +143,10 @@ def test_oblique_pairs_are_evenly_spread_above_the_patch(rng: Generator) -> None
 
 
 def test_lights_that_fits_see_differ_from_those_of_errors(app: SvbrdfNonstationary) -> None:
-    rig, judged = (fixed_pairs(counts) for counts in (RIG_LIGHTS, JUDGED_LIGHTS))
-    assert rig.shape == (5, 2, 3)
+    fitted, judged = (fixed_pairs(counts) for counts in (FITTED_LIGHTS, JUDGED_LIGHTS))
+    assert fitted.shape == (5, 2, 3)
     assert judged.shape == (12, 2, 3)
-    assert (rig[:, None] - judged).abs().flatten(2).amax(2).min() > 0.05
+    assert (fitted[:, None] - judged).abs().flatten(2).amax(2).min() > 0.05
     assert torch.equal(judged, fixed_pairs((6, 6)))
 
 

@@ -19,7 +19,7 @@ from torch.nn.functional import avg_pool2d, leaky_relu
 from typing_extensions import override
 
 from metapp.appearance.features import feature_conditions
-from metapp.appearance.order import remove_quadratic_trend
+from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import choose_quilt, quilt_again

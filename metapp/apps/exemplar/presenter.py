@@ -14,8 +14,8 @@ import torch
 from torch import Generator, Tensor
 from typing_extensions import override
 
+from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.lines import compare_lines
-from metapp.appearance.order import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.pictures import VisibleData
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.stretch import MIN_STRETCH_SCORE

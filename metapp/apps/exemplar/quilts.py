@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
 from metapp.appearance.features import gram, statistics_distance
-from metapp.appearance.order import MIN_LATTICE_SCORE, Lattice, find_lattice, kept_order_share, remove_quadratic_trend
+from metapp.appearance.lattice import MIN_LATTICE_SCORE, Lattice, find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.quilting import quilt_pixel_numbers
 from metapp.appearance.stretch import MIN_STRETCH_SCORE, apply_stretch, find_stretch
 from metapp.apps.exemplar.exemplar_statistics import Statistics

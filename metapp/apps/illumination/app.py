@@ -58,11 +58,11 @@ PHOTO_WEIGHT = 0.3  # of the photograph
 # A texel's weight in the inner loss is its solid angle times (1 + LIGHT_WEIGHT * radiance), where radiance is 1 on
 # average: bright texels count more, so that few steps find suns.
 LIGHT_WEIGHT = 0.3
-BODY_NUMBERS = 10  # numbers that describe a sphere's material and a camera
-BODY_GAIN = (
+BALL_AND_CAMERA_NUMBERS = 10  # numbers that describe a sphere's material and a camera
+BALL_AND_CAMERA_GAIN = (
     100  # factor of these numbers, so that few steps at a network's rate find them; else the map would absorb them
 )
-BODY_ROUGHNESSES = (0.25, 0.42, 0.7)  # roughnesses of the lobes that a sphere's gloss is mixed of
+BALL_ROUGHNESSES = (0.25, 0.42, 0.7)  # roughnesses of the lobes that a sphere's gloss is mixed of
 DEFAULT_READ_ROWS = 64  # rows to which readers resample files of maps unless they are given another number
 LOSS_PHOTO_PX = 32  # side of the photograph in the loss
 
@@ -155,13 +155,13 @@ class Illumination(CodedApp):
             maps: linear radiance [T, 3, h, w], of any size.
 
         Returns:
-            `map`, the radiance maps [T, 3, H, W]; `sent`, the radiance that S surfaces reflect under each map,
+            `map`, the radiance maps [T, 3, H, W]; `reflected`, the radiance that S surfaces reflect under each map,
             [T, 3, S], see :meth:`_reflected_radiance`; and under the protocol "reference" `suns`, the brightest small
             lights of each map, [T, SUN_COUNT, SUN_NUMBERS].
         """
         maps = resample_maps(maps, self.network.height, self.network.width)
         suns = {"suns": find_suns(maps)} if self.protocol == "reference" else {}
-        return {"map": maps, "sent": self._reflected_radiance(maps)} | suns
+        return {"map": maps, "reflected": self._reflected_radiance(maps)} | suns
 
     def _reflected_radiance(self, maps: Tensor) -> Tensor:
         """Return the radiance [T, 3, S] that S white surfaces reflect under radiance maps [T, 3, H, W].
@@ -175,7 +175,7 @@ class Illumination(CodedApp):
 
     @override
     def init(self, rng: Generator, count: int) -> Params:
-        return super().init(rng, count) | {"body": torch.zeros(count, BODY_NUMBERS, device=rng.device)}
+        return super().init(rng, count) | {"body": torch.zeros(count, BALL_AND_CAMERA_NUMBERS, device=rng.device)}
 
     def radiance_maps(self, theta: Params) -> Tensor:
         """Return the maps that the network computes, with the suns among a fit's parameters, if there are any, added.
@@ -234,7 +234,7 @@ class Illumination(CodedApp):
         if self.protocol == "photo":
             return self._photo_loss(theta, maps, batch, loss_parameters)
         light_weight = torch.exp(loss_parameters["light"])[:, None, None, None] if loss_parameters else LIGHT_WEIGHT
-        differences, log_differences = self._compare_reflected_radiance(maps, batch["sent"], loss_parameters)
+        differences, log_differences = self._compare_reflected_radiance(maps, batch["reflected"], loss_parameters)
         reflected_loss = (differences + log_differences).mean((1, 2))
         return _texel_loss(maps, batch["map"], loss_parameters, light_weight) + reflected_loss
 
@@ -247,7 +247,7 @@ class Illumination(CodedApp):
         PHOTO_WEIGHT. All terms but the last are of the maps that :meth:`prediction` returns.
         """
         maps, predictions = self.radiance_maps(theta), self.prediction(theta, batch)
-        differences, log_differences = self._compare_reflected_radiance(predictions, batch["sent"], {})
+        differences, log_differences = self._compare_reflected_radiance(predictions, batch["reflected"], {})
         texel_loss = _texel_loss(predictions, batch["map"], {}, 0.0)
         # The photograph is compared with the maps as they are fitted: predictions hold light seen in the mirror, and
         # their luminance is normalised, though the fitted camera's exposure belongs to the unit of the fitted maps.
@@ -320,8 +320,8 @@ class Illumination(CodedApp):
             maps: maps of :meth:`radiance_maps`, [T, 3, H, W].
             size: the photograph's side in px.
         """
-        material, camera = decode_body(BODY_GAIN * theta["body"])
-        return develop(render_material_spheres(maps, material, size, BODY_ROUGHNESSES), camera)
+        material, camera = decode_ball_and_camera(BALL_AND_CAMERA_GAIN * theta["body"])
+        return develop(render_material_spheres(maps, material, size, BALL_ROUGHNESSES), camera)
 
     @override
     def initial_loss_parameters(self, steps: int) -> Params:
@@ -330,16 +330,16 @@ class Illumination(CodedApp):
 
     @override
     def init_reader(self, rng: Generator) -> Params:
-        return ball_encoder.init_reader(rng, self.network.code, BODY_NUMBERS)
+        return ball_encoder.init_reader(rng, self.network.code, BALL_AND_CAMERA_NUMBERS)
 
     @override
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, numbers = ball_encoder.read_ball_photos(
             reader, photos.to(next(iter(reader.values()))) / 255, *self.encoder_size
         )
-        # The network multiplies z by its gain, and `render_ball` multiplies these numbers by BODY_GAIN: so the encoder
-        # predicts code and numbers as they are used.
-        return {"z": code / self.network.gain, "body": numbers / BODY_GAIN}
+        # The network multiplies z by its gain, and `render_ball` multiplies these numbers by BALL_AND_CAMERA_GAIN: so
+        # the encoder predicts code and numbers as they are used.
+        return {"z": code / self.network.gain, "body": numbers / BALL_AND_CAMERA_GAIN}
 
     @override
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
@@ -390,8 +390,8 @@ def _texel_loss(maps: Tensor, target: Tensor, loss_parameters: Params, light_wei
     return (differences * weights).sum((2, 3)).mean(1)
 
 
-def decode_body(numbers: Tensor) -> tuple[SphereMaterials, CameraCurves]:
-    """Return the materials of spheres, and the cameras, that unbounded numbers [T, BODY_NUMBERS] describe."""
+def decode_ball_and_camera(numbers: Tensor) -> tuple[SphereMaterials, CameraCurves]:
+    """Return the materials of balls, and the cameras, that unbounded numbers [T, BALL_AND_CAMERA_NUMBERS] describe."""
     material = SphereMaterials(
         torch.sigmoid(numbers[:, :3] + 1), torch.sigmoid(numbers[:, 3] - 1), softmax(numbers[:, 4:7], 1)
     )

@@ -24,13 +24,13 @@ SPHERE_CHANNELS = 64  # channels of the layers on the sphere of directions
 SPHERE_STRIDES = (1, 2, 4, 8, 1)  # texels between the entries of these layers' kernels, which so see all around
 
 
-def init_reader(rng: Generator, code: int, body: int) -> Params:
+def init_reader(rng: Generator, code: int, ball_and_camera: int) -> Params:
     """Draw random parameters of the reader of photographs.
 
     Args:
         rng: the source of all draws.
         code: length of the code.
-        body: number of the numbers that describe the sphere's material and the camera.
+        ball_and_camera: number of the numbers that describe the sphere's material and the camera.
     """
     reader: Params = {}
     layer = functools.partial(add_layer, reader, rng)
@@ -39,7 +39,7 @@ def init_reader(rng: Generator, code: int, body: int) -> Params:
         layer(f"photo{i}", outputs, inputs, 3, 3)
     layer("whole", 2 * OUTLINE_NUMBERS, PHOTO_CHANNELS[-1][1] * (PHOTO_PX // 2 ** len(PHOTO_CHANNELS)) ** 2)
     layer("outline", OUTLINE_NUMBERS, 2 * OUTLINE_NUMBERS)
-    layer("body", body, 2 * OUTLINE_NUMBERS, gain=0.1)
+    layer("body", ball_and_camera, 2 * OUTLINE_NUMBERS, gain=0.1)
     layer("around0", SPHERE_CHANNELS, 2 * 6 + 3, 3, 3)
     layer("around0.whole", SPHERE_CHANNELS, OUTLINE_NUMBERS)
     for i in range(1, 1 + len(SPHERE_STRIDES)):
@@ -63,7 +63,7 @@ def read_ball_photos(reader: Params, photos: Tensor, rows: int, columns: int) ->
         columns: columns of the code.
 
     Returns:
-        The code [T, code, rows, columns], and the numbers of material and camera, [T, body].
+        The code [T, code, rows, columns], and the numbers of material and camera, [T, ball_and_camera].
     """
     features = photos - 0.5
     for i in range(len(PHOTO_CHANNELS)):

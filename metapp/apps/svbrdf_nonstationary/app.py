@@ -47,10 +47,10 @@ class SvbrdfNonstationary(App):
     material's `maps`; `others` and `places` are of further photographs.
 
     Attributes:
-        sees_others: whether fits see `others`, too, and place the flash of each photograph.
+        several_photos: whether fits see `others`, too, and place the flash of each photograph.
     """
 
-    sees_others: ClassVar[bool] = False
+    several_photos: ClassVar[bool] = False
     name = "svbrdf_nonstationary"
     small_tensors = deterministic = True
     error_measure = ErrorMeasure(

@@ -48,7 +48,7 @@ MAPS_WEIGHT, PHOTO_WEIGHT = 0.3, 0.3  # weights in the outer loss, beside 1 for 
 STEEPNESS_WEIGHT = 0.2  # weight in the outer loss of the mean steepness of normals, which a photo hardly shows
 BLOTS_WEIGHT = 0.3  # weight in the outer loss of diffuse colours where the photo clips
 STEEPNESS_CELLS = 8  # cells a side, in each of which the mean steepness of normals counts
-RIG_LIGHTS = (2, 3)  # lights that fits of the maps see the material under: anywhere above the patch, mirrored in it
+FITTED_LIGHTS = (2, 3)  # lights that fits of the maps see the material under: anywhere above the patch, mirrored in it
 USUAL_LOG_HEIGHT = 0.05  # deviation of the log of a camera's height below which it is at `camera_distance`
 SMOOTHING = 0.03  # initial learned rounding of |d| in losses
 
@@ -182,15 +182,21 @@ class FromMaps(CodedMaps):
 
     @override
     def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
-        """Return `maps`, lights and viewers that fits see, `rig` [T, V, 2, 3], and `lit`, log radiance under these."""
-        pairs = fixed_pairs(RIG_LIGHTS).to(maps).expand(len(maps), -1, -1, -1)
-        return {"maps": maps, "rig": pairs, "lit": self.log_radiance(unpack_maps(maps), pairs)}
+        """Describe maps by the tensors that losses compare with fits.
+
+        Returns:
+            `maps`; `fitted_lights`, the directions of lights and viewers under which fits see the maps, [T, V, 2, 3];
+            and `lit`, the log radiance under these.
+        """
+        pairs = fixed_pairs(FITTED_LIGHTS).to(maps).expand(len(maps), -1, -1, -1)
+        return {"maps": maps, "fitted_lights": pairs, "lit": self.log_radiance(unpack_maps(maps), pairs)}
 
     @override
     def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
         """Return the difference of maps plus the difference of log radiance under the lights that fits see, [T]."""
         maps = self.maps_of(theta, batch["photo"])
-        log_differences = smooth_absolute(self.log_radiance(maps, batch["rig"]) - batch["lit"], loss_parameters)
+        log_radiance = self.log_radiance(maps, batch["fitted_lights"])
+        log_differences = smooth_absolute(log_radiance - batch["lit"], loss_parameters)
         return log_differences.mean((1, 2, 3, 4)) + _map_loss(
             map_differences(maps, unpack_maps(batch["maps"])), loss_parameters
         )

@@ -91,7 +91,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         """
         maps = self._shown_maps(theta, task)
         pictures = map_pictures(scale_relief(maps, self.relief))
-        if self.app.sees_others:
+        if self.app.several_photos:
             for number, flash in enumerate(self.app.flashes(theta, task), 1):
                 radiance = _photograph_by(flash, Maps(*(part[None] for part in maps)))
                 pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
@@ -139,7 +139,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
         `mean_tilt_degrees` is the mean tilt of fitted normals, without the factor `relief`.
         """
-        counts = {"counts": {"photos": self._photo_count(task)}} if self.app.sees_others else {}
+        counts = {"counts": {"photos": self._photo_count(task)}} if self.app.several_photos else {}
         if self.app.protocol != "photo":
             return counts
         maps = self.app.maps_of(_add_task_axis(theta), _small_photo(task))
@@ -155,7 +155,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         and on photographs that the maps do not explain.
         """
         app = self.app
-        if app.sees_others and app.protocol == "photo":
+        if app.several_photos and app.protocol == "photo":
             return [
                 self._warn_of_several({key: value[number] for key, value in theta.items()}, tasks.data, row)
                 for number, row in enumerate(tasks.rows)
@@ -203,7 +203,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
 
     def _photo_count(self, task: Task) -> int:
         """Return the number of photographs that a fit sees."""
-        return 1 + len(task.data.get("others", ())) if self.app.sees_others else 1
+        return 1 + len(task.data.get("others", ())) if self.app.several_photos else 1
 
     def _small_maps(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
         """Return maps [C, h, w] of at most SHOWN_PX a side, as fitted, and the linear photograph [1, 3, h, w]."""

@@ -25,7 +25,7 @@ from metapp.appearance.flash import (
     texel_positions,
 )
 from metapp.appearance.highlight import estimate_gloss, remove_shading, ring_profile
-from metapp.appearance.order import even_out_contrast
+from metapp.appearance.lattice import even_out_contrast
 from metapp.apps.exemplar.exemplar_statistics import Statistics
 from metapp.apps.svbrdf_stationary.windows import (
     WINDOW_COUNT,

@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from metapp.appearance.features import detail_statistics
 from metapp.appearance.flash import DISPLAY_GAMMA, Maps, normal_from_height, unpack_maps
-from metapp.appearance.order import remove_quadratic_trend
+from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.apps.exemplar.app import (
     PictureChanges,
     fixed_noise,

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 from typing_extensions import override
 
-from metapp.appearance.order import remove_quadratic_trend
+from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.apps.exemplar.app import move_tiles
 from metapp.apps.texture.app import Texture
 from metapp.learning.task import Batch, Params, Task, Tasks

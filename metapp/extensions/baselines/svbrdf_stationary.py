@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from metapp.appearance.flash import DISPLAY_GAMMA, Maps, normal_from_height
 from metapp.appearance.highlight import estimate_gloss, remove_shading
-from metapp.appearance.order import subtract_local_mean
+from metapp.appearance.lattice import subtract_local_mean
 from metapp.appearance.stretch import stretch_to_tile
 from metapp.apps.exemplar.app import JUDGED_PICTURES
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary

@@ -17,7 +17,7 @@ from typing_extensions import override
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import statistics_distance
-from metapp.appearance.order import remove_quadratic_trend
+from metapp.appearance.lattice import remove_quadratic_trend
 from metapp.appearance.quilting import choose_block_size, quilt
 from metapp.appearance.stretch import stretch_to_tile
 from metapp.apps.exemplar.app import JUDGED_PICTURES, ExemplarApp

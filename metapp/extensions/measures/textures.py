@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.features import load_features
-from metapp.appearance.order import find_lattice, kept_order_share
+from metapp.appearance.lattice import find_lattice, kept_order_share
 from metapp.appearance.picture_measures import PictureMeasure
 from metapp.appearance.pictures import PictureComparison
 

@@ -14,7 +14,7 @@ from metapp.appearance.flash import Maps, camera_distance, directions_to_point, 
 from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, decode_photo
 from metapp.apps.svbrdf_nonstationary.places import held_places
-from metapp.apps.svbrdf_nonstationary.several import encoder as reader
+from metapp.apps.svbrdf_nonstationary.several import encoder as stereo
 from metapp.apps.svbrdf_nonstationary.several.app import (
     SeveralPhotos,
     Texels,
@@ -82,13 +82,13 @@ def test_stereo_is_exact_on_lambertian_texels() -> None:
     brightness = render_photos(maps, decode_flashes(flash, places)).mean(2, keepdim=True) / white
     expected = maps.normal[:, :2] / maps.normal[:, 2:]
     ones = torch.ones_like(brightness)
-    level, slopes, _, unknown = reader.photometric_stereo(brightness, wi[:, :, :2] / wi[:, :, 2:], ones, 0 * ones)
+    level, slopes, _, unknown = stereo.photometric_stereo(brightness, wi[:, :, :2] / wi[:, :, 2:], ones, 0 * ones)
     assert unknown.max() < 0.1
     bound = 0.4 * unknown.sum(1, keepdim=True) + 0.02  # and slopes above STEEPEST_SLOPE are less steep
     assert ((slopes - expected).abs() < bound).all()
     body = maps.diffuse.mean(1, keepdim=True) * maps.normal[:, 2:]
     torch.testing.assert_close(level, body, rtol=0.03, atol=0)
-    reading = reader.read_photos(render_photos(maps, decode_flashes(flash, places)), places)
+    reading = stereo.read_photos(render_photos(maps, decode_flashes(flash, places)), places)
     cosine = torch.nn.functional.cosine_similarity(reading.maps[:, :2].flatten(), expected.flatten(), 0)
     assert float(cosine) > 0.98  # exposures and lobes are looked for, too
 
@@ -98,7 +98,7 @@ def test_exposures_of_photographs_are_solved() -> None:
     gains = torch.tensor([0.4, -0.3, 0.0, -0.4, 0.3])
     photos = 0.5 * render_photos(maps, decode_flashes(torch.zeros(1, FLASH_NUMBERS, 5), places))
     plain, changed = (
-        reader.read_photos(measured, places) for measured in (photos, photos * gains.exp()[:, None, None, None])
+        stereo.read_photos(measured, places) for measured in (photos, photos * gains.exp()[:, None, None, None])
     )
     torch.testing.assert_close(changed.gains - plain.gains, gains[None], rtol=0, atol=0.01)
     torch.testing.assert_close(changed.maps[:, :2], plain.maps[:, :2], rtol=0, atol=0.03)

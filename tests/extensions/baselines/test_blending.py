@@ -5,7 +5,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, pad
 
-from metapp.appearance.order import find_lattice, kept_order_share
+from metapp.appearance.lattice import find_lattice, kept_order_share
 from metapp.apps.exemplar.app import ExemplarApp
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import BaselineFit, CostLimits

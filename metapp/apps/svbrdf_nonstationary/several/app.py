@@ -32,7 +32,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     map_differences,
     pool_maps,
 )
-from metapp.apps.svbrdf_nonstationary.several import encoder as reader
+from metapp.apps.svbrdf_nonstationary.several import encoder as stereo
 from metapp.apps.svbrdf_nonstationary.several.flashes import (
     decode_flashes,
     estimate_flashes,
@@ -98,7 +98,7 @@ class SeveralPhotos(SvbrdfNonstationary):
 
     network: Texels = field(default=Texels(256, 256))
     protocol: str = field(default="photo", kw_only=True)
-    sees_others = True
+    several_photos = True
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -141,7 +141,7 @@ class SeveralPhotos(SvbrdfNonstationary):
         batch, network = self.encoder_input(tasks, Generator()), self.network
         size = (min(INITIAL_MAPS_PX, network.height), min(INITIAL_MAPS_PX, network.width))
         batch["photos"] = _pool_photos(batch["photos"], size)
-        reading = reader.read_photos(batch["photos"], batch["places"])
+        reading = stereo.read_photos(batch["photos"], batch["places"])
         slopes, diffuse, roughness_numbers, specular = reading.maps.split(CHANNELS, 1)
         candidates, losses = [], []
         for roughness in INITIAL_ROUGHNESSES:
@@ -275,7 +275,7 @@ class SeveralPhotos(SvbrdfNonstationary):
     @override
     def init_encoder(self, rng: Generator) -> Params:
         """Draw random parameters of the network that corrects photometric stereo."""
-        return reader.init(rng)
+        return stereo.init(rng)
 
     @override
     def encoder_input(self, tasks: Tasks, rng: Generator) -> Batch:
@@ -285,8 +285,8 @@ class SeveralPhotos(SvbrdfNonstationary):
     @override
     def encode(self, encoder: Params, encoder_input: Batch) -> Params:
         """Return General's maps, the flashes whose brightness agrees with them, and these maps as the prior."""
-        reading = reader.read_photos(encoder_input["photos"], encoder_input["places"])
-        maps, log_scales = reader.predict_maps(encoder, reading, encoder_input["relief"])
+        reading = stereo.read_photos(encoder_input["photos"], encoder_input["places"])
+        maps, log_scales = stereo.predict_maps(encoder, reading, encoder_input["relief"])
         # General predicts one scale for each kind of map: all numbers of that kind share it.
         expanded_scales = [
             log_scale.expand(-1, count, -1, -1)
@@ -368,7 +368,7 @@ def _align_photos(photos: Tensor, places: Tensor, size: tuple[int, int]) -> tupl
     heights = find_heights(photos, eyes, size)
     if heights.height.std() * size[1] / 2 >= MIN_HEIGHT_TEXELS:
         moved = remove_parallax(coarse, eyes, heights.height)
-        if reader.stereo_residual(moved, places) <= MAX_RESIDUAL_SHARE * reader.stereo_residual(coarse, places):
+        if stereo.stereo_residual(moved, places) <= MAX_RESIDUAL_SHARE * stereo.stereo_residual(coarse, places):
             return moved, heights.describe()
     return coarse, Heights.unknown(heights.height).describe()
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.appearance import order
+from metapp.appearance import lattice
 from metapp.appearance.quilting import PHASE_TOLERANCE_PX, quilt
 
 SIZE = 128
@@ -37,7 +37,7 @@ def periodic(vectors: Vectors, generator: torch.Generator, offset: tuple[float, 
     ],
 )
 def test_lattice_of_a_periodic_picture_is_found(vectors: Vectors) -> None:
-    found = order.find_lattice(periodic(vectors, torch.Generator().manual_seed(3)))
+    found = lattice.find_lattice(periodic(vectors, torch.Generator().manual_seed(3)))
     assert found.score > 0.4
     known = torch.tensor(vectors, dtype=torch.float64)
     times = torch.linalg.solve(known.T, found.vectors.T)  # whole numbers of periods
@@ -50,29 +50,29 @@ def test_pictures_without_order_have_none() -> None:
     for blurred in (0, 3, 9):
         noise = torch.rand(3, SIZE, SIZE, generator=generator)
         noise = torch.nn.functional.avg_pool2d(noise, 2 * blurred + 1, 1, blurred, count_include_pad=False)
-        assert order.find_lattice(noise).score < order.MIN_LATTICE_SCORE
-    assert order.find_lattice(torch.full((3, SIZE, SIZE), 0.4)).score < 0
+        assert lattice.find_lattice(noise).score < lattice.MIN_LATTICE_SCORE
+    assert lattice.find_lattice(torch.full((3, SIZE, SIZE), 0.4)).score < 0
 
 
 def test_order_kept_is_one_for_as_much_order_and_none_for_noise() -> None:
     generator = torch.Generator().manual_seed(5)
     vectors = ((16.0, 0.0), (5.0, 21.0))
-    exemplar = order.find_lattice(periodic(vectors, generator))
-    assert order.kept_order_share(exemplar, periodic(vectors, generator, (7.3, 14.6))) == pytest.approx(1, abs=0.1)
-    assert order.kept_order_share(exemplar, torch.rand(3, SIZE, SIZE, generator=generator)) < 0.15
+    exemplar = lattice.find_lattice(periodic(vectors, generator))
+    assert lattice.kept_order_share(exemplar, periodic(vectors, generator, (7.3, 14.6))) == pytest.approx(1, abs=0.1)
+    assert lattice.kept_order_share(exemplar, torch.rand(3, SIZE, SIZE, generator=generator)) < 0.15
     half = (periodic(vectors, generator) + torch.rand(3, SIZE, SIZE, generator=generator)) / 2
-    assert 0.15 < order.kept_order_share(exemplar, half) < 0.9
-    nothing = order.find_lattice(torch.rand(3, SIZE, SIZE, generator=generator))
-    assert math.isnan(order.kept_order_share(nothing, periodic(vectors, generator)))
+    assert 0.15 < lattice.kept_order_share(exemplar, half) < 0.9
+    nothing = lattice.find_lattice(torch.rand(3, SIZE, SIZE, generator=generator))
+    assert math.isnan(lattice.kept_order_share(nothing, periodic(vectors, generator)))
     for side in range(4, SIZE, 12):  # pictures that are smaller than the lattice tell nothing, and are no error
-        share = order.kept_order_share(exemplar, periodic(vectors, generator)[:, :side, :side])
+        share = lattice.kept_order_share(exemplar, periodic(vectors, generator)[:, :side, :side])
         assert math.isnan(share) or share >= 0
-    assert math.isnan(order.kept_order_share(exemplar, torch.rand(3, 12, 12, generator=generator)))
+    assert math.isnan(lattice.kept_order_share(exemplar, torch.rand(3, 12, 12, generator=generator)))
 
 
 def test_flattened_photos_have_one_brightness() -> None:
     ramp = torch.linspace(0.2, 0.8, SIZE).expand(3, SIZE, SIZE)
-    flat = order.even_out_brightness(ramp)
+    flat = lattice.even_out_brightness(ramp)
     assert float(flat[..., 32:-32].std()) < 0.02 < float(ramp[..., 32:-32].std())
     assert float(flat.mean()) == pytest.approx(0.5, abs=0.03)
 
@@ -82,21 +82,21 @@ def test_removing_shading_removes_slow_changes_alone() -> None:
     slow = torch.stack([0.2 * x, 0.1 * y * y - 0.1 * x, 0.3 * x * y])
     waves = torch.sin(2 * math.pi * torch.arange(SIZE) / 8).expand(3, SIZE, SIZE)
     torch.testing.assert_close(
-        order.remove_quadratic_trend(0.5 + slow + waves),
-        order.remove_quadratic_trend(0.5 + waves) + slow.mean((1, 2))[:, None, None],
+        lattice.remove_quadratic_trend(0.5 + slow + waves),
+        lattice.remove_quadratic_trend(0.5 + waves) + slow.mean((1, 2))[:, None, None],
         atol=1e-5,
         rtol=0,
     )
-    torch.testing.assert_close(order.remove_quadratic_trend(waves), waves, atol=0.1, rtol=0)
-    assert float(order.remove_quadratic_trend(0.5 + slow).std((1, 2)).max()) < 1e-5
+    torch.testing.assert_close(lattice.remove_quadratic_trend(waves), waves, atol=0.1, rtol=0)
+    assert float(lattice.remove_quadratic_trend(0.5 + slow).std((1, 2)).max()) < 1e-5
 
 
 def test_a_slope_without_peaks_ends_the_search_of_a_vector() -> None:
     """A correlation that falls off evenly from shift 0 has no peak at any multiple; the search ends all the same."""
     y, x = torch.meshgrid(torch.arange(-SIZE, SIZE), torch.arange(-SIZE, SIZE), indexing="ij")
     cone = torch.exp(-(y * y + x * x).double().sqrt() / 100)
-    vector = order._refine_vector(cone, 0, 8)
-    assert float((vector - torch.tensor([0.0, 8.0])).abs().max()) <= order.MAX_PEAK_SHIFT_PX
+    vector = lattice._refine_vector(cone, 0, 8)
+    assert float((vector - torch.tensor([0.0, 8.0])).abs().max()) <= lattice.MAX_PEAK_SHIFT_PX
 
 
 # Image quilting

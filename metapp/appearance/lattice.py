@@ -1,7 +1,7 @@
-"""Order in pictures: the lattice on which a texture repeats, and the share of it that a picture keeps.
+"""The lattice on which a texture repeats, and the share of its order that a picture keeps.
 
-Light that changes slowly over a photograph would hide the order, so functions that remove it are here, too. The module
-knows pictures, but not how they were made. Vectors are (y, x), in texels.
+Light that changes slowly over a photograph would hide the lattice, so functions that remove such light are here, too.
+The module knows pictures, but not how they were made. Vectors are (y, x), in texels.
 """
 
 from __future__ import annotations
