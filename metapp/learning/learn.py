@@ -219,28 +219,29 @@ def learn(
 # Losses, and functions that lift them
 
 
-def task_loss(app: App, batch: int, *, outer: bool = False) -> Loss:
+def task_loss(app: App, samples: int, *, outer: bool = False) -> Loss:
     """Return the loss of an application on random samples of tasks (alg. 2), [T].
 
     Args:
         app: the application; equal ones give one object, by which compiled steps are found again.
-        batch: the number of samples of each task.
+        samples: the number of samples of each task.
         outer: whether to return the outer loss, on samples of training tasks, instead of the inner loss.
     """
     return _task_loss(
-        replace(app), batch, outer
+        replace(app), samples, outer
     )  # a copy, so that the cache keeps no pictures of fits that the application holds
 
 
 @functools.lru_cache(maxsize=32)
-def _task_loss(app: App, batch: int, outer: bool) -> Loss:
+def _task_loss(app: App, samples: int, outer: bool) -> Loss:
     """Return a loss that is made once for equal arguments. See :func:`task_loss`."""
     sample = app.outer_sample if outer else app.sample
     # not App.outer_loss where it is inherited: steps in C recognise the method `Brdf.loss`
     value = app.outer_loss if outer and type(app).outer_loss is not App.outer_loss else app.loss
 
     def draw(tasks: Tasks, rng: Rng, done: float) -> DrawnBatch:
-        return DrawnBatch(tasks.selected_names, draw_per_task(lambda tasks, rng: sample(tasks, rng, batch), tasks, rng))
+        batch = draw_per_task(lambda tasks, rng: sample(tasks, rng, samples), tasks, rng)
+        return DrawnBatch(tasks.selected_names, batch)
 
     return with_coarsening(Loss(draw, value), app.coarsen)
 

@@ -143,7 +143,7 @@ class Recipe:
 
     Attributes:
         steps: the number of gradient steps of Meta and QuickFT, n_l in the paper.
-        batch: the number of samples of each task that one gradient step sees.
+        samples: the number of samples of each task that one gradient step sees.
         overfit_steps, overfit: the number of steps and the Adam of Overfit.
         finetune_steps, finetune: the number of steps and the Adam of Finetune.
         quickft: the Adam of QuickFT, tuned on validation tasks.
@@ -155,7 +155,7 @@ class Recipe:
     """
 
     steps: int
-    batch: int
+    samples: int
     overfit_steps: int
     overfit: Adam
     finetune_steps: int

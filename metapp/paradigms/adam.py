@@ -161,7 +161,7 @@ class GeneralTraining(CheckpointTraining):
         """Return the outer loss of the encoder's predictions."""
         app, outer_loop = self.paradigm.app, self.outer_loop
         prediction = EncoderPrediction(app.encoder_input, app.encode)
-        loss = after_encoding(task_loss(app, self.paradigm.recipe.batch, outer=True), prediction)
+        loss = after_encoding(task_loss(app, self.paradigm.recipe.samples, outer=True), prediction)
         outer = over_tasks(loss, count=outer_loop.tasks, augment=app.augment if outer_loop.augment else None)
         # tasks are coarsened before they are augmented, so that nothing is augmented in vain
         return with_coarsening(outer, app.coarsen)

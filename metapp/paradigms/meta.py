@@ -167,7 +167,7 @@ class RuleTraining(CheckpointTraining):
             order=outer_loop.order,
             clip=outer_loop.clip,
             prediction=encoder_prediction(app) if phi.encoder else None,
-            outer_loss=task_loss(app, paradigm.recipe.batch, outer=True),
+            outer_loss=task_loss(app, paradigm.recipe.samples, outer=True),
             make_steps=fastest_steps(compiles=app.small_tensors),
         )
         return over_tasks(loss, count=outer_loop.tasks, augment=app.augment if outer_loop.augment else None)

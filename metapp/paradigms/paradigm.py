@@ -97,7 +97,7 @@ class Paradigm(ABC):
     @property
     def loss(self) -> Loss:
         """The loss that the steps of a fit descend."""
-        return task_loss(self.app, self.recipe.batch)
+        return task_loss(self.app, self.recipe.samples)
 
     def adam(self, phi: MetaParameters) -> Adam | None:
         """Return the plain Adam of the steps; None if the rule is a learned one, or if there are no steps."""

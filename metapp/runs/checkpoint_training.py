@@ -79,7 +79,7 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
     outer_loop = training.outer_loop
     if outer_loop.steps and steps:
         outer_loop = replace(outer_loop, steps=steps)
-    description = {"inner_steps": run.recipe.steps, "batch": run.recipe.batch, "training": asdict(outer_loop)}
+    description = {"inner_steps": run.recipe.steps, "batch": run.recipe.samples, "training": asdict(outer_loop)}
     # rounding depends on device and threads, so that a training goes on only where these are equal
     settings = header | {"device": str(run.device), "threads": get_num_threads()}
 

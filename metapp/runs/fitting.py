@@ -136,7 +136,7 @@ def _fit_group(run: Run, pairs: Sequence[tuple[Input, Task]]) -> Iterator[tuple[
     try:
         fits = fit_side_by_side(run, [task for _, task in pairs])
     except FIT_ERRORS as error:
-        failure = error.with_traceback(None)  # the frames of a traceback would hold the tensors of the batch
+        failure = error.with_traceback(None)  # the frames of a traceback would hold the tensors of all tasks
     if failure is None:
         yield from zip([run_input for run_input, _ in pairs], fits, strict=True)
     elif len(pairs) == 1:
@@ -306,7 +306,7 @@ def warnings_of(run: Run, stacked: Tasks, first: DescentState, last: DescentStat
         return clauses_by_task
     generators = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
-        batch = draw_per_task(lambda tasks, rng: run.app.sample(tasks, rng, run.recipe.batch), stacked, generators)
+        batch = draw_per_task(lambda tasks, rng: run.app.sample(tasks, rng, run.recipe.samples), stacked, generators)
         losses_before, losses_after = (run.app.loss(state.theta, batch, {}).tolist() for state in (first, last))
     return [
         [*([] if after <= before else [f"{LOSS_ROSE_CLAUSE} from {before:.4g} to {after:.4g}"]), *clauses]

@@ -176,7 +176,7 @@ class Run:
             "paradigm": paradigm.name,
             "rule": self.options.rule if paradigm.has_learned_rule else ("adam" if adam else "none"),
             "steps": paradigm.steps,
-            "batch": self.recipe.batch,
+            "batch": self.recipe.samples,
             "adam": adam and asdict(adam),
             **({"guard": asdict(guard)} if guard else {}),
             "checkpoint": self.checkpoint.digest,

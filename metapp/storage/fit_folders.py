@@ -340,7 +340,7 @@ class RunFolder(NamedTuple):
     def records(self) -> dict[str, Document]:
         """Read the records with the settings of this run, by the places of their inputs.
 
-        Fits that were made side by side are left out, since their seconds are shares of a batch's time.
+        Fits that were made side by side are left out, since their seconds are shares of their common time.
         """
         records = read_fit_records(self.path, ("source", "settings", *self.entries))
         single_fits = [record for record in records if record.get("batch", 1) == 1 and self.matches(record)]

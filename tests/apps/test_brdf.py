@@ -71,7 +71,7 @@ def test_papers_recipe_has_the_papers_initialisation_and_settings() -> None:
         assert not theta[f"b{layer}"].any()
     assert app.init_encoder(Generator().manual_seed(0))["out.b"].abs().max() <= 0.05
     training = recipe.meta["meta-sgd"]
-    assert (recipe.steps, recipe.batch, training.tasks, training.order) == (10, 512, 1, 2)
+    assert (recipe.steps, recipe.samples, training.tasks, training.order) == (10, 512, 1, 2)
     assert (training.steps, training.rates, training.weight_decay, training.initial_adam.rate) == (
         1_000_000,
         {"": 1e-4},

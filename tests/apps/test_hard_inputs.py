@@ -67,7 +67,7 @@ def fit_by_shipped_checkpoint(app: App, sources: Iterable[Task]) -> Found:
 
 def visible(app: App, theta: Params, tasks: Tasks) -> Tensor:
     """The plain loss of what fits see, on other samples than they drew, [T]."""
-    rng, count = Generator().manual_seed(1), recipes_of(app.name)["quick"].batch
+    rng, count = Generator().manual_seed(1), recipes_of(app.name)["quick"].samples
     batches = [app.sample(tasks, rng, count) for _ in range(1 if app.deterministic else 4)]
     with torch.no_grad():
         return torch.stack([app.loss(theta, batch, {}) for batch in batches]).mean(0)

@@ -41,7 +41,7 @@ def uniform(app: Transport) -> Params:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
     app = Transport(Flow(code=3, hidden=8, bins=4), spp=64, reference_spp=16, shown_spp=4, overview_spp=1)
-    monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], batch=256, overfit_steps=30, app=app))
+    monkeypatch.setitem(RECIPES, "quick", replace(RECIPES["quick"], samples=256, overfit_steps=30, app=app))
     monkeypatch.setattr(guided_pictures, "make_guide_table", functools.partial(make_guide_table, places=8, cells=8))
 
 

@@ -172,7 +172,7 @@ def small_recipe(app: App) -> Recipe:
     return replace(
         recipe,
         steps=3,
-        batch=min(64, recipe.batch),
+        samples=min(64, recipe.samples),
         overfit_steps=20,
         finetune_steps=8,
         general=replace(recipe.general, **few_steps),

@@ -135,7 +135,8 @@ def test_fits_side_by_side_are_as_if_each_were_alone(
 ) -> None:
     """With a generator for each task, its fit does not depend on those beside it, to rounding."""
     paradigm, rows = paradigms_of(app, fits[name].recipe, steps=3)[name], [4, 0, 7]
-    prepared, several, loss = untrained_checkpoint(paradigm), tasks.select(rows), task_loss(app, paradigm.recipe.batch)
+    prepared, several = untrained_checkpoint(paradigm), tasks.select(rows)
+    loss = task_loss(app, paradigm.recipe.samples)
     together = final_item(paradigm.descend(prepared, several, tuple(seeded_generator(row) for row in rows)))
     starts = paradigm.initialisation(prepared, several, tuple(seeded_generator(row) for row in rows))
     drawn = loss.draw(several, tuple(seeded_generator(row) for row in rows), 0.0).batch
@@ -168,7 +169,7 @@ def test_a_rule_that_fails_is_guarded(app: App, fits: dict[str, Paradigm], tasks
         assert found.guarded.tolist() == [True] * 3
     first, batch = (
         meta.initialisation(prepared, few_tasks, seeded_generator()),
-        app.sample(few_tasks, seeded_generator(), meta.recipe.batch),
+        app.sample(few_tasks, seeded_generator(), meta.recipe.samples),
     )
     assert (app.loss(found.theta, batch, {}) <= app.loss(first, batch, {})).all()
     assert all(value.isfinite().all() for value in found.theta.values())
@@ -198,12 +199,12 @@ def test_augmented_tasks_work_like_tasks(app: App, tasks: Tasks) -> None:
     The tasks themselves stay unchanged.
     """
     few_tasks, before = tasks.select([4, 1, 7]), {key: value.clone() for key, value in tasks.data.items()}
-    batch = small_recipe(app).batch
+    samples = small_recipe(app).samples
     variants = app.augment(few_tasks, seeded_generator())
     assert len(variants) == len(variants.names) == 3
     assert not set(variants.names) & set(tasks.names)
-    drawn = app.sample(variants, seeded_generator(), batch)
-    assert shapes(drawn) == shapes(app.sample(few_tasks, seeded_generator(), batch))
+    drawn = app.sample(variants, seeded_generator(), samples)
+    assert shapes(drawn) == shapes(app.sample(few_tasks, seeded_generator(), samples))
     read, expected = (app.encoder_input(some, seeded_generator()) for some in (variants, few_tasks))
     assert shapes(read) == shapes(expected)
     theta = app.encode(app.init_encoder(seeded_generator()), app.encoder_input(variants, seeded_generator()))

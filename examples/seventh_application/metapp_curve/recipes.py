@@ -7,7 +7,7 @@ from metapp_curve.app import Curve
 
 QUICK = Recipe(
     steps=10,
-    batch=8,
+    samples=8,
     overfit_steps=500,
     overfit=Adam(1e-2, final_rate_share=0.01),
     finetune_steps=100,

@@ -42,7 +42,7 @@ GUARD = Guard(Adam(1e-2, beta1=0.5, beta2=0.9, final_rate_share=0.1), max_loss_s
 
 QUICK = Recipe(
     steps=10,
-    batch=512,
+    samples=512,
     overfit_steps=20_000,
     overfit=Adam(1e-2, final_rate_share=0.0),
     finetune_steps=2_000,

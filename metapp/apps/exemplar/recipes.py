@@ -49,7 +49,7 @@ def generator_recipe(
     )
     return Recipe(
         steps=steps,
-        batch=1,
+        samples=1,
         overfit_steps=1000,
         overfit=Adam(5e-3, beta2=0.99, final_rate_share=0.0),
         finetune_steps=100,

@@ -32,7 +32,7 @@ LEARNED = MetaTraining(
 )
 QUICK = Recipe(
     steps=15,
-    batch=1,
+    samples=1,
     overfit_steps=3000,
     overfit=Adam(1e-2, final_rate_share=0.0),
     finetune_steps=300,

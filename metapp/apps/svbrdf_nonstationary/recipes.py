@@ -29,7 +29,7 @@ LEARNED = MetaTraining(
 )
 QUICK = Recipe(
     steps=15,
-    batch=1,
+    samples=1,
     overfit_steps=1000,
     overfit=Adam(3e-3, beta2=0.99, final_rate_share=0.0),
     finetune_steps=100,

@@ -26,7 +26,7 @@ LEARNED = MetaTraining(
 )
 QUICK = Recipe(
     steps=8,
-    batch=4096,
+    samples=4096,
     overfit_steps=400,
     overfit=Adam(5e-3, final_rate_share=0.0),
     finetune_steps=40,
@@ -48,5 +48,5 @@ QUICK = Recipe(
 # the fits of `quick`, judged by pictures of the size that people render
 FULL = replace(QUICK, app=Transport(Flow(), picture=256))
 # Fischer & Ritschel 2022, section 4.1.6: 8 inner steps of 10,000 of 288,000 samples
-PAPER = replace(paper_recipe(QUICK, Transport(Flow(hidden=64, bins=16))), batch=10_000)
+PAPER = replace(paper_recipe(QUICK, Transport(Flow(hidden=64, bins=16))), samples=10_000)
 RECIPES = {"paper": PAPER, "paper-long": long_paper_recipe(PAPER), "quick": QUICK, "full": FULL}

@@ -154,6 +154,6 @@ def _continue_meta(
         if overfit_error is None or is_near(errors[-1][1], overfit_error):
             break
         rng = rng_of(evaluation.run, task)
-        rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(evaluation.app, recipe.batch)
+        rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(evaluation.app, recipe.samples)
         errors.append((steps, _error_of(evaluation, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return errors

@@ -100,16 +100,16 @@ def samples(evaluation: EvaluationRun) -> Table:
 def _make_sample_row(evaluation: EvaluationRun, name: str) -> Row:
     """Make the row of one paradigm: samples and bytes that it sees of a task."""
     run = evaluation.runs[name]
-    batch, steps, tasks = run.recipe.batch, run.paradigm.steps, evaluation.tasks
+    samples, steps, tasks = run.recipe.samples, run.paradigm.steps, evaluation.tasks
     entries = dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
-    entries |= {"steps": steps, "batch": batch if steps else None}
+    entries |= {"steps": steps, "batch": samples if steps else None}
     row = make_row(evaluation, name, [], entries)
     visible = evaluation.presenter.visible(tasks[0]) if tasks else None
     if visible is None:
         return row
     trainings, empty_phi = run.paradigm.trainings[:1], MetaParameters()
     phi = run.checkpoint.phi if run.checkpoint else trainings[0].template(empty_phi) if trainings else empty_phi
-    count = min(steps * batch + (visible.encoder_samples if phi.encoder else 0), visible.sample_count)
+    count = min(steps * samples + (visible.encoder_samples if phi.encoder else 0), visible.sample_count)
     return row | {
         "tasks": len(tasks),
         "seen": count,

@@ -70,7 +70,7 @@ def read_training_tasks(app: App, folder: Path | None) -> TrainingTasks:
 def cost_limits_of_run(run: Run) -> CostLimits:
     """Return the cost limits of a run: the samples that Meta's steps draw, the bytes of a task's parameters."""
     recipe = run.recipe
-    return CostLimits(recipe.steps * recipe.batch, tensor_bytes(*parameters_per_task(run.app).values()))
+    return CostLimits(recipe.steps * recipe.samples, tensor_bytes(*parameters_per_task(run.app).values()))
 
 
 def baseline_settings(run: Run, baseline: Baseline, label: str) -> Record:

@@ -119,7 +119,7 @@ def _descend(
     library: ctypes.CDLL,
 ) -> Iterator[DescentState]:
     """Take outer steps in C, a block at a call, and yield the state before the first block and after each block."""
-    count, samples, inner_steps = min(outer_loop.tasks, len(tasks)), paradigm.recipe.batch, paradigm.steps
+    count, samples, inner_steps = min(outer_loop.tasks, len(tasks)), paradigm.recipe.samples, paradigm.steps
     where, target = (_make_samples_dense(tasks.data[key]) for key in ("where", "target"))
     log_smoothing = torch.tensor(math.log(outer_loop.smoothing or 1.0))
     settings = _Training(

@@ -225,7 +225,7 @@ def test_photo_steps_equal_steps_of_the_whole_field_except_fixed_parts(
 def test_steps_by_a_photo_keep_the_normals(app: FromFeatures, tasks: Tasks, rng: Generator) -> None:
     theta = app.encode(app.init_encoder(rng), app.encoder_input(tasks, rng))
     batch = app.sample(tasks, rng, 1)
-    before, photo = app.maps_of(theta, batch["photo"]), task_loss(app, RECIPE.batch)
+    before, photo = app.maps_of(theta, batch["photo"]), task_loss(app, RECIPE.samples)
     end = final_item(
         descend(theta, fixed_adam(replace(RECIPE.quickft, rate=0.01), theta, 5), tasks, photo, steps=5, rng=rng)
     ).theta

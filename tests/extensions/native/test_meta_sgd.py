@@ -53,7 +53,7 @@ def tasks() -> Tasks:
 
 def meta_of(training: MetaTraining, app: Brdf | None = None) -> Meta:
     """Return Meta-SGD by the paper's recipe with other settings of the outer loop, of 4 inner steps of 64 samples."""
-    recipe = replace(RECIPES["paper"], steps=4, batch=64, meta={"meta-sgd": training})
+    recipe = replace(RECIPES["paper"], steps=4, samples=64, meta={"meta-sgd": training})
     return Meta.of(app or recipe.app, recipe)
 
 

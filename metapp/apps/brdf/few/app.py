@@ -88,7 +88,7 @@ class FewSamples(Brdf):
 FEW_RECIPE = replace(
     FULL,
     steps=1,
-    batch=MAX_FEW_SAMPLES,
+    samples=MAX_FEW_SAMPLES,
     meta={
         "ridge": replace(
             RIDGE_TRAINING,
