@@ -210,7 +210,6 @@ def register(registry: Registry) -> None:
     )
     for paradigm in PARADIGMS:
         registry.commands[paradigm] = Entry(f"metapp.cli.fit_commands:FIT_COMMANDS.{paradigm}")
-    registry.commands["plan"] = Entry("metapp.cli.plan:plan_measurements")
     registry.commands["evaluate"] = Entry("metapp.cli.evaluate:evaluate_command")
     registry.commands["export"] = Entry("metapp.cli.export:export_command")
     registry.commands["data"] = Entry("metapp.cli.command_tree:data_group")

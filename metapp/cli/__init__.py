@@ -3,9 +3,8 @@
 Read in this order: `command_tree` (the commands and their order), `console` (output, errors and exit codes),
 `arguments` (dataclasses of options become options of commands), `help` with `help_page` (what --help prints). Then read
 the commands: `fit_commands` with `fit_output` (fits), `evaluate` with `evaluation_options` and `evaluation_output`
-(tables), `export`, `plan` with `planned_pairs` (directions to measure), `data` (conversion of files), and `synth` with
-`synthesis_options` and `synthesis` (synthetic data). torch, Mitsuba and colour-science are imported inside commands, so
-that --help answers at once.
+(tables), `export`, `data` (conversion of files), and `synth` with `synthesis_options` and `synthesis` (synthetic data).
+torch, Mitsuba and colour-science are imported inside commands, so that --help answers at once.
 """
 
 from __future__ import annotations

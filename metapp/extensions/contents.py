@@ -139,6 +139,11 @@ def onnx_files(registry: Registry) -> None:
         )
 
 
+def plan(registry: Registry) -> None:
+    """Register the command that chooses directions in which to measure a BRDF."""
+    registry.commands["plan"] = Entry(f"{_HERE}.plan.plan_command:plan_command")
+
+
 def rgl(registry: Registry) -> None:
     """Register BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
     here = f"{_HERE}.rgl"

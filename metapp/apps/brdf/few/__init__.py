@@ -2,5 +2,5 @@
 
 `gaussian_model` has the network, linear Gaussian models of log reflectance, one for each kind of materials; `design`
 the error that samples leave, and the directions that lower it most; `app` the application and the recipe. The command
-that plans measurements is in `metapp.cli.plan`.
+that plans measurements is in `metapp.extensions.plan`.
 """

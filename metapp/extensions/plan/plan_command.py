@@ -1,11 +1,10 @@
 """The command `metapp plan`: choose the next directions in which to measure a BRDF.
 
-Here are arguments, files and messages; the directions are chosen in :mod:`metapp.evaluation.planning`.
+Only arguments and help are made here; `planned_pairs`, which imports torch, does the work.
 """
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +15,7 @@ from metapp.names import did_you_mean
 from metapp.storage.files import add_suffix
 
 
-def plan_measurements(
+def plan_command(
     app: Annotated[str, typer.Argument(metavar="APP", autocompletion=lambda: ["brdf"], help="Application: brdf.")],
     samples: Annotated[int, typer.Option(min=1, max=256, help="Number of pairs of directions to measure.")] = 16,
     out: Annotated[
@@ -55,8 +54,7 @@ def plan_measurements(
       metapp meta brdf paint.csv
       metapp plan brdf --samples 8 --after paint.csv --out more.csv
     """
-    from metapp.apps.brdf.few.design import InstrumentLimits
-    from metapp.cli.planned_pairs import write_plan
+    from metapp.extensions.plan.planned_pairs import write_plan
 
     if app != "brdf":
         expected = f"expected brdf; other applications have no directions to choose.{did_you_mean(app, ['brdf'])}"
@@ -64,7 +62,14 @@ def plan_measurements(
     out = add_suffix(out, ".csv")  # a table of another suffix would be no input of a fit
     for path in (out, out.with_suffix(".png")):
         check_new_file(path, overwrite)
-    limits = InstrumentLimits(
-        math.radians(grazing), math.radians(apart), None if detector is None else math.radians(detector)
+    write_plan(
+        samples,
+        grazing_degrees=grazing,
+        apart_degrees=apart,
+        detector_degrees=detector,
+        out=out,
+        after=after,
+        seed=seed,
+        json=json,
+        quiet=quiet,
     )
-    write_plan(samples, limits, out=out, after=after, seed=seed, json=json, quiet=quiet)

@@ -1,10 +1,11 @@
 """What `metapp plan` makes: the chosen pairs of directions as a CSV file, a picture of them, and what the user is told.
 
-The command itself is in `metapp.cli.plan`, whose module imports no torch, so that its help is printed at once.
+The command itself is in `plan_command`, whose module imports no torch, so that its help is printed at once.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import torch
@@ -15,8 +16,8 @@ from metapp.appearance.geometry import directions_to_rusinkiewicz
 from metapp.apps.brdf.few.design import InstrumentLimits
 from metapp.apps.brdf.presenter import describe_unseen_highlight
 from metapp.cli.console import print_json
-from metapp.evaluation.planning import draw_directions, plan_brdf
 from metapp.evaluation.style import save_figure
+from metapp.extensions.plan.planning import draw_directions, plan_brdf
 from metapp.runs.reporter import progress, say
 
 # Number of earlier measurements that a plan reads and its picture shows, at most. Each of the plan's steps reads them
@@ -25,13 +26,24 @@ MAX_PLANNED_FROM = 2_000
 
 
 def write_plan(
-    count: int, limits: InstrumentLimits, *, out: Path, after: Path | None, seed: int, json: bool, quiet: bool
+    count: int,
+    *,
+    grazing_degrees: float,
+    apart_degrees: float,
+    detector_degrees: float | None,
+    out: Path,
+    after: Path | None,
+    seed: int,
+    json: bool,
+    quiet: bool,
 ) -> None:
     """Plan pairs of directions, write them and a picture of them, and say what to do next.
 
     Args:
         count: the number of pairs to choose.
-        limits: the directions that the instrument can reach.
+        grazing_degrees: the greatest angle of light and detector from the normal that the instrument can reach.
+        apart_degrees: the least angle between light and detector.
+        detector_degrees: the angle of a fixed detector from the normal; None if the detector is not fixed.
         out: the CSV file to write; the picture is written beside it, with the suffix .png.
         after: a CSV file of earlier measurements, whose rows are written above the new ones; None if there are none.
         seed: the seed by which candidate directions are drawn.
@@ -41,6 +53,8 @@ def write_plan(
     Raises:
         ValueError: the file of earlier measurements is damaged, or no direction is within the limits.
     """
+    detector_rad = None if detector_degrees is None else math.radians(detector_degrees)
+    limits = InstrumentLimits(math.radians(grazing_degrees), math.radians(apart_degrees), detector_rad)
     no_directions = torch.zeros(0, 3, dtype=torch.float64)
     measurements = read_pairs(after) if after else MeasuredPairs(no_directions, no_directions, no_directions)
     planned_from = measurements.draw(MAX_PLANNED_FROM)
