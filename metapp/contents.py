@@ -7,7 +7,7 @@ the registry and the table of paradigms, which are quick to import.
 import math
 
 from metapp.paradigms import PARADIGMS
-from metapp.registry import Application, Entry, Export, Format, RecipeEntry, Registry
+from metapp.registry import Application, Command, Entry, Export, Format, RecipeEntry, Registry
 
 APPLICATIONS = {
     "brdf": Application(
@@ -78,15 +78,16 @@ OBJECT_READERS = {  # module and function of data_tools.readers that make a task
     "svbrdf_nonstationary": "svbrdf_inputs:task_of_object",
     "illumination": "environment_maps:task_of_object",
 }
-INPUT_FORMATS = {  # module of data_tools.readers, application, and what fits accept as INPUT
-    "merl": ("merl", "brdf", "MERL .binary files"),
-    "nbrdf": ("nbrdf_files", "brdf", "NBRDF networks (.h5, folders of .npy)"),
-    "gonio": ("gonio", "brdf", "goniometer .csv files"),
-    "images": ("square_photos", "texture", "images"),
-    "flash": ("flash_photos", "svbrdf_stationary", "flash photos"),
-    "maps": ("material_maps", "svbrdf_nonstationary", ""),
-    "strips": ("strips", "svbrdf_nonstationary", ""),
-    "laval": ("environment_maps", "illumination", "HDR maps (.exr, .hdr)"),
+# module of data_tools.readers, application, what fits accept as INPUT, and the position in help of `metapp data NAME`
+INPUT_FORMATS = {
+    "merl": ("merl", "brdf", "MERL .binary files", 20),
+    "nbrdf": ("nbrdf_files", "brdf", "NBRDF networks (.h5, folders of .npy)", 50),
+    "gonio": ("gonio", "brdf", "goniometer .csv files", 40),
+    "images": ("square_photos", "texture", "images", 60),
+    "flash": ("flash_photos", "svbrdf_stationary", "flash photos", 70),
+    "maps": ("material_maps", "svbrdf_nonstationary", "", 80),
+    "strips": ("strips", "svbrdf_nonstationary", "", 90),
+    "laval": ("environment_maps", "illumination", "HDR maps (.exr, .hdr)", 110),
 }
 RULE_PARTS = {  # module and class of metapp.learning.rules, in the order in which parts act on a step
     "sgd": "parts:SignedRates",
@@ -125,9 +126,10 @@ def register(registry: Registry) -> None:
         registry.synthetic[app] = Entry(f"data_tools.synthetic.{app}", SYNTHETIC_SET_HELP[app])
         if app in OBJECT_READERS:
             registry.objects[app] = Entry(f"data_tools.readers.{OBJECT_READERS[app]}")
-    for name, (module, app, inputs) in INPUT_FORMATS.items():
+    for name, (module, app, inputs, position) in INPUT_FORMATS.items():
         registry.formats[name] = Format(f"data_tools.readers.{module}", app=app, inputs=inputs)
-        registry.commands[f"data {name}"] = Entry(f"data_tools.converters:{name.capitalize()}Converter")
+        converter = f"data_tools.converters:{name.capitalize()}Converter"
+        registry.commands[f"data {name}"] = Command(converter, position=position)
     registry.formats["svbrdf"] = Format(  # inputs of fits; "maps" and "strips" above only convert data sets
         "data_tools.readers.svbrdf_inputs",
         app="svbrdf_nonstationary",
@@ -142,7 +144,7 @@ def register(registry: Registry) -> None:
     registry.formats["materials"] = Format(
         "data_tools.readers.training_materials", app="svbrdf_nonstationary", data_sets=True
     )
-    registry.commands["data materials"] = Entry("data_tools.converters:MaterialsConverter")
+    registry.commands["data materials"] = Command("data_tools.converters:MaterialsConverter", position=100)
     registry.recipes["brdf", "", "anisotropic"] = RecipeEntry(
         "metapp.apps.brdf.recipes:RECIPES.anisotropic",
         help="reflectance that depends on phi_h",
@@ -209,11 +211,11 @@ def register(registry: Registry) -> None:
         ("brdf", "svbrdf_nonstationary", "illumination"),
     )
     for paradigm in PARADIGMS:
-        registry.commands[paradigm] = Entry(f"metapp.cli.fit_commands:FIT_COMMANDS.{paradigm}")
-    registry.commands["evaluate"] = Entry("metapp.cli.evaluate:evaluate_command")
-    registry.commands["export"] = Entry("metapp.cli.export:export_command")
-    registry.commands["data"] = Entry("metapp.cli.command_tree:data_group")
-    registry.commands["data synth"] = Entry("metapp.cli.synth:synth")
-    registry.commands["data cornell"] = Entry("metapp.cli.synth:cornell")
-    registry.commands["data join"] = Entry("metapp.cli.data:join")
-    registry.commands["data check"] = Entry("metapp.cli.data:check")
+        registry.commands[paradigm] = Command(f"metapp.cli.fit_commands:FIT_COMMANDS.{paradigm}", position=30)
+    registry.commands["evaluate"] = Command("metapp.cli.evaluate:evaluate_command", position=40)
+    registry.commands["export"] = Command("metapp.cli.export:export_command", position=60)
+    registry.commands["data"] = Command("metapp.cli.command_tree:data_group", position=100)
+    registry.commands["data synth"] = Command("metapp.cli.synth:synth", position=10)
+    registry.commands["data cornell"] = Command("metapp.cli.synth:cornell", position=120)
+    registry.commands["data join"] = Command("metapp.cli.data:join", position=130)
+    registry.commands["data check"] = Command("metapp.cli.data:check", position=140)

@@ -189,6 +189,18 @@ class Export(Entry[Any]):
     needs: tuple[str, str] | tuple[()] = ()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Command(Entry[Any]):
+    """A reference to a command, with its place in help. A command whose entry has another type comes last in help.
+
+    Attributes:
+        position: the place among the commands in help; commands of equal positions stand in the order of their
+            registration. Positions of commands that ship are ten apart, so that others fit between them.
+    """
+
+    position: int
+
+
 class Entries(UserDict[Any, Value]):
     """A table of entries by name, or by several words such as an application and a name. Each key can be set once.
 
@@ -267,7 +279,8 @@ class Registry:
         baselines: functions that make baselines, by application and by the name of a baseline.
         tables: tables of `metapp evaluate`; `help` is the heading in a report.
         commands: commands by the words after `metapp`. An entry loads a function that typer reads or a group of typer;
-            for "data FORMAT" it loads a subclass of `metapp.options.Converter`.
+            for "data FORMAT" it loads a subclass of `metapp.options.Converter`. Help lists a :class:`Command` by its
+            position, and other entries after all of these.
         examples: commands that work as they are, by application: pairs of the words after `metapp`, in which {} is the
             folder of inputs, and of a line about what they produce.
         methods: functions that become methods of fits in the Python API.

@@ -6,6 +6,7 @@ So `metapp --help` imports neither torch nor an extension's code, and a broken e
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -17,19 +18,10 @@ from metapp.cli.data import make_convert_command
 from metapp.cli.help import HelpCommand, HelpGroup
 from metapp.names import app_names, did_you_mean
 from metapp.options import BadOption, Converter
-from metapp.paradigms import PARADIGMS
-from metapp.registry import METAPP_PACKAGE, describe_error, registry
+from metapp.registry import METAPP_PACKAGE, Command, describe_error, registry
 from metapp.runs.fit_options import check_app_name
 from metapp.runs.reporter import say
 
-# of commands in help: first what a user does first; commands of other packages follow the last of these
-COMMAND_ORDER = (
-    *("try", "examples", *PARADIGMS, "evaluate"),
-    *("view", "export", "compare", "baseline", "plan", "data", "doctor"),
-    # commands of `metapp data`: converters in the order of applications
-    *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),
-    *("cornell", "join", "check", "markers", "rectify", "ball", "vgg"),
-)
 TYPER_CONTEXT = {"help_option_names": ["-h", "--help"]}
 
 
@@ -79,7 +71,7 @@ def _registry_group(summary: str, prefix: str = "", **more: Any) -> typer.Typer:
 
     def names() -> list[str]:
         words = [name.removeprefix(prefix) for name in registry().commands if name.startswith(prefix)]
-        return sorted((name for name in words if " " not in name), key=_position)
+        return sorted((word for word in words if " " not in word), key=lambda word: _position(f"{prefix}{word}"))
 
     def refuse_unknown(name: str) -> None:
         if f"{prefix}{name}" not in registry().commands:
@@ -104,9 +96,10 @@ def _registry_group(summary: str, prefix: str = "", **more: Any) -> typer.Typer:
     return make_lazy_group(summary, names, command, refuse_unknown, **more)
 
 
-def _position(name: str) -> int:
-    """Return the position of a command in the order of help."""
-    return COMMAND_ORDER.index(name) if name in COMMAND_ORDER else len(COMMAND_ORDER)
+def _position(name: str) -> float:
+    """Return the place of a command of the registry in help; infinity if its entry states none."""
+    entry = registry().commands[name]
+    return entry.position if isinstance(entry, Command) else math.inf
 
 
 def _make_command(command: Any, name: str, *, bare_is_help: bool) -> Any:

@@ -6,7 +6,7 @@ functions, so nothing but the registry is imported here.
 
 from __future__ import annotations
 
-from metapp.registry import Entry, Export, Format, Registry
+from metapp.registry import Command, Entry, Export, Format, Registry
 
 _MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
 _HERE = "metapp.extensions"  # the package that references begin with
@@ -39,7 +39,7 @@ def baselines(registry: Registry) -> None:
     for app, names in methods.items():
         for name in names:
             registry.baselines[app, name] = Entry(f"{_HERE}.baselines.{app}:baselines")
-    registry.commands["baseline"] = Entry(f"{_HERE}.baselines.baseline_command:baseline_group")
+    registry.commands["baseline"] = Command(f"{_HERE}.baselines.baseline_command:baseline_group", position=80)
     registry.tables["baselines"] = Entry(
         f"{_HERE}.baselines.baselines_table:baselines_table", "Methods without a network"
     )
@@ -50,24 +50,24 @@ def capture(registry: Registry) -> None:
     here = f"{_HERE}.capture"
     registry.formats["ball"] = Format(f"{here}.ball.ball_reader", app="illumination", inputs="LDR photos of a ball")
     registry.merges["illumination", "shutter"] = Entry(f"{here}.ball.capture:merge_photos")
-    registry.commands["data markers"] = Entry(f"{here}.markers.marker_commands:markers_command")
-    registry.commands["data rectify"] = Entry(f"{here}.markers.marker_commands:rectify_command")
-    registry.commands["data ball"] = Entry(f"{here}.ball.ball_command:ball_command")
+    registry.commands["data markers"] = Command(f"{here}.markers.marker_commands:markers_command", position=150)
+    registry.commands["data rectify"] = Command(f"{here}.markers.marker_commands:rectify_command", position=160)
+    registry.commands["data ball"] = Command(f"{here}.ball.ball_command:ball_command", position=170)
 
 
 def compare(registry: Registry) -> None:
     """Register the command that shows runs side by side."""
-    registry.commands["compare"] = Entry(f"{_HERE}.compare.compare_command:compare_command")
+    registry.commands["compare"] = Command(f"{_HERE}.compare.compare_command:compare_command", position=70)
 
 
 def doctor(registry: Registry) -> None:
     """Register the command that reports on the installation."""
-    registry.commands["doctor"] = Entry(f"{_HERE}.doctor.doctor_command:doctor_command")
+    registry.commands["doctor"] = Command(f"{_HERE}.doctor.doctor_command:doctor_command", position=110)
 
 
 def examples(registry: Registry) -> None:
     """Register commands that work as they are, and the command that prints them."""
-    registry.commands["examples"] = Entry(f"{_HERE}.examples.examples_command:examples_command")
+    registry.commands["examples"] = Command(f"{_HERE}.examples.examples_command:examples_command", position=20)
     for app in ("brdf", "illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport"):
         registry.examples[app] = Entry(f"{_HERE}.examples.application_examples:{app.upper()}_EXAMPLES")
 
@@ -141,14 +141,14 @@ def onnx_files(registry: Registry) -> None:
 
 def plan(registry: Registry) -> None:
     """Register the command that chooses directions in which to measure a BRDF."""
-    registry.commands["plan"] = Entry(f"{_HERE}.plan.plan_command:plan_command")
+    registry.commands["plan"] = Command(f"{_HERE}.plan.plan_command:plan_command", position=90)
 
 
 def rgl(registry: Registry) -> None:
     """Register BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
     here = f"{_HERE}.rgl"
     registry.formats["bsdf"] = Format(f"{here}.rgl", app="brdf", inputs="RGL .bsdf files")
-    registry.commands["data bsdf"] = Entry(f"{here}.bsdf_converter:BsdfConverter")
+    registry.commands["data bsdf"] = Command(f"{here}.bsdf_converter:BsdfConverter", position=30)
     registry.exports["brdf", "bsdf"] = Export(f"{here}.rgl:export")
     registry.exports["brdf", "bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
     registry.exports["brdf", "mitsuba"] = Export(f"{here}.brdf_scene:write_brdf_scenes")
@@ -178,14 +178,14 @@ def shaders(registry: Registry) -> None:
 
 def vgg(registry: Registry) -> None:
     """Register the command that finds or fetches the ImageNet weights of VGG-16, which losses on pictures read."""
-    registry.commands["data vgg"] = Entry(f"{_HERE}.vgg.vgg_command:vgg_command")
+    registry.commands["data vgg"] = Command(f"{_HERE}.vgg.vgg_command:vgg_command", position=180)
 
 
 def viewer(registry: Registry) -> None:
     """Register interactive HTML pages of fits, and the commands that write them."""
     here = f"{_HERE}.viewer"
-    registry.commands["view"] = Entry(f"{here}.viewer_commands:view_command")
-    registry.commands["try"] = Entry(f"{here}.viewer_commands:try_command")
+    registry.commands["view"] = Command(f"{here}.viewer_commands:view_command", position=50)
+    registry.commands["try"] = Command(f"{here}.viewer_commands:try_command", position=10)
     registry.methods["view"] = Entry(f"{here}.runs_page:write_fit_page")
     for app in ("brdf", "illumination", "transport"):
         registry.pages[app] = Entry(f"{here}.pages.{app}:make_{app}_view")

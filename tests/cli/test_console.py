@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from metapp.cli.command_tree import COMMAND_ORDER
 from metapp.cli.console import Terminal, run_command, state_what_interruption_keeps
-from metapp.registry import Entry, registry
+from metapp.paradigms import PARADIGMS
+from metapp.registry import Command, Entry, registry
 
 # names are printed as they are, whatever they look like: markup, emoji codes
 NAMES = ("bad:x:b.csv", "[red]a[/red].csv", "[/].csv", ":smile:.csv")
@@ -88,22 +88,25 @@ def test_a_program_that_ends_itself_keeps_its_exit_code() -> None:
 
 def test_help_lists_commands_in_the_order_of_their_use(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     listed = [re.findall(r"^│ ([a-z][a-z-]*)", metapp(*words, "--help").out, re.MULTILINE) for words in ([], ["data"])]
-    names = [*listed[0], *listed[1]]
-    assert names == [*COMMAND_ORDER]
-    assert (len(listed[0]), len(listed[1]), listed[1][0]) == (15, 18, "synth")
-    monkeypatch.setitem(registry().commands, "mine", Entry("os:getcwd"))
-    assert re.findall(r"^│ ([a-z][a-z-]*)", metapp("--help").out, re.MULTILINE)[-1] == "mine"
+    assert listed == [
+        [
+            *("try", "examples", *PARADIGMS, "evaluate"),
+            *("view", "export", "compare", "baseline", "plan", "data", "doctor"),
+        ],
+        [
+            *("synth", "merl", "bsdf", "gonio", "nbrdf", "images", "flash", "maps", "strips", "materials", "laval"),
+            *("cornell", "join", "check", "markers", "rectify", "ball", "vgg"),
+        ],
+    ]
+    monkeypatch.setitem(registry().commands, "last", Entry("os:getcwd"))
+    monkeypatch.setitem(registry().commands, "second", Command("os:getcwd", position=15))
+    names = re.findall(r"^│ ([a-z][a-z-]*)", metapp("--help").out, re.MULTILINE)
+    assert names == ["try", "second", *listed[0][1:], "last"]
 
 
 def test_help_of_every_command_fits_a_screen(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    data = COMMAND_ORDER.index("synth")
-    for words in (
-        [],
-        ["data"],
-        *([name] for name in COMMAND_ORDER[:data]),
-        *(["data", name] for name in COMMAND_ORDER[data:]),
-    ):
+    for words in ([], *(name.split() for name in registry().commands)):
         shown = metapp(*words, "--help").out.strip("\n")
         assert len(shown.splitlines()) <= 40, words
     assert "Seed of all random draws. Default: 0." in metapp("data", "cornell", "--help").out
