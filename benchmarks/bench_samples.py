@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
 from benchmarks.simulated_measurements import simulate_measurement
-from metapp.cli.console import run_command
+from metapp.cli.command_process import run_command
 from metapp.evaluation.error_statistics import compare_errors
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, save_figure
 from metapp.extensions.baselines import baselines_of

@@ -197,7 +197,8 @@ def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., CommandResult]:
 
     It prints no line about waiting, so that its output does not depend on how busy the machine is.
     """
-    from metapp.cli.console import Terminal, run_command
+    from metapp.cli.command_process import run_command
+    from metapp.cli.progress import Terminal
 
     typer_command()  # built with all extensions, before a test leaves one out
 

@@ -32,7 +32,7 @@ SCRIPT_TIMEOUT_S = 600
 COMMANDS_PROGRAM = """
 import json, sys
 from metapp.cli.command_tree import app
-from metapp.cli.console import run_command
+from metapp.cli.command_process import run_command
 from metapp.evaluation.style import FIGURE_STYLE
 FIGURE_STYLE["savefig.dpi"] = 40  # nobody looks at these figures
 for line in sys.stdin:

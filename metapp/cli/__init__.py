@@ -1,10 +1,11 @@
 """The command line: arguments, help, messages, and what commands print.
 
-Read in this order: `command_tree` (the commands and their order), `console` (output, errors and exit codes),
-`arguments` (dataclasses of options become options of commands), `help` with `help_page` (what --help prints). Then read
-the commands: `fit_commands` with `fit_output` (fits), `evaluate` with `evaluation_options` and `evaluation_output`
-(tables), `export`, `data` (conversion of files), and `synth` with `synthesis_options` and `synthesis` (synthetic data).
-torch, Mitsuba and colour-science are imported inside commands, so that --help answers at once.
+Read in this order: `command_tree` (the commands and their order), `console` (output), `progress` with `live_bar`
+(messages and progress), `command_process` (errors, signals and exit codes), `arguments` (dataclasses of options become
+options of commands), `help` with `help_page` (what --help prints). Then read the commands: `fit_commands` with
+`fit_output` (fits), `evaluate` with `evaluation_options` and `evaluation_output` (tables), `export`, `data` (conversion
+of files), and `synth` with `synthesis_options` and `synthesis` (synthetic data). torch, Mitsuba and colour-science are
+imported inside commands, so that --help answers at once.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def main() -> None:
         from metapp.cli.command_tree import app
 
         app(prog_name="metapp")
-    from metapp.cli.console import run_command
+    from metapp.cli.command_process import run_command
 
     def command() -> object:
         from metapp.cli.command_tree import app  # here: run_command makes Ctrl-C during imports one line, too

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.arguments import JsonFlag, Out, Overwrite, Quiet, expand_options
-from metapp.cli.console import Exit, print_json, standard_output
+from metapp.cli.command_process import Exit
+from metapp.cli.console import print_json, standard_output
 from metapp.options import Converter
 from metapp.runs.reporter import say
 

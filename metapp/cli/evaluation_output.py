@@ -13,12 +13,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from metapp.apps import full_name
-from metapp.cli.console import (
-    escape_control_characters,
-    print_json,
-    standard_output,
-    state_what_interruption_keeps,
-)
+from metapp.cli.command_process import state_what_interruption_keeps
+from metapp.cli.console import escape_control_characters, print_json, standard_output
 from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Table, flatten_row, format_csv, format_tables

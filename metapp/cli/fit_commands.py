@@ -13,8 +13,8 @@ from typing import Annotated, Any
 import typer
 
 from metapp.cli.arguments import parameter, parameter_of, set_signature
+from metapp.cli.command_process import pause_garbage_collection
 from metapp.cli.command_tree import make_app_group
-from metapp.cli.console import pause_garbage_collection
 from metapp.names import exports_of, input_formats, protocols_of, recipe_names
 from metapp.options import INPUT, OUTPUT, app_options_class, options_by_name
 from metapp.paradigms import PARADIGMS

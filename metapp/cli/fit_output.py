@@ -15,15 +15,8 @@ import typer
 from rich.text import Text
 
 from metapp.appearance.presenter import Presenter
-from metapp.cli.console import (
-    Exit,
-    command_seconds,
-    escape_control_characters,
-    print_json,
-    shorten_to_line,
-    standard_output,
-    state_what_interruption_keeps,
-)
+from metapp.cli.command_process import Exit, command_seconds, state_what_interruption_keeps
+from metapp.cli.console import escape_control_characters, print_json, shorten_to_line, standard_output
 from metapp.registry import registry
 from metapp.runs.execution import Outcome, RunReport, execute_run
 from metapp.runs.fit_options import FitOptions

@@ -437,7 +437,7 @@ def test_a_fit_imports_no_library_of_figures_and_ends_quietly() -> None:
     """Each takes as long to import as most fits; bindings of pictures must not be told of as garbage at the end."""
     lines = (
         "import gc, sys",
-        "from metapp.cli.console import pause_garbage_collection",
+        "from metapp.cli.command_process import pause_garbage_collection",
         "with pause_garbage_collection():",
         "    import metapp.runs.execution",
         "import metapp.apps.illumination, metapp.apps.svbrdf_nonstationary, metapp.apps.texture, OpenImageIO",

@@ -24,10 +24,10 @@ from metapp.appearance.photograph import photograph_spheres
 from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
-from metapp.cli.console import Terminal
 from metapp.cli.evaluation_options import EvaluateOptions
 from metapp.cli.evaluation_output import evaluation_runs_of
 from metapp.cli.fit_output import VISIBLE_TILT_DEGREES
+from metapp.cli.progress import Terminal
 from metapp.evaluation.tables.results import describe_gap
 from metapp.names import exports_of
 from metapp.networks.field import LocalField

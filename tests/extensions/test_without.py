@@ -16,8 +16,8 @@ pytestmark = pytest.mark.usefixtures("compiled_in_cache")
 
 def call_all(*lines: list[str]) -> None:
     """Be the `metapp` command for each line of words, and print its exit code before them."""
+    from metapp.cli.command_process import run_command
     from metapp.cli.command_tree import app
-    from metapp.cli.console import run_command
 
     for words in lines:
         code = run_command(lambda words=words: app(words, standalone_mode=False, prog_name="metapp"))

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.nbrdf_files import NBRDF_ARRAY_SHAPES
-from metapp.cli import console
+from metapp.cli.command_process import run_command
 from metapp.cli.command_tree import app as commands
 from metapp.runs.api import fit_all
 
@@ -34,7 +34,7 @@ Values = dict[str, list[float]]
 
 def run_metapp(*words: object) -> None:
     """Run a `metapp` command, which must succeed."""
-    code = console.run_command(lambda: commands([str(word) for word in words], standalone_mode=False))
+    code = run_command(lambda: commands([str(word) for word in words], standalone_mode=False))
     assert int(code) == 0, words
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import typer
 
 from metapp.cli.arguments import JsonFlag
-from metapp.cli.console import Exit, print_json, standard_output
+from metapp.cli.command_process import Exit
+from metapp.cli.console import print_json, standard_output
 
 
 def doctor_command(

@@ -29,10 +29,10 @@ def few_steps() -> Iterator[None]:
 
 def run_metapp(*arguments: str | Path) -> int:
     """Run `metapp <arguments>` in this process and return the exit code, where no test reads what it prints."""
-    from metapp.cli import console
+    from metapp.cli.command_process import run_command
     from metapp.cli.command_tree import app
 
-    return int(console.run_command(lambda: app([str(argument) for argument in arguments], standalone_mode=False)))
+    return int(run_command(lambda: app([str(argument) for argument in arguments], standalone_mode=False)))
 
 
 def evaluation_run_of(data: Path, runs: Path) -> EvaluationRun:
