@@ -23,7 +23,7 @@ from metapp.runs.fit import Fit
 from metapp.runs.fitting import FIT_ERRORS, FITTED_TIME_SHARE, BadInput, EarlierFit, fit_inputs
 from metapp.runs.inputs.run_inputs import Input, find_inputs, task_digest
 from metapp.runs.memory_errors import describe_short_memory
-from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, Tiles, add_to_sheet, tiles_of_fit
+from metapp.runs.outputs.contact_sheet import MAX_SHEET_ROWS, Tiles, tiles_of_fit, write_run_sheet
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open, render_outputs, write_pictures
 from metapp.runs.reporter import Bar, Reporter, progress, say, use_reporter
 from metapp.runs.run import Run
@@ -307,20 +307,15 @@ def _write_contact_sheet(report: RunReport) -> None:
     """Write the contact sheet `pictures.png` of a run into its folder.
 
     The sheet shows those MAX_SHEET_ROWS fits of the run that were done first, in the order of their inputs, each beside
-    its photo or reference. If there are fewer, rows of fits follow that the sheet of an earlier run shows. A sheet that
-    cannot be written is said, and the report of the run goes on.
+    its photo or reference. A sheet that cannot be written is said, and the report of the run goes on.
     """
     app, records = report.run.app, report.records
     mean = summary(records)["error"]
     title = f"{report.run.presenter.title}, {report.run.paradigm.name}"
     if mean is not None and len(records) > 1:
         title += f": mean error{app.error_measure.factor} {mean:.3f} of {len(records)} fits"
-    tiles = {
-        Path(outcome.record["folder"]).name: outcome.tiles
-        for outcome in report.outcomes
-        if outcome.record and outcome.tiles
-    }
+    tiles = [outcome.tiles for outcome in report.outcomes if outcome.tiles]
     try:
-        add_to_sheet(tiles, title, report.folder.path)
+        write_run_sheet(tiles, title, report.folder.path)
     except OSError as error:
         say(f"warning: {error_text(error)}")

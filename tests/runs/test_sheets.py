@@ -4,19 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
-from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from metapp.runs.outputs.contact_sheet import (
     MAX_SHEET_ROWS,
-    ROW_MARKS_KEY,
-    SHEET_FILE_NAME,
     TILE_PX,
     Tiles,
-    add_to_sheet,
-    read_rows,
     write_contact_sheet,
+    write_run_sheet,
 )
+from metapp.storage.files import PARTIAL_PREFIX
+from metapp.storage.fit_folders import RECORD
 
 COLOURS = {"reference": (1.0, 0.0, 0.0), "meta": (0.0, 1.0, 0.0), "general": (0.0, 0.0, 1.0)}
 
@@ -69,39 +66,28 @@ def test_shapes_are_kept_and_long_names_cut(tmp_path: Path) -> None:
     assert pixels.shape[1] < 2 * width
 
 
-def test_a_sheet_keeps_rows_of_before(tmp_path: Path) -> None:
-    """It keeps rows of fits that still exist and are not drawn again, newest first.
-
-    Of files that are no sheet it keeps none.
-    """
+def test_the_sheet_of_a_run_shows_the_fits_of_the_last_command_and_counts_the_others(tmp_path: Path) -> None:
     red, green = (Tiles({"meta": plain(row)}, row) for row in ("reference", "meta"))
-    for name in ("a", "b", "c", "gone"):
-        (tmp_path / name).mkdir()
 
-    def shown(tiles: dict[str, Tiles]) -> list[str]:
-        add_to_sheet(tiles, "title", tmp_path)
-        return [row.name for row in read_rows(tmp_path / SHEET_FILE_NAME)]
+    def drawn(tiles: list[Tiles]) -> np.ndarray:
+        pixels: np.ndarray = oiio.ImageBuf(str(write_run_sheet(tiles, "title", tmp_path))).get_pixels(oiio.FLOAT)
+        return pixels
 
-    assert shown({"a": red, "gone": red}) == ["a", "gone"]
-    (tmp_path / "gone").rmdir()
-    assert shown({"b": green}) == ["b", "a"]
-    assert shown({"a": green}) == ["a", "b"]
-    pixels: np.ndarray = oiio.ImageBuf(str(tmp_path / SHEET_FILE_NAME)).get_pixels(oiio.FLOAT)
-    assert (len(places(pixels, "meta")), len(places(pixels, "reference"))) == (2 * TILE_PX**2, 0)
-    first = {f"n{i}": red for i in range(MAX_SHEET_ROWS - 1)}
-    for name in first:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / RECORD).touch()
+    assert drawn([red]).shape == drawn([green]).shape
+    pixels = drawn([green])
+    assert (len(places(pixels, "meta")), len(places(pixels, "reference"))) == (TILE_PX**2, 0)
+    for name in (f"{PARTIAL_PREFIX}b", "no fit"):
         (tmp_path / name).mkdir()
-    assert shown(first) == [*first, "a"]
-    for content in (b"", b"\x89PNG", (tmp_path / SHEET_FILE_NAME).read_bytes()[:-400]):
-        (tmp_path / SHEET_FILE_NAME).write_bytes(content)
-        assert shown({"c": red}) == ["c"]
-    sheet([red], tmp_path / SHEET_FILE_NAME)
-    assert read_rows(tmp_path / SHEET_FILE_NAME) == []
-    for marks in ("[]", '[["a", 0, 99999]]', '[["a", -1, 3]]', "[[1]]", "{", "3", '[["a", "x", 3]]'):
-        texts = PngInfo()
-        texts.add_text(ROW_MARKS_KEY, marks)
-        Image.new("RGB", (9, 9)).save(tmp_path / SHEET_FILE_NAME, pnginfo=texts)
-        assert read_rows(tmp_path / SHEET_FILE_NAME) == [], marks
+    (tmp_path / f"{PARTIAL_PREFIX}b" / RECORD).touch()
+    assert (drawn([green]) == pixels).all()
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / RECORD).touch()
+    counted = drawn([green])
+    assert (counted[: len(pixels)] == pixels).all()
+    assert (counted[len(pixels) :] < 0.5).any()
+    assert (counted == sheet([green], tmp_path / "sheet.png", 2)).all()
 
 
 def test_umlauts_are_drawn(tmp_path: Path) -> None:

@@ -1,15 +1,11 @@
 """Contact sheets of runs: a row of pictures for each fit, with references, photos and errors.
 
-Pillow draws them: matplotlib, by which figures are drawn, takes longer to import than most fits take. A later run adds
-its rows above those of an earlier sheet, which are copied from its file.
+Pillow draws them: matplotlib, by which figures are drawn, takes longer to import than most fits take.
 """
 
 from __future__ import annotations
 
 import importlib.util
-import io
-import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -19,22 +15,18 @@ import numpy as np
 from PIL import Image as pil
 from PIL import ImageDraw, ImageFont
 from PIL.Image import Image
-from PIL.PngImagePlugin import PngInfo
 from torch import Tensor
 
 from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.presenter import Presenter
 from metapp.learning.task import Params, Task
 from metapp.storage import Document
-from metapp.storage.files import PARTIAL_PREFIX, read_bytes, write_atomically
-from metapp.storage.fit_folders import read_params
+from metapp.storage.files import PARTIAL_PREFIX, write_atomically
+from metapp.storage.fit_folders import RECORD, read_params
 from metapp.storage.image_writers import to_8_bit_image
 from metapp.storage.parameters import check_params
 
 SHEET_FILE_NAME = "pictures.png"  # the name of a run's contact sheet in the folder of the run
-# The key of the PNG's text that says where rows are: for each [folder name, first pixel row, pixel row after the last]
-ROW_MARKS_KEY = "metapp rows"
-MAX_SHEET_PIXELS = 2**26  # of a sheet whose rows are read; a larger one counts as another picture
 MAX_SHEET_ROWS = 8  # number of fits in a sheet; a line says how many more there are
 TILE_PX = 256  # the side of a square picture; a wide one is at most this high and twice as wide
 GAP_PX = 8  # between two pictures
@@ -61,26 +53,7 @@ class Tiles(NamedTuple):
     errors: Mapping[str, str] = MappingProxyType({})
 
 
-class SheetRow(NamedTuple):
-    """The row of a fit in a sheet that an earlier run drew.
-
-    Attributes:
-        name: the name of the fit's folder.
-        picture: the pixels of the row, as wide as its sheet.
-    """
-
-    name: str
-    picture: Image
-
-
-def write_contact_sheet(
-    tasks: list[Tiles],
-    title: str,
-    path: Path,
-    count: int = 0,
-    names: Sequence[str] = (),
-    earlier: Sequence[SheetRow] = (),
-) -> Path:
+def write_contact_sheet(tasks: Sequence[Tiles], title: str, path: Path, count: int = 0) -> Path:
     """Draw rows of pictures below each other, MAX_SHEET_ROWS at most, and write them as a PNG.
 
     Pictures of one name form a column, which stays blank in the rows of tasks without this picture.
@@ -89,9 +62,7 @@ def write_contact_sheet(
         tasks: the rows, one or more.
         title: the text above the rows.
         path: the file to write.
-        count: number of all tasks, if there are more than `tasks` and `earlier` have.
-        names: the names of the tasks' folders, by which :func:`read_rows` names their rows; () if nobody reads them.
-        earlier: rows of an earlier sheet, of which as many follow as fit in.
+        count: the number of all tasks, if there are more than `tasks` has. A line says how many of them have no row.
 
     Returns:
         The file that was written.
@@ -107,19 +78,9 @@ def write_contact_sheet(
         tops.append(top)
         has_references = any(name.startswith(REFERENCE_PREFIX) for name in task.pictures)
         top += SMALL_LETTER_PX + 2 * GAP_PX + tile_row_height * (1 + has_references)
-    earlier_rows = list(earlier)[: MAX_SHEET_ROWS - len(shown_tasks)]
-    marks = list(zip(names, tops, [*tops[1:], top], strict=False))
-    hidden_count = max(count, len(tasks)) - len(shown_tasks) - len(earlier_rows)
-    title_width = round(large_font.getlength(title)) + 2 * GAP_PX
-    sheet_width = max(left, title_width, *(row.picture.width for row in earlier_rows))
-    earlier_top = top
-    for row in earlier_rows:
-        marks.append((row.name, top, top + row.picture.height))
-        top += row.picture.height
+    hidden_count = max(count, len(tasks)) - len(shown_tasks)
+    sheet_width = max(left, round(large_font.getlength(title)) + 2 * GAP_PX)
     sheet = pil.new("RGB", (sheet_width, top + (LARGE_LETTER_PX + GAP_PX) * (hidden_count > 0)), "white")
-    for row in earlier_rows:
-        sheet.paste(row.picture, (0, earlier_top))
-        earlier_top += row.picture.height
     draw = ImageDraw.Draw(sheet)
     draw.text((GAP_PX, GAP_PX), title, "black", large_font)
     for task, row_top in zip(shown_tasks, tops, strict=True):
@@ -135,48 +96,24 @@ def write_contact_sheet(
             draw.text((tile_left, tile_top + tile.height + 2), caption, "black", small_font)
     if hidden_count > 0:
         draw.text((GAP_PX, top), f"and {hidden_count:,} more task{'s' * (hidden_count > 1)}", "black", large_font)
-    texts = PngInfo()
-    texts.add_text(ROW_MARKS_KEY, json.dumps(marks))
-    write_atomically(path, lambda target: sheet.save(target, "PNG", pnginfo=texts if marks else None))
+    write_atomically(path, lambda target: sheet.save(target, "PNG"))
     return path
 
 
-def read_rows(path: Path) -> list[SheetRow]:
-    """Read the rows of a sheet that :func:`write_contact_sheet` wrote.
-
-    Returns:
-        The rows from the top; [] if the file is missing, damaged or another picture.
-    """
-    try:
-        with pil.open(io.BytesIO(read_bytes(path)), formats=["PNG"]) as sheet:
-            marks = [
-                (str(name), int(top), int(end))
-                for name, top, end in json.loads(sheet.info[ROW_MARKS_KEY])[:MAX_SHEET_ROWS]
-            ]
-            is_too_large = sheet.width * sheet.height > MAX_SHEET_PIXELS
-            if is_too_large or any(not 0 <= top < end <= sheet.height for _, top, end in marks):
-                return []
-            return [SheetRow(name, sheet.convert("RGB").crop((0, top, sheet.width, end))) for name, top, end in marks]
-    except (OSError, ValueError, KeyError, TypeError, SyntaxError, RecursionError, pil.DecompressionBombError):
-        return []
-
-
-def add_to_sheet(tiles: Mapping[str, Tiles], title: str, run_folder: Path) -> Path:
-    """Write `pictures.png` in a run's folder: new fits, then earlier fits that its sheet shows, MAX_SHEET_ROWS at most.
+def write_run_sheet(tiles: Sequence[Tiles], title: str, run_folder: Path) -> Path:
+    """Write `pictures.png` in a run's folder: fits of the last command, and how many more fits the folder holds.
 
     Args:
-        tiles: the pictures of the new fits by the names of their folders, one or more.
+        tiles: the pictures of the fits, one or more, of which the first MAX_SHEET_ROWS are shown.
         title: the text above the rows.
         run_folder: the folder of the run.
 
     Returns:
         The file that was written.
     """
-    folders = {
-        entry.name for entry in os.scandir(run_folder) if entry.is_dir() and not entry.name.startswith(PARTIAL_PREFIX)
-    }
-    earlier = [row for row in read_rows(run_folder / SHEET_FILE_NAME) if row.name in folders - tiles.keys()]
-    return write_contact_sheet([*tiles.values()], title, run_folder / SHEET_FILE_NAME, len(folders), [*tiles], earlier)
+    records = run_folder.glob(f"*/{RECORD}")
+    count = sum(not record.parent.name.startswith(PARTIAL_PREFIX) for record in records)
+    return write_contact_sheet(tiles, title, run_folder / SHEET_FILE_NAME, count)
 
 
 def _font(letter_px: int) -> ImageFont.FreeTypeFont:
@@ -186,7 +123,7 @@ def _font(letter_px: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(Path(package.origin).parent / FONT_PATH, letter_px)
 
 
-def _column_widths(tasks: list[Tiles]) -> dict[str, int]:
+def _column_widths(tasks: Sequence[Tiles]) -> dict[str, int]:
     """Return the width of each column in px by name, in order from the left: reference, photo and samples first."""
     widths: dict[str, int] = {}
     for task in tasks:
