@@ -88,7 +88,7 @@ def _errors_of_baselines(
 ) -> ErrorsByName:
     """Return errors x100 of a baseline's fits of tasks that have `count` samples."""
     run = Run.from_options(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
-    baseline = next(candidate for candidate in baselines_of(run.app) if candidate.name == method.name)
+    baseline = next(candidate for candidate in baselines_of(run.application, run.app) if candidate.name == method.name)
     cost_limits = cost_limits_of_run(run)
     baseline.prepare(training, cost_limits._replace(samples=min(count, cost_limits.samples)))
     errors = {}
@@ -156,9 +156,10 @@ def main() -> None:
     """Print the tables and draw the figure."""
     torch.set_num_threads(1)
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    app = Run.from_options(fit_options("brdf", "general", recipe="quick")).app
-    tasks, label = read_test_tasks(app, data, quiet=True)
-    training = read_training_tasks(app, training_data_folder(app, data, quiet=True))
+    run = Run.from_options(fit_options("brdf", "general", recipe="quick"))
+    application, app = run.application, run.app
+    tasks, label = read_test_tasks(application, app, data, quiet=True)
+    training = read_training_tasks(app, training_data_folder(application, data, quiet=True))
     measured_tasks = [[simulate_measurement(task, 0.0, samples=count) for task in tasks] for count in MEASURED_COUNTS]
     print(f"{label}: {len(tasks)} test materials, {len(training.tasks)} for components; errors x100\n")
     header = (

@@ -22,13 +22,13 @@ from matplotlib.figure import Figure
 from torch import Generator
 
 from benchmarks.bench_growth import growth_exponent
-from metapp.apps import app_of, recipes_of
 from metapp.evaluation.style import FIGURE_STYLE, save_figure
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Task
+from metapp.registry import registry
 
 TIMED_STEPS = 10  # gradient steps
 SIZE_FIGURE_FILE = Path("runs/bench/size.png")
@@ -42,8 +42,7 @@ SIDES_BY_APP = {  # texels along the shorter side
 
 def app_at_size(name: str, side: int) -> App:
     """Return an application of recipe full with its pictures or maps at another size."""
-    recipe = recipes_of(name)["full"]
-    app: Any = recipe.app
+    app: Any = registry().applications[name].recipes_observing()["full"].load().app
     if name == "illumination":
         field = app.network._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
         app = replace(app, network=field)
@@ -52,7 +51,8 @@ def app_at_size(name: str, side: int) -> App:
     else:
         # all octaves take part from the first step on, as in the last steps of a fit
         app = replace(app, octaves=replace(app.octaves, height=side, width=side, shares=()))
-    return app_of(name, replace(recipe, app=app))
+    result: App = app
+    return result
 
 
 def noise_task(name: str, side: int) -> Task:

@@ -18,8 +18,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
-from metapp.names import application_of, did_you_mean
-from metapp.registry import load_reference
+from metapp.entries import did_you_mean
 
 PANELS = INPUT, FIT, OUTPUT = "Input", "Fit", "Output"  # sections of --help
 Options = TypeVar("Options")
@@ -40,7 +39,7 @@ class Option:
         choices: the words that a value may be; () for any.
         panel: the section of --help. For an application's own options it also says what they influence: INPUT the
             reading of files, FIT the recipe, OUTPUT the files of a fit.
-        protocol: the value of --observe that the option needs; "" for any.
+        observes: the value of --observe that the option needs; "" for any.
         parse: a function from a given value to the field's value; its ValueError states the expected form. None if the
             given value is the field's value.
         short: the letter of a short name on the command line; "" for none.
@@ -56,7 +55,7 @@ class Option:
     high: float | None = None
     choices: tuple[str, ...] = ()
     panel: str = INPUT
-    protocol: str = ""
+    observes: str = ""
     parse: Callable[[Any], object] | None = None
     short: str = ""
     name: str = ""
@@ -180,12 +179,6 @@ class AppOptions:
         These are options that the errors of fits depend on, and options that later exports of the fit must know.
         """
         return {name: _to_json(value) for name, value in sorted(self.non_default_values(INPUT, FIT).items())}
-
-
-def app_options_class(app: str) -> type[AppOptions]:
-    """Import the dataclass of an application's own options."""
-    result: type[AppOptions] = load_reference(application_of(app).options)
-    return result
 
 
 def _to_json(value: object) -> object:

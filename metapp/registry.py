@@ -1,9 +1,12 @@
-"""Tables of what metapp has, by name: applications, recipes, formats, exports, commands and more.
+"""The registry: one object with all that metapp has by name, from applications to commands.
 
-Entries are references "module:attribute", which are imported at first use, so that a command imports only what it
-needs. An extension is a module that is cheap to import and has a function `register(registry) -> None`; an entry point
-of the group "metapp.extensions" names the module or the function. The core is registered like an extension, by
-`metapp.contents`, and extensions that ship by `metapp.extensions.contents`. Nothing here knows any entry by its name.
+Entries are references, which are imported at first use, so that a command imports only what it needs. An extension is a
+module that is cheap to import and has a function `register(registry) -> None`; an entry point of the group
+"metapp.extensions" names the module or the function. The core registers itself by `metapp.contents`, and extensions
+that ship by `metapp.extensions.contents`. Classes here that are a `typing.Protocol` are contracts of entries; contracts
+of what belongs to one application are in `metapp.application`. Contracts that are base classes are elsewhere:
+`metapp.learning.app.App`, `metapp.appearance.presenter.Presenter`, `metapp.learning.rules.Part` and
+`metapp.extensions.baselines.baseline.Baseline`.
 """
 
 from __future__ import annotations
@@ -12,397 +15,332 @@ import functools
 import importlib
 import importlib.metadata
 import importlib.util
+import math
 import os
-import warnings
-from collections import UserDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import TYPE_CHECKING, Any, Protocol
 
-from typing_extensions import override
+from metapp.application import Application, Format
+from metapp.entries import METAPP_PACKAGE, Entries, Lazy, describe_error, did_you_mean, registering
 
 if TYPE_CHECKING:
-    from metapp import contracts
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from torch import Generator
+
+    from metapp.learning.adjoint import Loss, Steps, UpdateRule
+    from metapp.learning.learn import DescentState
+    from metapp.learning.recipe import OuterLoop
+    from metapp.learning.rules import Part
+    from metapp.learning.task import Params, Tasks
+
+    SceneDict = dict[str, Any]  # a scene of Mitsuba as JSON holds it
 
 ENTRY_POINT_GROUP = "metapp.extensions"  # group of the entry points that name extensions
 CORE_MODULE = "metapp.contents"  # module that registers the core
 WITHOUT_VARIABLE = "METAPP_WITHOUT"  # environment variable: names of extensions to leave out, separated by commas
-METAPP_PACKAGE = "metapp"  # package whose extensions are registered first, and whose errors are raised
-
-Value = TypeVar("Value")  # the type of a table's entries
-Contract = TypeVar("Contract")  # the type of the object that an entry names
 
 
-def load_reference(reference: str) -> Any:
-    """Import what a reference names, and return it.
+# Entries of the registry's tables, each beside its contract
 
-    Args:
-        reference: "module:attribute", "module:TABLE.key" for the entry of a table, or "module".
 
-    Raises:
-        ImportError: there is no such module, attribute or entry, or an error ends the import.
+class ExportFiles(Protocol):
+    """A function for `metapp export` of files that are no fits: it writes them in another form.
 
-    >>> load_reference("math:tau")
-    6.283185307179586
+    >>> def write(path, kind, folder, quiet):
+    ...     target = folder / f"{path.stem}.{kind}"
+    ...     target.write_bytes(path.read_bytes())
+    ...     return [target]
     """
-    name, _, path = reference.partition(":")
-    try:
-        found: Any = importlib.import_module(name)
-        for part in path.split(".") if path else ():
-            found = found[part] if isinstance(found, Mapping) else getattr(found, part)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise ImportError(f"{reference} cannot be loaded: {describe_error(error)}") from error
-    return found
 
+    def __call__(self, path: Path, kind: str, folder: Path, quiet: bool, /) -> Iterable[Path]:
+        """Write a file, or the files of a folder, in the form, and return the paths that were written.
 
-def describe_error(error: BaseException) -> str:
-    """Return the type and the message of an error, in one line."""
-    return " ".join(f"{type(error).__name__}: {error}".split())
+        Args:
+            path: the file or folder.
+            kind: the form, which is the entry's key.
+            folder: the folder to write to; it may not exist yet.
+            quiet: whether to show no progress.
+
+        Raises:
+            ValueError: no file can be written in this form, a file is damaged, or a target exists already.
+        """
+        ...
 
 
 @dataclass(frozen=True)
-class Entry(Generic[Contract]):
-    """A reference to an object, with its help and conditions, which are known before it is imported.
+class FileExport(Lazy[ExportFiles]):
+    """A form in which `metapp export` writes files that are no fits.
 
     Attributes:
-        reference: "module:attribute"; "module:TABLE.key" for an entry of a dictionary; "module" for the module itself.
-        help: a few words that help texts and lists show; :class:`Registry` says for some tables what they are about.
-        apps: the applications that the object is for, if the entry's key does not name one, as of measures.
-
-    >>> Entry("math:gcd").load()(12, 18)
-    6
+        files: which files these are, for help.
     """
 
-    reference: str
-    help: str = ""
-    apps: tuple[str, ...] = ()
+    files: str = ""
 
-    def load(self) -> Contract:
-        """Import and return the object.
+
+class MakeTable(Protocol):
+    """A function that makes a table of `metapp evaluate`.
+
+    >>> from metapp.evaluation.table import Table
+    >>> def counts(evaluation):
+    ...     return Table(evaluation.title, "Tasks", (), [{"tasks": len(evaluation.tasks)}])
+    """
+
+    def __call__(self, evaluation: Any, /) -> Any:
+        """Return the :class:`metapp.evaluation.table.Table` of an application, without rows if none apply.
+
+        Args:
+            evaluation: a :class:`metapp.evaluation.evaluation_run.EvaluationRun`: the application, its tasks and
+                runs; it makes the fits that the table asks for.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class TableEntry(Lazy[MakeTable]):
+    """A table of `metapp evaluate`.
+
+    Attributes:
+        heading: the heading of the table in a report.
+    """
+
+    heading: str = ""
+
+
+class FitMethod(Protocol):
+    """A function that becomes a method of fits in the Python API, under the name of the entry's key.
+
+    >>> def first_word(fit):
+    ...     return fit.name.split("-")[0]
+    """
+
+    def __call__(self, fit: Any, /, *arguments: Any, **keywords: Any) -> object:
+        """Return the result of the method.
+
+        Args:
+            fit: a :class:`metapp.runs.fit.Fit`.
+            *arguments, **keywords: the further arguments of the method's call.
+        """
+        ...
+
+
+class MakeSteps(Protocol):
+    """A function that makes the steps of a rule down a loss, faster than torch where it can; the hook "steps".
+
+    >>> from metapp.learning.adjoint import torch_steps
+    >>> def steps(rule, loss, theta, order, *, compiles=False):
+    ...     return torch_steps(rule, loss, theta, order)
+    """
+
+    def __call__(self, rule: UpdateRule, loss: Loss, theta: Params, order: int, /, *, compiles: bool = False) -> Steps:
+        """Return steps with the results of :func:`metapp.learning.adjoint.torch_steps`, up to rounding.
+
+        Args:
+            rule: the rule with its hyperparameters.
+            loss: the loss of the tasks.
+            theta: parameters [T, ...] with the shapes that steps will see; their values are not read.
+            order: 2 differentiates the gradient of a step in the vector-Jacobian product, 1 treats it as a constant.
+            compiles: whether the steps are so many that compiling code for them pays.
+        """
+        ...
+
+
+class DescendOuterLoss(Protocol):
+    """A function that takes the outer steps of a training faster than torch where it can; the hook "outer_loop".
+
+    >>> def descend_outer_loss(paradigm, outer_loop, params, tasks, rng, since=None):
+    ...     return None
+    """
+
+    def __call__(
+        self,
+        paradigm: Any,
+        outer_loop: OuterLoop,
+        params: Params,
+        tasks: Tasks,
+        rng: Generator,
+        since: DescentState | None = None,
+        /,
+    ) -> Iterator[DescentState] | None:
+        """Descend the outer loss of a paradigm's training, with the results of the loop in torch up to rounding.
+
+        Args:
+            paradigm: the :class:`metapp.paradigms.paradigm.Paradigm` that fits, whose phi is trained.
+            outer_loop: the settings of the outer loop.
+            params: the phi before the first step, a flat tree.
+            tasks: the training tasks.
+            rng: the source of all random numbers. After each state that is yielded, it must be in the state in which
+                the loop in torch would leave it.
+            since: the state of an earlier descent, which is continued.
+
+        Returns:
+            The state before the first step, then states after some of the steps, among them each step at which
+            `outer_loop.validate_every` asks for a validation, and the last. The loss of a state holds the losses of all
+            steps since the state before, one step after the other, and `names` the names of their tasks. A step whose
+            loss is not finite ends the steps before a state. None if the function cannot take these steps.
+        """
+        ...
+
+
+class CheckScene(Protocol):
+    """A function that checks the scene of a data set before Mitsuba loads it; the hook "scene".
+
+    >>> def check(scene):
+    ...     if "xml" in scene:
+    ...         raise ValueError("a scene in XML, expected a dictionary.")
+    ...     return scene
+    """
+
+    def __call__(self, scene: SceneDict, /) -> SceneDict:
+        """Return the scene, in which nothing is left that Mitsuba may not load.
+
+        Args:
+            scene: a dictionary of type "scene", as JSON holds it.
 
         Raises:
-            ImportError: there is no such module or attribute, or an error ends the import.
+            ValueError: the scene holds a plugin or a file that scenes of data sets may not hold.
         """
-        loaded: Contract = load_reference(self.reference)
-        return loaded
+        ...
 
 
-@dataclass(frozen=True, kw_only=True)
-class Application(Entry[Any]):
-    """The entry of an application: a reference to a subclass of `metapp.learning.app.App`.
-
-    The entry's key is the application's name. Its recipes are entries of their own, and "quick" is one of them.
-
-    Attributes:
-        title: the name in tables and pictures.
-        protocols: the values of --observe, the default first, each with the name of the tensor that fits observe; {} if
-            there is only one protocol.
-        options: a reference to the application's options, a dataclass that extends `metapp.options.AppOptions`.
-        presenter: a reference to a subclass of `metapp.appearance.presenter.Presenter`; that class itself shows
-            nothing.
-        facts: a reference to a function `facts_of(tensors)` that returns facts about a task, by which a recipe is
-            chosen. It gets tensors by name, or None in place of a tensor of which only the name is known, as in a data
-            set. "" if no recipe depends on facts.
-    """
-
-    title: str
-    protocols: Mapping[str, str] = field(default_factory=dict)
-    options: str = "metapp.options:AppOptions"
-    presenter: str = "metapp.appearance.presenter:Presenter"
-    facts: str = ""
-
-
-FactRange = bool | int | tuple[float, float]  # a value of a fact, or the least and the greatest value of a range
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecipeEntry(Entry[Any]):
-    """A reference to a `metapp.learning.recipe.Recipe`; `help` says which inputs the recipe suits.
-
-    Attributes:
-        suits: facts of inputs, each with its value or range; the recipe is chosen for inputs that have all of them,
-            unless the user names a recipe. {} if the recipe is only used where it is named.
-        mixed_recipe: the recipe that is chosen if a folder has inputs of which this recipe suits some but not all; ""
-            if such folders are refused.
-        paradigms: the paradigms for which the recipe is chosen; () for all.
-        describe_missing_file: a reference to a function without arguments that returns a line about a file that the
-            recipe needs and that is missing, or ""; "" if the recipe needs no file.
-    """
-
-    suits: Mapping[str, FactRange] = field(default_factory=dict)
-    mixed_recipe: str = ""
-    paradigms: tuple[str, ...] = ()
-    describe_missing_file: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Format(Entry[Any]):
-    """A file format that tasks are read from: a reference to a module that finds and reads its files.
-
-    The module has these names:
-
-    - `recognises(path)`, for inputs of fits: returns whether a path is a file of the format, or a folder with such
-      files, by suffixes and first bytes;
-    - `find(path)`: returns a pair of lists: a `data_tools.readers.input_source.Source` for each task, with all that
-      must be known before the task is read, and a line for each file of a folder that is skipped. It raises ValueError
-      for a bad path. The caller fills in the fields `format`, `given` and `named` of a source;
-    - `read_task(path, ...)`: returns the task; raises ValueError if the file is damaged. It may name keyword arguments,
-      all with defaults. Fits pass those that it names of the arguments that :class:`metapp.contracts.ReadObject` lists,
-      and `content`, which is the `content` of the source. The command "data NAME" passes its options and `content`;
-    - `UNITS`, if there is a command "data NAME" (a `metapp.options.Converter`): units of the tasks' tensors by name;
-    - `entries(paths, folders, split)`, optional, for that command: returns name, group and split of each task as a
-      `metapp.storage.shards.ManifestEntry`, by the path of its source; sources without an entry are left out. `folders`
-      are the folders that were searched, `split` is the command's option. By default a task is named by its file.
-
-    Attributes:
-        app: the application whose tasks the files hold.
-        inputs: what the files are, in words, for help and errors; "" if fits do not accept them as INPUT, so that the
-            module needs no `recognises`.
-        data_sets: whether the command "data NAME" also accepts data sets.
-    """
-
-    app: str
-    inputs: str = ""
-    data_sets: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Export(Entry[Any]):
-    """A form in which fits are written for other programs: a reference to a function.
-
-    The function is `write(app, theta, path)` for the parameters of one fit without a task axis. If `of_surface` is set,
-    it is `write(surface, path, provenance)`. The path has no suffix, and its last part is the fit's name. See
-    :class:`metapp.contracts.ExportParameters` and :class:`metapp.contracts.ExportSurface`.
-
-    Attributes:
-        of_surface: whether the function writes the flat surface of a fit instead of its parameters.
-        holds: the names of the parameters that the form can hold; fits with another network are distilled into these
-            first. () if the form is made of what any network evaluates to.
-        needs: the module and the package of a library that the function needs and that is not always installed; ()
-            for none.
-    """
-
-    of_surface: bool = False
-    holds: tuple[str, ...] = ()
-    needs: tuple[str, str] | tuple[()] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Command(Entry[Any]):
-    """A reference to a command, with its place in help. A command whose entry has another type comes last in help.
+@dataclass(frozen=True)
+class Command(Lazy[Any]):
+    """A command: a function that typer reads, a group of typer, or for "data FORMAT" a `metapp.options.Converter`.
 
     Attributes:
         position: the place among the commands in help; commands of equal positions stand in the order of their
             registration. Positions of commands that ship are ten apart, so that others fit between them.
     """
 
-    position: int
+    position: float = math.inf
 
 
-class Entries(UserDict[Any, Value]):
-    """A table of entries by name, or by several words such as an application and a name. Each key can be set once.
-
-    Args:
-        kind: the type of all entries.
-        key_length: the number of words of a key; keys of several words are tuples.
-
-    >>> commands = Entries(Entry)
-    >>> commands["count"] = Entry("mine:count")
-    >>> commands["count"] = Entry("mine:count_all")
-    Traceback (most recent call last):
-    ValueError: count: an entry of this name exists already
-    """
-
-    def __init__(self, kind: type[Value], key_length: int = 1) -> None:
-        super().__init__()
-        self.kind, self.key_length = kind, key_length
-
-    @override
-    def __setitem__(self, key: Any, value: Value) -> None:
-        words = _key_words(key)
-        if len(words) != self.key_length or not words[-1] or not all(isinstance(word, str) for word in words):
-            raise TypeError(f"{key!r}: expected a name of {self.key_length} word(s)")
-        if not isinstance(value, self.kind):
-            raise TypeError(f"{_join_words(*words)}: a {type(value).__name__}, expected {self.kind.__name__}")
-        if key in self:
-            raise ValueError(f"{_join_words(*words)}: an entry of this name exists already")
-        self.data[key] = value
-
-    def of(self, *first_words: str) -> dict[str, Value]:
-        """Return the entries whose keys begin with these words and have one more, by their last word."""
-        return {_key_words(key)[-1]: value for key, value in self.items() if _key_words(key)[:-1] == first_words}
-
-
-def _key_words(key: Any) -> tuple[str, ...]:
-    """Return the words of a key."""
-    return key if isinstance(key, tuple) else (key,)
-
-
-def _join_words(*words: str) -> str:
-    """Join words that are not empty by spaces."""
-    return " ".join(filter(None, words))
-
-
-class Registry:
-    """Tables of entries, and which package filled them.
-
-    Keys of a table are names, or pairs and triples that begin with an application's name. The type of a table's entries
-    names their contract: what the object that an entry loads takes and returns. See :mod:`metapp.contracts`.
+@dataclass(frozen=True)
+class Measure(Lazy[Any]):
+    """A measure of pictures, a reference to a :class:`metapp.appearance.picture_measures.PictureMeasure`.
 
     Attributes:
-        applications: applications by name.
-        recipes: recipes by application, protocol ("" if there is only one) and name.
-        networks: networks of an application that users do not choose, by application and name: the parameters of a fit
-            tell which one they belong to. Of the applications that ship, brdf has such networks, objects of
-            `metapp.apps.brdf.brdf_network.BrdfNetwork`.
+        note: what the measure is, as tables state it.
+        apps: the names of the applications whose pictures are measured.
+    """
+
+    note: str = ""
+    apps: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plugin(Lazy[Callable[[], None]]):
+    """A plugin of Mitsuba, a reference to a function that registers it.
+
+    Attributes:
+        integrator: what the plugin does if it is an integrator; "" for a BSDF.
+    """
+
+    integrator: str = ""
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Tables of entries by name.
+
+    Attributes:
+        applications: applications by name; each has tables of its own.
         parts: parts of learned rules, in the order in which they act on a step. An entry loads a subclass of
             `metapp.learning.rules.Part`, or another function that makes a part; the key is the part's `name`.
         rules: learned rules, as names of parts and compositions that are joined by "+".
         compositions: further such texts, whose names may also be a piece of a longer composition; lists of choices show
             the names in `rules` alone.
-        formats: formats of files. The command "data NAME" converts the files of the format NAME.
-        objects: functions that make tasks of objects in memory, by application.
-        synthetic: modules that draw embedded data sets, by application.
-        merges: functions that make one task of all inputs, by application and by the name of an option of the
-            application about INPUT, which calls for it.
-        outputs: functions that make further pictures of a fit, by application and by the name of an option of the
-            application about OUTPUT, which calls for them.
-        exports: forms in which fits are written, by application and name.
-        file_exports: forms in which files that are no fits are written; `help` says which files.
-        pages: functions that make the viewer's pages of fits, by application.
-        plugins: functions without arguments that register a plugin of Mitsuba, by the plugin's name. For an integrator
-            `help` says what it does; for a BSDF `help` is empty, which is how the two are told apart.
-        measures: measures of pictures by name. An entry loads a `metapp.appearance.picture_measures.PictureMeasure`;
-            its `apps` are the applications whose pictures are measured, and `help` is the note in tables.
-        baselines: functions that make baselines, by application and by the name of a baseline.
-        tables: tables of `metapp evaluate`; `help` is the heading in a report.
-        commands: commands by the words after `metapp`. An entry loads a function that typer reads or a group of typer;
-            for "data FORMAT" it loads a subclass of `metapp.options.Converter`. Help lists a :class:`Command` by its
-            position, and other entries after all of these.
-        examples: commands that work as they are, by application: pairs of the words after `metapp`, in which {} is the
-            folder of inputs, and of a line about what they produce.
+        file_exports: forms in which files are written that are no fits.
+        plugins: plugins of Mitsuba.
+        measures: measures of pictures.
+        tables: tables of `metapp evaluate`.
+        commands: commands by the words after `metapp`.
         methods: functions that become methods of fits in the Python API.
-        hooks: functions that the core calls if they are there: "steps" is a :class:`metapp.contracts.MakeSteps`,
-            "outer_loop" a :class:`metapp.contracts.DescendOuterLoss`, "scene" a :class:`metapp.contracts.CheckScene`.
-        owners: the package that registered a name, by table and name.
+        hooks: functions that the core calls if they are there: "steps" is a :class:`MakeSteps`, "outer_loop" a
+            :class:`DescendOuterLoss`, "scene" a :class:`CheckScene`.
         extensions: the package of each extension, by the extension's name.
         problems: why some extensions cannot be used, by "NAME of PACKAGE".
-    """
-
-    def __init__(self) -> None:
-        self.applications = Entries(Application)
-        self.recipes = Entries(RecipeEntry, 3)
-        self.networks: Entries[Entry[Any]] = Entries(Entry, 2)
-        self.parts: Entries[Entry[Callable[[], contracts.Part]]] = Entries(Entry)
-        self.rules = Entries(str)
-        self.compositions = Entries(str)
-        self.formats = Entries(Format)
-        self.objects: Entries[Entry[contracts.ReadObject]] = Entries(Entry)
-        self.synthetic: Entries[Entry[contracts.EmbeddedSet]] = Entries(Entry)
-        self.merges: Entries[Entry[contracts.MergeInputs]] = Entries(Entry, 2)
-        self.outputs: Entries[Entry[contracts.RenderFit]] = Entries(Entry, 2)
-        self.exports = Entries(Export, 2)
-        self.file_exports: Entries[Entry[contracts.ExportFiles]] = Entries(Entry)
-        self.pages: Entries[Entry[contracts.ViewFit]] = Entries(Entry)
-        self.plugins: Entries[Entry[Callable[[], None]]] = Entries(Entry)
-        self.measures: Entries[Entry[Any]] = Entries(Entry)
-        self.baselines: Entries[Entry[contracts.MakeBaselines]] = Entries(Entry, 2)
-        self.tables: Entries[Entry[contracts.MakeTable]] = Entries(Entry)
-        self.commands: Entries[Entry[Any]] = Entries(Entry)
-        self.examples: Entries[Entry[Sequence[tuple[str, str]]]] = Entries(Entry)
-        self.methods: Entries[Entry[contracts.FitMethod]] = Entries(Entry)
-        self.hooks: Entries[Entry[Any]] = Entries(Entry)
-        self.owners: dict[str, str] = {}
-        self.extensions: dict[str, str] = {}
-        self.problems: dict[str, str] = {}
-
-    @override
-    def __setattr__(self, name: str, value: object) -> None:
-        if "problems" in vars(self):
-            raise AttributeError(f"{name}: cannot be set; add entries to tables")
-        super().__setattr__(name, value)
-
-    def add(self, other: Registry, package: str) -> None:
-        """Add all entries of another registry, or none if an error is raised.
-
-        Args:
-            other: the registry.
-            package: the name of the package that filled it.
-
-        Raises:
-            ValueError: a name is registered already, or two recipes suit equal facts; the message names both packages.
-        """
-        new_owners: dict[str, str] = {}
-        for table, key, entry in other.entries():
-            names = [other.unique_name(table, key)]
-            if isinstance(entry, RecipeEntry) and entry.suits:
-                facts = ", ".join(f"{fact} {value}" for fact, value in sorted(entry.suits.items()))
-                names.append(f"recipes of {_join_words(*key[:2])} for inputs of {facts}")
-            for name in names:
-                if owner := self.owners.get(name, new_owners.get(name)):
-                    raise ValueError(f"{name}: registered by {package}, but {owner} has registered it already")
-                new_owners[name] = package
-        for table, key, entry in other.entries():
-            getattr(self, table)[key] = entry
-        self.owners.update(new_owners)
-
-    def entries(self) -> Iterator[tuple[str, Any, Any]]:
-        """Yield the name of the table, the key and the entry, for all entries."""
-        for name, table in vars(self).items():
-            if isinstance(table, Entries):
-                yield from ((name, key, entry) for key, entry in table.items())
-
-    @staticmethod
-    def unique_name(table: str, key: Any) -> str:
-        """Return the name that only one package may register for a table and a key.
-
-        Parts, rules and compositions share their names, as users write all of them after --rule.
-        """
-        return _join_words("rules" if table in ("parts", "compositions") else table, *_key_words(key))
-
-    def check(self) -> None:
-        """Check that the modules of all entries exist, and that commands are functions.
-
-        Raises:
-            ImportError: a module is missing, or a command cannot be loaded.
-            TypeError: a command is not a function.
-        """
-        for _, _, entry in self.entries():
-            for name in ("reference", "options", "presenter", "describe_missing_file", "facts"):
-                reference = getattr(entry, name, "")
-                if reference and importlib.util.find_spec(reference.partition(":")[0]) is None:
-                    raise ImportError(f"{reference}: no such module")
-        for key, entry in self.commands.items():
-            if not callable(entry.load()):
-                raise TypeError(f"commands {key}: {entry.reference} is not a function")
-
-    def load_table(self, table: str, *first_words: str) -> dict[str, Any]:
-        """Load the objects of a table, by name, or of keys that begin with these words.
-
-        Entries of other packages that cannot be loaded are left out with a warning.
-
-        Raises:
-            ImportError: an entry of metapp itself cannot be loaded.
-        """
-        objects = {}
-        for name, entry in getattr(self, table).of(*first_words).items():
-            try:
-                objects[name] = entry.load()
-            except ImportError as error:
-                if (owner := self.owners[self.unique_name(table, (*first_words, name))]) == METAPP_PACKAGE:
-                    raise
-                warnings.warn(f"extension of {owner}: {error}; {name} is left out.", stacklevel=2)
-        return objects
-
-
-def registry() -> Registry:
-    """Return the registry of all installed extensions, except those that METAPP_WITHOUT names.
 
     >>> registry().rules["meta-sgd"]
     'sgd'
     """
+
+    applications: Entries[Application] = field(default_factory=lambda: Entries(Application, "applications"))
+    parts: Entries[Lazy[Callable[[], Part]]] = field(init=False)
+    rules: Entries[str] = field(init=False)
+    compositions: Entries[str] = field(init=False)
+    file_exports: Entries[FileExport] = field(default_factory=lambda: Entries(FileExport, "file_exports"))
+    plugins: Entries[Plugin] = field(default_factory=lambda: Entries(Plugin, "plugins"))
+    measures: Entries[Measure] = field(default_factory=lambda: Entries(Measure, "measures"))
+    tables: Entries[TableEntry] = field(default_factory=lambda: Entries(TableEntry, "tables"))
+    commands: Entries[Command] = field(default_factory=lambda: Entries(Command, "commands"))
+    methods: Entries[Lazy[FitMethod]] = field(default_factory=lambda: Entries(Lazy, "methods"))
+    hooks: Entries[Lazy[Any]] = field(default_factory=lambda: Entries(Lazy, "hooks"))
+    extensions: dict[str, str] = field(default_factory=dict)
+    problems: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Make the tables of learned rules, which share their names, as users write all of them after --rule."""
+        owners: dict[Any, str] = {}
+        for name, kind in (("parts", Lazy), ("rules", str), ("compositions", str)):
+            object.__setattr__(self, name, Entries(kind, "rules", owners=owners))
+
+    def add(self, application: Application) -> None:
+        """Add an application under its name."""
+        self.applications[application.name] = application
+
+    def application(self, name: str) -> Application:
+        """Return the application of a name.
+
+        Raises:
+            ValueError: there is no application of that name; the message lists all names.
+
+        >>> registry().application("illumination").title
+        'Illumination'
+        """
+        if name not in self.applications:
+            names = sorted(self.applications)
+            raise ValueError(
+                f"application '{name}': not known, expected one of {', '.join(names)}.{did_you_mean(name, names)}"
+            )
+        return self.applications[name]
+
+    @property
+    def rule_words(self) -> list[str]:
+        """The words that --rule accepts, joined by +: rules, compositions and parts."""
+        return [*self.rules, *self.compositions, *self.parts]
+
+    def find_format(self, name: str) -> tuple[Application, Format]:
+        """Return the format of a name, and the application whose tasks its files hold.
+
+        Raises:
+            KeyError: there is no such format.
+
+        >>> registry().find_format("merl")[0].name
+        'brdf'
+        """
+        for application in self.applications.values():
+            if name in application.formats:
+                return application, application.formats[name]
+        raise KeyError(name)
+
+    def all_tables(self) -> Iterator[Entries[Any]]:
+        """Yield all tables of the registry, then those of each application."""
+        yield from (table for table in vars(self).values() if isinstance(table, Entries))
+        for application in self.applications.values():
+            yield from application.tables()
+
+    def entries(self) -> Iterator[tuple[str, Any, Any]]:
+        """Yield the title of the table, the key and the entry, for all entries."""
+        for table in self.all_tables():
+            yield from ((table.title, key, entry) for key, entry in table.items())
+
+
+def registry() -> Registry:
+    """Return the registry of all installed extensions, except those that METAPP_WITHOUT names."""
     return _build_registry(os.environ.get(WITHOUT_VARIABLE, ""))
 
 
@@ -410,24 +348,88 @@ def registry() -> Registry:
 def _build_registry(without: str) -> Registry:
     """Build the registry of all extensions, except those that a value of METAPP_WITHOUT names."""
     result, left_out = Registry(), {name.strip() for name in without.split(",")}
-    importlib.import_module(CORE_MODULE).register(core := Registry())
-    result.add(core, METAPP_PACKAGE)
+    importlib.import_module(CORE_MODULE).register(result)
     points = [(_package_name(point.dist), point) for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP)]
     points = [(package, point) for package, point in points if point.name not in left_out]
     for package, point in sorted(points, key=lambda pair: (pair[0] != METAPP_PACKAGE, pair[0], pair[1].value)):
+        kept = None if package == METAPP_PACKAGE else _copy_dictionaries(result)
         try:
-            (point.load() if point.attr else point.load().register)(extension := Registry())
-            if package != METAPP_PACKAGE:
-                extension.check()
-            result.add(extension, package)
+            with registering(package):
+                (point.load() if point.attr else point.load().register)(result)
+            if kept is not None:
+                _check_entries_of(package, result)
             result.extensions[point.name] = package
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # whatever the module of another package does, the rest of metapp works
-            if package == METAPP_PACKAGE:
+            if kept is None:
                 raise
+            for dictionary, content in kept:
+                dictionary.clear()
+                dictionary.update(content)
             result.problems[f"{point.name} of {package}"] = describe_error(error)
     return result
+
+
+def _copy_dictionaries(registry: Registry) -> list[tuple[dict[Any, Any], dict[Any, Any]]]:
+    """Return all dictionaries that an extension may change, each with a copy of its content."""
+    dictionaries = [vars(application) for application in registry.applications.values()]
+    for table in registry.all_tables():
+        dictionaries += [table.data, table.owners]
+    return [(dictionary, dict(dictionary)) for dictionary in dictionaries]
+
+
+def _check_entries_of(package: str, registry: Registry) -> None:
+    """Check the entries of a package of others: modules exist, commands are functions, recipes suit different inputs.
+
+    Raises:
+        ImportError: a module is missing, or a command cannot be loaded.
+        TypeError: a command is not a function.
+        ValueError: two recipes suit equal facts.
+    """
+    references = [
+        entry for table in registry.all_tables() for key, entry in table.items() if table.owners[key] == package
+    ]
+    for application in registry.applications.values():
+        references += [value for value in vars(application).values() if isinstance(value, Lazy)]
+    for entry in references:
+        for reference in _references_in(entry):
+            if importlib.util.find_spec(reference.partition(":")[0]) is None:
+                raise ImportError(f"{reference}: no such module")
+    for key, command in registry.commands.items():
+        if registry.commands.owners[key] == package and not callable(command.load()):
+            raise TypeError(f"commands {key}: {command.reference} is not a function")
+    for application in registry.applications.values():
+        _require_different_inputs(application)
+
+
+def _references_in(entry: object) -> Iterator[str]:
+    """Yield the references of an entry: its own, and those in its fields."""
+    if isinstance(entry, Lazy):
+        yield entry.reference
+    for item in fields(entry) if is_dataclass(entry) else ():
+        if isinstance(value := getattr(entry, item.name), Lazy):
+            yield from _references_in(value)
+
+
+def _require_different_inputs(application: Application) -> None:
+    """Refuse two recipes that would be chosen for inputs of equal facts.
+
+    Raises:
+        ValueError: there are two; the message names the packages that registered them.
+    """
+    owners: dict[str, str] = {}
+    for observation in application.observations or ("",):
+        for name, entry in application.recipes_observing(observation).items():
+            owner = application.recipes.owners[(observation, name) if observation else name]
+            if entry.suits:
+                facts = ", ".join(f"{fact} {value}" for fact, value in sorted(entry.suits.items()))
+                words = (f"recipes of {application.name}", observation, f"for inputs of {facts}")
+                subject = " ".join(filter(None, words))
+                if subject in owners:
+                    other = owners[subject]
+                    raise ValueError(f"{subject}: registered by {owner}, but {other} has registered it already")
+                owners[subject] = owner
 
 
 @functools.cache  # each access to a distribution's name parses its metadata

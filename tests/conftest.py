@@ -7,7 +7,7 @@ import math
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -296,16 +296,16 @@ def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Ten
 
 @pytest.fixture
 def shorten_recipes(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Return a function that gives the recipes "quick" and "full" of all protocols other networks and a few steps.
+    """Return a function that gives the recipes "quick" and "full" of several tables other networks and a few steps.
 
     It also keeps torch from compiling, which takes longer than so few steps.
     """
 
-    def shorten(recipes: dict[str, dict[str, Recipe]], quick: Any, full: Any, **fields: Any) -> None:
-        for protocol_recipes in recipes.values():
+    def shorten(tables: Sequence[dict[str, Recipe]], quick: Any, full: Any, **fields: Any) -> None:
+        for recipes in tables:
             for name, network in (("quick", quick), ("full", full)):
-                app = type(protocol_recipes[name].app)(network, **fields)
-                monkeypatch.setitem(protocol_recipes, name, replace(_shorten_recipe(protocol_recipes[name]), app=app))
+                app = type(recipes[name].app)(network, **fields)
+                monkeypatch.setitem(recipes, name, replace(_shorten_recipe(recipes[name]), app=app))
         monkeypatch.setenv("TORCH_COMPILE_DISABLE", "1")
 
     return shorten

@@ -15,8 +15,8 @@ from packaging.specifiers import SpecifierSet
 
 from metapp.cli.command_tree import app as cli
 from metapp.extensions import contents
-from metapp.names import app_names
 from metapp.registry import registry
+from tests.recipe_apps import app_names
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

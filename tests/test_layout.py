@@ -11,7 +11,7 @@ from pathlib import Path
 import grimp
 import pytest
 
-from metapp.names import app_names
+from tests.recipe_apps import app_names
 
 ROOT = Path(__file__).parent.parent
 FILES = [path for package in ("metapp", "data_tools") for path in sorted((ROOT / package).rglob("*.py"))]

@@ -12,48 +12,57 @@ from pathlib import Path
 
 import pytest
 
-from metapp import contracts
+from metapp import application as contracts
 from metapp import registry as module
-from metapp.registry import WITHOUT_VARIABLE, Export, Registry, load_reference, registry
+from metapp.application import Export
+from metapp.entries import Entries, Lazy
+from metapp.registry import WITHOUT_VARIABLE, Registry, registry
 
 ROOT = Path(__file__).parent.parent
 RUN = "import sys\nfrom metapp.cli import main\nmain()"
-GOOD = "from metapp.registry import Application, Entry, Export, RecipeEntry\n\n\ndef register(registry):\n"
-GOOD += '    registry.tables["strange"] = Entry("math:gcd")\n'
+GOOD = "from metapp.application import Application, Export, RecipeEntry\nfrom metapp.entries import Lazy\n"
+GOOD += "from metapp.registry import Command, TableEntry\n\n\ndef register(registry):\n"
+GOOD += '    brdf, registry.tables["strange"] = registry.applications["brdf"], TableEntry("math:gcd")\n'
 
 # the end of a module whose first line registers something good -> why it is left out
 BROKEN = {
-    'registry.tables["more"] = Entry("nothing_at_all:TABLE")': "ImportError: nothing_at_all:TABLE: no such module",
-    'registry.objects["brdf"] = Entry("nothing.at_all:read")': "ModuleNotFoundError: No module named 'nothing'",
-    'registry.commands["more"] = Entry("math:pi")': "TypeError: commands more: math:pi is not a function",
-    'registry.commands["more"] = Entry("math:nothing")': "ImportError: math:nothing cannot be loaded: AttributeError: ",
-    'registry.commands["more"] = Entry("antigravity_exit:run")': "antigravity_exit:run cannot be loaded: SystemExit: 7",
-    'registry.exports["brdf", "glsl"] = Export("math:gcd")': (
-        "ValueError: exports brdf glsl: registered by stranger, but metapp has registered it already"
+    'registry.tables["more"] = TableEntry("nothing_at_all:TABLE")': "ImportError: nothing_at_all:TABLE: no such module",
+    'brdf.baselines["mine"] = Lazy("nothing.at_all:read")': "ModuleNotFoundError: No module named 'nothing'",
+    'registry.commands["more"] = Command("math:pi")': "TypeError: commands more: math:pi is not a function",
+    'registry.commands["more"] = Command("math:nothing")': "ImportError: math:nothing cannot be loaded: Attribute",
+    'registry.commands["more"] = Command("antigravity_exit:run")': (
+        "antigravity_exit:run cannot be loaded: SystemExit: 7"
     ),
-    'registry.exports.update({("brdf", "glsl"): Export("math:gcd")})': "but metapp has registered it already",
-    'registry.tables["strange"] = Entry("math:lcm")': "ValueError: strange: an entry of this name exists already",
-    'registry.hooks["steps"] = Entry("math:gcd")': (
+    'brdf.exports["glsl"] = Export("math:gcd")': (
+        "ValueError: exports of brdf glsl: registered by stranger, but metapp has registered it already"
+    ),
+    'brdf.exports.update({"glsl": Export("math:gcd")})': "but metapp has registered it already",
+    'brdf.page = Lazy("math:gcd")': "ValueError: page of brdf: is set already",
+    'registry.tables["strange"] = TableEntry("math:lcm")': (
+        "ValueError: tables strange: registered by stranger, but stranger has registered it already"
+    ),
+    'registry.hooks["steps"] = Lazy("math:gcd")': (
         "ValueError: hooks steps: registered by stranger, but metapp has registered it"
     ),
-    'registry.parts["adam"] = Entry("math:gcd")': (
+    'registry.parts["adam"] = Lazy("math:gcd")': (
         "ValueError: rules adam: registered by stranger, but metapp has registered it"
     ),
-    'registry.commands["data merl"] = Entry("math:gcd")': "commands data merl: registered by stranger, but metapp has",
-    'registry.commands["meta"] = Entry("math:gcd")': "ValueError: commands meta: registered by stranger, but metapp",
-    'registry.recipes["brdf", "", "mine"] = RecipeEntry("math:gcd", suits={"samples": (1, 200)})': (
+    'registry.commands["data merl"] = Command("math:gcd")': "commands data merl: registered by stranger, but metapp",
+    'registry.commands["meta"] = Command("math:gcd")': "ValueError: commands meta: registered by stranger, but metapp",
+    'brdf.recipes["mine"] = RecipeEntry("math:gcd", suits={"samples": (1, 200)})': (
         "ValueError: recipes of brdf for inputs of samples (1, 200): registered by stranger, "
         "but metapp has registered it already"
     ),
-    'registry.exports["brdf", "mine"] = "math:gcd"': "TypeError: brdf mine: a str, expected Export",
-    'registry.exports.update({("brdf", "mine"): Entry("math:gcd")})': "TypeError: brdf mine: a Entry, expected Export",
-    'registry.applications["mine"] = Application("math:gcd", title="Mine", options="nothing_at_all:Options")': (
-        "ImportError: nothing_at_all:Options: no such module"
+    'brdf.exports["mine"] = "math:gcd"': "TypeError: exports of brdf mine: a str, expected Export",
+    'brdf.exports.update({"mine": Lazy("math:gcd")})': "TypeError: exports of brdf mine: a Lazy, expected Export",
+    'registry.add(Application(name="mine", title="", help="", app=Lazy("math"), options=Lazy("nothing_at_all:A")))': (
+        "ImportError: nothing_at_all:A: no such module"
     ),
-    'registry.exports["mine"] = Export("math:gcd")': "TypeError: 'mine': expected a name of 2 word(s)",
-    'registry.tables[""] = Entry("math:gcd")': "TypeError: '': expected a name of 1 word(s)",
-    "registry.exports = {}": "AttributeError: exports: cannot be set; add entries to tables",
-    "registry.steps = 7": "AttributeError: steps: cannot be set; add entries to tables",
+    'brdf.exports["mine", "yours"] = Export("math:gcd")': "TypeError: exports of brdf ('mine', 'yours'): expected",
+    'registry.tables[""] = TableEntry("math:gcd")': "TypeError: tables '': expected a name",
+    "brdf.exports = {}": "ValueError: exports of brdf: is set already",
+    "registry.commands = {}": "FrozenInstanceError: cannot assign to field 'commands'",
+    "registry.steps = 7": "FrozenInstanceError: cannot assign to field 'steps'",
     "registry.smells": "AttributeError: 'Registry' object has no attribute 'smells'",
     "raise SystemExit(7)": "SystemExit: 7",
     "raise BaseException('no\\n  more')": "BaseException: no more",
@@ -109,7 +118,7 @@ def test_another_package_adds_its_entries(
     loaded_registry = install_packages()
     assert loaded_registry is registry()
     assert loaded_registry.problems == {}
-    assert loaded_registry.extensions["stranger"] == loaded_registry.owners["tables strange"] == "stranger"
+    assert loaded_registry.extensions["stranger"] == loaded_registry.tables.owners["strange"] == "stranger"
     assert loaded_registry.tables["strange"].load()(12, 18) == 6
     assert list(loaded_registry.tables)[-1] == "strange"  # what ships comes first
 
@@ -122,7 +131,7 @@ def test_a_broken_extension_is_left_out_as_a_whole(
     loaded_registry = install_packages(text)
     assert reason.format(name="stranger_module") in loaded_registry.problems.pop("stranger of stranger")
     assert loaded_registry.problems == {}
-    assert list(loaded_registry.entries()) == list(before.entries())
+    assert repr(list(loaded_registry.entries())) == repr(list(before.entries()))
     assert "stranger" not in loaded_registry.extensions
 
 
@@ -132,7 +141,7 @@ def test_of_two_packages_with_one_name_the_second_is_left_out(install_packages: 
     assert loaded_registry.problems == {
         "b of b": "ValueError: tables strange: registered by b, but a has registered it already"
     }
-    assert loaded_registry.owners["tables strange"] == "a"
+    assert loaded_registry.tables.owners["strange"] == "a"
 
 
 def test_ctrl_c_is_no_error_of_an_extension(install_packages: Callable[..., Registry]) -> None:
@@ -156,7 +165,7 @@ def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
     """A new process says why they are left out."""
     for i, text in enumerate(REASONS):
         install(tmp_path, text, f"broken{i}")
-    command = '    registry.commands["good"] = Entry("good_module:run")\n\n\ndef run(x: int | str): ...\n'
+    command = '    registry.commands["good"] = Command("good_module:run")\n\n\ndef run(x: int | str): ...\n'
     install(tmp_path, GOOD + command, "good")
 
     def metapp(*words: str) -> subprocess.CompletedProcess[str]:
@@ -175,7 +184,7 @@ def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
     assert f"warning: extension {name} of {name}: SystemExit: 7; it is left out.\n" in result.stderr
     extensions = json.loads(result.stdout)["extensions"]
     assert "good of good" in extensions
-    assert "broken5 of broken5 (left out: ValueError: exports brdf glsl: registered by broken5, but" in extensions
+    assert "broken5 of broken5 (left out: ValueError: exports of brdf glsl: registered by broken5, but" in extensions
     assert extensions.count("left out") == count
     listed = metapp("--help")
     assert "good" not in listed.stdout  # typer makes no command of its function
@@ -184,26 +193,33 @@ def test_metapp_works_beside_broken_packages(tmp_path: Path) -> None:
 def test_entries_of_other_packages_that_cannot_be_loaded_are_left_out_with_a_warning(
     install_packages: Callable[..., Registry],
 ) -> None:
-    loaded_registry = install_packages(f'{GOOD}    registry.networks["brdf", "strange"] = Entry("math:nothing")\n')
+    loaded_registry = install_packages(f'{GOOD}    brdf.networks["strange"] = Lazy("math:nothing")\n')
+    networks = loaded_registry.applications["brdf"].networks
     with pytest.warns(
         UserWarning, match="extension of stranger: math:nothing cannot be loaded: .*; strange is left out"
     ):
-        assert list(loaded_registry.load_table("networks", "brdf")) == list(loaded_registry.networks.of("brdf"))[:-1]
+        assert list(networks.load_all()) == list(networks)[:-1]
 
 
 def test_all_entries_that_ship_can_be_loaded() -> None:
     for _, _, entry in registry().entries():
-        for name in ("reference", "options", "presenter", "describe_missing_file", "facts"):
-            if reference := getattr(entry, name, ""):
-                assert load_reference(reference) is not None
+        for reference in module._references_in(entry):
+            assert Lazy(reference).load() is not None
 
 
 # Entries of formats, exports and objects
 
+FORMATS = {name: form for application in registry().applications.values() for name, form in application.formats.items()}
+EXPORTS = {
+    f"{application.name}-{name}": form
+    for application in registry().applications.values()
+    for name, form in application.exports.items()
+}
 
-@pytest.mark.parametrize("name", sorted(registry().formats))
+
+@pytest.mark.parametrize("name", sorted(FORMATS))
 def test_modules_have_the_attributes_that_entries_name(name: str) -> None:
-    form = registry().formats[name]
+    form = FORMATS[name]
     module = form.load()
     assert callable(module.find)
     assert not form.inputs or callable(module.recognises)
@@ -217,7 +233,7 @@ def test_modules_have_the_attributes_that_entries_name(name: str) -> None:
             assert set(options) <= set(inspect.signature(module.read_task).parameters)
 
 
-@pytest.mark.parametrize("form", registry().exports.values(), ids=map("-".join, registry().exports))
+@pytest.mark.parametrize("form", EXPORTS.values(), ids=EXPORTS)
 def test_writers_take_a_surface_or_parameters(form: Export) -> None:
     parameters = inspect.signature(form.load()).parameters.values()
     names = [parameter.name for parameter in parameters if parameter.kind is not parameter.KEYWORD_ONLY]
@@ -226,23 +242,28 @@ def test_writers_take_a_surface_or_parameters(form: Export) -> None:
 
 
 CONTRACTS = {
-    "objects": contracts.ReadObject,
+    "read_object": contracts.ReadObject,
     "merges": contracts.MergeInputs,
     "outputs": contracts.RenderFit,
-    "file_exports": contracts.ExportFiles,
-    "pages": contracts.ViewFit,
+    "page": contracts.ViewFit,
     "baselines": contracts.MakeBaselines,
-    "tables": contracts.MakeTable,
-    "methods": contracts.FitMethod,
+    "facts": contracts.DescribeTensors,
+    "file_exports": module.ExportFiles,
+    "tables": module.MakeTable,
+    "methods": module.FitMethod,
 }
 
 
-@pytest.mark.parametrize("table", CONTRACTS)
-def test_functions_take_the_arguments_of_their_contracts(table: str) -> None:
-    passed = inspect.signature(CONTRACTS[table].__call__).parameters.values()
+@pytest.mark.parametrize("field", CONTRACTS)
+def test_functions_take_the_arguments_of_their_contracts(field: str) -> None:
+    passed = inspect.signature(CONTRACTS[field].__call__).parameters.values()
     words = [parameter.name for parameter in passed if parameter.kind is parameter.POSITIONAL_ONLY][1:]  # after self
     assert words
-    for entry in getattr(registry(), table).values():
+    values = [getattr(owner, field, None) for owner in (registry(), *registry().applications.values())]
+    tables = [table.values() for table in values if isinstance(table, Entries)]
+    entries = [*(entry for table in tables for entry in table), *(entry for entry in values if isinstance(entry, Lazy))]
+    assert entries
+    for entry in entries:
         inspect.signature(entry.load()).bind(*words)
 
 
@@ -252,16 +273,18 @@ def test_hooks_take_the_arguments_of_their_contracts() -> None:
     inspect.signature(registry().hooks["scene"].load()).bind("scene")
 
 
-@pytest.mark.parametrize("app", registry().synthetic)
+@pytest.mark.parametrize("app", registry().applications)
 def test_embedded_sets_fulfil_their_contract(app: str) -> None:
-    module = registry().synthetic[app].load()
-    assert all(hasattr(module, name) for name in contracts.EmbeddedSet.__annotations__)
-    assert list(module.COUNTS) == ["train", "test"]
-    assert list(inspect.signature(module.synthetic_tasks).parameters)[:3] == ["split", "count", "seed"]
+    synthetic = registry().applications[app].synthetic
+    assert synthetic is not None
+    drawn = synthetic.load()
+    assert all(hasattr(drawn, name) for name in contracts.EmbeddedSet.__annotations__)
+    assert list(drawn.COUNTS) == ["train", "test"]
+    assert list(inspect.signature(drawn.synthetic_tasks).parameters)[:3] == ["split", "count", "seed"]
 
 
-def test_contracts_import_nothing_of_metapp() -> None:
-    """They name types of all layers, which layers below must not import at run time."""
-    code = "import sys, metapp; before = set(sys.modules); import metapp.contracts; print(*set(sys.modules) - before)"
+def test_registering_imports_nothing_but_texts() -> None:
+    """Every command imports the registry and what it registers."""
+    code = "import sys; from metapp.registry import registry; registry(); print(*sys.modules)"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert [name for name in process.stdout.split() if name.startswith(("metapp", "torch"))] == ["metapp.contracts"]
+    assert not {"torch", "numpy", "typer", "metapp.options", "metapp.apps.brdf.app"} & {*process.stdout.split()}

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import torch
 
 import metapp
-from metapp.names import app_names, protocols_of
 from metapp.paradigms import PARADIGMS
+from metapp.registry import registry
 from metapp.runs.inputs.embedded import make_embedded_set
 
 DRAWN_TASKS = 5  # tasks that are drawn for each application; the test task among them is fitted
@@ -58,40 +58,41 @@ class DeviceOutcome(NamedTuple):
 
 
 def select_apps(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return applications with their protocols, "" for the only one: those named as APP or APP:PROTOCOL, or all."""
-    pairs = [(app, protocol) for app in app_names() for protocol in (protocols_of(app) or ("",))]
-    known_names = {name for app, protocol in pairs for name in (app, f"{app}:{protocol}")}
+    """Return pairs of an application and what its fits see: those named as APP or APP:OBSERVED, or all."""
+    applications = sorted(registry().applications.items())
+    pairs = [(app, observed) for app, application in applications for observed in (application.observations or ("",))]
+    known_names = {name for app, observed in pairs for name in (app, f"{app}:{observed}")}
     if unknown_names := sorted(set(names) - known_names):
         raise SystemExit(f"{', '.join(unknown_names)}: expected names among {', '.join(sorted(known_names))}.")
     return [pair for pair in pairs if not names or pair[0] in names or ":".join(pair) in names]
 
 
-def fit_test_task(app: str, protocol: str, paradigm: str, device: str, steps: int, seed: int, data: Path) -> metapp.Fit:
+def fit_test_task(app: str, observed: str, paradigm: str, device: str, steps: int, seed: int, data: Path) -> metapp.Fit:
     """Fit the test task of a data set."""
     options: dict[str, Any] = {} if paradigm == "general" else {"steps": steps}
-    (fit,) = metapp.fit_all(app, paradigm=paradigm, observe=protocol, data=data, device=device, seed=seed, **options)
+    (fit,) = metapp.fit_all(app, paradigm=paradigm, observe=observed, data=data, device=device, seed=seed, **options)
     return fit
 
 
 def compare_devices(
-    app: str, protocol: str, paradigm: str, device: str, steps: int, seeds: int, data: Path
+    app: str, observed: str, paradigm: str, device: str, steps: int, seeds: int, data: Path
 ) -> DeviceOutcome:
     """Fit on the CPU, then twice on the device; the second is timed, since the first call of a kernel loads it."""
-    cpu_fits = [fit_test_task(app, protocol, paradigm, "cpu", steps, seed, data) for seed in range(seeds)]
+    cpu_fits = [fit_test_task(app, observed, paradigm, "cpu", steps, seed, data) for seed in range(seeds)]
     outcome = DeviceOutcome([float(fit.error or 0) for fit in cpu_fits], min(fit.seconds for fit in cpu_fits))
     try:
-        device_fits = [fit_test_task(app, protocol, paradigm, device, steps, 0, data) for _ in range(2)]
+        device_fits = [fit_test_task(app, observed, paradigm, device, steps, 0, data) for _ in range(2)]
     except Exception as error:  # one run shows all that breaks
         traceback.print_exc()
         return outcome._replace(failure=f"{type(error).__name__}: {str(error).splitlines()[0][:80]}")
     return outcome._replace(error=float(device_fits[1].error or 0), device_seconds=device_fits[1].seconds)
 
 
-def table_row(app: str, protocol: str, paradigm: str, outcome: DeviceOutcome) -> list[str]:
+def table_row(app: str, observed: str, paradigm: str, outcome: DeviceOutcome) -> list[str]:
     """Return the cells of a row of the table."""
     low, high = f"{min(outcome.errors):.3f}", f"{max(outcome.errors):.3f}"
     numbers = [f"{value:.3f}" for value in (outcome.error, outcome.seconds, outcome.device_seconds)]
-    return [app, protocol, paradigm, low if low == high else f"{low} to {high}", *numbers, outcome.verdict]
+    return [app, observed, paradigm, low if low == high else f"{low} to {high}", *numbers, outcome.verdict]
 
 
 def print_row(cells: Sequence[str]) -> None:
@@ -108,18 +109,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--steps", type=int, default=10)
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds of fits on the CPU")
-    parser.add_argument("subjects", nargs="*", metavar="APP[:PROTOCOL]")
+    parser.add_argument("subjects", nargs="*", metavar="APP[:OBSERVED]")
     options = parser.parse_args(arguments)
     header = ["application", "observes", "paradigm", "error, CPU", f"error, {options.device}", "s, CPU"]
     print_row([*header, f"s, {options.device}", ""])
     print_row(["---"] * (len(header) + 2))
     verdicts = []
-    for (app, protocol), paradigm in itertools.product(select_apps(options.subjects), PARADIGMS):
+    for (app, observed), paradigm in itertools.product(select_apps(options.subjects), PARADIGMS):
         data = options.data / app
         if not data.is_dir():
-            make_embedded_set(app, count=DRAWN_TASKS, out=data, quiet=True)
-        outcome = compare_devices(app, protocol, paradigm, options.device, options.steps, options.seeds, data)
-        print_row(table_row(app, protocol, paradigm, outcome))
+            make_embedded_set(registry().applications[app], count=DRAWN_TASKS, out=data, quiet=True)
+        outcome = compare_devices(app, observed, paradigm, options.device, options.steps, options.seeds, data)
+        print_row(table_row(app, observed, paradigm, outcome))
         verdicts.append(outcome.verdict)
     device_name = (
         torch.cuda.get_device_name() if options.device == "cuda" and torch.cuda.is_available() else platform.machine()

@@ -14,9 +14,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from data_tools.readers.input_source import ANISOTROPIC_FACT, SAMPLE_COUNT_FACT, Facts
+from data_tools.readers.input_source import ANISOTROPIC_FACT, SAMPLE_COUNT_FACT
 from metapp.appearance.geometry import angle_cosines, is_above_horizon
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
+from metapp.application import Facts
 from metapp.learning.task import Task
 
 UNITS = {

@@ -7,7 +7,7 @@ elsewhere, by the reader that `_find_photo_reader` looks up.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -19,14 +19,15 @@ from data_tools.random_streams import Rng, random_stream
 from data_tools.readers.arrays import picture_values, pixels_of
 from data_tools.readers.colours import LINEAR_SPACE, ColourSpace, Floats, is_linear, linear_rgb
 from data_tools.readers.image_files import check_size, is_readable_image, read_pixels, shape_of
-from data_tools.readers.input_source import Sources, sources_of_files
+from data_tools.readers.input_source import REFERENCE_FACT, Sources, sources_of_files
 from data_tools.readers.listing import files_of, find_files
 from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES, check_exists, open_largest_picture
 from data_tools.readers.square_photos import photo_fault
 from metapp.appearance.latlong import mean_luminance, resample_maps
 from metapp.appearance.photograph import photograph_spheres
+from metapp.application import Facts
 from metapp.learning.task import Task
-from metapp.names import input_formats
+from metapp.registry import registry
 from metapp.storage.folders import cached_lookup
 
 MAP_HEIGHT_PX, MAP_WIDTH_PX = 64, 128  # size of maps unless another is asked for
@@ -111,7 +112,7 @@ def _find_photo_reader(name: str) -> ModuleType:
     Raises:
         ValueError: there is none.
     """
-    formats = input_formats("illumination").values()
+    formats = registry().applications["illumination"].input_formats.values()
     readers: list[ModuleType] = [
         input_format.load() for input_format in formats if hasattr(input_format.load(), "task_of_pixels")
     ]
@@ -162,6 +163,15 @@ def recognises(path: Path) -> bool:
     return any(map(is_map, files_of(path, ALL_PICTURE_SUFFIXES)))
 
 
+def facts_of(tensors: Mapping[str, object]) -> Facts:
+    """Return the fact that the tensors of a task state: whether its map is known.
+
+    Args:
+        tensors: tensors by name; values are not read.
+    """
+    return {REFERENCE_FACT: "map" in tensors}
+
+
 def find(path: Path) -> Sources:
     """Find the HDR maps at a path; see :func:`find_files`.
 
@@ -174,7 +184,7 @@ def find(path: Path) -> Sources:
         return "" if is_map(file) else f"{file}: not an HDR map, {_EXPECTED_MAP}."
 
     nothing = f"no map in this folder, {_EXPECTED_MAP}; name the folder of the maps."
-    return sources_of_files(find_files(path, check_exists, fault, nothing), protocol="reference")
+    return sources_of_files(find_files(path, check_exists, fault, nothing))
 
 
 def read_map(path: str | Path, height: int = MAP_HEIGHT_PX, layer: str = "") -> Tensor:

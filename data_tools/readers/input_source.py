@@ -5,17 +5,17 @@ Readers return sources without the fields that only their caller knows, such as 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 from data_tools.readers.listing import FoundFiles
-
-Facts = Mapping[str, bool | int]  # what a reader knows of an input, by the names below
+from metapp.application import Facts
 
 ANISOTROPIC_FACT, SAMPLE_COUNT_FACT, PHOTO_COUNT_FACT = "anisotropic", "samples", "photos"
 DEFAULT_PHOTO_PX = 256  # side of the picture that a reader makes of a photograph unless told otherwise
 DAMAGED_FACT = "damaged"  # a source that cannot be read; it has no part in choosing a recipe
+REFERENCE_FACT = "reference"  # False for a photo alone, without the thing itself, so that fits can only observe a photo
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,6 @@ class Source:
         name: the name of the task that it is read as.
         path: the file or folder.
         format: the name of its format in the registry.
-        protocol: the value of --observe that suits it; "" for the application's default one.
         facts: what its reader found out while it looked, by name, such as the number of photos; recipes are chosen by
             them.
         content: what the reader has parsed already and takes back as `read_task(path, content=...)`; None for nothing.
@@ -40,7 +39,6 @@ class Source:
     name: str
     path: Path
     format: str = ""
-    protocol: str = ""
     facts: Facts = field(default_factory=dict)
     content: object = field(default=None, repr=False, compare=False)
     given_path: Path | None = None
@@ -50,12 +48,12 @@ class Source:
 Sources = tuple[list[Source], list[str]]  # what a path holds, and the line of each skipped file of a folder
 
 
-def sources_of_files(found: FoundFiles, protocol: str = "") -> Sources:
-    """Return files as sources named by their stems; nothing but a protocol is known of them.
+def sources_of_files(found: FoundFiles, facts: Facts = MappingProxyType({})) -> Sources:
+    """Return files as sources named by their stems.
 
     Args:
         found: the files and the line of each skipped file.
-        protocol: the value of --observe that suits the files; "" for the application's default one.
+        facts: what is known of each of the files.
     """
     files, skipped = found
-    return [Source(file.stem, file, protocol=protocol) for file in files], skipped
+    return [Source(file.stem, file, facts=facts) for file in files], skipped

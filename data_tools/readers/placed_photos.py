@@ -15,7 +15,14 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.image_files import shape_of
-from data_tools.readers.input_source import DAMAGED_FACT, DEFAULT_PHOTO_PX, PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.input_source import (
+    DAMAGED_FACT,
+    DEFAULT_PHOTO_PX,
+    PHOTO_COUNT_FACT,
+    REFERENCE_FACT,
+    Source,
+    Sources,
+)
 from data_tools.readers.light_directions import (
     FAR_HALF_SIDES,
     find_light_distance,
@@ -50,10 +57,9 @@ def _make_source(folder: Path) -> Source:
     try:
         photos = photos_in(folder)
     except (ValueError, OSError):  # reading it says what is wrong
-        return Source(folder.resolve().name, folder, protocol="photo", facts={DAMAGED_FACT: True})
-    return Source(
-        folder.resolve().name, folder, protocol="photo", facts={PHOTO_COUNT_FACT: len(photos)}, content=photos
-    )
+        return Source(folder.resolve().name, folder, facts={DAMAGED_FACT: True, REFERENCE_FACT: False})
+    facts = {PHOTO_COUNT_FACT: len(photos), REFERENCE_FACT: False}
+    return Source(folder.resolve().name, folder, facts=facts, content=photos)
 
 
 def photos_in(folder: Path) -> list[Path]:

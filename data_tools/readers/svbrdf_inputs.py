@@ -14,7 +14,14 @@ import torch
 from data_tools.readers import material_files, material_maps, square_photos, strips
 from data_tools.readers.arrays import pixels_of
 from data_tools.readers.image_files import read_pixels
-from data_tools.readers.input_source import DAMAGED_FACT, DEFAULT_PHOTO_PX, PHOTO_COUNT_FACT, Source, Sources
+from data_tools.readers.input_source import (
+    DAMAGED_FACT,
+    DEFAULT_PHOTO_PX,
+    PHOTO_COUNT_FACT,
+    REFERENCE_FACT,
+    Source,
+    Sources,
+)
 from data_tools.readers.listing import files_below
 from data_tools.readers.map_names import is_unused_map
 from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES, check_exists
@@ -88,11 +95,10 @@ def _make_source(file: Path, material: material_files.MaterialFiles | None) -> S
     try:
         role = FileRole(material) if material else role_of(file)
     except (ValueError, OSError):  # read_task says what is wrong
-        return Source(file.stem, file, protocol="photo", facts={DAMAGED_FACT: True})
+        return Source(file.stem, file, facts={DAMAGED_FACT: True, REFERENCE_FACT: False})
     name = role.material.title if role.material else file.stem
-    return Source(
-        name, file, protocol="photo" if role == FileRole() else "reference", facts={PHOTO_COUNT_FACT: 1}, content=role
-    )
+    facts = {PHOTO_COUNT_FACT: 1, REFERENCE_FACT: role != FileRole()}
+    return Source(name, file, facts=facts, content=role)
 
 
 def role_of(path: Path) -> FileRole:

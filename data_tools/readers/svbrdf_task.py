@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from data_tools.readers.input_source import PHOTO_COUNT_FACT, Facts
+from data_tools.readers.input_source import PHOTO_COUNT_FACT, REFERENCE_FACT
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import camera_position, render_maps, texel_positions, unpack_maps
+from metapp.application import Facts
 from metapp.learning.task import Task
 
 UNITS = {
@@ -30,13 +31,14 @@ _MIN_NORMAL_Z = 0.02  # normals that point into the surface are raised to it, si
 
 
 def facts_of(tensors: Mapping[str, Tensor | None]) -> Facts:
-    """Return the fact that the tensors of a task state: how many photographs it has.
+    """Return the facts that the tensors of a task state: how many photographs it has, and whether its maps are known.
 
     Args:
         tensors: tensors by name; None for a tensor of which the name alone is known, as of a data set that is not read.
     """
     others = tensors.get("others")
-    return {PHOTO_COUNT_FACT: 1 + len(others) if others is not None else 2 if "places" in tensors else 1}
+    photo_count = 1 + len(others) if others is not None else 2 if "places" in tensors else 1
+    return {PHOTO_COUNT_FACT: photo_count, REFERENCE_FACT: "maps" in tensors}
 
 
 def make_svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) -> Task:

@@ -21,8 +21,8 @@ from data_tools.readers.material_files import MaterialFiles, material_of
 from data_tools.readers.material_maps import read_material
 from data_tools.readers.svbrdf_task import UNITS as OF_MAPS
 from data_tools.readers.svbrdf_task import make_svbrdf_task
-from metapp.apps import class_of
 from metapp.learning.task import Task
+from metapp.registry import registry
 from metapp.storage.folders import SHARD_SUFFIX, PathKind, path_kind
 from metapp.storage.shards import ManifestEntry, read_data_set, read_manifest
 
@@ -124,5 +124,5 @@ def _read_drawn(folder: Path) -> dict[str, tuple[ManifestEntry, Task]]:
     Raises:
         ValueError: the data set cannot be read; see :func:`read_data_set`.
     """
-    tasks = read_data_set(folder, app=APP, holds=class_of(APP).tensors)
+    tasks = read_data_set(folder, app=APP, holds=registry().applications[APP].app.load().tensors)
     return {entry.file: (entry, task) for entry, task in zip(read_manifest(folder).tasks, tasks, strict=True)}

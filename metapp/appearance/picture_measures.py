@@ -54,7 +54,7 @@ def describe_picture_measures(app: str) -> tuple[dict[str, str], list[str]]:
         if app in entry.apps:
             measure: PictureMeasure = entry.load()
             try:
-                notes[name] = ", ".join([entry.help, *([measure.source()] if measure.source else [])])
+                notes[name] = ", ".join([entry.note, *([measure.source()] if measure.source else [])])
             except ValueError as error:
                 missing.append(f"{name}: {error}")
     return notes, missing

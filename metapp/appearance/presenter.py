@@ -14,9 +14,9 @@ from torch import Tensor
 
 from metapp.appearance.pictures import Picture, PictureComparison, TimedFit, VisibleData
 from metapp.appearance.surface import Surface
+from metapp.application import Application
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task, Tasks
-from metapp.names import application_of
 
 PresentedApp = TypeVar("PresentedApp", bound=App)
 CachedValue = TypeVar("CachedValue")
@@ -34,15 +34,18 @@ class Presenter(Generic[PresentedApp]):
     name, if the option is about OUTPUT and was given.
 
     Attributes:
-        app: the application, at the recipe of the fits.
+        app: the network and the sizes of the application, at the recipe of the fits.
+        application: the application.
         size: height and width of the files that fits write, px; None for the application's own choice.
 
-    >>> from metapp.apps import app_of, presenter_of, recipe_of
-    >>> presenter_of(app_of("brdf", recipe_of("brdf", "quick"))).title
+    >>> from metapp.registry import registry
+    >>> brdf = registry().applications["brdf"]
+    >>> brdf.make_presenter(brdf.recipes["quick"].load().app).title
     'BRDF'
     """
 
     app: PresentedApp
+    application: Application
     size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
@@ -57,9 +60,9 @@ class Presenter(Generic[PresentedApp]):
 
     @property
     def title(self) -> str:
-        """The application's title in tables, with its protocol if it has several."""
-        title = application_of(self.app.name).title
-        return f"{title} ({self.app.protocol})" if self.app.protocol else title
+        """The application's title in tables, with what fits observe, if that may differ."""
+        title = self.application.title
+        return f"{title} ({self.app.observes})" if self.app.observes else title
 
     @property
     def picture_measure(self) -> str:
@@ -73,7 +76,7 @@ class Presenter(Generic[PresentedApp]):
             measured: whether there are errors; fits of photographs have none, since nothing tells the truth.
         """
         app = self.app
-        conditions = ({"fits see": app.protocol} if app.protocol else {}) | app.recorded_conditions()
+        conditions = ({"fits see": app.observes} if app.observes else {}) | app.recorded_conditions()
         stated = (
             f"error: {app.error_measure.text}{app.error_measure.factor}"
             if measured

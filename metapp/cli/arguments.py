@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from metapp.names import app_names, exports_of, protocols_of, recipe_names, rule_words
+from metapp.application import Application
 from metapp.options import Option, options_by_name, parse_options
 from metapp.registry import registry
 
@@ -38,32 +38,38 @@ def _make_completer(list_names: Callable[[], Iterable[str]], separator: str = ""
     return complete
 
 
-def _names_of_apps(names: Callable[[str], Iterable[str]]) -> Callable[[], Iterable[str]]:
+def app_names() -> list[str]:
+    """Return the names of all applications, sorted."""
+    return sorted(registry().applications)
+
+
+def _names_of_apps(names: Callable[[Application], Iterable[str]]) -> Callable[[], Iterable[str]]:
     """Restrict names to the applications in the line that is completed.
 
     An application counts where its name stands alone or in the path of a run. Without one, all applications count.
 
     Args:
-        names: name of an application -> its names.
+        names: application -> its names.
     """
 
     def list_names() -> Iterable[str]:
         # the whole line is searched, as typer cannot parse a line whose last option has no value yet
         line, apps = " ".join(os.environ.get(name, "") for name in COMPLETION_LINE_VARIABLES), app_names()
         line_apps = [app for app in apps if re.search(rf"(?<![\w-]){app}(?![\w-])", line)]
-        return (name for app in line_apps or apps for name in names(app))
+        return (name for app in line_apps or apps for name in names(registry().applications[app]))
 
     return list_names
 
 
 app_words = _make_completer(app_names)
-export_words = _make_completer(lambda: (*_names_of_apps(exports_of)(), *registry().file_exports))
-baseline_words = _make_completer(_names_of_apps(lambda app: registry().baselines.of(app)))
+fit_export_names = _names_of_apps(lambda application: sorted(application.exports))
+export_words = _make_completer(lambda: (*fit_export_names(), *registry().file_exports))
+baseline_words = _make_completer(_names_of_apps(lambda application: application.baselines))
 COMPLETION_WORDS = {  # completers of the values of options, by the option's name
-    "observe": _make_completer(_names_of_apps(protocols_of)),
-    "recipe": _make_completer(_names_of_apps(recipe_names)),
-    "rule": _make_completer(rule_words, "+"),
-    "export": _make_completer(_names_of_apps(exports_of), ","),
+    "observe": _make_completer(_names_of_apps(lambda application: application.observations)),
+    "recipe": _make_completer(_names_of_apps(lambda application: application.recipe_names)),
+    "rule": _make_completer(lambda: registry().rule_words, "+"),
+    "export": _make_completer(fit_export_names, ","),
     "which": _make_completer(lambda: (*registry().tables, "all")),
 }
 

@@ -6,7 +6,6 @@ So `metapp --help` imports neither torch nor an extension's code, and a broken e
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -14,12 +13,13 @@ import typer
 from typing_extensions import override
 
 from metapp import __version__
+from metapp.application import Application
 from metapp.cli.data import make_convert_command
 from metapp.cli.help import HelpCommand, HelpGroup
-from metapp.names import app_names, did_you_mean
+from metapp.entries import METAPP_PACKAGE, describe_error, did_you_mean
 from metapp.options import BadOption, Converter
-from metapp.registry import METAPP_PACKAGE, Command, describe_error, registry
-from metapp.runs.fit_options import check_app_name
+from metapp.registry import registry
+from metapp.runs.fit_options import application_named
 from metapp.runs.reporter import say
 
 TYPER_CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -29,7 +29,7 @@ def make_lazy_group(
     summary: str,
     names: Callable[[], list[str]],
     command: Callable[[str], Any],
-    refuse_unknown: Callable[[str], None],
+    refuse_unknown: Callable[[str], object],
     **more: Any,
 ) -> typer.Typer:
     """Make a group of commands, each of which is imported and made when it is asked for.
@@ -71,12 +71,15 @@ def _registry_group(summary: str, prefix: str = "", **more: Any) -> typer.Typer:
 
     def names() -> list[str]:
         words = [name.removeprefix(prefix) for name in registry().commands if name.startswith(prefix)]
-        return sorted((word for word in words if " " not in word), key=lambda word: _position(f"{prefix}{word}"))
+        return sorted(
+            (word for word in words if " " not in word),
+            key=lambda word: registry().commands[f"{prefix}{word}"].position,
+        )
 
     def refuse_unknown(name: str) -> None:
         if f"{prefix}{name}" not in registry().commands:
             hint = did_you_mean(name, names())
-            if name in app_names():
+            if name in registry().applications:
                 hint = f" {name} is an application: metapp meta {name}."
             raise BadOption(f"No such command '{name}'.{hint}")
 
@@ -87,19 +90,13 @@ def _registry_group(summary: str, prefix: str = "", **more: Any) -> typer.Typer:
         try:
             return _make_command(registry().commands[f"{prefix}{name}"].load(), name, bare_is_help=bool(prefix))
         except Exception as error:
-            owner = registry().owners.get(f"commands {prefix}{name}", METAPP_PACKAGE)
+            owner = registry().commands.owners[f"{prefix}{name}"]
             if owner == METAPP_PACKAGE:
                 raise
             registry().problems[f"{prefix}{name} of {owner}"] = describe_error(error)
             return None
 
     return make_lazy_group(summary, names, command, refuse_unknown, **more)
-
-
-def _position(name: str) -> float:
-    """Return the place of a command of the registry in help; infinity if its entry states none."""
-    entry = registry().commands[name]
-    return entry.position if isinstance(entry, Command) else math.inf
 
 
 def _make_command(command: Any, name: str, *, bare_is_help: bool) -> Any:
@@ -130,22 +127,22 @@ def _make_typer_command(function: Callable[..., object], name: str, **more: Any)
     return typer.main.get_command(group)
 
 
-def make_app_group(function: Callable[[str], Callable[..., None]], summary: str) -> typer.Typer:
+def make_app_group(function: Callable[[Application], Callable[..., None]], summary: str) -> typer.Typer:
     """Make a command with a subcommand for each application.
 
     Args:
-        function: name of an application -> function whose parameters typer reads.
+        function: application -> function whose parameters typer reads.
         summary: the help of the group.
     """
 
     def command(name: str) -> Any:
-        tables = registry()
-        if name not in tables.applications:
+        application = registry().applications.get(name)
+        if application is None:
             return None
-        epilog = f"Commands to try: metapp examples {name}" if name in tables.examples else None
-        return _make_typer_command(function(name), name, help=tables.applications[name].help, epilog=epilog)
+        epilog = f"Commands to try: metapp examples {name}" if application.examples else None
+        return _make_typer_command(function(application), name, help=application.help, epilog=epilog)
 
-    return make_lazy_group(summary, app_names, command, check_app_name)
+    return make_lazy_group(summary, lambda: sorted(registry().applications), command, application_named)
 
 
 data_group = _registry_group("Make data sets from files or by drawing them, and check them.", "data ")

@@ -11,7 +11,7 @@ import typer
 
 from metapp.cli.arguments import JsonFlag, Overwrite, app_words, check_new_file, expand_options
 from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
-from metapp.names import did_you_mean
+from metapp.entries import did_you_mean
 from metapp.registry import registry
 
 AppsArgument = Annotated[

@@ -12,15 +12,13 @@ import typer
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from metapp.apps import full_name
 from metapp.cli.command_process import state_what_interruption_keeps
 from metapp.cli.console import escape_control_characters, print_json, standard_output
 from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Table, flatten_row, format_csv, format_tables
-from metapp.names import app_names, protocols_of, recipe_entries
 from metapp.registry import registry
-from metapp.runs.fit_options import check_app_name, check_protocol, fit_options
+from metapp.runs.fit_options import application_named, check_observation, fit_options
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
 
@@ -47,7 +45,7 @@ def evaluate(options: EvaluateOptions, apps: list[str], which: str, form: str) -
         form: one of TABLE_FORMATS.
 
     Raises:
-        BadParameter, BadOption: an unknown application, protocol or checkpoint was named.
+        BadParameter, BadOption: an unknown application, observation or checkpoint was named.
         ValueError: a checkpoint of a named application is missing, or records cannot be read.
     """
     state_what_interruption_keeps("the same command goes on: fits that are done are kept")
@@ -156,7 +154,7 @@ def make_rich_table(table: Table, width: int | None = None) -> RichTable:
 
 
 def evaluation_runs_of(options: EvaluateOptions, apps: list[str]) -> list[EvaluationRun]:
-    """Return an evaluation of each application under each protocol.
+    """Return an evaluation of each application, for each of the things that fits may see.
 
     An application that was not named is left out if a checkpoint of it is missing.
 
@@ -165,26 +163,29 @@ def evaluation_runs_of(options: EvaluateOptions, apps: list[str]) -> list[Evalua
         apps: names of applications; [] for all.
 
     Raises:
-        BadParameter, BadOption: an unknown application, protocol or checkpoint was named.
+        BadParameter, BadOption: an unknown application, observation or checkpoint was named.
         ValueError: a checkpoint of a named application is missing.
     """
-    names = apps or app_names()
+    names = apps or sorted(registry().applications)
     if options.checkpoint and not (len(names) == 1 and options.checkpoint.is_dir()):
         found = f"{len(names)} applications" if options.checkpoint.is_dir() else "no folder"
         raise typer.BadParameter(
             f"--checkpoint {options.checkpoint}: {found}, expected one APP and the folder of its trained checkpoints, "
             "such as runs/brdf/checkpoints/..."
         )
-    for name in names:
-        check_app_name(name)
-    for name in [name for name in names if protocols_of(name)] or names:
-        check_protocol(options.observe, name)
+    applications = [application_named(name) for name in names]
+    for application in [application for application in applications if application.observations] or applications:
+        check_observation(options.observe, application)
     fit_values, runs = {name: getattr(options, name) for name in FIT_OPTION_NAMES}, []
-    for name in names:
-        recipe = options.recipe if apps or options.recipe in recipe_entries(name) else "quick"
-        protocols = protocols_of(name)[: None if options.whole else 1] or ("",)
-        for protocol in [options.observe] if options.observe and any(protocols) else protocols:
-            runs.append(Run.from_options(fit_options(name, "general", observe=protocol, recipe=recipe, **fit_values)))
+    for application in applications:
+        recipe = options.recipe if apps or options.recipe in application.recipes_observing() else "quick"
+        observations = application.observations[: None if options.whole else 1] or ("",)
+        for observation in [options.observe] if options.observe and any(observations) else observations:
+            runs.append(
+                Run.from_options(
+                    fit_options(application.name, "general", observe=observation, recipe=recipe, **fit_values)
+                )
+            )
     evaluations = []
     for run in runs:  # all checkpoints are read before the first fit
         try:
@@ -204,7 +205,7 @@ def say_missing_records(evaluations: list[EvaluationRun]) -> None:
         if incomplete := [title for title, (tasks, records) in requested if not tasks or len(records) < len(tasks)]:
             total, existing = (sum(len(pair[i]) for pair in evaluation.requested.values()) for i in (0, 1))
             missing = f"{total - existing:,} of {total:,}" if total else "all"
-            say(f"{full_name(evaluation.app)}: {missing} records missing: {', '.join(incomplete)}")
+            say(f"{evaluation.app.full_name}: {missing} records missing: {', '.join(incomplete)}")
             remedy = "the same command without --no-run measures them"
     if remedy:
         say(remedy)

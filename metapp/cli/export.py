@@ -13,7 +13,6 @@ import typer
 
 from metapp.cli.arguments import FittedData, JsonFlag, Quiet, check_out_folder, export_words
 from metapp.cli.console import print_json
-from metapp.names import app_names, exports_of
 from metapp.registry import registry
 from metapp.runs.reporter import say
 
@@ -21,11 +20,11 @@ from metapp.runs.reporter import say
 def _describe_kinds() -> str:
     """Return the values of KIND for help: by application, equal ones together, then by files that are no run."""
     apps_by_kinds: dict[str, list[str]] = {}
-    for app in app_names():
-        apps_by_kinds.setdefault(", ".join(exports_of(app)), []).append(app)
+    for name, application in sorted(registry().applications.items()):
+        apps_by_kinds.setdefault(", ".join(sorted(application.exports)), []).append(name)
     kinds_by_files: dict[str, list[str]] = {}
     for kind, entry in registry().file_exports.items():
-        kinds_by_files.setdefault(entry.help, []).append(kind)
+        kinds_by_files.setdefault(entry.files, []).append(kind)
     lines = [f"{', '.join(apps)}: {kinds}" for kinds, apps in apps_by_kinds.items() if kinds]
     return "; ".join([*lines, *(f"{files}: {', '.join(kinds)}" for files, kinds in kinds_by_files.items())])
 

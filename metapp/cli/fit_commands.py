@@ -12,43 +12,43 @@ from typing import Annotated, Any
 
 import typer
 
+from metapp.application import Application
 from metapp.cli.arguments import parameter, parameter_of, set_signature
 from metapp.cli.command_process import pause_garbage_collection
 from metapp.cli.command_tree import make_app_group
-from metapp.names import exports_of, input_formats, protocols_of, recipe_names
-from metapp.options import INPUT, OUTPUT, app_options_class, options_by_name
+from metapp.options import INPUT, OUTPUT, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
 from metapp.runs.fit_options import DEFAULT_TASKS_HELP, FitOptions, fit_options
 from metapp.runs.reporter import say
 
 
-def make_fit_command(paradigm: str, app: str) -> Callable[..., None]:
+def make_fit_command(paradigm: str, application: Application) -> Callable[..., None]:
     """Make the command that fits tasks of an application by a paradigm."""
 
     def command(inputs: list[Path] | None, json: bool, export: Sequence[str] | None, **values: Any) -> None:
         for option in ignored_options:
             if values.pop(option.name) not in (None, False):
                 say(f"{option.flag}: {paradigm} does not use this option; it is ignored.")
-        options = fit_options(app, paradigm, inputs or (), export=",".join(export or ()), **values)
+        options = fit_options(application.name, paradigm, inputs or (), export=",".join(export or ()), **values)
         with pause_garbage_collection():
             from metapp.cli.fit_output import fit_and_print
         fit_and_print(options, json=json)
 
     ignored_options = [options_by_name(FitOptions)[name] for name in PARADIGMS[paradigm].ignored_options]
-    exports = ", ".join(exports_of(app))
+    exports = ", ".join(sorted(application.exports))
     help_texts = {  # help that depends on the application; "" for an option that the application does not have
-        "observe": options_by_name(FitOptions)["observe"].help if protocols_of(app) else "",
+        "observe": options_by_name(FitOptions)["observe"].help if application.observations else "",
         "export": f"{exports}; several separated by commas." if exports else "",
-        "recipe": f"{', '.join(recipe_names(app))}; default: the one that suits the inputs, else full.",
+        "recipe": f"{', '.join(application.recipe_names)}; default: the one that suits the inputs, else full.",
         "rule": f"{', '.join(registry().rules)}; or parts joined by +, such as adam+curvature; default: the recipe's.",
     }
-    inputs_argument = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_describe_inputs(app))
+    inputs_argument = typer.Argument(metavar="[INPUT]...", rich_help_panel=INPUT, help=_describe_inputs(application))
     json_option = typer.Option(
         "--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of output."
     )
     parameters = [parameter("inputs", Annotated[list[Path] | None, inputs_argument])]
-    for option in (*options_by_name(FitOptions).values(), *options_by_name(app_options_class(app)).values()):
+    for option in (*options_by_name(FitOptions).values(), *options_by_name(application.options.load()).values()):
         help_text = help_texts.get(option.name, option.help)
         is_hidden = not help_text or option in ignored_options
         changes = {"help": help_text, "hidden": is_hidden, "show_default": False, "rich_help_panel": option.panel}
@@ -57,9 +57,9 @@ def make_fit_command(paradigm: str, app: str) -> Callable[..., None]:
     return set_signature(command, command, parameters)
 
 
-def _describe_inputs(app: str) -> str:
+def _describe_inputs(application: Application) -> str:
     """Return the help of INPUT: the files that the application reads."""
-    formats = ", ".join(input_format.inputs for input_format in input_formats(app).values())
+    formats = ", ".join(input_format.inputs for input_format in application.input_formats.values())
     return (
         f"What to fit: {formats}; folders of these; a data set; {DEFAULT_TASKS_HELP}."
         if formats

@@ -13,8 +13,10 @@ import typer
 from metapp.cli.arguments import JsonFlag, Out, Overwrite, Quiet, Seed, app_words, check_out_folder, expand_options
 from metapp.cli.data import print_written_tasks
 from metapp.cli.synthesis_options import SHARDS_FORM, CornellOptions, SynthOptions
-from metapp.names import did_you_mean, embedded_apps
+from metapp.entries import did_you_mean
 from metapp.registry import registry
+
+EMBEDDED_APPS = sorted(name for name, application in registry().applications.items() if application.synthetic)
 
 
 @expand_options(SynthOptions)
@@ -22,7 +24,7 @@ def synth(
     options: SynthOptions,
     name: Annotated[
         str,
-        typer.Argument(metavar="APP", autocompletion=app_words, help=f"{', '.join(embedded_apps())}."),
+        typer.Argument(metavar="APP", autocompletion=app_words, help=f"{', '.join(EMBEDDED_APPS)}."),
     ],
     folder: Annotated[
         Path | None,
@@ -50,7 +52,7 @@ def synth(
 ) -> None:
     """Draw an embedded data set: synthetic tasks, equal on every machine."""
     count, set_options = options.count, {key: value for key, value in vars(options).items() if value and key != "count"}
-    apps = embedded_apps()
+    apps = EMBEDDED_APPS
     if name not in apps:
         raise typer.BadParameter(
             f"'{name}' has no embedded data set, expected one of {', '.join(apps)}.{did_you_mean(name, apps)}",
@@ -63,10 +65,12 @@ def synth(
         )
     from metapp.cli.synthesis import draw_files, draw_shards
 
+    application = registry().applications[name]
+
     if form == SHARDS_FORM:
-        result = draw_shards(name, seed, count, folder, set_options, overwrite=overwrite, quiet=quiet)
+        result = draw_shards(application, seed, count, folder, set_options, overwrite=overwrite, quiet=quiet)
     else:
-        result = draw_files(name, form, folder, count, seed, overwrite=overwrite, quiet=quiet)
+        result = draw_files(application, form, folder, count, seed, overwrite=overwrite, quiet=quiet)
     print_written_tasks(result, quiet, as_json)
 
 
@@ -76,7 +80,11 @@ synth.__doc__ = "\n\n".join(
         "\n".join(
             [
                 "Sets (training + test tasks):",
-                *(f"  {name}: {embedded.help}" for name, embedded in registry().synthetic.items()),
+                *(
+                    f"  {name}: {application.synthetic.content}"
+                    for name, application in registry().applications.items()
+                    if application.synthetic
+                ),
             ]
         ),
         "Examples:\n  metapp data synth brdf\n  metapp data synth brdf --count 10 --seed 1 --as merl --out materials",

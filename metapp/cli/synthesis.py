@@ -12,6 +12,7 @@ from pathlib import Path
 import typer
 
 from data_tools.synthetic import transport
+from metapp.application import Application
 from metapp.cli.arguments import check_new_file
 from metapp.cli.synthesis_options import SHARDS_FORM, CornellOptions
 from metapp.learning.task import Task
@@ -23,7 +24,7 @@ from metapp.storage.shards import read_manifest, write_data_set
 
 
 def draw_shards(
-    name: str,
+    application: Application,
     seed: int,
     count: int | None,
     folder: Path | None,
@@ -35,7 +36,7 @@ def draw_shards(
     """Draw an embedded data set as shards, which fits read; see :func:`metapp.runs.inputs.embedded.make_embedded_set`.
 
     Args:
-        name: the name of the application.
+        application: the application.
         seed: the seed of all random draws.
         count: the number of tasks; None takes as many as the default set has.
         folder: the folder of the set; None takes the user's cache.
@@ -48,17 +49,24 @@ def draw_shards(
     """
     if folder is None:
         make_cache_folder()  # refused here: a temporary one would keep the set for this command alone
-    set_folder = make_embedded_set(name, seed, count, folder, quiet, options, overwrite=overwrite)
-    return conversion_result(name, set_folder, read_manifest(set_folder).tasks)
+    set_folder = make_embedded_set(application, seed, count, folder, quiet, options, overwrite=overwrite)
+    return conversion_result(application.name, set_folder, read_manifest(set_folder).tasks)
 
 
 def draw_files(
-    name: str, form: str, folder: Path | None, count: int | None, seed: int, *, overwrite: bool, quiet: bool
+    application: Application,
+    form: str,
+    folder: Path | None,
+    count: int | None,
+    seed: int,
+    *,
+    overwrite: bool,
+    quiet: bool,
 ) -> ConversionResult:
     """Draw an embedded data set and write it in another format than shards, in the folders train and test.
 
     Args:
-        name: the name of the application.
+        application: the application.
         form: a format that the set's module has in FILES.
         folder: the folder to write to.
         count: the number of tasks; None takes as many as the default set has.
@@ -70,13 +78,13 @@ def draw_files(
         BadParameter: the format is unknown, no folder is given, or the folder holds files.
         ValueError: the disk has not enough room.
     """
-    formats = getattr(embedded_module(name), "FILES", {})
+    formats = getattr(embedded_module(application), "FILES", {})
     if form not in formats:
         expected = ", ".join([SHARDS_FORM, *formats])
-        raise typer.BadParameter(f"'{form}': expected {expected} for {name}.", param_hint="--as")
+        raise typer.BadParameter(f"'{form}': expected {expected} for {application.name}.", param_hint="--as")
     if folder is None:
         raise typer.BadParameter(f"missing, expected a folder for the {form} files.", param_hint="--out")
-    counts = split_counts(name, count)
+    counts = split_counts(application, count)
     for split in counts:
         check_new_file(folder / split, overwrite)
     write_files, file_bytes = formats[form]
@@ -97,7 +105,7 @@ def draw_files(
             for task_name in write_files(folder / split, split, task_count, seed):
                 names[split].append(task_name)
                 bar.advance(task_name)
-    return ConversionResult(name, str(folder), names["train"], names["test"], [])
+    return ConversionResult(application.name, str(folder), names["train"], names["test"], [])
 
 
 def draw_cornell_boxes(

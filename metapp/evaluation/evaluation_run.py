@@ -1,4 +1,4 @@
-"""An evaluation: one application under one protocol on one data set, with the records of its fits.
+"""An evaluation: one application, whose fits all see the same, on one data set, with the records of its fits.
 
 Tables and figures ask an :class:`EvaluationRun` for records, so that a fit is read where it was made before, is made
 once where it is missing, and is kept. The module knows neither what a table shows nor how it is printed.
@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from metapp.apps import full_name
 from metapp.evaluation.table import Table
 from metapp.learning.task import Params, Task
 from metapp.paradigms import PARADIGMS
@@ -36,13 +35,13 @@ RecordMeasurement = Callable[[list[Task]], Iterator[tuple[Record, Params | None]
 
 
 class EvaluationRun:
-    """An application under a protocol, on a data set, with the records of its fits.
+    """An application, whose fits all see the same, on a data set, with the records of its fits.
 
     A "row of the results" is a paradigm, or "meta:<rule>" for a further learned rule that has a checkpoint.
 
     Attributes:
         run: General's run, with the options of the command; other rows differ in paradigm, rule or steps.
-        app: the application under the protocol.
+        app: the network of the fits, what they see and how they are judged.
         presenter: the application's presenter, which draws its fits.
         title: the application's title in tables and pictures.
         is_measuring: whether missing records are measured when a table asks for them.
@@ -92,8 +91,13 @@ class EvaluationRun:
         make_folder(run.options.out)
         self.tasks: list[Task] = []
         self.label = "none"
-        if is_measuring or run.options.data or has_embedded_tests(run.app.name):
-            self.tasks, self.label = read_test_tasks(run.app, run.options.data, run.options.quiet)
+        if is_measuring or run.options.data or has_embedded_tests(run.application):
+            self.tasks, self.label = read_test_tasks(run.application, run.app, run.options.data, run.options.quiet)
+
+    @property
+    def observes_default(self) -> bool:
+        """Whether fits see what they see by default, as the paper's do."""
+        return self.app.observes == self.run.application.default_observation
 
     @property
     def groups(self) -> dict[str, str]:
@@ -167,7 +171,7 @@ class EvaluationRun:
         names = {record["name"] for record in records}
         missing = [task for task in tasks if task.name not in names]
         if folder and missing and self.is_measuring:
-            row_name, task_steps, total = f"{full_name(self.app)} {title}", steps + 1, (steps + 1) * len(missing)
+            row_name, task_steps, total = f"{self.app.full_name} {title}", steps + 1, (steps + 1) * len(missing)
             bars = progress("evaluate", total, long=True, quiet=self.run.options.quiet)
             with bars as bar, torch_defaults(single=self.app.small_tensors):
                 bar.set_done(0, total, row_name)

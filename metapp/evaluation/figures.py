@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from metapp.apps import full_name
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels, save_figure
 from metapp.evaluation.table import Table, format_tables
@@ -153,7 +152,7 @@ def write_figures(evaluations: Sequence[EvaluationRun], folder: Path) -> dict[Pa
         for name in FIGURE_FUNCTIONS:
             if captioned_figure := draw_figure(name, evaluation):
                 figure, caption = captioned_figure
-                stem = f"{full_name(evaluation.app)} {name}".replace(" ", "-")
+                stem = f"{evaluation.app.full_name} {name}".replace(" ", "-")
                 save_figure(figure, folder / f"{stem}.pdf")
                 captions[save_figure(figure, folder / f"{stem}.png")] = caption
     return captions
@@ -174,7 +173,7 @@ def write_report(evaluations: Sequence[EvaluationRun], folder: Path, tables: Map
     for name, app_tables in tables.items():
         filled_tables = [table for table in app_tables if table.rows]
         parts += [
-            f"## {registry().tables[name].help or name}",
+            f"## {registry().tables[name].heading or name}",
             format_tables(filled_tables, "markdown") if filled_tables else "Not measured yet.",
         ]
     for file, caption in write_figures(evaluations, folder).items():

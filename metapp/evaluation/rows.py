@@ -12,7 +12,6 @@ import statistics
 from collections.abc import Sequence
 from importlib import resources
 
-from metapp.apps import is_first_protocol, protocol_entry
 from metapp.evaluation.error_statistics import (
     MIN_TASK_GROUPS,
     ErrorsByTask,
@@ -23,7 +22,6 @@ from metapp.evaluation.error_statistics import (
 )
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Row
-from metapp.learning.app import App
 from metapp.runs.fitting import LOSS_ROSE_CLAUSE
 from metapp.storage import Document
 from metapp.storage.fit_folders import CPU_SECONDS, Record, count_guarded
@@ -50,7 +48,7 @@ def make_row(
     """Make a row of records, with the statistics of their errors.
 
     Args:
-        evaluation: the application under a protocol, with its tasks and records.
+        evaluation: the application, with its tasks and records.
         name: the name of the row's method, such as a paradigm.
         records: records of tasks; their entry `error` may hold another measure than the application's error.
         entries: further entries. They replace figures of records that have the same names, such as `tasks`; but not the
@@ -68,7 +66,7 @@ def make_row(
     row = {
         "app": app.name,
         "paradigm": name,
-        **protocol_entry(app),
+        **app.observation,
         **summarise_errors(errors_by_task(records), groups),
         "seconds": statistics.median(seconds) if seconds else None,
         "tasks": len(records),
@@ -96,12 +94,12 @@ def make_row(
     return row
 
 
-def paper_entries(app: App, name: str) -> Row:
+def paper_entries(evaluation: EvaluationRun, name: str) -> Row:
     """Return the error and the seconds that the paper states for a paradigm, as entries of a row.
 
-    An entry is None if the paper states no such figure, as under a protocol that is not the paper's.
+    An entry is None if the paper states no such figure, as where fits see something else than the paper's do.
     """
-    figures = paper_figures() if is_first_protocol(app) else {}
+    figures, app = paper_figures() if evaluation.observes_default else {}, evaluation.app
     return {f"paper_{key}": figures.get(key, {}).get(app.name, {}).get(name) for key in ("error", "seconds")}
 
 

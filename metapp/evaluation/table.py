@@ -41,7 +41,7 @@ class Column(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A table of one application under one protocol.
+    """A table of one application, whose fits all see the same.
 
     Attributes:
         app_title: the application's title.
@@ -129,8 +129,8 @@ def flatten_row(row: Row) -> Row:
     return flat_row
 
 
-def app_and_protocol(row: Row) -> str:
-    """Return the name of a row's application, with the protocol if it has one."""
+def full_app_name(row: Row) -> str:
+    """Return the name of a row's application, with what fits see, if that may differ."""
     return f"{row['app']} {row.get('observe', '')}".rstrip()
 
 
@@ -160,11 +160,9 @@ def format_tables(tables: Sequence[Table], form: str) -> str:
     shown_columns = tables[0].columns
     header = ["app", *(column.title for column in shown_columns)]
     body = [
-        [app_and_protocol(row), *(column.text(row) for column in shown_columns)]
-        for table in tables
-        for row in table.rows
+        [full_app_name(row), *(column.text(row) for column in shown_columns)] for table in tables for row in table.rows
     ]
-    notes = [(app_and_protocol(table.rows[0]), [*table.findings, *table.notes]) for table in tables if table.rows]
+    notes = [(full_app_name(table.rows[0]), [*table.findings, *table.notes]) for table in tables if table.rows]
     if form == "markdown":
         grid = [header, ["---"] * len(header), *body]
         note_lines = [line for name, lines in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in lines))]

@@ -6,7 +6,9 @@ functions, so nothing but the registry is imported here.
 
 from __future__ import annotations
 
-from metapp.registry import Command, Entry, Export, Format, Registry
+from metapp.application import Export, Format
+from metapp.entries import Lazy
+from metapp.registry import Command, FileExport, Measure, Plugin, Registry, TableEntry
 
 _MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
 _HERE = "metapp.extensions"  # the package that references begin with
@@ -16,15 +18,17 @@ def assets(registry: Registry) -> None:
     """Register exports of fitted materials and textures: glTF, USD, MaterialX, Mitsuba, Blender, image files."""
     here = f"{_HERE}.assets"
     for app in (*_MATERIALS, "texture"):
-        registry.exports[app, "asset"] = Export(f"{here}.surface_pictures:write_asset", of_surface=True)
-        registry.exports[app, "exr"] = Export(f"{here}.surface_pictures:write_exr", of_surface=True)
-        registry.exports[app, "png16"] = Export(f"{here}.surface_pictures:write_png16", of_surface=True)
+        exports = registry.applications[app].exports
+        exports["asset"] = Export(f"{here}.surface_pictures:write_asset", of_surface=True)
+        exports["exr"] = Export(f"{here}.surface_pictures:write_exr", of_surface=True)
+        exports["png16"] = Export(f"{here}.surface_pictures:write_png16", of_surface=True)
     for app in _MATERIALS:
-        registry.exports[app, "blender"] = Export(f"{here}.surface_pictures:write_blender", of_surface=True)
-        registry.exports[app, "gltf"] = Export(f"{here}.gltf:write_gltf", of_surface=True)
-        registry.exports[app, "materialx"] = Export(f"{here}.materialx:write_openpbr", of_surface=True)
-        registry.exports[app, "mitsuba"] = Export(f"{here}.mitsuba_surfaces:write_mitsuba", of_surface=True)
-        registry.exports[app, "usd"] = Export(f"{here}.usd:write_usd", of_surface=True, needs=("pxr", "usd-core"))
+        exports = registry.applications[app].exports
+        exports["blender"] = Export(f"{here}.surface_pictures:write_blender", of_surface=True)
+        exports["gltf"] = Export(f"{here}.gltf:write_gltf", of_surface=True)
+        exports["materialx"] = Export(f"{here}.materialx:write_openpbr", of_surface=True)
+        exports["mitsuba"] = Export(f"{here}.mitsuba_surfaces:write_mitsuba", of_surface=True)
+        exports["usd"] = Export(f"{here}.usd:write_usd", of_surface=True, needs=("pxr", "usd-core"))
 
 
 def baselines(registry: Registry) -> None:
@@ -38,9 +42,9 @@ def baselines(registry: Registry) -> None:
     }
     for app, names in methods.items():
         for name in names:
-            registry.baselines[app, name] = Entry(f"{_HERE}.baselines.{app}:baselines")
+            registry.applications[app].baselines[name] = Lazy(f"{_HERE}.baselines.{app}:baselines")
     registry.commands["baseline"] = Command(f"{_HERE}.baselines.baseline_command:baseline_group", position=80)
-    registry.tables["baselines"] = Entry(
+    registry.tables["baselines"] = TableEntry(
         f"{_HERE}.baselines.baselines_table:baselines_table", "Methods without a network"
     )
 
@@ -48,8 +52,9 @@ def baselines(registry: Registry) -> None:
 def capture(registry: Registry) -> None:
     """Register what reads photos taken by hand: of a mirror ball, and of flat materials."""
     here = f"{_HERE}.capture"
-    registry.formats["ball"] = Format(f"{here}.ball.ball_reader", app="illumination", inputs="LDR photos of a ball")
-    registry.merges["illumination", "shutter"] = Entry(f"{here}.ball.capture:merge_photos")
+    illumination = registry.applications["illumination"]
+    illumination.formats["ball"] = Format(f"{here}.ball.ball_reader", "LDR photos of a ball")
+    illumination.merges["shutter"] = Lazy(f"{here}.ball.capture:merge_photos")
     registry.commands["data markers"] = Command(f"{here}.markers.marker_commands:markers_command", position=150)
     registry.commands["data rectify"] = Command(f"{here}.markers.marker_commands:rectify_command", position=160)
     registry.commands["data ball"] = Command(f"{here}.ball.ball_command:ball_command", position=170)
@@ -69,16 +74,16 @@ def examples(registry: Registry) -> None:
     """Register commands that work as they are, and the command that prints them."""
     registry.commands["examples"] = Command(f"{_HERE}.examples.examples_command:examples_command", position=20)
     for app in ("brdf", "illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport"):
-        registry.examples[app] = Entry(f"{_HERE}.examples.application_examples:{app.upper()}_EXAMPLES")
+        registry.applications[app].examples = Lazy(f"{_HERE}.examples.application_examples:{app.upper()}_EXAMPLES")
 
 
 def guided(registry: Registry) -> None:
     """Register path guiding while rendering: an integrator of Mitsuba 3, and the output `--render` of transport."""
-    registry.plugins["metapp_guided_path"] = Entry(
+    registry.plugins["metapp_guided_path"] = Plugin(
         f"{_HERE}.guided.integrator:register_guided_path",
-        help="guided_path guides all bounces and learns while it renders",
+        integrator="guided_path guides all bounces and learns while it renders",
     )
-    registry.outputs["transport", "render"] = Entry(f"{_HERE}.guided.rendering:render_task")
+    registry.applications["transport"].outputs["render"] = Lazy(f"{_HERE}.guided.rendering:render_task")
 
 
 def measures(registry: Registry) -> None:
@@ -87,55 +92,57 @@ def measures(registry: Registry) -> None:
     # PSNR compares pixel by pixel, which says nothing about pictures that are generated from noise.
     aligned_apps = ("brdf", "svbrdf_nonstationary", "illumination", "transport")
     flat_apps = ("texture", "svbrdf_stationary", "svbrdf_nonstationary")
-    registry.measures["CIE 2000, median"] = Entry(
+    registry.measures["CIE 2000, median"] = Measure(
         f"{here}.pixels:MEDIAN_COLOUR_DIFFERENCE",
         "CIE 2000 colour difference (D65), of which about 1 is just noticeable",
         ("brdf",),
     )
-    registry.measures["CIE 2000, 95 %"] = Entry(
+    registry.measures["CIE 2000, 95 %"] = Measure(
         f"{here}.pixels:HIGH_COLOUR_DIFFERENCE", "CIE 2000 colour difference (D65), 95th percentile", ("brdf",)
     )
-    registry.measures["sliced Wasserstein"] = Entry(
+    registry.measures["sliced Wasserstein"] = Measure(
         f"{here}.textures:WASSERSTEIN",
         "distance of the distributions of features that no fit is compared by, over their deviation",
         ("texture",),
     )
-    registry.measures["order"] = Entry(
+    registry.measures["order"] = Measure(
         f"{here}.textures:ORDER",
         "of exemplars that repeat, the autocorrelation's peaks on their lattice, as high as the exemplar's at 1",
         ("texture",),
     )
-    registry.measures["PSNR"] = Entry(f"{here}.pixels:PSNR", "dB, at most 100, more is better", aligned_apps)
-    registry.measures["LPIPS"] = Entry(
+    registry.measures["PSNR"] = Measure(f"{here}.pixels:PSNR", "dB, at most 100, more is better", aligned_apps)
+    registry.measures["LPIPS"] = Measure(
         f"{here}.perceptual:LPIPS",
         "Zhang et al. 2018, version 0.1, 0 for equal pictures",
         (*flat_apps, "illumination", "transport"),
     )
-    registry.measures["DISTS"] = Entry(f"{here}.perceptual:DISTS", "Ding et al. 2020, 0 for equal pictures", flat_apps)
+    registry.measures["DISTS"] = Measure(
+        f"{here}.perceptual:DISTS", "Ding et al. 2020, 0 for equal pictures", flat_apps
+    )
 
 
 def mitsuba_bsdfs(registry: Registry) -> None:
     """Register BSDFs of Mitsuba 3 that show fits."""
-    registry.plugins["neural_brdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_brdf:register_neural_brdf")
-    registry.plugins["neural_svbrdf"] = Entry(f"{_HERE}.mitsuba_bsdfs.neural_svbrdf:register_neural_svbrdf")
+    registry.plugins["neural_brdf"] = Plugin(f"{_HERE}.mitsuba_bsdfs.neural_brdf:register_neural_brdf")
+    registry.plugins["neural_svbrdf"] = Plugin(f"{_HERE}.mitsuba_bsdfs.neural_svbrdf:register_neural_svbrdf")
 
 
 def native(registry: Registry) -> None:
     """Register steps of learning in C, and compiled by torch, and the outer loop of Meta-SGD in C."""
-    registry.hooks["steps"] = Entry(f"{_HERE}.native.step_choice:choose_steps")
-    registry.hooks["outer_loop"] = Entry(f"{_HERE}.native.meta_sgd:descend_in_c")
+    registry.hooks["steps"] = Lazy(f"{_HERE}.native.step_choice:choose_steps")
+    registry.hooks["outer_loop"] = Lazy(f"{_HERE}.native.meta_sgd:descend_in_c")
 
 
 def onnx_files(registry: Registry) -> None:
     """Register exports of fitted BRDFs, and of General of flash photographs, as ONNX models."""
     here = f"{_HERE}.onnx_files"
-    registry.exports["brdf", "onnx"] = Export(
+    registry.applications["brdf"].exports["onnx"] = Export(
         f"{here}.brdf_model:write_onnx", needs=("onnxscript", "onnx and onnxscript")
     )
     for kind in ("onnx", "onnx-page"):
-        registry.file_exports[kind] = Entry(
+        registry.file_exports[kind] = FileExport(
             f"{here}.general_files:write_general",
-            help="General's networks for photos (RUN is a checkpoint or its name)",
+            files="General's networks for photos (RUN is a checkpoint or its name)",
         )
 
 
@@ -147,33 +154,36 @@ def plan(registry: Registry) -> None:
 def rgl(registry: Registry) -> None:
     """Register BRDFs as Mitsuba 3 has them: files of the RGL material database, and scenes that show fits."""
     here = f"{_HERE}.rgl"
-    registry.formats["bsdf"] = Format(f"{here}.rgl", app="brdf", inputs="RGL .bsdf files")
+    brdf = registry.applications["brdf"]
+    brdf.formats["bsdf"] = Format(f"{here}.rgl", "RGL .bsdf files")
     registry.commands["data bsdf"] = Command(f"{here}.bsdf_converter:BsdfConverter", position=30)
-    registry.exports["brdf", "bsdf"] = Export(f"{here}.rgl:export")
-    registry.exports["brdf", "bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
-    registry.exports["brdf", "mitsuba"] = Export(f"{here}.brdf_scene:write_brdf_scenes")
+    brdf.exports["bsdf"] = Export(f"{here}.rgl:export")
+    brdf.exports["bsdf-spectral"] = Export(f"{here}.rgl:export_spectral")
+    brdf.exports["mitsuba"] = Export(f"{here}.brdf_scene:write_brdf_scenes")
     for kind in ("merl", "bsdf", "bsdf-spectral"):
-        registry.file_exports[kind] = Entry(
+        registry.file_exports[kind] = FileExport(
             f"{here}.brdf_conversion:write_converted",
-            help="MERL tables, RGL files, NBRDF networks, folders of them (RUN is the file)",
+            files="MERL tables, RGL files, NBRDF networks, folders of them (RUN is the file)",
         )
 
 
 def scene_files(registry: Registry) -> None:
     """Register scene files of Mitsuba as inputs of light transport."""
     here = f"{_HERE}.scene_files"
-    registry.formats["mitsuba"] = Format(
-        f"{here}.scene_reader", app="transport", inputs="Mitsuba scenes (.xml, .json) with a perspective camera"
+    transport = registry.applications["transport"]
+    transport.formats["mitsuba"] = Format(
+        f"{here}.scene_reader", "Mitsuba scenes (.xml, .json) with a perspective camera"
     )
-    registry.objects["transport"] = Entry(f"{here}.scene_reader:task_of_object")
-    registry.hooks["scene"] = Entry(f"{here}.scene_reader:check_stored_scene")
+    transport.read_object = Lazy(f"{here}.scene_reader:task_of_object")
+    registry.hooks["scene"] = Lazy(f"{here}.scene_reader:check_stored_scene")
 
 
 def shaders(registry: Registry) -> None:
     """Register exports of fitted BRDFs as source code of shaders."""
     weights = ("w1", "b1", "w2", "b2", "w3", "b3")  # 675 numbers; other networks are distilled into a network of these
+    exports = registry.applications["brdf"].exports
     for name in ("cpp", "glsl", "hlsl", "materialx", "osl", "wgsl"):
-        registry.exports["brdf", name] = Export(f"{_HERE}.shaders.shader_files:write_{name}", holds=weights)
+        exports[name] = Export(f"{_HERE}.shaders.shader_files:write_{name}", holds=weights)
 
 
 def vgg(registry: Registry) -> None:
@@ -186,8 +196,8 @@ def viewer(registry: Registry) -> None:
     here = f"{_HERE}.viewer"
     registry.commands["view"] = Command(f"{here}.viewer_commands:view_command", position=50)
     registry.commands["try"] = Command(f"{here}.viewer_commands:try_command", position=10)
-    registry.methods["view"] = Entry(f"{here}.runs_page:write_fit_page")
+    registry.methods["view"] = Lazy(f"{here}.runs_page:write_fit_page")
     for app in ("brdf", "illumination", "transport"):
-        registry.pages[app] = Entry(f"{here}.pages.{app}:make_{app}_view")
+        registry.applications[app].page = Lazy(f"{here}.pages.{app}:make_{app}_view")
     for app in ("svbrdf_nonstationary", "svbrdf_stationary", "texture"):
-        registry.pages[app] = Entry(f"{here}.pages.flat:make_{app}_view")
+        registry.applications[app].page = Lazy(f"{here}.pages.flat:make_{app}_view")

@@ -62,8 +62,8 @@ class App(ABC):
             application defines its own; None if it defines all three. Update rules also read two attributes of networks
             that have them: `periodic`, whether parameters on a grid continue at the opposite edge, and
             `linear_parameter`, the name of a parameter [C, F] in which the output is linear.
-        protocol: which part of a task a fit may observe, a value of --observe; "" if there is only one protocol.
         name: the application's name on the command line.
+        observes: what fits observe of a task, a value of --observe; "" if all fits of the application observe the same.
         error_measure: the meaning and the scale of the errors that `errors` returns.
         tensors: the form of each tensor of a task, by the tensor's name.
         small_tensors: whether the tensors of one task are so small that threads and GPUs only slow its fit down, and
@@ -72,12 +72,22 @@ class App(ABC):
     """
 
     network: Any = None
-    protocol: str = field(default="", kw_only=True)
     name: ClassVar[str]
+    observes: ClassVar[str] = ""
     error_measure: ClassVar[ErrorMeasure]
     tensors: ClassVar[Mapping[str, TensorSpec]] = MappingProxyType({})
     small_tensors: ClassVar[bool] = False
     deterministic: ClassVar[bool] = False
+
+    @property
+    def full_name(self) -> str:
+        """The name of the application, followed by what fits observe, if that may differ: "illumination photo"."""
+        return f"{self.name} {self.observes}".rstrip()
+
+    @property
+    def observation(self) -> dict[str, str]:
+        """The entry `observe` of records, rows and headers of checkpoints; {} if all fits observe the same."""
+        return {"observe": self.observes} if self.observes else {}
 
     @property
     def read_size(self) -> int:

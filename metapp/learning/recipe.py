@@ -175,6 +175,15 @@ class Recipe:
         """
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
 
+    def app_with(self, rule: str = "") -> App:
+        """Return the application with the network that a learned rule has; "" stands for no learned rule."""
+        return (self.training(rule).app if rule else None) or self.app
+
+    @property
+    def observes(self) -> str:
+        """What fits observe of a task, a value of --observe; "" if all fits of the application observe the same."""
+        return self.app.observes
+
 
 def paper_recipe(recipe: Recipe, app: App, **changes: Any) -> Recipe:
     """Return the recipe of Fischer & Ritschel 2022: first-order MAML with Meta-SGD from a random initialisation.

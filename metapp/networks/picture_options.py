@@ -122,6 +122,6 @@ class FlashOptions(ReliefOptions, CameraOptions):
             low=-4.0,
             high=4.0,
             panel=INPUT,
-            protocol="photo",
+            observes="photo",
         ),
     ] = 0.0

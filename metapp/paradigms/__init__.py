@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from metapp.names import did_you_mean
-from metapp.registry import Entry
+from metapp.entries import Lazy, did_you_mean
 
 if TYPE_CHECKING:
     from metapp.paradigms.paradigm import Paradigm
@@ -21,18 +20,20 @@ __all__ = ["PARADIGMS", "ParadigmEntry", "paradigm_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParadigmEntry(Entry["type[Paradigm]"]):
+class ParadigmEntry(Lazy["type[Paradigm]"]):
     """The entry of a paradigm, a subclass of `metapp.paradigms.paradigm.Paradigm`.
 
     Attributes:
+        help: the help of the command of the paradigm.
         ignored_options: names of options of fits that the paradigm has no use for. The command line accepts them all
             the same, so that scripts give all paradigms equal options.
     """
 
+    help: str
     ignored_options: tuple[str, ...] = ()
 
 
-# paradigms by name, in the order of the paper's tables; `help` describes the command of a paradigm
+# paradigms by name, in the order of the paper's tables
 PARADIGMS = {
     "general": ParadigmEntry(
         reference="metapp.paradigms.adam:General",

@@ -137,8 +137,8 @@ class GeneralTraining(CheckpointTraining):
 
     @property
     @override
-    def shared_by_protocols(self) -> bool:
-        """True, as an encoder depends on the protocol only by its input."""
+    def shared_by_observations(self) -> bool:
+        """True, as an encoder depends on what fits see only by its input."""
         return True
 
     @property

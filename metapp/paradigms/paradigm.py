@@ -183,8 +183,8 @@ class CheckpointTraining(ABC):
         return False
 
     @property
-    def shared_by_protocols(self) -> bool:
-        """Whether two protocols with equal networks share the checkpoint."""
+    def shared_by_observations(self) -> bool:
+        """Whether applications with equal networks, whose fits see other things, share the checkpoint."""
         return False
 
     @property

@@ -25,7 +25,7 @@ from metapp.runs.fitting import BadInput, fit_inputs
 from metapp.runs.inputs.finding import source_of_tensors
 from metapp.runs.inputs.run_inputs import are_objects, find_inputs, rename_duplicates, task_digest
 from metapp.runs.outputs.run_records import find_fitted_tasks, read_fit_of_file, read_run_records
-from metapp.runs.recipe_choice import choose_protocol_and_recipe
+from metapp.runs.recipe_choice import choose_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Run
 from metapp.storage.parameters import read_checked_params
@@ -144,7 +144,7 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
         (record,) = records
         run, name = Run.from_settings(record["settings"]), record["name"]
         parameters = read_checked_params(record, run.app)
-        task = find_fitted_tasks(records, run.app, [], None).get(name, Task(name, {}))
+        task = find_fitted_tasks(records, [], None).get(name, Task(name, {}))
         return Fit(run, task, record, parameters)
 
 
@@ -155,9 +155,9 @@ def _fit_named_inputs(options: FitOptions) -> list[Fit]:
         inputs, label = find_inputs(run)
         if options.objects:
             tasks = [run_input.read_task() for run_input in inputs]
-            memory_sources = [source_of_tensors(options.app, task.name, task.data) for task in tasks]
+            memory_sources = [source_of_tensors(options.application, task.name, task.data) for task in tasks]
             chosen_run = Run.from_options(
-                replace(options, observe=choose_protocol_and_recipe(options, memory_sources).protocol), memory_sources
+                replace(options, observe=choose_recipe(options, memory_sources).observes), memory_sources
             )
             if chosen_run.app.read_size != run.app.read_size:
                 inputs, label = find_inputs(chosen_run)

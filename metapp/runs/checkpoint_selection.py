@@ -1,7 +1,7 @@
 """The checkpoint of a run: the one that --checkpoint names, else the one that ships with metapp.
 
 A file that anybody may have written is checked before a fit begins at it: it must belong to the application, the
-paradigm or rule, the protocol and the network of the run. Training a checkpoint is `metapp.runs.checkpoint_training`.
+paradigm or rule, what fits see and the network of the run. Training a checkpoint is `metapp.runs.checkpoint_training`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import shlex
 from dataclasses import fields, replace
 from pathlib import Path
 
-from metapp.apps import full_name, is_first_protocol, recipes_of
+from metapp.application import Application
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules.network import is_periodic
@@ -19,8 +19,8 @@ from metapp.networks.field import regrid
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import QUICKFT_ADAM_SETTINGS
 from metapp.paradigms.paradigm import CheckpointTraining
-from metapp.runs.default_recipe import has_shipped_recipe
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
+from metapp.runs.recipe_choice import has_shipped_recipe
 from metapp.runs.reporter import say
 from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
@@ -34,7 +34,7 @@ def attach_checkpoint(run: Run) -> Run:
     """Return a run with its checkpoint read: the one that --checkpoint names, else the one that ships.
 
     Raises:
-        ValueError: there is no checkpoint, or it is one for another application, paradigm, protocol or network.
+        ValueError: there is no checkpoint, or it is one for another application, paradigm, observation or network.
     """
     trainings = run.paradigm.trainings
     if not trainings:
@@ -66,30 +66,30 @@ def attach_checkpoint(run: Run) -> Run:
 
 def trained_checkpoint_path(run: Run, training: CheckpointTraining) -> Path:
     """Return the path of the checkpoint that --train writes: its folder names the data, the recipe and the seed."""
-    label = data_label(training_data_folder(run.app, run.options.data, run.options.quiet))
+    label = data_label(training_data_folder(run.application, run.options.data, run.options.quiet))
     folder = run.options.out / run.app.name / "checkpoints" / f"{label}-{run.options.recipe}-seed{run.options.seed}"
-    return folder / f"{checkpoint_name(run.app, training)}.safetensors"
+    return folder / f"{checkpoint_name(run.application, run.app, training)}.safetensors"
 
 
-def checkpoint_name(app: App, training: CheckpointTraining) -> str:
+def checkpoint_name(application: Application, app: App, training: CheckpointTraining) -> str:
     """Return a checkpoint's file name without its suffix, such as "general" or "meta-photo".
 
-    The name ends with the protocol unless that is the application's first one. General learns nothing of the protocol,
-    so that its name has none either if a recipe of the first protocol has an equal network.
+    The name ends with what fits see unless that is the application's default. General learns nothing of it, so that its
+    name has no such ending either if a recipe of the default has an equal network.
     """
     name = training.name
-    if is_first_protocol(app):
+    if app.observes == application.default_observation:
         return name
-    first_apps = (recipe.app for recipe in recipes_of(app.name).values())
-    is_shared = training.shared_by_protocols and any(
+    first_apps = (entry.load().app for entry in application.recipes_observing().values())
+    is_shared = training.shared_by_observations and any(
         _network_and_fields(app) == _network_and_fields(first_app) for first_app in first_apps
     )
-    return name if is_shared else f"{name}-{app.protocol}"
+    return name if is_shared else f"{name}-{app.observes}"
 
 
 def _network_and_fields(app: App) -> tuple[object, ...]:
-    """Return the type of an application's network and the values of all fields but the protocol."""
-    return type(app.network), *(getattr(app, field.name) for field in fields(app) if field.name != "protocol")
+    """Return the type of an application's network and the values of all fields."""
+    return type(app.network), *(getattr(app, field.name) for field in fields(app))
 
 
 def has_shipped_checkpoint(run: Run, training: CheckpointTraining) -> bool:
@@ -101,10 +101,10 @@ def has_shipped_checkpoint(run: Run, training: CheckpointTraining) -> bool:
 
 
 def _require_kind(path: Path, run: Run, training: CheckpointTraining, phi: MetaParameters, header: Document) -> None:
-    """Refuse a checkpoint for another application, paradigm, rule or protocol, or whose encoder reads other features.
+    """Refuse a checkpoint for another application, paradigm or rule, for fits that see other things, or other features.
 
-    A file of General, which all protocols share, may name no protocol. A checkpoint without an encoder that was trained
-    under other conditions gets a warning only.
+    A file of General may not say what fits see, since it serves several kinds of fits. A checkpoint without an encoder
+    that was trained under other conditions gets a warning only.
 
     Args:
         path: the file of the checkpoint.
@@ -118,12 +118,12 @@ def _require_kind(path: Path, run: Run, training: CheckpointTraining, phi: MetaP
         is_rule = isinstance(name, str) and name not in PARADIGMS
         remedy = f"; add --rule {name}" if found_app == app.name and is_rule and run.paradigm.has_learned_rule else ""
         raise ValueError(f"{path}: a checkpoint of {found_app} {name}, expected {app.name} {training.name}{remedy}.")
-    # a file without an entry was written before there was one, or holds for all protocols
-    protocol = header.get("observe", app.protocol)
-    if protocol != app.protocol:
+    # a file without an entry was written before there was one, or holds for all observations
+    observed = header.get("observe", app.observes)
+    if observed != app.observes:
         raise ValueError(
-            f"{path}: a checkpoint for --observe {protocol}, expected one for {app.protocol}; give --observe "
-            f"{protocol} or another checkpoint."
+            f"{path}: a checkpoint for --observe {observed}, expected one for {app.observes}; give --observe "
+            f"{observed} or another checkpoint."
         )
     for key, condition in app.recorded_conditions().items():
         trained_condition = header.get(key, condition)
@@ -151,7 +151,7 @@ def _add_tuned_adam(run: Run, checkpoint: Checkpoint, tuning: CheckpointTraining
     candidates = [_shipped_path(run, tuning)]
     if options.checkpoint:
         folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
-        candidates.insert(0, folder / f"{checkpoint_name(app, tuning)}.safetensors")
+        candidates.insert(0, folder / f"{checkpoint_name(run.application, app, tuning)}.safetensors")
     for path in candidates:
         if path.is_file():
             tuned, header = load_checkpoint(path)
@@ -159,7 +159,7 @@ def _add_tuned_adam(run: Run, checkpoint: Checkpoint, tuning: CheckpointTraining
                 require_tuned_adam(path, tuned)
                 return merge_tuned_adam(checkpoint, tuned, path)
     words = ["metapp", tuning.name, app.name, "--train"]
-    words += ["--observe", app.protocol] if app.protocol else []
+    words += ["--observe", app.observes] if app.observes else []
     command = shlex.join(words + (["--data", str(options.data)] if options.data else []))
     say(f"{tuning.name}: no Adam was tuned for this encoder, so that the recipe's Adam is used; tune one by {command}")
     return checkpoint
@@ -178,7 +178,7 @@ def _checkpoint_path(run: Run, training: CheckpointTraining) -> Path:
     """
     named_path = run.options.checkpoint
     if named_path and named_path.is_dir():
-        path = named_path / f"{checkpoint_name(run.app, training)}.safetensors"
+        path = named_path / f"{checkpoint_name(run.application, run.app, training)}.safetensors"
         if not path.is_file():
             if path_kind(named_path) is not PathKind.FILES:
                 raise ValueError(path_refusal(named_path, f"a folder of checkpoints with {path.name}"))
@@ -193,17 +193,19 @@ def _checkpoint_path(run: Run, training: CheckpointTraining) -> Path:
     if path.is_file() and _has_shipped_recipe(run):
         return path
     raise ValueError(
-        f"{full_name(run.app)} {training.name}, recipe {run.options.recipe}: no checkpoint ships; train one with "
+        f"{run.app.full_name} {training.name}, recipe {run.options.recipe}: no checkpoint ships; train one with "
         "--train, or name one with --checkpoint."
     )
 
 
 def _has_shipped_recipe(run: Run) -> bool:
-    return has_shipped_recipe(run.app.name, run.options.recipe)
+    return has_shipped_recipe(run.application, run.options.recipe)
 
 
 def _shipped_path(run: Run, training: CheckpointTraining) -> Path:
-    return shipped_checkpoint_path(run.app.name, checkpoint_name(run.app, training), run.options.recipe)
+    return shipped_checkpoint_path(
+        run.app.name, checkpoint_name(run.application, run.app, training), run.options.recipe
+    )
 
 
 def resample_alpha_grids(app: App, phi: MetaParameters, fresh: Params) -> MetaParameters:

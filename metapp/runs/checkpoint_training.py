@@ -13,7 +13,6 @@ from pathlib import Path
 
 from torch import Generator, get_num_threads
 
-from metapp.apps import full_name, protocol_entry
 from metapp.learning.app import stack_tasks
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
@@ -163,10 +162,10 @@ def _training_path(path: Path) -> Path:
 
 def _read_training_tasks(run: Run, training: CheckpointTraining) -> Tasks:
     """Read the training tasks of a run's data set, and say how many there are."""
-    app, folder = run.app, training_data_folder(run.app, run.options.data, run.options.quiet)
+    app, folder = run.app, training_data_folder(run.application, run.options.data, run.options.quiet)
     tasks = stack_tasks(app, read_data_set(folder, "train", app.name, app.tensors), run.device)
     data = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
-    say(f"training {full_name(app)} {training.name} on {data}")
+    say(f"training {app.full_name} {training.name} on {data}")
     return tasks
 
 
@@ -243,12 +242,12 @@ def _training_settings(
         general: the General that training begins at.
         first: the checkpoint that training goes on from.
     """
-    folder, name = training_data_folder(run.app, run.options.data, run.options.quiet), training.name
+    folder, name = training_data_folder(run.application, run.options.data, run.options.quiet), training.name
     return (
         {"app": run.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}
         | {"recipe": run.options.recipe, "recipe_digest": content_digest(repr(run.recipe)), "seed": run.options.seed}
         | {"steps": run.options.train_steps, "versions": software_versions()}
-        | ({} if training.shared_by_protocols else protocol_entry(run.app))
+        | ({} if training.shared_by_observations else run.app.observation)
         | run.app.recorded_conditions(run.device)
         | ({"encoder": tensor_digest(general.encoder)} if general else {})
         | ({"first": first.digest} if first else {})

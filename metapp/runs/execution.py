@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import torch
 
-from metapp.apps import full_name
 from metapp.learning.task import Params, Task
 from metapp.paradigms import ranks
 from metapp.runs.checkpoint_selection import attach_checkpoint
@@ -146,7 +145,7 @@ def execute_run(run: Run, provide: Callable[[Run], Run] = attach_checkpoint) -> 
             count = f"{len(inputs)} input{'s' * (len(inputs) != 1)}"
             size = "; files of {:,} rows, {:,} columns".format(*run.presenter.size) if run.presenter.size else ""
             steps = f"{run.paradigm.steps} steps, from {run.checkpoint.source}"
-            say(f"{full_name(run.app)} {run.paradigm.name}: {count}; {steps}{size}")
+            say(f"{run.app.full_name} {run.paradigm.name}: {count}; {steps}{size}")
         begin, folder = time.perf_counter(), run.folder(label)
         outcomes = list(keep_fits(run, folder, inputs))
         new_fits = sum(outcome.record is not None and not outcome.is_earlier for outcome in outcomes)

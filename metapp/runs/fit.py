@@ -74,7 +74,7 @@ class Fit:
 
     @property
     def app(self) -> App:
-        """The application of the fit, with the network of its recipe and with its protocol."""
+        """The application of the fit, with the network of its recipe."""
         return self.run.app
 
     @property
@@ -219,6 +219,6 @@ class Fit:
         Raises:
             BadOption: fits of this application cannot be written in this format, or a library for it is missing.
         """
-        check_export(form, self.app.name)
+        check_export(form, self.run.application)
         with torch_defaults(single=self.app.small_tensors):
             export_fit(self.run, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from metapp.names import app_names, did_you_mean, exports_of, protocols_of, recipe_entries
+from metapp.application import Application
+from metapp.entries import did_you_mean
 from metapp.options import (
     FIT,
     INPUT,
@@ -21,10 +22,10 @@ from metapp.options import (
     AppOptions,
     BadOption,
     Option,
-    app_options_class,
     options_by_name,
     parse_options,
 )
+from metapp.registry import registry
 from metapp.storage.files import content_digest, file_name
 from metapp.storage.folders import is_data_set
 
@@ -37,13 +38,13 @@ class FitOptions:
     """The options of a fit, with the application's own options as a field.
 
     Attributes:
-        app: the name of the application.
+        application: the application.
         paradigm: general, overfit, finetune, quickft or meta.
         inputs: files and folders, or objects in memory; () stands for the test tasks of the data set.
         app_options: the options that only this application has.
     """
 
-    app: str
+    application: Application
     paradigm: str = "meta"
     inputs: Sequence[object] = ()
     app_options: AppOptions = field(default_factory=AppOptions)
@@ -104,21 +105,21 @@ def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (),
         values: options of all fits and the application's own, by name, as a command line or a program gives them.
 
     Raises:
-        BadOption: there is no such application, option, protocol, recipe or export, an option has a wrong value, or
-            options exclude each other.
+        BadOption: there is no such application, option, recipe or export, fits cannot observe what an option names, an
+            option has a wrong value, or options exclude each other.
     """
     if not isinstance(paradigm, str):
         raise BadOption(f"paradigm: {paradigm!r}, expected str.")
-    check_app_name(app)
-    options_class = app_options_class(app)
+    application = application_named(app)
+    options_class = application.options.load()
     app_values = {name: values.pop(name) for name in options_by_name(options_class) if name in values}
     for name in values:
         if name not in options_by_name(FitOptions):
-            raise BadOption(_describe_unknown_option(name, app))
+            raise BadOption(_describe_unknown_option(name, application))
     options = parse_options(
         FitOptions,
         values,
-        app=app,
+        application=application,
         paradigm=paradigm,
         inputs=tuple(inputs),
         app_options=parse_options(options_class, app_values),
@@ -156,48 +157,52 @@ def extract_data_set(paths: Sequence[Path], data: Path | None) -> tuple[Sequence
     return (), data_set
 
 
-def check_app_name(app: str) -> None:
-    """Refuse a name that no application has.
+def application_named(name: str) -> Application:
+    """Return the application that a user names.
 
     Raises:
         BadOption: there is no such application; the message lists all.
     """
-    if app not in app_names():
-        names = app_names()
-        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(names)}.{did_you_mean(app, names)}")
+    applications = registry().applications
+    if name not in applications:
+        names = sorted(applications)
+        raise BadOption(
+            f"'{name}' is not an application; expected one of {', '.join(names)}.{did_you_mean(name, names)}"
+        )
+    return applications[name]
 
 
-def check_protocol(protocol: str, app: str) -> None:
-    """Refuse a protocol that an application does not have.
+def check_observation(observation: str, application: Application) -> None:
+    """Refuse a value of --observe that an application does not have.
 
     Args:
-        protocol: the value of --observe, "" if it is not set.
-        app: the name of the application.
+        observation: the value of --observe, "" if it is not set.
+        application: the application.
 
     Raises:
-        BadOption: the application has no such protocol.
+        BadOption: fits of the application cannot observe this.
     """
-    protocols = protocols_of(app)
-    if protocol and protocol not in protocols:
-        expected = f"expects one of {', '.join(protocols)}" if protocols else "has one protocol; leave it out"
-        raise BadOption(f"--observe '{protocol}': {app} {expected}.{did_you_mean(protocol, protocols)}")
+    names = application.observations
+    if observation and observation not in names:
+        expected = f"expects one of {', '.join(names)}" if names else "has one protocol; leave it out"
+        raise BadOption(f"--observe '{observation}': {application.name} {expected}.{did_you_mean(observation, names)}")
 
 
-def check_options_of_protocol(options: FitOptions) -> None:
-    """Refuse a recipe or an option that the application does not have under the protocol of a fit.
+def check_recipe_and_options(options: FitOptions) -> None:
+    """Refuse a recipe or an option that the application does not have for what fits observe.
 
     Raises:
-        BadOption: there is no such recipe, or an option belongs to another protocol.
+        BadOption: there is no such recipe, or an option belongs to fits that observe something else.
     """
-    recipes = recipe_entries(options.app, options.observe)
+    recipes = options.application.recipes_observing(options.observe)
     if options.recipe and options.recipe not in recipes:
         raise BadOption(
             f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{did_you_mean(options.recipe, recipes)}"
         )
     for name in options.app_options.non_default_values():
         option = options_by_name(type(options.app_options))[name]
-        if options.observe and option.protocol not in ("", options.observe):
-            raise BadOption(f"{option.flag}: only with --observe {option.protocol}; add that.")
+        if options.observe and option.observes not in ("", options.observe):
+            raise BadOption(f"{option.flag}: only with --observe {option.observes}; add that.")
 
 
 def check_new_files(paths: Iterable[Path]) -> None:
@@ -211,32 +216,36 @@ def check_new_files(paths: Iterable[Path]) -> None:
             raise BadOption(f"{path}: is there already, expected a new file; choose another --out, or remove it.")
 
 
-def check_export(name: str, app: str) -> None:
+def check_export(name: str, application: Application) -> None:
     """Refuse a file format that fits of an application cannot be written in.
 
     Args:
         name: the name of the format, one value of --export.
-        app: the name of the application.
+        application: the application.
 
     Raises:
         BadOption: the application has no such format, or a library for it is missing.
     """
-    forms = exports_of(app)
+    forms = sorted(application.exports)
     if name not in forms:
         expected = f"expects one of {', '.join(forms)}" if forms else "has none; leave it out"
-        raise BadOption(f"--export '{name}': {app} {expected}.{did_you_mean(name, forms)}")
-    needs = forms[name].needs
+        raise BadOption(f"--export '{name}': {application.name} {expected}.{did_you_mean(name, forms)}")
+    needs = application.exports[name].needs
     if needs and not importlib.util.find_spec(needs[0]):
         raise BadOption(f'--export {name} needs {needs[1]}: pip install "metapp[export]"')
 
 
-def _describe_unknown_option(name: str, app: str) -> str:
+def _describe_unknown_option(name: str, application: Application) -> str:
     """Return the error message about an option that an application does not have."""
-    apps_with_option = [other for other in app_names() if name in options_by_name(app_options_class(other))]
+    apps_with_option = [
+        other.name for other in registry().applications.values() if name in options_by_name(other.options.load())
+    ]
     if apps_with_option:
         flag = f"--{name.replace('_', '-')}"
-        return f"{flag}: {app} has no such option, only {', '.join(apps_with_option)}; leave it out."
-    names = {**options_by_name(FitOptions), **options_by_name(app_options_class(app))}
+        return (
+            f"{flag}: {application.name} has no such option, only {', '.join(sorted(apps_with_option))}; leave it out."
+        )
+    names = {**options_by_name(FitOptions), **options_by_name(application.options.load())}
     return f"{name}: no option of a fit, expected one of {', '.join(sorted(names))}.{did_you_mean(name, names)}"
 
 
@@ -246,10 +255,9 @@ def _check(options: FitOptions) -> None:
     Raises:
         BadOption: there is such a name, or there are such options.
     """
-    app = options.app
-    check_protocol(options.observe, app)
+    check_observation(options.observe, options.application)
     for form in options.exports:
-        check_export(form, app)
+        check_export(form, options.application)
     if options.train_steps and not options.train:
         raise BadOption("--train-steps: only with --train.")
     for name in options.app_options.non_default_values():
@@ -261,15 +269,17 @@ def _check(options: FitOptions) -> None:
             raise BadOption(f"{option.flag}: of fits; checkpoints are trained without it, leave --train out.")
 
 
-def app_options_of_record(app: str, recorded: Mapping[str, object], *, inputs: bool) -> dict[str, object]:
+def app_options_of_record(
+    application: Application, recorded: Mapping[str, object], *, inputs: bool
+) -> dict[str, object]:
     """Return an application's own options as a record states them.
 
     Args:
-        app: the name of the application.
+        application: the application.
         recorded: the options in the record; one that the application does not have is left out.
         inputs: whether to return options about INPUT, too.
     """
-    known_options = options_by_name(app_options_class(app))
+    known_options = options_by_name(application.options.load())
     return {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in recorded.items()

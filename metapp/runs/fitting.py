@@ -191,7 +191,7 @@ def require_tensors(run: Run, task: Task) -> None:
     Raises:
         ValueError: a tensor is missing.
     """
-    if run.app.protocol:
+    if run.app.observes:
         run.app.prepare(task)
 
 

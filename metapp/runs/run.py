@@ -16,26 +16,27 @@ import torch
 
 from data_tools.readers.input_source import Source
 from metapp.appearance.presenter import Presenter
-from metapp.apps import app_of, is_first_protocol, presenter_of, protocol_entry, recipe_of
+from metapp.application import Application
+from metapp.entries import did_you_mean
 from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
-from metapp.names import did_you_mean, rule_words
 from metapp.options import FIT, INPUT, OUTPUT, BadOption
 from metapp.paradigms import paradigm_of
 from metapp.paradigms.paradigm import Paradigm
-from metapp.runs.default_recipe import usual_recipe
+from metapp.registry import registry
 from metapp.runs.environment import find_device, software_versions
 from metapp.runs.fit_options import (
     FitOptions,
     app_options_of_record,
-    check_options_of_protocol,
+    application_named,
+    check_recipe_and_options,
     fit_options,
     folder_name_parts,
 )
 from metapp.runs.inputs.finding import find_sources
-from metapp.runs.recipe_choice import choose_protocol_and_recipe
+from metapp.runs.recipe_choice import choose_recipe, usual_recipe
 from metapp.runs.reporter import say
 from metapp.storage import Document
 from metapp.storage.files import content_digest
@@ -63,7 +64,7 @@ class Run:
     Attributes:
         options: the options as given, with the names of the chosen recipe and rule; `steps` is None if it is the
             recipe's number.
-        paradigm: the paradigm for the application under its protocol, with the network of the recipe and of the rule.
+        paradigm: the paradigm for the application, with the network of the recipe and of the rule.
         device: the device of all tensors.
         checkpoint: initialisation and rule of the fits; None until
             :func:`metapp.runs.checkpoint_selection.attach_checkpoint` has read it.
@@ -90,22 +91,22 @@ class Run:
         """
         paradigm_class = paradigm_of(options.paradigm)
         sources_found = tuple(find_sources(options) if sources is None else sources)
-        choice = choose_protocol_and_recipe(options, sources_found)
+        choice = choose_recipe(options, sources_found)
         for line in filter(None, [choice.missing_file_line] if options.quiet else choice.reasons):
             say(line)
-        recipe_name = choice.recipe
-        options = replace(options, observe="" if options.objects and not options.observe else choice.protocol)
-        check_options_of_protocol(options)
-        unchanged = recipe_of(options.app, recipe_name, options.observe)
+        application, recipe_name = options.application, choice.name
+        options = replace(options, observe="" if options.objects and not options.observe else choice.observes)
+        check_recipe_and_options(options)
+        unchanged = application.recipes_observing(options.observe)[recipe_name].load()
         recipe = _adapt_recipe(options, recipe_name, unchanged)
         if recipe == unchanged:  # the options only say what the recipe does anyway: the run's folder need not name them
             options = replace(
                 options, app_options=type(options.app_options)(**options.app_options.non_default_values(INPUT, OUTPUT))
             )
         rule = _rule_name(options, recipe)
-        app = app_of(options.app, recipe, options.observe, rule=rule if paradigm_class.has_learned_rule else "")
+        app = recipe.app_with(rule if paradigm_class.has_learned_rule else "")
         try:
-            presenter_of(app, options.app_options.non_default_values(OUTPUT))
+            application.make_presenter(app, options.app_options.non_default_values(OUTPUT))
         except ValueError as error:
             raise BadOption(str(error)) from None
         paradigm = paradigm_class.of(app, recipe, rule, options.steps)
@@ -126,28 +127,38 @@ class Run:
             BadOption: one of `options` is wrong.
             ValueError: this version of metapp does not know the settings.
         """
-        app, inputs = settings["app"], more.pop("inputs", ())
-        app_values = app_options_of_record(app, settings.get("options", {}), inputs=bool(inputs)) | dict(options or {})
+        application, inputs = application_named(settings["app"]), more.pop("inputs", ())
+        app_values = app_options_of_record(application, settings.get("options", {}), inputs=bool(inputs)) | dict(
+            options or {}
+        )
         paradigm = settings.get("paradigm", FitOptions.paradigm)
         rule = settings.get("rule", "") if paradigm_of(paradigm).has_learned_rule else ""
         values = {"rule": rule, "recipe": settings["recipe"]}
         values |= {"observe": settings.get("observe", ""), "quiet": True, **more}
         try:
-            return cls.from_options(fit_options(app, paradigm, inputs, **app_values, **values))
+            return cls.from_options(fit_options(application.name, paradigm, inputs, **app_values, **values))
         except BadOption as error:
             if options:
                 raise
-            raise ValueError(f"{app}: a fit of other settings than are known ({error})") from None
+            raise ValueError(f"{application.name}: a fit of other settings than are known ({error})") from None
+
+    @property
+    def application(self) -> Application:
+        """The application, with its recipes, formats and exports."""
+        return self.options.application
 
     @functools.cached_property
     def app(self) -> App:
-        """The application of the run."""
+        """The network of the fits, what they see and how they are judged."""
         return self.paradigm.app
 
     @functools.cached_property
     def presenter(self) -> Presenter[Any]:
         """The presenter of the application's fits, with options of output such as the size of files."""
-        return presenter_of(self.app, self.options.app_options.non_default_values(OUTPUT))
+        presenter: Presenter[Any] = self.application.make_presenter(
+            self.app, self.options.app_options.non_default_values(OUTPUT)
+        )
+        return presenter
 
     @functools.cached_property
     def recipe(self) -> Recipe:
@@ -172,7 +183,7 @@ class Run:
         assert self.checkpoint is not None
         return {
             "app": app.name,
-            **protocol_entry(app),
+            **app.observation,
             "paradigm": paradigm.name,
             "rule": self.options.rule if paradigm.has_learned_rule else ("adam" if adam else "none"),
             "steps": paradigm.steps,
@@ -209,11 +220,11 @@ class Run:
         words = [
             kind or self.paradigm.name,
             label if options.data and not options.paths else "",
-            options.recipe if options.recipe != usual_recipe(app.name) else "",
+            options.recipe if options.recipe != usual_recipe(self.application) else "",
             rule if rule != self.recipe.rule else "",
             *folder_name_parts(options.app_options),
             "" if options.steps is None else f"{options.steps}steps",
-            "" if is_first_protocol(app) else app.protocol,
+            "" if app.observes == self.application.default_observation else app.observes,
             f"checkpoint-{digest[:6]}" if checkpoint_path and digest else "",
             f"seed{options.seed}" if options.seed else "",
         ]
@@ -265,11 +276,11 @@ def _rule_name(options: FitOptions, recipe: Recipe) -> str:
         return recipe.rule
     try:
         rule = rule_of(options.rule)
-        app = app_of(options.app, recipe, options.observe, rule=rule.name)
+        app = recipe.app_with(rule.name)
         theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
         rule.check_app(app, theta)
     except ValueError as error:
-        words = rule_words()
+        words = registry().rule_words
         unknown_words = [word for word in options.rule.split("+") if word not in words]
         hint = did_you_mean(unknown_words[0], words) if unknown_words else ""
         raise BadOption(f"--rule: {error}{hint}") from None

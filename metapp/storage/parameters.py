@@ -42,8 +42,8 @@ def check_params(theta: Params, app: App, place: str) -> None:
     Raises:
         ValueError: a parameter is missing or has another shape, or values are integers or not finite.
 
-    >>> from metapp.apps import app_of, recipe_of
-    >>> app = app_of("brdf", recipe_of("brdf", "quick"))
+    >>> from metapp.apps.brdf.recipes import RECIPES
+    >>> app = RECIPES["quick"].app
     >>> check_params({"w2": torch.zeros(2)}, app, "gold")
     Traceback (most recent call last):
     ValueError: gold: parameters w2 without 'w1', expected those of the network of its settings; fit anew.

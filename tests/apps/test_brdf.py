@@ -12,11 +12,11 @@ from data_tools.readers.brdf_task import make_brdf_task
 from data_tools.readers.nbrdf_files import evaluate_nbrdf, export, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import angle_cosines
-from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.nbrdf_network import WEIGHT_KNOTS
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Batch, Params, Task, Tasks
+from tests.recipe_apps import recipes_of
 
 APP = Brdf()
 

@@ -6,17 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps import recipes_of
 from metapp.learning.learn import MetaParameters
-from metapp.names import app_names, protocols_of
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
+from metapp.registry import registry
 from metapp.runs.checkpoint_selection import checkpoint_name
-from metapp.runs.default_recipe import has_shipped_recipe
+from metapp.runs.recipe_choice import has_shipped_recipe
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME, QUICK_RECIPE_NAME, shipped_checkpoint_path
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, app_names, observations_of, recipes_of
 
 PACKAGE = shipped_checkpoint_path("brdf", "general").parent.parent
 FULL_ONES = [name for name in app_names() if (PACKAGE / name / FULL_RECIPE_NAME).is_dir()]
@@ -46,15 +45,15 @@ def expected_of(name: str, recipe: str) -> set[str]:
 
     There, a protocol with a network of its own has its own General and rule.
     """
-    if recipe == FULL_RECIPE_NAME and protocols_of(name):
+    if recipe == FULL_RECIPE_NAME and observations_of(name) != ("",):
         names = set()
-        for protocol in protocols_of(name):
+        for protocol in observations_of(name):
             app, of = app_by_recipe(name, FULL_RECIPE_NAME, protocol), recipes_of(name, protocol)[FULL_RECIPE_NAME]
             (general, adam), rule = names_of(QuickFT.of(app, of)), names_of(Meta.of(app, of))
             names |= {adam, *((general, *rule) if general != "general" else ())}
         return names
     names = {"general"}
-    for protocol in protocols_of(name) or ("",):
+    for protocol in observations_of(name):
         app, of = app_by_recipe(name, recipe, protocol), recipes_of(name, protocol)[recipe]
         rules = of.meta if name == "brdf" else (of.rule,)
         names.add(names_of(QuickFT.of(app, of))[1])
@@ -105,7 +104,7 @@ def test_recipes_of_another_size_ship_with_a_folder() -> None:
         recipes = recipes_of(name)
         if FULL_RECIPE_NAME in recipes:
             same = recipes[FULL_RECIPE_NAME].app == recipes[QUICK_RECIPE_NAME].app
-            assert has_shipped_recipe(name, FULL_RECIPE_NAME) == (same or name in FULL_ONES)
+            assert has_shipped_recipe(registry().applications[name], FULL_RECIPE_NAME) == (same or name in FULL_ONES)
     assert FULL_ONES == ["illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture"]
 
 

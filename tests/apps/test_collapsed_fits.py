@@ -5,11 +5,10 @@ from torch import Tensor
 
 from data_tools.readers.brdf_task import make_brdf_task
 from metapp.appearance.flash import Maps
-from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, presenter_of
 
 
 def test_a_network_of_zeros_is_black_where_the_material_is_not() -> None:
@@ -43,7 +42,7 @@ def app_with_fixed_maps(app: FromPhoto, maps: Maps) -> FromPhoto:
 
 
 def test_black_maps_get_a_warning() -> None:
-    app = app_by_recipe("svbrdf_nonstationary", protocol="photo")
+    app = app_by_recipe("svbrdf_nonstationary", observes="photo")
     theta = app.init(torch.Generator().manual_seed(0), 1)
     photo = torch.randint(40, 200, (3, 64, 64), dtype=torch.uint8)
     tasks = stack_tasks(app, [Task("stone", {"photo": photo})], "cpu")

@@ -12,7 +12,6 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import NOISE_DISPLAY_VALUE, detail_statistics
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison
-from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.apps.exemplar.app import ExemplarApp, draw_noise, generate_raw, move_tiles
 from metapp.apps.exemplar.exemplar_statistics import SOFTNESS_WEIGHT
 from metapp.apps.exemplar.octaves import Octaves
@@ -27,6 +26,7 @@ from metapp.networks.generators import Pyramid
 from metapp.networks.layers import enlarge_periodic
 from metapp.networks.quilted import normalise_quilts, quilt_deviation
 from metapp.paradigms.adam import Overfit
+from tests.recipe_apps import presenter_of, recipes_of
 
 TAPS = ("relu1_1", "relu2_1", "relu3_1")
 SHARE = 0.6  # of the steps at half the size
@@ -41,7 +41,7 @@ def tiny(name: str) -> Recipe:
 
 @pytest.fixture(scope="module")
 def app() -> ExemplarApp:
-    return app_of("svbrdf_stationary", tiny("svbrdf_stationary"))  # type: ignore[return-value]
+    return tiny("svbrdf_stationary").app  # type: ignore[return-value]
 
 
 def shown(app: App) -> ExemplarPresenter[Any]:
@@ -69,7 +69,7 @@ def test_recipes_of_the_paper_have_its_settings(name: str, steps: int, tasks: in
     training = recipe.meta["meta-sgd"]
     assert (recipe.steps, recipe.rule, training.tasks, training.order) == (steps, "meta-sgd", tasks, 1)
     rng = Generator().manual_seed(0)
-    app: Any = app_of(name, recipe)
+    app: Any = recipe.app
     assert draw_noise(app, rng, 1, 1).shape == (1, 1, 8, *size)
     assert 5e5 < sum(value.numel() for value in app.init(rng, 1).values()) < 5e6
     photos = torch.rand(1, 3, 256, 256, generator=rng)
@@ -97,7 +97,7 @@ def test_lost_order_is_doubted_where_networks_read_quilts(
     copies = app.octaves.take_exemplar(both.data["image"].float() / 255)[:, None].roll(5, -1)
     monkeypatch.setattr(type(app.statistics), "render_prediction", lambda *_: copies)
     assert not any("regular structure" in other for clauses in warnings_of(app, theta, both) for other in clauses)
-    quick = app_of(app.name, recipes_of(app.name)["quick"])
+    quick = recipes_of(app.name)["quick"].app
     assert warnings_of(quick, {}, both) == [[], []]
 
 

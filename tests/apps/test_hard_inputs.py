@@ -18,7 +18,6 @@ from data_tools.readers.environment_maps import make_map_task
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.appearance.flash import Maps, pack_maps
 from metapp.appearance.latlong import solid_angles, sphere_normals, texel_directions
-from metapp.apps import recipes_of
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import DescentState, MetaParameters, final_item
 from metapp.learning.task import Params, Task, Tasks
@@ -29,7 +28,7 @@ from metapp.runs.checkpoint_selection import checkpoint_name
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.marked import long
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, recipes_of
 
 WORSE = 1.2  # than QuickFT's
 
@@ -46,7 +45,7 @@ class Found(NamedTuple):
 
 def fit_by_shipped_checkpoint(app: App, sources: Iterable[Task]) -> Found:
     """Fits by what ships, with the same draws."""
-    recipe = recipes_of(app.name, app.protocol)["quick"]
+    recipe = recipes_of(app.name, app.observes)["quick"]
     meta, quickft, tasks = Meta.of(app, recipe), QuickFT.of(app, recipe), stack_tasks(app, list(sources))
 
     def shipped(paradigm: Paradigm) -> list[MetaParameters]:
@@ -199,7 +198,7 @@ def ball(name: str, colour: float, spot: int = 0) -> Task:
 
 @pytest.mark.usefixtures("second_scene")
 def test_guard_keeps_extreme_sphere_photos_usable() -> None:
-    app = app_by_recipe("illumination", protocol="photo")
+    app = app_by_recipe("illumination", observes="photo")
     inputs = (
         ("black", 0, 0),
         ("nearly black", 1, 0),
@@ -216,7 +215,7 @@ def test_guard_keeps_extreme_sphere_photos_usable() -> None:
 
 @pytest.mark.parametrize("protocol", ["reference", "photo"])
 def test_guard_keeps_flat_materials_usable(protocol: str) -> None:
-    app = app_by_recipe("svbrdf_nonstationary", protocol=protocol)
+    app = app_by_recipe("svbrdf_nonstationary", observes=protocol)
 
     def material(name: str, diffuse: float, specular: float, roughness: float) -> Task:
         flat = torch.ones(1, 128, 128)

@@ -6,11 +6,12 @@ from torch import Generator, Tensor
 
 from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import develop, photograph_spheres, render_material_spheres
-from metapp.apps import presenter_of
 from metapp.apps.illumination.app import (
     BALL_AND_CAMERA_GAIN,
     BALL_AND_CAMERA_NUMBERS,
     BALL_ROUGHNESSES,
+    FromBall,
+    FromMap,
     Illumination,
     decode_ball_and_camera,
 )
@@ -28,10 +29,11 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField
 from metapp.rendering.second_scene.relighting import relight
+from tests.recipe_apps import presenter_of
 
 pytestmark = pytest.mark.usefixtures("second_scene")
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
-REFERENCE, PHOTO = (Illumination(FIELD, protocol=protocol) for protocol in ("reference", "photo"))
+REFERENCE, PHOTO = (kind(FIELD) for kind in (FromMap, FromBall))
 
 
 def lamps(seed: int, height: int = 64) -> Tensor:

@@ -18,7 +18,6 @@ from metapp.appearance.flash import (
     unpack_maps,
 )
 from metapp.appearance.lattice import even_out_contrast
-from metapp.apps import recipe_of
 from metapp.apps.exemplar.app import PictureChanges, draw_noise, turn_picture
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_stationary.presenter import SvbrdfStationaryPresenter
@@ -33,6 +32,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import Pyramid
 from metapp.networks.quilted import fetch_pieces
+from tests.recipe_apps import recipes_of
 
 APP = QuiltedSvbrdf(
     Pyramid(4, 3, noise=0, code=8, outputs=6, quilt=3),
@@ -241,7 +241,7 @@ def test_augmented_tasks_have_quilts_and_maps_of_their_own(tasks: Tasks) -> None
 
 
 def test_shipped_recipe_reads_quilts_without_noise() -> None:
-    app = recipe_of("svbrdf_stationary", "full").app
+    app = recipes_of("svbrdf_stationary")["full"].app
     assert isinstance(app, QuiltedSvbrdf)
     assert (app.network.noise, app.network.quilt, app.cells) == (0, 3, (256, 256))
     assert draw_noise(app, Generator().manual_seed(0), 1, 1).shape == (1, 1, 2, 256, 256)

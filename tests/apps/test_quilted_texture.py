@@ -14,7 +14,6 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.lattice import find_lattice, kept_order_share, remove_quadratic_trend
 from metapp.appearance.lines import SEAM_STRENGTH_RATIO, LineComparison, compare_lines
-from metapp.apps import recipe_of
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.quilts import QuiltedAgain, make_piece_source, order_penalty, quilt_places
 from metapp.apps.texture.presenter import MIN_LINE_STRENGTH, TexturePresenter
@@ -25,6 +24,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.quilted import LightGrid, fetch_pieces
 from metapp.paradigms.adam import Overfit
+from tests.recipe_apps import recipes_of
 
 ROOT = Path(__file__).parent.parent.parent / "metapp"
 APP = QuiltedTexture(LightGrid(8, 8), Octaves(64, 64, ("relu1_1", "relu2_1"), count=2), candidates=4)
@@ -53,7 +53,7 @@ def tasks(task: Task) -> Tasks:
 
 @pytest.fixture(scope="module")
 def theta(tasks: Tasks) -> Params:
-    recipe = replace(recipe_of("texture", "full"), app=APP)
+    recipe = replace(recipes_of("texture")["full"], app=APP)
     return Overfit.of(APP, recipe, steps=8).fit(MetaParameters(), tasks, Generator().manual_seed(0))
 
 

@@ -8,7 +8,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
 from metapp.appearance.latlong import mean_luminance, solid_angles, texel_directions
-from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.app import FromBall, FromMap
 from metapp.apps.illumination.suns import MAX_SUN_RAD, SUN_COUNT, add_suns, find_suns, join_suns, split_suns
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
@@ -87,7 +87,7 @@ def test_suns_are_found_before_fits_and_stay_fixed(rng: Generator) -> None:
     field = LocalField(32, 64, rows=4, columns=8, code=3, hidden=8, layers=2)
     light = sky((towards(0.3, 0.5, 0.8), 0.5, 0.02))
     task = Task("sky", {"map": light, "photos": torch.full((1, 3, 64, 64), 99, dtype=torch.uint8)})
-    app = Illumination(field, protocol="reference")
+    app = FromMap(field)
     tasks = stack_tasks(app, [task])
     how, encoder = encoder_prediction(app), app.init_encoder(rng)
     predicted, theta = (variant.encode(encoder, variant.encoder_input(tasks, rng)) for variant in (app, how))
@@ -103,6 +103,6 @@ def test_suns_are_found_before_fits_and_stay_fixed(rng: Generator) -> None:
     larger = app.resize(128, 256).radiance_maps(theta)  # a sun stays as wide and bright as it is
     at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_maps(theta)))
     assert at[0] == pytest.approx(at[1], rel=0.05)
-    photo = Illumination(field, protocol="photo")
+    photo = FromBall(field)
     encoder_input = encoder_prediction(photo).encoder_input(stack_tasks(photo, [task]), rng)
     assert not [key for key in encoder_prediction(photo).encode(encoder, encoder_input) if key.startswith("suns")]

@@ -11,7 +11,6 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, no
 from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, camera_distance, normal_from_height, pack_maps, texel_positions, unpack_maps
-from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.app import JUDGED_LIGHTS, SvbrdfNonstationary, fixed_pairs
 from metapp.apps.svbrdf_nonstationary.coded_maps import (
     BLOTS_WEIGHT,
@@ -45,6 +44,7 @@ from metapp.apps.svbrdf_nonstationary.variants import (
 )
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
+from tests.recipe_apps import presenter_of
 
 SIDE = 16
 REFERENCE = FromMaps(field_of(SIDE, hidden=8)._replace(code=3), encoder_width=2)

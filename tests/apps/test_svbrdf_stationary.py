@@ -18,7 +18,6 @@ from metapp.appearance.flash import (
     render_maps,
     texel_positions,
 )
-from metapp.apps import presenter_of
 from metapp.apps.exemplar.app import PictureChanges, draw_noise
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES
@@ -37,6 +36,7 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import UNet
+from tests.recipe_apps import presenter_of
 
 SIZE = 32
 TINY = SvbrdfStationary(UNet(4, 3, noise=4, code=4, outputs=6), Octaves(SIZE, SIZE, ("relu1_1",)))

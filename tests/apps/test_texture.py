@@ -9,13 +9,13 @@ from torch.nn.functional import interpolate, pad
 
 from metapp.appearance.picture_measures import measure_pictures
 from metapp.appearance.pictures import TimedFit
-from metapp.apps import presenter_of
 from metapp.apps.exemplar.app import JUDGED_PICTURES, draw_noise
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.texture.app import MIN_CROP_SHARE, GramStatistics, Texture
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.generators import UNet
+from tests.recipe_apps import presenter_of
 
 SIZE, LEVELS = 32, 3
 TINY = Texture(UNet(8, LEVELS, noise=4, code=8), Octaves(SIZE, SIZE, ("relu1_1", "relu2_1")))

@@ -343,8 +343,10 @@ OF_FEW_SAMPLES = SimpleNamespace(**vars(synthetic_transport) | {"synthetic_tasks
 
 def embed(monkeypatch: pytest.MonkeyPatch, app: str, name: str) -> None:
     """Have the registry name an object of this module as the embedded set of an application."""
-    entry = replace(registry().synthetic[app], reference=f"{__name__}:{name}")
-    monkeypatch.setitem(registry().synthetic.data, app, entry)
+    application = registry().applications[app]
+    assert application.synthetic is not None
+    entry = replace(application.synthetic, reference=f"{__name__}:{name}")
+    monkeypatch.setitem(vars(application), "synthetic", entry)
 
 
 def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp.names import exports_of
 from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
+from tests.recipe_apps import exports_of
 from tests.small_spheres import run_with_small_spheres
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

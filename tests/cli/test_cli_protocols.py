@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,15 +22,14 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.flash import Maps, normal_from_height, pack_maps, unpack_maps
 from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import photograph_spheres
-from metapp.apps.illumination.recipes import RECIPES as ILLUMINATION
+from metapp.apps.illumination import recipes as illumination_recipes
+from metapp.apps.svbrdf_nonstationary import recipes as material_recipes
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
-from metapp.apps.svbrdf_nonstationary.recipes import RECIPES as MATERIALS
 from metapp.cli.evaluation_options import EvaluateOptions
 from metapp.cli.evaluation_output import evaluation_runs_of
 from metapp.cli.fit_output import VISIBLE_TILT_DEGREES
 from metapp.cli.progress import Terminal
 from metapp.evaluation.tables.results import describe_gap
-from metapp.names import exports_of
 from metapp.networks.field import LocalField
 from metapp.registry import registry
 from metapp.runs.execution import execute_run
@@ -41,10 +41,13 @@ from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
 from tests.marked import long
 from tests.pictures import write_planes
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, exports_of
 
 SVBRDF = "svbrdf_nonstationary"
-RECIPES = {"illumination": ILLUMINATION, SVBRDF: MATERIALS}
+RECIPES = {
+    "illumination": (illumination_recipes.REFERENCE_RECIPES, illumination_recipes.PHOTO_RECIPES),
+    SVBRDF: (material_recipes.REFERENCE_RECIPES, material_recipes.PHOTO_RECIPES),
+}
 
 
 class Inputs(NamedTuple):
@@ -178,7 +181,7 @@ def test_inputs_choose_the_protocol(app: str, photo: Path, reference: Path, caps
     def chosen(*inputs: Path, **more: Any) -> tuple[str, str]:
         with use_reporter(Terminal()):
             run = Run.from_options(fit_options(app, "general", inputs, recipe="quick", **more))
-        return run.app.protocol, capsys.readouterr().err.strip()
+        return run.app.observes, capsys.readouterr().err.strip()
 
     assert chosen(photo) == ("photo", f"{app}: fits see: photo, since every input is a photo alone")
     assert chosen(reference) == ("reference", f"{app}: fits see: reference, since every input has one")
@@ -215,7 +218,7 @@ def test_a_missing_library_is_named_before_anything_is_fitted(
     metapp: Callable, shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     form = replace(exports_of(SVBRDF)["asset"], needs=("no_such_module", "no-such-package"))
-    monkeypatch.setitem(registry().exports.data, (SVBRDF, "asset"), form)
+    monkeypatch.setitem(registry().applications[SVBRDF].exports.data, "asset", form)
     misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in misuse
     assert not Path("runs").exists()
@@ -324,15 +327,15 @@ STEPS = ("--train", "--train-steps", "2", "--quiet")
 def on_data(metapp: Callable, shorten_recipes: Callable) -> Callable:
     """A command on ten small materials, eight of them for training, with small networks and a few steps."""
     field = field_of(16, hidden=8)._replace(code=3)
-    shorten_recipes(MATERIALS, field, field, encoder_width=2)
+    shorten_recipes(RECIPES[SVBRDF], field, field, encoder_width=2)
     assert metapp("data", "synth", SVBRDF, "--count", "10", "--size", "32", "--out", "set", "--quiet").code == 0
     return lambda command, *more: metapp(command, SVBRDF, *more, "--recipe", "quick", "--data", "set")
 
 
 def test_protocols_share_generals_checkpoint_alone(on_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = MATERIALS["photo"]["quick"]
-    monkeypatch.setitem(MATERIALS["photo"], "quick", replace(quick, search=([{"rate": 0.5}],)))
-    rule = MATERIALS["photo"]["quick"].rule
+    quick = material_recipes.PHOTO_RECIPES["quick"]
+    monkeypatch.setitem(material_recipes.PHOTO_RECIPES, "quick", replace(quick, search=([{"rate": 0.5}],)))
+    rule = material_recipes.PHOTO_RECIPES["quick"].rule
     for paradigm in ("meta", "quickft"):
         assert on_data(paradigm, "--observe", "photo", *STEPS).code == 0
     (folder,) = Path("runs", SVBRDF, "checkpoints").iterdir()
@@ -363,7 +366,7 @@ def test_observe_option_selects_protocols_in_evaluations() -> None:
     both = [(SVBRDF, "reference"), (SVBRDF, "photo")]
     for more, expected in (({"observe": "photo"}, both[1:]), ({}, both[:1]), ({"whole": True}, both)):
         subjects = evaluation_runs_of(EvaluateOptions(recipe="quick", no_run=True, **more), ["texture", SVBRDF])
-        found = [(subject.app.name, subject.app.protocol) for subject in subjects]
+        found = [(subject.app.name, subject.app.observes) for subject in subjects]
         assert found == [("texture", ""), *expected]
 
 
@@ -374,7 +377,12 @@ def test_meta_is_compared_with_general_where_overfit_sees_less() -> None:
         | {"rule": "tied", "paper_error": None, "paper_seconds": None}
         for name, error in errors.items()
     ]
-    assert "gap closed 0.24" in describe_gap(app_by_recipe(SVBRDF), rows)
-    output = describe_gap(app_by_recipe(SVBRDF, protocol="photo"), rows)
+
+    def evaluation_of(observes: str) -> Any:
+        app = app_by_recipe(SVBRDF, observes=observes)
+        return SimpleNamespace(app=app, observes_default=observes == "reference")
+
+    assert "gap closed 0.24" in describe_gap(evaluation_of("reference"), rows)
+    output = describe_gap(evaluation_of("photo"), rows)
     assert output.startswith("Meta's error is 12 % below General's, 10 % below QuickFT's; Overfit sees the photo alone")
     assert "gap" not in output

@@ -30,12 +30,11 @@ from metapp.apps.transport.recipes import RECIPES as TRANSPORT_RECIPES
 from metapp.extensions.scene_files import scene_reader
 from metapp.extensions.viewer.pages import transport as page
 from metapp.learning.app import stack_tasks
-from metapp.names import exports_of
 from metapp.registry import registry
 from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.fit_options import FitOptions, fit_options
 from metapp.runs.inputs.finding import find_sources
-from metapp.runs.recipe_choice import choose_protocol_and_recipe
+from metapp.runs.recipe_choice import choose_recipe
 from metapp.runs.run import Run
 from metapp.storage.fit_folders import PARAMS, read_fit_records, read_params
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
@@ -45,6 +44,7 @@ from tests.cli.test_cli_protocols import ball, flash, strip
 from tests.marked import long
 from tests.needs_mitsuba import skip_without_mitsuba
 from tests.pictures import write_noise_map, write_noise_photo
+from tests.recipe_apps import exports_of
 
 NAMES = ("first", "second")  # of the two inputs of each fit
 Writer = Callable[[Path, str], Path]  # a function that writes an input of a name into a folder
@@ -102,18 +102,23 @@ INPUTS: dict[str, tuple[Writer, ...]] = {
 
 
 class Case(NamedTuple):
-    """A recipe, by its key in the registry."""
+    """A recipe of an application, and what its fits see."""
 
     app: str
-    protocol: str
+    observes: str
     recipe: str
 
     def __str__(self) -> str:
         return "-".join(filter(None, self))
 
 
-CASES = [Case(*key) for key in registry().recipes]
-QUICK_CASES = [Case(app, next(iter(entry.protocols), ""), "quick") for app, entry in registry().applications.items()]
+CASES = [
+    Case(app, observes, name)
+    for app, application in registry().applications.items()
+    for observes in application.observations or ("",)
+    for name in application.recipes_observing(observes)
+]
+QUICK_CASES = [Case(app, entry.default_observation, "quick") for app, entry in registry().applications.items()]
 
 
 def mark(case: Case) -> Any:
@@ -137,21 +142,21 @@ def command_of(case: Case, folder: Path) -> list[str | Path]:
 
     The recipe is named only where inputs cannot choose it.
     """
-    entry = registry().recipes[case]
+    entry = registry().applications[case.app].recipes_observing(case.observes)[case.recipe]
     paradigm = "meta" if "meta" in (entry.paradigms or ("meta",)) else entry.paradigms[0]
     choices = []
     for number, write in enumerate(INPUTS[case.app]):
         (folder / str(number)).mkdir(parents=True)
         inputs = [write(folder / str(number), name) for name in NAMES]
         options = fit_options(case.app, paradigm, inputs)
-        choices.append((choose_protocol_and_recipe(options, find_sources(options)), inputs))
-    of_protocol = [(choice.recipe, inputs) for choice, inputs in choices if choice.protocol == case.protocol]
+        choices.append((choose_recipe(options, find_sources(options)), inputs))
+    of_protocol = [(choice.name, inputs) for choice, inputs in choices if choice.observes == case.observes]
     chosen = next((inputs for recipe, inputs in of_protocol if recipe == case.recipe), None)
-    assert chosen or not entry.suits, f"INPUTS has no inputs of {entry.help}: add some that choose {case}"
+    assert chosen or not entry.suits, f"INPUTS has no inputs of {entry.inputs}: add some that choose {case}"
     if chosen:
         return [paradigm, case.app, *chosen, "--steps", "2"]
     inputs = of_protocol[0][1]
-    options = fit_options(case.app, paradigm, inputs, recipe=case.recipe, observe=case.protocol)
+    options = fit_options(case.app, paradigm, inputs, recipe=case.recipe, observe=case.observes)
     paradigm = paradigm if ships_checkpoint(options) else "overfit"
     return [paradigm, case.app, *inputs, "--recipe", case.recipe, "--steps", "2"]
 

@@ -15,7 +15,6 @@ from metapp.appearance import features
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import vgg_weights_path
 from metapp.appearance.flash import normal_from_height, unpack_maps
-from metapp.apps import presenter_of
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
@@ -23,7 +22,7 @@ from metapp.registry import load_reference
 from metapp.storage.fit_folders import read_fit_records
 from tests.appearance.test_features import random_weights
 from tests.pictures import write_noise_photo
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, presenter_of
 
 APPS = ("texture", "svbrdf_stationary")
 OUTPUTS = {

@@ -14,7 +14,6 @@ import torch
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport_task import make_transport_task
 from metapp.appearance.pictures import TimedFit
-from metapp.apps import presenter_of
 from metapp.apps.transport import guided_pictures
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
@@ -23,7 +22,7 @@ from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.scene_files import scene_reader
 from metapp.learning.task import Params, Task
 from metapp.rendering.paths import path_space
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, presenter_of
 
 
 @pytest.fixture(scope="module")

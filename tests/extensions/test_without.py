@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from metapp.names import app_names
 from metapp.registry import ENTRY_POINT_GROUP, WITHOUT_VARIABLE, registry
 from tests import forks
+from tests.recipe_apps import app_names
 
 NETWORKS = 1
 pytestmark = pytest.mark.usefixtures("compiled_in_cache")

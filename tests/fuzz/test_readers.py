@@ -21,10 +21,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from data_tools.readers.merl import FILE_BYTES
-from metapp.names import input_formats
 from tests.fuzz import files
 from tests.fuzz.mutations import damage_one_file
 from tests.needs_mitsuba import REASON_TO_SKIP
+from tests.recipe_apps import input_formats
 from tests.small_spheres import shrink_spheres
 
 EXAMPLES = int(os.environ.get("METAPP_FUZZ", "0"))  # of each reader; 0: a few, the same ones every time
@@ -74,12 +74,13 @@ def read_scene(folder: Path, file: Path) -> None:
 def read_shard(folder: Path, file: Path) -> None:
     from metapp.apps.brdf.app import Brdf
     from metapp.learning.app import stack_tasks
+    from metapp.registry import registry
     from metapp.runs.inputs.run_inputs import read_test_tasks
     from metapp.storage.shards import fingerprint, list_data_set_problems
 
     fingerprint(folder)
     list_data_set_problems(folder)
-    tasks = read_test_tasks(Brdf(), folder, True)[0]
+    tasks = read_test_tasks(registry().applications["brdf"], Brdf(), folder, True)[0]
     for task in tasks:
         finite(task)
     stack_tasks(Brdf(), tasks)

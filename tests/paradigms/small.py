@@ -15,13 +15,12 @@ from data_tools.synthetic.texture import synthetic_tasks
 from metapp.appearance.flash import Maps, normal_from_height, pack_maps
 from metapp.appearance.latlong import mean_luminance, texel_directions
 from metapp.appearance.photograph import photograph_spheres
-from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.feature_network import Featured
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.apps.exemplar.octaves import Octaves
-from metapp.apps.illumination.app import Illumination
-from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, field_of
+from metapp.apps.illumination.app import FromBall, FromMap
+from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
 from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.texture.app import Texture
 from metapp.apps.texture.quilted import QuiltedTexture
@@ -33,7 +32,6 @@ from metapp.learning.learn import MetaParameters, final_item
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.rules.solve import linear_parameter
 from metapp.learning.task import Task
-from metapp.names import app_names
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
 from metapp.networks.quilted import LightGrid
@@ -43,6 +41,7 @@ from metapp.paradigms.paradigm import Paradigm
 from metapp.paradigms.training import TrainState
 from metapp.registry import registry
 from tests.marked import long
+from tests.recipe_apps import app_names, recipes_of
 from tests.small_spheres import shrink_spheres
 
 TASK_COUNT = 12
@@ -128,7 +127,7 @@ SMALL_OCTAVES = Octaves(16, 16, ("relu1_1",))
 SMALL_APPLICATIONS: dict[str, SmallApplication] = {
     "brdf": SmallApplication(brdf_tasks, Brdf(NBRDF_NETWORK)),
     "illumination": SmallApplication(
-        map_tasks, Illumination(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
+        map_tasks, FromMap(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
     ),
     "svbrdf_nonstationary": SmallApplication(
         material_tasks, FromMaps(field_of(16, hidden=8)._replace(code=3), encoder_width=2)
@@ -143,13 +142,19 @@ SMALL_APPLICATIONS: dict[str, SmallApplication] = {
 }
 
 
-def small_app(kind: str) -> App:
+SMALL_PHOTO_APPS: dict[str, App] = {
+    "illumination": FromBall(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)),
+    "svbrdf_nonstationary": FromPhoto(field_of(16, hidden=8)._replace(code=3), encoder_width=2),
+}
+
+
+def small_app(kind: str, observes: str = "") -> App:
     """Return an application with a small network; BRDFs and textures have a second one each."""
     if kind == FEATURE_NETWORK:
         return Brdf(Featured(width=8, features=5, code=3, encoder=8))
     if kind == QUILTED_TEXTURE:
         return QuiltedTexture(LightGrid(4, 4), SMALL_OCTAVES, candidates=1)
-    return app_of(kind, replace(recipes_of(kind)["quick"], app=SMALL_APPLICATIONS[kind].app))
+    return SMALL_PHOTO_APPS[kind] if observes == "photo" else SMALL_APPLICATIONS[kind].app
 
 
 def small_recipe(app: App) -> Recipe:

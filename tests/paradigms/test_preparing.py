@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.apps import recipes_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.learned_rules import rule_of
@@ -34,7 +33,7 @@ from tests.paradigms.small import (
     small_recipe,
     untrained_checkpoint,
 )
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, recipes_of
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 

@@ -10,14 +10,13 @@ import torch
 from metapp.appearance.picture_measures import measure_pictures
 from metapp.appearance.pictures import PICTURE_KINDS, TimedFit
 from metapp.appearance.presenter import Presenter
-from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
-from metapp.names import protocols_of
 from metapp.paradigms.paradigm import Paradigm
 from metapp.storage.files import file_name
 from tests.paradigms.small import seeded_generator
+from tests.recipe_apps import observations_of, presenter_of, recipes_of
 
 pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
 
@@ -35,9 +34,9 @@ def fitted_parameters(fits: dict[str, Paradigm], tasks: Tasks) -> Params:
 
 
 def test_an_application_has_the_protocol_that_it_is_made_for(app: App) -> None:
-    for protocol in protocols_of(app.name) or ("",):
+    for protocol in observations_of(app.name):
         for recipe in recipes_of(app.name, protocol).values():
-            assert app_of(app.name, recipe, protocol).protocol == protocol
+            assert recipe.observes == protocol
 
 
 def test_titles_and_measures_of_tables_are_single_lines(

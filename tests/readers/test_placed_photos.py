@@ -16,20 +16,19 @@ from data_tools.readers import svbrdf_inputs
 from data_tools.readers.input_source import Source
 from data_tools.readers.square_photos import SIZE_TEXT
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
-from metapp.apps import recipes_of
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from metapp.names import input_formats
 from metapp.options import BadOption
 from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import find_sources, source_of_tensors
-from metapp.runs.recipe_choice import choose_protocol_and_recipe
+from metapp.runs.recipe_choice import choose_recipe
 from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_data_set
 from metapp.storage.shipped_checkpoints import checkpoint_folder, shipped_checkpoint_path
+from tests.recipe_apps import application, input_formats, recipes_of
 
 APP = "svbrdf_nonstationary"
 
@@ -130,17 +129,20 @@ def test_data_sets_and_tasks_of_several_photos_have_that_recipe(
     options = fit_options(APP, "meta", observe="photo", data=tmp_path / "set")
 
     def recipe(source: Source) -> str:
-        return choose_protocol_and_recipe(options, [source]).recipe
+        return choose_recipe(options, [source]).name
 
-    assert recipe(*find_sources(options)) == recipe(source_of_tensors(APP, "leaf", task.data)) == "several"
-    one = source_of_tensors(APP, "one", {"photo": task.data["photo"]})
+    assert recipe(*find_sources(options)) == recipe(source_of_tensors(application(APP), "leaf", task.data)) == "several"
+    one = source_of_tensors(application(APP), "one", {"photo": task.data["photo"]})
     assert recipe(one) == ("full" if missing_weights else "pretrained")
 
 
 def test_a_folder_tells_how_many_photos_it_holds(folder: Path) -> None:
     (source,), _ = photos.find(folder)
-    assert (source.name, source.protocol, source.facts) == ("leaf", "photo", {"photos": 3})
-    assert source_of_tensors(APP, "leaf", photos.read_task(folder).data).facts == {"photos": 3}
+    assert (source.name, source.facts) == ("leaf", {"photos": 3, "reference": False})
+    assert source_of_tensors(application(APP), "leaf", photos.read_task(folder).data).facts == {
+        "photos": 3,
+        "reference": False,
+    }
 
 
 def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, metapp: Callable) -> None:

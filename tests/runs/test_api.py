@@ -21,7 +21,6 @@ from torch import Generator
 import metapp as api
 from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.geometry import rusinkiewicz_to_directions
-from metapp.apps import app_of, recipe_of
 from metapp.apps.illumination.suns import SUN_SPECS
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import read_tensors, to_json_value
@@ -29,6 +28,7 @@ from metapp.storage.fit_folders import pack_fit, write_fit
 from metapp.storage.parameters import check_params
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba
+from tests.recipe_apps import app_by_recipe
 from tests.scene_files import OBJ
 
 
@@ -423,7 +423,7 @@ def test_a_fit_shows_itself(network: Path) -> None:
 
 
 def test_suns_of_which_a_part_is_missing_are_refused() -> None:
-    app = app_of("illumination", recipe_of("illumination", "quick"))
+    app = app_by_recipe("illumination")
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     suns = {key: torch.zeros(spec.shape) for key, spec in SUN_SPECS.items()}
     check_params(theta, app, "sky")

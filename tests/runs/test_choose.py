@@ -21,13 +21,14 @@ from metapp.registry import registry
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.finding import source_of_tensors
 from metapp.runs.inputs.run_inputs import find_inputs
-from metapp.runs.recipe_choice import choose_protocol_and_recipe
+from metapp.runs.recipe_choice import choose_recipe
 from metapp.runs.reporter import Reporter, use_reporter
 from metapp.runs.run import Run
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from metapp.storage.shards import write_data_set
 from tests.anisotropic import measure_with_noise
 from tests.pictures import write_planes
+from tests.recipe_apps import application
 
 MATERIALS, BALLS = "svbrdf_nonstationary", "illumination"
 PHI_H, FEW = "reflectance that depends on phi_h", "200 samples or fewer"
@@ -227,7 +228,7 @@ def chosen(app: str, paths: Sequence[Path], **options: Any) -> tuple[str, str, t
     """Recipe, protocol and the lines that are said of inputs that are paths, or of a data set."""
     with use_reporter(heard := Heard()):
         run = Run.from_options(fit_options(app, options.pop("paradigm", "meta"), paths, **options))
-    return run.options.recipe, run.app.protocol, tuple(heard.lines)
+    return run.options.recipe, run.app.observes, tuple(heard.lines)
 
 
 @pytest.mark.parametrize("case", CASES, ids=name_of)
@@ -273,8 +274,9 @@ def test_files_that_come_later_are_found_by_the_next_command(tmp_path: Path) -> 
 
 
 def tasks_of(app: str, *objects: Any) -> list[Task]:
-    entry = registry().objects[app].load()
-    return [entry(source, f"object{number}") for number, source in enumerate(objects)]
+    entry = registry().applications[app].read_object
+    assert entry is not None
+    return [entry.load()(source, f"object{number}") for number, source in enumerate(objects)]
 
 
 def pairs(rows: int, *, anisotropic: bool = False) -> Any:
@@ -303,16 +305,18 @@ def test_objects_in_memory_choose_recipe_and_protocol(name: str, monkeypatch: py
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.pretrained.encoder.describe_missing_weights", lambda: "")
     app, objects, recipe, protocol = OBJECTS[name]
     result = objects()
-    sources = [source_of_tensors(app, task.name, task.data) for task in tasks_of(app, *result)]
-    choice = choose_protocol_and_recipe(fit_options(app, "meta", result), sources)
-    assert (choice.recipe, choice.protocol) == (recipe, protocol)
+    sources = [source_of_tensors(application(app), task.name, task.data) for task in tasks_of(app, *result)]
+    choice = choose_recipe(fit_options(app, "meta", result), sources)
+    assert (choice.name, choice.observes) == (recipe, protocol)
     reasons = [reason_of(app, recipe, WORDS[recipe])] if recipe in WORDS else []
     assert list(choice.reasons)[1 if protocol else 0 :] == reasons
 
 
 def test_objects_that_no_recipe_suits_together_are_refused() -> None:
-    sources = [source_of_tensors("brdf", task.name, task.data) for task in tasks_of("brdf", pairs(20), pairs(500))]
+    sources = [
+        source_of_tensors(application("brdf"), task.name, task.data) for task in tasks_of("brdf", pairs(20), pairs(500))
+    ]
     line = f"brdf: object0 has {FEW}, object1 has not, {OTHER_COMMANDS}few or --recipe full."
     with pytest.raises(BadOption, match=re.escape(line)):
-        choose_protocol_and_recipe(fit_options("brdf", "meta", [0, 1]), sources)
-    assert choose_protocol_and_recipe(fit_options("brdf", "meta", [0, 1], recipe="full"), sources).recipe == "full"
+        choose_recipe(fit_options("brdf", "meta", [0, 1]), sources)
+    assert choose_recipe(fit_options("brdf", "meta", [0, 1], recipe="full"), sources).name == "full"

@@ -29,7 +29,7 @@ from metapp.runs.outputs.run_records import find_fitted_tasks
 from metapp.runs.run import Run
 from metapp.storage.shards import list_data_set_problems, read_manifest
 from tests import forks
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, application
 
 COUNTS = {"train": 3, "test": 2}
 MODULES = {"brdf": brdf, "texture": texture, "illumination": illumination}
@@ -62,9 +62,9 @@ def test_test_tasks_drawn_alone_equal_those_of_the_whole_set(
     app: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     splits = count_draws(monkeypatch, MODULES[app])
-    alone = make_embedded_test_set(app, quiet=True)
+    alone = make_embedded_test_set(application(app), quiet=True)
     assert splits == ["test"] * COUNTS["test"]
-    whole = make_embedded_set(app, out=tmp_path / "whole", quiet=True)
+    whole = make_embedded_set(application(app), out=tmp_path / "whole", quiet=True)
     tests = tuple(entry for entry in read_manifest(whole).tasks if entry.split == "test")
     assert read_manifest(alone).tasks == tests  # with the hashes of all bytes
     assert read_manifest(alone).units == read_manifest(whole).units
@@ -74,33 +74,33 @@ def test_test_tasks_drawn_alone_equal_those_of_the_whole_set(
 def test_a_fit_draws_no_training_tasks(metapp: Callable, splits: list[str], tmp_path: Path) -> None:
     assert metapp("general", "brdf", "--out", tmp_path / "runs", "-q").code == 0
     assert splits == ["test"] * COUNTS["test"]
-    assert not has_embedded_training("brdf")
+    assert not has_embedded_training(application("brdf"))
 
 
 def test_a_table_draws_no_training_tasks(metapp: Callable, splits: list[str], tmp_path: Path) -> None:
-    assert not has_embedded_tests("brdf")
+    assert not has_embedded_tests(application("brdf"))
     metapp("evaluate", "brdf", "--no-run", "--out", tmp_path / "runs", "-q")
     assert splits == []
-    assert not has_embedded_tests("brdf")
-    make_embedded_test_set("brdf", quiet=True)
+    assert not has_embedded_tests(application("brdf"))
+    make_embedded_test_set(application("brdf"), quiet=True)
     metapp("evaluate", "brdf", "--no-run", "--which", "baselines", "--out", tmp_path / "runs", "-q")
     assert splits == ["test"] * COUNTS["test"]
 
 
 @pytest.mark.usefixtures("splits")
 def test_the_whole_set_that_is_made_later_changes_no_label() -> None:
-    tasks, label = read_test_tasks(app_by_recipe("brdf"), None, quiet=True)
-    whole = make_embedded_set("brdf", quiet=True)
-    later, label_later = read_test_tasks(app_by_recipe("brdf"), None, quiet=True)
+    tasks, label = read_test_tasks(application("brdf"), app_by_recipe("brdf"), None, quiet=True)
+    whole = make_embedded_set(application("brdf"), quiet=True)
+    later, label_later = read_test_tasks(application("brdf"), app_by_recipe("brdf"), None, quiet=True)
     assert label_later == label != data_label(whole)
     assert [task.name for task in later] == [task.name for task in tasks]
-    assert embedded_folders("brdf") == [make_embedded_test_set("brdf"), whole]
+    assert embedded_folders(application("brdf")) == [make_embedded_test_set(application("brdf")), whole]
 
 
 def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
-    whole = make_embedded_set("brdf", quiet=True)
+    whole = make_embedded_set(application("brdf"), quiet=True)
     splits.clear()
-    tasks, label = read_test_tasks(app_by_recipe("brdf"), None, quiet=True)
+    tasks, label = read_test_tasks(application("brdf"), app_by_recipe("brdf"), None, quiet=True)
     assert (len(tasks), label) == (COUNTS["test"], data_label(whole))
     assert splits == []
 
@@ -109,24 +109,24 @@ def test_a_whole_set_that_is_there_keeps_its_label(splits: list[str]) -> None:
 def test_fits_of_either_folder_find_their_tasks(metapp: Callable, tmp_path: Path) -> None:
     def tasks_of_record(document: dict[str, Any]) -> dict[str, Task]:
         records = [json.loads(Path(task["folder"], "record.json").read_text()) for task in document["tasks"]]
-        return find_fitted_tasks(records, app_by_recipe("brdf"), [], None)
+        return find_fitted_tasks(records, [], None)
 
     words = ("general", "brdf", "-q", "--json", "--out")
-    make_embedded_set("brdf", quiet=True)
+    make_embedded_set(application("brdf"), quiet=True)
     of_whole = metapp(*words, tmp_path / "whole").json_result
-    alone = embedded_folders("brdf")[0].with_name(f"{embedded_folders('brdf')[0].name}-test")
-    embedded_folders("brdf")[0].rename(tmp_path / "aside")
+    alone = embedded_folders(application("brdf"))[0].with_name(f"{embedded_folders(application('brdf'))[0].name}-test")
+    embedded_folders(application("brdf"))[0].rename(tmp_path / "aside")
     of_tests = metapp(*words, tmp_path / "alone").json_result
-    assert embedded_folders("brdf") == [alone]
+    assert embedded_folders(application("brdf")) == [alone]
     assert tasks_of_record(of_whole) == {}  # its set is not there
     (tmp_path / "aside").rename(str(alone).removesuffix("-test"))
     assert list(tasks_of_record(of_whole)) == list(tasks_of_record(of_tests)) == [t["name"] for t in of_tests["tasks"]]
 
 
 def test_a_damaged_folder_of_test_tasks_is_made_again(splits: list[str]) -> None:
-    folder = make_embedded_test_set("brdf", quiet=True)
+    folder = make_embedded_test_set(application("brdf"), quiet=True)
     next(folder.glob("*.safetensors")).unlink()
-    assert make_embedded_test_set("brdf", quiet=True) == folder
+    assert make_embedded_test_set(application("brdf"), quiet=True) == folder
     assert list_data_set_problems(folder) == []
     assert splits == ["test"] * 2 * COUNTS["test"]
 
@@ -134,7 +134,8 @@ def test_a_damaged_folder_of_test_tasks_is_made_again(splits: list[str]) -> None
 def test_baselines_that_learn_have_training_tasks_drawn_where_they_are_measured(splits: list[str]) -> None:
     plan = Run.from_options(fit_options("brdf", "general", quiet=True))
     learning, other = (
-        next(baseline for baseline in baselines_of(plan.app) if bool(baseline.learns) is kind) for kind in (True, False)
+        next(baseline for baseline in baselines_of(plan.application, plan.app) if bool(baseline.learns) is kind)
+        for kind in (True, False)
     )
     assert find_training_folder(plan, learning) is None
     assert find_training_folder(plan, other, make=True) is None
@@ -144,7 +145,7 @@ def test_baselines_that_learn_have_training_tasks_drawn_where_they_are_measured(
     assert (
         find_training_folder(plan, learning, make=True)
         == find_training_folder(of_file, learning)
-        == make_embedded_set("brdf")
+        == make_embedded_set(application("brdf"))
     )
     assert splits == ["train"] * COUNTS["train"] + ["test"] * COUNTS["test"]
 
@@ -166,7 +167,7 @@ def make_tests(start: Path, others: int) -> None:
             yield from draw(*arguments)
 
         patch.setattr(brdf, "synthetic_tasks", together)
-        folder = make_embedded_test_set("brdf", quiet=True)
+        folder = make_embedded_test_set(application("brdf"), quiet=True)
         assert list_data_set_problems(folder) == []
         print(data_label(folder))
 

@@ -11,26 +11,25 @@ from typer.testing import CliRunner
 
 from data_tools.synthetic.examples import write_example
 from metapp.appearance.presenter import Presenter
-from metapp.apps import app_of, presenter_of, recipes_of
 from metapp.apps.exemplar.app import LARGEST_PHOTO_PX
 from metapp.cli.command_tree import app as cli
-from metapp.names import app_names, protocols_of
-from metapp.options import BadOption, app_options_class, options_by_name
+from metapp.options import BadOption, options_by_name
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
 from metapp.runs.checkpoint_selection import attach_checkpoint
-from metapp.runs.default_recipe import has_shipped_recipe
 from metapp.runs.fit_options import FitOptions, fit_options, folder_name_parts
 from metapp.runs.inputs.run_inputs import find_inputs
+from metapp.runs.recipe_choice import has_shipped_recipe
 from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import load_checkpoint, save_checkpoint
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
+from tests.recipe_apps import app_by_recipe, app_names, observations_of, presenter_of, recipes_of
 
 
 @pytest.mark.parametrize("name", app_names())
 def test_all_inputs_go_by_the_best_recipe_that_ships(name: str) -> None:
     assert {"quick", "full", "paper"} <= set(recipes_of(name))
-    assert has_shipped_recipe(name, "full")
+    assert has_shipped_recipe(registry().applications[name], "full")
     for more in ({}, {"paradigm": "general"}, {"inputs": [Path("a")]}, {"data": Path("data")}, {"train": True}):
         assert Run.from_options(fit_options(name, **more)).options.recipe == "full", more
     assert Run.from_options(fit_options(name, recipe="quick")).options.recipe == "quick"
@@ -103,11 +102,10 @@ def test_options_that_fits_cannot_have_are_refused(app: str, options: dict[str, 
 
 @pytest.mark.parametrize("name", app_names())
 def test_applications_have_the_options_of_their_entries(name: str) -> None:
-    protocols = protocols_of(name)
-    assert all(recipes_of(name, protocol) for protocol in protocols or ("",))
-    app = app_of(name, recipes_of(name)["quick"], (protocols or ("",))[0])
+    assert all(recipes_of(name, observed) for observed in observations_of(name))
+    app = app_by_recipe(name)
     sized = type(presenter_of(app)).size_refusal is not Presenter.size_refusal
-    assert hasattr(app_options_class(name), "size") is sized
+    assert hasattr(registry().applications[name].options.load(), "size") is sized
 
 
 # Inputs of a run, and where records say that they are
@@ -146,7 +144,8 @@ NO_FIGURE = {
 
 def test_records_state_all_options_that_figures_depend_on() -> None:
     run = attach_checkpoint(Run.from_options(fit_options("illumination", recipe="quick", observe="photo")))
-    named = {"options" if field.name == "app_options" else field.name for field in fields(FitOptions)} - NO_FIGURE
+    names = {"app_options": "options", "application": "app"}  # of fields in settings, where these differ
+    named = {names.get(field.name, field.name) for field in fields(FitOptions)} - NO_FIGURE
     run = replace(run, options=replace(run.options, app_options=replace(run.options.app_options, fov=60.0)))
     assert named <= run.settings("none").keys()
 
@@ -154,8 +153,8 @@ def test_records_state_all_options_that_figures_depend_on() -> None:
 def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An extension's format of a suffix that is taken neither wins nor loses in silence."""
     (tmp_path / "paint.csv").write_text("")
-    gonio = registry().formats["gonio"]
-    monkeypatch.setitem(registry().formats, "acme", gonio)
+    formats = registry().applications["brdf"].formats
+    monkeypatch.setitem(formats.data, "acme", formats["gonio"])
     for path in (tmp_path / "paint.csv", tmp_path):
         options = fit_options("brdf", "general", inputs=[path], recipe="full")
         with pytest.raises(
@@ -171,7 +170,8 @@ def test_a_file_that_two_formats_read_is_refused(tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize("name", ["illumination", "svbrdf_nonstationary"])
 def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
     planned = Run.from_options(fit_options(name, observe=observe, recipe="full", out=tmp_path))
-    assert planned.app == replace(planned.recipe.app, protocol=observe)
+    assert planned.app == planned.recipe.app
+    assert planned.app.observes == planned.recipe.observes == observe
     prepared = attach_checkpoint(planned).phi
     field = planned.app.network
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
@@ -207,6 +207,6 @@ def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monke
 def test_names_of_run_folders_have_a_digest_of_options_about_inputs(
     app: str, values: dict[str, Any], parts: list[str]
 ) -> None:
-    found = folder_name_parts(app_options_class(app)(**values))
+    found = folder_name_parts(registry().applications[app].options.load()(**values))
     assert len(found) == len(parts)
     assert all(re.fullmatch(part, name) for part, name in zip(parts, found, strict=True))

@@ -34,10 +34,10 @@ from metapp.appearance.flash import (
 )
 from metapp.appearance.latlong import luminance, mean_luminance
 from metapp.learning.task import Task
-from metapp.names import app_names
 from metapp.runs.inputs.embedded import make_embedded_set
 from metapp.storage.shards import read_manifest
 from tests.needs_mitsuba import needs_mitsuba
+from tests.recipe_apps import app_names, application
 
 TRAIN = {"texture": 100, "svbrdf_stationary": 64, "svbrdf_nonstationary": 48, "illumination": 48}  # tasks for training
 
@@ -168,7 +168,7 @@ def test_draws_are_the_same_everywhere_and_no_two_are_alike(app: str, data: Draw
 
 def test_the_embedded_set_has_all_units(app: str, tmp_path: Path) -> None:
     options = {"maps": True} if app == "svbrdf_stationary" else {}
-    manifest = read_manifest(make_embedded_set(app, count=5, out=tmp_path / "set", quiet=True, options=options))
+    manifest = read_manifest(make_embedded_set(application(app), count=5, out=tmp_path, quiet=True, options=options))
     assert (manifest.app, manifest.units) == (app, source_of(app).UNITS)
     assert [entry.split for entry in manifest.tasks].count("test") >= 1
 

@@ -5,8 +5,10 @@ Importing the package is cheap: the registry names what it holds, and metapp imp
 
 from dataclasses import dataclass
 
+from metapp.application import Application, Export, Format, RecipeEntry
+from metapp.entries import Lazy
 from metapp.options import Converter
-from metapp.registry import Application, Entry, Export, Format, RecipeEntry, Registry
+from metapp.registry import Command, Registry
 
 
 @dataclass(frozen=True)
@@ -20,15 +22,17 @@ class Curve(Converter):
 
 def register(registry: Registry) -> None:
     """Register the application and all that belongs to it."""
-    registry.applications["curve"] = Application(
-        "metapp_curve.app:Curve",
+    curve = Application(
+        name="curve",
         title="Curve",
         help="Curves: a network of one variable.",
-        presenter="metapp_curve.presenter:CurvePresenter",
+        app=Lazy("metapp_curve.app:Curve"),
+        presenter=Lazy("metapp_curve.presenter:CurvePresenter"),
     )
-    registry.recipes["curve", "", "quick"] = RecipeEntry("metapp_curve.recipes:RECIPES.quick")
-    registry.recipes["curve", "", "paper"] = RecipeEntry("metapp_curve.recipes:RECIPES.paper")
-    registry.formats["curve"] = Format("metapp_curve.files", app="curve", inputs=".curve files of 32 numbers")
-    registry.commands["data curve"] = Entry("metapp_curve:Curve")
-    registry.exports["curve", "csv"] = Export("metapp_curve.files:export")
-    registry.baselines["curve", "line"] = Entry("metapp_curve.line:baselines")
+    for name in ("quick", "paper"):
+        curve.recipes[name] = RecipeEntry(f"metapp_curve.recipes:RECIPES.{name}")
+    curve.formats["curve"] = Format("metapp_curve.files", ".curve files of 32 numbers")
+    curve.exports["csv"] = Export("metapp_curve.files:export")
+    curve.baselines["line"] = Lazy("metapp_curve.line:baselines")
+    registry.add(curve)
+    registry.commands["data curve"] = Command("metapp_curve:Curve")

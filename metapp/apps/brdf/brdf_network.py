@@ -199,7 +199,7 @@ def find_network(theta: Params) -> BrdfNetwork:
     Raises:
         ValueError: no registered network has parameters of these names.
     """
-    for network in registry().load_table("networks", "brdf").values():
+    for network in registry().applications["brdf"].networks.load_all().values():
         if parameter_shapes(network).keys() == theta.keys():
             result: BrdfNetwork = network
             return result

@@ -71,9 +71,7 @@ LOSS_PHOTO_PX = 32  # side of the photograph in the loss
 class Illumination(CodedApp):
     """The application of illumination: a task is one environment map of mean luminance 1.
 
-    Under the protocol "reference" a fit sees the map itself. Under "photo" it sees the LDR photograph of a sphere
-    alone, and finds the light under which a sphere of some material looks so through some camera. If that sphere is a
-    mirror, the task may hold the light in it (`metapp.apps.illumination.mirror`), and a fit adds the rest of the map.
+    :class:`FromMap` has fits that see the map itself, :class:`FromBall` fits of a photograph.
 
     Attributes:
         encoder_size: rows and columns of the code that General's encoder predicts.
@@ -113,40 +111,25 @@ class Illumination(CodedApp):
         """Prepare the photograph, and the map if it is known.
 
         Returns:
-            `photo` uint8 [3, S, S]; the tensors of :meth:`describe_maps` without a task axis, if the map is known; and
-            under the protocol "photo" also `seen` and `certain`, the light in a mirror: see :meth:`prepare_mirror`.
-
-        Raises:
-            ValueError: the task has no map, though fits see it.
+            `photo` uint8 [3, S, S]; the tensors of :meth:`prepare_mirror`; and, if the map is known, the tensors of
+            :meth:`describe_maps` without a task axis.
         """
         relighting.transfer_matrix()  # errors need it: if it cannot be made, that shows before the fit
         prepared = {"photo": task.data["photos"][0]} | self.prepare_mirror(task)
         if "map" in task.data:
             tensors = self.describe_maps(task.data["map"][None].float())
             return prepared | {key: value[0] for key, value in tensors.items()}
-        if self.protocol == "reference":
-            raise ValueError(
-                f"{task.name}: a photo, expected an HDR map, .exr or .hdr; leave --observe reference out if it shows a "
-                "ball; if it shows a surface, take the application texture, svbrdf_stationary or svbrdf_nonstationary."
-            )
         return prepared
 
     def prepare_mirror(self, task: Task) -> dict[str, Tensor]:
-        """Return the light in the mirror ball of a task's photograph, at the size of the network.
+        """Return the light in the mirror ball of a task's photograph, at the size of the network; {} if fits see none.
 
         Returns:
             `seen`, the linear radiance of the texels that the ball mirrors, [3, H, W]; and `certain` [2, H, W] in
             [0, 1]: the share of each texel that is seen, and the share that is seen but clips in all photographs of
-            the ball, so that `seen` is a lower bound of its radiance. A task without light in a mirror, such as one
-            whose photograph shows another sphere, gets zeros for both. {} under the protocol "reference", where fits
-            see the map itself.
+            the ball, so that `seen` is a lower bound of its radiance.
         """
-        height, width = self.network.height, self.network.width
-        if self.protocol != "photo":
-            return {}
-        if not {"seen", "certain"} <= task.data.keys():
-            return {"seen": torch.zeros(3, height, width), "certain": torch.zeros(2, height, width)}
-        return resample_seen(task.data["seen"].float(), task.data["certain"].float(), height, width)
+        return {}
 
     def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
         """Resample maps to the network's size, and compute the quantities that losses compare with fits.
@@ -155,13 +138,11 @@ class Illumination(CodedApp):
             maps: linear radiance [T, 3, h, w], of any size.
 
         Returns:
-            `map`, the radiance maps [T, 3, H, W]; `reflected`, the radiance that S surfaces reflect under each map,
-            [T, 3, S], see :meth:`_reflected_radiance`; and under the protocol "reference" `suns`, the brightest small
-            lights of each map, [T, SUN_COUNT, SUN_NUMBERS].
+            `map`, the radiance maps [T, 3, H, W]; and `reflected`, the radiance that S surfaces reflect under each map,
+            [T, 3, S], see :meth:`_reflected_radiance`.
         """
         maps = resample_maps(maps, self.network.height, self.network.width)
-        suns = {"suns": find_suns(maps)} if self.protocol == "reference" else {}
-        return {"map": maps, "reflected": self._reflected_radiance(maps)} | suns
+        return {"map": maps, "reflected": self._reflected_radiance(maps)}
 
     def _reflected_radiance(self, maps: Tensor) -> Tensor:
         """Return the radiance [T, 3, S] that S white surfaces reflect under radiance maps [T, 3, H, W].
@@ -188,19 +169,6 @@ class Illumination(CodedApp):
         maps = network(theta, directions.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
         return add_suns(maps, join_suns(theta)) if "suns.light" in theta else maps
 
-    @override
-    def task_parameters(self, tasks: Tasks) -> Params:
-        """Return the suns of the true maps, found in closed form, which steps leave as they are.
-
-        Under the protocol "photo", where fits do not see the maps, there are none: {}.
-        """
-        return split_suns(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
-
-    @property
-    @override
-    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
-        return SUN_SPECS if self.protocol == "reference" else {}
-
     def resize(self, height: int, width: int) -> Illumination:
         """Return the application with maps of another size, at which its network can be evaluated, too."""
         return replace(self, network=self.network._replace(height=height, width=width))
@@ -218,29 +186,8 @@ class Illumination(CodedApp):
         return normalise_luminance(complete_maps(maps, data) if "seen" in data else maps)
 
     @override
-    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        """Return the difference of each fit from the photograph or the map that it sees, [T].
-
-        The difference from a map has three terms: the log radiance of texels, the radiance that surfaces reflect, and
-        the log of that radiance.
-
-        Args:
-            theta: fits [T, ...].
-            batch: what fits see, from :meth:`sample`.
-            loss_parameters: values that a rule has learned; {} for none. `light` [T] is the log of a weight that
-                replaces LIGHT_WEIGHT; for `smoothing` see :func:`smooth_absolute`.
-        """
-        maps = self.radiance_maps(theta)
-        if self.protocol == "photo":
-            return self._photo_loss(theta, maps, batch, loss_parameters)
-        light_weight = torch.exp(loss_parameters["light"])[:, None, None, None] if loss_parameters else LIGHT_WEIGHT
-        differences, log_differences = self._compare_reflected_radiance(maps, batch["reflected"], loss_parameters)
-        reflected_loss = (differences + log_differences).mean((1, 2))
-        return _texel_loss(maps, batch["map"], loss_parameters, light_weight) + reflected_loss
-
-    @override
     def outer_loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
-        """Return the difference of each fit from the true map and from the photograph, under both protocols, [T].
+        """Return the difference of each fit from the true map and from the photograph, [T].
 
         It is a weighted sum: the radiance that diffuse surfaces reflect has weight 1, what glossy ones reflect
         GLOSSY_WEIGHT, the logs of both LOGS_WEIGHT, the log radiance of texels TEXELS_WEIGHT and the photograph
@@ -286,8 +233,7 @@ class Illumination(CodedApp):
 
         For a task whose photograph shows a mirror, the fitted map is compared with the light in the mirror. For every
         other task a photograph is rendered from the fitted map, sphere and camera, and display values are compared.
-        Without `seen` in the batch, as under the protocol "reference" and for augmented tasks, all photographs are
-        rendered.
+        Without `seen` in the batch, as of fits of maps and of augmented tasks, all photographs are rendered.
 
         Args:
             theta: fits [T, ...].
@@ -322,11 +268,6 @@ class Illumination(CodedApp):
         """
         material, camera = decode_ball_and_camera(BALL_AND_CAMERA_GAIN * theta["body"])
         return develop(render_material_spheres(maps, material, size, BALL_ROUGHNESSES), camera)
-
-    @override
-    def initial_loss_parameters(self, steps: int) -> Params:
-        light_weight = {"light": torch.full((steps,), math.log(LIGHT_WEIGHT))} if self.protocol == "reference" else {}
-        return super().initial_loss_parameters(steps) | light_weight
 
     @override
     def init_reader(self, rng: Generator) -> Params:
@@ -370,6 +311,86 @@ class Illumination(CodedApp):
         maps, target = normalise_luminance(prediction), tasks.data["map"][tasks.rows]
         error = (relighting.relight(maps) - relighting.relight(target)).abs().mean((1, 2, 3))
         return {"error": error, "map": _texel_loss(maps, target, {}, 0.0), **sphere_errors(maps, target)}
+
+
+@dataclass(frozen=True)
+class FromMap(Illumination):
+    """The application whose fits see the map itself, and its brightest small lights (--observe reference)."""
+
+    observes = "reference"
+
+    @override
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """Prepare the photograph and the map. Raises ValueError if the task has no map."""
+        if "map" not in task.data:
+            raise ValueError(
+                f"{task.name}: a photo, expected an HDR map, .exr or .hdr; leave --observe reference out if it shows a "
+                "ball; if it shows a surface, take the application texture, svbrdf_stationary or svbrdf_nonstationary."
+            )
+        return super().prepare(task)
+
+    @override
+    def describe_maps(self, maps: Tensor) -> dict[str, Tensor]:
+        """Add `suns`, the brightest small lights of each map, [T, SUN_COUNT, SUN_NUMBERS]."""
+        described = super().describe_maps(maps)
+        return described | {"suns": find_suns(described["map"])}
+
+    @override
+    def task_parameters(self, tasks: Tasks) -> Params:
+        """Return the suns of the true maps, found in closed form, which steps leave as they are."""
+        return split_suns(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
+
+    @property
+    @override
+    def task_parameter_specs(self) -> Mapping[str, TensorSpec]:
+        return SUN_SPECS
+
+    @override
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
+        """Return the difference of each fit from the map, [T].
+
+        It has three terms: the log radiance of texels, the radiance that surfaces reflect, and the log of that
+        radiance.
+
+        Args:
+            theta: fits [T, ...].
+            batch: what fits see, from :meth:`sample`.
+            loss_parameters: values that a rule has learned; {} for none. `light` [T] is the log of a weight that
+                replaces LIGHT_WEIGHT; for `smoothing` see :func:`smooth_absolute`.
+        """
+        maps = self.radiance_maps(theta)
+        light_weight = torch.exp(loss_parameters["light"])[:, None, None, None] if loss_parameters else LIGHT_WEIGHT
+        differences, log_differences = self._compare_reflected_radiance(maps, batch["reflected"], loss_parameters)
+        reflected_loss = (differences + log_differences).mean((1, 2))
+        return _texel_loss(maps, batch["map"], loss_parameters, light_weight) + reflected_loss
+
+    @override
+    def initial_loss_parameters(self, steps: int) -> Params:
+        return super().initial_loss_parameters(steps) | {"light": torch.full((steps,), math.log(LIGHT_WEIGHT))}
+
+
+@dataclass(frozen=True)
+class FromBall(Illumination):
+    """The application whose fits see the LDR photograph of a sphere alone (--observe photo).
+
+    They find the light under which a sphere of some material looks so through some camera. If that sphere is a mirror,
+    the task may hold the light in it (`metapp.apps.illumination.mirror`), and a fit adds the rest of the map.
+    """
+
+    observes = "photo"
+
+    @override
+    def prepare_mirror(self, task: Task) -> dict[str, Tensor]:
+        """Return zeros for a task without light in a mirror, such as one whose photograph shows another sphere."""
+        height, width = self.network.height, self.network.width
+        if not {"seen", "certain"} <= task.data.keys():
+            return {"seen": torch.zeros(3, height, width), "certain": torch.zeros(2, height, width)}
+        return resample_seen(task.data["seen"].float(), task.data["certain"].float(), height, width)
+
+    @override
+    def loss(self, theta: Params, batch: Batch, loss_parameters: Params) -> Tensor:
+        """Return the difference of each fit from the photograph, [T]."""
+        return self._photo_loss(theta, self.radiance_maps(theta), batch, loss_parameters)
 
 
 def _texel_loss(maps: Tensor, target: Tensor, loss_parameters: Params, light_weight: Tensor | float) -> Tensor:

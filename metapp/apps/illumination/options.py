@@ -23,7 +23,7 @@ class IlluminationOptions(CameraOptions):
             "Shutter times, such as 1/20,1/60, or auto, of INPUT: photos of one mirror ball, to merge.",
             "T,T,...",
             panel=INPUT,
-            protocol="photo",
+            observes="photo",
         ),
     ] = ""
 

@@ -60,7 +60,7 @@ class IlluminationPresenter(Presenter[Illumination]):
     def tiles(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """Return the photograph if fits see it, and the map and the second scene, tone-mapped, of fit and reference."""
         maps, photo = self._maps_and_photo(theta, task)
-        tiles = {"photo": srgb_to_linear(photo[0].permute(1, 2, 0) / 255)} if self.app.protocol == "photo" else {}
+        tiles = {"photo": srgb_to_linear(photo[0].permute(1, 2, 0) / 255)} if self.app.observes == "photo" else {}
         for name, radiance in maps.items():
             prefix = "" if name == "fit" else f"{name} "
             for title, picture in (("map", radiance), ("relit", relighting.relight(radiance))):
@@ -71,7 +71,7 @@ class IlluminationPresenter(Presenter[Illumination]):
     @torch.no_grad()
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the ball as the fit makes it beside its photograph; of a mirror, the light in it, unwrapped."""
-        if self.app.protocol != "photo":
+        if self.app.observes != "photo":
             return None
         data, parameters = add_task_axis(self.app.prepare(task)), add_task_axis(theta)
         maps = self.app.radiance_maps(parameters)
@@ -158,7 +158,7 @@ class IlluminationPresenter(Presenter[Illumination]):
     @override
     def visible(self, task: Task) -> VisibleData:
         # each step sees all of the map or of the photograph; General's encoder reads the photograph alone
-        if self.app.protocol == "photo":
+        if self.app.observes == "photo":
             return VisibleData(1, task.data["photos"][0].nbytes, 1)
         return VisibleData(1, task.data["map"].nbytes, 0)
 

@@ -1,16 +1,16 @@
 """The recipes of the application illumination: networks, sizes and rates of training, each with its reason.
 
-There is a table of recipes for each protocol: fits of a map itself, and fits of the photograph of a sphere.
+There are two tables of recipes: of fits of a map itself, and of fits of the photograph of a sphere.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.illumination.app import Illumination
+from metapp.apps.illumination.app import FromBall, FromMap
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, long_paper_recipe
 from metapp.networks.field import LocalField
-from metapp.networks.protocol_recipes import recipes_by_protocol
+from metapp.networks.photo_recipes import recipes_of_references_and_photos
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -43,7 +43,7 @@ QUICK = Recipe(
     ),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
-    app=Illumination(LocalField(32, 64)),
+    app=FromMap(LocalField(32, 64)),
 )
 # from photographs training is slow and long: the encoder has much to learn, and what to leave to the steps
 PHOTO_TRAINING = replace(
@@ -56,21 +56,21 @@ PHOTO_TRAINING = replace(
 )
 PHOTO = replace(
     QUICK,
+    app=FromBall(LocalField(32, 64)),
     overfit=Adam(1e-3, final_rate_share=0.0),
     finetune=Adam(1e-4, final_rate_share=0.0),
     quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final_rate_share=0.1),
     meta={"meta-encoder": PHOTO_TRAINING},
     rule="meta-encoder",
 )
-PROTOCOLS = ("reference", "photo")
-RECIPES = recipes_by_protocol(
+REFERENCE_RECIPES, PHOTO_RECIPES = recipes_of_references_and_photos(
     QUICK,
     PHOTO,
     # at the size that people use, with a fifth as many parameters as a map has numbers: what was learned for 32 x 64
     # texels, on a finer grid
-    full=dict.fromkeys(PROTOCOLS, Illumination(LocalField(128, 256, rows=32, columns=64))),
+    full=[app(LocalField(128, 256, rows=32, columns=64)) for app in (FromMap, FromBall)],
     # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
-    paper=dict.fromkeys(PROTOCOLS, Illumination(LocalField(64, 128, hidden=64))),
+    paper=[app(LocalField(64, 128, hidden=64)) for app in (FromMap, FromBall)],
 )
 # at a rate of 1e-3, which other applications have, losses are not finite after 439 steps
-RECIPES["reference"]["paper-long"] = long_paper_recipe(RECIPES["reference"]["paper"], 3e-4)
+REFERENCE_RECIPES["paper-long"] = long_paper_recipe(REFERENCE_RECIPES["paper"], 3e-4)

@@ -5,3 +5,58 @@ Read `maps`, what maps are and how they look under a light; `app`, what all fits
 `several`, several photographs, which people take from the `places` that are drawn for training. `recipes` and
 `presenter` are as in every application.
 """
+
+from __future__ import annotations
+
+import math
+
+from metapp.application import Application, Format, RecipeEntry, SyntheticSet
+from metapp.entries import Lazy
+from metapp.registry import Command, Registry
+
+
+def register(registry: Registry) -> None:
+    """Add the application, its recipes and formats, and the converters of these."""
+    nonstationary = Application(
+        name="svbrdf_nonstationary",
+        title="svBRDF non-stat.",
+        help="Maps of a flat material from one or several flash photographs.",
+        app=Lazy("metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary"),
+        options=Lazy("metapp.networks.picture_options:FlashOptions"),
+        presenter=Lazy("metapp.apps.svbrdf_nonstationary.presenter:SvbrdfNonstationaryPresenter"),
+        facts=Lazy("data_tools.readers.svbrdf_task:facts_of"),
+        read_object=Lazy("data_tools.readers.svbrdf_inputs:task_of_object"),
+        synthetic=SyntheticSet(
+            "data_tools.synthetic.svbrdf_nonstationary", "maps and flash photos of 19 kinds; 0.4 MB (1,200 + 16)"
+        ),
+    )
+    recipes, package = nonstationary.recipes, "metapp.apps.svbrdf_nonstationary"
+    for name in ("quick", "full", "paper", "paper-64"):
+        recipes["reference", name] = RecipeEntry(f"{package}.recipes:REFERENCE_RECIPES.{name}")
+    for name in ("quick", "full", "paper"):
+        recipes["photo", name] = RecipeEntry(f"{package}.recipes:PHOTO_RECIPES.{name}")
+    recipes["photo", "pretrained"] = RecipeEntry(
+        f"{package}.pretrained.recipe:PRETRAINED",
+        inputs="one flash photo",
+        suits={"photos": 1},
+        paradigms=("general", "quickft", "meta"),
+        describe_missing_file=Lazy(f"{package}.pretrained.encoder:describe_missing_weights"),
+    )
+    recipes["photo", "several"] = RecipeEntry(
+        f"{package}.several.recipe:SEVERAL", inputs="several photos", suits={"photos": (2, math.inf)}
+    )
+    formats = nonstationary.formats
+    formats["svbrdf"] = Format("data_tools.readers.svbrdf_inputs", "flash photos, strips, a material's maps")
+    formats["placed"] = Format(
+        "data_tools.readers.placed_photos",
+        "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt, or of "
+        "RTI with a .lp",
+    )
+    # what follows is converted to data sets alone
+    formats["maps"] = Format("data_tools.readers.material_maps")
+    formats["strips"] = Format("data_tools.readers.strips")
+    formats["materials"] = Format("data_tools.readers.training_materials", data_sets=True)
+    registry.add(nonstationary)
+    registry.commands["data maps"] = Command("data_tools.converters:MapsConverter", position=80)
+    registry.commands["data strips"] = Command("data_tools.converters:StripsConverter", position=90)
+    registry.commands["data materials"] = Command("data_tools.converters:MaterialsConverter", position=100)

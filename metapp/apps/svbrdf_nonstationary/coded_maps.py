@@ -7,7 +7,7 @@ encoder reads one photograph for both.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
@@ -169,7 +169,7 @@ class CodedMaps(SvbrdfNonstationary, CodedApp):
 class FromMaps(CodedMaps):
     """The application whose fits see a material's maps, and pictures of it under some lights (--observe reference)."""
 
-    protocol: str = field(default="reference", kw_only=True)
+    observes = "reference"
 
     @override
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -206,7 +206,7 @@ class FromMaps(CodedMaps):
 class FromPhoto(CodedMaps):
     """The application whose fits see one photograph alone, and estimate its flash, too (--observe photo)."""
 
-    protocol: str = field(default="photo", kw_only=True)
+    observes = "photo"
 
     @property
     @override

@@ -123,7 +123,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     @torch.no_grad()
     def photo_comparison(self, theta: Params, task: Task) -> PictureComparison | None:
         """Return the maps under each photograph's flash, as the fit places it."""
-        if self.app.protocol != "photo":
+        if self.app.observes != "photo":
             return None
         flashes = self.app.flashes(theta, task)
         photos = torch.stack([task.data["photo"], *task.data.get("others", ())])[: len(flashes)]
@@ -140,7 +140,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         `mean_tilt_degrees` is the mean tilt of fitted normals, without the factor `relief`.
         """
         counts = {"counts": {"photos": self._photo_count(task)}} if self.app.several_photos else {}
-        if self.app.protocol != "photo":
+        if self.app.observes != "photo":
             return counts
         maps = self.app.maps_of(_add_task_axis(theta), _small_photo(task))
         return {"mean_tilt_degrees": mean_tilt_degrees(maps.normal)} | counts
@@ -155,7 +155,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
         and on photographs that the maps do not explain.
         """
         app = self.app
-        if app.several_photos and app.protocol == "photo":
+        if app.several_photos and app.observes == "photo":
             return [
                 self._warn_of_several({key: value[number] for key, value in theta.items()}, tasks.data, row)
                 for number, row in enumerate(tasks.rows)
@@ -196,7 +196,7 @@ class SvbrdfNonstationaryPresenter(Presenter[SvbrdfNonstationary]):
     @override
     def visible(self, task: Task) -> VisibleData:
         """Return the maps or all photographs, all of them in each step; General's encoder reads photographs alone."""
-        if self.app.protocol == "photo":
+        if self.app.observes == "photo":
             count = self._photo_count(task)
             return VisibleData(count, task.data["photo"].nbytes, count)
         return VisibleData(1, task.data["maps"].nbytes, 0)

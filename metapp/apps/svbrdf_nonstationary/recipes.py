@@ -1,4 +1,4 @@
-"""The recipes of non-stationary svBRDFs whose General is trained without features of VGG-16, by protocol.
+"""The recipes of non-stationary svBRDFs whose General is trained without features of VGG-16.
 
 The recipes `pretrained` and `several`, which begin at these, are in packages of their names.
 """
@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
-from metapp.networks.protocol_recipes import recipes_by_protocol
+from metapp.networks.photo_recipes import recipes_of_references_and_photos
 
 # Rules are trained with exact second order from General's encoder, which goes on learning through the steps of fits.
 LEARNED = MetaTraining(
@@ -55,26 +55,24 @@ PHOTO = replace(
     rule="meta-encoder",
 )
 FINER = (16, 12)  # channels of the encoder's levels of 128 and 256 texels
-RECIPES = recipes_by_protocol(
+REFERENCE_RECIPES, PHOTO_RECIPES = recipes_of_references_and_photos(
     QUICK,
     PHOTO,
-    full={
+    full=[
         # the code that is read at 64 texels, and what rules learned there, on a finer grid
-        "reference": FromMaps(field_of(128, 32), encoder_size=64),
+        FromMaps(field_of(128, 32), encoder_size=64),
         # photographs at the size that people use, by an encoder with levels for it
-        "photo": FromPhoto(field_of(256, 32), encoder_finer=FINER),
-    },
+        FromPhoto(field_of(256, 32), encoder_finer=FINER),
+    ],
     # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
-    paper={app.protocol: app(field_of(256, 64), encoder_width=64) for app in (FromMaps, FromPhoto)},
+    paper=[app(field_of(256, 64), encoder_width=64) for app in (FromMaps, FromPhoto)],
 )
 # 64 texels a side, at which an outer step takes seconds on CPUs
-RECIPES["reference"]["paper-64"] = replace(
-    RECIPES["reference"]["paper"], app=FromMaps(field_of(64, 64), encoder_width=64)
-)
+REFERENCE_RECIPES["paper-64"] = replace(REFERENCE_RECIPES["paper"], app=FromMaps(field_of(64, 64), encoder_width=64))
 # 20 outer steps of training a rule raised validation errors, so that the rule is an Adam that is searched for.
 SEARCHED = Adam(6e-4, beta1=0.8, beta2=0.8, eps=1e-3)
-RECIPES["photo"]["full"] = replace(
-    RECIPES["photo"]["full"],
+PHOTO_RECIPES["full"] = replace(
+    PHOTO_RECIPES["full"],
     quickft=SEARCHED,
     general=OuterLoop(
         steps=12_000, tasks=4, rates={"": 5e-4}, warmup_steps=50, final_rate_share=0.0, validate_every=1000

@@ -4,3 +4,30 @@ Read `windows`, statistics in parts of a picture, and `flash_statistics`, what d
 and losses, `quilted`, maps of pieces of the photo, and `presenter`, pictures. `options` and `recipes` are as in every
 application. The base of all is in `metapp.apps.exemplar`.
 """
+
+from __future__ import annotations
+
+from metapp.application import Application, Format, RecipeEntry, SyntheticSet
+from metapp.entries import Lazy
+from metapp.registry import Command, Registry
+
+
+def register(registry: Registry) -> None:
+    """Add the application, its recipes and its format, and the converter of that."""
+    stationary = Application(
+        name="svbrdf_stationary",
+        title="svBRDF stat.",
+        help="Tiling maps of a flat material from one flash photograph.",
+        app=Lazy("metapp.apps.svbrdf_stationary.app:SvbrdfStationary"),
+        options=Lazy("metapp.apps.svbrdf_stationary.options:FlashExemplarOptions"),
+        presenter=Lazy("metapp.apps.svbrdf_stationary.presenter:SvbrdfStationaryPresenter"),
+        read_object=Lazy("data_tools.readers.flash_photos:task_of_object"),
+        synthetic=SyntheticSet(
+            "data_tools.synthetic.svbrdf_stationary", "flash photos of 16 of these kinds; 0.2 MB (120 + 16)"
+        ),
+    )
+    for name in ("quick", "full", "paper", "paper-64"):
+        stationary.recipes[name] = RecipeEntry(f"metapp.apps.svbrdf_stationary.recipes:RECIPES.{name}")
+    stationary.formats["flash"] = Format("data_tools.readers.flash_photos", "flash photos")
+    registry.add(stationary)
+    registry.commands["data flash"] = Command("data_tools.converters:FlashConverter", position=70)

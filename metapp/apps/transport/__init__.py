@@ -5,3 +5,27 @@ predicts it from a small picture of the scene. `guide` makes tables of it, from 
 `guided_pictures` measures the pictures that such paths make, and `density_pictures` draws densities; `recipes`,
 `options` and `presenter` are as in every application.
 """
+
+from __future__ import annotations
+
+from metapp.application import Application, RecipeEntry, SyntheticSet
+from metapp.entries import Lazy
+from metapp.registry import Registry
+
+
+def register(registry: Registry) -> None:
+    """Add the application and its recipes; extensions read scenes and render them."""
+    transport = Application(
+        name="transport",
+        title="Transport",
+        help="Light transport of a scene: densities that guide its paths.",
+        app=Lazy("metapp.apps.transport.app:Transport"),
+        options=Lazy("metapp.apps.transport.options:TransportOptions"),
+        presenter=Lazy("metapp.apps.transport.presenter:TransportPresenter"),
+        synthetic=SyntheticSet(
+            "data_tools.synthetic.transport", "light paths of Cornell boxes; 0.7 MB and 2 s each (40 + 8)"
+        ),
+    )
+    for name in ("quick", "full", "paper", "paper-long"):
+        transport.recipes[name] = RecipeEntry(f"metapp.apps.transport.recipes:RECIPES.{name}")
+    registry.add(transport)

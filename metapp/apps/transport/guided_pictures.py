@@ -21,7 +21,7 @@ from metapp.apps.transport.app import PICTURE_SPP, REFERENCE_SPP
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import make_guide_table
 from metapp.learning.task import Params, Task
-from metapp.registry import Entry, registry
+from metapp.registry import Plugin, registry
 from metapp.rendering.paths import path_space
 from metapp.rendering.paths.resampling import draw_path_samples
 from metapp.rendering.scenes.stored_text import decode_scene
@@ -189,9 +189,9 @@ def _make_renderer(scene: bytes, size: int, next_event: bool, **numbers_of_paths
     return SceneRenderer(scene, size, next_event, **numbers_of_paths)
 
 
-def extension_integrators() -> dict[str, Entry[Callable[[], None]]]:
+def extension_integrators() -> dict[str, Plugin]:
     """Return the integrators of extensions by name, whose pictures are measured beside those that fits guide."""
-    return {name: plugin for name, plugin in registry().plugins.items() if plugin.help}
+    return {name: plugin for name, plugin in registry().plugins.items() if plugin.integrator}
 
 
 def row_title(integrator: str) -> str:

@@ -27,7 +27,7 @@ class TransportPresenter(Presenter[Transport]):
     @property
     @override
     def picture_measure(self) -> str:
-        notes = "".join(f"{plugin.help}; " for plugin in guided_pictures.extension_integrators().values())
+        notes = "".join(f"{plugin.integrator}; " for plugin in guided_pictures.extension_integrators().values())
         return (
             f"pictures of {self.app.picture} px of {self.app.spp} paths a pixel; fits guide three of four paths, "
             f"without next-event estimation (NEE); {notes}equal time is as long as regular takes, in seconds of CPU, "

@@ -88,7 +88,7 @@ def combine_halves(evaluation: EvaluationRun, name: str) -> list[tuple[str, str,
     """Fit the tasks of a learned rule's row with its rule alone and with its initialisation alone.
 
     Args:
-        evaluation: the application under a protocol, with its tasks and records.
+        evaluation: the application, with its tasks and records.
         name: the row, "meta" or "meta:<rule>".
 
     Returns:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from metapp.apps import protocol_entry
 from metapp.evaluation.evaluation_run import EvaluationRun, select_evenly
 from metapp.evaluation.rows import make_row, paper_figures
 from metapp.evaluation.table import Column, Row, Table, columns
@@ -90,7 +89,7 @@ def _select_traced(evaluation: EvaluationRun) -> list[Task]:
 
 def trace_records(evaluation: EvaluationRun) -> list[Record]:
     """Return traces of a few tasks: errors of each paradigm along its steps, and after further steps of Meta."""
-    settings = {"app": evaluation.app.name, **protocol_entry(evaluation.app), "further": FURTHER_STEPS}
+    settings = {"app": evaluation.app.name, **evaluation.app.observation, "further": FURTHER_STEPS}
     folder = evaluation.record_folder("trace", settings, ("curves", "further"), CURVE_PARADIGMS)
     steps = sum(evaluation.runs[name].paradigm.steps for name in CURVE_PARADIGMS) + sum(FURTHER_STEPS)
 
@@ -139,7 +138,7 @@ def _continue_meta(
     """Fit on from Meta's result by Finetune's Adam, until the error is within 1 % of Overfit's.
 
     Args:
-        evaluation: the application under a protocol, with its runs.
+        evaluation: the application, with its runs.
         task: the task.
         stacked: the task as a stack of one.
         theta: Meta's result, [1, ...].

@@ -79,7 +79,7 @@ def _make_measure_row(evaluation: EvaluationRun, name: str, records: list[Record
     """Make the row of one method by one measure.
 
     Args:
-        evaluation: the application under a protocol.
+        evaluation: the application, with its tasks and records.
         name: a paradigm, or the name of a picture that is made without a fit.
         records: the records of tasks, with their measures.
         key: the measure; "" if nothing was measured yet.

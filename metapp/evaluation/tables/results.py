@@ -8,7 +8,6 @@ from __future__ import annotations
 import statistics
 from collections.abc import Collection
 
-from metapp.apps import is_first_protocol
 from metapp.evaluation.error_statistics import is_significant
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import (
@@ -22,7 +21,6 @@ from metapp.evaluation.rows import (
     subset_note,
 )
 from metapp.evaluation.table import Row, Table, columns
-from metapp.learning.app import App
 from metapp.paradigms import PARADIGMS
 from metapp.runs.reporter import format_number
 
@@ -44,16 +42,12 @@ def results(evaluation: EvaluationRun) -> Table:
         row["shared_error"] = statistics.fmean(errors[task] for task in overfit_errors) if is_known else None
     notes = [
         *subset_note(evaluation),
-        *(
-            ["the paper measured its figures on other data and another machine"]
-            if is_first_protocol(evaluation.app)
-            else []
-        ),
+        *(["the paper measured its figures on other data and another machine"] if evaluation.observes_default else []),
         *comparison_notes(rows),
     ]
     title = f"mean error{evaluation.app.error_measure.factor}, median seconds of inference"
     fits = {name: evaluation.records(name) for name in PARADIGMS}
-    findings = (evaluation.presenter.caption(), describe_gap(evaluation.app, rows))
+    findings = (evaluation.presenter.caption(), describe_gap(evaluation, rows))
     return Table(evaluation.title, title, RESULT_COLUMNS, rows, notes, fits, findings)
 
 
@@ -69,21 +63,21 @@ def result_rows(evaluation: EvaluationRun, names: Collection[str]) -> list[Row]:
         run = evaluation.runs[name]
         rule = run.options.rule if run.paradigm.has_learned_rule else None
         entries = {"rule": rule, "steps": run.paradigm.steps, "few": evaluation.is_of_subset(name)}
-        entries |= paper_entries(evaluation.app, name)
+        entries |= paper_entries(evaluation, name)
         rows.append(make_row(evaluation, name, evaluation.records(name), entries, COMPARED_ROWS))
     return rows
 
 
-def describe_gap(app: App, rows: list[Row]) -> str:
+def describe_gap(evaluation: EvaluationRun, rows: list[Row]) -> str:
     """Return the sentence on the gap that Meta closes and on its speed-up, beside the paper's.
 
-    Under another protocol than the paper's, Overfit sees less than errors are measured on. Its error is no lower bound
-    then, and Meta is compared with General and QuickFT instead.
+    Where fits see something else than the paper's do, Overfit sees less than errors are measured on. Its error is no
+    lower bound then, and Meta is compared with General and QuickFT instead.
     """
     gap, speed_up = scale_free_figures(rows, "shared_error", "seconds")
     by_name = {row["paradigm"]: row for row in rows}
     meta = f"Meta ({by_name['meta']['rule']})"
-    if not is_first_protocol(app):
+    if not evaluation.observes_default:
         compared_rows = {"General": by_name["general"], "QuickFT": by_name["quickft"]}
         changes = [
             f"{text} {title}'s"
@@ -91,7 +85,7 @@ def describe_gap(app: App, rows: list[Row]) -> str:
             if (text := describe_error_change(by_name["meta"], row))
         ]
         text = f"Meta's error is {', '.join(changes)}; " if changes else ""
-        floor = f"Overfit sees the {app.protocol} alone, so its error is no lower bound"
+        floor = f"Overfit sees the {evaluation.app.observes} alone, so its error is no lower bound"
         return f"{text}{floor}, speed-up of {meta} over it {format_number(speed_up, '.0f')}"
     paper_gap, paper_speed_up = scale_free_figures(rows, "paper_error", "paper_seconds")
     mark = "*" * (gap is not None and any(row["few"] for row in rows))

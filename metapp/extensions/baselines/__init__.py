@@ -10,14 +10,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from metapp.registry import registry
-
 if TYPE_CHECKING:
+    from metapp.application import Application
     from metapp.extensions.baselines.baseline import Baseline
     from metapp.learning.app import App
 
 
-def baselines_of(app: App) -> tuple[Baseline, ...]:
-    """Return the baselines of an application under its protocol; () if no extension offers one."""
-    functions = dict.fromkeys(registry().load_table("baselines", app.name).values())
+def baselines_of(application: Application, app: App) -> tuple[Baseline, ...]:
+    """Return the baselines of an application, for what its fits see; () if no extension offers one.
+
+    Args:
+        application: the application.
+        app: its network and sizes, at the recipe of the fits that methods are compared with.
+    """
+    functions = dict.fromkeys(application.baselines.load_all().values())
     return tuple(method for function in functions for method in function(app))

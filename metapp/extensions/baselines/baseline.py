@@ -74,7 +74,7 @@ class Baseline(ABC):
     """A method that a reader would use instead of a network; a subclass defines `name`, `title`, `cannot` and `fit`.
 
     Args:
-        app: the application under its protocol.
+        app: the application's network and sizes, at the recipe of the fits.
 
     Attributes:
         app: the application.

@@ -12,25 +12,24 @@ from typing import Annotated, Any
 
 import typer
 
+from metapp.application import Application
 from metapp.apps.exemplar.options import ExemplarOptions
 from metapp.cli.arguments import baseline_words, parameter, parameter_of, set_signature
 from metapp.cli.command_tree import make_app_group
 from metapp.cli.console import print_json, standard_output
-from metapp.names import protocols_of
-from metapp.options import FIT, INPUT, OUTPUT, app_options_class, options_by_name
-from metapp.registry import registry
+from metapp.options import FIT, INPUT, OUTPUT, options_by_name
 from metapp.runs.fit_options import DEFAULT_TASKS_HELP, FitOptions, fit_options
 from metapp.runs.reporter import say
 
 BASELINE_OPTION_NAMES = ("data", "observe", "recipe", "seed", "out", "quiet")  # options of fits that methods take, too
 
 
-def make_baseline_command(app: str) -> Callable[..., None]:
+def make_baseline_command(application: Application) -> Callable[..., None]:
     """Return the command that runs a method on tasks of an application."""
-    method_names = ", ".join(registry().baselines.of(app))
+    method_names = ", ".join(application.baselines)
 
     def command(inputs: list[Path] | None, method: str, json: bool, **values: Any) -> None:
-        run_and_print(fit_options(app, "general", inputs or (), device="cpu", **values), method, json=json)
+        run_and_print(fit_options(application.name, "general", inputs or (), device="cpu", **values), method, json=json)
 
     inputs_argument = typer.Argument(
         metavar="[INPUT]...",
@@ -46,12 +45,12 @@ def make_baseline_command(app: str) -> Callable[..., None]:
     json_option = typer.Option(
         "--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of output."
     )
-    option_names = [name for name in BASELINE_OPTION_NAMES if name != "observe" or protocols_of(app)]
+    option_names = [name for name in BASELINE_OPTION_NAMES if name != "observe" or application.observations]
     general_options = [options_by_name(FitOptions)[name] for name in option_names]
     own_options = [
         option
-        for option in options_by_name(app_options_class(app)).values()
-        if option.panel != OUTPUT or is_size_option(app, option.name)
+        for option in options_by_name(application.options.load()).values()
+        if option.panel != OUTPUT or is_size_option(application, option.name)
     ]
     parameters = [parameter("json", Annotated[bool, json_option], False)]
     parameters += [parameter("inputs", Annotated[list[Path] | None, inputs_argument])]
@@ -68,9 +67,9 @@ baseline_group = make_app_group(
 )
 
 
-def is_size_option(app: str, option: str) -> bool:
+def is_size_option(application: Application, option: str) -> bool:
     """Return True if an option is the size of files that tile, which methods of an application may take."""
-    return option == "size" and issubclass(app_options_class(app), ExemplarOptions)
+    return option == "size" and issubclass(application.options.load(), ExemplarOptions)
 
 
 def run_and_print(options: FitOptions, method: str, *, json: bool) -> None:

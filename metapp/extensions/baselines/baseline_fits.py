@@ -17,12 +17,10 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Generator
 
-from metapp.apps import protocol_entry
 from metapp.apps.brdf.brdf_network import BrdfNetwork
 from metapp.extensions.baselines.baseline import Baseline, CostLimits, TrainingTasks, judge_prediction, tensor_bytes
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Params, Task
-from metapp.names import embedded_apps
 from metapp.runs.environment import software_versions
 from metapp.runs.fitting import rng_of
 from metapp.runs.inputs.embedded import has_embedded_training, make_embedded_set
@@ -53,11 +51,11 @@ def find_training_folder(run: Run, baseline: Baseline, *, make: bool = False) ->
     """
     if not baseline.learns:
         return None
-    app, data, quiet = run.app.name, run.options.data, run.options.quiet
-    fits_embedded = not (data or run.options.paths or run.options.objects) and app in embedded_apps()
+    application, data, quiet = run.application, run.options.data, run.options.quiet
+    fits_embedded = not (data or run.options.paths or run.options.objects) and application.synthetic is not None
     folders = [data] if data else []
-    if has_embedded_training(app) or (make and fits_embedded):
-        folders.append(make_embedded_set(app, quiet=quiet))
+    if has_embedded_training(application) or (make and fits_embedded):
+        folders.append(make_embedded_set(application, quiet=quiet))
     return next((path for path in folders if any(task.split == "train" for task in read_manifest(path).tasks)), None)
 
 
@@ -85,7 +83,7 @@ def baseline_settings(run: Run, baseline: Baseline, label: str) -> Record:
     own_options, training_folder = options.app_options.recorded_values(), find_training_folder(run, baseline)
     return {
         "app": app.name,
-        **protocol_entry(app),
+        **app.observation,
         "method": baseline.name,
         "data": label,
         "training": training_folder and data_label(training_folder),

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from metapp.appearance.presenter import Presenter
 from metapp.cli.fit_output import fit_line, fits_table
+from metapp.entries import did_you_mean
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
 from metapp.extensions.baselines.baseline_fits import (
@@ -22,7 +23,6 @@ from metapp.extensions.baselines.baseline_fits import (
     find_training_folder,
     fit_baselines,
 )
-from metapp.names import did_you_mean
 from metapp.options import BadOption
 from metapp.runs.fit_options import FitOptions
 from metapp.runs.inputs.run_inputs import find_inputs, read_tasks, task_digest
@@ -92,7 +92,7 @@ def _find_baseline(run: Run, method: str) -> Baseline:
     Raises:
         BadOption: the application has no such method, or the method writes files of one size alone.
     """
-    methods = {baseline.name: baseline for baseline in baselines_of(run.app)}
+    methods = {baseline.name: baseline for baseline in baselines_of(run.application, run.app)}
     if method not in methods:
         names = ", ".join(methods) or f"another application: {run.app.name} has no method"
         hint = did_you_mean(method, methods)

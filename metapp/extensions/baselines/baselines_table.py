@@ -10,7 +10,6 @@ import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
-from metapp.apps import full_name
 from metapp.evaluation.error_statistics import is_significant
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.rows import (
@@ -92,7 +91,7 @@ def _available_baselines(evaluation: EvaluationRun) -> list[Baseline]:
             return True
         return find_training_folder(evaluation.run, baseline, make=evaluation.is_measuring) is not None
 
-    return [baseline for baseline in baselines_of(evaluation.app) if is_available(baseline)]
+    return [baseline for baseline in baselines_of(evaluation.run.application, evaluation.app) if is_available(baseline)]
 
 
 def baseline_records(evaluation: EvaluationRun, baseline: Baseline) -> list[Record]:
@@ -108,7 +107,7 @@ def baseline_records(evaluation: EvaluationRun, baseline: Baseline) -> list[Reco
             for record, picture, _ in fit_baselines(evaluation.run, baseline, tasks):
                 yield record, picture
         except ValueError as error:
-            say(f"{full_name(evaluation.app)} {baseline.name}: {error}")
+            say(f"{evaluation.app.full_name} {baseline.name}: {error}")
 
     return evaluation.measure_records(baseline.name, run_folder, fit_tasks, evaluation.tasks)
 
@@ -119,7 +118,7 @@ def _make_paradigm_row(evaluation: EvaluationRun, name: str) -> Row:
     theta = parameters_per_task(run.app)
     entries = {"shared": checkpoint_bytes(run.checkpoint), "baseline": False, "few": evaluation.is_of_subset(name)}
     entries |= {"numbers": sum(value.numel() for value in theta.values()), "kept_bytes": parameter_bytes(theta)}
-    entries |= paper_entries(run.app, name)
+    entries |= paper_entries(evaluation, name)
     records = evaluation.existing_records(name) if run.paradigm.takes_long else evaluation.records(name)
     return make_row(evaluation, name, records, entries, ("meta",))
 
@@ -151,7 +150,9 @@ def _describe_missing_rows(evaluation: EvaluationRun, all_rows: list[Row], able:
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["baseline"]]
     lines = [f"no records yet of {', '.join(absent)}: --which results measures them"] if absent else []
     names = {baseline.name for baseline in able}
-    left_out = [baseline for baseline in baselines_of(evaluation.app) if baseline.name not in names]
+    left_out = [
+        baseline for baseline in baselines_of(evaluation.run.application, evaluation.app) if baseline.name not in names
+    ]
     lines += [
         f"{baseline.name}: left out, as not all tasks hold {baseline.title}"
         for baseline in left_out

@@ -1,6 +1,6 @@
 """Baselines of illumination: spherical harmonics of a map, and the light that a mirror ball in a photograph shows.
 
-Each serves one protocol: the first reads the map itself, the second the light that a task holds of a photographed
+Each serves one kind of fits: the first reads the map itself, the second the light that a task holds of a photographed
 mirror ball. The mathematics of spherical harmonics is in `harmonics`.
 """
 
@@ -23,8 +23,8 @@ SCALE_BYTES, COEFFICIENT_BYTES = 4, 2  # of the scale, a float, and of a coeffic
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
-    """Return the baseline of the application's protocol, by which a fit observes a map or a photograph."""
-    return (UnwrappedBall(app) if app.protocol == "photo" else SphericalHarmonics(app),)
+    """Return the baseline of the application, whose fits see a map or a photograph."""
+    return (UnwrappedBall(app) if app.observes == "photo" else SphericalHarmonics(app),)
 
 
 class SphericalHarmonics(Baseline):

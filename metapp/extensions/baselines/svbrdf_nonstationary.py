@@ -20,7 +20,7 @@ FLAT_ROUGHNESS, FLAT_F0 = 0.5, 0.04  # a photo does not tell these: the middle, 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Return the baselines of fits that observe a photograph; fits that observe maps have none."""
-    return (FlatMaterial(app), PredictedMaps(app)) if app.protocol == "photo" else ()
+    return (FlatMaterial(app), PredictedMaps(app)) if app.observes == "photo" else ()
 
 
 class FlatMaterial(Baseline):

@@ -154,7 +154,7 @@ def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: 
         )
     ]
     app = runs[0].presenter.app
-    tasks_by_name = find_fitted_tasks(stored_runs[0].records, app, inputs, data)
+    tasks_by_name = find_fitted_tasks(stored_runs[0].records, inputs, data)
     tasks = [tasks_by_name[name] for name in names if name in tasks_by_name]
     groups = {name: (tasks_by_name[name].group if name in tasks_by_name else "") or name for name in names}
     errors = _compare_means([run.errors_by_task() for run in runs], groups, logarithmic=app.error_measure.logarithmic)

@@ -16,8 +16,8 @@ import torch
 from safetensors import SafetensorError
 
 from metapp.appearance.features import vgg_weights_path
-from metapp.names import app_names
-from metapp.registry import METAPP_PACKAGE, WITHOUT_VARIABLE, registry
+from metapp.entries import METAPP_PACKAGE
+from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.rendering.variant import find_llvm
 from metapp.runs.inputs.embedded import has_embedded_tests
 from metapp.storage import Document
@@ -56,7 +56,9 @@ def examine_installation() -> Document:
     The last subject, "fails", lists the names of the subjects for which some commands fail. An extra of the package
     that is not installed does not count among these, nor a missing compiler, which makes trainings slower.
     """
-    shipped = {key: names for app in app_names() for key, names in shipped_checkpoint_names(app).items()}
+    shipped = {
+        key: names for app in sorted(registry().applications) for key, names in shipped_checkpoint_names(app).items()
+    }
     versions = {name: _read_version(name) for name in REPORTED_PACKAGES}
     failures = ["versions"] * (MISSING in versions.values()) + ["extensions"] * bool(registry().problems)
     failures += ["checkpoints"] * (not all(shipped.values()))
@@ -74,7 +76,10 @@ def examine_installation() -> Document:
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
         "compiler": _find_compiler(),
         "cache": describe("cache", make_cache_folder),
-        "data": {app: "made" if has_embedded_tests(app) else "made on first use" for app in app_names()},
+        "data": {
+            name: "made" if has_embedded_tests(application) else "made on first use"
+            for name, application in sorted(registry().applications.items())
+        },
         "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
         "VGG": describe("VGG", _describe_vgg),
         "libLLVM": describe("libLLVM", find_llvm),

@@ -13,7 +13,7 @@ import typer
 
 from metapp.cli.arguments import JsonFlag, app_words, check_out_folder
 from metapp.cli.console import print_json, standard_output
-from metapp.names import did_you_mean
+from metapp.entries import did_you_mean
 from metapp.registry import registry
 from metapp.runs.reporter import say
 
@@ -30,7 +30,8 @@ def example_lines(app: str, folder: Path, count: int | None = None) -> list[tupl
         count: how many commands to return; None for all.
     """
     place = shlex.quote(str(folder))
-    commands, examples = registry().commands, registry().examples[app].load()
+    commands, lines = registry().commands, registry().applications[app].examples
+    examples = lines.load() if lines else ()
     examples = [example for example in examples if {" ".join(example[0].split()[:n]) for n in (1, 2)} & commands.keys()]
     return [(f"metapp {line.replace('{}', place)}", makes) for line, makes in examples][:count]
 
@@ -59,7 +60,7 @@ def examples_command(
 
     Example: metapp examples brdf --make example-inputs
     """
-    app_names = sorted(registry().examples)
+    app_names = sorted(name for name, application in registry().applications.items() if application.examples)
     if app and app not in app_names:
         raise typer.BadParameter(f"'{app}': expected one of {', '.join(app_names)}.{did_you_mean(app, app_names)}")
     apps, files = [app] if app else app_names, list[Path]()

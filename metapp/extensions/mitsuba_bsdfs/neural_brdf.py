@@ -16,12 +16,12 @@ from typing_extensions import override
 
 from data_tools.readers.nbrdf_files import read_nbrdf
 from metapp.appearance.lobes import fit_lobes
-from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.brdf_network import PlainLayers, find_network, parameter_shapes
 from metapp.apps.brdf.feature_network import AZIMUTH_ONSET_RAD2, COSINE_SMOOTHING, VECTOR_SMOOTHING
 from metapp.extensions.mitsuba_bsdfs.mixture import MitsubaLobeMixture, turn_about_normal
 from metapp.extensions.mitsuba_bsdfs.python_bsdf import LocalReflection, Reflection, make_bsdf_class
 from metapp.learning.task import Params
+from metapp.registry import registry
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi, nn, register_plugin
 from metapp.rendering.types import Color, Float, Vector3
@@ -250,8 +250,8 @@ def read_parameters(path: Path) -> Params:
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path}: not readable ({error}), expected the .safetensors file of a BRDF fit.") from None
     shapes = {key: value.shape for key, value in theta.items()}
-    recipes = recipes_of("brdf").values()
-    networks = {app_of("brdf", recipe, rule=rule).network for recipe in recipes for rule in recipe.meta}
+    recipes = [entry.load() for entry in registry().applications["brdf"].recipes.values()]
+    networks = {recipe.app_with(rule).network for recipe in recipes for rule in recipe.meta}
     if shapes not in [parameter_shapes(network) for network in networks]:
         names = ", ".join(sorted(theta)) or "none"
         raise ValueError(f"{path}: tensors {names[:80]}, expected those of a BRDF fit; take its params.safetensors.")

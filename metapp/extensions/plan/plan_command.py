@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from metapp.cli.arguments import JsonFlag, Overwrite, Quiet, Seed, check_new_file
-from metapp.names import did_you_mean
+from metapp.entries import did_you_mean
 from metapp.storage.files import add_suffix
 
 

@@ -29,9 +29,10 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.brdf_objects import evaluate_mitsuba_bsdf
-from data_tools.readers.input_source import ANISOTROPIC_FACT, DAMAGED_FACT, Facts, Source, Sources
+from data_tools.readers.input_source import ANISOTROPIC_FACT, DAMAGED_FACT, Source, Sources
 from data_tools.readers.listing import find_by_suffix, has_suffix
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_full_rusinkiewicz
+from metapp.application import Facts
 from metapp.extensions.rgl.spectra import fields_in_rgb, fields_in_spectra
 from metapp.extensions.rgl.tensor_file import TensorFields, read_shapes, read_tensor_file, write_tensor_file
 from metapp.learning.task import Params, Task

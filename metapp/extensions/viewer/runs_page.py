@@ -71,7 +71,7 @@ def write_runs_page(
             missing = 0
             for records_of_run in group_by_settings(records):
                 run = Run.from_settings(records_of_run[-1]["settings"])
-                tasks = find_fitted_tasks(records_of_run, run.app, list(inputs), data)
+                tasks = find_fitted_tasks(records_of_run, list(inputs), data)
                 missing += sum(record["name"] not in tasks for record in records_of_run)
                 for record in records_of_run:
                     name = record["name"]

@@ -1,6 +1,6 @@
 """The content of a page for one fit: numbers and pictures, and which of the page's viewers shows them.
 
-An application's view is made by its entry of `registry.pages`. This module does not know how a page is written; the
+An application's view is made by its `page`. This module does not know how a page is written; the
 text at the head of each viewer's script states which arrays, pictures and facts the viewer reads.
 """
 
@@ -20,7 +20,6 @@ from metapp.appearance.latlong import texel_directions
 from metapp.appearance.presenter import Presenter
 from metapp.appearance.sphere import environment_radiance
 from metapp.learning.task import Params, Task
-from metapp.registry import registry
 
 MAX_THUMBNAIL_PX = 80  # side of the pictures in the list of fits
 MAX_HALF_FLOAT = 65504.0  # the greatest finite number of float16
@@ -53,7 +52,7 @@ class View(NamedTuple):
 
 
 def make_view(presenter: Presenter[Any], theta: Params, task: Task) -> View:
-    """Make the view of a fit by its application's entry of `registry.pages`, else a view of its pictures.
+    """Make the view of a fit by its application's `page`, else a view of its pictures.
 
     Args:
         presenter: the presenter of the application.
@@ -63,7 +62,7 @@ def make_view(presenter: Presenter[Any], theta: Params, task: Task) -> View:
     Raises:
         KeyError: the view needs data that the task lacks.
     """
-    if page := registry().pages.get(presenter.app.name):
+    if page := presenter.application.page:
         view: View = page.load()(presenter, theta, task)
         return view
     return make_pictures_view(presenter.preview(theta, task))

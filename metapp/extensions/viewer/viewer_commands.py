@@ -14,9 +14,9 @@ import typer
 
 from metapp.cli.arguments import FittedData, JsonFlag, Overwrite, Quiet, app_words, check_new_file
 from metapp.cli.console import print_json
-from metapp.names import app_names
 from metapp.options import BadOption
-from metapp.runs.fit_options import check_app_name
+from metapp.registry import registry
+from metapp.runs.fit_options import application_named
 from metapp.runs.reporter import format_number, progress, say
 
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
@@ -92,8 +92,8 @@ def try_command(
 
     runs, fits = list[Path](), []
     for app in apps or ():
-        check_app_name(app)
-    for app in apps or app_names():
+        application_named(app)
+    for app in apps or sorted(registry().applications):
         try:
             with progress(f"try {app}", quiet=quiet):  # the bars of the fit itself, of one input, are not shown
                 run, fit = fit_synthetic_input(app, out, recipe)

@@ -65,7 +65,7 @@ def mitsuba_plugins() -> frozenset[str]:
 
 def extension_bsdfs() -> list[str]:
     """Return the names of the BSDFs that extensions add to Mitsuba; of plugins, integrators alone have help."""
-    return [name for name, entry in registry().plugins.items() if not entry.help]
+    return [name for name, entry in registry().plugins.items() if not entry.integrator]
 
 
 @functools.cache

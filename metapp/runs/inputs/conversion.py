@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from data_tools.readers.input_source import Source, Sources
-from metapp.apps import class_of
 from metapp.learning.task import Task
 from metapp.registry import registry
 from metapp.runs.environment import torch_defaults
@@ -83,7 +82,7 @@ def convert_files(
     Raises:
         ValueError: a path or a named file is bad, a folder has no usable file, or two tasks have one name.
     """
-    form = registry().formats[name]
+    application, form = registry().find_format(name)
     reader = form.load()
     paths, expected = list(paths), f"files for metapp data {name}"
     for path in paths:
@@ -135,9 +134,9 @@ def convert_files(
                 f"{useless_folders[0]}: {count} sources, none usable, expected one or more; see the warnings above."
             )
 
-    with torch_defaults(single=class_of(form.app).small_tensors):  # threads would only wait for each other
-        written = write_data_set(out, form.app, reader.UNITS, read_tasks(), notes, overwrite=overwrite)
-    return conversion_result(form.app, out, written, skipped)
+    with torch_defaults(single=application.app.load().small_tensors):  # small tensors, for which threads only wait
+        written = write_data_set(out, application.name, reader.UNITS, read_tasks(), notes, overwrite=overwrite)
+    return conversion_result(application.name, out, written, skipped)
 
 
 def entries_by_place(sources: Sequence[Path], folders: object, split: str) -> dict[Path, ManifestEntry]:

@@ -14,9 +14,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metapp.apps import class_of
+from metapp.application import Application
 from metapp.learning.task import Task
-from metapp.names import embedded_apps
 from metapp.registry import registry
 from metapp.runs.environment import torch_defaults
 from metapp.runs.reporter import progress, say
@@ -27,7 +26,7 @@ from metapp.storage.folders import PathKind, path_kind
 from metapp.storage.shards import read_manifest, write_data_set
 
 if TYPE_CHECKING:
-    from metapp.contracts import EmbeddedSet
+    from metapp.application import EmbeddedSet
 
 # The version of a set whose module states none. A module raises its version when it draws other tasks, so that an older
 # set in the cache is not taken for a new one.
@@ -37,40 +36,45 @@ _SPLIT_NOTE = "part"  # the note of a folder that holds one split only, whose va
 _STALE_SECONDS = 3600.0  # the age from which an unfinished folder is taken as left by a program that was killed
 
 
-def embedded_module(app: str) -> EmbeddedSet:
+def embedded_apps() -> list[str]:
+    """Return the names of the applications that have an embedded data set, sorted."""
+    return sorted(name for name, application in registry().applications.items() if application.synthetic)
+
+
+def embedded_module(application: Application) -> EmbeddedSet:
     """Import and return the module that draws an application's embedded set.
 
     Raises:
         ValueError: the application has no embedded set; the message lists the applications that have one.
     """
-    if app not in registry().synthetic:
-        raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
-    return registry().synthetic[app].load()
+    if application.synthetic is None:
+        raise ValueError(f"{application.name}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
+    return application.synthetic.load()
 
 
-def split_counts(app: str, count: int | None = None) -> dict[str, int]:
+def split_counts(application: Application, count: int | None = None) -> dict[str, int]:
     """Count the tasks of each split of an embedded set.
 
     Args:
-        app: the name of the application.
+        application: the application.
         count: number of tasks in both splits together, shared in the proportion of the default set (about four to
             one). If it is 2 or more, each split gets at least one task. None stands for the default set.
 
     Raises:
         ValueError: the application has no embedded set, or the count is below 1.
     """
-    default_counts = embedded_module(app).COUNTS
+    default_counts = embedded_module(application).COUNTS
     if count is None:
         return dict(default_counts)
     if count < 1:
-        raise ValueError(f"{app}: {count} tasks, expected 1 or more.")
+        raise ValueError(f"{application.name}: {count} tasks, expected 1 or more.")
     test_count = round(count * default_counts["test"] / sum(default_counts.values()))
     test_count = max(test_count, min(1, count - 1))
     return {"train": count - test_count, "test": test_count}
 
 
 def make_embedded_set(
-    app: str,
+    application: Application,
     seed: int = 0,
     count: int | None = None,
     out: Path | None = None,
@@ -82,7 +86,7 @@ def make_embedded_set(
     """Make an application's embedded data set if it is not there yet, and return its folder.
 
     Args:
-        app: the name of the application.
+        application: the application.
         seed: the seed of all random draws, 0 or more.
         count: number of tasks; None for the default set.
         out: the folder to write to. None for the cache, from which a finished set of equal application, seed, count and
@@ -95,15 +99,15 @@ def make_embedded_set(
         ValueError: the application has no embedded set or not one of the options, the count is below 1, the seed is
             negative, or the folder holds other data.
     """
-    counts = split_counts(app, count)
-    notes = _notes(app, seed, sum(counts.values()), options or {})
+    counts = split_counts(application, count)
+    notes = _notes(application, seed, sum(counts.values()), options or {})
     if out is not None:
-        _write_set(app, out, counts, notes, overwrite=overwrite, quiet=quiet)
+        _write_set(application, out, counts, notes, overwrite=overwrite, quiet=quiet)
         return out
-    return _provide_cached_set(app, counts, notes, quiet=quiet)
+    return _provide_cached_set(application, counts, notes, quiet=quiet)
 
 
-def make_embedded_test_set(app: str, quiet: bool = False) -> Path:
+def make_embedded_test_set(application: Application, quiet: bool = False) -> Path:
     """Make the test tasks of an application's default embedded set if they are not there yet, and return their folder.
 
     Fits and tables need no training tasks, which are nine of ten and take minutes to draw. Test tasks that are drawn
@@ -112,7 +116,7 @@ def make_embedded_test_set(app: str, quiet: bool = False) -> Path:
     change the label of fits. If the whole set was there first, it is taken, and its label stays, too.
 
     Args:
-        app: the name of the application.
+        application: the application.
         quiet: whether no progress is shown.
 
     Returns:
@@ -121,45 +125,47 @@ def make_embedded_test_set(app: str, quiet: bool = False) -> Path:
     Raises:
         ValueError: the application has no embedded set, or the cache cannot be written to.
     """
-    counts, notes = split_counts(app), _default_notes(app)
+    counts, notes = split_counts(application), _default_notes(application)
     test_notes = notes | {_SPLIT_NOTE: "test"}
-    whole_folder = _cached_set_path(app, notes)
-    has_test_folder = _is_finished(_cached_set_path(app, test_notes), app, test_notes)
-    if not has_test_folder and _is_finished(whole_folder, app, notes):
+    whole_folder = _cached_set_path(application, notes)
+    has_test_folder = _is_finished(_cached_set_path(application, test_notes), application, test_notes)
+    if not has_test_folder and _is_finished(whole_folder, application, notes):
         return whole_folder
-    return _provide_cached_set(app, {"test": counts["test"]}, test_notes, quiet=quiet)
+    return _provide_cached_set(application, {"test": counts["test"]}, test_notes, quiet=quiet)
 
 
-def embedded_folders(app: str) -> list[Path]:
+def embedded_folders(application: Application) -> list[Path]:
     """Return the existing folders of an application's default embedded set: of its test tasks, then of all tasks."""
-    if app not in embedded_apps():
+    if application.synthetic is None:
         return []
-    notes = _default_notes(app)
-    folders = [_cached_set_path(app, notes | {_SPLIT_NOTE: "test"}), _cached_set_path(app, notes)]
+    notes = _default_notes(application)
+    folders = [_cached_set_path(application, notes | {_SPLIT_NOTE: "test"}), _cached_set_path(application, notes)]
     return [folder for folder in folders if path_kind(folder) is PathKind.DATA_SET]
 
 
-def has_embedded_training(app: str) -> bool:
+def has_embedded_training(application: Application) -> bool:
     """Test whether the whole default embedded set has been made already, with its training tasks."""
-    return app in embedded_apps() and _cached_set_path(app, _default_notes(app)) in embedded_folders(app)
+    return application.synthetic is not None and _cached_set_path(
+        application, _default_notes(application)
+    ) in embedded_folders(application)
 
 
-def has_embedded_tests(app: str) -> bool:
+def has_embedded_tests(application: Application) -> bool:
     """Test whether the test tasks of the default embedded set have been made already."""
-    return bool(embedded_folders(app))
+    return bool(embedded_folders(application))
 
 
-def _provide_cached_set(app: str, counts: dict[str, int], notes: Document, *, quiet: bool) -> Path:
+def _provide_cached_set(application: Application, counts: dict[str, int], notes: Document, *, quiet: bool) -> Path:
     """Make a set in the cache if it is not there yet, and return its folder.
 
     Args:
-        app: the name of the application.
+        application: the application.
         counts: number of tasks in each split that the folder holds.
         notes: the manifest's notes, which say how the set is drawn.
         quiet: whether no progress is shown.
     """
-    folder = _cached_set_path(app, notes)
-    if _is_finished(folder, app, notes):
+    folder = _cached_set_path(application, notes)
+    if _is_finished(folder, application, notes):
         return folder
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -170,17 +176,17 @@ def _provide_cached_set(app: str, counts: dict[str, int], notes: Document, *, qu
     if not quiet:
         is_part = _SPLIT_NOTE in notes
         content = f"{notes[_SPLIT_NOTE]} tasks of the embedded data set" if is_part else "embedded data set"
-        say(f"{app}: making the {content}, once: {folder}")
+        say(f"{application.name}: making the {content}, once: {folder}")
     for unfinished in folder.parent.glob(f"{PARTIAL_PREFIX}*"):  # left by programs that were killed
         if time.time() - unfinished.stat().st_mtime > _STALE_SECONDS:
             shutil.rmtree(unfinished, ignore_errors=True)
     partial = partial_path(folder)  # under a name of its own, since another program may be making the same set
     try:
-        _write_set(app, partial, counts, notes, quiet=quiet)
+        _write_set(application, partial, counts, notes, quiet=quiet)
         try:
             os.replace(partial, folder)
         except OSError:  # a folder is there: another program was faster, or the folder is damaged
-            if not _is_finished(folder, app, notes):
+            if not _is_finished(folder, application, notes):
                 shutil.rmtree(folder, ignore_errors=True)
                 os.replace(partial, folder)
     finally:
@@ -188,16 +194,16 @@ def _provide_cached_set(app: str, counts: dict[str, int], notes: Document, *, qu
     return folder
 
 
-def _default_notes(app: str) -> Document:
+def _default_notes(application: Application) -> Document:
     """Return the manifest's notes of the default set."""
-    return _notes(app, 0, sum(split_counts(app).values()), {})
+    return _notes(application, 0, sum(split_counts(application).values()), {})
 
 
-def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Document:
+def _notes(application: Application, seed: int, count: int, options: Mapping[str, object]) -> Document:
     """Return the manifest's notes of how a set is drawn: seed, count and the options that are not at their default.
 
     Args:
-        app: the name of the application.
+        application: the application.
         seed: the seed of all random draws.
         count: number of tasks in both splits together.
         options: the options of the set, by name.
@@ -205,65 +211,79 @@ def _notes(app: str, seed: int, count: int, options: Mapping[str, object]) -> Do
     Raises:
         ValueError: the set does not have one of the options.
     """
-    module, option_names = embedded_module(app), _option_names(app)
+    module, option_names = embedded_module(application), _option_names(application)
     notes = {"made_by": "metapp data synth", "version": getattr(module, "VERSION", DEFAULT_SET_VERSION), "seed": seed}
     for name, value in options.items():
         if name not in option_names:
-            raise ValueError(f"{app}: {name} {value}, but its embedded set has no such option; leave --{name} out.")
+            raise ValueError(
+                f"{application.name}: {name} {value}, but its embedded set has no such option; leave --{name} out."
+            )
     changed_options = {name: value for name, value in options.items() if value != getattr(module, name.upper(), None)}
     return notes | {"count": count} | changed_options
 
 
-def _option_names(app: str) -> list[str]:
+def _option_names(application: Application) -> list[str]:
     """Return the names of an embedded set's options: what `synthetic_tasks` takes after split, count and seed."""
-    return [*inspect.signature(embedded_module(app).synthetic_tasks).parameters][3:]
+    return [*inspect.signature(embedded_module(application).synthetic_tasks).parameters][3:]
 
 
-def _options_in_notes(app: str, notes: Document) -> dict[str, object]:
+def _options_in_notes(application: Application, notes: Document) -> dict[str, object]:
     """Return the options in the notes of a set, by name."""
-    return {name: notes[name] for name in _option_names(app) if name in notes}
+    return {name: notes[name] for name in _option_names(application) if name in notes}
 
 
-def _cached_set_path(app: str, notes: Document) -> Path:
+def _cached_set_path(application: Application, notes: Document) -> Path:
     """Return the folder in the cache of the set that is drawn as its notes say."""
-    options = _options_in_notes(app, notes)
+    options = _options_in_notes(application, notes)
     words = "".join(f"-{name}" if value is True else f"-{name}{value}" for name, value in options.items())
     split = f"-{notes[_SPLIT_NOTE]}" if _SPLIT_NOTE in notes else ""
-    return cache_folder() / "data" / f"{app}-{notes['count']}{words}-seed{notes['seed']}-v{notes['version']}{split}"
+    return (
+        cache_folder()
+        / "data"
+        / f"{application.name}-{notes['count']}{words}-seed{notes['seed']}-v{notes['version']}{split}"
+    )
 
 
 def _write_set(
-    app: str, folder: Path, counts: dict[str, int], notes: Document, *, overwrite: bool = False, quiet: bool
+    application: Application,
+    folder: Path,
+    counts: dict[str, int],
+    notes: Document,
+    *,
+    overwrite: bool = False,
+    quiet: bool,
 ) -> None:
     """Draw the tasks of an embedded set as its notes say, and write them as a data set.
 
     Args:
-        app: the name of the application.
+        application: the application.
         folder: the folder to write to.
         counts: number of tasks in each split to draw.
         notes: the notes of the set, which become those of the manifest.
         overwrite: whether a data set that is in the folder is replaced.
         quiet: whether no progress is shown.
     """
-    module, options = embedded_module(app), _options_in_notes(app, notes)
+    module, options = embedded_module(application), _options_in_notes(application, notes)
     units = module.units_of(**options) if hasattr(module, "units_of") else module.UNITS
 
     def draw_tasks() -> Iterator[tuple[Task, str, str]]:
-        with progress(f"{app} data", sum(counts.values()), quiet=quiet) as bar:
+        with progress(f"{application.name} data", sum(counts.values()), quiet=quiet) as bar:
             for split, count in counts.items():
                 for task in module.synthetic_tasks(split, count, notes["seed"], **options):
                     yield task, split, ""
                     bar.advance(task.name)
 
-    with torch_defaults(single=class_of(app).small_tensors):
-        write_data_set(folder, app, units, draw_tasks(), notes, getattr(module, "BESIDE", None), overwrite=overwrite)
+    with torch_defaults(single=application.app.load().small_tensors):
+        write_data_set(
+            folder, application.name, units, draw_tasks(), notes, getattr(module, "BESIDE", None), overwrite=overwrite
+        )
 
 
-def _is_finished(folder: Path, app: str, notes: Document) -> bool:
+def _is_finished(folder: Path, application: Application, notes: Document) -> bool:
     """Test whether a folder holds all files of the set that is drawn as the notes say."""
     try:
         manifest = read_manifest(folder)
     except ValueError:
         return False
     has_all_files = all((folder / entry.file).is_file() for entry in manifest.tasks)
-    return manifest.app == app and manifest.notes == notes and has_all_files
+    return manifest.app == application.name and manifest.notes == notes and has_all_files

@@ -15,9 +15,9 @@ from typing import Any
 
 from data_tools.readers.input_source import Source
 from data_tools.readers.listing import files_below
+from metapp.application import Application
 from metapp.learning.task import Task
-from metapp.names import application_of, input_formats
-from metapp.registry import WITHOUT_VARIABLE, load_reference, registry
+from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.fit_options import FitOptions
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
@@ -42,36 +42,36 @@ def find_sources(options: FitOptions) -> list[Source]:
     if options.paths:
         with cache_lookups():
             return _find_in_paths(options)
-    return [source_of_data(options.app, options.data)] if options.data and options.data.exists() else []
+    return [source_of_data(options.application, options.data)] if options.data and options.data.exists() else []
 
 
-def source_of_data(app: str, folder: Path) -> Source:
-    """Return a data set as one source, whose protocol and facts the names of its tensors tell.
+def source_of_data(application: Application, folder: Path) -> Source:
+    """Return a data set as one source, whose facts the names of its tensors tell.
 
     Args:
-        app: the name of the application.
+        application: the application.
         folder: the folder of the data set.
 
     Raises:
         ValueError: the manifest cannot be read.
     """
     tensors = dict.fromkeys(read_manifest(folder).units)
-    return source_of_tensors(app, folder.name, tensors, folder)
+    return source_of_tensors(application, folder.name, tensors, folder)
 
 
-def source_of_tensors(app: str, name: str, tensors: Mapping[str, Any], folder: Path | None = None) -> Source:
+def source_of_tensors(
+    application: Application, name: str, tensors: Mapping[str, Any], folder: Path | None = None
+) -> Source:
     """Return a task in memory, or a data set in a folder, as a source.
 
     Args:
-        app: the name of the application.
+        application: the application.
         name: the name of the task, or of the data set.
         tensors: the tensors of the task by name; for a data set, whose tensors are not read, None by name.
         folder: the folder of the data set; None for a task in memory.
     """
-    entry = application_of(app)
-    protocol = next((name for name, tensor in entry.protocols.items() if tensor in tensors), "")
-    facts = load_reference(entry.facts)(tensors) if entry.facts and tensors else {}
-    return Source(name, folder or Path(name), DATA_SET_FORMAT if folder else MEMORY_FORMAT, protocol, facts)
+    facts = application.describe_tensors(tensors) if tensors else {}
+    return Source(name, folder or Path(name), DATA_SET_FORMAT if folder else MEMORY_FORMAT, facts)
 
 
 def bind_reader_arguments(read: Callable[..., Task], arguments: Mapping[str, object]) -> Callable[..., Task]:
@@ -113,7 +113,7 @@ def _find_in_paths(options: FitOptions) -> list[Source]:
     """
     sources: dict[Path, Source] = {}
     for path in options.paths:
-        for source in _find_in_path(options.app, path) if path.exists() else ():
+        for source in _find_in_path(options.application, path) if path.exists() else ():
             other = sources.setdefault(absolute_place(source.path), source)
             if other.format != source.format:
                 raise ValueError(
@@ -123,11 +123,11 @@ def _find_in_paths(options: FitOptions) -> list[Source]:
     return list(sources.values())
 
 
-def _find_in_path(app: str, path: Path) -> Iterator[Source]:
+def _find_in_path(application: Application, path: Path) -> Iterator[Source]:
     """Find the sources in a path by each format that recognises it, and say which files of a folder are skipped.
 
     Args:
-        app: the name of the application.
+        application: the application.
         path: a file or a folder that exists.
 
     Yields:
@@ -137,13 +137,13 @@ def _find_in_path(app: str, path: Path) -> Iterator[Source]:
         ValueError: the path is no input of the application.
     """
     check_readable(path)
-    forms = input_formats(app)
+    forms = application.input_formats
     inputs = ", ".join(form.inputs for form in forms.values())
     expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
-    check_files_of_user(path, f"an input of {app} ({expected})")
+    check_files_of_user(path, f"an input of {application.name} ({expected})")
     readers = {name: reader for name, form in forms.items() if (reader := form.load()).recognises(path)}
     if not readers:
-        raise ValueError(_input_refusal(app, path, expected))
+        raise ValueError(_input_refusal(application, path, expected))
     for name, reader in readers.items():
         sources, skipped = reader.find(path)
         for line in skipped if len(readers) == 1 else ():
@@ -153,24 +153,27 @@ def _find_in_path(app: str, path: Path) -> Iterator[Source]:
             yield replace(source, format=name, given_path=path, is_named=is_named)
 
 
-def _input_refusal(app: str, path: Path, expected: str) -> str:
+def _input_refusal(application: Application, path: Path, expected: str) -> str:
     """Return the error message about a path that no format of an application recognises.
 
     Args:
-        app: the name of the application.
+        application: the application.
         path: the path.
         expected: the inputs that the application takes, in words.
     """
     if path_kind(path) is PathKind.RUN_FOLDERS:
-        return path_refusal(path, f"an input of {app} ({expected})")
+        return path_refusal(path, f"an input of {application.name} ({expected})")
     if line := _first_placeholder_line(path):
         return line
-    forms = (form for form in registry().formats.values() if form.inputs)
-    other_apps = sorted({form.app for form in forms if form.load().recognises(path)})
+    other_apps = sorted(
+        other.name
+        for other in registry().applications.values()
+        if any(form.load().recognises(path) for form in other.input_formats.values())
+    )
     hint = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
     if other_apps:
         hint = f"; it is one of {', '.join(other_apps)}"
-    return f"{path}: not an input of {app}, expected {expected}{hint}."
+    return f"{path}: not an input of {application.name}, expected {expected}{hint}."
 
 
 def _first_placeholder_line(path: Path) -> str:

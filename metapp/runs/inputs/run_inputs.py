@@ -15,9 +15,9 @@ from typing import NamedTuple
 import torch
 
 from data_tools.readers.input_source import DEFAULT_PHOTO_PX, Source
+from metapp.application import Application
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.registry import registry
 from metapp.runs.inputs.embedded import make_embedded_set, make_embedded_test_set
 from metapp.runs.inputs.finding import MEMORY_FORMAT, absolute_place, bind_reader_arguments
 from metapp.runs.reporter import say
@@ -57,15 +57,15 @@ class Input(NamedTuple):
         return task._replace(name=printable_name(task.name))
 
 
-def training_data_folder(app: App, data: Path | None, quiet: bool) -> Path:
+def training_data_folder(application: Application, data: Path | None, quiet: bool) -> Path:
     """Return the folder of a data set with training tasks, made first if it is the embedded set.
 
     Args:
-        app: the application.
+        application: the application.
         data: the data set of --data; None for the whole embedded set.
         quiet: whether no progress is shown.
     """
-    return data or make_embedded_set(app.name, quiet=quiet)
+    return data or make_embedded_set(application, quiet=quiet)
 
 
 def data_label(folder: Path) -> str:
@@ -73,11 +73,12 @@ def data_label(folder: Path) -> str:
     return f"{printable_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
 
 
-def read_test_tasks(app: App, data: Path | None, quiet: bool) -> tuple[list[Task], str]:
+def read_test_tasks(application: Application, app: App, data: Path | None, quiet: bool) -> tuple[list[Task], str]:
     """Read the test tasks of a data set.
 
     Args:
-        app: the application.
+        application: the application.
+        app: its fits, which say which tensors are read.
         data: the folder of the data set; None for the embedded set.
         quiet: whether no progress is shown.
 
@@ -87,8 +88,8 @@ def read_test_tasks(app: App, data: Path | None, quiet: bool) -> tuple[list[Task
     Raises:
         ValueError: the data set has no test tasks, or cannot be read.
     """
-    folder = data or make_embedded_test_set(app.name, quiet)
-    tasks = read_data_set(folder, "test", app.name, app.tensors)
+    folder = data or make_embedded_test_set(application, quiet)
+    tasks = read_data_set(folder, "test", application.name, app.tensors)
     if not tasks:
         raise ValueError(f"{folder}: 0 test tasks, expected some; convert the data again with --split auto or test.")
     return [task._replace(name=printable_name(task.name)) for task in tasks], data_label(folder)
@@ -103,15 +104,13 @@ def find_inputs(run: Run) -> tuple[list[Input], str]:
     Raises:
         ValueError: a path is missing, or there is no test task.
     """
-    app, options = run.app, run.options
+    options, application = run.options, run.options.application
     if options.objects:
-        return inputs_of_objects(app.name, options.objects, _reader_arguments(run)), MEMORY_FORMAT
+        return inputs_of_objects(application, options.objects, _reader_arguments(run)), MEMORY_FORMAT
     if not options.paths:
-        tasks, label = read_test_tasks(app, options.data, options.quiet)
+        tasks, label = read_test_tasks(application, run.app, options.data, options.quiet)
         return inputs_of_tasks(tasks), label
-    merge_options = [
-        option for option in registry().merges.of(app.name) if option in options.app_options.non_default_values()
-    ]
+    merge_options = [option for option in application.merges if option in options.app_options.non_default_values()]
     for path in options.paths:
         if not path.exists():
             raise ValueError(f"{path}: no such file or folder; give existing input files.")
@@ -121,17 +120,18 @@ def find_inputs(run: Run) -> tuple[list[Input], str]:
         return [_merge_sources(run, merge_options[0])], FILES_LABEL
     arguments = _reader_arguments(run)
     with cache_lookups():
-        return [_input_of_source(source, arguments) for source in run.sources], FILES_LABEL
+        return [_input_of_source(application, source, arguments) for source in run.sources], FILES_LABEL
 
 
-def _input_of_source(source: Source, arguments: Mapping[str, object]) -> Input:
+def _input_of_source(application: Application, source: Source, arguments: Mapping[str, object]) -> Input:
     """Return the input that a source becomes.
 
     Args:
+        application: the application.
         source: the source.
         arguments: arguments of readers by name; the reader of the source's format gets those that it takes.
     """
-    read_task = registry().formats[source.format].load().read_task
+    read_task = application.formats[source.format].load().read_task
     read = functools.partial(
         _read_file, bind_reader_arguments(read_task, {**arguments, "content": source.content}), source.path
     )
@@ -205,11 +205,10 @@ def _merge_sources(run: Run, option: str) -> Input:
         run: the run.
         option: the name of the option.
     """
-    app = run.app
     places = [source.path for source in run.sources]
 
     def read() -> Task:
-        merge = bind_reader_arguments(registry().merges[app.name, option].load(), _reader_arguments(run))
+        merge = bind_reader_arguments(run.options.application.merges[option].load(), _reader_arguments(run))
         return merge(places, getattr(run.options.app_options, option))
 
     return Input(to_json_value(str(places[0].resolve())), read, True, run.options.paths)
@@ -237,24 +236,25 @@ def are_objects(inputs: Sequence[object]) -> bool:
     return count > 0
 
 
-def inputs_of_objects(app: str, objects: Sequence[object], arguments: Mapping[str, object]) -> list[Input]:
+def inputs_of_objects(
+    application: Application, objects: Sequence[object], arguments: Mapping[str, object]
+) -> list[Input]:
     """Read objects in memory, and return them as inputs of a run.
 
     Args:
-        app: the name of the application.
+        application: the application.
         objects: objects that the application's reader of objects takes.
         arguments: arguments of readers, by name.
 
     Raises:
         ValueError: the application does not take such an object, or the object is bad.
     """
-    entry = registry().objects.get(app)
-    if entry is None:
+    if application.read_object is None:
         raise ValueError(
-            f"{type(objects[0]).__name__}: an object in memory, expected a path, since {app} reads files "
+            f"{type(objects[0]).__name__}: an object in memory, expected a path, since {application.name} reads files "
             "alone; save it to one."
         )
-    task_of_object, names = entry.load(), _object_names(objects)
+    task_of_object, names = application.read_object.load(), _object_names(objects)
     tasks = [task_of_object(user_object, name, **arguments) for user_object, name in zip(objects, names, strict=True)]
     return [Input(str(number), task._replace, True) for number, task in enumerate(tasks)]
 

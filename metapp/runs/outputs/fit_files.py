@@ -12,12 +12,9 @@ from torch import Generator
 
 from metapp.appearance.colour import stretch_to_unit_range, tone_map
 from metapp.appearance.pictures import Picture, ScenePictures
-from metapp.apps import presenter_of
-from metapp.learning.app import App, stack_tasks
+from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task
-from metapp.names import exports_of
 from metapp.options import OUTPUT
-from metapp.registry import registry
 from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.run_inputs import task_digest
@@ -44,7 +41,7 @@ def render_outputs(run: Run, task: Task, theta: Params) -> ScenePictures:
         The pictures by name, and lines about them for the user.
     """
     output_options, outputs = run.options.app_options.non_default_values(OUTPUT), ScenePictures({}, [])
-    for name, entry in registry().outputs.of(run.app.name).items():
+    for name, entry in run.application.outputs.items():
         if name in output_options:
             pictures, lines = entry.load()(run.app, task, theta, output_options[name])
             outputs = ScenePictures(outputs.files | pictures, [*outputs.lines, *lines])
@@ -115,7 +112,7 @@ def export_fit(run: Run, task: Task, theta: Params, path: Path, name: str, setti
         settings: the settings in the record of the fit, which an asset states as its provenance.
     """
     app = run.app
-    form = exports_of(app.name)[name]
+    form = run.application.exports[name]
     write = form.load()
     if form.of_surface:
         surface = run.presenter.surface(theta, task)
@@ -126,7 +123,7 @@ def export_fit(run: Run, task: Task, theta: Params, path: Path, name: str, setti
         key = f"{app.name} {task_digest(task)} {tensor_digest(theta)}"
         if key not in _DISTILLED_FITS:
             _DISTILLED_FITS.clear()
-            _DISTILLED_FITS[key] = distill_fit(app, task, theta)
+            _DISTILLED_FITS[key] = distill_fit(run, task, theta)
         theta = _DISTILLED_FITS[key]
     write(app, theta, path)
 
@@ -134,31 +131,32 @@ def export_fit(run: Run, task: Task, theta: Params, path: Path, name: str, setti
 _DISTILLED_FITS: dict[str, Params] = {}  # the last distilled fit alone, for all formats that it is written in
 
 
-def distill_fit(app: App, task: Task, theta: Params) -> Params:
+def distill_fit(run: Run, task: Task, theta: Params) -> Params:
     """Distill a fit into the application's usual network, and say by how much the error grows.
 
     Finetune fits the usual network to values of the fit, as many as the task has samples. It sees no sample of the task
     itself.
 
     Args:
-        app: the application, with the network of the fit.
+        run: the run of the fit.
         task: the task that was fitted.
         theta: the parameters of the fit, without a task axis.
 
     Returns:
         Parameters of the usual network, without a task axis.
     """
-    run = attach_checkpoint(Run.from_options(fit_options(app.name, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)))
-    sampled_task = presenter_of(app).sample_fit(theta, task)
+    options = fit_options(run.application.name, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)
+    usual_run, app = attach_checkpoint(Run.from_options(options)), run.app
+    sampled_task = run.presenter.sample_fit(theta, task)
     assert sampled_task is not None, f"{app.name} has one network"
-    distilled = run.paradigm.fit(
-        run.phi, stack_tasks(run.app, [sampled_task]), Generator().manual_seed(run.options.seed)
+    distilled = usual_run.paradigm.fit(
+        usual_run.phi, stack_tasks(usual_run.app, [sampled_task]), Generator().manual_seed(options.seed)
     )
     error_before, error_after = (
         format_number(
             app.error_measure.scale * float(any_app.errors(params, stack_tasks(any_app, [task]))["error"][0]), ".3f"
         )
-        for any_app, params in ((app, {key: value[None] for key, value in theta.items()}), (run.app, distilled))
+        for any_app, params in ((app, {key: value[None] for key, value in theta.items()}), (usual_run.app, distilled))
     )
     say(f"{task.name}: distilled into the network of the format; error {error_after}, of the fit {error_before}")
     return {key: value[0] for key, value in distilled.items()}

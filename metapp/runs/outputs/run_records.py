@@ -12,10 +12,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from metapp.learning.app import App
+from metapp.entries import did_you_mean
 from metapp.learning.task import Task
-from metapp.names import did_you_mean
-from metapp.runs.fit_options import check_app_name, check_export, extract_data_set, fit_options
+from metapp.runs.fit_options import application_named, check_export, extract_data_set, fit_options
 from metapp.runs.inputs.embedded import embedded_folders
 from metapp.runs.inputs.run_inputs import FILES_LABEL, Input, data_label, find_inputs, read_test_tasks, task_digest
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open
@@ -147,14 +146,13 @@ def _newest_run_folder(folder: Path) -> Path:
     return run_folder
 
 
-def find_fitted_tasks(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
+def find_fitted_tasks(records: list[Document], inputs: list[Path], data: Path | None) -> dict[str, Task]:
     """Find the tasks that were fitted in a run, and read them.
 
     They are looked for in the given inputs or data set, else at the places in the records, else in the embedded set.
 
     Args:
         records: the records of the run.
-        app: the application.
         inputs: files and folders, or a data set, that were fitted; [] if they are not given.
         data: the data set that was fitted; None if it is not given.
 
@@ -164,7 +162,7 @@ def find_fitted_tasks(records: list[Document], app: App, inputs: list[Path], dat
     return {
         name: task
         for group in group_by_settings(records)
-        for name, task in _find_tasks_of_group(group, app, inputs, data).items()
+        for name, task in _find_tasks_of_group(group, inputs, data).items()
     }
 
 
@@ -176,9 +174,7 @@ def group_by_settings(records: Iterable[Document]) -> list[list[Document]]:
     return list(groups.values())
 
 
-def _find_tasks_of_group(
-    records: list[Document], app: App, inputs: Sequence[Path], data: Path | None
-) -> dict[str, Task]:
+def _find_tasks_of_group(records: list[Document], inputs: Sequence[Path], data: Path | None) -> dict[str, Task]:
     """Find the tasks of records of equal settings; see :func:`find_fitted_tasks`."""
     settings, origins = records[-1]["settings"], [record.get("origin", {}) for record in records]
     inputs, data = extract_data_set(inputs, data)
@@ -189,13 +185,14 @@ def _find_tasks_of_group(
         data_folders = (path_from_json_text(origin["data"]) for origin in origins if "data" in origin)
         data = next((folder for folder in data_folders if folder.is_dir()), None)
     # test tasks of the embedded set may lie in a folder of their own, or beside its training tasks
-    embedded = next((folder for folder in embedded_folders(app.name) if data_label(folder) == label), None)
+    application = application_named(settings["app"])
+    embedded = next((folder for folder in embedded_folders(application) if data_label(folder) == label), None)
     if not (inputs or data or embedded):
         return {}
     run = Run.from_settings(settings, inputs=inputs, data=data)
     if inputs:
         return _read_unchanged_tasks(records, find_inputs(run)[0])
-    tasks, present_label = read_test_tasks(app, data or embedded, quiet=True)
+    tasks, present_label = read_test_tasks(application, run.app, data or embedded, quiet=True)
     return {task.name: task for task in tasks} if present_label == label else {}
 
 
@@ -246,8 +243,7 @@ def export_fits(
         names = ", ".join(sorted(app_names))
         raise ValueError(f"{place}: fits of {names}, expected one application; take one run's folder.")
     (app_name,) = app_names
-    check_app_name(app_name)
-    check_export(form, app_name)
+    check_export(form, application_named(app_name))
     fit_options(app_name, **options)
     files = []
     with progress(form, len(records), quiet=quiet) as bar:
@@ -260,11 +256,11 @@ def export_fits(
                 settings = settings | {"options": settings.get("options", {}) | options}
             write = functools.partial(export_fit, run, theta=theta, path=export_path(record, form, out), name=form)
             if tasks is None and (inputs or data):  # some formats do without the input, but have more detail with it
-                tasks = find_fitted_tasks(records, run.app, inputs, data)
+                tasks = find_fitted_tasks(records, inputs, data)
             try:
                 write(task=(tasks or {}).get(name, Task(name, {})), settings=settings)
             except KeyError as missing:  # the format holds something of the input, too, which takes time to read
-                tasks = find_fitted_tasks(records, run.app, inputs, data) if tasks is None else tasks
+                tasks = find_fitted_tasks(records, inputs, data) if tasks is None else tasks
                 if name not in tasks:
                     raise ValueError(
                         f"{name}: {form} is made of the fit and its input ({missing}), expected both; "

@@ -11,7 +11,6 @@ from torch import Generator
 
 from data_tools.readers.svbrdf_task import make_svbrdf_task
 from metapp.appearance.features import VGG_BLOCKS
-from metapp.apps import app_of
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.pretrained.app import FromFeatures, MeanField
 from metapp.apps.svbrdf_nonstationary.pretrained.recipe import PRETRAINED
@@ -45,7 +44,7 @@ def random_vgg_in_cache(random_vgg_file: Path, cache: Path) -> None:
 
 @pytest.fixture
 def app() -> FromFeatures:
-    small_app = app_of(APP, RECIPE, "photo")
+    small_app = RECIPE.app
     assert isinstance(small_app, FromFeatures)
     return small_app
 

@@ -9,7 +9,6 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, texel_positions, unpack_maps
-from metapp.apps import app_of, recipes_of
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromPhoto, photo_loss
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, pixel_inputs, render_photo
 from metapp.apps.svbrdf_nonstationary.pretrained.app import FULL_SHARE, HALVED_SLOPE, SLOPE_GAIN, FromFeatures
@@ -36,10 +35,11 @@ from metapp.runs.fit_options import fit_options
 from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import tensor_digest
 from tests.apps.pretrained.conftest import APP, RECIPE, SIDE
+from tests.recipe_apps import recipes_of
 
 
 def test_pretrained_recipe_alone_uses_features() -> None:
-    kinds = {name: type(app_of(APP, recipe, "photo")) for name, recipe in recipes_of(APP, "photo").items()}
+    kinds = {name: type(recipe.app) for name, recipe in recipes_of(APP, "photo").items()}
     assert {name for name, kind in kinds.items() if kind is FromFeatures} == {"pretrained"}
     assert kinds["full"] is FromPhoto
 
@@ -311,7 +311,7 @@ def test_guess_agrees_with_general_of_the_full_recipe(rng: Generator) -> None:
     assert tensor_digest(full_encoder(torch.device("cpu"))) == DIGEST, "measure pretrained beside this General"
     photo = torch.rand(1, 3, 256, 256, generator=rng)
     guess = describe_patch(photo)["guess"]
-    full = app_of(APP, recipes_of(APP, "photo")["full"], "photo")
+    full = recipes_of(APP, "photo")["full"].app
     assert isinstance(full, FromPhoto)
     with torch.no_grad():
         maps = full.maps_of(full.encode(full_encoder(torch.device("cpu")), {"photo": photo}), photo)

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, texel_positions
-from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH_NUMBERS
 from metapp.apps.svbrdf_nonstationary.several import newton
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos, Texels
@@ -18,6 +17,7 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
 from tests.apps.several.test_parallax import SIDE, photographs
 from tests.apps.several.test_several_photos import general, relief
+from tests.recipe_apps import presenter_of
 
 DISTANCE = (texel_positions(SIDE, SIDE) - torch.tensor([0.3, -0.2])[:, None, None]).norm(dim=0)
 DISC, WIDE_DISC = DISTANCE < 0.22, DISTANCE < 0.42

@@ -11,7 +11,6 @@ from torch import Generator, Tensor
 from data_tools.readers.svbrdf_task import make_svbrdf_task, render_flash_photo
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash import Maps, camera_distance, directions_to_point, pack_maps, texel_positions, unpack_maps
-from metapp.apps import presenter_of
 from metapp.apps.svbrdf_nonstationary.maps import CHANNELS, FLASH_NUMBERS, decode_maps, decode_photo
 from metapp.apps.svbrdf_nonstationary.places import held_places
 from metapp.apps.svbrdf_nonstationary.several import encoder as stereo
@@ -30,6 +29,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import PARADIGMS, paradigm_of
 from metapp.storage.parameters import check_params
 from tests.apps.test_svbrdf_nonstationary import material
+from tests.recipe_apps import presenter_of
 
 SIDE, COUNT = 16, 3
 

@@ -13,7 +13,7 @@ from metapp.extensions.baselines.blending import ColourDistribution, blend_tile,
 from metapp.extensions.baselines.texture import quilt_tile
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task, Tasks
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, application
 
 SIDE = 128
 
@@ -146,7 +146,7 @@ def app() -> ExemplarApp:
 
 
 def fit(app: ExemplarApp, method: str, tasks: Tasks) -> BaselineFit:
-    (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == method]
+    (baseline,) = [baseline for baseline in baselines_of(application(app.name), app) if baseline.name == method]
     return baseline.fit(tasks, Generator().manual_seed(0), CostLimits(64, 1))
 
 

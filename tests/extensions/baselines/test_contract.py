@@ -10,7 +10,6 @@ import torch
 from rich.console import Console
 from torch import Generator, Tensor
 
-from metapp.apps import app_of, class_of, presenter_of, recipes_of
 from metapp.cli.evaluation_output import make_rich_table
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.figures import draw_figure as draw_figure
@@ -20,7 +19,6 @@ from metapp.extensions.baselines.baselines_table import baseline_records, baseli
 from metapp.extensions.examples.examples_command import example_lines
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from metapp.names import app_names, protocols_of
 from metapp.registry import WITHOUT_VARIABLE as LEAVING_OUT
 from metapp.registry import registry
 from metapp.runs.fit_options import fit_options
@@ -29,9 +27,9 @@ from metapp.runs.run import Run
 from metapp.storage.fit_folders import RunFolder, read_params
 from metapp.storage.shards import write_data_set
 from tests.marked import long
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, app_names, application, observations_of, presenter_of
 
-PLACED = [(name, protocol) for name in app_names() for protocol in protocols_of(name) or ("",)]
+PLACED = [(name, protocol) for name in app_names() for protocol in observations_of(name)]
 WITHOUT_VARIABLE = (("svbrdf_nonstationary", "reference"), ("transport", ""))  # any
 TRAIN, TEST = 6, 2
 
@@ -66,7 +64,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
     """Writes a data set of noise."""
 
     def write(name: str) -> Path:
-        angles, app = 0.6 * torch.rand(256, 3, generator=rng), class_of(name)
+        angles, app = 0.6 * torch.rand(256, 3, generator=rng), registry().applications[name].app.load()
         units = dict.fromkeys((*app.tensors, "render"), "any")
         tasks = [random_task(name, f"t{i}", rng, angles) for i in range(TRAIN + TEST)]
         splits = ["train"] * TRAIN + ["test"] * TEST
@@ -93,13 +91,13 @@ def subject_of(data: Callable[[str], Path], tmp_path: Path, second_scene: Path) 
 def test_predictions_of_baselines_are_drawn_where_applications_have_pictures(
     name: str, protocol: str, rng: Generator
 ) -> None:
-    app = app_by_recipe(name, protocol=protocol)
+    app = app_by_recipe(name, observes=protocol)
     presenter = presenter_of(app)
     if name in ("brdf", "transport"):
         assert presenter.prediction_pictures(None, Task("", {})) == {}
     elif (name, protocol) not in WITHOUT_VARIABLE:
         tasks = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
-        first, allowed = baselines_of(app)[0], CostLimits(64, 20_000)
+        first, allowed = baselines_of(application(app.name), app)[0], CostLimits(64, 20_000)
         first.prepare(TrainingTasks(app, tasks), allowed)
         prediction = first.fit(stack_tasks(app, tasks[:1]), rng, allowed).prediction()
         pictures = presenter.prediction_pictures(prediction, tasks[0])
@@ -128,7 +126,7 @@ def test_every_application_has_baselines_and_its_table_prints_them(
 ) -> None:
     monkeypatch.setattr("metapp.extensions.baselines.brdf.CANDIDATE_PENALTIES", (1e-6,))  # a choice takes its time
     subject = subject_of(name, protocol)
-    offered = baselines_of(subject.app)
+    offered = baselines_of(application(subject.app.name), subject.app)
     assert bool(offered) == ((name, protocol) not in WITHOUT_VARIABLE)
     assert len({baseline.name for baseline in offered}) == len(offered)
     pretend_paradigms(subject, 0.2 * subject.app.error_measure.scale)
@@ -186,7 +184,10 @@ def test_notes_name_the_method_with_the_lower_error(
         meta.append({"name": task.name, "error": 1.0 + i, "seconds": 1.0, "folder": str(tmp_path)})
         error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
         other.append(meta[-1] | {"error": error, "seconds": 0.5, "numbers": 1, "kept_bytes": 4, "shared": 8})
-    subject.requested |= {"meta": (subject.tasks, meta), baselines_of(subject.app)[0].name: (subject.tasks, other)}
+    subject.requested |= {
+        "meta": (subject.tasks, meta),
+        baselines_of(application(subject.app.name), subject.app)[0].name: (subject.tasks, other),
+    }
     subject.is_measuring = False
     assert any(said in note for note in subject.table("baselines").findings)
 
@@ -198,7 +199,7 @@ def test_measures_that_are_not_finite_have_no_figure(
     subject = subject_of("illumination", "reference")
     measures = {"error": torch.tensor([2.0]), "map": torch.tensor([torch.inf])}
     monkeypatch.setattr(type(subject.app), "errors_of", lambda *_: measures)
-    records = baseline_records(subject, baselines_of(subject.app)[0])
+    records = baseline_records(subject, baselines_of(application(subject.app.name), subject.app)[0])
     assert {record["error"] for record in records} == {2.0 * subject.app.error_measure.scale}
     assert not any("map" in record for record in records)
 
@@ -206,7 +207,7 @@ def test_measures_that_are_not_finite_have_no_figure(
 def test_the_plane_shows_baselines(subject_of: Callable[[str, str], EvaluationRun]) -> None:
     subject = subject_of("svbrdf_nonstationary", "photo")
     pretend_paradigms(subject, 5.0)
-    baseline_records(subject, baselines_of(subject.app)[0])
+    baseline_records(subject, baselines_of(application(subject.app.name), subject.app)[0])
     subject.is_measuring = False
     drawn = draw_figure("plane", subject)
     assert drawn
@@ -226,7 +227,7 @@ def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
     for task in subject.tasks:
         task.data["angles"] = task.data["angles"] + 0.01
     with use_reporter(Heard()):
-        assert baseline_records(subject, baselines_of(subject.app)[0]) == []
+        assert baseline_records(subject, baselines_of(application(subject.app.name), subject.app)[0]) == []
     assert any("pca_20" in line and "other angles" in line for line in messages)
     subject.is_measuring = False
     assert rows_of(subject)["pca_20"]["tasks"] == 0
@@ -261,7 +262,7 @@ def test_stored_predictions_are_judged_where_all_tasks_hold_them(
 
 
 def test_no_fit_sees_what_another_method_predicts(rng: Generator) -> None:
-    app = app_by_recipe("svbrdf_nonstationary", protocol="photo")
+    app = app_by_recipe("svbrdf_nonstationary", observes="photo")
     tasks = stack_tasks(app, [random_task(app.name, "t", rng, torch.zeros(0))])
     assert "predicted" in tasks.data
     assert "predicted" not in app.sample(tasks, rng, 1) | app.encoder_input(tasks, rng)
@@ -271,9 +272,9 @@ def test_nearest_training_task_of_a_training_task_is_itself(data: Callable[[str]
     """Its error is then 0, for every statistic that baselines compare."""
     angles = 0.6 * torch.rand(256, 3, generator=rng)
     for name, protocol in (("brdf", ""), ("texture", ""), ("svbrdf_stationary", "")):
-        app = app_by_recipe(name, protocol=protocol)
+        app = app_by_recipe(name, observes=protocol)
         tasks = [random_task(name, f"t{i}", rng, angles) for i in range(5)]
-        (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "nearest"]
+        (baseline,) = [baseline for baseline in baselines_of(application(app.name), app) if baseline.name == "nearest"]
         baseline.prepare(TrainingTasks(app, tasks), CostLimits(64, 1))
         fitted = baseline.fit(stack_tasks(app, tasks[3:4]), rng, CostLimits(64, 1))
         with torch.no_grad():
@@ -283,9 +284,9 @@ def test_nearest_training_task_of_a_training_task_is_itself(data: Callable[[str]
 
 @pytest.mark.parametrize("name", app_names())
 def test_the_methods_offered_are_those_of_all_protocols(name: str) -> None:
-    apps = [app_of(name, recipes_of(name)["quick"], protocol) for protocol in protocols_of(name) or ("",)]
-    methods = {baseline.name: None for app in apps for baseline in baselines_of(app)}
-    assert list(registry().baselines.of(name)) == list(methods)
+    apps = [app_by_recipe(name, observes=observed) for observed in observations_of(name)]
+    methods = {baseline.name: None for app in apps for baseline in baselines_of(application(app.name), app)}
+    assert list(registry().applications[name].baselines) == list(methods)
 
 
 def test_without_the_extension_its_command_and_table_are_refused(

@@ -24,7 +24,7 @@ from metapp.extensions.baselines.svbrdf_nonstationary import flat_maps
 from metapp.extensions.baselines.svbrdf_stationary import quilt_maps
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task, Tasks
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, application
 
 
 def test_a_cut_is_the_path_of_least_cost() -> None:
@@ -61,7 +61,7 @@ def test_a_glossy_sphere_is_refused(rng: Generator) -> None:
     data = {"seen": torch.zeros(1, 3, 8, 16), "certain": torch.zeros(1, 2, 8, 16)}
     tasks = Tasks(("garden",), data, torch.arange(1))
     with pytest.raises(ValueError, match="garden: a photo of a glossy sphere, expected a mirror ball's"):
-        UnwrappedBall(app_by_recipe("illumination", protocol="photo")).fit(tasks, rng, CostLimits(1, 1))
+        UnwrappedBall(app_by_recipe("illumination", observes="photo")).fit(tasks, rng, CostLimits(1, 1))
 
 
 @pytest.fixture
@@ -150,7 +150,7 @@ def task_of(app: SvbrdfStationary, maps: Maps) -> Task:
 
 
 def quilting(app: SvbrdfStationary, tasks: Tasks, seed: int = 0) -> BaselineFit:
-    (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "quilting"]
+    (baseline,) = [baseline for baseline in baselines_of(application(app.name), app) if baseline.name == "quilting"]
     return baseline.fit(tasks, Generator().manual_seed(seed), CostLimits(64, 1))
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from metapp.apps.transport.recipes import RECIPES
 from metapp.extensions.examples.examples_command import EXAMPLE_INPUTS_FOLDER, VGG_APPS, example_lines
-from metapp.names import app_names
 from tests.needs_mitsuba import skip_without_mitsuba
+from tests.recipe_apps import app_names
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ import torch
 
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.examples import write_example
-from metapp.apps import presenter_of
 from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guided_pictures import REGULAR, REGULAR_NEE
@@ -19,6 +18,7 @@ from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Task
 from metapp.rendering.scenes.stored_text import encode_scene
 from tests.needs_mitsuba import needs_mitsuba
+from tests.recipe_apps import presenter_of
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
 

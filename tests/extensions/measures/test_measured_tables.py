@@ -9,7 +9,6 @@ from torch import Generator
 
 from metapp.appearance.picture_measures import measure_pictures
 from metapp.appearance.pictures import TimedFit
-from metapp.apps import presenter_of
 from metapp.evaluation.table import format_tables
 from metapp.evaluation.tables import image
 from metapp.learning.app import App, stack_tasks
@@ -17,6 +16,7 @@ from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE
 from tests.extensions.measures.test_measures import needs_weights
 from tests.paradigms.small import NETWORK_KINDS
+from tests.recipe_apps import presenter_of
 
 # small tasks of transport have no scene: tests/cli/test_cli_transport.py measures its pictures
 pytestmark = [

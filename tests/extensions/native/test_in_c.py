@@ -13,7 +13,6 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps import app_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.extensions.native import c_steps, nbrdf
@@ -227,7 +226,7 @@ def test_settings_that_c_lacks_are_left_to_torch() -> None:
         rule_of(name).update_rule(expand_tasks(move_parameters(name, rng), TASKS, 1))
         for name in ("meta-encoder+average", "meta-axes")
     )
-    ridge = app_of("brdf", RECIPES["quick"], rule="ridge")
+    ridge = RECIPES["quick"].app_with("ridge")
     cases = {
         "mean": (mean, loss, theta),
         "basis": (basis, loss, theta),

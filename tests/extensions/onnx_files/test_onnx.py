@@ -11,7 +11,6 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
-from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.brdf_network import BrdfNetwork
 from metapp.apps.brdf.feature_network import Featured
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
@@ -19,10 +18,11 @@ from metapp.extensions.onnx_files import brdf_model, models, photographs
 from metapp.learning.task import Params
 from metapp.storage.shipped_checkpoints import shipped_checkpoint_path
 from tests.marked import long
+from tests.recipe_apps import recipes_of
 
 pytest.importorskip("onnxscript")
 ort = pytest.importorskip("onnxruntime")
-APP = app_of("brdf", recipes_of("brdf")["quick"])
+APP = recipes_of("brdf")["quick"].app
 NETWORKS = {"nbrdf": NBRDF_NETWORK, "featured": Featured(), "anisotropic": Featured(anisotropic=True)}
 
 

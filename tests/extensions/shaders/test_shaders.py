@@ -11,14 +11,14 @@ import torch
 from torch import Generator
 
 from metapp.appearance.geometry import directions_to_full_rusinkiewicz
-from metapp.apps import app_of, recipes_of
 from metapp.apps.brdf.nbrdf_network import NBRDF_NETWORK
 from metapp.extensions.shaders import shader_files
 from metapp.learning.task import Params
 from tests.extensions.shaders.shader_runners import RUNNERS, Array
+from tests.recipe_apps import recipes_of
 
 NAME = "red paint-2"
-APP = app_of("brdf", recipes_of("brdf")["quick"])
+APP = recipes_of("brdf")["quick"].app
 LANGUAGES = sorted(RUNNERS)
 
 

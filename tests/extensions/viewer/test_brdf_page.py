@@ -13,7 +13,6 @@ from torch.nn.functional import normalize
 from data_tools.readers.brdf_task import make_brdf_task
 from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.geometry import directions_to_four_angles, is_above_horizon, rusinkiewicz_to_directions
-from metapp.apps import presenter_of
 from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.feature_network import Featured
 from metapp.apps.brdf.few.gaussian_model import Few
@@ -31,6 +30,7 @@ from tests.anisotropic import (
     solve_for_brushed,
 )
 from tests.browser import LEGEND_PX, assert_pictures_match, error_colours
+from tests.recipe_apps import presenter_of
 
 APPS = {
     "nbrdf": Brdf(),

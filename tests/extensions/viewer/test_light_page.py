@@ -14,15 +14,15 @@ from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import mean_luminance, resample_maps, sphere_normals, texel_directions
 from metapp.appearance.photograph import render_mirror_spheres
 from metapp.appearance.pictures import Picture
-from metapp.apps import presenter_of
 from metapp.apps.illumination.app import LOSS_PHOTO_PX, Illumination
-from metapp.apps.illumination.presenter import IlluminationPresenter
+from metapp.apps.illumination.presenter import FromBall, FromMap, IlluminationPresenter
 from metapp.apps.illumination.spheres import SPHERE_NAMES, render_spheres
 from metapp.extensions.viewer.pages import illumination as pages
 from metapp.extensions.viewer.view import make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField
 from tests.browser import LEGEND_PX, Page, assert_pictures_match, error_colours
+from tests.recipe_apps import presenter_of
 
 ROWS = 64
 GAP = 6  # px between panes
@@ -51,8 +51,15 @@ def task_of(light: Tensor) -> Task:
 LIGHT = lamps(1, sun=30.0)
 
 
-class Fitted(Illumination):
+class FittedToMap(FromMap):
     """Fits that have a known map, whatever the parameters of their networks."""
+
+    def radiance_maps(self, theta: Params) -> Tensor:
+        return LIGHT[None]
+
+
+class FittedToBall(FromBall):
+    """Fits of a ball that have a known map, whatever the parameters of their networks."""
 
     def radiance_maps(self, theta: Params) -> Tensor:
         return LIGHT[None]
@@ -65,7 +72,7 @@ def fitted_map() -> Tensor:
 
 
 def shown(protocol: str) -> tuple[Illumination, Params]:
-    app = Fitted(FIELD, protocol=protocol)
+    app = {"reference": FittedToMap, "photo": FittedToBall}[protocol](FIELD)
     return app, {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
 
 

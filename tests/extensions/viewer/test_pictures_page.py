@@ -15,7 +15,6 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape
 from metapp.appearance.pictures import Picture
-from metapp.apps import presenter_of
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.exemplar.presenter import FILE_SIDE_TIMES
 from metapp.apps.texture.app import Texture
@@ -31,6 +30,7 @@ from metapp.runs.outputs.fit_files import write_pictures
 from tests.browser import LEGEND_PX, Page, assert_pictures_match, error_colours, open_browser
 from tests.extensions.viewer.conftest import write_view_page
 from tests.needs_mitsuba import needs_mitsuba
+from tests.recipe_apps import presenter_of
 
 SIZE = 32
 WHOLE = FILE_SIDE_TIMES * SIZE

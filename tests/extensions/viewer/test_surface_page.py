@@ -23,7 +23,6 @@ from metapp.appearance.flash import (
     texel_positions,
 )
 from metapp.appearance.surface import Surface
-from metapp.apps import presenter_of
 from metapp.apps.exemplar.octaves import Octaves
 from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import decode_photo
@@ -34,6 +33,7 @@ from metapp.extensions.viewer.view import View, make_view
 from metapp.learning.task import Params, Task
 from metapp.networks.generators import UNet
 from tests.browser import assert_pictures_match
+from tests.recipe_apps import presenter_of
 from tests.surfaces import rock_surface
 
 SIDE = 16  # of exemplars, and of fields; the maps of the first are four times as large

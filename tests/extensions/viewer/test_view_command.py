@@ -185,13 +185,15 @@ def test_fits_that_cannot_be_shown_are_left_out(
     metapp: Callable, fit_networks: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = fit_networks("meta")
-    page = replace(registry().pages["brdf"], reference=f"{__name__}:view_of_some")
-    monkeypatch.setitem(registry().pages.data, "brdf", page)
+    brdf = registry().applications["brdf"]
+    assert brdf.page is not None
+    page = replace(brdf.page, reference=f"{__name__}:view_of_some")
+    monkeypatch.setitem(vars(brdf), "page", page)
     result = metapp("view", run, "--no-open", "--out", "some.html")
     assert (result.code, [group["title"] for group in groups_of(Path("some.html"))]) == (0, ["m1"])
     assert "warning: left out: meta of m0: no photo, expected one; give it by --input." in result.err
     page = replace(page, reference=f"{__name__}:view_of_none")
-    monkeypatch.setitem(registry().pages.data, "brdf", page)
+    monkeypatch.setitem(vars(brdf), "page", page)
     assert "m0: no photo, expected one" in metapp("view", run, "--no-open", "--out", "none.html").error
     assert not Path("none.html").exists()
 
@@ -215,7 +217,7 @@ def test_without_the_extension_fits_work_and_view_is_refused(
 def test_an_application_without_a_page_shows_its_pictures(networks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit = api.fit("brdf", networks / "m0", recipe="quick")
     assert make_view(fit.run.presenter, fit.parameters, fit.task).kind == "brdf"
-    monkeypatch.delitem(registry().pages, "brdf")
+    monkeypatch.setitem(vars(registry().applications["brdf"]), "page", None)
     view = make_view(fit.run.presenter, fit.parameters, fit.task)
     assert (view.kind, set(view.pictures)) == ("pictures", {"reference", "fit"})
 

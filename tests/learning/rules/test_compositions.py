@@ -6,14 +6,12 @@ from dataclasses import replace
 import pytest
 from torch import Generator
 
-from metapp.apps import app_of, recipes_of
 from metapp.learned_rules import rule_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
-from metapp.names import app_names, protocols_of, rule_words
 from metapp.registry import registry
-from tests.recipe_apps import app_by_recipe
+from tests.recipe_apps import app_by_recipe, app_names, observations_of, recipes_of
 
 
 def parts_of(name: str) -> list[str]:
@@ -44,7 +42,7 @@ def test_every_name_names_its_own_rule() -> None:
     assert rule_of("adam+loss+curvature").name == "meta-curvature"
     assert rule_of("betas+rates+average+curvature").name == "adam+curvature+average"
     assert rule_of("sgd+curvature").name == "sgd+curvature"
-    names, rules = rule_words(), list(registry().rules)
+    names, rules = registry().rule_words, list(registry().rules)
     assert [rule_of(name).name for name in rules] == rules
     assert len({rule_of(name).parts for name in rules}) == len(rules)
     assert len(set(names)) == len(names)
@@ -85,10 +83,10 @@ def test_a_part_that_does_not_apply_is_refused_by_name(app: str, rule: str, part
 
 @pytest.mark.parametrize("name", app_names())
 def test_all_rules_of_recipes_apply(name: str) -> None:
-    for observe in protocols_of(name) or ("",):
+    for observe in observations_of(name):
         for recipe in recipes_of(name, observe).values():
             for rule in (*recipe.meta, recipe.rule):
-                app_with_rule = app_of(name, recipe, observe, rule=rule)
+                app_with_rule = recipe.app_with(rule)
                 rule_of(rule).check_app(app_with_rule, one(app_with_rule))
 
 

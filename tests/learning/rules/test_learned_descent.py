@@ -26,7 +26,7 @@ FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final_rate_share=0.1)
 
 
 def small_app() -> illumination.Illumination:
-    return illumination.Illumination(FIELD, protocol="reference")
+    return illumination.FromMap(FIELD)
 
 
 @pytest.fixture(scope="module")

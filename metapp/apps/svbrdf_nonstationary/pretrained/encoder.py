@@ -29,7 +29,7 @@ from metapp.apps.svbrdf_nonstationary.encoder import (
 )
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED_LINEAR_VALUE
 from metapp.apps.svbrdf_nonstationary.pretrained.polish import add_polish, describe_highlight, predict_roughness
-from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
+from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
 from metapp.storage.checkpoint_files import load_checkpoint
@@ -52,7 +52,7 @@ OVERVIEW_POOLING = 4  # the side of its first level over that of its second
 OVERVIEW_WIDTHS = (32, 48)  # channels of its levels
 GUESS_CHANNELS = 3  # roughness, and the logs of specular and diffuse reflectance, by General of the recipe "full"
 LOG_FLOOR = 0.01  # reflectance that is added before logs
-FULL_APP = cast("FromPhoto", RECIPES["photo"][FULL_RECIPE_NAME].app)
+FULL_APP = cast("FromPhoto", PHOTO_RECIPES[FULL_RECIPE_NAME].app)
 
 
 def init_decoder(rng: Generator, code: int) -> Params:

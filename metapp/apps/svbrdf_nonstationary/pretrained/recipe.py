@@ -9,10 +9,10 @@ from dataclasses import replace
 
 from metapp.apps.svbrdf_nonstationary.coded_maps import field_of
 from metapp.apps.svbrdf_nonstationary.pretrained.app import FromFeatures, MeanField
-from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
+from metapp.apps.svbrdf_nonstationary.recipes import PHOTO_RECIPES
 from metapp.learning.recipe import OuterLoop
 
-FULL = RECIPES["photo"]["full"]
+FULL = PHOTO_RECIPES["full"]
 SEARCHED = replace(FULL.quickft, rate=8e-3, final_rate_share=0.1)
 PRETRAINED = replace(
     FULL,

@@ -97,7 +97,7 @@ class SeveralPhotos(SvbrdfNonstationary):
     """
 
     network: Texels = field(default=Texels(256, 256))
-    protocol: str = field(default="photo", kw_only=True)
+    observes = "photo"
     several_photos = True
 
     @override

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.svbrdf_nonstationary.recipes import GENTLE, RECIPES
+from metapp.apps.svbrdf_nonstationary.recipes import GENTLE, PHOTO_RECIPES
 from metapp.apps.svbrdf_nonstationary.several.app import SeveralPhotos
 from metapp.learning.recipe import Adam, OuterLoop
 
 # On 18 validation materials, clean, a rate of 0.035 leaves 0.726 of a flat map's angles, 0.05 0.717, 0.06 0.729.
 SEVERAL = replace(
-    RECIPES["photo"]["full"],
+    PHOTO_RECIPES["full"],
     app=SeveralPhotos(),
     steps=8,
     overfit_steps=300,

@@ -11,7 +11,7 @@ from pathlib import Path
 from data_tools.readers import environment_maps, square_photos
 from data_tools.readers.colours import integers_to_unit_range
 from data_tools.readers.image_files import Pixels, read_pixels
-from data_tools.readers.input_source import Sources, sources_of_files
+from data_tools.readers.input_source import REFERENCE_FACT, Sources, sources_of_files
 from data_tools.readers.listing import files_of
 from data_tools.readers.opened_images import ALL_PICTURE_SUFFIXES
 from data_tools.readers.picture_borders import crop_borders
@@ -28,7 +28,8 @@ def recognises(path: Path) -> bool:
 def find(path: Path) -> Sources:
     """Find all LDR images below a path as :func:`data_tools.readers.square_photos.find_images` does, without maps."""
     files, skipped = square_photos.find_images(path)
-    return sources_of_files(([file for file in files if not environment_maps.is_map(file)], skipped), protocol="photo")
+    photos = [file for file in files if not environment_maps.is_map(file)]
+    return sources_of_files((photos, skipped), {REFERENCE_FACT: False})
 
 
 def read_task(path: Path, rows: int = environment_maps.MAP_HEIGHT_PX, fov_rad: float = 0.0, layer: str = "") -> Task:

@@ -74,7 +74,7 @@ def make_svbrdf_nonstationary_view(presenter: SvbrdfNonstationaryPresenter, thet
     photos = [task.data["photo"], *task.data.get("others", ())]
     flashes = app.flashes(theta, task)
     photos = photos[: len(flashes)]
-    shows_photos = app.protocol == "photo"  # else the photo was rendered from the maps
+    shows_photos = app.observes == "photo"  # else the photo was rendered from the maps
     lit_pictures = [
         LitPicture(flash.place, flash.eye, float(flash.gain), decode_photo(photo) if shows_photos else None)
         for flash, photo in zip(flashes, photos, strict=True)

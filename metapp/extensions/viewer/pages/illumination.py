@@ -61,7 +61,7 @@ def make_illumination_view(
         "specular": DIFFUSE_SPECULAR,
     }
     pictures = {}
-    if app.protocol == "photo":
+    if app.observes == "photo":
         data = {
             key: value[None] for key, value in {"photo": task.data["photos"][0], **app.prepare_mirror(task)}.items()
         }

@@ -1,0 +1,465 @@
+"""An application as metapp knows it before anything of it is imported: names, texts and references, in one object.
+
+Each application that ships makes its object in its package, `metapp/apps/<name>/__init__.py`; extensions add entries to
+the object's tables. Classes here that are a `typing.Protocol` are contracts: a function or module with a matching
+signature fulfils one without naming it. Their types are types of `metapp.learning`, for mypy alone. A type of a layer
+above is `Any`, and the docstring names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Protocol
+
+from typing_extensions import override
+
+from metapp.entries import Entries, Lazy
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from torch import Tensor
+
+    from metapp.learning.app import App
+    from metapp.learning.recipe import Recipe  # noqa: F401  (a base class names it as text)
+    from metapp.learning.task import Params, Task
+    from metapp.options import AppOptions
+
+FactRange = bool | int | tuple[float, float]  # a value of a fact, or the least and the greatest value of a range
+Facts = Mapping[str, bool | int]  # what is known of an input before it is read, by name
+
+
+# Entries of an application's tables, each beside its contract
+
+
+@dataclass(frozen=True)
+class RecipeEntry(Lazy["Recipe"]):
+    """A reference to a :class:`metapp.learning.recipe.Recipe`, and the inputs for which it is chosen.
+
+    Attributes:
+        inputs: the inputs that the recipe suits, as a noun phrase, such as "one flash photo".
+        suits: facts of inputs, each with its value or range; the recipe is chosen for inputs that have all of them,
+            unless the user names a recipe. {} if the recipe is only used where it is named.
+        mixed_recipe: the recipe that is chosen if a folder has inputs of which this recipe suits some but not all; ""
+            if such folders are refused.
+        paradigms: the paradigms for which the recipe is chosen; () for all.
+        describe_missing_file: a reference to a function without arguments that returns a line about a file that the
+            recipe needs and that is missing, or ""; None if the recipe needs no file.
+    """
+
+    inputs: str = ""
+    suits: Mapping[str, FactRange] = field(default_factory=dict)
+    mixed_recipe: str = ""
+    paradigms: tuple[str, ...] = ()
+    describe_missing_file: Lazy[Callable[[], str]] | None = None
+
+
+@dataclass(frozen=True)
+class Format(Lazy[Any]):
+    """A file format that tasks are read from: a reference to a module that finds and reads its files.
+
+    The module has these names:
+
+    - `recognises(path)`, for inputs of fits: returns whether a path is a file of the format, or a folder with such
+      files, by suffixes and first bytes;
+    - `find(path)`: returns a pair of lists: a `data_tools.readers.input_source.Source` for each task, with all that
+      must be known before the task is read, and a line for each file of a folder that is skipped. It raises ValueError
+      for a bad path. The caller fills in the fields `format`, `given` and `named` of a source;
+    - `read_task(path, ...)`: returns the task; raises ValueError if the file is damaged. It may name keyword arguments,
+      all with defaults. Fits pass those that it names of the arguments that :class:`ReadObject` lists, and `content`,
+      which is the `content` of the source. The command "data NAME" passes its options and `content`;
+    - `UNITS`, if there is a command "data NAME" (a `metapp.options.Converter`): units of the tasks' tensors by name;
+    - `entries(paths, folders, split)`, optional, for that command: returns name, group and split of each task as a
+      `metapp.storage.shards.ManifestEntry`, by the path of its source; sources without an entry are left out. `folders`
+      are the folders that were searched, `split` is the command's option. By default a task is named by its file.
+
+    Attributes:
+        inputs: what the files are, in words, for help and errors; "" if fits do not accept them as INPUT, so that the
+            module needs no `recognises`.
+        data_sets: whether the command "data NAME" also accepts data sets.
+    """
+
+    inputs: str = ""
+    data_sets: bool = False
+
+
+class ExportParameters(Protocol):
+    r"""A function that writes the parameters of a fit as a file for other programs.
+
+    >>> def write_sizes(app, theta, path):
+    ...     lines = [f"{name} {tuple(value.shape)}" for name, value in theta.items()]
+    ...     path.with_suffix(".txt").write_text("\n".join(lines))
+    """
+
+    def __call__(self, app: Any, theta: Params, path: Path, /) -> None:
+        """Write a fit.
+
+        Args:
+            app: the application.
+            theta: the fit's parameters, without a task axis; if `Export.holds` lists names, exactly these.
+            path: the path of the file without suffix; its last part is the task's name. Its folder may not exist yet.
+
+        Raises:
+            ValueError: the form cannot hold this fit.
+            OSError: the file cannot be written.
+        """
+        ...
+
+
+class ExportSurface(Protocol):
+    """A function that writes the flat surface of a fit, its maps, as files for other programs.
+
+    >>> def write_size(surface, path, provenance):
+    ...     height, width = surface.size
+    ...     path.with_suffix(".txt").write_text(f"{provenance['task']}: {height} x {width} texels")
+    """
+
+    def __call__(self, surface: Any, path: Path, provenance: Mapping[str, object], /) -> None:
+        """Write a surface.
+
+        Args:
+            surface: a :class:`metapp.appearance.surface.Surface` that `Presenter.surface` returned.
+            path: the path of the file, or of the folder of several files, without suffix; its last part is the task's
+                name.
+            provenance: the task's name, as `task`, and the settings of its fit, by the keys of records.
+
+        Raises:
+            ValueError: the form cannot hold this surface.
+            OSError: the files cannot be written.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Export(Lazy[Any]):
+    """A form in which fits are written for other programs: a reference to a function.
+
+    The function is :class:`ExportParameters`, or :class:`ExportSurface` if `of_surface` is set.
+
+    Attributes:
+        of_surface: whether the function writes the flat surface of a fit instead of its parameters.
+        holds: the names of the parameters that the form can hold; fits with another network are distilled into these
+            first. () if the form is made of what any network evaluates to.
+        needs: the module and the package of a library that the function needs and that is not always installed; ()
+            for none.
+    """
+
+    of_surface: bool = False
+    holds: tuple[str, ...] = ()
+    needs: tuple[str, str] | tuple[()] = ()
+
+
+class EmbeddedSet(Protocol):
+    """A module that draws an application's embedded data set.
+
+    It may have further names:
+
+    - `VERSION`, an integer that is raised when the drawn values change;
+    - `units_of(**options)`, the units of a set that is drawn with these options, in place of `UNITS`;
+    - `BESIDE`, the name of a tensor and a suffix: this tensor of each task is also written as a file beside the task's
+      shard;
+    - `FILES`, other forms of the set by name, each a pair: a function `write(folder, split, count, seed)`, which yields
+      the names of the files that it writes, and the size of one file in bytes;
+    - a constant for each option, in capitals: its default.
+
+    Attributes:
+        COUNTS: the number of tasks of the default set, by split ("train", "test").
+        UNITS: units or encodings of the tasks' tensors in words, by name.
+        synthetic_tasks: a function `synthetic_tasks(split, count, seed, **options)` that yields so many tasks. A seed
+            gives equal tasks on every machine; further parameters are options of `metapp data synth`.
+
+    >>> from metapp.registry import registry
+    >>> registry().applications["brdf"].synthetic.load().COUNTS
+    {'train': 80, 'test': 20}
+    """
+
+    COUNTS: Mapping[str, int]
+    UNITS: Mapping[str, str]
+    synthetic_tasks: Callable[..., Iterator[Task]]
+
+
+@dataclass(frozen=True)
+class SyntheticSet(Lazy["EmbeddedSet"]):
+    """A reference to the module that draws an application's embedded data set.
+
+    Attributes:
+        content: what the set holds, how many tasks, and its size, for help.
+    """
+
+    content: str = ""
+
+
+class ReadObject(Protocol):
+    """A function that makes the task of an object in memory, for an application's fits in the Python API.
+
+    >>> import torch
+    >>> from metapp.learning.task import Task
+    >>> def task_of_object(source, name, size=256, **_):
+    ...     if not isinstance(source, torch.Tensor):
+    ...         raise ValueError(f"{name}: {type(source).__name__}, expected a tensor [3, H, W].")
+    ...     return Task(name, {"image": source[:, :size, :size]})
+    >>> task_of_object(torch.zeros(3, 512, 512), "object", observe="reference").data["image"].shape
+    torch.Size([3, 256, 256])
+    """
+
+    def __call__(self, source: object, name: str, /, **arguments: Any) -> Task:
+        """Return the task of an object.
+
+        Args:
+            source: the object, of any type but a path or text.
+            name: the task's name, with which error messages begin.
+            **arguments: `observe`, the value of --observe; the options about INPUT that the user gave; and, if
+                `App.read_size` is not 0, the sizes to read to, in px: `size`, the side of pictures, `rows`, the rows of
+                panoramas, and `least`, the least side of photographs. The function must accept further ones as `**_`.
+
+        Raises:
+            ValueError: the application fits no objects of this type, or the values are not usable.
+        """
+        ...
+
+
+class MergeInputs(Protocol):
+    """A function that makes one task of all inputs, called if the option of its key is given, such as --shutter.
+
+    The option is a field of the application's options (`metapp.options.AppOptions`), about INPUT.
+
+    >>> import torch
+    >>> from pathlib import Path
+    >>> from metapp.learning.task import Task
+    >>> def merge(paths, value, rows=64):
+    ...     return Task(paths[0].stem, {"map": torch.ones(3, rows, 2 * rows) * value})
+    >>> merge([Path("a.png"), Path("b.png")], 0.5, rows=2).name
+    'a'
+    """
+
+    def __call__(self, paths: Sequence[Path], value: Any, /, **arguments: Any) -> Task:
+        """Return the one task of all files.
+
+        Args:
+            paths: the files that the application's formats find in the inputs, in the order of the inputs.
+            value: the option's value, with the type of its field.
+            **arguments: the arguments that :class:`ReadObject` lists, as far as the function names them.
+
+        Raises:
+            ValueError: the files do not belong together, are damaged, or do not go with the option's value.
+        """
+        ...
+
+
+class RenderFit(Protocol):
+    """A function that makes further pictures of a fit, called if the option of its key is given, such as --render.
+
+    The option is a field of the application's options (`metapp.options.AppOptions`), about OUTPUT.
+
+    >>> import torch
+    >>> from metapp.appearance.pictures import Picture, ScenePictures
+    >>> def mean_colour(app, task, theta, side):
+    ...     picture = theta["map"].mean((1, 2)).expand(side, side, 3)
+    ...     return ScenePictures({"mean": Picture(picture, "radiance")}, [f"mean: {side} px"])
+    >>> mean_colour(None, None, {"map": torch.ones(3, 8, 16)}, 4).files["mean"].pixels.shape
+    torch.Size([4, 4, 3])
+    """
+
+    def __call__(self, app: App, task: Task, theta: Params, value: Any, /) -> Any:
+        """Return a `metapp.appearance.pictures.ScenePictures`: pictures by file name, and lines to print.
+
+        Args:
+            app: the application.
+            task: the task that was fitted.
+            theta: the fit's parameters, without a task axis.
+            value: the option's value, with the type of its field.
+
+        Raises:
+            ValueError: the task lacks data that the pictures need.
+        """
+        ...
+
+
+class ViewFit(Protocol):
+    """A function that makes the interactive view of an application's fits for a page of the viewer.
+
+    >>> import torch
+    >>> from metapp.extensions.viewer.view import View
+    >>> def view(presenter, theta, task):
+    ...     return View("pictures", pictures={"fit": theta["image"].permute(1, 2, 0)})
+    >>> view(None, {"image": torch.zeros(3, 4, 5)}, None).pictures["fit"].shape
+    torch.Size([4, 5, 3])
+    """
+
+    def __call__(self, presenter: Any, theta: Params, task: Task, /) -> Any:
+        """Return the view of a fit, a :class:`metapp.extensions.viewer.view.View`.
+
+        Args:
+            presenter: the application's :class:`metapp.appearance.presenter.Presenter`.
+            theta: the fit's parameters, without a task axis.
+            task: the task that was fitted; without data if its file is not available.
+
+        Raises:
+            KeyError: the view needs data that the task lacks.
+        """
+        ...
+
+
+class MakeBaselines(Protocol):
+    """A function that makes the baselines of an application; several entries may name one function.
+
+    >>> def baselines(app):
+    ...     return ()
+    """
+
+    def __call__(self, app: Any, /) -> tuple[Any, ...]:
+        """Return the application's baselines, among them the one of the entry's key.
+
+        Each is a :class:`metapp.extensions.baselines.baseline.Baseline`.
+
+        Args:
+            app: the application's network and sizes, at the recipe of the fits.
+        """
+        ...
+
+
+class DescribeTensors(Protocol):
+    """A function that tells facts about a task by its tensors, by which recipes are chosen.
+
+    >>> def facts_of(tensors):
+    ...     return {"samples": 0 if tensors["angles"] is None else tensors["angles"].shape[1]}
+    """
+
+    def __call__(self, tensors: Mapping[str, Tensor | None], /) -> Facts:
+        """Return facts about a task.
+
+        Args:
+            tensors: tensors by name, or None in place of a tensor of which only the name is known, as in a data set.
+        """
+        ...
+
+
+NO_OPTIONS: Lazy[type[AppOptions]] = Lazy("metapp.options:AppOptions")
+NO_PRESENTER: Lazy[type[Any]] = Lazy("metapp.appearance.presenter:Presenter")
+
+
+@dataclass(kw_only=True, eq=False)
+class Application:
+    """All that metapp knows of an application. Extensions add entries to its tables, and set references that are None.
+
+    Attributes:
+        name: the name on the command line.
+        title: the name in tables and pictures.
+        help: what the application fits, in one sentence.
+        app: the class of its fits; each recipe holds an instance of it.
+        options: the application's own options.
+        presenter: what people look at, a `metapp.appearance.presenter.Presenter`; that class itself shows nothing.
+        facts: tells facts about a task by its tensors; None if no recipe depends on facts. A fact of the name of an
+            observation that is False says that the task lacks what fits would observe.
+        read_object: makes the task of an object in memory; None if only files are read.
+        synthetic: the module that draws the embedded data set; None without such a set.
+        page: makes the viewer's page of a fit; None for its pictures alone.
+        examples: commands that work as they are: pairs of the words after `metapp`, in which {} is the folder of
+            inputs, and of a line about what they produce.
+        recipes: recipes by name, or by pairs of an observation and a name if fits can observe different things. An
+            observation is a value of --observe; the default stands first. "quick" is one of the recipes.
+        formats: formats of input files. The command "data NAME" converts the files of the format NAME.
+        exports: forms in which fits are written.
+        baselines: functions that make methods without a network, by the name of each method.
+        merges: functions that make one task of all inputs, by the name of an option about INPUT that calls for it.
+        outputs: functions that make further pictures of a fit, by the name of an option about OUTPUT that calls for it.
+        networks: networks that users do not choose, as the parameters of a fit tell which one they belong to. Of the
+            applications that ship, brdf has such networks, `metapp.apps.brdf.brdf_network.BrdfNetwork`.
+
+    >>> from metapp.registry import registry
+    >>> illumination = registry().applications["illumination"]
+    >>> illumination.observations, list(illumination.recipes_observing("photo"))
+    (('reference', 'photo'), ['quick', 'full', 'paper'])
+    """
+
+    name: str
+    title: str
+    help: str
+    app: Lazy[type[App]]
+    options: Lazy[type[AppOptions]] = NO_OPTIONS
+    presenter: Lazy[type[Any]] = NO_PRESENTER
+    facts: Lazy[DescribeTensors] | None = None
+    read_object: Lazy[ReadObject] | None = None
+    synthetic: SyntheticSet | None = None
+    page: Lazy[ViewFit] | None = None
+    examples: Lazy[Sequence[tuple[str, str]]] | None = None
+    recipes: Entries[RecipeEntry] = field(init=False)
+    formats: Entries[Format] = field(init=False)
+    exports: Entries[Export] = field(init=False)
+    baselines: Entries[Lazy[MakeBaselines]] = field(init=False)
+    merges: Entries[Lazy[MergeInputs]] = field(init=False)
+    outputs: Entries[Lazy[RenderFit]] = field(init=False)
+    networks: Entries[Lazy[Any]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Make the tables, without entries."""
+        self.recipes = Entries(RecipeEntry, f"recipes of {self.name}", pairs=True)
+        self.formats = Entries(Format, f"formats of {self.name}")
+        self.exports = Entries(Export, f"exports of {self.name}")
+        self.baselines = Entries(Lazy, f"baselines of {self.name}")
+        self.merges = Entries(Lazy, f"merges of {self.name}")
+        self.outputs = Entries(Lazy, f"outputs of {self.name}")
+        self.networks = Entries(Lazy, f"networks of {self.name}")
+
+    @override
+    def __setattr__(self, name: str, value: object) -> None:
+        if vars(self).get(name) is not None:
+            raise ValueError(f"{name} of {self.name}: is set already")
+        super().__setattr__(name, value)
+
+    def tables(self) -> Iterator[Entries[Any]]:
+        """Yield the tables of the application."""
+        return (value for value in vars(self).values() if isinstance(value, Entries))
+
+    @property
+    def observations(self) -> tuple[str, ...]:
+        """The values of --observe, what fits can observe, the default first; () if all fits observe the same."""
+        return tuple(dict.fromkeys(key[0] for key in self.recipes if isinstance(key, tuple)))
+
+    @property
+    def default_observation(self) -> str:
+        """The default value of --observe; "" if all fits observe the same."""
+        return next(iter(self.observations), "")
+
+    @property
+    def recipe_names(self) -> list[str]:
+        """The names of all recipes, each once."""
+        return list(dict.fromkeys(key[1] if isinstance(key, tuple) else key for key in self.recipes))
+
+    def recipes_observing(self, observation: str = "") -> dict[str, RecipeEntry]:
+        """Return the recipes whose fits observe something, by name; "" stands for the default observation."""
+        observation = observation or self.default_observation
+        if not observation:
+            return dict(self.recipes)
+        return {key[1]: entry for key, entry in self.recipes.items() if key[0] == observation}
+
+    @property
+    def input_formats(self) -> dict[str, Format]:
+        """The formats that fits accept as INPUT, by name, sorted.
+
+        >>> from metapp.registry import registry
+        >>> list(registry().applications["texture"].input_formats)
+        ['images']
+        """
+        return {name: form for name, form in sorted(self.formats.items()) if form.inputs}
+
+    def describe_tensors(self, tensors: Mapping[str, Tensor | None]) -> Facts:
+        """Return facts about a task by its tensors; see :class:`DescribeTensors`."""
+        return self.facts.load()(tensors) if self.facts else {}
+
+    def make_presenter(self, app: App, values: Mapping[str, object] = MappingProxyType({})) -> Any:
+        """Return a `metapp.appearance.presenter.Presenter` of fits.
+
+        Args:
+            app: the application's network and sizes, at the recipe of the fits.
+            values: fields of presenters by name, such as `size`; those that the presenter does not have are left out.
+
+        Raises:
+            ValueError: files of the application cannot have the size.
+        """
+        presenter_class = self.presenter.load()
+        known = {field.name for field in fields(presenter_class)}
+        return presenter_class(app, self, **{name: value for name, value in values.items() if name in known})
