@@ -25,14 +25,13 @@ from metapp.evaluation.error_statistics import compare_errors
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, save_figure
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import TrainingTasks, judge_prediction
-from metapp.extensions.baselines.baseline_fits import cost_limits_of_run, read_training_tasks
+from metapp.extensions.baselines.baseline_fits import cost_limits_of, read_training_tasks
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Task
-from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.choice import choose
 from metapp.runs.fit_options import fit_options
-from metapp.runs.fitting import fit_tasks, rng_of
+from metapp.runs.fitter import Fitter, rng_of
 from metapp.runs.inputs.run_inputs import read_test_tasks, training_data_folder
-from metapp.runs.run import Run
 
 MEASURED_COUNTS: tuple[int, ...] = (64, 256, 1024, 5120)  # samples that a fit sees
 SAMPLES_FIGURE_FILE = Path("runs/bench/samples.png")
@@ -78,8 +77,8 @@ def errors_of_method(
     """Return errors x100 of a method's fits of tasks that have `count` samples."""
     if not method.recipe:
         return _errors_of_baselines(method, tasks, count, training)
-    run = Run.from_options(fit_options("brdf", method.name, recipe=method.recipe, data=data, device="cpu", quiet=True))
-    return {fit.name: fit.record["error"] for fit in fit_tasks(attach_checkpoint(run), tasks)}
+    choice = choose(fit_options("brdf", method.name, recipe=method.recipe, data=data, device="cpu", quiet=True))
+    return {fit.name: fit.errors["error"] for fit in Fitter.of(choice).fit_one_by_one(tasks)}
 
 
 @torch.no_grad()
@@ -87,15 +86,19 @@ def _errors_of_baselines(
     method: ComparedMethod, tasks: list[Task], count: int, training: TrainingTasks
 ) -> ErrorsByName:
     """Return errors x100 of a baseline's fits of tasks that have `count` samples."""
-    run = Run.from_options(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
-    baseline = next(candidate for candidate in baselines_of(run.application, run.app) if candidate.name == method.name)
-    cost_limits = cost_limits_of_run(run)
+    choice = choose(fit_options("brdf", "general", recipe="quick", device="cpu", quiet=True))
+    baseline = next(
+        candidate for candidate in baselines_of(choice.application, choice.app) if candidate.name == method.name
+    )
+    cost_limits = cost_limits_of(choice)
     baseline.prepare(training, cost_limits._replace(samples=min(count, cost_limits.samples)))
     errors = {}
     for task in tasks:
-        stacked = stack_tasks(run.app, [task])
-        prediction = baseline.fit(stacked, rng_of(run, task), cost_limits).prediction()
-        errors[task.name] = run.app.error_measure.scale * float(judge_prediction(run.app, prediction, stacked)["error"])
+        stacked = stack_tasks(choice.app, [task])
+        prediction = baseline.fit(stacked, rng_of(choice, task), cost_limits).prediction()
+        errors[task.name] = choice.app.error_measure.scale * float(
+            judge_prediction(choice.app, prediction, stacked)["error"]
+        )
     return errors
 
 
@@ -156,8 +159,8 @@ def main() -> None:
     """Print the tables and draw the figure."""
     torch.set_num_threads(1)
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    run = Run.from_options(fit_options("brdf", "general", recipe="quick"))
-    application, app = run.application, run.app
+    choice = choose(fit_options("brdf", "general", recipe="quick"))
+    application, app = choice.application, choice.app
     tasks, label = read_test_tasks(application, app, data, quiet=True)
     training = read_training_tasks(app, training_data_folder(application, data, quiet=True))
     measured_tasks = [[simulate_measurement(task, 0.0, samples=count) for task in tasks] for count in MEASURED_COUNTS]

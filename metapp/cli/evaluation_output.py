@@ -18,9 +18,9 @@ from metapp.cli.evaluation_options import ALL_TABLES, EvaluateOptions
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Table, flatten_row, format_csv, format_tables
 from metapp.registry import registry
+from metapp.runs.choice import find_and_choose
 from metapp.runs.fit_options import application_named, check_observation, fit_options
 from metapp.runs.reporter import say
-from metapp.runs.run import Run
 
 MAX_NOTE_LINES = 10  # lines of notes that a terminal shows below all tables
 MIN_COLUMNS = 3  # columns that are shown however narrow the terminal is
@@ -176,24 +176,21 @@ def evaluation_runs_of(options: EvaluateOptions, apps: list[str]) -> list[Evalua
     applications = [application_named(name) for name in names]
     for application in [application for application in applications if application.observations] or applications:
         check_observation(options.observe, application)
-    fit_values, runs = {name: getattr(options, name) for name in FIT_OPTION_NAMES}, []
+    fit_values, choices = {name: getattr(options, name) for name in FIT_OPTION_NAMES}, []
     for application in applications:
         recipe = options.recipe if apps or options.recipe in application.recipes_observing() else "quick"
         observations = application.observations[: None if options.whole else 1] or ("",)
         for observation in [options.observe] if options.observe and any(observations) else observations:
-            runs.append(
-                Run.from_options(
-                    fit_options(application.name, "general", observe=observation, recipe=recipe, **fit_values)
-                )
-            )
+            values = {"observe": observation, "recipe": recipe, **fit_values}
+            choices.append(find_and_choose(fit_options(application.name, "general", **values)))
     evaluations = []
-    for run in runs:  # all checkpoints are read before the first fit
+    for choice in choices:  # all checkpoints are read before the first fit
         try:
-            evaluations.append(EvaluationRun(run, is_measuring=not options.no_run, whole=options.whole))
+            evaluations.append(EvaluationRun(choice, is_measuring=not options.no_run, whole=options.whole))
         except ValueError as error:
             if apps:
                 raise
-            say(f"{run.presenter.title} is left out: {error}")
+            say(f"{choice.presenter.title} is left out: {error}")
     return evaluations
 
 

@@ -18,12 +18,12 @@ from metapp.appearance.presenter import Presenter
 from metapp.cli.command_process import Exit, command_seconds, state_what_interruption_keeps
 from metapp.cli.console import escape_control_characters, print_json, shorten_to_line, standard_output
 from metapp.registry import registry
-from metapp.runs.execution import Outcome, RunReport, execute_run
+from metapp.runs.choice import find_and_choose
+from metapp.runs.execution import RunReport, execute
 from metapp.runs.fit_options import FitOptions
 from metapp.runs.reporter import format_number, say
-from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.fit_folders import count_guarded, summary
+from metapp.storage.fit_records import FitRecord, count_guarded, summary
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -50,13 +50,13 @@ def fit_and_print(options: FitOptions, *, json: bool) -> None:
     """
     training = "the same command goes on with training where it stopped, and " if options.train else "the same command "
     state_what_interruption_keeps(f"{training}with --resume fits only the inputs that have no fit yet")
-    run = Run.from_options(options)
+    choice = find_and_choose(options)
     if options.train:
-        from metapp.runs.checkpoint_training import train_run  # imported here, since most runs train nothing
+        from metapp.runs.checkpoint_training import train_and_load  # imported here, since most runs train nothing
 
-        report = execute_run(run, train_run)
+        report = execute(choice, train_and_load)
     else:
-        report = execute_run(run)
+        report = execute(choice)
     if report is None:
         return
     _print_report(report, json=json)
@@ -72,32 +72,28 @@ def fit_and_print(options: FitOptions, *, json: bool) -> None:
 
 def _print_report(report: RunReport, *, json: bool) -> None:
     """Print the table of a run or its object, its folder, and its failures."""
-    run, records, outcomes = report.run, report.records, report.outcomes
-    if not run.options.quiet:
+    choice, records = report.fitter.choice, report.records
+    presenter, paradigm = choice.presenter, choice.paradigm.name
+    if not choice.options.quiet:
         if not json:
             if len(records) > 1:
                 rate = report.tasks_per_second
-                standard_output().print(
-                    fits_table(run.presenter, run.paradigm.name, records, rate=rate, most=MAX_LISTED_TASKS)
-                )
+                standard_output().print(fits_table(presenter, paradigm, records, rate=rate, most=MAX_LISTED_TASKS))
             else:
-                standard_output().print(fit_line(run.presenter, records[0]), soft_wrap=True)
-                for remark in _describe_guard(run.paradigm.name, records):
+                standard_output().print(fit_line(presenter, records[0]), soft_wrap=True)
+                for remark in _describe_guard(paradigm, records):
                     say(remark)
-        remarks = [remark for outcome in outcomes for remark in outcome.remarks]
-        for line in (
-            *remarks,
-            *relief_lines(records, changed="relief" in run.options.app_options.non_default_values()),
-        ):
+        is_relief_changed = "relief" in choice.options.app_options.non_default_values()
+        for line in (*report.remarks, *relief_lines(records, changed=is_relief_changed)):
             say(line)
-        if skipped := sum(outcome.is_earlier for outcome in outcomes):
+        if skipped := report.earlier_count:
             line = f"{skipped} of {len(records)} inputs are skipped, since they have a fit by equal settings"
-            has_file_options = run.options.exports or run.presenter.size
+            has_file_options = choice.options.exports or presenter.size
             say(f"{line}; metapp export writes other files of these fits" if has_file_options else line)
-        if replaced := sum(outcome.replaces_earlier for outcome in outcomes):
+        if replaced := report.replaced_count:
             fits = f"{replaced} of {len(records)} fits and their pictures"
             say(f"{fits} replace earlier ones; --resume keeps earlier fits")
-        for line in _describe_exports(outcomes):
+        for line in _describe_exports(report.exports):
             say(line)
         say(f"fits: {report.path}")
         if "view" in registry().commands:
@@ -111,31 +107,31 @@ def _print_report(report: RunReport, *, json: bool) -> None:
 
 def _make_document(report: RunReport) -> Document:
     """Make the object that --json prints."""
-    settings, records = report.folder.settings, report.records
+    settings, records = report.store.settings.document(), report.records
     setting_keys = ("app", "observe", "paradigm", "rule", "steps", "device", "data", "precision")
-    record_keys = (
-        "name",
-        "error",
-        "photo_error",
-        "mean_tilt_degrees",
-        "seconds",
-        "counts",
-        "note",
-        "warning",
-        "folder",
-    )
+    conditions = report.fitter.choice.app.recorded_conditions()
     return {
-        **{key: settings[key] for key in (*setting_keys, *report.run.app.recorded_conditions()) if key in settings},
+        **{key: settings[key] for key in (*setting_keys, *conditions) if key in settings},
         **summary(records),
+        "scale": report.fitter.choice.app.error_measure.scale,
         "guarded": count_guarded(records),
-        "tasks": [{key: record[key] for key in record_keys if key in record} for record in records],
+        "tasks": [_task_document(record) for record in records],
         "tasks_per_second": report.tasks_per_second,
         "failures": [{"source": failure.place, "reason": failure.reason} for failure in report.failures],
-        "out": str(report.folder.path),
+        "out": str(report.store.path),
     }
 
 
-def relief_lines(records: Sequence[Document], *, changed: bool = False) -> list[str]:
+def _task_document(record: FitRecord) -> Document:
+    """Return what --json prints of a fit."""
+    stored = record.document()
+    shown: Document = {key: stored[key] for key in ("name", "error", "photo_error") if key in stored}
+    shown |= {key: record.figures[key] for key in ("mean_tilt_degrees",) if key in record.figures}
+    shown |= {key: stored[key] for key in ("seconds", "counts", "note", "warning") if key in stored}
+    return shown | {"folder": record.folder}
+
+
+def relief_lines(records: Sequence[FitRecord], *, changed: bool = False) -> list[str]:
     """Return a line about normals that fits found in photographs; [] if they found none.
 
     If steep normals were found in one photograph, it says that dents may be bumps: both look alike under one flash.
@@ -144,38 +140,37 @@ def relief_lines(records: Sequence[Document], *, changed: bool = False) -> list[
         records: records of the fits.
         changed: whether --relief gives exported slopes another factor.
     """
-    tilts = [record["mean_tilt_degrees"] for record in records if "mean_tilt_degrees" in record]
+    tilts = [record.figures["mean_tilt_degrees"] for record in records if "mean_tilt_degrees" in record.figures]
     if not tilts:
         return []
     mean = f"mean tilt {statistics.median(tilts):.1f} degrees"
     mean += f", median of {len(tilts)}, up to {max(tilts):.1f}" if len(tilts) > 1 else ""
     mean += ", without --relief" if changed else ""
-    one_photo_records = [record for record in records if record.get("counts", {}).get("photos", 1) == 1]
-    if max((record.get("mean_tilt_degrees", 0.0) for record in one_photo_records), default=0.0) >= VISIBLE_TILT_DEGREES:
+    of_one_photo = [record.figures for record in records if record.counts.get("photos", 1) == 1]
+    if max((figures.get("mean_tilt_degrees", 0.0) for figures in of_one_photo), default=0.0) >= VISIBLE_TILT_DEGREES:
         mean += "; one photo cannot tell dents from bumps, several photos of one place do: metapp data rectify PHOTOS"
     return [f"relief: {mean}"]
 
 
-def fit_line(presenter: Presenter[Any], record: Document) -> str:
+def fit_line(presenter: Presenter[Any], record: FitRecord) -> str:
     """Return a sentence on a fit: the number of pictures, its error, and the seconds of the whole command."""
-    app, count = presenter.app, len([*Path(record["folder"]).glob("*.png")])
-    if record["error"] is not None:
-        error = f"error{app.error_measure.factor} {record['error']:.3f} ({app.error_measure.text})"
-    elif "photo_error" in record:
-        error = f"photo error {record['photo_error']:.2f} % ({PHOTO_ERROR_TEXT})"
+    app, count = presenter.app, len([*Path(record.folder).glob("*.png")])
+    if record.error is not None:
+        error = f"error{app.error_measure.factor} {record.error:.3f} ({app.error_measure.text})"
+    elif record.photo_error is not None:
+        error = f"photo error {record.photo_error:.2f} % ({PHOTO_ERROR_TEXT})"
     else:
         error = presenter.caption(measured=False)
     pictures = [f"{count} picture{'s' * (count != 1)}"] if count else []
-    name, seconds = escape_control_characters(record["name"]), f"{command_seconds():.1f} s in all"
+    name, seconds = escape_control_characters(record.name), f"{command_seconds():.1f} s in all"
     return f"{name}: {', '.join([*pictures, error, seconds])}"
 
 
-def _describe_exports(outcomes: Sequence[Outcome]) -> Iterator[str]:
+def _describe_exports(exports: Sequence[tuple[str, Path]]) -> Iterator[str]:
     """Yield a line for each exported file; many files of one format share a line."""
     by_form: dict[str, list[Path]] = {}
-    for outcome in outcomes:
-        for form, file in outcome.exports:
-            by_form.setdefault(form, []).append(file)
+    for form, file in exports:
+        by_form.setdefault(form, []).append(file)
     for form, files in by_form.items():
         if len(files) > MAX_LISTED_PATHS:
             yield f"{form}: {len(files)} files, the first is {files[0]}"
@@ -183,7 +178,7 @@ def _describe_exports(outcomes: Sequence[Outcome]) -> Iterator[str]:
             yield from (f"{form}: {file}" for file in files)
 
 
-def _describe_guard(paradigm: str, records: Sequence[Document]) -> list[str]:
+def _describe_guard(paradigm: str, records: Sequence[FitRecord]) -> list[str]:
     """Return a line about the guard of a learned rule, if it acted; else []."""
     count = count_guarded(records)
     if not count:
@@ -196,7 +191,7 @@ def _describe_guard(paradigm: str, records: Sequence[Document]) -> list[str]:
 def fits_table(
     presenter: Presenter[Any],
     paradigm: str,
-    records: Sequence[Document],
+    records: Sequence[FitRecord],
     *,
     rate: float | None = None,
     most: int | None = None,
@@ -217,7 +212,7 @@ def fits_table(
     remarks = _describe_guard(paradigm, records)
     listed_records = records
     if most is not None and len(records) > most:
-        listed_records = sorted(records, key=lambda record: -(record["error"] or 0.0))[:most]
+        listed_records = sorted(records, key=lambda record: -(record.error or 0.0))[:most]
         remarks.insert(0, f"{most} of {len(records)} tasks are listed, those of the largest errors")
     if rate is not None:
         remarks.insert(0, f"{rate:.4g} tasks/s, with reading and pictures included")
@@ -239,16 +234,14 @@ def fits_table(
         table.add_column("photo error %", format_number(totals["photo_error"], ".2f"), justify="right")
     table.add_column("seconds", format_number(totals["seconds"], ".4f"), justify="right")
     picture_counts = (
-        {}
-        if has_errors
-        else {record["name"]: len([*Path(record["folder"]).glob("*.png")]) for record in listed_records}
+        {} if has_errors else {record.name: len([*Path(record.folder).glob("*.png")]) for record in listed_records}
     )
     if any(picture_counts.values()):
         table.add_column("pictures", justify="right")
     for record in listed_records:
-        cells = [format_number(record["error"], ".3f")] if has_errors else []
-        cells += [format_number(record.get("photo_error"), ".2f")] if "photo_error" in totals else []
-        cells.append(format_number(record.get("seconds"), ".4f"))
-        cells += [f"{picture_counts[record['name']]}"] if any(picture_counts.values()) else []
-        table.add_row(Text(escape_control_characters(record["name"])), *cells)
+        cells = [format_number(record.error, ".3f")] if has_errors else []
+        cells += [format_number(record.photo_error, ".2f")] if "photo_error" in totals else []
+        cells.append(format_number(record.seconds, ".4f"))
+        cells += [f"{picture_counts[record.name]}"] if any(picture_counts.values()) else []
+        table.add_row(Text(escape_control_characters(record.name)), *cells)
     return table

@@ -102,14 +102,14 @@ def draw_error_curves(evaluation: EvaluationRun) -> CaptionedFigure | None:
         The figure and its caption; None if nothing was traced, or if the tasks have no reference.
     """
     records = trace_records(evaluation)
-    if not records or records[0]["curves"]["meta"][0][1] is None:
+    if not records or records[0].figures["curves"]["meta"][0][1] is None:
         return None
     figure, axis = _make_panel(evaluation, 3.2, "gradient steps")
     axis.set_xscale("symlog", linthresh=1)
     axis.xaxis.set_minor_locator(NullLocator())
     last_errors = []
     for name in CURVE_PARADIGMS:
-        points_by_step = zip(*(record["curves"][name] for record in records), strict=True)
+        points_by_step = zip(*(record.figures["curves"][name] for record in records), strict=True)
         mean_errors = {points[0][0]: statistics.fmean(error for _, error in points) for points in points_by_step}
         marker_size, steps, errors = 7 if name == "meta" else 4, list(mean_errors), list(mean_errors.values())
         axis.plot(

@@ -22,9 +22,9 @@ from metapp.evaluation.error_statistics import (
 )
 from metapp.evaluation.evaluation_run import EvaluationRun
 from metapp.evaluation.table import Row
-from metapp.runs.fitting import LOSS_ROSE_CLAUSE
+from metapp.runs.fitter import LOSS_ROSE_CLAUSE
 from metapp.storage import Document
-from metapp.storage.fit_folders import CPU_SECONDS, Record, count_guarded
+from metapp.storage.fit_records import FitRecord, count_guarded
 
 # CPU seconds of fits over their seconds, below which a note says that other programs took the CPU: on an idle machine a
 # fit by one thread has 1.0
@@ -41,7 +41,7 @@ def paper_figures() -> Document:
 def make_row(
     evaluation: EvaluationRun,
     name: str,
-    records: Sequence[Record],
+    records: Sequence[FitRecord],
     entries: Row,
     compared_rows: Sequence[str] = (),
 ) -> Row:
@@ -59,10 +59,14 @@ def make_row(
     """
     app, groups = evaluation.app, evaluation.groups
     # A warning is a list of clauses. If one says that the loss rose, it is the first; all others doubt the fit.
-    warnings = [record["warning"].split("; ") for record in records if record.get("warning")]
-    measure_values = {key: [record[key] for record in records if key in record] for key in app.error_measure.further}
-    seconds = [record["seconds"] for record in records if "seconds" in record]
-    timed_records = [record for record in records if CPU_SECONDS in record and record.get("seconds", 0) > 0]
+    warnings = [record.warning.split("; ") for record in records if record.warning]
+    measure_values = {
+        key: [value for record in records if (value := record.errors.get(key)) is not None]
+        for key in app.error_measure.further
+    }
+    seconds = [record.seconds for record in records if record.seconds is not None]
+    times = [(record.cpu_seconds, record.seconds) for record in records]
+    known_times = [(cpu, whole) for cpu, whole in times if cpu is not None and whole]
     row = {
         "app": app.name,
         "paradigm": name,
@@ -73,12 +77,9 @@ def make_row(
         "warnings": sum(clauses[0].startswith(LOSS_ROSE_CLAUSE) for clauses in warnings),
         "doubtful": sum(not clauses[-1].startswith(LOSS_ROSE_CLAUSE) for clauses in warnings),
         "guarded": count_guarded(records),
-        "threads": ", ".join(map(str, sorted({record["threads"] for record in records if record.get("threads")})))
-        or None,
+        "threads": ", ".join(map(str, sorted({record.threads for record in records if record.threads}))) or None,
         "cpu_share": (
-            sum(record[CPU_SECONDS] for record in timed_records) / sum(record["seconds"] for record in timed_records)
-            if timed_records
-            else None
+            sum(cpu for cpu, _ in known_times) / sum(whole for _, whole in known_times) if known_times else None
         ),
         "paper_error": None,
         "paper_seconds": None,
@@ -103,9 +104,9 @@ def paper_entries(evaluation: EvaluationRun, name: str) -> Row:
     return {f"paper_{key}": figures.get(key, {}).get(app.name, {}).get(name) for key in ("error", "seconds")}
 
 
-def errors_by_task(records: Sequence[Record]) -> ErrorsByTask:
+def errors_by_task(records: Sequence[FitRecord]) -> ErrorsByTask:
     """Return errors by the name of the task; records whose error is None are left out."""
-    return {record["name"]: record["error"] for record in records if record["error"] is not None}
+    return {record.name: record.error for record in records if record.error is not None}
 
 
 # Sentences about rows
@@ -215,7 +216,7 @@ def _busy_machine_note(rows: Sequence[Row]) -> list[str]:
 
 def subset_note(evaluation: EvaluationRun) -> list[str]:
     """Return a note that explains the asterisk of rows which cover a subset of the test tasks; [] without such rows."""
-    subset_rows = [name for name in evaluation.runs if evaluation.is_of_subset(name)]
+    subset_rows = [name for name in evaluation.choices if evaluation.is_of_subset(name)]
     if not subset_rows:
         return []
     task_count = len(evaluation.tasks_of(subset_rows[0]))  # all subsets are of one size

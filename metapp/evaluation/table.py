@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from metapp.evaluation.error_statistics import PairedComparison
 from metapp.storage import Document
-from metapp.storage.fit_folders import Record
+from metapp.storage.fit_records import FitRecord
 
 # All that is known of a method, whatever columns show. Its comparisons with another row are PairedComparison.
 Row = Document
@@ -58,7 +58,7 @@ class Table(NamedTuple):
     columns: tuple[Column, ...]
     rows: list[Row]
     notes: list[str]
-    fits: Mapping[str, list[Record]] = {}
+    fits: Mapping[str, list[FitRecord]] = {}
     findings: Sequence[str] = ()
 
     @property

@@ -85,6 +85,11 @@ class Paradigm(ABC):
         """Return the number of gradient steps that a recipe gives the paradigm."""
 
     @property
+    def default_steps(self) -> int:
+        """The number of gradient steps that the recipe gives the paradigm."""
+        return self._usual_steps(self.recipe)
+
+    @property
     def trainings(self) -> tuple[CheckpointTraining, ...]:
         """The trainings of the checkpoints that fits read: of the initialisation, then of its tuning."""
         return ()

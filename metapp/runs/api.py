@@ -17,17 +17,16 @@ from torch import Tensor
 
 from metapp.learning.task import Task
 from metapp.options import BadOption
-from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.choice import choose, choose_as_recorded, find_and_choose
 from metapp.runs.environment import torch_defaults
 from metapp.runs.fit import Fit
 from metapp.runs.fit_options import FitOptions, fit_options
-from metapp.runs.fitting import BadInput, fit_inputs
+from metapp.runs.fitter import BadInput, Fitter, fit_inputs
 from metapp.runs.inputs.finding import source_of_tensors
 from metapp.runs.inputs.run_inputs import are_objects, find_inputs, rename_duplicates, task_digest
 from metapp.runs.outputs.run_records import find_fitted_tasks, read_fit_of_file, read_run_records
 from metapp.runs.recipe_choice import choose_recipe
 from metapp.runs.reporter import say
-from metapp.runs.run import Run
 from metapp.storage.parameters import read_checked_params
 
 # Options that only fits in folders have, which the command line keeps and a Python program does not
@@ -142,39 +141,37 @@ def load(place: str | bytes | PathLike[str]) -> Fit:
         if len(records) != 1:
             raise ValueError(f"{path}: {len(records)} fits, expected the folder of one task; take one inside it.")
         (record,) = records
-        run, name = Run.from_settings(record["settings"]), record["name"]
-        parameters = read_checked_params(record, run.app)
-        task = find_fitted_tasks(records, [], None).get(name, Task(name, {}))
-        return Fit(run, task, record, parameters)
+        choice = choose_as_recorded(record.settings)
+        parameters = read_checked_params(record, choice.app)
+        task = find_fitted_tasks(records, [], None).get(record.name, Task(record.name, {}))
+        return Fit(choice, task, record, parameters)
 
 
 def _fit_named_inputs(options: FitOptions) -> list[Fit]:
     """Fit the inputs that options name; a bad file that was found in a folder is left out with a warning."""
-    run = Run.from_options(options)
-    with torch_defaults(single=run.app.small_tensors):
-        inputs, label = find_inputs(run)
+    choice = find_and_choose(options)
+    with torch_defaults(single=choice.app.small_tensors):
+        inputs, label = find_inputs(choice)
         if options.objects:
             tasks = [run_input.read_task() for run_input in inputs]
-            memory_sources = [source_of_tensors(options.application, task.name, task.data) for task in tasks]
-            chosen_run = Run.from_options(
-                replace(options, observe=choose_recipe(options, memory_sources).observes), memory_sources
-            )
-            if chosen_run.app.read_size != run.app.read_size:
-                inputs, label = find_inputs(chosen_run)
-            run = chosen_run
-        run = attach_checkpoint(run)
-        fits, places, settings = [], [], run.settings(label)
-        for run_input, fit in fit_inputs(run, inputs):
+            sources = [source_of_tensors(options.application, task.name, task.data) for task in tasks]
+            first_choice = choice
+            choice = choose(replace(options, observe=choose_recipe(options, sources).observes), sources)
+            if choice.app.read_size != first_choice.app.read_size:
+                inputs, label = find_inputs(choice)
+        fitter = Fitter.of(choice)
+        fits, places, settings = [], [], fitter.settings(label)
+        for run_input, fit in fit_inputs(fitter, inputs):
             if isinstance(fit, Fit):
-                fit.record["settings"] = settings
+                fit.record.settings = settings
                 if not options.objects:
-                    fit.record |= {"source": run_input.place, "content": task_digest(fit.task)}
-                    fit.record |= {"origin": run.input_places(run_input.given_paths)}
+                    fit.record.source, fit.record.content = run_input.place, task_digest(fit.task)
+                    fit.record.origin = choice.origin(run_input.given_paths)
                 fits.append(fit)
                 places.append(run_input.place)
-            elif isinstance(fit, Exception):
-                if run_input.is_named or not isinstance(fit, BadInput):
-                    raise fit
+            elif run_input.is_named or not isinstance(fit, BadInput):
+                raise fit
+            else:
                 say(f"warning: skipped {fit}")
         if not fits:
             raise ValueError(f"none of the {len(inputs)} found could be read.")

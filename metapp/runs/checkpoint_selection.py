@@ -1,14 +1,15 @@
-"""The checkpoint of a run: the one that --checkpoint names, else the one that ships with metapp.
+"""The checkpoint that fits begin at: the one that --checkpoint names, else the one that ships with metapp.
 
 A file that anybody may have written is checked before a fit begins at it: it must belong to the application, the
-paradigm or rule, what fits see and the network of the run. Training a checkpoint is `metapp.runs.checkpoint_training`.
+paradigm or rule, what fits see, and the network. Training a checkpoint is `metapp.runs.checkpoint_training`.
 """
 
 from __future__ import annotations
 
 import shlex
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
+from typing import NamedTuple
 
 from metapp.application import Application
 from metapp.learning.app import App
@@ -19,10 +20,10 @@ from metapp.networks.field import regrid
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import QUICKFT_ADAM_SETTINGS
 from metapp.paradigms.paradigm import CheckpointTraining
+from metapp.runs.choice import Choice
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
 from metapp.runs.recipe_choice import has_shipped_recipe
 from metapp.runs.reporter import say
-from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.files import content_digest
@@ -30,25 +31,39 @@ from metapp.storage.folders import PathKind, path_kind, path_refusal
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME, shipped_checkpoint_path
 
 
-def attach_checkpoint(run: Run) -> Run:
-    """Return a run with its checkpoint read: the one that --checkpoint names, else the one that ships.
+class Checkpoint(NamedTuple):
+    """The checkpoint that fits begin at.
+
+    Attributes:
+        phi: the meta-parameters.
+        source: the place that they were read from, in words.
+        digest: 12 hexadecimal digits of the file's content; "" if the paradigm needs no checkpoint.
+    """
+
+    phi: MetaParameters
+    source: str
+    digest: str
+
+
+def load_phi(choice: Choice) -> Checkpoint:
+    """Read the checkpoint of a choice: the one that --checkpoint names, else the one that ships.
 
     Raises:
         ValueError: there is no checkpoint, or it is one for another application, paradigm, observation or network.
     """
-    trainings = run.paradigm.trainings
+    trainings = choice.paradigm.trainings
     if not trainings:
-        return replace(run, checkpoint=Checkpoint(MetaParameters(), "a random initialisation", ""))
+        return Checkpoint(MetaParameters(), "a random initialisation", "")
     training, *tunings = trainings
-    path, options = _checkpoint_path(run, training), run.options
-    phi, header = load_checkpoint(path, run.device, _shipped_path(run, training.general))
-    _require_kind(path, run, training, phi, header)
+    path, options = _checkpoint_path(choice, training), choice.options
+    phi, header = load_checkpoint(path, choice.device, _shipped_path(choice, training.general))
+    _require_kind(path, choice, training, phi, header)
     template = training.template(phi)
-    phi = resample_alpha_grids(run.app, phi, template.alpha)
+    phi = resample_alpha_grids(choice.app, phi, template.alpha)
     try:
         require_matching_tensors(path, phi, template)
     except ValueError as error:
-        quick_folder = shipped_checkpoint_path(run.app.name, training.name).parent
+        quick_folder = shipped_checkpoint_path(choice.app.name, training.name).parent
         if path.parent == quick_folder and options.recipe != QUICK_RECIPE_NAME:
             raise ValueError(
                 f"{str(error).removesuffix('.')}; this checkpoint ships for --recipe {QUICK_RECIPE_NAME}."
@@ -60,15 +75,16 @@ def attach_checkpoint(run: Run) -> Run:
         source = f"the checkpoint that ships{note}"
     checkpoint = Checkpoint(phi, source, content_digest(path))
     for tuning in tunings:
-        checkpoint = _add_tuned_adam(run, checkpoint, tuning)
-    return replace(run, checkpoint=checkpoint)
+        checkpoint = _add_tuned_adam(choice, checkpoint, tuning)
+    return checkpoint
 
 
-def trained_checkpoint_path(run: Run, training: CheckpointTraining) -> Path:
+def trained_checkpoint_path(choice: Choice, training: CheckpointTraining) -> Path:
     """Return the path of the checkpoint that --train writes: its folder names the data, the recipe and the seed."""
-    label = data_label(training_data_folder(run.application, run.options.data, run.options.quiet))
-    folder = run.options.out / run.app.name / "checkpoints" / f"{label}-{run.options.recipe}-seed{run.options.seed}"
-    return folder / f"{checkpoint_name(run.application, run.app, training)}.safetensors"
+    label = data_label(training_data_folder(choice.application, choice.options.data, choice.options.quiet))
+    options = choice.options
+    folder = options.out / choice.app.name / "checkpoints" / f"{label}-{options.recipe}-seed{options.seed}"
+    return folder / f"{checkpoint_name(choice.application, choice.app, training)}.safetensors"
 
 
 def checkpoint_name(application: Application, app: App, training: CheckpointTraining) -> str:
@@ -92,15 +108,17 @@ def _network_and_fields(app: App) -> tuple[object, ...]:
     return type(app.network), *(getattr(app, field.name) for field in fields(app))
 
 
-def has_shipped_checkpoint(run: Run, training: CheckpointTraining) -> bool:
+def has_shipped_checkpoint(choice: Choice, training: CheckpointTraining) -> bool:
     """Return whether a checkpoint ships that training may begin at.
 
     Training on a data set of the user must not begin at one: the shipped checkpoint may have seen its test tasks.
     """
-    return not run.options.data and _has_shipped_recipe(run) and _shipped_path(run, training).is_file()
+    return not choice.options.data and _has_shipped_recipe(choice) and _shipped_path(choice, training).is_file()
 
 
-def _require_kind(path: Path, run: Run, training: CheckpointTraining, phi: MetaParameters, header: Document) -> None:
+def _require_kind(
+    path: Path, choice: Choice, training: CheckpointTraining, phi: MetaParameters, header: Document
+) -> None:
     """Refuse a checkpoint for another application, paradigm or rule, for fits that see other things, or other features.
 
     A file of General may not say what fits see, since it serves several kinds of fits. A checkpoint without an encoder
@@ -108,15 +126,17 @@ def _require_kind(path: Path, run: Run, training: CheckpointTraining, phi: MetaP
 
     Args:
         path: the file of the checkpoint.
-        run: the run that needs it.
+        choice: the choice of fits that need it.
         training: the training of the checkpoint that the run needs.
         phi: the parameters in the file.
         header: the description in the file.
     """
-    app, found_app, name = run.app, header.get("app"), header.get("checkpoint")
+    app, found_app, name = choice.app, header.get("app"), header.get("checkpoint")
     if (found_app, name) != (app.name, training.name):
         is_rule = isinstance(name, str) and name not in PARADIGMS
-        remedy = f"; add --rule {name}" if found_app == app.name and is_rule and run.paradigm.has_learned_rule else ""
+        remedy = (
+            f"; add --rule {name}" if found_app == app.name and is_rule and choice.paradigm.has_learned_rule else ""
+        )
         raise ValueError(f"{path}: a checkpoint of {found_app} {name}, expected {app.name} {training.name}{remedy}.")
     # a file without an entry was written before there was one, or holds for all observations
     observed = header.get("observe", app.observes)
@@ -136,22 +156,22 @@ def _require_kind(path: Path, run: Run, training: CheckpointTraining, phi: MetaP
             say(f"warning: {path.name} was trained with {trained_condition}, but this run has {condition}.")
 
 
-def _add_tuned_adam(run: Run, checkpoint: Checkpoint, tuning: CheckpointTraining) -> Checkpoint:
+def _add_tuned_adam(choice: Choice, checkpoint: Checkpoint, tuning: CheckpointTraining) -> Checkpoint:
     """Add to General's checkpoint the Adam that was tuned for this very encoder.
 
     It is read from a file beside the checkpoint that the user named, else from the one that ships.
 
     Args:
-        run: the run that needs a tuned Adam.
+        choice: the choice of fits that need a tuned Adam.
         checkpoint: General's.
         tuning: the search for an Adam whose result is wanted.
     """
-    options, app = run.options, run.app
+    options, app = choice.options, choice.app
     encoder = tensor_digest(checkpoint.phi.encoder)
-    candidates = [_shipped_path(run, tuning)]
+    candidates = [_shipped_path(choice, tuning)]
     if options.checkpoint:
         folder = options.checkpoint if options.checkpoint.is_dir() else options.checkpoint.parent
-        candidates.insert(0, folder / f"{checkpoint_name(run.application, app, tuning)}.safetensors")
+        candidates.insert(0, folder / f"{checkpoint_name(choice.application, app, tuning)}.safetensors")
     for path in candidates:
         if path.is_file():
             tuned, header = load_checkpoint(path)
@@ -170,15 +190,15 @@ def merge_tuned_adam(general: Checkpoint, tuned: MetaParameters, path: Path) -> 
     return Checkpoint(general.phi._replace(alpha=tuned.alpha), f"{general.source}, tuned Adam", content_digest(path))
 
 
-def _checkpoint_path(run: Run, training: CheckpointTraining) -> Path:
+def _checkpoint_path(choice: Choice, training: CheckpointTraining) -> Path:
     """Return the file of the checkpoint that a run needs: the one that --checkpoint names, else the one that ships.
 
     Raises:
         ValueError: the folder that --checkpoint names has no such file, or no such checkpoint ships.
     """
-    named_path = run.options.checkpoint
+    named_path = choice.options.checkpoint
     if named_path and named_path.is_dir():
-        path = named_path / f"{checkpoint_name(run.application, run.app, training)}.safetensors"
+        path = named_path / f"{checkpoint_name(choice.application, choice.app, training)}.safetensors"
         if not path.is_file():
             if path_kind(named_path) is not PathKind.FILES:
                 raise ValueError(path_refusal(named_path, f"a folder of checkpoints with {path.name}"))
@@ -189,22 +209,22 @@ def _checkpoint_path(run: Run, training: CheckpointTraining) -> Path:
         return path
     if named_path:
         return named_path
-    path = _shipped_path(run, training)
-    if path.is_file() and _has_shipped_recipe(run):
+    path = _shipped_path(choice, training)
+    if path.is_file() and _has_shipped_recipe(choice):
         return path
     raise ValueError(
-        f"{run.app.full_name} {training.name}, recipe {run.options.recipe}: no checkpoint ships; train one with "
+        f"{choice.app.full_name} {training.name}, recipe {choice.options.recipe}: no checkpoint ships; train one with "
         "--train, or name one with --checkpoint."
     )
 
 
-def _has_shipped_recipe(run: Run) -> bool:
-    return has_shipped_recipe(run.application, run.options.recipe)
+def _has_shipped_recipe(choice: Choice) -> bool:
+    return has_shipped_recipe(choice.application, choice.options.recipe)
 
 
-def _shipped_path(run: Run, training: CheckpointTraining) -> Path:
+def _shipped_path(choice: Choice, training: CheckpointTraining) -> Path:
     return shipped_checkpoint_path(
-        run.app.name, checkpoint_name(run.application, run.app, training), run.options.recipe
+        choice.app.name, checkpoint_name(choice.application, choice.app, training), choice.options.recipe
     )
 
 

@@ -21,15 +21,16 @@ from metapp.paradigms import ranks
 from metapp.paradigms.paradigm import CheckpointTraining
 from metapp.paradigms.training import TrainState, train_phi
 from metapp.runs.checkpoint_selection import (
-    attach_checkpoint,
+    Checkpoint,
     has_shipped_checkpoint,
+    load_phi,
     merge_tuned_adam,
     trained_checkpoint_path,
 )
+from metapp.runs.choice import Choice
 from metapp.runs.environment import make_folder, software_versions
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
 from metapp.runs.reporter import progress, say
-from metapp.runs.run import Checkpoint, Run
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import (
     load_checkpoint,
@@ -44,18 +45,18 @@ from metapp.storage.shards import fingerprint, read_data_set
 SAVE_INTERVAL_SECONDS = 60.0  # between two training checkpoints, unless METAPP_CHECKPOINT_SECONDS says another time
 
 
-def train_run(run: Run) -> Run:
-    """Train the checkpoint that a run needs, and return the run with it; only the first rank reads the file back."""
-    with ranks.connect_ranks(run.device):
-        path, general = train_checkpoint(run)
-    run = replace(run, options=replace(run.options, checkpoint=path))
+def train_and_load(choice: Choice) -> Checkpoint | None:
+    """Train the checkpoint that fits need, and read it; ranks but the first train alone and return None."""
+    with ranks.connect_ranks(choice.device):
+        path, general = train_checkpoint(choice)
     # the trained file holds no encoder, and its General may be the one that ships, which lies in another folder
-    if general and run.paradigm.trainings[-1].takes_encoder_from_general:
-        return replace(run, checkpoint=merge_tuned_adam(general, load_checkpoint(path)[0], path))
-    return attach_checkpoint(run) if ranks.rank_number() == 0 else run
+    if general and choice.paradigm.trainings[-1].takes_encoder_from_general:
+        return merge_tuned_adam(general, load_checkpoint(path)[0], path)
+    trained = replace(choice, options=replace(choice.options, checkpoint=path))
+    return load_phi(trained) if ranks.rank_number() == 0 else None
 
 
-def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
+def train_checkpoint(choice: Choice) -> tuple[Path, Checkpoint | None]:
     """Train the checkpoint that the paradigm of a run needs, together with the other ranks if there are any.
 
     Returns:
@@ -66,21 +67,21 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
         BadOption: there is nothing to train, or --checkpoint names a folder.
         ValueError: --checkpoint names neither a General that this training begins at nor a checkpoint of its own kind.
     """
-    training, options, steps = _last_training(run), run.options, run.options.train_steps
-    path = trained_checkpoint_path(run, training)
+    training, options, steps = _last_training(choice), choice.options, choice.options.train_steps
+    path = trained_checkpoint_path(choice, training)
     make_folder(options.out)
     make_folder(path.parent)
-    first = _read_first_checkpoint(run, training)
-    general = _provide_general(run, training) if not first and training.begins_at_general else None
+    first = _read_first_checkpoint(choice, training)
+    general = _provide_general(choice, training) if not first and training.begins_at_general else None
     general_phi = general.phi if general else None
-    tasks = _read_training_tasks(run, training)
-    header = _training_settings(run, training, general_phi, first)
+    tasks = _read_training_tasks(choice, training)
+    header = _training_settings(choice, training, general_phi, first)
     outer_loop = training.outer_loop
     if outer_loop.steps and steps:
         outer_loop = replace(outer_loop, steps=steps)
-    description = {"inner_steps": run.recipe.steps, "batch": run.recipe.samples, "training": asdict(outer_loop)}
+    description = {"inner_steps": choice.recipe.steps, "batch": choice.recipe.samples, "training": asdict(outer_loop)}
     # rounding depends on device and threads, so that a training goes on only where these are equal
-    settings = header | {"device": str(run.device), "threads": get_num_threads()}
+    settings = header | {"device": str(choice.device), "threads": get_num_threads()}
 
     def write(state: TrainState, file: Path, previous: Path | None = None) -> None:
         # QuickFT's file holds no encoder: the file of General has the one that QuickFT was tuned for
@@ -89,9 +90,9 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
         save_checkpoint(file, phi, header | description | result, previous)
 
     is_writer, interval_seconds, save_time = ranks.rank_number() == 0, _save_interval_seconds(), time.monotonic()
-    state = since = _read_interrupted_state(path, settings, run)
+    state = since = _read_interrupted_state(path, settings, choice)
     with progress(f"train {training.name}", long=True, quiet=options.quiet) as bar:
-        rng, phi = Generator(run.device).manual_seed(options.seed), first and first.phi
+        rng, phi = Generator(choice.device).manual_seed(options.seed), first and first.phi
         try:
             for state in train_phi(training, tasks, rng, general=general_phi, first=phi, steps=steps, since=since):
                 if is_writer and time.monotonic() - save_time >= interval_seconds:
@@ -117,7 +118,7 @@ def train_checkpoint(run: Run) -> tuple[Path, Checkpoint | None]:
     return path, general
 
 
-def _read_interrupted_state(path: Path, settings: Document, run: Run) -> TrainState | None:
+def _read_interrupted_state(path: Path, settings: Document, choice: Choice) -> TrainState | None:
     """Return the state of a training of equal settings that was cut off; None if there is none.
 
     All ranks read it. Rank 0 does so before the others, since it puts a damaged file aside.
@@ -134,7 +135,7 @@ def _read_interrupted_state(path: Path, settings: Document, run: Run) -> TrainSt
             remove_partial(file)
     state = None
     try:
-        if fields := load_training_state(_training_path(path), settings, run.device):
+        if fields := load_training_state(_training_path(path), settings, choice.device):
             state = TrainState(**fields)
             step = f"step {state.step:,} of {state.total:,}" if state.moments else f"{state.step} Adams of the search"
             say(f"going on from {step} (training checkpoint {_training_path(path)})")
@@ -160,29 +161,28 @@ def _training_path(path: Path) -> Path:
     return path.with_suffix(".training.safetensors")
 
 
-def _read_training_tasks(run: Run, training: CheckpointTraining) -> Tasks:
+def _read_training_tasks(choice: Choice, training: CheckpointTraining) -> Tasks:
     """Read the training tasks of a run's data set, and say how many there are."""
-    app, folder = run.app, training_data_folder(run.application, run.options.data, run.options.quiet)
-    tasks = stack_tasks(app, read_data_set(folder, "train", app.name, app.tensors), run.device)
+    app, folder = choice.app, training_data_folder(choice.application, choice.options.data, choice.options.quiet)
+    tasks = stack_tasks(app, read_data_set(folder, "train", app.name, app.tensors), choice.device)
     data = f"{len(tasks)} tasks of {folder.name}, every eighth for validation"
     say(f"training {app.full_name} {training.name} on {data}")
     return tasks
 
 
-def _read_first_checkpoint(run: Run, training: CheckpointTraining) -> Checkpoint | None:
+def _read_first_checkpoint(choice: Choice, training: CheckpointTraining) -> Checkpoint | None:
     """Read the checkpoint of its own kind that a training goes on from.
 
     Returns:
         The checkpoint; None if --checkpoint is not set, or names a General for the training to begin at.
     """
-    path = run.options.checkpoint
+    path = choice.options.checkpoint
     general = training.general.name
     if not path or (training.begins_at_general and load_checkpoint(path)[1].get("checkpoint") == general):
         return None
     if training.takes_encoder_from_general:
         raise ValueError(f"{path}: expected the General that an Adam is searched for; name its file, or leave it out.")
-    checkpoint = attach_checkpoint(run).checkpoint
-    assert checkpoint is not None
+    checkpoint = load_phi(choice)
     say(f"going on from {checkpoint.source}")
     return checkpoint
 
@@ -192,7 +192,7 @@ def _previous_path(path: Path) -> Path:
     return path.with_suffix(".previous.safetensors")
 
 
-def _provide_general(run: Run, training: CheckpointTraining) -> Checkpoint:
+def _provide_general(choice: Choice, training: CheckpointTraining) -> Checkpoint:
     """Return the General that a training begins at, trained first if there is none.
 
     It is the one that --checkpoint names, else the one that ships, else one that is trained now for as many steps as
@@ -202,37 +202,36 @@ def _provide_general(run: Run, training: CheckpointTraining) -> Checkpoint:
         ValueError: the file of a General of other settings is in the way; it is not replaced.
     """
     general = training.general
-    options = replace(run.options, paradigm=general.paradigm.name)
-    run = replace(run, options=options, paradigm=general.paradigm)
-    if not options.checkpoint and not has_shipped_checkpoint(run, general):
-        path, steps = trained_checkpoint_path(run, general), options.train_steps
+    options = replace(choice.options, paradigm=general.paradigm.name)
+    choice = replace(choice, options=options, paradigm=general.paradigm)
+    if not options.checkpoint and not has_shipped_checkpoint(choice, general):
+        path, steps = trained_checkpoint_path(choice, general), options.train_steps
         if not path.is_file():
             say(f"no General ships for this data: training it first{f', {steps} steps' if steps else ''}.")
-            train_checkpoint(run)
-        elif not _training_settings(run, general).items() <= load_checkpoint(path)[1].items():
+            train_checkpoint(choice)
+        elif not _training_settings(choice, general).items() <= load_checkpoint(path)[1].items():
             raise ValueError(
                 f"{path}: a General that was trained by other settings; begin at it with --checkpoint {path}, or move "
                 "it to train another one."
             )
-        run = replace(run, options=replace(options, checkpoint=path))
-    checkpoint = attach_checkpoint(run).checkpoint
-    assert checkpoint is not None
+        choice = replace(choice, options=replace(options, checkpoint=path))
+    checkpoint = load_phi(choice)
     say(f"General: {checkpoint.source}")
     return checkpoint
 
 
-def _last_training(run: Run) -> CheckpointTraining:
+def _last_training(choice: Choice) -> CheckpointTraining:
     """Return the training that --train runs: the last one that the paradigm needs."""
-    trainings = run.paradigm.trainings
+    trainings = choice.paradigm.trainings
     if not trainings:
-        raise BadOption(f"--train: {run.paradigm.name} needs no preparation; leave the option out.")
-    if run.options.checkpoint and run.options.checkpoint.is_dir():
-        raise BadOption(f"--checkpoint {run.options.checkpoint}: a folder; with --train name a file in it.")
+        raise BadOption(f"--train: {choice.paradigm.name} needs no preparation; leave the option out.")
+    if choice.options.checkpoint and choice.options.checkpoint.is_dir():
+        raise BadOption(f"--checkpoint {choice.options.checkpoint}: a folder; with --train name a file in it.")
     return trainings[-1]
 
 
 def _training_settings(
-    run: Run, training: CheckpointTraining, general: MetaParameters | None = None, first: Checkpoint | None = None
+    choice: Choice, training: CheckpointTraining, general: MetaParameters | None = None, first: Checkpoint | None = None
 ) -> Document:
     """Return all that the result of a training depends on, except for rounding: the header of its checkpoint.
 
@@ -242,13 +241,17 @@ def _training_settings(
         general: the General that training begins at.
         first: the checkpoint that training goes on from.
     """
-    folder, name = training_data_folder(run.application, run.options.data, run.options.quiet), training.name
+    folder, name = training_data_folder(choice.application, choice.options.data, choice.options.quiet), training.name
     return (
-        {"app": run.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}
-        | {"recipe": run.options.recipe, "recipe_digest": content_digest(repr(run.recipe)), "seed": run.options.seed}
-        | {"steps": run.options.train_steps, "versions": software_versions()}
-        | ({} if training.shared_by_observations else run.app.observation)
-        | run.app.recorded_conditions(run.device)
+        {"app": choice.app.name, "checkpoint": name, "data": data_label(folder), "content": fingerprint(folder)}
+        | {
+            "recipe": choice.options.recipe,
+            "recipe_digest": content_digest(repr(choice.recipe)),
+            "seed": choice.options.seed,
+        }
+        | {"steps": choice.options.train_steps, "versions": software_versions()}
+        | ({} if training.shared_by_observations else choice.app.observation)
+        | choice.app.recorded_conditions(choice.device)
         | ({"encoder": tensor_digest(general.encoder)} if general else {})
         | ({"first": first.digest} if first else {})
     )

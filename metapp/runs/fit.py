@@ -24,20 +24,17 @@ from metapp.appearance.geometry import directions_to_four_angles
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.registry import registry
+from metapp.runs.choice import Choice
 from metapp.runs.environment import torch_defaults
 from metapp.runs.fit_options import check_export
 from metapp.runs.outputs.contact_sheet import place_side_by_side, srgb_image
 from metapp.runs.outputs.fit_files import export_fit, render_outputs
-from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.files import write_bytes
-from metapp.storage.fit_folders import pack_fit
+from metapp.storage.fit_records import FitRecord
+from metapp.storage.fit_store import pack_fit
 from metapp.storage.image_writers import png_data_url
-
-# Entries of a fit's record that are not errors; all others are
-NON_ERROR_RECORD_KEYS = {"name", "seconds", "cpu_seconds", "threads", "counts", "note", "warning", "guarded"}
-NON_ERROR_RECORD_KEYS |= {"source", "content", "origin", "settings", "folder", "batch", "copied", "repeated"}
-NON_ERROR_RECORD_KEYS |= {"mean_tilt_degrees"}
+from metapp.storage.parameters import read_checked_params
 
 
 @runtime_checkable
@@ -62,20 +59,38 @@ class Fit:
     Extensions add methods, such as `view` of the viewer.
 
     Attributes:
-        run: the options, the application and the checkpoint of the fit.
+        choice: the options of the fit, with the application, the recipe and the paradigm.
         task: the task that was fitted.
         record: the figures in `record.json` of the fit's folder: name, error, seconds, warning, settings and others.
-        parameters: the parameters of the network by name, without a task axis, on the CPU.
     """
 
-    def __init__(self, run: Run, task: Task, record: Document, parameters: Params) -> None:
-        self.run, self.task, self.record = run, task, record
-        self.parameters: Params = {key: value.detach().cpu() for key, value in parameters.items()}
+    def __init__(self, choice: Choice, task: Task, record: FitRecord, parameters: Params | None = None) -> None:
+        """Make a fit.
+
+        Args:
+            choice: the options of the fit, with the application, the recipe and the paradigm.
+            task: the task that was fitted.
+            record: its record.
+            parameters: its parameters, without a task axis; None to read them from the folder in the record where they
+                are needed.
+        """
+        self.choice, self.task, self.record = choice, task, record
+        if parameters is not None:
+            self.parameters = {key: value.detach().cpu() for key, value in parameters.items()}
+
+    @functools.cached_property
+    def parameters(self) -> Params:
+        """The parameters of the network by name, without a task axis, on the CPU.
+
+        Raises:
+            ValueError: the file of the parameters is missing or damaged, or holds another network's.
+        """
+        return read_checked_params(self.record, self.app)
 
     @property
     def app(self) -> App:
         """The application of the fit, with the network of its recipe."""
-        return self.run.app
+        return self.choice.app
 
     @property
     def name(self) -> str:
@@ -85,33 +100,29 @@ class Fit:
     @property
     def settings(self) -> Document:
         """The settings in the record: all that the error and the seconds depend on."""
-        settings: Document = self.record["settings"]
-        return settings
+        return self.record.settings.document()
 
     @property
     def error(self) -> float | None:
         """The error in the unit of tables (BRDF x100); None if the task holds no reference."""
-        error: float | None = self.record["error"]
-        return error
+        return self.record.error
 
     @property
     def errors(self) -> dict[str, float]:
-        """The errors and further measures of the fit, by name."""
-        return {
-            key: value for key, value in self.record.items() if key not in NON_ERROR_RECORD_KEYS and value is not None
-        }
+        """The error, further errors and the error of photographs, in their own units, by name."""
+        named = {"error": self.record.error, **self.record.errors, "photo_error": self.record.photo_error}
+        return {name: value for name, value in named.items() if value is not None}
 
     @property
     def seconds(self) -> float:
         """The time of inference in seconds: from the samples of the task to the final parameters."""
-        seconds: float = self.record["seconds"]
-        return seconds
+        assert self.record.seconds is not None  # only answers of methods without a network may lack a time
+        return self.record.seconds
 
     @property
     def warning(self) -> str:
         """The clauses that doubt the fit, joined by "; "; "" for none."""
-        warning: str = self.record.get("warning", "")
-        return warning
+        return self.record.warning
 
     def __getattr__(self, name: str) -> Callable[..., object]:
         """Return a method that an extension adds, bound to this fit."""
@@ -132,7 +143,7 @@ class Fit:
     def _repr_html_(self) -> str:
         """Return the page that notebooks show: the picture of the fit and one line about it."""
         error = "no reference" if self.error is None else f"error{self.app.error_measure.factor} {self.error:.3f}"
-        line = f"{self.name}: {self.run.presenter.title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
+        line = f"{self.name}: {self.choice.presenter.title}, {self.settings['paradigm']}, {error}, {self.seconds:.3g} s"
         line += f", {self.settings['steps']} steps" + (f"; warning: {self.warning}" if self.warning else "")
         return f'<img src="{png_data_url(self.picture())}"><div>{escape(line)}</div>'
 
@@ -174,19 +185,19 @@ class Fit:
         `metapp meta` writes.
         """
         with torch_defaults(single=self.app.small_tensors):
-            maps = self.run.presenter.linear_maps(self.parameters, self.task)
+            maps = self.choice.presenter.linear_maps(self.parameters, self.task)
         return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
 
     def preview(self) -> dict[str, Tensor]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
         with torch_defaults(single=self.app.small_tensors):
-            return self.run.presenter.preview(self.parameters, self.task)
+            return self.choice.presenter.preview(self.parameters, self.task)
 
     @functools.cached_property
     def renders(self) -> dict[str, np.ndarray]:
         """The renderings that options ask for, such as `render` of transport: linear pictures [H, W, 3] by name."""
         with torch_defaults(single=self.app.small_tensors):
-            pictures, _ = render_outputs(self.run, self.task, self.parameters)
+            pictures, _ = render_outputs(self.choice, self.task, self.parameters)
         return {name: picture.pixels.numpy() for name, picture in pictures.items()}
 
     def picture(self) -> Image:
@@ -219,6 +230,6 @@ class Fit:
         Raises:
             BadOption: fits of this application cannot be written in this format, or a library for it is missing.
         """
-        check_export(form, self.run.application)
+        check_export(form, self.choice.application)
         with torch_defaults(single=self.app.small_tensors):
-            export_fit(self.run, self.task, self.parameters, Path(os.fsdecode(path)), form, self.settings)
+            export_fit(self.choice, self.task, self.parameters, Path(os.fsdecode(path)), form, self.record.settings)

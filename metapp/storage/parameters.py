@@ -10,11 +10,11 @@ from torch import Generator
 
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task, problems_of
-from metapp.storage import Document
-from metapp.storage.fit_folders import read_params
+from metapp.storage.fit_records import FitRecord
+from metapp.storage.fit_store import read_params
 
 
-def read_checked_params(record: Document, app: App) -> Params:
+def read_checked_params(record: FitRecord, app: App) -> Params:
     """Read the parameters of a fit and check that they fit the network of its application.
 
     Args:
@@ -24,8 +24,8 @@ def read_checked_params(record: Document, app: App) -> Params:
     Raises:
         ValueError: the parameters are missing or damaged, or :func:`check_params` refuses them.
     """
-    theta = read_params(record["folder"])
-    check_params(theta, app, record["folder"])
+    theta = read_params(record.folder)
+    check_params(theta, app, record.folder)
     return theta
 
 

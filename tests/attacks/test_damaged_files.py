@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file, save, save_file
 
 from metapp.storage.checkpoint_files import CHECKPOINT_SCHEMA, load_checkpoint, save_checkpoint
-from metapp.storage.fit_folders import NUMBER_ENTRIES, RECORD, read_fit_records, write_fit
+from metapp.storage.fit_store import NUMBER_ENTRIES, RECORD, read_fit_records, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 

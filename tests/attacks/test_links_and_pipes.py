@@ -17,7 +17,7 @@ from metapp.storage.files import (
     read_bytes,
     read_text,
 )
-from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records, write_fit
+from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records, write_fit
 
 KEYS = "first\nlast"
 GOLD = {"name": "gold", "error": 1.0, "seconds": 1.0}

@@ -19,7 +19,7 @@ from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.runs import fitting
 from metapp.runs.memory_errors import describe_short_memory
-from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
+from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
 from tests.conftest import CommandResult
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
+from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
 from tests.recipe_apps import exports_of
 from tests.small_spheres import run_with_small_spheres
 

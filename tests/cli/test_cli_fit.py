@@ -24,7 +24,7 @@ from metapp.registry import registry
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.files import content_digest
-from metapp.storage.fit_folders import RECORD, RunFolder, read_fit_records, read_params
+from metapp.storage.fit_store import RECORD, RunFolder, read_fit_records, read_params
 from tests.conftest import CommandResult
 
 STEPS = ("--train", "--train-steps", "3")

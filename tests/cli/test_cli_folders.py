@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from metapp.learning.task import Task
-from metapp.storage.fit_folders import read_fit_records, write_fit
+from metapp.storage.fit_store import read_fit_records, write_fit
 from metapp.storage.shards import write_data_set
 from tests.extensions.capture.ball_photos import detailed_light, write_linear_png
 from tests.extensions.capture.ball_photos import photograph_ball as photograph_of_ball

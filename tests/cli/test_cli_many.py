@@ -14,7 +14,7 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.task import Params, Tasks
 from metapp.runs import execution, fitting
 from metapp.runs.inputs.run_inputs import Input
-from metapp.storage.fit_folders import name_with_digest, read_fit_records
+from metapp.storage.fit_store import name_with_digest, read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NAMES = [f"m{i}" for i in range(5)]

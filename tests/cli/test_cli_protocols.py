@@ -38,7 +38,7 @@ from metapp.runs.outputs.run_records import find_fitted_tasks, read_run_records
 from metapp.runs.reporter import Bar, use_reporter
 from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import load_checkpoint
-from metapp.storage.fit_folders import PARAMS, RECORD, read_fit_records
+from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
 from tests.marked import long
 from tests.pictures import write_planes
 from tests.recipe_apps import app_by_recipe, exports_of

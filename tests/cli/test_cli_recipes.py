@@ -36,7 +36,7 @@ from metapp.runs.fit_options import FitOptions, fit_options
 from metapp.runs.inputs.finding import find_sources
 from metapp.runs.recipe_choice import choose_recipe
 from metapp.runs.run import Run
-from metapp.storage.fit_folders import PARAMS, read_fit_records, read_params
+from metapp.storage.fit_store import PARAMS, read_fit_records, read_params
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from tests.anisotropic import measure_with_noise
 from tests.appearance.test_features import random_weights

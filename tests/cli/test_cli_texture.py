@@ -19,7 +19,7 @@ from metapp.apps.exemplar.octaves import Octaves
 from metapp.learning.task import Task
 from metapp.networks.generators import UNet
 from metapp.registry import load_reference
-from metapp.storage.fit_folders import read_fit_records
+from metapp.storage.fit_store import read_fit_records
 from tests.appearance.test_features import random_weights
 from tests.pictures import write_noise_photo
 from tests.recipe_apps import app_by_recipe, presenter_of

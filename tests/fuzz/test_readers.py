@@ -112,7 +112,7 @@ def read_checkpoint(folder: Path, file: Path) -> None:
 
 def read_records(folder: Path, file: Path) -> None:
     """Read files as a table does, which shows all finished tasks."""
-    from metapp.storage.fit_folders import NUMBER_ENTRIES, RunFolder, summary
+    from metapp.storage.fit_store import NUMBER_ENTRIES, RunFolder, summary
 
     place = folder / "fits" / "a"  # of a run's folder
     place.mkdir(parents=True, exist_ok=True)

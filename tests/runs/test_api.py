@@ -24,7 +24,7 @@ from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.apps.illumination.suns import SUN_SPECS
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import read_tensors, to_json_value
-from metapp.storage.fit_folders import pack_fit, write_fit
+from metapp.storage.fit_store import pack_fit, write_fit
 from metapp.storage.parameters import check_params
 from tests import pictures
 from tests.needs_mitsuba import needs_mitsuba

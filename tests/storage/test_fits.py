@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from safetensors.torch import load_file
 
 from metapp.storage.files import file_name, printable_name, read_text, remove_partial, to_json_value, write_atomically
-from metapp.storage.fit_folders import (
+from metapp.storage.fit_store import (
     NUMBER_ENTRIES,
     PARAMS,
     RECORD,

@@ -20,9 +20,10 @@ from metapp.learning.recipe import Guard
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.adam import QuickFT
 from metapp.paradigms.meta import Meta
-from metapp.runs.run import Checkpoint
+from metapp.runs.checkpoint_selection import Checkpoint
+from metapp.runs.fitter import Fitter
 from metapp.storage.checkpoint_files import tensor_digest
-from metapp.storage.fit_folders import Record
+from metapp.storage.fit_records import FitRecord
 
 ABLATION_COLUMNS = columns(
     Column("initialisation", "start"),
@@ -66,7 +67,7 @@ def ablation(evaluation: EvaluationRun) -> Table:
     notes = [
         "adam: QuickFT's Adam, whose options were searched on validation tasks from General's initialisation",
         *(
-            f"{evaluation.runs[name].options.rule} begins at General's own prediction, so rows that differ in the "
+            f"{evaluation.choices[name].options.rule} begins at General's own prediction, so rows that differ in the "
             "initialisation alone show the same fits"
             for name in names
             if has_general_initialisation(evaluation, name)
@@ -80,11 +81,13 @@ def ablation(evaluation: EvaluationRun) -> Table:
 def learned_rule_rows(evaluation: EvaluationRun) -> list[str]:
     """Return the rows of the results by a learned rule, for the network whose parameters General predicts."""
     return [
-        name for name, run in evaluation.runs.items() if run.paradigm.has_learned_rule and run.app == evaluation.app
+        name
+        for name, choice in evaluation.choices.items()
+        if choice.paradigm.has_learned_rule and choice.app == evaluation.app
     ]
 
 
-def combine_halves(evaluation: EvaluationRun, name: str) -> list[tuple[str, str, list[Record]]]:
+def combine_halves(evaluation: EvaluationRun, name: str) -> list[tuple[str, str, list[FitRecord]]]:
     """Fit the tasks of a learned rule's row with its rule alone and with its initialisation alone.
 
     Args:
@@ -94,24 +97,24 @@ def combine_halves(evaluation: EvaluationRun, name: str) -> list[tuple[str, str,
     Returns:
         (initialisation, rule, records) of both combinations; [] if a checkpoint is missing.
     """
-    runs = [evaluation.runs[row] for row in (name, "general", "quickft")]
-    checkpoints = [run.checkpoint for run in runs if run.checkpoint]
-    if len(checkpoints) < len(runs):
+    rows = (name, "general", "quickft")
+    if not all(row in evaluation.fitters for row in rows):
         return []
-    run, (meta, general, quickft) = runs[0], (checkpoint.phi for checkpoint in checkpoints)
-    rule, adam = run.options.rule, runs[2].paradigm.adam(quickft)
+    fitters = [evaluation.fitters[row] for row in rows]
+    choice, (meta, general, quickft) = fitters[0].choice, (fitter.checkpoint.phi for fitter in fitters)
+    rule, adam = choice.options.rule, fitters[2].choice.paradigm.adam(quickft)
     if has_general_initialisation(evaluation, name):
         return [("general", rule, evaluation.records(name)), (f"meta ({rule})", "adam", evaluation.records("quickft"))]
 
     def fit_half(
         paradigm_class: type[RuleAlone | InitialisationAlone], initialisation: str, rule_name: str, phi: MetaParameters
-    ) -> list[Record]:
-        paradigm = paradigm_class.of(run.app, run.recipe, rule, run.paradigm.steps)
-        checkpoint = Checkpoint(phi, "combined", "+".join(checkpoint.digest for checkpoint in checkpoints))
+    ) -> list[FitRecord]:
+        paradigm = paradigm_class.of(choice.app, choice.recipe, rule, choice.paradigm.steps)
+        checkpoint = Checkpoint(phi, "combined", "+".join(fitter.checkpoint.digest for fitter in fitters))
         settings = {"rule": rule, "adam": asdict(adam) if adam and paradigm_class is InitialisationAlone else None}
-        combined_run = replace(run, paradigm=paradigm, checkpoint=checkpoint)
+        combined = Fitter(replace(choice, paradigm=paradigm), checkpoint)
         return evaluation.fit_records(
-            f"ablation {initialisation} + {rule_name}", combined_run, evaluation.tasks_of(name), settings
+            f"ablation {initialisation} + {rule_name}", combined, evaluation.tasks_of(name), settings
         )
 
     halves = (
@@ -126,7 +129,7 @@ def combine_halves(evaluation: EvaluationRun, name: str) -> list[tuple[str, str,
 
 def has_general_initialisation(evaluation: EvaluationRun, name: str) -> bool:
     """Return whether a learned rule begins at General's own prediction."""
-    meta, general = (evaluation.runs[row].checkpoint for row in (name, "general"))
-    if meta is None or general is None or not meta.phi.encoder:
+    meta, general = (evaluation.fitters.get(row) for row in (name, "general"))
+    if meta is None or general is None or not meta.checkpoint.phi.encoder:
         return False
-    return tensor_digest(meta.phi.encoder) == tensor_digest(general.phi.encoder)
+    return tensor_digest(meta.checkpoint.phi.encoder) == tensor_digest(general.checkpoint.phi.encoder)

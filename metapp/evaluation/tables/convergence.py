@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from msgspec.structs import replace
+
 from metapp.evaluation.evaluation_run import EvaluationRun, select_evenly
 from metapp.evaluation.rows import make_row, paper_figures
 from metapp.evaluation.table import Column, Row, Table, columns
@@ -15,8 +17,8 @@ from metapp.learning.app import stack_tasks
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.runs.fitting import rng_of
-from metapp.storage.fit_folders import Record
+from metapp.runs.fitter import rng_of
+from metapp.storage.fit_records import FitRecord, Settings
 
 TRACED_TASKS = 5  # test tasks whose fits are traced along their steps
 STEP_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a fit's steps, after which errors are measured
@@ -34,16 +36,16 @@ def convergence(evaluation: EvaluationRun) -> Table:
     records, paper = trace_records(evaluation), paper_figures()["further_steps"]
 
     def step_row(paradigm: str, part: str, step: object, errors: Sequence[float | None]) -> Row:
-        traced = [record | {"error": error} for record, error in zip(records, errors, strict=True)]
+        traced = [replace(record, error=error) for record, error in zip(records, errors, strict=True)]
         entries = {"part": part, "step": step, "further": None, "near": None, "paper_further": None}
         return make_row(evaluation, paradigm, traced, entries)
 
     def row_at_share(paradigm: str, share: float) -> Row:
-        step = step_at(share, evaluation.runs[paradigm].paradigm.steps)
-        errors = [dict(record["curves"][paradigm]).get(step) for record in records]
+        step = step_at(share, evaluation.choices[paradigm].paradigm.steps)
+        errors = [dict(record.figures["curves"][paradigm]).get(step) for record in records]
         return step_row(paradigm, f"{share:.0%}", step, errors)
 
-    further_row = step_row("meta", "further", None, [record["further"][-1][1] for record in records])
+    further_row = step_row("meta", "further", None, [record.figures["further"][-1][1] for record in records])
     further_row["paper_further"] = paper["steps"]
     notes = [
         f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER_STEPS))} steps; step: the "
@@ -65,10 +67,10 @@ def convergence(evaluation: EvaluationRun) -> Table:
     return Table(evaluation.title, title, CONVERGENCE_COLUMNS, rows, notes)
 
 
-def further_steps_needed(record: Record) -> int | None:
+def further_steps_needed(record: FitRecord) -> int | None:
     """Return the further steps after which Meta's error is within 1 % of Overfit's; None if none suffice."""
-    steps, error = record["further"][-1]
-    return steps if is_near(error, record["curves"]["overfit"][-1][1]) else None
+    steps, error = record.figures["further"][-1]
+    return steps if is_near(error, record.figures["curves"]["overfit"][-1][1]) else None
 
 
 def is_near(error: float | None, other_error: float | None) -> bool:
@@ -87,16 +89,18 @@ def _select_traced(evaluation: EvaluationRun) -> list[Task]:
     return select_evenly(evaluation.tasks, TRACED_TASKS if evaluation.whole else evaluation.long_fit_tasks)
 
 
-def trace_records(evaluation: EvaluationRun) -> list[Record]:
+def trace_records(evaluation: EvaluationRun) -> list[FitRecord]:
     """Return traces of a few tasks: errors of each paradigm along its steps, and after further steps of Meta."""
-    settings = {"app": evaluation.app.name, **evaluation.app.observation, "further": FURTHER_STEPS}
-    folder = evaluation.record_folder("trace", settings, ("curves", "further"), CURVE_PARADIGMS)
-    steps = sum(evaluation.runs[name].paradigm.steps for name in CURVE_PARADIGMS) + sum(FURTHER_STEPS)
+    settings = Settings(
+        app=evaluation.app.name, observe=evaluation.app.observes, further={"further": list(FURTHER_STEPS)}
+    )
+    store = evaluation.record_store("trace", settings, ("curves", "further"), CURVE_PARADIGMS)
+    steps = sum(evaluation.choices[name].paradigm.steps for name in CURVE_PARADIGMS) + sum(FURTHER_STEPS)
 
-    def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
+    def measure(tasks: list[Task]) -> Iterator[tuple[FitRecord, None]]:
         return ((_trace(evaluation, task), None) for task in tasks)
 
-    return evaluation.measure_records("trace", folder, measure, _select_traced(evaluation), steps)
+    return evaluation.measure_records("trace", store, measure, _select_traced(evaluation), steps)
 
 
 def step_at(share: float, steps: int) -> int:
@@ -111,19 +115,20 @@ def curve_steps(steps: int) -> set[int]:
     }
 
 
-def _trace(evaluation: EvaluationRun, task: Task) -> Record:
+def _trace(evaluation: EvaluationRun, task: Task) -> FitRecord:
     """Trace the fits of one task and return the record."""
-    stacked = stack_tasks(evaluation.app, [task], evaluation.run.device)
+    stacked = stack_tasks(evaluation.app, [task], evaluation.choice.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
     for name in CURVE_PARADIGMS:
-        run = evaluation.runs[name]
-        measured_steps = curve_steps(run.paradigm.steps)
-        descent = run.paradigm.descend(run.phi, stacked, rng_of(run, task))  # equals the fit of the row: of equal draws
+        choice, phi = evaluation.choices[name], evaluation.fitters[name].checkpoint.phi
+        measured_steps = curve_steps(choice.paradigm.steps)
+        descent = choice.paradigm.descend(phi, stacked, rng_of(choice, task))  # equals the row's fit: of equal draws
         states = {state.step: state.theta for state in descent if state.step in measured_steps}  # [1, ...] each
         curves[name] = [(step, _error_of(evaluation, states[step], stacked)) for step in sorted(measured_steps)]
-    meta = states[run.paradigm.steps]  # `run` and `states` are still Meta's, the last of CURVE_PARADIGMS
+    meta = states[choice.paradigm.steps]  # `choice` and `states` are still Meta's, the last of CURVE_PARADIGMS
     further = _continue_meta(evaluation, task, stacked, meta, curves["overfit"][-1][1])
-    return {"name": task.name, "error": curves["meta"][-1][1], "curves": curves, "further": further}
+    error, scale = curves["meta"][-1][1], evaluation.app.error_measure.scale
+    return FitRecord(name=task.name, error=error, scale=scale, figures={"curves": curves, "further": further})
 
 
 def _error_of(evaluation: EvaluationRun, theta: Params, stacked: Tasks) -> float | None:
@@ -147,12 +152,12 @@ def _continue_meta(
     Returns:
         (further steps, error) of descents, each of which begins at Meta's result and has a rate that decays to its end.
     """
-    recipe = evaluation.run.recipe
+    recipe = evaluation.choice.recipe
     errors = [(0, _error_of(evaluation, theta, stacked))]
     for steps in FURTHER_STEPS:
         if overfit_error is None or is_near(errors[-1][1], overfit_error):
             break
-        rng = rng_of(evaluation.run, task)
+        rng = rng_of(evaluation.choice, task)
         rule, loss = fixed_adam(recipe.finetune, theta, steps), task_loss(evaluation.app, recipe.samples)
         errors.append((steps, _error_of(evaluation, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return errors

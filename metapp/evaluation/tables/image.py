@@ -8,6 +8,8 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterator
 
+from msgspec.structs import replace
+
 from metapp.appearance.picture_measures import describe_picture_measures, measure_pictures
 from metapp.appearance.pictures import REFERENCE_ERROR_NAME, TimedFit
 from metapp.evaluation.evaluation_run import EvaluationRun
@@ -16,7 +18,7 @@ from metapp.evaluation.table import Column, Row, Table, columns
 from metapp.learning.task import Task
 from metapp.paradigms import PARADIGMS
 from metapp.registry import registry
-from metapp.storage.fit_folders import Record
+from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.parameters import read_checked_params
 
 IMAGE_COLUMNS = columns(
@@ -37,34 +39,30 @@ def image(evaluation: EvaluationRun) -> Table:
     return Table(evaluation.title, "measures in image space", IMAGE_COLUMNS, rows, notes)
 
 
-def picture_records(evaluation: EvaluationRun) -> list[Record]:
+def picture_records(evaluation: EvaluationRun) -> list[FitRecord]:
     """Measure the pictures of all paradigms, task by task, since the paradigms share a task's reference."""
     app = evaluation.app
-    by_paradigm = {name: {record["name"]: record for record in evaluation.records(name)} for name in PARADIGMS}
+    by_paradigm = {name: {record.name: record for record in evaluation.records(name)} for name in PARADIGMS}
 
-    def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
+    def measure(tasks: list[Task]) -> Iterator[tuple[FitRecord, None]]:
         for task in tasks:
             task_records = {name: records[task.name] for name, records in by_paradigm.items()}
             fits = {
-                name: TimedFit(read_checked_params(record, app), record["seconds"])
+                name: TimedFit(read_checked_params(record, app), record.seconds or 0.0)
                 for name, record in task_records.items()
             }
-            yield (
-                {"name": task.name, "error": None, "measures": measure_pictures(evaluation.presenter, fits, task)},
-                None,
-            )
+            measures = measure_pictures(evaluation.presenter, fits, task)
+            yield FitRecord(name=task.name, error=None, figures={"measures": measures}), None
 
-    settings = {
-        "app": app.name,
-        "measure": [evaluation.presenter.picture_measure, describe_picture_measures(app.name)[0]],
-    }
-    folder = evaluation.record_folder("image", settings, ("measures",), PARADIGMS)
-    return evaluation.measure_records("pictures", folder, measure, min(map(evaluation.tasks_of, PARADIGMS), key=len))
+    measure_texts = [evaluation.presenter.picture_measure, describe_picture_measures(app.name)[0]]
+    settings = Settings(app=app.name, further={"measure": measure_texts})
+    store = evaluation.record_store("image", settings, ("measures",), PARADIGMS)
+    return evaluation.measure_records("pictures", store, measure, min(map(evaluation.tasks_of, PARADIGMS), key=len))
 
 
-def _make_rows(evaluation: EvaluationRun, records: list[Record]) -> list[Row]:
+def _make_rows(evaluation: EvaluationRun, records: list[FitRecord]) -> list[Row]:
     """Make the rows of all measures, of pictures without a fit and of all paradigms."""
-    measures = [record["measures"] for record in records]
+    measures = [record.figures["measures"] for record in records]
     other_names = dict.fromkeys(name for by_name in measures for name in by_name if name not in PARADIGMS)
     keys = dict.fromkeys(key for by_name in measures for values in by_name.values() for key in values)
     return [
@@ -75,7 +73,7 @@ def _make_rows(evaluation: EvaluationRun, records: list[Record]) -> list[Row]:
     ]
 
 
-def _make_measure_row(evaluation: EvaluationRun, name: str, records: list[Record], key: str) -> Row:
+def _make_measure_row(evaluation: EvaluationRun, name: str, records: list[FitRecord], key: str) -> Row:
     """Make the row of one method by one measure.
 
     Args:
@@ -88,7 +86,7 @@ def _make_measure_row(evaluation: EvaluationRun, name: str, records: list[Record
     bound, is_ssim = figures["ssim"]["at_least"], key.startswith("SSIM")
     more_is_better = is_ssim or (measure is not None and measure.load().more_is_better)
 
-    measured = [record | {"error": record["measures"].get(name, {}).get(key)} for record in records]
+    measured = [replace(record, error=record.figures["measures"].get(name, {}).get(key)) for record in records]
     values = list(errors_by_task(measured).values())
     return make_row(evaluation, name, measured, {}) | {
         "measure": key or None,

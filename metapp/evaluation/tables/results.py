@@ -34,7 +34,7 @@ RESULT_COLUMNS = columns(
 
 def results(evaluation: EvaluationRun) -> Table:
     """Make the table of error and time of every paradigm, and of Meta by every rule that has a checkpoint."""
-    rows = result_rows(evaluation, evaluation.runs)
+    rows = result_rows(evaluation, evaluation.choices)
     overfit_errors = errors_by_task(evaluation.records("overfit"))
     for row in rows:  # the gap closed needs errors of equal tasks: of the tasks that Overfit was fitted to
         errors = errors_by_task(evaluation.records(row["paradigm"]))
@@ -56,13 +56,13 @@ def result_rows(evaluation: EvaluationRun, names: Collection[str]) -> list[Row]:
 
     Fits of few steps are measured first, so that most of a table is known soon.
     """
-    for name in sorted(names, key=lambda name: evaluation.runs[name].paradigm.steps):
+    for name in sorted(names, key=lambda name: evaluation.choices[name].paradigm.steps):
         evaluation.records(name)
     rows = []
     for name in names:
-        run = evaluation.runs[name]
-        rule = run.options.rule if run.paradigm.has_learned_rule else None
-        entries = {"rule": rule, "steps": run.paradigm.steps, "few": evaluation.is_of_subset(name)}
+        choice = evaluation.choices[name]
+        rule = choice.options.rule if choice.paradigm.has_learned_rule else None
+        entries = {"rule": rule, "steps": choice.paradigm.steps, "few": evaluation.is_of_subset(name)}
         entries |= paper_entries(evaluation, name)
         rows.append(make_row(evaluation, name, evaluation.records(name), entries, COMPARED_ROWS))
     return rows

@@ -87,6 +87,6 @@ def run_and_print(options: FitOptions, method: str, *, json: bool) -> None:
                 "method": method,
                 "out": str(baseline_run.path),
                 "cannot": baseline_run.cannot,
-                "tasks": baseline_run.records,
+                "tasks": [{**record.document(), "folder": record.folder} for record in baseline_run.records],
             }
         )

@@ -21,27 +21,27 @@ from metapp.apps.brdf.brdf_network import BrdfNetwork
 from metapp.extensions.baselines.baseline import Baseline, CostLimits, TrainingTasks, judge_prediction, tensor_bytes
 from metapp.learning.app import App, stack_tasks
 from metapp.learning.task import Params, Task
+from metapp.runs.choice import Choice
 from metapp.runs.environment import software_versions
-from metapp.runs.fitting import rng_of
+from metapp.runs.fitter import rng_of
 from metapp.runs.inputs.embedded import has_embedded_training, make_embedded_set
 from metapp.runs.inputs.run_inputs import data_label
 from metapp.runs.outputs.contact_sheet import PICTURE_KEY
-from metapp.runs.run import Run
-from metapp.storage.fit_folders import Record
+from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.shards import read_data_set, read_manifest
 
-BASELINE_RECORD_KEYS = ("error", "numbers", "kept_bytes", "shared")  # keys that every record of a baseline has
+BASELINE_FIGURES = ("numbers", "kept_bytes", "shared")  # figures that every record of a baseline has
 
 # The record of a fit, its picture as parameters, and a function that makes the argument of `Presenter.answer_pictures`
 # at a height and width in px.
-JudgedFit = tuple[Record, Params | None, Callable[[tuple[int, int] | None], object]]
+JudgedFit = tuple[FitRecord, Params | None, Callable[[tuple[int, int] | None], object]]
 
 
-def find_training_folder(run: Run, baseline: Baseline, *, make: bool = False) -> Path | None:
+def find_training_folder(choice: Choice, baseline: Baseline, *, make: bool = False) -> Path | None:
     """Return the data set whose training tasks a baseline learns from: the one that is fitted, else the embedded one.
 
     Args:
-        run: the run that is evaluated.
+        choice: the choice of what is evaluated.
         baseline: the method, which may learn nothing.
         make: whether the embedded set is made with its training tasks where it is missing; it is so only where the test
             tasks of that set are fitted.
@@ -51,8 +51,8 @@ def find_training_folder(run: Run, baseline: Baseline, *, make: bool = False) ->
     """
     if not baseline.learns:
         return None
-    application, data, quiet = run.application, run.options.data, run.options.quiet
-    fits_embedded = not (data or run.options.paths or run.options.objects) and application.synthetic is not None
+    application, data, quiet = choice.application, choice.options.data, choice.options.quiet
+    fits_embedded = not (data or choice.options.paths or choice.options.objects) and application.synthetic is not None
     folders = [data] if data else []
     if has_embedded_training(application) or (make and fits_embedded):
         folders.append(make_embedded_set(application, quiet=quiet))
@@ -65,35 +65,37 @@ def read_training_tasks(app: App, folder: Path | None) -> TrainingTasks:
     return TrainingTasks(app, read_data_set(folder, "train", app.name, app.tensors) if folder else [])
 
 
-def cost_limits_of_run(run: Run) -> CostLimits:
-    """Return the cost limits of a run: the samples that Meta's steps draw, the bytes of a task's parameters."""
-    recipe = run.recipe
-    return CostLimits(recipe.steps * recipe.samples, tensor_bytes(*parameters_per_task(run.app).values()))
+def cost_limits_of(choice: Choice) -> CostLimits:
+    """Return the cost limits of a choice: the samples that Meta's steps draw, the bytes of a task's parameters."""
+    recipe = choice.recipe
+    return CostLimits(recipe.steps * recipe.samples, tensor_bytes(*parameters_per_task(choice.app).values()))
 
 
-def baseline_settings(run: Run, baseline: Baseline, label: str) -> Record:
+def baseline_settings(choice: Choice, baseline: Baseline, label: str) -> Settings:
     """Return everything that figures of a baseline depend on, as a record keeps it.
 
     Args:
-        run: the run that is evaluated.
+        choice: the choice of what is evaluated.
         baseline: the method.
         label: the name of the fitted data.
     """
-    app, options = run.app, run.options
-    own_options, training_folder = options.app_options.recorded_values(), find_training_folder(run, baseline)
-    return {
-        "app": app.name,
-        **app.observation,
-        "method": baseline.name,
-        "data": label,
-        "training": training_folder and data_label(training_folder),
-        "allowed": cost_limits_of_run(run)._asdict(),
-        "recipe": options.recipe,
-        **({"options": own_options} if own_options else {}),
-        "seed": options.seed,
-        "versions": software_versions() | {"scipy": metadata.version("scipy")},
-        **app.recorded_conditions(),
-    }
+    app, options = choice.app, choice.options
+    own_options, training_folder = options.app_options.recorded_values(), find_training_folder(choice, baseline)
+    return Settings(
+        app=app.name,
+        observe=app.observes,
+        data=label,
+        recipe=options.recipe,
+        options=own_options,
+        seed=options.seed,
+        versions=software_versions() | {"scipy": metadata.version("scipy")},
+        further={
+            "method": baseline.name,
+            "training": training_folder and data_label(training_folder),
+            "allowed": cost_limits_of(choice)._asdict(),
+            **app.recorded_conditions(),
+        },
+    )
 
 
 def parameters_per_task(app: App) -> Params:
@@ -103,11 +105,13 @@ def parameters_per_task(app: App) -> Params:
     return {key: value for key, value in theta.items() if not unshared_names or key in unshared_names}
 
 
-def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True) -> Iterator[JudgedFit]:
+def fit_baselines(
+    choice: Choice, baseline: Baseline, tasks: Sequence[Task], *, warm: bool = True
+) -> Iterator[JudgedFit]:
     """Fit a baseline to tasks, one after the other, timed from the task's samples to the fit.
 
     Args:
-        run: the run that is evaluated.
+        choice: the choice of what is evaluated.
         baseline: the method to fit.
         tasks: the tasks to fit.
         warm: whether the first task is fitted twice, so that its time is not the time of a first call, as with
@@ -120,14 +124,14 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
     Raises:
         ValueError: the baseline cannot be fitted to these tasks.
     """
-    app, allowed = run.app, cost_limits_of_run(run)
+    app, allowed = choice.app, cost_limits_of(choice)
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
         if baseline.learns:
-            baseline.prepare(read_training_tasks(baseline.app, find_training_folder(run, baseline)), allowed)
+            baseline.prepare(read_training_tasks(baseline.app, find_training_folder(choice, baseline)), allowed)
         for task in tasks[:1] if warm and not baseline.stored_tensor else ():
-            baseline.fit(stack_tasks(baseline.app, [task]), rng_of(run, task), allowed)
+            baseline.fit(stack_tasks(baseline.app, [task]), rng_of(choice, task), allowed)
         for task in tasks:
-            rng, start = rng_of(run, task), time.perf_counter()
+            rng, start = rng_of(choice, task), time.perf_counter()
             prepared_task = stack_tasks(baseline.app, [task])
             fit = baseline.fit(prepared_task, rng, allowed)
             seconds = time.perf_counter() - start
@@ -135,17 +139,21 @@ def fit_baselines(run: Run, baseline: Baseline, tasks: Sequence[Task], *, warm: 
             errors = {key: float(value[0]) for key, value in judge_prediction(app, prediction, prepared_task).items()}
             if errors and not math.isfinite(errors["error"]):
                 raise ValueError(f"{task.name}: the error is not finite.")
-            scales = {"error": app.error_measure.scale}
-            record = {
-                "name": task.name,
-                "error": None,
-                **{key: scales.get(key, 1.0) * value for key, value in errors.items() if math.isfinite(value)},
-                **({} if baseline.stored_tensor else {"seconds": seconds, "threads": torch.get_num_threads()}),
-                "numbers": fit.kept_numbers,
-                "kept_bytes": fit.kept_bytes,
-                "shared": baseline.shared_bytes,
-                "chosen": baseline.chosen,
-            }
+            scale, error = app.error_measure.scale, errors.pop("error", None)
+            record = FitRecord(
+                name=task.name,
+                error=None if error is None else scale * error,
+                scale=scale,
+                errors={key: value for key, value in errors.items() if math.isfinite(value)},
+                seconds=None if baseline.stored_tensor else seconds,
+                threads=None if baseline.stored_tensor else torch.get_num_threads(),
+                figures={
+                    "numbers": fit.kept_numbers,
+                    "kept_bytes": fit.kept_bytes,
+                    "shared": baseline.shared_bytes,
+                    "chosen": baseline.chosen,
+                },
+            )
             prediction_at_size = fit.prediction_at_size or functools.partial(_return_judged_prediction, prediction)
             yield record, None if fit.picture is None else {PICTURE_KEY: fit.picture}, prediction_at_size
 

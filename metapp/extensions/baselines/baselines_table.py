@@ -25,7 +25,7 @@ from metapp.evaluation.tables.storage import checkpoint_bytes, parameter_bytes
 from metapp.extensions.baselines import baselines_of
 from metapp.extensions.baselines.baseline import Baseline
 from metapp.extensions.baselines.baseline_fits import (
-    BASELINE_RECORD_KEYS,
+    BASELINE_FIGURES,
     baseline_settings,
     find_training_folder,
     fit_baselines,
@@ -33,7 +33,8 @@ from metapp.extensions.baselines.baseline_fits import (
 )
 from metapp.learning.task import Params, Task
 from metapp.runs.reporter import say
-from metapp.storage.fit_folders import PARAMS, Record
+from metapp.storage.fit_records import FitRecord
+from metapp.storage.fit_store import PARAMS
 
 SHOWN_PARADIGMS = ("general", "quickft", "meta", "finetune", "overfit")
 BASELINE_COLUMNS = columns(
@@ -50,7 +51,9 @@ def baselines_table(evaluation: EvaluationRun) -> Table:
     """Return the table of the paradigms, then of the baselines that can be fitted: errors, times and bytes."""
     # Rules of Meta whose runs have an application, and so a network, of their own are compared, too.
     own_network_names = [
-        name for name, run in evaluation.runs.items() if run.app != evaluation.app and name not in SHOWN_PARADIGMS
+        name
+        for name, choice in evaluation.choices.items()
+        if choice.app != evaluation.app and name not in SHOWN_PARADIGMS
     ]
     available_baselines = _available_baselines(evaluation)
     records = {baseline.name: baseline_records(evaluation, baseline) for baseline in available_baselines}
@@ -69,7 +72,7 @@ def baselines_table(evaluation: EvaluationRun) -> Table:
     pictured = {
         name: fit_records
         for name, fit_records in records.items()
-        if fit_records and Path(fit_records[0]["folder"], PARAMS).is_file()
+        if fit_records and Path(fit_records[0].folder, PARAMS).is_file()
     }
     meta = evaluation.records("meta")
     title = (
@@ -89,47 +92,53 @@ def _available_baselines(evaluation: EvaluationRun) -> list[Baseline]:
             return bool(evaluation.tasks) and all(baseline.stored_tensor in task.data for task in evaluation.tasks)
         if not (baseline.learns and evaluation.tasks):
             return True
-        return find_training_folder(evaluation.run, baseline, make=evaluation.is_measuring) is not None
+        return find_training_folder(evaluation.choice, baseline, make=evaluation.is_measuring) is not None
 
-    return [baseline for baseline in baselines_of(evaluation.run.application, evaluation.app) if is_available(baseline)]
+    return [
+        baseline for baseline in baselines_of(evaluation.choice.application, evaluation.app) if is_available(baseline)
+    ]
 
 
-def baseline_records(evaluation: EvaluationRun, baseline: Baseline) -> list[Record]:
+def baseline_records(evaluation: EvaluationRun, baseline: Baseline) -> list[FitRecord]:
     """Return the records of a baseline's fits; fits that are missing are made now, where they may be."""
-    run_folder = None
-    if evaluation.tasks and (not baseline.learns or find_training_folder(evaluation.run, baseline)):
-        settings = baseline_settings(evaluation.run, baseline, evaluation.label)
-        run_folder = evaluation.record_folder(f"baseline-{baseline.name}", settings, BASELINE_RECORD_KEYS)
+    store = None
+    if evaluation.tasks and (not baseline.learns or find_training_folder(evaluation.choice, baseline)):
+        settings = baseline_settings(evaluation.choice, baseline, evaluation.label)
+        store = evaluation.record_store(f"baseline-{baseline.name}", settings, BASELINE_FIGURES)
 
-    def fit_tasks(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
+    def fit_tasks(tasks: list[Task]) -> Iterator[tuple[FitRecord, Params | None]]:
         """Yield the record and the picture of each task, until one cannot be fitted."""
         try:
-            for record, picture, _ in fit_baselines(evaluation.run, baseline, tasks):
+            for record, picture, _ in fit_baselines(evaluation.choice, baseline, tasks):
                 yield record, picture
         except ValueError as error:
             say(f"{evaluation.app.full_name} {baseline.name}: {error}")
 
-    return evaluation.measure_records(baseline.name, run_folder, fit_tasks, evaluation.tasks)
+    return evaluation.measure_records(baseline.name, store, fit_tasks, evaluation.tasks)
 
 
 def _make_paradigm_row(evaluation: EvaluationRun, name: str) -> Row:
     """Return the row of a paradigm, or of a rule of Meta, with the numbers and bytes that its fits keep."""
-    run = evaluation.runs[name]
-    theta = parameters_per_task(run.app)
-    entries = {"shared": checkpoint_bytes(run.checkpoint), "baseline": False, "few": evaluation.is_of_subset(name)}
+    choice = evaluation.choices[name]
+    theta = parameters_per_task(choice.app)
+    entries = {
+        "shared": checkpoint_bytes(evaluation.fitters.get(name)),
+        "baseline": False,
+        "few": evaluation.is_of_subset(name),
+    }
     entries |= {"numbers": sum(value.numel() for value in theta.values()), "kept_bytes": parameter_bytes(theta)}
     entries |= paper_entries(evaluation, name)
-    records = evaluation.existing_records(name) if run.paradigm.takes_long else evaluation.records(name)
+    records = evaluation.existing_records(name) if choice.paradigm.takes_long else evaluation.records(name)
     return make_row(evaluation, name, records, entries, ("meta",))
 
 
-def _make_baseline_row(evaluation: EvaluationRun, name: str, records: list[Record]) -> Row:
+def _make_baseline_row(evaluation: EvaluationRun, name: str, records: list[FitRecord]) -> Row:
     """Return the row of a baseline, with the mean numbers and bytes that its fits keep."""
     kept_means = {
-        key: statistics.fmean(record[key] for record in records) if records else None
+        key: statistics.fmean(record.figures[key] for record in records) if records else None
         for key in ("numbers", "kept_bytes")
     }
-    entries = kept_means | {"shared": records[-1]["shared"] if records else None, "baseline": True}
+    entries = kept_means | {"shared": records[-1].figures["shared"] if records else None, "baseline": True}
     return make_row(evaluation, name, records, entries, ("meta",))
 
 
@@ -151,7 +160,9 @@ def _describe_missing_rows(evaluation: EvaluationRun, all_rows: list[Row], able:
     lines = [f"no records yet of {', '.join(absent)}: --which results measures them"] if absent else []
     names = {baseline.name for baseline in able}
     left_out = [
-        baseline for baseline in baselines_of(evaluation.run.application, evaluation.app) if baseline.name not in names
+        baseline
+        for baseline in baselines_of(evaluation.choice.application, evaluation.app)
+        if baseline.name not in names
     ]
     lines += [
         f"{baseline.name}: left out, as not all tasks hold {baseline.title}"

@@ -16,13 +16,14 @@ from metapp.appearance.colorimetry import colour_difference
 from metapp.appearance.presenter import Presenter
 from metapp.evaluation.error_statistics import PairedComparison, compare_errors
 from metapp.learning.task import Task
+from metapp.runs.choice import choose_as_recorded
 from metapp.runs.environment import torch_defaults
 from metapp.runs.outputs.contact_sheet import Tiles, tiles_of_methods, write_comparison_sheet
 from metapp.runs.outputs.run_records import find_fitted_tasks, read_run_records
 from metapp.runs.reporter import progress
-from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.fit_folders import PARAMS, summary
+from metapp.storage.fit_records import FitRecord, Settings, summary
+from metapp.storage.fit_store import PARAMS
 
 MAX_COMPARED_PICTURES = 20  # tasks that the picture shows
 SPHERE_PICTURE_APPS = ("brdf",)  # applications whose pictures are spheres, which show all fits at equal places
@@ -45,11 +46,14 @@ class ComparedRun(NamedTuple):
     label: str
     presenter: Presenter[Any]
     folder: Path
-    records: list[Document]
+    records: list[FitRecord]
 
     def errors_by_task(self, measure: str = "error") -> dict[str, float]:
         """Return an error, or a further measure, by the names of the tasks that have it."""
-        return {record["name"]: record[measure] for record in self.records if record.get(measure) is not None}
+        values = {
+            record.name: record.error if measure == "error" else record.errors.get(measure) for record in self.records
+        }
+        return {name: value for name, value in values.items() if value is not None}
 
     def median_seconds(self) -> float | None:
         """Return the median time of a fit, in seconds; None for predictions that were made elsewhere."""
@@ -108,8 +112,9 @@ class Comparison(NamedTuple):
             ],
             "tasks": [
                 {
-                    "name": task_records[0]["name"],
-                    **{key: [record.get(key) for record in task_records] for key in ("error", "seconds")},
+                    "name": task_records[0].name,
+                    "error": [record.error for record in task_records],
+                    "seconds": [record.seconds for record in task_records],
                 }
                 for task_records in zip(*(run.records for run in self.runs), strict=True)
             ],
@@ -131,12 +136,12 @@ def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: 
         ValueError: there are no runs, they are of different applications, or have no task in common.
     """
     stored_runs = [read_run_records(path, task, by_paradigm=False) for path in paths]
-    settings = [run.records[-1]["settings"] for run in stored_runs]
-    by_name = [{record["name"]: record for record in run.records} for run in stored_runs]
+    settings = [run.records[-1].settings for run in stored_runs]
+    by_name = [{record.name: record for record in run.records} for run in stored_runs]
     names = list(by_name[0])
     for path, run_settings, records_by_name in zip(paths[1:], settings[1:], by_name[1:], strict=True):
-        if run_settings["app"] != settings[0]["app"]:
-            apps = f"{settings[0]['app']} and {run_settings['app']}"
+        if run_settings.app != settings[0].app:
+            apps = f"{settings[0].app} and {run_settings.app}"
             raise ValueError(f"{path}: runs of {apps}, expected runs of one application; take another run.")
         previous_count, names = len(names), [name for name in names if name in records_by_name]
         if not names:
@@ -145,7 +150,7 @@ def read_comparison(paths: Sequence[Path], task: str, inputs: list[Path], data: 
     runs = [
         ComparedRun(
             label,
-            Run.from_settings(run_settings).presenter,
+            choose_as_recorded(run_settings).presenter,
             stored_run.folder,
             [records_by_name[name] for name in names],
         )
@@ -193,10 +198,10 @@ def draw_comparison(comparison: Comparison, file: Path, *, quiet: bool) -> tuple
         The file; None if tasks cannot be read, or a run is of a method that keeps no picture. And the comparison, for
         spheres with the colour differences of the pictures.
     """
-    fit_files = (Path(record["folder"], PARAMS) for run in comparison.runs for record in run.records)
+    fit_files = (Path(record.folder, PARAMS) for run in comparison.runs for record in run.records)
     if not comparison.tasks or not all(path.is_file() for path in fit_files):
         return None, comparison
-    records = [{record["name"]: record for record in run.records} for run in comparison.runs]
+    records = [{record.name: record for record in run.records} for run in comparison.runs]
     tasks, presenter = comparison.tasks[:MAX_COMPARED_PICTURES], comparison.runs[0].presenter
     columns = []
     with progress("picture", len(tasks), quiet=quiet) as bar, torch_defaults(single=presenter.app.small_tensors):
@@ -244,14 +249,15 @@ def _compare_colours(columns: list[Tiles], comparison: Comparison) -> dict[str, 
     }
 
 
-def _make_labels(settings: Sequence[Document]) -> list[str]:
+def _make_labels(settings: Sequence[Settings]) -> list[str]:
     """Return labels that tell runs apart, made of few settings, after A, B, ... where settings do not suffice."""
     words: list[tuple[str, ...]] = [() for _ in settings]
+    documents = [run_settings.document() for run_settings in settings]
     for key in LABEL_KEYS:
         prefix = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"
         values = [
-            f"{prefix}{run_settings.get(key, run_settings.get('method') if key == 'paradigm' else None)}"
-            for run_settings in settings
+            f"{prefix}{document.get(key, document.get('method') if key == 'paradigm' else None)}"
+            for document in documents
         ]
         longer_words = [(*run_words, value) for run_words, value in zip(words, values, strict=True)]
         words = longer_words if len({*longer_words}) > len({*words}) else words
@@ -260,13 +266,16 @@ def _make_labels(settings: Sequence[Document]) -> list[str]:
     return ["-".join(run_words) for run_words in words]
 
 
-def _describe_differences(settings: list[Document], by_name: list[Document], names: list[str]) -> list[str]:
+def _describe_differences(
+    settings: Sequence[Settings], by_name: Sequence[Mapping[str, FitRecord]], names: list[str]
+) -> list[str]:
     """Return notes on differences between runs that labels do not show."""
+    documents = [run_settings.document() for run_settings in settings]
     left_out_count = sum(map(len, by_name)) - len(by_name) * len(names)
-    changed_count = sum(len({records[name].get("content") for records in by_name}) > 1 for name in names)
+    changed_count = sum(len({records[name].content for records in by_name}) > 1 for name in names)
     values = {
-        key: [run_settings.get(key) for run_settings in settings]
-        for key in sorted({*NOTED_SETTINGS} & {key for run_settings in settings for key in run_settings})
+        key: [document.get(key) for document in documents]
+        for key in sorted({*NOTED_SETTINGS} & {key for document in documents for key in document})
     }
     return [
         *([f"{left_out_count} tasks that not all runs have are left out"] if left_out_count else []),

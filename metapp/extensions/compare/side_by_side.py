@@ -71,8 +71,8 @@ def comparison_table(comparison: Comparison) -> Table:
         table.add_column(run.label, justify="right")
     for task_records in zip(*(run.records for run in runs), strict=True):
         table.add_row(
-            escape_control_characters(task_records[0]["name"]),
-            *(format_number(record["error"], ".3f") for record in task_records),
+            escape_control_characters(task_records[0].name),
+            *(format_number(record.error, ".3f") for record in task_records),
         )
     table.add_section()
     table.add_row("mean error", *(format_number(measure.mean, ".3f") for measure in comparison.errors))

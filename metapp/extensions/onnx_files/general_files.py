@@ -11,10 +11,10 @@ from metapp.apps.svbrdf_nonstationary.coded_maps import CodedMaps
 from metapp.extensions.onnx_files.models import ONNX_OPSET, require_packages
 from metapp.extensions.onnx_files.onnx_page import MODEL_SIDES_PX, RUNTIME_VERSION, provide_runtime, write_page_folder
 from metapp.extensions.onnx_files.photographs import MODEL_SIDE_STEP_PX, VGG_CREDIT, encode_photo_model
-from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.choice import choose
 from metapp.runs.fit_options import FitOptions, check_new_files, fit_options
 from metapp.runs.reporter import progress, say
-from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.files import write_bytes
 from metapp.storage.shipped_checkpoints import FULL_RECIPE_NAME
@@ -51,13 +51,12 @@ def write_general(path: Path, kind: str, folder: Path, quiet: bool) -> list[Path
             runtime_files = provide_runtime(
                 lambda done, total: bar.set_done(done // 10**6, total and total // 10**6, "MB from npm")
             )
-    run = attach_checkpoint(Run.from_options(options))
-    app, checkpoint = run.app, run.checkpoint
+    choice = choose(options)
+    app, checkpoint = choice.app, load_phi(choice)
     if not isinstance(app, CodedMaps):
         raise ValueError(
             f"{path}: General of several photos, expected General of one photo; export the maps of its fits instead."
         )
-    assert checkpoint is not None
     metadata = {"made_by": "metapp export", "recipe": options.recipe, "checkpoint": checkpoint.digest, "license": "MIT"}
     if reads_features := bool(app.recorded_conditions()):
         metadata |= {"features": VGG_CREDIT, "license": f"MIT; of the features: {VGG_CREDIT}"}

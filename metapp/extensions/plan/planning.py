@@ -21,9 +21,9 @@ from metapp.apps.brdf.few.design import InstrumentLimits, Posterior, expected_er
 from metapp.apps.brdf.few.gaussian_model import FEW_NETWORK, error_slope, ridge_regression
 from metapp.evaluation.style import FIGURE_STYLE, MUTED_COLOUR, PARADIGM_COLOURS, place_labels
 from metapp.learning.task import Params
-from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.choice import choose
 from metapp.runs.fit_options import fit_options
-from metapp.runs.run import Run
 
 MAX_NUMBERED_PAIRS = 32  # pairs of directions; a picture of more pairs has no numbers
 
@@ -46,9 +46,7 @@ def plan_brdf(
     Raises:
         ValueError: no direction is within the limits.
     """
-    run = attach_checkpoint(Run.from_options(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True)))
-    assert run.checkpoint is not None  # attach_checkpoint raises an error where it is missing
-    encoder = run.checkpoint.phi.encoder
+    encoder = load_phi(choose(fit_options("brdf", "meta", recipe="few", device="cpu", quiet=True))).phi.encoder
     measured_angles = directions_to_full_rusinkiewicz(measurements.wi, measurements.wo)
     # without measurements the prior of kind 0 holds, which was learned from measured materials
     theta = (

@@ -18,16 +18,15 @@ from data_tools.synthetic.examples import write_example
 from metapp.extensions.viewer.view import View, make_view
 from metapp.extensions.viewer.viewer_page import FitGroup, write_page
 from metapp.learning.task import Task
+from metapp.runs.choice import choose_as_recorded, find_and_choose
 from metapp.runs.environment import make_folder, torch_defaults
-from metapp.runs.execution import execute_run
+from metapp.runs.execution import execute
 from metapp.runs.fit import Fit
 from metapp.runs.fit_options import fit_options
 from metapp.runs.outputs.run_records import RunRecords, find_fitted_tasks, group_by_settings, read_run_records
 from metapp.runs.reporter import format_number, progress, say
-from metapp.runs.run import Run
 from metapp.storage import Document
 from metapp.storage.files import file_name
-from metapp.storage.parameters import read_checked_params
 
 MAX_PAGE_TASKS = 20  # default number of tasks of a page
 PAGE_FILE_NAME = "view.html"
@@ -60,23 +59,23 @@ def write_runs_page(
     """
     runs = [read_run_records(path, task) for path in folders]
     labels, page = _label_runs(runs), out or runs[0].folder / PAGE_FILE_NAME
-    names = dict.fromkeys((record["settings"]["app"], record["name"]) for _, records in runs for record in records)
+    names = dict.fromkeys((record.settings.app, record.name) for _, records in runs for record in records)
     shown_names = list(names)[:most]
     if len(names) > most:
         say(f"view: {most} of {len(names)} tasks; --most {len(names)} shows all.")
-    fits_by_task: dict[tuple[str, str], list[tuple[str, Run, Task, Document]]] = {}
+    fits_by_task: dict[tuple[str, str], list[tuple[str, Fit]]] = {}
     with progress("view: reading", len(runs), quiet=quiet) as bar:
         for folder, records in runs:
-            records = [record for record in records if (record["settings"]["app"], record["name"]) in shown_names]
+            records = [record for record in records if (record.settings.app, record.name) in shown_names]
             missing = 0
             for records_of_run in group_by_settings(records):
-                run = Run.from_settings(records_of_run[-1]["settings"])
+                choice = choose_as_recorded(records_of_run[-1].settings)
                 tasks = find_fitted_tasks(records_of_run, list(inputs), data)
-                missing += sum(record["name"] not in tasks for record in records_of_run)
+                missing += sum(record.name not in tasks for record in records_of_run)
                 for record in records_of_run:
-                    name = record["name"]
-                    fit = labels[folder], run, tasks.get(name, Task(name, {})), record
-                    fits_by_task.setdefault((run.app.name, name), []).append(fit)
+                    name = record.name
+                    fit = Fit(choice, tasks.get(name, Task(name, {})), record)
+                    fits_by_task.setdefault((choice.app.name, name), []).append((labels[folder], fit))
             if missing:
                 found = f"the inputs of {missing} of {len(records)} fits are not at hand"
                 say(f"view: {found}; give them by --input or --data to see references.")
@@ -86,36 +85,34 @@ def write_runs_page(
     with progress("view", len(fits_by_task), quiet=quiet) as bar:
         for fits in fits_by_task.values():
             views = []
-            for label, run, fitted_task, record in fits:
+            for label, fit in fits:
                 try:
-                    views.append(
-                        make_labelled_view(Fit(run, fitted_task, record, read_checked_params(record, run.app)), label)
-                    )
+                    views.append(make_labelled_view(fit, label))
                 except ValueError as error:
                     omissions.append(f"{label} of {error}")
-            _, run, fitted_task, _ = fits[0]
-            groups += [FitGroup(fitted_task.name, run.presenter.title, views)] if views else []
-            bar.advance(fitted_task.name)
+            _, first_fit = fits[0]
+            groups += [FitGroup(first_fit.name, first_fit.choice.presenter.title, views)] if views else []
+            bar.advance(first_fit.name)
     if not groups:
         raise ValueError(omissions[0])
     for line in omissions:
         say(f"warning: left out: {line}")
-    titles = dict.fromkeys(fits[0][1].presenter.title for fits in fits_by_task.values())
+    titles = dict.fromkeys(fits[0][1].choice.presenter.title for fits in fits_by_task.values())
     return write_page(f"metapp: {', '.join(titles)}", groups, page)
 
 
 def _label_runs(runs: Sequence[RunRecords]) -> dict[Path, str]:
     """Return labels by folder that tell runs of one application apart: the paradigm, and settings that differ."""
-    settings = {run.folder: run.records[-1]["settings"] for run in runs}
-    labels = {folder: run_settings["paradigm"] for folder, run_settings in settings.items()}
-    for app in {run_settings["app"] for run_settings in settings.values()}:
-        folders = [folder for folder, run_settings in settings.items() if run_settings["app"] == app]
+    settings = {run.folder: run.records[-1].settings for run in runs}
+    labels = {folder: run_settings.paradigm for folder, run_settings in settings.items()}
+    for app in {run_settings.app for run_settings in settings.values()}:
+        folders = [folder for folder, run_settings in settings.items() if run_settings.app == app]
         for key in ("rule", "recipe", "steps", "seed"):
             if len({labels[folder] for folder in folders}) == len(folders):
                 break
             word = f" {key}" if key in ("steps", "seed") else ""
-            if len({str(settings[folder].get(key)) for folder in folders}) > 1:
-                labels |= {folder: f"{labels[folder]}{word} {settings[folder].get(key)}" for folder in folders}
+            if len({str(getattr(settings[folder], key)) for folder in folders}) > 1:
+                labels |= {folder: f"{labels[folder]}{word} {getattr(settings[folder], key)}" for folder in folders}
     return labels
 
 
@@ -128,7 +125,7 @@ def make_labelled_view(fit: Fit, label: str) -> View:
     """
     try:
         with torch_defaults(single=fit.app.small_tensors):
-            view = make_view(fit.run.presenter, fit.parameters, fit.task)
+            view = make_view(fit.choice.presenter, fit.parameters, fit.task)
     except KeyError as missing:
         if fit.task.data:
             raise
@@ -153,7 +150,7 @@ def write_fit_page(fit: Fit, path: str | bytes | PathLike[str] = "") -> Path:
     Raises:
         OSError: the file cannot be written.
     """
-    title, views = fit.run.presenter.title, [make_labelled_view(fit, fit.settings["paradigm"])]
+    title, views = fit.choice.presenter.title, [make_labelled_view(fit, fit.settings["paradigm"])]
     page = Path(os.fsdecode(path or f"{file_name(fit.name)}.html"))
     return write_page(f"metapp: {title}", [FitGroup(fit.name, title, views)], page)
 
@@ -175,8 +172,9 @@ def fit_synthetic_input(app: str, out: Path, recipe: str = "") -> tuple[Path, Do
     """
     begin = time.perf_counter()
     example_file = write_example(app, out / INPUTS_FOLDER)[0]
-    report = execute_run(Run.from_options(fit_options(app, inputs=[example_file], recipe=recipe, out=out, quiet=True)))
+    options = fit_options(app, inputs=[example_file], recipe=recipe, out=out, quiet=True)
+    report = execute(find_and_choose(options))
     assert report is not None  # only ranks of a distributed run have none
     (record,) = report.records
-    figures = {key: record[key] for key in ("name", "error", "seconds")}
+    figures = {"name": record.name, "error": record.error, "seconds": record.seconds}
     return report.path, {"app": app, **figures, "whole_seconds": time.perf_counter() - begin}

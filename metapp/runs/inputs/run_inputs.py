@@ -1,6 +1,6 @@
-"""The inputs of a run: a user's files, objects in memory, or the test tasks of a data set, each read when needed.
+"""The inputs of fits: a user's files, objects in memory, or the test tasks of a data set, each read when needed.
 
-What a path means was decided in `metapp.runs.inputs.finding`; here its reader is called with the arguments of the run.
+What a path means was decided in `metapp.runs.inputs.finding`; here its reader is called with the arguments of the fits.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from data_tools.readers.input_source import DEFAULT_PHOTO_PX, Source
 from metapp.application import Application
 from metapp.learning.app import App
 from metapp.learning.task import Task
+from metapp.runs.choice import Choice
 from metapp.runs.inputs.embedded import make_embedded_set, make_embedded_test_set
 from metapp.runs.inputs.finding import MEMORY_FORMAT, absolute_place, bind_reader_arguments
 from metapp.runs.reporter import say
-from metapp.runs.run import Run
 from metapp.storage.files import check_readable, error_about_file, file_name, printable_name, to_json_value
-from metapp.storage.fit_folders import name_with_digest
+from metapp.storage.fit_store import name_with_digest
 from metapp.storage.folders import cache_lookups
 from metapp.storage.shards import fingerprint, read_data_set, read_manifest
 
@@ -95,8 +95,8 @@ def read_test_tasks(application: Application, app: App, data: Path | None, quiet
     return [task._replace(name=printable_name(task.name)) for task in tasks], data_label(folder)
 
 
-def find_inputs(run: Run) -> tuple[list[Input], str]:
-    """Find the inputs of a run: its files, its objects in memory, or the test tasks of its data set.
+def find_inputs(choice: Choice) -> tuple[list[Input], str]:
+    """Find the inputs of a choice: its files, its objects in memory, or the test tasks of its data set.
 
     Returns:
         The inputs, and the label of the data in settings of fits.
@@ -104,11 +104,11 @@ def find_inputs(run: Run) -> tuple[list[Input], str]:
     Raises:
         ValueError: a path is missing, or there is no test task.
     """
-    options, application = run.options, run.options.application
+    options, application = choice.options, choice.options.application
     if options.objects:
-        return inputs_of_objects(application, options.objects, _reader_arguments(run)), MEMORY_FORMAT
+        return inputs_of_objects(application, options.objects, _reader_arguments(choice)), MEMORY_FORMAT
     if not options.paths:
-        tasks, label = read_test_tasks(application, run.app, options.data, options.quiet)
+        tasks, label = read_test_tasks(application, choice.app, options.data, options.quiet)
         return inputs_of_tasks(tasks), label
     merge_options = [option for option in application.merges if option in options.app_options.non_default_values()]
     for path in options.paths:
@@ -117,10 +117,10 @@ def find_inputs(run: Run) -> tuple[list[Input], str]:
     if options.data:
         read_manifest(options.data)  # the set that a checkpoint is, or was, trained on: a mistyped folder is an error
     if merge_options:
-        return [_merge_sources(run, merge_options[0])], FILES_LABEL
-    arguments = _reader_arguments(run)
+        return [_merge_sources(choice, merge_options[0])], FILES_LABEL
+    arguments = _reader_arguments(choice)
     with cache_lookups():
-        return [_input_of_source(application, source, arguments) for source in run.sources], FILES_LABEL
+        return [_input_of_source(application, source, arguments) for source in choice.sources], FILES_LABEL
 
 
 def _input_of_source(application: Application, source: Source, arguments: Mapping[str, object]) -> Input:
@@ -186,32 +186,32 @@ def _read_file(read_task: Callable[[Path], Task], place: Path) -> Task:
     return read_task(place)
 
 
-def _reader_arguments(run: Run) -> dict[str, object]:
+def _reader_arguments(choice: Choice) -> dict[str, object]:
     """Return arguments of readers by keyword: the size that fits have, and the options about INPUT that are set.
 
     `size` is the side of pictures in px, `rows` the same number for panoramas, `least` the smallest side of photos in
     px.
     """
-    arguments = {"observe": run.options.observe} | run.options.app_options.reader_keywords()
-    if read_size := run.app.read_size:
+    arguments = {"observe": choice.options.observe} | choice.options.app_options.reader_keywords()
+    if read_size := choice.app.read_size:
         arguments = {"size": read_size, "rows": read_size, "least": min(read_size, DEFAULT_PHOTO_PX)} | arguments
     return arguments
 
 
-def _merge_sources(run: Run, option: str) -> Input:
-    """Return the one input that all sources of a run become by an option that merges them, such as photos of one ball.
+def _merge_sources(choice: Choice, option: str) -> Input:
+    """Return the one input that all sources become by an option that merges them, such as photos of one ball.
 
     Args:
-        run: the run.
+        choice: the options, and the sources of the inputs.
         option: the name of the option.
     """
-    places = [source.path for source in run.sources]
+    places = [source.path for source in choice.sources]
 
     def read() -> Task:
-        merge = bind_reader_arguments(run.options.application.merges[option].load(), _reader_arguments(run))
-        return merge(places, getattr(run.options.app_options, option))
+        merge = bind_reader_arguments(choice.options.application.merges[option].load(), _reader_arguments(choice))
+        return merge(places, getattr(choice.options.app_options, option))
 
-    return Input(to_json_value(str(places[0].resolve())), read, True, run.options.paths)
+    return Input(to_json_value(str(places[0].resolve())), read, True, choice.options.paths)
 
 
 def task_digest(task: Task) -> str:

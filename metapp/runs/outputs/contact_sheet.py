@@ -20,9 +20,9 @@ from torch import Tensor
 from metapp.appearance.colour import composite_to_srgb
 from metapp.appearance.presenter import Presenter
 from metapp.learning.task import Params, Task
-from metapp.storage import Document
 from metapp.storage.files import PARTIAL_PREFIX, write_atomically
-from metapp.storage.fit_folders import RECORD, read_params
+from metapp.storage.fit_records import FitRecord
+from metapp.storage.fit_store import RECORD, read_params
 from metapp.storage.image_writers import to_8_bit_image
 from metapp.storage.parameters import check_params
 
@@ -159,7 +159,7 @@ def _shorten(text: str, width: int, font: ImageFont.FreeTypeFont) -> str:
     return text[:cut] + "…"
 
 
-def tiles_of_fit(presenter: Presenter[Any], task: Task, theta: Params, record: Document) -> Tiles:
+def tiles_of_fit(presenter: Presenter[Any], task: Task, theta: Params, record: FitRecord) -> Tiles:
     """Return the pictures of a fit and the text about its error.
 
     Args:
@@ -168,10 +168,10 @@ def tiles_of_fit(presenter: Presenter[Any], task: Task, theta: Params, record: D
         theta: the parameters of the fit, without a task axis.
         record: the record of the fit.
     """
-    return Tiles(_to_display_values(presenter.tiles(theta, task)), record["name"], {"": _error_text(record, "error ")})
+    return Tiles(_to_display_values(presenter.tiles(theta, task)), record.name, {"": _error_text(record, "error ")})
 
 
-def tiles_of_methods(task: Task, fits: Sequence[tuple[str, Presenter[Any], Document]]) -> Tiles:
+def tiles_of_methods(task: Task, fits: Sequence[tuple[str, Presenter[Any], FitRecord]]) -> Tiles:
     """Return the reference, the photo or the samples of a task, then a picture of each fit of the task by its label.
 
     Args:
@@ -180,9 +180,9 @@ def tiles_of_methods(task: Task, fits: Sequence[tuple[str, Presenter[Any], Docum
     """
     tiles: dict[str, np.ndarray] = {}
     for label, presenter, record in fits:
-        theta = read_params(record["folder"])
+        theta = read_params(record.folder)
         if PICTURE_KEY not in theta:
-            check_params(theta, presenter.app, record["folder"])
+            check_params(theta, presenter.app, record.folder)
         pictures = {"fit": theta[PICTURE_KEY]} if PICTURE_KEY in theta else presenter.preview(theta, task)
         if not tiles:
             tiles |= _to_display_values({name: pictures[name] for name in TASK_PICTURE_NAMES if name in pictures})
@@ -206,11 +206,11 @@ def write_comparison_sheet(presenter: Presenter[Any], tasks: list[Tiles], file: 
     )
 
 
-def _error_text(record: Document, prefix: str = "") -> str:
+def _error_text(record: FitRecord, prefix: str = "") -> str:
     """Return the error of a fit as a text, or its difference from the photo if there is no reference."""
-    if record["error"] is not None:
-        return f"{prefix}{record['error']:.3f}"
-    return f"|fit - photo| {record['photo_error']:.2f} %" if "photo_error" in record else ""
+    if record.error is not None:
+        return f"{prefix}{record.error:.3f}"
+    return "" if record.photo_error is None else f"|fit - photo| {record.photo_error:.2f} %"
 
 
 def _to_display_values(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]:

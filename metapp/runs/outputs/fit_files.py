@@ -15,13 +15,13 @@ from metapp.appearance.pictures import Picture, ScenePictures
 from metapp.learning.app import stack_tasks
 from metapp.learning.task import Params, Task
 from metapp.options import OUTPUT
-from metapp.runs.checkpoint_selection import attach_checkpoint
+from metapp.runs.checkpoint_selection import load_phi
+from metapp.runs.choice import Choice, choose
 from metapp.runs.fit_options import fit_options
 from metapp.runs.inputs.run_inputs import task_digest
 from metapp.runs.reporter import format_number, say
-from metapp.runs.run import Run
-from metapp.storage import Document
 from metapp.storage.checkpoint_files import tensor_digest
+from metapp.storage.fit_records import FitRecord, Settings
 from metapp.storage.image_writers import write_exr, write_png
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME
 
@@ -29,21 +29,21 @@ SCENE_SUFFIXES = (".usda", ".mtlx", ".xml", ".html")  # suffixes of a file in a 
 WRITER_THREADS = 2  # number of pictures that are compressed at a time
 
 
-def render_outputs(run: Run, task: Task, theta: Params) -> ScenePictures:
-    """Render the outputs that options of a run ask for, such as --render of transport.
+def render_outputs(choice: Choice, task: Task, theta: Params) -> ScenePictures:
+    """Render the outputs that options ask for, such as --render of transport.
 
     Args:
-        run: the run of the fit.
+        choice: the choice of the fit.
         task: the task that was fitted.
         theta: the parameters of the fit, without a task axis.
 
     Returns:
         The pictures by name, and lines about them for the user.
     """
-    output_options, outputs = run.options.app_options.non_default_values(OUTPUT), ScenePictures({}, [])
-    for name, entry in run.application.outputs.items():
+    output_options, outputs = choice.options.app_options.non_default_values(OUTPUT), ScenePictures({}, [])
+    for name, entry in choice.application.outputs.items():
         if name in output_options:
-            pictures, lines = entry.load()(run.app, task, theta, output_options[name])
+            pictures, lines = entry.load()(choice.app, task, theta, output_options[name])
             outputs = ScenePictures(outputs.files | pictures, [*outputs.lines, *lines])
     return outputs
 
@@ -75,7 +75,7 @@ def _write_picture(file: Path, picture: Picture) -> None:
     write_png(pixels, texts, file)
 
 
-def export_path(record: Document, form: str, out: Path | None = None) -> Path:
+def export_path(record: FitRecord, form: str, out: Path | None = None) -> Path:
     """Return the path of an export of a fit, without suffix.
 
     Args:
@@ -83,8 +83,8 @@ def export_path(record: Document, form: str, out: Path | None = None) -> Path:
         form: the name of the file format.
         out: the folder to write to; None for a folder of the format's name in the folder of the fit.
     """
-    name = Path(record["folder"]).name
-    return out / name if out else Path(record["folder"], form, name)
+    name = Path(record.folder).name
+    return out / name if out else Path(record.folder, form, name)
 
 
 def file_to_open(path: Path) -> Path:
@@ -100,30 +100,30 @@ def file_to_open(path: Path) -> Path:
     return candidates[0] if len(candidates) == 1 else path.parent
 
 
-def export_fit(run: Run, task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
+def export_fit(choice: Choice, task: Task, theta: Params, path: Path, name: str, settings: Settings) -> None:
     """Write one fit in another file format; a format for another network gets the fit distilled into that network.
 
     Args:
-        run: the run of the fit, whose options have the size of surfaces.
+        choice: the choice of the fit, whose options have the size of surfaces.
         task: the task that was fitted.
         theta: the parameters of the fit, without a task axis.
         path: the file to write, without suffix; its last part names an asset.
         name: the name of the format.
         settings: the settings in the record of the fit, which an asset states as its provenance.
     """
-    app = run.app
-    form = run.application.exports[name]
+    app = choice.app
+    form = choice.application.exports[name]
     write = form.load()
     if form.of_surface:
-        surface = run.presenter.surface(theta, task)
+        surface = choice.presenter.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
-        write(surface, path, {"task": task.name, **settings})
+        write(surface, path, {"task": task.name, **settings.document()})
         return
     if form.holds and set(theta) != set(form.holds):
         key = f"{app.name} {task_digest(task)} {tensor_digest(theta)}"
         if key not in _DISTILLED_FITS:
             _DISTILLED_FITS.clear()
-            _DISTILLED_FITS[key] = distill_fit(run, task, theta)
+            _DISTILLED_FITS[key] = distill_fit(choice, task, theta)
         theta = _DISTILLED_FITS[key]
     write(app, theta, path)
 
@@ -131,32 +131,32 @@ def export_fit(run: Run, task: Task, theta: Params, path: Path, name: str, setti
 _DISTILLED_FITS: dict[str, Params] = {}  # the last distilled fit alone, for all formats that it is written in
 
 
-def distill_fit(run: Run, task: Task, theta: Params) -> Params:
+def distill_fit(choice: Choice, task: Task, theta: Params) -> Params:
     """Distill a fit into the application's usual network, and say by how much the error grows.
 
     Finetune fits the usual network to values of the fit, as many as the task has samples. It sees no sample of the task
     itself.
 
     Args:
-        run: the run of the fit.
+        choice: the choice of the fit.
         task: the task that was fitted.
         theta: the parameters of the fit, without a task axis.
 
     Returns:
         Parameters of the usual network, without a task axis.
     """
-    options = fit_options(run.application.name, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)
-    usual_run, app = attach_checkpoint(Run.from_options(options)), run.app
-    sampled_task = run.presenter.sample_fit(theta, task)
+    options = fit_options(choice.application.name, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)
+    usual, app = choose(options), choice.app
+    sampled_task = choice.presenter.sample_fit(theta, task)
     assert sampled_task is not None, f"{app.name} has one network"
-    distilled = usual_run.paradigm.fit(
-        usual_run.phi, stack_tasks(usual_run.app, [sampled_task]), Generator().manual_seed(options.seed)
+    distilled = usual.paradigm.fit(
+        load_phi(usual).phi, stack_tasks(usual.app, [sampled_task]), Generator().manual_seed(options.seed)
     )
     error_before, error_after = (
         format_number(
             app.error_measure.scale * float(any_app.errors(params, stack_tasks(any_app, [task]))["error"][0]), ".3f"
         )
-        for any_app, params in ((app, {key: value[None] for key, value in theta.items()}), (usual_run.app, distilled))
+        for any_app, params in ((app, {key: value[None] for key, value in theta.items()}), (usual.app, distilled))
     )
     say(f"{task.name}: distilled into the network of the format; error {error_after}, of the fit {error_before}")
     return {key: value[0] for key, value in distilled.items()}

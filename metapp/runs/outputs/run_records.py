@@ -12,35 +12,22 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from msgspec.structs import replace
+
 from metapp.entries import did_you_mean
 from metapp.learning.task import Task
+from metapp.runs.choice import choose_as_recorded
 from metapp.runs.fit_options import application_named, check_export, extract_data_set, fit_options
 from metapp.runs.inputs.embedded import embedded_folders
 from metapp.runs.inputs.run_inputs import FILES_LABEL, Input, data_label, find_inputs, read_test_tasks, task_digest
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open
 from metapp.runs.reporter import progress, say
-from metapp.runs.run import Run
 from metapp.storage import Document
-from metapp.storage.files import get_json_entry, path_from_json_text
-from metapp.storage.fit_folders import (
-    NUMBER_ENTRIES,
-    PARAMS,
-    RECORD,
-    read_fit_record,
-    read_fit_records,
-    read_packed_record,
-)
+from metapp.storage.files import path_from_json_text
+from metapp.storage.fit_records import FitRecord
+from metapp.storage.fit_store import PARAMS, RECORD, read_fit_record, read_fit_records, read_packed_record
 from metapp.storage.folders import FITS_OF_RUNS, KINDS_WITH_FITS, PathKind, find_record_files, path_kind, path_refusal
 from metapp.storage.parameters import read_checked_params
-
-# Settings that a run is made of, all texts, and their values where a record lacks them (None: it must not)
-TEXT_SETTINGS = {"app": None, "data": None, "recipe": None, "paradigm": "", "rule": "", "observe": ""}
-# The types of further settings, which a record may lack
-SETTING_TYPES = {
-    **dict.fromkeys(("steps", "batch", "seed"), int),
-    **dict.fromkeys(("checkpoint", "device", "precision"), str),
-    **dict.fromkeys(("adam", "guard", "versions"), dict),
-}
 
 
 class RunRecords(NamedTuple):
@@ -52,7 +39,7 @@ class RunRecords(NamedTuple):
     """
 
     folder: Path
-    records: list[Document]
+    records: list[FitRecord]
 
 
 def read_run_records(place: Path, task: str = "", *, by_paradigm: bool = True) -> RunRecords:
@@ -67,51 +54,42 @@ def read_run_records(place: Path, task: str = "", *, by_paradigm: bool = True) -
     Raises:
         ValueError: there is no record or none of that task, or a record has other settings than metapp writes.
     """
-    entries = ("settings", *(NUMBER_ENTRIES if by_paradigm else ("error",)))
-    task_record = read_fit_record(place, entries)
+    task_record = read_fit_record(place, timed=by_paradigm)
     folder = place if task_record else _newest_run_folder(place)
-    records = [task_record] if task_record else read_fit_records(folder, entries)
+    records = [task_record] if task_record else read_fit_records(folder, timed=by_paradigm)
     if by_paradigm:
-        records = [record for record in records if record["settings"].keys() >= {"paradigm", "rule"}]
+        records = [record for record in records if record.settings.paradigm]
     if not records:
         expected = "a run's folder, such as runs/brdf/meta"
         if path_kind(place) in (PathKind.DATA_SET, PathKind.RECTIFIED, PathKind.DIAGNOSTIC):
             raise ValueError(path_refusal(place, expected))
         state = "no folders of fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         raise ValueError(f"{place}: {state}, expected {expected}.")
-    names = [record["name"] for record in records]
+    names = [record.name for record in records]
     if task and task not in names:
         first_names = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
         hint = did_you_mean(task, names)
         raise ValueError(f"{place}: no record of task '{task}', expected one of {first_names}.{hint}")
     records = [records[names.index(task)]] if task else records
     for record in records:
-        _check_settings(record)
+        _require_settings(record)
     return RunRecords(folder, records)
 
 
-def _check_settings(record: Document) -> None:
-    """Refuse a record whose settings or places of inputs, which anybody may have written, make no run.
+def _require_settings(record: FitRecord) -> None:
+    """Refuse a record that lacks a setting by which a fit can be shown again.
 
     Raises:
-        ValueError: a setting is missing or of another type, or a place is no text.
+        ValueError: a setting is missing.
     """
-    settings, origin = record["settings"], record.get("origin", {})
-    place = Path(record["folder"])
-    subject = f"{place if place.is_file() else place / RECORD}: {record['name']}: "
-    for key, default in TEXT_SETTINGS.items():
-        get_json_entry(settings, key, str, subject, "fit again", default)
-    for key, setting_type in SETTING_TYPES.items():
-        if settings.get(key) is not None:
-            get_json_entry(settings, key, setting_type, subject, "fit again")
-    get_json_entry(settings, "options", dict, subject, "fit again", {})
-    get_json_entry(origin, "data", str, subject, "fit again", "")
-    inputs = get_json_entry(origin, "inputs", list, subject, "fit again", [])
-    if not all(isinstance(path, str) for path in inputs):
-        raise ValueError(f"{subject}'inputs' hold more than text, expected paths; fit again.")
+    place = Path(record.folder)
+    for name in ("app", "data", "recipe"):
+        if not getattr(record.settings, name):
+            file = place if place.is_file() else place / RECORD
+            raise ValueError(f"{file}: {record.name}: '{name}' is missing, expected text; fit again.")
 
 
-def read_fit_of_file(file: Path) -> Document:
+def read_fit_of_file(file: Path) -> FitRecord:
     """Read the record of a fit by one of its files.
 
     Args:
@@ -120,11 +98,9 @@ def read_fit_of_file(file: Path) -> Document:
     Raises:
         ValueError: the file belongs to no fit, or the record has other settings than metapp writes.
     """
-    if file.name in (RECORD, PARAMS) and (record := read_fit_record(file.parent, ("settings", *NUMBER_ENTRIES))):
-        _check_settings(record)
-        return record
-    record = read_packed_record(file, ("settings", *NUMBER_ENTRIES))
-    _check_settings(record)
+    record = read_fit_record(file.parent, timed=True) if file.name in (RECORD, PARAMS) else None
+    record = record or read_packed_record(file)
+    _require_settings(record)
     return record
 
 
@@ -146,7 +122,7 @@ def _newest_run_folder(folder: Path) -> Path:
     return run_folder
 
 
-def find_fitted_tasks(records: list[Document], inputs: list[Path], data: Path | None) -> dict[str, Task]:
+def find_fitted_tasks(records: list[FitRecord], inputs: list[Path], data: Path | None) -> dict[str, Task]:
     """Find the tasks that were fitted in a run, and read them.
 
     They are looked for in the given inputs or data set, else at the places in the records, else in the embedded set.
@@ -166,37 +142,37 @@ def find_fitted_tasks(records: list[Document], inputs: list[Path], data: Path | 
     }
 
 
-def group_by_settings(records: Iterable[Document]) -> list[list[Document]]:
+def group_by_settings(records: Iterable[FitRecord]) -> list[list[FitRecord]]:
     """Group records by their settings: a run's folder may hold fits of several commands."""
-    groups: dict[str, list[Document]] = {}
+    groups: dict[str, list[FitRecord]] = {}
     for record in records:
-        groups.setdefault(json.dumps(record["settings"], sort_keys=True), []).append(record)
+        groups.setdefault(json.dumps(record.settings.document(), sort_keys=True), []).append(record)
     return list(groups.values())
 
 
-def _find_tasks_of_group(records: list[Document], inputs: Sequence[Path], data: Path | None) -> dict[str, Task]:
+def _find_tasks_of_group(records: list[FitRecord], inputs: Sequence[Path], data: Path | None) -> dict[str, Task]:
     """Find the tasks of records of equal settings; see :func:`find_fitted_tasks`."""
-    settings, origins = records[-1]["settings"], [record.get("origin", {}) for record in records]
+    settings, origins = records[-1].settings, [record.origin for record in records]
     inputs, data = extract_data_set(inputs, data)
-    label, places = settings["data"], [place for origin in origins for place in origin.get("inputs", [])]
+    label, places = settings.data, [place for origin in origins for place in origin.inputs]
     if not (inputs or data):
-        places += [record.get("source", "") for record in records] if label == FILES_LABEL else []
+        places += [record.source for record in records] if label == FILES_LABEL else []
         inputs = [path for path in map(path_from_json_text, dict.fromkeys(places)) if path.exists()]
-        data_folders = (path_from_json_text(origin["data"]) for origin in origins if "data" in origin)
+        data_folders = (path_from_json_text(origin.data) for origin in origins if origin.data)
         data = next((folder for folder in data_folders if folder.is_dir()), None)
     # test tasks of the embedded set may lie in a folder of their own, or beside its training tasks
-    application = application_named(settings["app"])
+    application = application_named(settings.app)
     embedded = next((folder for folder in embedded_folders(application) if data_label(folder) == label), None)
     if not (inputs or data or embedded):
         return {}
-    run = Run.from_settings(settings, inputs=inputs, data=data)
+    choice = choose_as_recorded(settings, inputs=inputs, data=data)
     if inputs:
-        return _read_unchanged_tasks(records, find_inputs(run)[0])
-    tasks, present_label = read_test_tasks(application, run.app, data or embedded, quiet=True)
+        return _read_unchanged_tasks(records, find_inputs(choice)[0])
+    tasks, present_label = read_test_tasks(application, choice.app, data or embedded, quiet=True)
     return {task.name: task for task in tasks} if present_label == label else {}
 
 
-def _read_unchanged_tasks(records: list[Document], inputs: list[Input]) -> dict[str, Task]:
+def _read_unchanged_tasks(records: list[FitRecord], inputs: list[Input]) -> dict[str, Task]:
     """Read the tasks of records from files that have not changed since, even if they were moved.
 
     Args:
@@ -206,13 +182,13 @@ def _read_unchanged_tasks(records: list[Document], inputs: list[Input]) -> dict[
     Returns:
         Tasks by the name in their record.
     """
-    names, tasks_by_digest = {Path(record.get("source", "")).name for record in records}, {}
+    names, tasks_by_digest = {Path(record.source).name for record in records}, {}
     for run_input in inputs:
         if Path(run_input.place).name in names:
             with contextlib.suppress(ValueError, OSError):  # a file that was damaged since is not found
                 task = run_input.read_task()
                 tasks_by_digest[task_digest(task)] = task
-    pairs = [(record["name"], tasks_by_digest.get(record.get("content", ""))) for record in records]
+    pairs = [(record.name, tasks_by_digest.get(record.content)) for record in records]
     return {name: task._replace(name=name) for name, task in pairs if task}
 
 
@@ -238,7 +214,7 @@ def export_fits(
         ValueError: there is no run, records or parameters are damaged, or a format needs inputs that are not given.
     """
     folder, records = read_run_records(place)
-    app_names = {record["settings"]["app"] for record in records}
+    app_names = {record.settings.app for record in records}
     if len(app_names) > 1:
         names = ", ".join(sorted(app_names))
         raise ValueError(f"{place}: fits of {names}, expected one application; take one run's folder.")
@@ -249,12 +225,12 @@ def export_fits(
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, Task] | None = None
         for record in records:
-            settings, name = record["settings"], record["name"]
-            run = Run.from_settings(settings, options=options)
-            theta = read_checked_params(record, Run.from_settings(settings).app if options else run.app)
+            settings, name = record.settings, record.name
+            choice = choose_as_recorded(settings, options)
+            theta = read_checked_params(record, choose_as_recorded(settings).app if options else choice.app)
             if options:
-                settings = settings | {"options": settings.get("options", {}) | options}
-            write = functools.partial(export_fit, run, theta=theta, path=export_path(record, form, out), name=form)
+                settings = replace(settings, options=settings.options | options)
+            write = functools.partial(export_fit, choice, theta=theta, path=export_path(record, form, out), name=form)
             if tasks is None and (inputs or data):  # some formats do without the input, but have more detail with it
                 tasks = find_fitted_tasks(records, inputs, data)
             try:
@@ -270,4 +246,4 @@ def export_fits(
             files.append(file_to_open(export_path(record, form, out)))
             bar.advance(name)
     target = out or (folder if len(records) > 1 else export_path(records[0], form).parent)
-    return target, [record["name"] for record in records], files
+    return target, [record.name for record in records], files

@@ -16,7 +16,7 @@ from metapp.evaluation.tables.results import result_rows
 from metapp.learning.task import Task
 from metapp.runs.environment import find_device
 from metapp.runs.reporter import Bar, Reporter, use_reporter
-from metapp.storage.fit_folders import Record, RunFolder
+from metapp.storage.fit_store import Record, RunFolder
 from tests.evaluation.cli.evaluation_runs import evaluation_run_of
 from tests.recipe_apps import app_by_recipe
 

@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.fit_folders import read_fit_records
+from metapp.storage.fit_store import read_fit_records
 from tests.pictures import write_noise_map, write_noise_photo
 
 

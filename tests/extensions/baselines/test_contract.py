@@ -24,7 +24,7 @@ from metapp.registry import registry
 from metapp.runs.fit_options import fit_options
 from metapp.runs.reporter import Reporter, use_reporter
 from metapp.runs.run import Run
-from metapp.storage.fit_folders import RunFolder, read_params
+from metapp.storage.fit_store import RunFolder, read_params
 from metapp.storage.shards import write_data_set
 from tests.marked import long
 from tests.recipe_apps import app_by_recipe, app_names, application, observations_of, presenter_of

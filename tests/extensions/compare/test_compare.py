@@ -9,7 +9,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.storage.fit_folders import read_fit_records, write_fit
+from metapp.storage.fit_store import read_fit_records, write_fit
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 3

@@ -14,7 +14,7 @@ from data_tools.readers.measured_pairs import task_of_pairs
 from metapp.appearance.geometry import angle_cosines, directions_to_full_rusinkiewicz
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.extensions.plan import planned_pairs
-from metapp.storage.fit_folders import read_fit_records
+from metapp.storage.fit_store import read_fit_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
