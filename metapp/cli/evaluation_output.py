@@ -182,7 +182,7 @@ def evaluation_runs_of(options: EvaluateOptions, apps: list[str]) -> list[Evalua
         observations = application.observations[: None if options.whole else 1] or ("",)
         for observation in [options.observe] if options.observe and any(observations) else observations:
             values = {"observe": observation, "recipe": recipe, **fit_values}
-            choices.append(find_and_choose(fit_options(application.name, "general", **values)))
+            choices.append(find_and_choose(fit_options(application, "general", **values)))
     evaluations = []
     for choice in choices:  # all checkpoints are read before the first fit
         try:

@@ -30,7 +30,7 @@ def make_fit_command(paradigm: str, application: Application) -> Callable[..., N
         for option in ignored_options:
             if values.pop(option.name) not in (None, False):
                 say(f"{option.flag}: {paradigm} does not use this option; it is ignored.")
-        options = fit_options(application.name, paradigm, inputs or (), export=",".join(export or ()), **values)
+        options = fit_options(application, paradigm, inputs or (), export=",".join(export or ()), **values)
         with pause_garbage_collection():
             from metapp.cli.fit_output import fit_and_print
         fit_and_print(options, json=json)

@@ -23,7 +23,7 @@ from metapp.learning.learn import (
     with_coarsening,
 )
 from metapp.learning.random_tensors import Rng, draw_per_task
-from metapp.learning.recipe import Adam, OuterLoop, Recipe
+from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.task import Batch, Params, Tasks
 from metapp.paradigms.paradigm import CheckpointTraining, Paradigm
 
@@ -35,12 +35,8 @@ class Overfit(Paradigm):
     """Adam from a random initialisation, until it has converged."""
 
     name = "overfit"
+    steps_field = "overfit_steps"
     takes_long = True
-
-    @staticmethod
-    @override
-    def _usual_steps(recipe: Recipe) -> int:
-        return recipe.overfit_steps
 
     @override
     def adam(self, phi: MetaParameters) -> Adam:
@@ -58,12 +54,6 @@ class General(Paradigm):
 
     name = "general"
 
-    @staticmethod
-    @override
-    def _usual_steps(recipe: Recipe) -> int:
-        """Return 0, as General only predicts."""
-        return 0
-
     @property
     @override
     def trainings(self) -> tuple[CheckpointTraining, ...]:
@@ -79,12 +69,8 @@ class Finetune(General):
     """Adam from General's prediction, for about a tenth of Overfit's steps."""
 
     name = "finetune"
+    steps_field = "finetune_steps"
     takes_long = True
-
-    @staticmethod
-    @override
-    def _usual_steps(recipe: Recipe) -> int:
-        return recipe.finetune_steps
 
     @override
     def adam(self, phi: MetaParameters) -> Adam:
@@ -103,13 +89,8 @@ class QuickFT(Finetune):
     """
 
     name = "quickft"
+    steps_field = "steps"  # as many as Meta takes
     takes_long = False
-
-    @staticmethod
-    @override
-    def _usual_steps(recipe: Recipe) -> int:
-        """Return Meta's number of gradient steps."""
-        return recipe.steps
 
     @property
     @override

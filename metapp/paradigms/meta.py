@@ -37,6 +37,7 @@ class Meta(Paradigm):
 
     learned_rule: LearnedRule
     name = "meta"
+    steps_field = "steps"  # n_l in the paper
     has_learned_rule = True
 
     @classmethod
@@ -51,12 +52,6 @@ class Meta(Paradigm):
             steps: the number of gradient steps; None for the recipe's number.
         """
         return cls(app, recipe, cls._steps(recipe, steps), rule_of(rule or recipe.rule))
-
-    @staticmethod
-    @override
-    def _usual_steps(recipe: Recipe) -> int:
-        """Return the number of inner gradient steps (n_l in the paper)."""
-        return recipe.steps
 
     @property
     @override

@@ -48,6 +48,7 @@ class Paradigm(ABC):
         recipe: the settings.
         steps: the number of gradient steps.
         name: the name on the command line.
+        steps_field: the field of a recipe that holds the paradigm's number of steps; "" if it takes none.
         has_learned_rule: whether the rule is a learned one, which --rule names.
         takes_long: whether fits take so many steps that their results are stored to be read again; quick fits are
             repeated from a checkpoint instead.
@@ -57,6 +58,7 @@ class Paradigm(ABC):
     recipe: Recipe
     steps: int
     name: ClassVar[str]
+    steps_field: ClassVar[str] = ""
     has_learned_rule: ClassVar[bool] = False
     takes_long: ClassVar[bool] = False
 
@@ -75,19 +77,14 @@ class Paradigm(ABC):
 
     @classmethod
     def _steps(cls, recipe: Recipe, requested: int | None) -> int:
-        """Return the number of gradient steps; a paradigm whose recipe has 0 steps always has 0."""
-        usual = cls._usual_steps(recipe)
-        return usual if requested is None or usual == 0 else requested
-
-    @staticmethod
-    @abstractmethod
-    def _usual_steps(recipe: Recipe) -> int:
-        """Return the number of gradient steps that a recipe gives the paradigm."""
+        """Return the requested number of gradient steps, else the recipe's; always 0 if that is 0."""
+        default: int = getattr(recipe, cls.steps_field) if cls.steps_field else 0
+        return default if requested is None or default == 0 else requested
 
     @property
     def default_steps(self) -> int:
         """The number of gradient steps that the recipe gives the paradigm."""
-        return self._usual_steps(self.recipe)
+        return self._steps(self.recipe, None)
 
     @property
     def trainings(self) -> tuple[CheckpointTraining, ...]:

@@ -25,7 +25,6 @@ from metapp.runs.fitter import BadInput, Fitter, fit_inputs
 from metapp.runs.inputs.finding import source_of_tensors
 from metapp.runs.inputs.run_inputs import are_objects, find_inputs, rename_duplicates, task_digest
 from metapp.runs.outputs.run_records import find_fitted_tasks, read_fit_of_file, read_run_records
-from metapp.runs.recipe_choice import choose_recipe
 from metapp.runs.reporter import say
 from metapp.storage.parameters import read_checked_params
 
@@ -151,14 +150,18 @@ def _fit_named_inputs(options: FitOptions) -> list[Fit]:
     """Fit the inputs that options name; a bad file that was found in a folder is left out with a warning."""
     choice = find_and_choose(options)
     with torch_defaults(single=choice.app.small_tensors):
-        inputs, label = find_inputs(choice)
         if options.objects:
+            # what objects hold is known once they are read, and the size to which they are read once the recipe is
+            first = replace(choice, options=replace(choice.options, observe=options.observe))
+            inputs, label = find_inputs(first)
             tasks = [run_input.read_task() for run_input in inputs]
-            sources = [source_of_tensors(options.application, task.name, task.data) for task in tasks]
-            first_choice = choice
-            choice = choose(replace(options, observe=choose_recipe(options, sources).observes), sources)
-            if choice.app.read_size != first_choice.app.read_size:
+            choice = choose(options, [source_of_tensors(options.application, task.name, task.data) for task in tasks])
+            for line in choice.reasons:
+                say(line)
+            if choice.app.read_size != first.app.read_size:
                 inputs, label = find_inputs(choice)
+        else:
+            inputs, label = find_inputs(choice)
         fitter = Fitter.of(choice)
         fits, places, settings = [], [], fitter.settings(label)
         for run_input, fit in fit_inputs(fitter, inputs):

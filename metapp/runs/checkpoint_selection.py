@@ -20,9 +20,8 @@ from metapp.networks.field import regrid
 from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import QUICKFT_ADAM_SETTINGS
 from metapp.paradigms.paradigm import CheckpointTraining
-from metapp.runs.choice import Choice
+from metapp.runs.choice import Choice, has_shipped_recipe
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
-from metapp.runs.recipe_choice import has_shipped_recipe
 from metapp.runs.reporter import say
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,11 +95,13 @@ class FitOptions:
         return [item for item in self.inputs if not isinstance(item, Path)]
 
 
-def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (), **values: Any) -> FitOptions:
+def fit_options(
+    app: str | Application, paradigm: str = "meta", inputs: Sequence[object] = (), **values: Any
+) -> FitOptions:
     """Check the options of a fit and return them as one object; nothing large is imported.
 
     Args:
-        app: the name of the application.
+        app: the application, or its name.
         paradigm: the name of the paradigm.
         inputs: paths, or objects in memory.
         values: options of all fits and the application's own, by name, as a command line or a program gives them.
@@ -110,7 +112,11 @@ def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (),
     """
     if not isinstance(paradigm, str):
         raise BadOption(f"paradigm: {paradigm!r}, expected str.")
-    application = application_named(app)
+    application = application_named(app) if isinstance(app, str) else app
+    given_paths, given_data = [path for path in inputs if isinstance(path, Path)], values.get("data")
+    paths, data = extract_data_set(given_paths, Path(given_data) if isinstance(given_data, str | Path) else None)
+    if len(paths) < len(given_paths):
+        inputs, values["data"] = (), data
     options_class = application.options.load()
     app_values = {name: values.pop(name) for name in options_by_name(options_class) if name in values}
     for name in values:
@@ -124,10 +130,7 @@ def fit_options(app: str, paradigm: str = "meta", inputs: Sequence[object] = (),
         inputs=tuple(inputs),
         app_options=parse_options(options_class, app_values),
     )
-    paths, data = extract_data_set(options.paths, options.data)
-    if len(paths) < len(options.paths):
-        options = replace(options, inputs=(), data=data)
-    _check(options)
+    _check(options, options.app_options.non_default_values())
     return options
 
 
@@ -188,23 +191,6 @@ def check_observation(observation: str, application: Application) -> None:
         raise BadOption(f"--observe '{observation}': {application.name} {expected}.{did_you_mean(observation, names)}")
 
 
-def check_recipe_and_options(options: FitOptions) -> None:
-    """Refuse a recipe or an option that the application does not have for what fits observe.
-
-    Raises:
-        BadOption: there is no such recipe, or an option belongs to fits that observe something else.
-    """
-    recipes = options.application.recipes_observing(options.observe)
-    if options.recipe and options.recipe not in recipes:
-        raise BadOption(
-            f"--recipe '{options.recipe}': expected one of {', '.join(recipes)}.{did_you_mean(options.recipe, recipes)}"
-        )
-    for name in options.app_options.non_default_values():
-        option = options_by_name(type(options.app_options))[name]
-        if options.observe and option.observes not in ("", options.observe):
-            raise BadOption(f"{option.flag}: only with --observe {option.observes}; add that.")
-
-
 def check_new_files(paths: Iterable[Path]) -> None:
     """Refuse to overwrite files: one that is there already may be a measurement.
 
@@ -249,18 +235,22 @@ def _describe_unknown_option(name: str, application: Application) -> str:
     return f"{name}: no option of a fit, expected one of {', '.join(sorted(names))}.{did_you_mean(name, names)}"
 
 
-def _check(options: FitOptions) -> None:
+def _check(options: FitOptions, app_values: Mapping[str, object]) -> None:
     """Refuse names that the application does not have and options that exclude each other.
+
+    Args:
+        options: the options.
+        app_values: the application's own options that are not at their default, by name.
 
     Raises:
         BadOption: there is such a name, or there are such options.
     """
-    check_observation(options.observe, options.application)
     for form in options.exports:
         check_export(form, options.application)
+    check_observation(options.observe, options.application)
     if options.train_steps and not options.train:
         raise BadOption("--train-steps: only with --train.")
-    for name in options.app_options.non_default_values():
+    for name in app_values:
         option = options_by_name(type(options.app_options))[name]
         if option.panel == INPUT and not options.inputs:
             remedy = f"not about the data set {options.data}; leave it out" if options.data else "name what to fit"

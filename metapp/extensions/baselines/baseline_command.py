@@ -29,7 +29,7 @@ def make_baseline_command(application: Application) -> Callable[..., None]:
     method_names = ", ".join(application.baselines)
 
     def command(inputs: list[Path] | None, method: str, json: bool, **values: Any) -> None:
-        run_and_print(fit_options(application.name, "general", inputs or (), device="cpu", **values), method, json=json)
+        run_and_print(fit_options(application, "general", inputs or (), device="cpu", **values), method, json=json)
 
     inputs_argument = typer.Argument(
         metavar="[INPUT]...",

@@ -21,7 +21,7 @@ from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.fit_options import FitOptions
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
-from metapp.storage.folders import PathKind, cache_lookups, cached_lookup, check_files_of_user, path_kind, path_refusal
+from metapp.storage.folders import PathKind, cached_lookup, check_files_of_user, path_kind, path_refusal
 from metapp.storage.shards import read_manifest
 
 DATA_SET_FORMAT, MEMORY_FORMAT = "data set", "memory"  # the `format` of sources that are not files
@@ -40,8 +40,7 @@ def find_sources(options: FitOptions) -> list[Source]:
         ValueError: a path is no input of the application, or two formats read it.
     """
     if options.paths:
-        with cache_lookups():
-            return _find_in_paths(options)
+        return _find_in_paths(options)
     return [source_of_data(options.application, options.data)] if options.data and options.data.exists() else []
 
 
@@ -136,8 +135,8 @@ def _find_in_path(application: Application, path: Path) -> Iterator[Source]:
     Raises:
         ValueError: the path is no input of the application.
     """
-    check_readable(path)
     forms = application.input_formats
+    check_readable(path)
     inputs = ", ".join(form.inputs for form in forms.values())
     expected = f"{inputs}, or a folder of these" if inputs else "a data set, by --data"
     check_files_of_user(path, f"an input of {application.name} ({expected})")

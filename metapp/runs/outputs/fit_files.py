@@ -145,7 +145,7 @@ def distill_fit(choice: Choice, task: Task, theta: Params) -> Params:
     Returns:
         Parameters of the usual network, without a task axis.
     """
-    options = fit_options(choice.application.name, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)
+    options = fit_options(choice.application, "finetune", recipe=QUICK_RECIPE_NAME, quiet=True)
     usual, app = choose(options), choice.app
     sampled_task = choice.presenter.sample_fit(theta, task)
     assert sampled_task is not None, f"{app.name} has one network"
