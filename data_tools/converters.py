@@ -12,7 +12,7 @@ from typing import Annotated
 
 from typing_extensions import override
 
-from metapp.networks.picture_options import LayerOption, parse_field_of_view
+from metapp.apps.picture_options import LayerOption, parse_field_of_view
 from metapp.options import Converter, Option, split_option
 
 SamplesOption = Annotated[

@@ -21,12 +21,13 @@ from metapp.paradigms import PARADIGMS
 from metapp.paradigms.adam import QUICKFT_ADAM_SETTINGS
 from metapp.paradigms.paradigm import CheckpointTraining
 from metapp.runs.choice import Choice, has_shipped_recipe
+from metapp.runs.inputs.refusals import path_refusal
 from metapp.runs.inputs.run_inputs import data_label, training_data_folder
 from metapp.runs.reporter import say
 from metapp.storage import Document
 from metapp.storage.checkpoint_files import load_checkpoint, tensor_digest
 from metapp.storage.files import content_digest
-from metapp.storage.folders import PathKind, path_kind, path_refusal
+from metapp.storage.folders import PathKind, path_kind
 from metapp.storage.shipped_checkpoints import QUICK_RECIPE_NAME, shipped_checkpoint_path
 
 

@@ -124,9 +124,9 @@ def path_kind(path: str | Path) -> PathKind:
             return PathKind.NOTHING
         if place.endswith(FAILED_PICTURE_SUFFIX):
             return PathKind.DIAGNOSTIC
-        folder_kind = _kind_without_runs(os.path.dirname(place))
+        folder_kind = kind_without_runs(os.path.dirname(place))
         return PathKind.DIAGNOSTIC if folder_kind in (PathKind.RUN_FOLDER, PathKind.DIAGNOSTIC) else PathKind.FILE
-    kind = _kind_without_runs(place)
+    kind = kind_without_runs(place)
     return PathKind.RUN_FOLDERS if kind is PathKind.FILES and find_record_files(Path(path), *FITS_OF_RUNS) else kind
 
 
@@ -136,48 +136,8 @@ def holds_files_of_users(folder: str) -> tuple[bool, bool]:
     Returns:
         Whether the files in a folder are a user's, and whether the folders below it are to be searched.
     """
-    kind = _kind_without_runs(os.path.abspath(folder))
+    kind = kind_without_runs(os.path.abspath(folder))
     return kind not in WRITTEN_KINDS, kind not in WRITTEN_KINDS or kind is PathKind.RUN_FOLDER
-
-
-def path_refusal(path: Path, expected: str) -> str:
-    """Return the message that refuses a path: what it is, what was expected, and which command takes it.
-
-    Args:
-        path: the path.
-        expected: what was expected, in words.
-    """
-    kind = path_kind(path)
-    if kind is PathKind.DATA_SET:
-        app = _manifest_app(path)
-        remedy = f"fit its test tasks by metapp meta {app} {path}, or check it by metapp data check {path}"
-    elif kind in KINDS_WITH_FITS:
-        remedy = f"metapp view, metapp export and metapp compare take it: metapp view {path}"
-    elif kind is PathKind.DIAGNOSTIC:
-        remedy = "give the photos or files themselves"
-    elif kind is PathKind.RECTIFIED:
-        remedy = f"fit it by metapp meta svbrdf_nonstationary {path}"
-    else:
-        remedy = "check the path"
-    return f"{path}: {kind.value}, expected {expected}; {remedy}."
-
-
-def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -> None:
-    """Refuse what metapp itself has written where files of a user are read.
-
-    Args:
-        path: the path of an input.
-        expected: the files that are read, in words.
-        data_sets: whether data sets are read, too.
-
-    Raises:
-        ValueError: the path is a data set, a fit, a run, or a picture that shows results.
-    """
-    place = os.path.abspath(path)
-    # it takes long to see whether a folder holds runs, and a folder of runs is not one of WRITTEN_KINDS
-    kind = _kind_without_runs(place) if os.path.isdir(place) else path_kind(path)
-    if kind in WRITTEN_KINDS and not (data_sets and kind is PathKind.DATA_SET):
-        raise ValueError(path_refusal(path, expected))
 
 
 def find_record_files(folder: Path, *places: str) -> list[Path]:
@@ -198,7 +158,7 @@ def is_data_set(path: Path) -> bool:
 
 
 @cached_lookup
-def _kind_without_runs(folder: str) -> PathKind:
+def kind_without_runs(folder: str) -> PathKind:
     """Return the kind of a folder by its absolute path; a folder of runs, which takes long to see, counts as FILES."""
     if _is_data_set(folder):
         return PathKind.DATA_SET
@@ -217,7 +177,7 @@ def _is_data_set(folder: str) -> bool:
     file = os.path.join(folder, MANIFEST)
     if not os.path.isfile(file):
         return False
-    manifest = _read_json(file)
+    manifest = read_json(file)
     if isinstance(manifest, dict) and manifest.keys() >= {"app", "tasks"}:
         return True
     return any(name.endswith(SHARD_SUFFIX) for name in os.listdir(folder))
@@ -228,7 +188,7 @@ def _is_fit(folder: str) -> bool:
     file = os.path.join(folder, RECORD)
     if not os.path.isfile(file):
         return False
-    record = _read_json(file)
+    record = read_json(file)
     is_record = isinstance(record, dict) and "name" in record
     return is_record or os.path.isfile(os.path.join(folder, PARAMS))
 
@@ -252,16 +212,9 @@ def _is_rectified(folder: str) -> bool:
     return False
 
 
-def _read_json(file: str) -> object:
+def read_json(file: str) -> object:
     """Read a JSON file; return None if it cannot be read or is no JSON."""
     try:
         return json.loads(read_bytes(file))
     except (ValueError, RecursionError, OSError):
         return None
-
-
-def _manifest_app(folder: Path) -> str:
-    """Return the name of the application in a data set's manifest; "APP" if there is none."""
-    manifest = _read_json(str(folder / MANIFEST))
-    app = manifest.get("app") if isinstance(manifest, dict) else None
-    return app if isinstance(app, str) and app.isidentifier() else "APP"

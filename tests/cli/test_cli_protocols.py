@@ -13,6 +13,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import torch
+from metapp.runs.run import Run
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -36,7 +37,6 @@ from metapp.runs.execution import execute_run
 from metapp.runs.fit_options import fit_options
 from metapp.runs.outputs.run_records import find_fitted_tasks, read_run_records
 from metapp.runs.reporter import Bar, use_reporter
-from metapp.runs.run import Run
 from metapp.storage.checkpoint_files import load_checkpoint
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_records
 from tests.marked import long

@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
+from metapp.runs.recipe_choice import choose_recipe
+from metapp.runs.run import Run
 from safetensors.torch import save_file
 
 import metapp as api
@@ -34,8 +36,6 @@ from metapp.registry import registry
 from metapp.runs.checkpoint_selection import attach_checkpoint
 from metapp.runs.fit_options import FitOptions, fit_options
 from metapp.runs.inputs.finding import find_sources
-from metapp.runs.recipe_choice import choose_recipe
-from metapp.runs.run import Run
 from metapp.storage.fit_store import PARAMS, read_fit_records, read_params
 from metapp.storage.folders import CAMERA_TEXT, LIGHT_TEXT
 from tests.anisotropic import measure_with_noise

@@ -97,9 +97,10 @@ def small_tasks() -> Any:
 
 def read_checkpoint(folder: Path, file: Path) -> None:
     """Read files as --checkpoint, and take one step of a fit."""
+    from metapp.runs.run import Run
+
     from metapp.runs.checkpoint_selection import attach_checkpoint
     from metapp.runs.fit_options import fit_options
-    from metapp.runs.run import Run
 
     options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
     by = attach_checkpoint(Run.from_options(fit_options("brdf", **options, device="cpu", quiet=True)))

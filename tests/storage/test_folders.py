@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from data_tools.readers.listing import files_below
+from metapp.runs.inputs.refusals import check_files_of_user, path_refusal
 from metapp.storage.folders import (
     CAMERA_TEXT,
     DIAGNOSTIC_FOLDER,
@@ -14,9 +15,7 @@ from metapp.storage.folders import (
     PARAMS,
     RECORD,
     PathKind,
-    check_files_of_user,
     path_kind,
-    path_refusal,
 )
 
 SET = json.dumps({"app": "texture", "schema": 1, "tasks": [], "units": {}, "notes": {}})

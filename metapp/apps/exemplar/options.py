@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.networks.picture_options import PictureOptions, size_option
+from metapp.apps.picture_options import PictureOptions, size_option
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from typing_extensions import override
 
-from metapp.networks.picture_options import CameraOptions, fov_option, pitch_option, size_option
+from metapp.apps.picture_options import CameraOptions, fov_option, pitch_option, size_option
 from metapp.options import INPUT, Option
 
 

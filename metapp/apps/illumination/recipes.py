@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.illumination.app import FromBall, FromMap
+from metapp.apps.photo_recipes import recipes_of_references_and_photos
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe, long_paper_recipe
 from metapp.networks.field import LocalField
-from metapp.networks.photo_recipes import recipes_of_references_and_photos
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(

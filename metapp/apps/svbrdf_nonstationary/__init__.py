@@ -22,7 +22,7 @@ def register(registry: Registry) -> None:
         title="svBRDF non-stat.",
         help="Maps of a flat material from one or several flash photographs.",
         app=Lazy("metapp.apps.svbrdf_nonstationary.app:SvbrdfNonstationary"),
-        options=Lazy("metapp.networks.picture_options:FlashOptions"),
+        options=Lazy("metapp.apps.picture_options:FlashOptions"),
         presenter=Lazy("metapp.apps.svbrdf_nonstationary.presenter:SvbrdfNonstationaryPresenter"),
         facts=Lazy("data_tools.readers.svbrdf_task:facts_of"),
         read_object=Lazy("data_tools.readers.svbrdf_inputs:task_of_object"),

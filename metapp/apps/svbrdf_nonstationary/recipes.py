@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from metapp.apps.photo_recipes import recipes_of_references_and_photos
 from metapp.apps.svbrdf_nonstationary.coded_maps import FromMaps, FromPhoto, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
-from metapp.networks.photo_recipes import recipes_of_references_and_photos
 
 # Rules are trained with exact second order from General's encoder, which goes on learning through the steps of fits.
 LEARNED = MetaTraining(

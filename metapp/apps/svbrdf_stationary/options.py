@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from metapp.apps.exemplar.options import ExemplarOptions
-from metapp.networks.picture_options import CameraOptions, ReliefOptions
+from metapp.apps.picture_options import CameraOptions, ReliefOptions
 
 
 @dataclass(frozen=True)

@@ -314,10 +314,11 @@ def compose(
     rule = LearnedRule(known_name, tuple(part_of(part) for part in names if part in chosen))
     rates = [part.name for part in rule.parts if part.is_rate]
     if len(rates) != 1:
-        choices = ", ".join(part for part in names if part_of(part).is_rate)
+        rate_names = [part for part in names if part_of(part).is_rate]
+        holders = [f"{word} has {part}" for word in compositions for part in rate_names if part in expand(word)]
         raise ValueError(
-            f"rule '{known_name}': {' and '.join(rates) or 'no part'} for rates, expected one of {choices} "
-            "(adam has rates, tied has shared)."
+            f"rule '{known_name}': {' and '.join(rates) or 'no part'} for rates, expected one of "
+            f"{', '.join(rate_names)} ({', '.join(holders)})."
         )
     for part in rule.parts:
         if part.needs_one_of and not any(map(rule.has_part, part.needs_one_of)):

@@ -16,9 +16,10 @@ from metapp.learning.task import Task
 from metapp.registry import registry
 from metapp.runs.environment import torch_defaults
 from metapp.runs.inputs.finding import bind_reader_arguments
+from metapp.runs.inputs.refusals import check_files_of_user, path_refusal
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, error_about_file
-from metapp.storage.folders import PathKind, cache_lookups, check_files_of_user, path_kind, path_refusal
+from metapp.storage.folders import PathKind, cache_lookups, path_kind
 from metapp.storage.shards import AUTO_SPLIT, SPLITS, ManifestEntry, write_data_set
 
 

@@ -19,9 +19,10 @@ from metapp.application import Application
 from metapp.learning.task import Task
 from metapp.registry import WITHOUT_VARIABLE, registry
 from metapp.runs.fit_options import FitOptions
+from metapp.runs.inputs.refusals import check_files_of_user, path_refusal
 from metapp.runs.reporter import say
 from metapp.storage.files import check_readable, placeholder_line
-from metapp.storage.folders import PathKind, cached_lookup, check_files_of_user, path_kind, path_refusal
+from metapp.storage.folders import PathKind, cached_lookup, path_kind
 from metapp.storage.shards import read_manifest
 
 DATA_SET_FORMAT, MEMORY_FORMAT = "data set", "memory"  # the `format` of sources that are not files

@@ -19,6 +19,7 @@ from metapp.learning.task import Task
 from metapp.runs.choice import choose_as_recorded
 from metapp.runs.fit_options import application_named, check_export, extract_data_set, fit_options
 from metapp.runs.inputs.embedded import embedded_folders
+from metapp.runs.inputs.refusals import path_refusal
 from metapp.runs.inputs.run_inputs import FILES_LABEL, Input, data_label, find_inputs, read_test_tasks, task_digest
 from metapp.runs.outputs.fit_files import export_fit, export_path, file_to_open
 from metapp.runs.reporter import progress, say
@@ -26,7 +27,7 @@ from metapp.storage import Document
 from metapp.storage.files import path_from_json_text
 from metapp.storage.fit_records import FitRecord
 from metapp.storage.fit_store import PARAMS, RECORD, read_fit_record, read_fit_records, read_packed_record
-from metapp.storage.folders import FITS_OF_RUNS, KINDS_WITH_FITS, PathKind, find_record_files, path_kind, path_refusal
+from metapp.storage.folders import FITS_OF_RUNS, KINDS_WITH_FITS, PathKind, find_record_files, path_kind
 from metapp.storage.parameters import read_checked_params
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.runs.run import Run
 from rich.console import Console
 from torch import Generator, Tensor
 
@@ -23,7 +24,6 @@ from metapp.registry import WITHOUT_VARIABLE as LEAVING_OUT
 from metapp.registry import registry
 from metapp.runs.fit_options import fit_options
 from metapp.runs.reporter import Reporter, use_reporter
-from metapp.runs.run import Run
 from metapp.storage.fit_store import RunFolder, read_params
 from metapp.storage.shards import write_data_set
 from tests.marked import long

@@ -13,8 +13,9 @@ import typer
 from metapp.cli.arguments import JsonFlag, Out, Overwrite, Quiet, check_new_file, expand_options
 from metapp.cli.console import print_json
 from metapp.extensions.capture.ball.ball_options import BallOptions
+from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.reporter import say
-from metapp.storage.folders import DIAGNOSTIC_FOLDER, MANIFEST, check_files_of_user
+from metapp.storage.folders import DIAGNOSTIC_FOLDER, MANIFEST
 
 
 @expand_options(BallOptions)

@@ -15,9 +15,10 @@ import typer
 from metapp.cli.arguments import JsonFlag, Out, Overwrite, Quiet, check_new_file, expand_options
 from metapp.cli.console import print_json
 from metapp.extensions.capture.markers.marker_options import RectifyOptions, SheetOptions
+from metapp.runs.inputs.refusals import check_files_of_user
 from metapp.runs.reporter import say
 from metapp.storage.files import add_suffix
-from metapp.storage.folders import DIAGNOSTIC_FOLDER, FAILED_PICTURE_SUFFIX, check_files_of_user
+from metapp.storage.folders import DIAGNOSTIC_FOLDER, FAILED_PICTURE_SUFFIX
 
 
 @expand_options(SheetOptions)

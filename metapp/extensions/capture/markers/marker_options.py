@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from metapp.networks.picture_options import fov_option
+from metapp.apps.picture_options import fov_option
 from metapp.options import Option
 
 

@@ -1,0 +1,67 @@
+"""Refusals of paths that are not what a command reads: what a path is, what was expected, and what takes it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from metapp.registry import registry
+from metapp.storage.folders import (
+    KINDS_WITH_FITS,
+    MANIFEST,
+    WRITTEN_KINDS,
+    PathKind,
+    kind_without_runs,
+    path_kind,
+    read_json,
+)
+
+COMMANDS_OF_FITS = ("view", "export", "compare")  # commands that take a fit or a run, as far as they are there
+
+
+def path_refusal(path: Path, expected: str) -> str:
+    """Return the message that refuses a path: what it is, what was expected, and which command takes it.
+
+    Args:
+        path: the path.
+        expected: what was expected, in words.
+    """
+    kind = path_kind(path)
+    if kind is PathKind.DATA_SET:
+        app = _manifest_app(path)
+        remedy = f"fit its test tasks by metapp meta {app} {path}, or check it by metapp data check {path}"
+    elif kind in KINDS_WITH_FITS:
+        commands = [f"metapp {name}" for name in COMMANDS_OF_FITS if name in registry().commands]
+        remedy = f"{', '.join(commands[:-1])} and {commands[-1]} take it: {commands[0]} {path}"
+    elif kind is PathKind.DIAGNOSTIC:
+        remedy = "give the photos or files themselves"
+    elif kind is PathKind.RECTIFIED:
+        remedy = f"fit it by metapp meta svbrdf_nonstationary {path}"
+    else:
+        remedy = "check the path"
+    return f"{path}: {kind.value}, expected {expected}; {remedy}."
+
+
+def check_files_of_user(path: Path, expected: str, *, data_sets: bool = False) -> None:
+    """Refuse what metapp itself has written where files of a user are read.
+
+    Args:
+        path: the path of an input.
+        expected: the files that are read, in words.
+        data_sets: whether data sets are read, too.
+
+    Raises:
+        ValueError: the path is a data set, a fit, a run, or a picture that shows results.
+    """
+    place = os.path.abspath(path)
+    # it takes long to see whether a folder holds runs, and a folder of runs is not one of WRITTEN_KINDS
+    kind = kind_without_runs(place) if os.path.isdir(place) else path_kind(path)
+    if kind in WRITTEN_KINDS and not (data_sets and kind is PathKind.DATA_SET):
+        raise ValueError(path_refusal(path, expected))
+
+
+def _manifest_app(folder: Path) -> str:
+    """Return the name of the application in a data set's manifest; "APP" if there is none."""
+    manifest = read_json(str(folder / MANIFEST))
+    app = manifest.get("app") if isinstance(manifest, dict) else None
+    return app if isinstance(app, str) and app.isidentifier() else "APP"
